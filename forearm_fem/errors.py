@@ -1,0 +1,49 @@
+"""Named failures; each message says what was expected, what came and what to do.
+
+The command line prints the message of a :class:`ForearmError` as one sentence and exits with code 2.
+"""
+
+
+class ForearmError(Exception):
+    """Any failure that a user can act upon."""
+
+
+class ScenarioError(ForearmError):
+    """A scenario file or override is malformed, unknown or impossible."""
+
+
+class GeometryError(ForearmError):
+    """A limb, surface or contact cannot exist as described."""
+
+
+class MeshError(ForearmError):
+    """A mesh is open, inverted, of bad quality, or lacks a region."""
+
+
+class SolverError(ForearmError):
+    """A factorisation or a solve failed, or would not fit in memory."""
+
+
+class ReductionError(ForearmError):
+    """The reduced model cannot be certified to the accuracy asked for."""
+
+
+class DataError(ForearmError):
+    """A measured or stored file cannot be read, or says too little to be trusted."""
+
+
+class HardwareError(ForearmError):
+    """A measurement device is missing or misbehaves."""
+
+
+class MissingExtra(ForearmError):
+    """An optional package is needed; the message names the extra to install."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(
+            f"{purpose} needs the package '{package}'; install it with: python3 -m pip install 'forearm-fem[{extra}]'"
+        )
+
+
+class AccuracyWarning(UserWarning):
+    """A number is less accurate than asked for; the text reaches the report."""

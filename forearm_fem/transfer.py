@@ -1,0 +1,97 @@
+"""The two frequency-domain results: skin-only ``Compliance`` [m/N] and ``TransferMatrix`` G.
+
+Arrays are ordered (frequency, output, input); time dependence e^{+i omega t}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from .ports import Port
+from .typing import BoolArray, ComplexArray, FloatArray
+
+ErrorSource = Literal["discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature"]
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """An estimated error of one source.
+
+    ``per_frequency`` [-] is e(f) = max_ij |dG_ij| / max_ij |G_ij| at ``frequency`` [Hz]; ``band`` is
+    ||dG||_F / ||G||_F over the band and the matrix; ``method`` says in one sentence how it was found.
+    """
+
+    source: ErrorSource
+    band: float
+    method: str
+    frequency: tuple[float, ...] = ()
+    per_frequency: tuple[float, ...] = ()
+
+    @property
+    def worst(self) -> float:
+        """Largest e(f), or the band value where no frequencies are given."""
+        return max(self.per_frequency, default=self.band)
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """Displacements of all ports per unit force on each, without the actuators.
+
+    ``values`` (n_frequency, n_port, n_port) [m/N], symmetric by reciprocity. The diagonal entries of point
+    ports are NaN: a point force under itself is infinite. ``frequency`` [Hz] is increasing and positive.
+    """
+
+    frequency: FloatArray
+    values: ComplexArray
+    ports: tuple[Port, ...]
+    errors: tuple[ErrorEstimate, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def indices(self, kind: str) -> list[int]:
+        """Positions in ``ports`` of the ports of a kind ("contact" or "point")."""
+        return [i for i, p in enumerate(self.ports) if p.kind == kind]
+
+    def block(self, outputs: str, inputs: str) -> ComplexArray:
+        """Sub-matrix between two kinds of ports (n_frequency, n_out, n_in) [m/N]."""
+        return self.values[:, self.indices(outputs)][:, :, self.indices(inputs)]
+
+
+@dataclass(frozen=True)
+class TransferMatrix:
+    """Displacement of each output per unit drive of each input: simulated or measured, nothing downstream knows.
+
+    ``values`` (n_frequency, n_out, n_in) in ``unit`` (m/V for voltage drive, m/N for plain forces, m/m for
+    prescribed displacement). ``contacts`` (n_frequency, n_in, n_in) is the displacement of the cones
+    themselves in the same unit, where known (driving points on its diagonal). ``valid`` marks entries that may be used
+    (None = all); ``deviation`` is a standard deviation per entry (None = unknown).
+    """
+
+    frequency: FloatArray
+    values: ComplexArray
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    unit: str = "m/V"
+    contacts: ComplexArray | None = None
+    valid: BoolArray | None = None
+    deviation: FloatArray | None = None
+    errors: tuple[ErrorEstimate, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def omega(self) -> FloatArray:
+        """Angular frequency [rad/s]."""
+        return 2 * np.pi * self.frequency
+
+
+def relative_error(estimate: ComplexArray, truth: ComplexArray) -> FloatArray:
+    """e(f) = max_ij |estimate - truth| / max_ij |truth| per frequency (n_frequency,)."""
+    return np.asarray(np.nanmax(np.abs(estimate - truth), axis=(1, 2)) / np.nanmax(np.abs(truth), axis=(1, 2)))
+
+
+def band_error(estimate: ComplexArray, truth: ComplexArray) -> float:
+    """e_band = ||estimate - truth||_F / ||truth||_F over all frequencies and entries."""
+    return float(np.sqrt(np.nansum(np.abs(estimate - truth) ** 2) / np.nansum(np.abs(truth) ** 2)))
