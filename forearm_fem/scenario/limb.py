@@ -1,0 +1,108 @@
+"""The limb's shape: parametric forearm, slab, cylinder, the user's surfaces, or the user's mesh."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from .base import Length, Part, Positive
+
+
+class LayerThickness(Part):
+    """One tissue layer under the skin's surface, listed from the outside inwards."""
+
+    tissue: str = Field(description="name of a tissue in [tissues]")
+    thickness: Length = Field(description="thickness [m], measured along the inward normal")
+
+
+class Bone(Part):
+    """A straight bone of circular section parallel to the limb axis."""
+
+    name: str
+    y: float = Field(description="axis offset across the limb [m]")
+    depth: Length = Field(description="depth of its axis below the volar skin at the device [m]")
+    diameter: Length = Field(description="[m]")
+
+
+# physics.md 1.3: dermis 1.0+-0.2 mm -> default 1.2 mm (section 9); skin+fat ring 3.0 mm (men).
+DEFAULT_LAYERS = (
+    LayerThickness(tissue="skin", thickness=1.2e-3),
+    LayerThickness(tissue="fat", thickness=3.0e-3),
+)
+# Shah et al. 2019 (physics.md 1.3): 24.5/24.2/22.7/19.7/17.1 cm at 0/4/8/12/16 cm from the proximal site;
+# the device sits where the circumference is 22.7 cm, x grows towards the elbow.
+DEFAULT_CIRCUMFERENCE = ((-0.08, 0.171), (-0.04, 0.197), (0.0, 0.227), (0.04, 0.242), (0.08, 0.245))
+# physics.md 1.3 [D]/[R]: diameter 14 mm, inter-axis 25-30 mm, volar cover 12-20 (radius), 15-25 mm (ulna).
+DEFAULT_BONES = (
+    Bone(name="radius", y=-0.014, depth=0.023, diameter=0.014),
+    Bone(name="ulna", y=0.014, depth=0.027, diameter=0.014),
+)
+
+
+class ForearmLimb(Part):
+    """Parametric segment: circumferences along the arm, elliptic sections, layers, muscle, radius and ulna."""
+
+    shape: Literal["forearm"] = "forearm"
+    length: Length = Field(0.12, description="length of the segment kept, centred on the device [m]")
+    circumference: tuple[tuple[float, Positive], ...] = Field(
+        DEFAULT_CIRCUMFERENCE, description="pairs (x, circumference) [m]; x = 0 under the device"
+    )
+    aspect: Annotated[float, Field(ge=0.5, le=2.0)] = Field(1.0, description="width (y) over height (z) of the section")
+    layers: tuple[LayerThickness, ...] = DEFAULT_LAYERS
+    core: str = Field("muscle", description="tissue inside the layers")
+    bones: tuple[Bone, ...] = DEFAULT_BONES
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        xs = [x for x, _ in self.circumference]
+        if len(xs) < 1 or sorted(set(xs)) != xs:
+            raise ValueError("circumference needs at least one (x, circumference) pair, x increasing")
+        return self
+
+
+class CylinderLimb(Part):
+    """A straight round limb without taper; bones optional."""
+
+    shape: Literal["cylinder"] = "cylinder"
+    length: Length = 0.12
+    diameter: Length = 0.072
+    layers: tuple[LayerThickness, ...] = DEFAULT_LAYERS
+    core: str = "muscle"
+    bones: tuple[Bone, ...] = ()
+
+
+class SlabLimb(Part):
+    """A flat block: layers on a core down to ``depth``; its sides and bottom are the truncation."""
+
+    shape: Literal["slab"] = "slab"
+    length: Length = Field(0.12, description="extent in x [m]")
+    width: Length = Field(0.09, description="extent in y [m]")
+    depth: Length = Field(0.04, description="total thickness [m]")
+    symmetry: tuple[Literal["x", "y"], ...] = Field(
+        (), description="planes through the device centre on which only a half (or quarter) is modelled"
+    )
+    layers: tuple[LayerThickness, ...] = DEFAULT_LAYERS
+    core: str = "muscle"
+
+
+class SurfacesLimb(Part):
+    """The user's closed surfaces, one per tissue, the outer ones containing the inner ones."""
+
+    shape: Literal["surfaces"] = "surfaces"
+    surfaces: dict[str, str] = Field(description="tissue -> STL/OBJ/PLY file, relative to the scenario; 'bone' is a bone")
+    unit: Positive = Field(1.0, description="metres per unit of the files (0.001 for millimetres)")
+
+
+class MeshLimb(Part):
+    """The user's tetrahedral mesh, anything meshio reads, with named or numbered regions."""
+
+    shape: Literal["mesh"] = "mesh"
+    file: str = Field(description="mesh file, relative to the scenario")
+    regions: dict[str, str] = Field(description="region name or number in the file -> tissue ('bone' is a bone)")
+    unit: Positive = Field(1.0, description="metres per unit of the file")
+
+
+Limb = Annotated[
+    ForearmLimb | CylinderLimb | SlabLimb | SurfacesLimb | MeshLimb, Field(discriminator="shape")
+]

@@ -1,0 +1,26 @@
+"""How finely the limb is cut into tetrahedra; sizes left out follow from ``accuracy`` and ``f_max``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from .base import Length, Part, Positive
+
+
+class MeshOptions(Part):
+    """Element sizes [m]; ``None`` means: chosen from the scenario's ``accuracy``."""
+
+    size_contact: Length | None = Field(None, description="edge length under and beside contacts [m]")
+    size_grid: Length | None = Field(None, description="edge length between contacts and grid points [m]")
+    size_far: Length | None = Field(None, description="edge length far from all ports [m]")
+    grading: Annotated[float, Field(gt=0, le=1)] = Field(0.3, description="growth of size per metre of distance")
+    sublayers: dict[str, Annotated[int, Field(ge=1, le=20)]] = Field(
+        default_factory=dict, description="element layers through each tissue layer, e.g. {skin = 1, fat = 2}"
+    )
+    element: Literal["P1", "P2", "P3"] = Field("P2", description="displacement order; pressure is one lower")
+    min_quality: Annotated[float, Field(gt=0, lt=1)] = Field(
+        0.02, description="smallest mean-ratio quality accepted (1 = regular tetrahedron)"
+    )
+    max_elements: Positive = Field(2e6, description="refuse larger meshes than this")

@@ -1,0 +1,46 @@
+"""The whole scenario: one frozen object from which everything follows."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from .base import Part
+from .device import Device, Grid
+from .limb import ForearmLimb, Limb
+from .mesh import MeshOptions
+from .rendering import Rendering
+from .supports import Supports
+from .sweep import SolverOptions, Sweep
+from .tissues import Tissues
+
+
+class Scenario(Part):
+    """A limb, its tissues, a device, a sweep and what to render; SI units throughout."""
+
+    schema_version: Literal[1] = 1
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")] = "scenario"
+    description: str = ""
+    engine: Literal["fem", "layered"] = Field("fem", description="finite elements, or the semi-analytic flat twin")
+    accuracy: Annotated[float, Field(ge=1e-5, le=0.5)] = Field(
+        0.05, description="asked e_band of G; sets mesh sizes, truncation and reduction where left out"
+    )
+    limb: Limb = ForearmLimb()
+    tissues: Tissues = Tissues()
+    supports: Supports = Supports()
+    device: Device = Device()
+    grid: Grid = Grid()
+    sweep: Sweep = Sweep()
+    mesh: MeshOptions = MeshOptions()
+    solver: SolverOptions = SolverOptions()
+    rendering: Rendering = Rendering()
+
+    @model_validator(mode="after")
+    def _targets_exist(self) -> Self:
+        names = {str(i + 1) for i in range(len(self.grid.places))}
+        wanted = set() if self.rendering.targets == "all" else set(self.rendering.targets)
+        zeros = self.rendering.zeros if isinstance(self.rendering.zeros, tuple) else ()
+        if unknown := (wanted | set(zeros)) - names:
+            raise ValueError(f"rendering names the points {sorted(unknown)}, but the grid has 1..{len(names)}")
+        return self

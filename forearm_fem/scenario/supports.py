@@ -1,0 +1,19 @@
+"""What holds the limb and what happens at its cut ends."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from .base import NonNegative, Part
+
+
+class Supports(Part):
+    """Bones, the underside, and the cut ends (a slab's sides and bottom are cut ends too)."""
+
+    bone: Literal["rigid", "elastic"] = Field("rigid", description="held still, or meshed as bone tissue")
+    underside: Literal["free", "fixed", "foam"] = "free"
+    foam_stiffness: NonNegative = Field(2.0e5, description="foam spring per area [N/m^3]")
+    foam_damping: NonNegative = Field(1.0e3, description="foam dashpot per area [N s/m^3]")
+    ends: Literal["absorb", "fixed", "free"] = Field("absorb", description="viscous dashpots rho c_s, clamped or free")

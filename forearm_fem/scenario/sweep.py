@@ -1,0 +1,41 @@
+"""Frequencies, solver and reduction options."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from .base import Part, Positive
+
+
+class Sweep(Part):
+    """Default: the bins of a 2 s record at 10 kHz that the thesis' 10-500 Hz sweep excites (981 bins)."""
+
+    f_min: Positive = Field(10.0, description="[Hz]")
+    f_max: Annotated[float, Field(gt=0, le=5000)] = Field(500.0, description="[Hz]")
+    duration: Positive = Field(2.0, description="record length [s]; bins are 1/duration apart")
+    sample_rate: Positive = Field(10000.0, description="[Hz]")
+    frequencies: tuple[Positive, ...] | None = Field(None, description="own list of frequencies [Hz] instead")
+
+    @model_validator(mode="after")
+    def _band(self) -> Self:
+        if self.f_max <= self.f_min:
+            raise ValueError(f"f_max must exceed f_min = {self.f_min:g} Hz, got {self.f_max:g} Hz")
+        if self.sample_rate < 2 * self.f_max:
+            raise ValueError(f"sample_rate must be at least 2 f_max = {2 * self.f_max:g} Hz")
+        if self.frequencies is not None and sorted(set(self.frequencies)) != list(self.frequencies):
+            raise ValueError("frequencies must increase and be distinct")
+        return self
+
+
+class SolverOptions(Part):
+    """How systems are factorised and the sweep is made."""
+
+    backend: Literal["auto", "pardiso", "superlu", "cudss"] = "auto"
+    precision: Literal["double", "single"] = Field("double", description="of the factors; solves are refined to double")
+    sweep: Literal["reduced", "direct"] = "reduced"
+    derivatives: Annotated[int, Field(ge=0, le=12)] = Field(4, description="kept per expansion frequency")
+    max_expansions: Annotated[int, Field(ge=1, le=50)] = Field(8, description="expansion frequencies at most")
+    memory_limit: Positive = Field(8e9, description="refuse a factorisation estimated above this [bytes]")
+    discretisation_estimate: bool = Field(True, description="solve a coarser mesh too, to estimate the error")

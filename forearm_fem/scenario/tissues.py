@@ -1,0 +1,40 @@
+"""Tissue parameters of a scenario: a preset, and per tissue what differs from it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from .base import NonNegative, Part, Positive
+
+
+class TissueOverride(Part):
+    """Replaces single values of a preset's tissue, or defines a new tissue when complete."""
+
+    density: Annotated[float, Field(ge=100, le=10000)] | None = Field(None, description="kg/m^3")
+    mu: Positive | None = Field(None, description="storage (shear) modulus [Pa]")
+    eta: NonNegative | None = Field(None, description="shear viscosity [Pa s]")
+    bulk: Positive | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
+    model: Literal["kelvin-voigt", "springpot", "zener"] | None = None
+    exponent: Annotated[float, Field(gt=0, lt=1)] | None = Field(None, description="springpot exponent [-]")
+    mu_infinity: Positive | None = Field(None, description="Zener high-frequency modulus [Pa]")
+
+
+class Membrane(Part):
+    """Thin stiff sheet on the skin (epidermis) as a surface term, not tetrahedra; pre-stress included."""
+
+    stiffness: NonNegative = Field(0.0, description="in-plane shear stiffness mu*h [N/m]; 350 kPa x 80 um = 28 N/m")
+    viscosity: NonNegative = Field(0.0, description="in-plane eta*h [N s/m]")
+    tension: NonNegative = Field(0.0, description="pre-stress resultant [N/m]; 28-92 N/m (physics.md 2.5)")
+    mass: NonNegative = Field(0.0, description="mass per area [kg/m^2]; 80 um epidermis 0.088, tape 0.2-0.3")
+
+
+class Tissues(Part):
+    """Choice of tissue parameters."""
+
+    preset: Literal["default", "thesis", "zhang"] = Field(
+        "default", description="default = preset O, thesis = K (thesis-matched), zhang = Z of physics.md 9"
+    )
+    override: dict[str, TissueOverride] = Field(default_factory=dict)
+    membrane: Membrane = Membrane()
