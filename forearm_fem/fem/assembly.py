@@ -1,0 +1,133 @@
+"""Real matrices of each tissue from per-element reference tensors: the work of scikit-fem's forms at memory speed.
+
+On an affine tetrahedron every integral is a fixed tensor of the reference element contracted with the Jacobian,
+D_ij = |J| sum_ab (J^-1)_ai (J^-1)_bj R_ab, so no quadrature loop is left (design.md: 125 s -> seconds).
+Equality with scikit-fem's own forms is tested to 1e-13.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import bsr_array, csr_array, kron
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTet
+
+from ..typing import FloatArray, IntArray
+from .elements import tabulate
+from .space import MixedSpace
+
+
+@dataclass(frozen=True)
+class ReferenceTensors:
+    """Integrals over the reference tetrahedron: gradients (3, 3, nb, nb), masses and divergence (3, npb, nb)."""
+
+    gradient: FloatArray
+    mass: FloatArray
+    pressure_mass: FloatArray
+    divergence: FloatArray
+
+
+def reference_tensors(space: MixedSpace) -> ReferenceTensors:
+    """Integrals of the pair's basis functions by a quadrature that is exact for them."""
+    points, weights = get_quadrature(RefTet, space.pair.degree)
+    value, slope = tabulate(space.pair.displacement, points)
+    pressure, _ = tabulate(space.pair.pressure, points)
+    return ReferenceTensors(
+        np.einsum("aiq,bjq,q->ijab", slope, slope, weights),
+        np.einsum("aq,bq,q->ab", value, value, weights),
+        np.einsum("aq,bq,q->ab", pressure, pressure, weights),
+        np.einsum("pq,biq,q->ipb", pressure, slope, weights),
+    )
+
+
+@dataclass(frozen=True)
+class TissueMatrices:
+    """Real matrices of one tissue, over all unknowns before constraints.
+
+    ``shear`` per unit shear modulus, ``mass`` per unit density (both n_u x n_u), ``divergence`` (n_p x n_u) and
+    ``pressure_mass`` (n_p x n_p).
+    """
+
+    shear: csr_array
+    mass: csr_array
+    divergence: csr_array
+    pressure_mass: csr_array
+
+
+def tissue_matrices(space: MixedSpace, region: int, reference: ReferenceTensors) -> TissueMatrices:
+    r"""Matrices of one tissue.
+
+    shear: :math:`\int 2\,\epsilon(u):\epsilon(v) - \tfrac23 \nabla\cdot u\,\nabla\cdot v`; mass: :math:`\int u\cdot v`;
+    divergence: :math:`\int q\,\nabla\cdot u`; pressure mass: :math:`\int p q` (scaled by -1/bulk in the operator).
+    """
+    chosen = np.flatnonzero(space.mesh.region == region)
+    jacobian = space.jacobians[chosen]
+    inverse, volume = np.linalg.inv(jacobian), np.abs(np.linalg.det(jacobian))
+    nodes, pressures = space.nodes[chosen], space.pressures[chosen]
+    blocks = shear_blocks(inverse, volume, reference.gradient)
+    scalar_mass = _scatter(nodes, nodes, volume[:, None, None] * reference.mass, (space.n_nodes, space.n_nodes))
+    pressure_mass = volume[:, None, None] * reference.pressure_mass
+    return TissueMatrices(
+        _scatter_blocks(nodes, nodes, blocks, (space.n_nodes, space.n_nodes)),
+        csr_array(kron(scalar_mass, np.eye(3), format="csr")),
+        _divergence(space, chosen, inverse, volume, reference.divergence),
+        _scatter(pressures, pressures, pressure_mass, (space.n_pressures, space.n_pressures)),
+    )
+
+
+def shear_blocks(inverse: FloatArray, volume: FloatArray, reference: FloatArray) -> FloatArray:
+    """3x3 blocks of the deviatoric stiffness (3, 3, n_tet, nb, nb) from gradients' reference tensor."""
+    metric = np.einsum("e,eai,ebj->ijeab", volume, inverse, inverse, optimize=True).reshape(9 * len(volume), 9)
+    nb = reference.shape[2]
+    d = (metric @ reference.reshape(9, nb * nb)).reshape(3, 3, len(volume), nb, nb)
+    blocks = np.swapaxes(d, 0, 1) - (2 / 3) * d
+    trace = d[0, 0] + d[1, 1] + d[2, 2]
+    for i in range(3):
+        blocks[i, i] += trace
+    return np.asarray(blocks)
+
+
+def _divergence(
+    space: MixedSpace, chosen: IntArray, inverse: FloatArray, volume: FloatArray, reference: FloatArray
+) -> csr_array:
+    blocks = np.einsum("e,eai,apb->iepb", volume, inverse, reference, optimize=True)
+    n_p, n_u = space.n_pressures, space.n_displacements
+    parts = [
+        _scatter(space.pressures[chosen], 3 * space.nodes[chosen] + i, blocks[i], (n_p, n_u)) for i in range(3)
+    ]
+    return csr_array(parts[0] + parts[1] + parts[2])
+
+
+def _scatter(rows: IntArray, columns: IntArray, values: FloatArray, shape: tuple[int, int]) -> csr_array:
+    """Sum element matrices (n_tet, nr, nc) into a CSR matrix."""
+    order, start, row, column = element_pattern(rows, columns, shape[1])
+    data = np.add.reduceat(values.reshape(-1)[order], start)
+    return csr_array((data, column, _row_pointer(row, shape[0])), shape=shape)
+
+
+def _scatter_blocks(rows: IntArray, columns: IntArray, blocks: FloatArray, shape: tuple[int, int]) -> csr_array:
+    """Sum 3x3 element blocks (3, 3, n_tet, nr, nc) into a CSR matrix of three times the shape."""
+    order, start, row, column = element_pattern(rows, columns, shape[1])
+    data = np.empty((len(row), 3, 3))
+    for i in range(3):
+        for j in range(3):
+            data[:, i, j] = np.add.reduceat(blocks[i, j].reshape(-1)[order], start)
+    matrix = bsr_array((data, column, _row_pointer(row, shape[0])), shape=(3 * shape[0], 3 * shape[1]))
+    return csr_array(matrix.tocsr())
+
+
+def element_pattern(
+    rows: IntArray, columns: IntArray, width: int
+) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+    """Order that sorts all element pairs by (row, column), starts of equal pairs, and their rows and columns."""
+    keys = (rows[:, :, None].astype(np.int64) * width + columns[:, None, :]).reshape(-1)
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    start = np.flatnonzero(np.concatenate(([True], ordered[1:] != ordered[:-1])))
+    return order, start, ordered[start] // width, ordered[start] % width
+
+
+def _row_pointer(row: IntArray, n_rows: int) -> IntArray:
+    return np.concatenate(([0], np.cumsum(np.bincount(row, minlength=n_rows))))

@@ -1,0 +1,118 @@
+"""A(omega) = sum_k theta_k(omega) A_k: constant real symmetric matrices on one pattern, frequency in scalars."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array, eye_array, triu
+
+from ..typing import ComplexArray, FloatArray, IntArray
+from .coefficients import Coefficient
+
+
+@dataclass(frozen=True)
+class Term:
+    """One real symmetric matrix: ``values`` (m,) at ``positions`` (m,) of the operator's upper-triangle data."""
+
+    name: str
+    positions: IntArray
+    values: FloatArray
+    coefficient: Coefficient
+
+
+@dataclass(frozen=True)
+class AffineOperator:
+    """Dynamic stiffness of displacements (first ``n_displacements``) and scaled pressures.
+
+    ``indptr`` and ``indices`` describe the upper triangle of the common pattern, diagonal always included. The
+    matrix is complex symmetric, not Hermitian. Pressures are in units of ``pressure_scale`` [Pa].
+    """
+
+    indptr: IntArray
+    indices: IntArray
+    terms: tuple[Term, ...]
+    n_displacements: int
+    pressure_scale: float
+
+    @property
+    def n(self) -> int:
+        """Number of unknowns."""
+        return len(self.indptr) - 1
+
+    def data(self, omega: float) -> ComplexArray:
+        """Upper-triangle values (nnz,) of A(omega)."""
+        return self.combine([complex(t.coefficient.at(np.array(omega))) for t in self.terms])
+
+    def taylor_data(self, omega0: float, order: int) -> list[ComplexArray | None]:
+        """Taylor coefficients of A about ``omega0``: data of orders 1 ... ``order``, None where zero."""
+        weights = np.array([t.coefficient.taylor(omega0, order) for t in self.terms])
+        return [self.combine(list(weights[:, k])) if weights[:, k].any() else None for k in range(1, order + 1)]
+
+    def combine(self, weights: Sequence[complex]) -> ComplexArray:
+        """Upper-triangle values of a weighted sum of the terms."""
+        data = np.zeros(len(self.indices), dtype=complex)
+        for term, weight in zip(self.terms, weights, strict=True):
+            if weight != 0:
+                data[term.positions] += weight * term.values
+        return data
+
+    def upper(self, data: ComplexArray | FloatArray) -> csr_array:
+        """Upper triangle with given values as a sparse matrix."""
+        return csr_array((data, self.indices, self.indptr), shape=(self.n, self.n))
+
+    @cached_property
+    def diagonal_positions(self) -> IntArray:
+        """Where the diagonal stands in the data: the first entry of each row."""
+        return self.indptr[:-1]
+
+    def multiply(self, data: ComplexArray, x: ComplexArray) -> ComplexArray:
+        """Product of the symmetric matrix with upper-triangle ``data`` and columns ``x`` (n, k)."""
+        return symmetric_product(self.upper(data), x)
+
+    def term_matrix(self, term: Term) -> csr_array:
+        """Upper triangle of one term, without the zeros of the common pattern."""
+        rows = np.searchsorted(self.indptr, term.positions, side="right") - 1
+        indptr = np.concatenate(([0], np.cumsum(np.bincount(rows, minlength=self.n))))
+        return csr_array((term.values, self.indices[term.positions], indptr), shape=(self.n, self.n))
+
+
+def symmetric_product(upper: csr_array, x: ComplexArray | FloatArray) -> ComplexArray:
+    """Product of a symmetric matrix, given by its upper triangle, with columns ``x`` (n, k)."""
+    diagonal = upper.diagonal()
+    return np.asarray(upper @ x + upper.T @ x - (diagonal[:, None] * x if x.ndim == 2 else diagonal * x))
+
+
+def affine_operator(
+    matrices: Sequence[tuple[str, csr_array, Coefficient]], n_displacements: int, pressure_scale: float
+) -> AffineOperator:
+    """Put real symmetric matrices (full, equal shape) on one upper-triangle pattern."""
+    uppers = [_sorted_upper(matrix) for _, matrix, _ in matrices]
+    pattern = _union(uppers)
+    places = csr_array((np.arange(1, pattern.nnz + 1, dtype=float), pattern.indices, pattern.indptr), pattern.shape)
+    terms = []
+    for (name, _, coefficient), upper in zip(matrices, uppers, strict=True):
+        ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
+        index = places.multiply(ones).tocsr()
+        index.sort_indices()
+        terms.append(Term(name, index.data.astype(np.int64) - 1, upper.data, coefficient))
+    return AffineOperator(pattern.indptr, pattern.indices, tuple(terms), n_displacements, pressure_scale)
+
+
+def _sorted_upper(matrix: csr_array) -> csr_array:
+    upper = csr_array(triu(matrix, format="csr"))
+    upper.eliminate_zeros()
+    upper.sort_indices()
+    return upper
+
+
+def _union(uppers: Sequence[csr_array]) -> csr_array:
+    total = csr_array(eye_array(uppers[0].shape[0], format="csr"))
+    for upper in uppers:
+        ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
+        total = total + ones
+    total = csr_array(total)
+    total.sort_indices()
+    return total
