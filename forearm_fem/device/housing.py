@@ -1,0 +1,40 @@
+"""The shell shared by all actuators: a rigid body with heave, roll and pitch on strap and foam.
+
+Generalised coordinates q = (z, g theta_x, g theta_y) [m] with g the radius of gyration, about the mean
+of the contacts, so that the mass matrix is m I. Left out: sliding and yaw, for the strap's forces along
+the skin are not modelled.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..ports import Port, positions
+from ..scenario.device import Housing
+from ..typing import ComplexArray, FloatArray
+
+
+def lever_matrix(housing: Housing, contacts: tuple[Port, ...]) -> FloatArray:
+    """H (n_contact, n_q) with x2 = H q: the housing's displacement along each port's axis; n_q = 0 if fixed.
+
+    x2_k = a_z (z + theta_x (y_k - ybar) - theta_y (x_k - xbar)), a_z the axis' component along z.
+    """
+    if housing.fixed:
+        return np.zeros((len(contacts), 0))
+    place = positions(contacts)
+    lever = (place - place.mean(axis=0)) / housing.gyration
+    upward = np.array([p.axis[2] for p in contacts])
+    return np.asarray(upward[:, None] * np.stack([np.ones(len(contacts)), lever[:, 1], -lever[:, 0]], axis=1))
+
+
+def strap_stiffness(housing: Housing) -> ComplexArray:
+    """Strap and foam per coordinate (n_q,) [N/m]: k (1 + i loss), times (lever/gyration)^2 for rotations."""
+    if housing.fixed:
+        return np.zeros(0, dtype=complex)
+    ratio = (housing.strap_radius / housing.gyration) ** 2
+    return np.asarray(housing.strap_stiffness * (1 + 1j * housing.strap_loss) * np.array([1.0, ratio, ratio]))
+
+
+def dynamic_stiffness(housing: Housing, omega: FloatArray) -> ComplexArray:
+    """Diagonal of k (1 + i loss) - omega^2 m per coordinate (n_frequency, n_q) [N/m]; omega > 0."""
+    return np.asarray(strap_stiffness(housing) - housing.mass * omega[:, None] ** 2)

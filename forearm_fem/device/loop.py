@@ -1,0 +1,39 @@
+"""From the skin's compliance to the transfer matrix G."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from ..scenario.device import Device
+from ..transfer import Compliance, TransferMatrix
+from .response import contact_ports
+from .sensitivity import propagate_errors
+from .state import contact_state
+
+UNITS: Mapping[str, str] = MappingProxyType({"voltage": "m/V", "force": "m/N", "displacement": "m/m"})
+
+
+def close_loop(compliance: Compliance, device: Device) -> TransferMatrix:
+    """G (n_frequency, n_point, n_actuator) of ``device`` on the skin described by ``compliance``.
+
+    ``device.drive`` sets the meaning of a unit drive:
+
+    voltage : 1 V at one amplifier, 0 V at the others [m/V]; ``contacts`` are the cones' displacements.
+    force : 1 N outward on the skin under one contact, no force at the others [m/N].
+    displacement : 1 m outward at one contact, the others held at 0, for cones are rigid [m/m].
+
+    An actuator out of contact exerts no force: for force and displacement its column is zero, and
+    ``contacts`` then holds the free skin under it.
+    """
+    state = contact_state(compliance, device)
+    return TransferMatrix(
+        frequency=compliance.frequency,
+        values=compliance.block("point", "contact") @ state.force,
+        outputs=tuple(compliance.ports[i] for i in compliance.indices("point")),
+        inputs=contact_ports(compliance, device),
+        unit=UNITS[device.drive],
+        contacts=state.contacts,
+        errors=propagate_errors(compliance, state),
+        provenance={**compliance.provenance, "device": device.model_dump(mode="json")},
+    )

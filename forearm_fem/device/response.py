@@ -1,0 +1,139 @@
+"""Closing the loop: voice coils, cones and housing around the skin's compliance, for unit voltages.
+
+With F the outward force on the skin, x1 the cones and x2 = H q the housing (outward positive),
+
+    x1 = C_cc F                                                 skin (F = 0 out of contact)
+    Bl/Ze V = s (x1 - H q) - omega^2 (Mms + mc) x1 + F          cones, s = Kms + i omega (Rms + Bl^2/Ze)
+    (strap - omega^2 m) q = H^T (s (x1 - H q) - Bl/Ze V)        housing
+
+The unknowns are u and q, where u_k is F_k in contact and x1_k out of contact: (n + 3) equations per
+frequency, solved for all frequencies at once. No new finite-element solve, whatever changes here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ScenarioError
+from ..ports import Port
+from ..scenario.device import Device
+from ..transfer import Compliance
+from ..typing import BoolArray, ComplexArray, FloatArray
+from .circuit import Circuit, circuit
+from .housing import dynamic_stiffness, lever_matrix
+
+
+@dataclass(frozen=True)
+class DeviceResponse:
+    """What every part of the device does per volt on each actuator, (n_frequency, n_actuator, n_input).
+
+    The amplifiers are voltage sources: the actuators not driven are held at 0 V, not disconnected.
+    """
+
+    frequency: FloatArray
+    cone: ComplexArray
+    """x1 [m/V], outward."""
+    housing: ComplexArray
+    """x2 of the housing at each actuator [m/V], outward."""
+    coordinates: ComplexArray
+    """q of the housing (n_frequency, n_q, n_input) [m/V]; see ``housing``."""
+    force: ComplexArray
+    """F on the skin [N/V], outward; zero out of contact."""
+    current: ComplexArray
+    """Coil currents [A/V], the admittance matrix of the device's electrical terminals."""
+    reaction: ComplexArray
+    """S [N/m]: raising the skin under actuator k by d (all coils shorted) changes F by -S[:, k] d."""
+
+    @property
+    def input_impedance(self) -> ComplexArray:
+        """V_k / I_k at each actuator with the others at 0 V (n_frequency, n_actuator) [ohm]."""
+        return np.asarray(1 / np.diagonal(self.current, axis1=1, axis2=2))
+
+
+def respond(compliance: Compliance, device: Device) -> DeviceResponse:
+    """Response of ``device`` on the skin described by ``compliance`` to 1 V on each actuator in turn."""
+    contacts = contact_ports(compliance, device)
+    touching = in_contact(device, len(contacts))
+    lumped = circuit(device, 2 * np.pi * compliance.frequency)
+    system = _System(
+        lumped,
+        contact_map(compliance.block("contact", "contact"), touching),
+        touching,
+        lever_matrix(device.housing, contacts),
+        dynamic_stiffness(device.housing, lumped.omega),
+    )
+    return system.response()
+
+
+def contact_ports(compliance: Compliance, device: Device) -> tuple[Port, ...]:
+    """The contact ports, one per actuator in order A1, A2, ...; else :class:`ScenarioError`."""
+    contacts = tuple(compliance.ports[i] for i in compliance.indices("contact"))
+    if len(contacts) != len(device.centres):
+        raise ScenarioError(
+            f"device.contacts: the device has {len(device.centres)} actuators, but the compliance "
+            f"was computed for {len(contacts)} contacts; solve it anew for this device"
+        )
+    return contacts
+
+
+def in_contact(device: Device, n: int) -> BoolArray:
+    """Which of the actuators A1..An touch the skin (n,)."""
+    return np.array([f"A{i + 1}" not in device.out_of_contact for i in range(n)])
+
+
+def contact_map(block: ComplexArray, touching: BoolArray) -> ComplexArray:
+    """X (n_frequency, n, n) with x1 = X u: C_cc among touching contacts, the identity for the others."""
+    both = touching[:, None] & touching[None, :]
+    return np.asarray(np.where(both, block, np.diag(~touching).astype(complex)))
+
+
+@dataclass(frozen=True)
+class _System:
+    """The linear system of the module's heading, all frequencies at once."""
+
+    lumped: Circuit
+    skin: ComplexArray
+    touching: BoolArray
+    levers: FloatArray
+    shell: ComplexArray
+
+    def matrix(self) -> ComplexArray:
+        """(n_frequency, n + n_q, n + n_q), rows cones then housing, unknowns u then q [N/m or 1]."""
+        s, h = self.lumped.spring[:, None, None], self.levers
+        cones = (s + self.lumped.inertia[:, None, None]) * self.skin + np.diag(self.touching)
+        housing = s * (h.T @ h) + self.shell[:, :, None] * np.eye(h.shape[1])
+        return np.concatenate(
+            [
+                np.concatenate([cones, -s * h], axis=2),
+                np.concatenate([-s * (h.T @ self.skin), housing], axis=2),
+            ],
+            axis=1,
+        )
+
+    def loads(self) -> ComplexArray:
+        """(n_frequency, n + n_q, 2 n): 1 V on each actuator, then the skin raised by 1 m under each."""
+        s, inertia = self.lumped.spring[:, None, None], self.lumped.inertia[:, None, None]
+        eye = np.eye(len(self.levers))
+        volts = self.lumped.force_per_volt[:, None, None] * np.concatenate([eye, -self.levers.T], axis=0)
+        raised = np.concatenate([(s + inertia) * eye, -s * self.levers.T], axis=1)
+        return np.concatenate([volts, raised * self.touching], axis=2)
+
+    def response(self) -> DeviceResponse:
+        """Solve, and recover displacements, forces and I = (V - Bl i omega (x1 - x2)) / Ze."""
+        n, lumped = len(self.levers), self.lumped
+        solution = np.linalg.solve(self.matrix(), self.loads())
+        q: ComplexArray = np.asarray(solution[:, n:, :n])
+        unknown, raised = (np.asarray(part) for part in (solution[:, :n, :n], solution[:, :n, n:]))
+        cone, shell = self.skin @ unknown, self.levers @ q
+        back_emf = (1j * lumped.omega * lumped.force_factor)[:, None, None] * (cone - shell)
+        return DeviceResponse(
+            frequency=lumped.omega / (2 * np.pi),
+            cone=cone,
+            housing=shell,
+            coordinates=q,
+            force=np.asarray(unknown * self.touching[:, None]),
+            current=np.asarray((np.eye(n) - back_emf) / lumped.electrical[:, None, None]),
+            reaction=np.asarray(raised * self.touching[:, None]),
+        )

@@ -1,0 +1,28 @@
+"""Files: transfer.nc, drives.nc, displacements.nc, MATLAB and CSV; all written atomically."""
+
+from .atomic import atomic_path, write_text
+from .matlab import read_thesis_mat, write_thesis_mat
+from .netcdf import read_compliance, read_transfer, write_compliance, write_transfer
+from .signals import Signals, read_displacements, read_drives, stack, write_displacements, write_drives
+from .tables import StrengthRow, read_signal_strength_csv, strength_rows, write_signal_strength_csv
+
+__all__ = [
+    "Signals",
+    "StrengthRow",
+    "atomic_path",
+    "read_compliance",
+    "read_displacements",
+    "read_drives",
+    "read_signal_strength_csv",
+    "read_thesis_mat",
+    "read_transfer",
+    "stack",
+    "strength_rows",
+    "write_compliance",
+    "write_displacements",
+    "write_drives",
+    "write_signal_strength_csv",
+    "write_text",
+    "write_thesis_mat",
+    "write_transfer",
+]

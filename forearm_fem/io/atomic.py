@@ -1,0 +1,56 @@
+"""Files appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ..errors import DataError
+
+
+@contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """A path beside ``path`` to write to; it takes ``path``'s place when the block ends without failure.
+
+    Folders are made as needed. The data are on the disk before the old file is replaced; after a failure
+    the old file stands untouched and nothing is left beside it. The suffix is kept, for writers that look
+    at it. Raises DataError where the file cannot be written.
+    """
+    target = Path(path)
+    beside = target.with_name(f".{target.stem}-{secrets.token_hex(4)}{target.suffix}")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        yield beside
+        _flush(beside)
+        os.replace(beside, target)
+        _flush_folder(target.parent)
+    except OSError as problem:
+        raise DataError(f"{target}: cannot be written ({problem.strerror or problem})") from problem
+    finally:
+        with suppress(OSError):
+            beside.unlink()
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """``text`` as UTF-8 with the line ends it has, whole or not at all."""
+    with atomic_path(path) as beside:
+        beside.write_bytes(text.encode("utf-8"))
+
+
+def _flush(file: Path) -> None:
+    with file.open("rb+") as stream:
+        os.fsync(stream.fileno())
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make the renaming itself durable; Windows cannot open folders and needs no such step."""
+    if os.name == "nt":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,198 @@
+"""G as CSV, one line per frequency and entry: for spreadsheets, and for people without a library."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import DataError
+from ..measurement.declaration import RawMatrix, port_from
+from ..ports import Port
+from ..transfer import TransferMatrix
+from ..typing import ComplexArray, FloatArray
+from .atomic import write_text
+
+_COLUMNS = ("frequency_Hz", "output", "input", "real", "imag", "valid", "deviation")
+_MARK = "# forearm_fem "
+
+
+def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
+    """One line per frequency, output and input with every digit of G; unit, ports and convention in the
+    first line.
+
+    NaN stands as ``nan``. Error estimates, ``contacts`` and provenance are not carried: transfer.nc has them.
+    """
+    stream = io.StringIO()
+    stream.write(_MARK + json.dumps(_head(transfer)) + "\n")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(_COLUMNS if transfer.deviation is not None else _COLUMNS[:-1])
+    for (k, o, i), value in np.ndenumerate(transfer.values):
+        valid = 1 if transfer.valid is None else int(transfer.valid[k, o, i])
+        row = [
+            _text(transfer.frequency[k]),
+            transfer.outputs[o].name,
+            transfer.inputs[i].name,
+            _text(value.real),
+            _text(value.imag),
+        ]
+        extra = [] if transfer.deviation is None else [_text(transfer.deviation[k, o, i])]
+        writer.writerow([*row, valid, *extra])
+    write_text(path, stream.getvalue())
+
+
+def _text(value: Any) -> str:
+    return repr(float(value))
+
+
+def _head(transfer: TransferMatrix) -> dict[str, Any]:
+    return {
+        "unit": transfer.unit, "quantity": "displacement", "sign": "+iwt", "spectrum": "one-sided",
+        "masked": transfer.valid is not None,
+        "outputs": [vars(p) for p in transfer.outputs], "inputs": [vars(p) for p in transfer.inputs],
+    }
+
+
+def read_csv(path: str | Path) -> RawMatrix:
+    """G from lines with the columns frequency_Hz, output, input and real, imag or magnitude, phase_rad (or
+    phase_deg).
+
+    Lines may come in any order; entries that are absent at a frequency are marked. Columns ``valid`` and
+    ``deviation`` are read where present, others ignored. Raises DataError with the number of the line that
+    is wrong.
+    """
+    file = Path(path)
+    head, header, lines, offset = _split(file)
+    table = _table(file, header, lines, offset)
+    frequency = np.unique(table["frequency_Hz"])
+    names = [_in_order(head.get(k), table[k[:-1]]) for k in ("outputs", "inputs")]
+    place = (
+        np.searchsorted(frequency, table["frequency_Hz"]),
+        np.array([names[0].index(n) for n in table["output"]]),
+        np.array([names[1].index(n) for n in table["input"]]),
+    )
+    shape = (len(frequency), len(names[0]), len(names[1]))
+    if len(np.unique(np.ravel_multi_index(place, shape))) != len(lines):
+        raise DataError(f"{file}: some frequency, output and input occurs on two lines; keep one of them")
+    return _raw(file, head, frequency, table, place, shape)
+
+
+def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]:
+    """Our first line if there is one, the header, the rows and the number of the header's line."""
+    try:
+        text = file.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise DataError(f"{file}: no such file") from None
+    except (OSError, UnicodeDecodeError):
+        raise DataError(f"{file}: cannot be read as text; is it really CSV?") from None
+    lines = text.splitlines()
+    skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    head = _ours(file, lines[0]) if lines and lines[0].startswith(_MARK) else {}
+    rows = list(csv.reader(lines[skipped:]))
+    if len(rows) < 2:
+        raise DataError(
+            f"{file}: has no lines of data; expected a header and one line per frequency and entry"
+        )
+    return head, [c.strip() for c in rows[0]], rows[1:], skipped + 1
+
+
+def _ours(file: Path, line: str) -> dict[str, Any]:
+    try:
+        content: dict[str, Any] = json.loads(line[len(_MARK) :])
+    except ValueError:
+        raise DataError(f"{file}: its first line is damaged; export it again") from None
+    return content
+
+
+def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -> dict[str, Any]:
+    """Columns by name; numbers as float arrays."""
+    missing = [c for c in ("frequency_Hz", "output", "input") if c not in header]
+    pair = next((p for p in _PAIRS if all(c in header for c in p)), None)
+    if missing or pair is None:
+        raise DataError(
+            f"{file}: expected the columns frequency_Hz, output, input and real, "
+            f"imag (or magnitude, phase_rad), "
+            f"got {', '.join(header)[:120]}"
+        )
+    table: dict[str, Any] = {c: [] for c in header}
+    for number, line in enumerate(lines, start=offset + 1):
+        if len(line) != len(header):
+            raise DataError(
+                f"{file}, line {number}: {len(line)} cells, the header has "
+                f"{len(header)}; the file is cut short or damaged"
+            )
+        for column, cell in zip(header, line, strict=True):
+            table[column].append(
+                cell if column in ("output", "input") else _number(file, number, column, cell)
+            )
+    return {**{c: np.array(v) for c, v in table.items()}, "pair": pair}
+
+
+_PAIRS = (("real", "imag"), ("magnitude", "phase_rad"), ("magnitude", "phase_deg"))
+
+
+def _number(file: Path, line: int, column: str, cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        raise DataError(
+            f"{file}, line {line}: '{cell}' in column {column} is no number (decimal commas are not read)"
+        ) from None
+
+
+def _in_order(ports: Any, names: Any) -> list[str]:
+    """Names in the file's own order of ports, or of first appearance."""
+    return [p["name"] for p in ports] if ports else list(dict.fromkeys(str(n) for n in names))
+
+
+def _complex(table: dict[str, Any]) -> ComplexArray:
+    first, second = (table[c] for c in table["pair"])
+    if table["pair"][0] == "real":
+        values = np.empty(len(first), dtype=complex)
+        values.real, values.imag = first, second
+        return values
+    return np.asarray(
+        first * np.exp(1j * (np.deg2rad(second) if table["pair"][1] == "phase_deg" else second))
+    )
+
+
+def _raw(
+    file: Path,
+    head: dict[str, Any],
+    frequency: FloatArray,
+    table: dict[str, Any],
+    place: Any,
+    shape: tuple[int, int, int],
+) -> RawMatrix:
+    values, valid = np.full(shape, np.nan + 0j), np.zeros(shape, dtype=bool)
+    values[place] = _complex(table)
+    valid[place] = table["valid"] != 0 if "valid" in table else np.isfinite(values[place])
+    deviation = None
+    if "deviation" in table:
+        deviation = np.full(shape, np.nan)
+        deviation[place] = table["deviation"]
+    return RawMatrix(
+        name=str(file),
+        values=values,
+        frequency=frequency,
+        axes=("frequency", "output", "input"),
+        unit=head.get("unit"),
+        quantity=head.get("quantity"),
+        spectrum=head.get("spectrum"),
+        sign=head.get("sign"),
+        outputs=_ports(head.get("outputs")),
+        inputs=_ports(head.get("inputs")),
+        valid=valid if head.get("masked", True) else None,
+        deviation=deviation,
+        provenance={"format": "CSV"},
+    )
+
+
+def _ports(fields: Any) -> tuple[Port, ...] | None:
+    if fields is None:
+        return None
+    return tuple(port_from(f) for f in fields)

@@ -1,0 +1,143 @@
+"""What all netCDF files of the project share: labels, provenance, checksums, named failures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TypeVar
+
+import h5py
+import numpy as np
+import xarray as xr
+
+from ..errors import DataError
+from ..ports import Port, positions
+from .atomic import atomic_path
+
+T = TypeVar("T")
+TIME_CONVENTION = "e^{+i omega t}"
+FORMAT_VERSION = 1
+Variables = Mapping[str, tuple[tuple[str, ...], Any, dict[str, str]]]
+
+
+def save(path: str | Path, variables: Variables, attributes: Mapping[str, str]) -> None:
+    """Write ``variables`` (name -> dims, values, attributes) with a checksum per chunk (fletcher32).
+
+    Complex values become the compound type (r, i) of h5py and nc-complex; h5netcdf 1.4 or later.
+    """
+    dataset = xr.Dataset({name: xr.Variable(*parts) for name, parts in variables.items()})
+    described = dataset.assign_attrs({**_common_attributes(), **attributes})
+    coordinates = [name for name in described.variables if str(name) in described.dims]
+    encoding = {name: _encoding(variable) for name, variable in described.variables.items()}
+    with atomic_path(path) as beside:
+        described.set_coords(coordinates).to_netcdf(beside, engine="h5netcdf", encoding=encoding)
+
+
+def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T:
+    """``unpack`` applied to the file's dataset; DataError if missing, damaged or not ``content``."""
+    file = Path(path)
+    if not file.is_file():
+        raise DataError(f"{file}: no such file")
+    try:
+        _probe(file)
+        return unpack(_checked(xr.load_dataset(file, engine="h5netcdf"), content))
+    except DataError as problem:
+        raise DataError(f"{file}: {problem}") from None
+    except Exception as problem:  # damaged HDF5 fails in ways that h5py does not list
+        first = str(problem).strip().splitlines()[0] if str(problem).strip() else type(problem).__name__
+        raise DataError(f"{file}: damaged or not a {content} file of forearm_fem ({first})") from problem
+
+
+def _probe(file: Path) -> None:
+    """Read the root's attributes with h5py first: damaged, they leave h5netcdf's file half-open."""
+    with h5py.File(file, "r") as probe:
+        dict(probe.attrs)
+
+
+def _checked(dataset: xr.Dataset, content: str) -> xr.Dataset:
+    found, version = dataset.attrs["content"], dataset.attrs["format_version"]
+    if found != content:
+        raise DataError(f"holds {found}, expected {content}")
+    if version != FORMAT_VERSION:
+        raise DataError(f"written in format {version}, this version reads {FORMAT_VERSION}")
+    return dataset
+
+
+def _common_attributes() -> dict[str, Any]:
+    return {
+        "format_version": FORMAT_VERSION,
+        "time_convention": TIME_CONVENTION,
+        "written_by": f"forearm_fem {_version()}",
+    }
+
+
+def _version() -> str:
+    try:
+        return metadata.version("forearm-fem")
+    except metadata.PackageNotFoundError:
+        return "(not installed)"
+
+
+def _encoding(variable: xr.Variable) -> dict[str, Any]:
+    """Checksums for numbers; no fill value, so that NaN and everything else come back as they were."""
+    numeric = variable.dtype.kind in "fciub" and variable.size > 0 and variable.ndim > 0
+    checksum = {"fletcher32": True, "chunksizes": variable.shape} if numeric else {}
+    return {"_FillValue": None, **checksum} if variable.dtype.kind in "fciu" else checksum
+
+
+def provenance_json(provenance: Mapping[str, Any]) -> str:
+    """JSON of ``provenance``; tuples and arrays become lists, anything else its text."""
+    return json.dumps(dict(provenance), default=_plain, ensure_ascii=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return str(value)
+
+
+def text(values: Any) -> list[str]:
+    """A 1-D string variable as Python strings."""
+    return [str(v) for v in np.atleast_1d(values)]
+
+
+def labels(values: tuple[str, ...]) -> Any:
+    """Strings as an array that h5netcdf writes as variable-length UTF-8."""
+    return np.array(values, dtype=object)
+
+
+def port_variables(dim: str, ports: tuple[Port, ...]) -> Variables:
+    """Coordinate ``dim`` of port names, and per port its position, axis, kind, radius and contact."""
+    metres = {"units": "m"}
+    axes = np.array([p.axis for p in ports], dtype=float).reshape(-1, 3)
+    return {
+        dim: ((dim,), labels(tuple(p.name for p in ports)), {"long_name": f"{dim} port"}),
+        "xyz": (("xyz",), labels(("x", "y", "z")), {"long_name": "x along the limb to the elbow, z outward"}),
+        f"{dim}_position": ((dim, "xyz"), positions(ports), metres),
+        f"{dim}_axis": ((dim, "xyz"), axes, {"units": "1", "long_name": "outward unit normal"}),
+        f"{dim}_kind": ((dim,), labels(tuple(p.kind for p in ports)), {}),
+        f"{dim}_radius": ((dim,), np.array([p.radius for p in ports], dtype=float), metres),
+        f"{dim}_contact": ((dim,), labels(tuple(p.contact for p in ports)), {}),
+    }
+
+
+def ports_of(dataset: xr.Dataset, dim: str) -> tuple[Port, ...]:
+    """The ports written by :func:`port_variables`."""
+    names, kinds, contacts = (text(dataset[key].values) for key in (dim, f"{dim}_kind", f"{dim}_contact"))
+    place, axes = dataset[f"{dim}_position"].values.tolist(), dataset[f"{dim}_axis"].values.tolist()
+    radii = dataset[f"{dim}_radius"].values.tolist()
+    rows = zip(names, kinds, place, axes, radii, contacts, strict=True)
+    return tuple(_port(*row) for row in rows)
+
+
+def _port(
+    name: str, kind: Any, position: list[float], axis: list[float], radius: float, contact: Any
+) -> Port:
+    if kind not in ("contact", "point") or contact not in ("pressure", "bonded", "frictionless"):
+        raise ValueError(f"port {name} has kind '{kind}' and contact '{contact}'")
+    (x, y, z), (a, b, c) = position, axis
+    return Port(name, kind, (x, y, z), (a, b, c), radius, contact)

@@ -1,0 +1,136 @@
+"""The thesis' G [9, 4, 20000] as a MATLAB file: two-sided, Hermitian-mirrored, zero outside the band."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat, savemat
+
+from ..errors import DataError
+from ..ports import Port, positions
+from ..transfer import TransferMatrix
+from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+from .atomic import atomic_path
+from .dataset import TIME_CONVENTION, labels, provenance_json
+
+_NOTE = (
+    "G(output, input, bin): bin k has frequency_Hz(k). Bins above sample_rate_Hz/2 are the negative "
+    "frequencies frequency_Hz - sample_rate_Hz and hold the conjugates, so ifft(G, [], 3) is real: the "
+    "impulse response times the sample interval. Bins where excited is 0 carry no information and are 0."
+)
+
+
+def write_thesis_mat(
+    path: str | Path, transfer: TransferMatrix, sample_rate: float = 1e4, duration: float = 2.0
+) -> None:
+    """Write G (n_out, n_in, sample_rate * duration) with its axes and units; [9, 4, 20000] by default.
+
+    ``sample_rate`` [Hz], ``duration`` [s]. Entries of ``transfer`` marked invalid are written as 0 and named
+    in ``valid`` (n_out, n_in, excited positive bin). Error estimates and deviations are
+    left out; transfer.nc has them.
+    Raises DataError where a frequency lies on no bin of 1 / duration, or is not within 0 to sample_rate / 2.
+    """
+    n = round(sample_rate * duration)
+    bins = _bins(transfer.frequency, n, duration)
+    content = _content(transfer, bins, n, sample_rate, duration)
+    with atomic_path(path) as beside:
+        savemat(beside, content, appendmat=False, do_compression=True)
+
+
+def read_thesis_mat(path: str | Path) -> TransferMatrix:
+    """The positive, excited bins of a file by :func:`write_thesis_mat`; DataError if missing or damaged."""
+    file = Path(path)
+    if not file.is_file():
+        raise DataError(f"{file}: no such file")
+    try:
+        return _unpack(loadmat(file, appendmat=False, chars_as_strings=True))
+    except Exception as problem:  # damaged MAT files fail in ways that scipy does not list
+        raise DataError(f"{file}: damaged, or not a G written by forearm_fem ({problem})") from problem
+
+
+def two_sided(values: ComplexArray, bins: IntArray, n: int) -> ComplexArray:
+    """(n_out, n_in, n) from ``values`` (n_bins, n_out, n_in) at positive ``bins``: G(-f) = conj G(f)."""
+    spectrum = np.zeros((*values.shape[1:], n), dtype=complex)
+    spectrum[:, :, bins] = np.moveaxis(values, 0, 2)
+    spectrum[:, :, n - bins] = np.moveaxis(values, 0, 2).conj()
+    return spectrum
+
+
+def _bins(frequency: FloatArray, n: int, duration: float) -> IntArray:
+    exact = frequency * duration
+    bins = np.round(exact).astype(int)
+    if np.abs(exact - bins).max() > 1e-6:
+        raise DataError(
+            f"MATLAB export: {frequency[np.argmax(np.abs(exact - bins))]:g} Hz is no multiple of 1/duration "
+            f"= {1 / duration:g} Hz; sweep on these bins or choose another duration"
+        )
+    if bins.min() < 1 or 2 * bins.max() >= n:
+        nyquist = n / duration / 2
+        raise DataError(f"MATLAB export: frequencies must lie between 0 and {nyquist:g} Hz, both excluded")
+    return bins
+
+
+def _content(
+    transfer: TransferMatrix, bins: IntArray, n: int, sample_rate: float, duration: float
+) -> dict[str, Any]:
+    valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
+    return {
+        "G": two_sided(np.where(valid, transfer.values, 0), bins, n),
+        "frequency_Hz": np.arange(n) / duration,
+        "excited": _excited(bins, n),
+        "valid": np.moveaxis(valid, 0, 2),
+        "units": transfer.unit,
+        "time_convention": TIME_CONVENTION,
+        "sample_rate_Hz": sample_rate,
+        "duration_s": duration,
+        "note": _NOTE,
+        "provenance": provenance_json(transfer.provenance),
+        **_axes("grid", transfer.outputs),
+        **_axes("actuator", transfer.inputs),
+    }
+
+
+def _excited(bins: IntArray, n: int) -> BoolArray:
+    both = np.concatenate([bins, n - bins])
+    return np.isin(np.arange(n), both)
+
+
+def _axes(prefix: str, ports: tuple[Port, ...]) -> dict[str, Any]:
+    return {
+        f"{prefix}_names": labels(tuple(p.name for p in ports)),
+        f"{prefix}_positions_m": positions(ports),
+        f"{prefix}_axes": np.array([p.axis for p in ports], dtype=float),
+        f"{prefix}_radii_m": np.array([p.radius for p in ports], dtype=float),
+        f"{prefix}_contacts": labels(tuple(p.contact for p in ports)),
+    }
+
+
+def _unpack(content: dict[str, Any]) -> TransferMatrix:
+    n = content["G"].shape[2]
+    half = np.flatnonzero(content["excited"].ravel()[: n // 2])
+    valid = np.moveaxis(content["valid"].astype(bool), 2, 0)
+    return TransferMatrix(
+        frequency=content["frequency_Hz"].ravel()[half],
+        values=np.ascontiguousarray(np.moveaxis(content["G"][:, :, half], 2, 0)),
+        outputs=_ports(content, "grid", "point"),
+        inputs=_ports(content, "actuator", "contact"),
+        unit=str(content["units"][0]),
+        valid=None if valid.all() else valid,
+        provenance=json.loads(str(content["provenance"][0])),
+    )
+
+
+def _ports(content: dict[str, Any], prefix: str, kind: Any) -> tuple[Port, ...]:
+    names, contacts = (_cells(content[f"{prefix}_{key}"]) for key in ("names", "contacts"))
+    place, axes = (content[f"{prefix}_{key}"].tolist() for key in ("positions_m", "axes"))
+    radii = content[f"{prefix}_radii_m"].ravel().tolist()
+    rows = zip(names, place, axes, radii, contacts, strict=True)
+    return tuple(Port(name, kind, tuple(p), tuple(a), r, c) for name, p, a, r, c in rows)
+
+
+def _cells(array: Any) -> list[Any]:
+    """The strings of a MATLAB cell array."""
+    return [str(cell[0]) for cell in array.ravel()]

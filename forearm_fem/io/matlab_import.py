@@ -1,0 +1,171 @@
+"""Other people's G in MATLAB files: version 5 (scipy) and 7.3, which is HDF5 (h5py); any names, any order
+of axes.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy.io import loadmat, savemat
+
+from ..errors import DataError
+from ..measurement.declaration import Axis, Declaration, RawMatrix, RecognitionWarning
+from ..transfer import TransferMatrix
+from ..typing import FloatArray
+from .atomic import atomic_path
+
+_NAMES = ("frequency_Hz", "frequency", "freq", "f", "F", "freqs", "f_Hz")
+
+
+def read_mat(path: str | Path, declaration: Declaration) -> RawMatrix:
+    """The array ``declaration.variable`` and its frequency vector; both are recognised, with a warning, if
+    only one fits.
+
+    Axes keep MATLAB's order (files of version 7.3 store them reversed; that is undone). Raises DataError
+    for damage, and where several variables could be meant.
+    """
+    file = Path(path)
+    variables = read_variables(file)
+    name = _matrix(file, variables, declaration.variable)
+    values = np.asarray(variables[name], dtype=complex)
+    frequency = _frequency(file, variables, name, values.shape, declaration)
+    return RawMatrix(f"{file}:{name}", values, frequency, provenance={"format": "MATLAB", "variable": name})
+
+
+def read_variables(file: Path) -> dict[str, Any]:
+    """All numeric arrays of a MATLAB file in MATLAB's order of axes."""
+    if not file.is_file():
+        raise DataError(f"{file}: no such file")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = _hdf5(file) if h5py.is_hdf5(file) else _version5(file)
+    except Exception as problem:  # scipy and h5py list no errors for damage
+        reason = " ".join(str(problem).split())[:100] or type(problem).__name__
+        raise DataError(f"{file}: damaged, cut short or not a MATLAB file ({reason})") from problem
+    if not found:
+        raise DataError(
+            f"{file}: holds no numeric arrays; save G as a plain array, not inside a structure or object"
+        )
+    return found
+
+
+def _version5(file: Path) -> dict[str, Any]:
+    content = loadmat(file, appendmat=False)
+    return {k: v for k, v in content.items() if isinstance(v, np.ndarray) and v.dtype.kind in "fciub"}
+
+
+def _hdf5(file: Path) -> dict[str, Any]:
+    with h5py.File(file, "r") as content:
+        return {k: _array(v) for k, v in content.items() if isinstance(v, h5py.Dataset) and _numeric(v.dtype)}
+
+
+def _numeric(dtype: Any) -> bool:
+    return bool(dtype.kind in "fciu" or dtype.names == ("real", "imag"))
+
+
+def _array(dataset: Any) -> Any:
+    raw = dataset[()]
+    values = raw if raw.dtype.names is None else raw["real"] + 1j * raw["imag"]
+    return np.asarray(values).T
+
+
+def _matrix(file: Path, variables: Mapping[str, Any], wanted: str | None) -> str:
+    if wanted is not None:
+        if wanted not in variables:
+            raise DataError(f"{file}: has no array '{wanted}'; it has {', '.join(sorted(variables))[:120]}")
+        return wanted
+    cubes = [k for k, v in variables.items() if v.ndim == 3]
+    if len(cubes) != 1:
+        described = ", ".join(f"{k} {v.shape}" for k, v in variables.items())
+        raise DataError(
+            f"{file}: {len(cubes)} arrays with three axes, so declare which is G "
+            f"(variable); found {described[:160]}"
+        )
+    warnings.warn(RecognitionWarning(str(file), "G", f"variable '{cubes[0]}'"), stacklevel=4)
+    return cubes[0]
+
+
+def _frequency(
+    file: Path, variables: Mapping[str, Any], matrix: str, shape: tuple[int, ...], declaration: Declaration
+) -> FloatArray | None:
+    if (name := declaration.frequency_variable) is not None:
+        if name not in variables:
+            raise DataError(
+                f"{file}: has no frequency vector '{name}'; it has {', '.join(sorted(variables))[:120]}"
+            )
+        return np.asarray(variables[name], dtype=float).ravel()
+    if declaration.sample_rate is not None:
+        return None
+    fitting = [
+        k
+        for k, v in variables.items()
+        if k != matrix and v.size == max(v.shape, default=0) and v.size in shape
+    ]
+    named = [k for k in fitting if k in _NAMES]
+    if len(named) != 1:
+        return None
+    warnings.warn(RecognitionWarning(str(file), "frequency", f"variable '{named[0]}' in Hz"), stacklevel=4)
+    return np.asarray(variables[named[0]], dtype=float).ravel()
+
+
+def write_mat73(
+    path: str | Path, transfer: TransferMatrix, axes: tuple[Axis, ...] = ("output", "input", "frequency")
+) -> None:
+    """G [m/V] in the MATLAB 7.3 layout (HDF5): ``G`` with ``axes`` in MATLAB's order, ``frequency_Hz``,
+    ``valid``; exact.
+
+    MATLAB's own `load` wants a 512-byte header that h5py writes as a user block; `matfile` and `h5read`
+    need neither.
+    """
+    with atomic_path(path) as beside:
+        with h5py.File(beside, "w", userblock_size=512) as content:
+            for name, array in _named(transfer, axes).items():
+                _store(content, name, array)
+        _stamp(beside)
+        if not np.array_equal(read_variables(beside)["G"], _named(transfer, axes)["G"], equal_nan=True):
+            raise DataError(f"{path}: reading back gave something else than was written; nothing was saved")
+
+
+def write_mat5(
+    path: str | Path, transfer: TransferMatrix, axes: tuple[Axis, ...] = ("output", "input", "frequency")
+) -> None:
+    """As :func:`write_mat73` in version 5, up to 2 GB: one-sided G on its own frequencies; exact."""
+    with atomic_path(path) as beside:
+        savemat(beside, _named(transfer, axes), appendmat=False)
+
+
+def _named(transfer: TransferMatrix, axes: tuple[Axis, ...]) -> dict[str, Any]:
+    order = [("frequency", "output", "input").index(a) for a in axes]
+    valid = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid
+    return {
+        "G": np.transpose(transfer.values, order),
+        "valid": np.transpose(valid, order).astype(np.uint8),
+        "frequency_Hz": transfer.frequency[:, None],
+    }
+
+
+def _store(content: Any, name: str, array: Any) -> None:
+    stored = array.T
+    if np.iscomplexobj(stored):
+        pairs = np.empty(stored.shape, dtype=[("real", "<f8"), ("imag", "<f8")])
+        pairs["real"], pairs["imag"] = stored.real, stored.imag
+        stored = pairs
+    dataset = content.create_dataset(name, data=stored)
+    dataset.attrs["MATLAB_class"] = np.bytes_("uint8" if array.dtype == np.uint8 else "double")
+
+
+def _stamp(file: Path) -> None:
+    """The text and version bytes by which MATLAB knows a 7.3 file."""
+    text = (
+        b"MATLAB 7.3 MAT-file, Platform: forearm_fem, HDF5 schema 1.00 .".ljust(116)
+        + b"\0" * 8
+        + b"\x00\x02IM"
+    )
+    with file.open("rb+") as stream:
+        stream.write(text)

@@ -1,0 +1,220 @@
+"""TDMS, LabVIEW's format, through npTDMS: G, and raw sweeps as an NI program records them."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import DataError, MissingExtra
+from ..measurement.declaration import RawMatrix, port_from
+from ..measurement.recording import Recording
+from ..ports import Port
+from ..transfer import TransferMatrix
+from ..typing import ComplexArray, FloatArray
+from .atomic import atomic_path
+
+_GROUP = "G"
+
+
+def write_tdms(path: str | Path, transfer: TransferMatrix) -> None:
+    """Group ``G``: ``frequency`` and per entry the channels re, im, valid and deviation, named
+    output<-input; exact.
+
+    Unit, convention and ports stand in the group's properties. Error estimates, ``contacts`` and provenance
+    are not carried: transfer.nc has them. What is written is read back and compared.
+    """
+    tdms = _nptdms()
+    ports = {"outputs": [vars(p) for p in transfer.outputs], "inputs": [vars(p) for p in transfer.inputs]}
+    properties = {
+        "unit": transfer.unit, "quantity": "displacement", "sign": "+iwt", "spectrum": "one-sided",
+        "ports": json.dumps(ports), "masked": int(transfer.valid is not None),
+    }
+    parts = [
+        tdms.GroupObject(_GROUP, properties=properties),
+        _channel(tdms, "frequency", transfer.frequency, "Hz"),
+    ]
+    for o, i in np.ndindex(*transfer.values.shape[1:]):
+        parts += _entry(tdms, transfer, o, i)
+    with atomic_path(path) as beside:
+        with tdms.TdmsWriter(str(beside)) as writer:
+            writer.write_segment(parts)
+        back = _read(beside)
+        if not np.array_equal(back.values, transfer.values, equal_nan=True):
+            raise DataError(f"{path}: reading back gave something else than was written; nothing was saved")
+
+
+def _entry(tdms: Any, transfer: TransferMatrix, o: int, i: int) -> list[Any]:
+    name, value = f"{o + 1}<-{i + 1}", transfer.values[:, o, i]
+    parts = [
+        _channel(tdms, f"{name} re", value.real, transfer.unit),
+        _channel(tdms, f"{name} im", value.imag, transfer.unit),
+    ]
+    if transfer.valid is not None:
+        parts.append(_channel(tdms, f"{name} valid", transfer.valid[:, o, i].astype(np.uint8), ""))
+    if transfer.deviation is not None:
+        parts.append(_channel(tdms, f"{name} deviation", transfer.deviation[:, o, i], transfer.unit))
+    return parts
+
+
+def _channel(tdms: Any, name: str, data: Any, unit: str) -> Any:
+    return tdms.ChannelObject(_GROUP, name, np.ascontiguousarray(data), properties={"unit_string": unit})
+
+
+def read_tdms(path: str | Path) -> RawMatrix:
+    """G as :func:`write_tdms` lays it out; DataError if missing, damaged, cut short or of another layout."""
+    return _guarded(Path(path), _read)
+
+
+def _guarded(file: Path, read: Any) -> Any:
+    if not file.is_file():
+        raise DataError(f"{file}: no such file")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return read(file)
+    except (DataError, MissingExtra):
+        raise
+    except Exception as problem:  # npTDMS raises ValueError, struct errors, KeyError, UnicodeDecodeError
+        reason = " ".join(str(problem).split())[:100] or type(problem).__name__
+        raise DataError(f"{file}: damaged, cut short or not a TDMS file ({reason})") from problem
+
+
+def _nptdms() -> Any:
+    try:
+        return importlib.import_module("nptdms")
+    except ImportError:
+        raise MissingExtra("npTDMS", "tdms", "reading and writing TDMS files") from None
+
+
+def _open(file: Path) -> Any:
+    if file.read_bytes()[:4] != b"TDSm":
+        raise DataError(f"{file}: is not a TDMS file; its first bytes are not 'TDSm'")
+    return _nptdms().TdmsFile.read(str(file))
+
+
+def _read(file: Path) -> RawMatrix:
+    content = _open(file)
+    if _GROUP not in content or "ports" not in content[_GROUP].properties:
+        raise DataError(
+            f"{file}: holds no G of forearm_fem (groups {', '.join(g.name for g in content.groups())[:80]}); "
+            "for raw sweeps use read_sweep_tdms"
+        )
+    group = content[_GROUP]
+    says = group.properties
+    ports = {k: tuple(port_from(p) for p in v) for k, v in json.loads(says["ports"]).items()}
+    shape = (len(group["frequency"]), len(ports["outputs"]), len(ports["inputs"]))
+    values = np.empty(shape, dtype=complex)
+    values.real, values.imag = _cube(group, shape, "re"), _cube(group, shape, "im")
+    return RawMatrix(
+        name=str(file),
+        values=values,
+        frequency=group["frequency"][:],
+        axes=("frequency", "output", "input"),
+        unit=says["unit"],
+        quantity=says["quantity"],
+        spectrum=says["spectrum"],
+        sign=says["sign"],
+        valid=_cube(group, shape, "valid") != 0 if says["masked"] else None,
+        deviation=_cube(group, shape, "deviation") if "1<-1 deviation" in group else None,
+        provenance={"format": "TDMS"},
+        **ports,
+    )
+
+
+def _cube(group: Any, shape: tuple[int, int, int], part: str) -> FloatArray:
+    out = np.empty(shape)
+    for o, i in np.ndindex(*shape[1:]):
+        column = group[f"{o + 1}<-{i + 1} {part}"][:]
+        if len(column) != shape[0]:
+            raise DataError(
+                f"entry {o + 1} <- {i + 1} has {len(column)} of {shape[0]} values; the file is cut short"
+            )
+        out[:, o, i] = column
+    return out
+
+
+def read_sweep_tdms(
+    path: str | Path,
+    *,
+    drive: str,
+    response: str,
+    output: str,
+    input: str,
+    period: int,
+    drive_is_measured: bool = False,
+    full_scale: float = float("inf"),
+) -> Recording:
+    """A raw sweep as a Recording: ``drive`` and ``response`` are "group/channel" [V], ``period`` samples
+    long each.
+
+    The first whole periods are taken as they come: leave a lead-in period out when recording, or cut it. With
+    ``drive_is_measured`` the drive channel is a loopback. Both channels must have the same increment
+    (``wf_increment``, which npTDMS keeps); DataError otherwise.
+    """
+
+    def read(file: Path) -> Recording:
+        content = _open(file)
+        (x, dx), (y, dy) = (_waveform(file, content, name) for name in (drive, response))
+        if dx != dy or len(x) != len(y):
+            raise DataError(
+                f"{file}: '{drive}' has {len(x)} samples every {dx:g} s, "
+                f"'{response}' {len(y)} every {dy:g} s; "
+                "they must be recorded on one clock"
+            )
+        repeats = len(x) // period if period > 0 else 0
+        if repeats < 1:
+            raise DataError(
+                f"{file}: {len(x)} samples hold no whole period of {period}; declare the sweep's length"
+            )
+        rows = [a[: repeats * period].reshape(repeats, period) for a in (x, y)]
+        loopback = rows[0] if drive_is_measured else None
+        return Recording(
+            output,
+            input,
+            round(1 / dx, 6),
+            rows[0][0],
+            rows[1],
+            loopback,
+            full_scale,
+            provenance={"file": str(file)},
+        )
+
+    recording: Recording = _guarded(Path(path), read)
+    return recording
+
+
+def _waveform(file: Path, content: Any, name: str) -> tuple[FloatArray, float]:
+    group, _, channel = name.partition("/")
+    if group not in content or channel not in content[group]:
+        known = ", ".join(f"{g.name}/{c.name}" for g in content.groups() for c in g.channels())
+        raise DataError(f"{file}: has no channel '{name}'; it has {known[:160]}")
+    found = content[group][channel]
+    step = found.properties.get("wf_increment")
+    if not step or step <= 0:
+        raise DataError(
+            f"{file}: channel '{name}' does not say its sample rate (wf_increment); record it as a waveform"
+        )
+    return np.asarray(found[:], dtype=float), float(step)
+
+
+def write_sweep_tdms(path: str | Path, recording: Recording) -> None:
+    """Group ``sweep``: channels ``drive`` (or ``loopback``) and ``response`` of all repeats [V], as
+    waveforms; exact.
+    """
+    tdms = _nptdms()
+    properties = {"wf_increment": 1 / recording.sample_rate, "wf_start_offset": 0.0, "unit_string": "V"}
+    drive: ComplexArray | FloatArray = np.tile(recording.sent, len(recording.response))
+    pairs = {"drive": drive, "response": recording.response.ravel()}
+    if recording.loopback is not None:
+        pairs["loopback"] = recording.loopback.ravel()
+    channels = [
+        tdms.ChannelObject("sweep", name, np.ascontiguousarray(a), properties=properties)
+        for name, a in pairs.items()
+    ]
+    with atomic_path(path) as beside, tdms.TdmsWriter(str(beside)) as writer:
+        writer.write_segment(channels)

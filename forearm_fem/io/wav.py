@@ -1,0 +1,66 @@
+"""Drive signals as WAV files, one channel per actuator, for players and amplifiers without a DAQ."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from scipy.io import wavfile
+
+from ..errors import DataError
+from ..typing import FloatArray
+from .atomic import atomic_path
+
+
+def write_wav_drives(path: str | Path, signals: FloatArray, sample_rate: float) -> None:
+    """``signals`` (n_in, n) [V] as 64-bit floating point samples, whose value is the voltage: exact,
+    nothing is scaled.
+
+    Players take 1.0 for their full scale, so set the amplifier accordingly. Raises DataError for samples
+    that are not finite and for a rate that is no whole number [Hz], which WAV cannot hold.
+    """
+    if signals.ndim != 2 or signals.size == 0:
+        raise DataError(f"{path}: expected signals of shape (actuators, samples), got {signals.shape}")
+    if not np.all(np.isfinite(signals)):
+        raise DataError(
+            f"{path}: {np.count_nonzero(~np.isfinite(signals))} samples are not finite; nothing was written"
+        )
+    if sample_rate != int(sample_rate):
+        raise DataError(
+            f"{path}: a WAV file holds whole sample rates only, got {sample_rate:g} Hz; resample the drives"
+        )
+    with atomic_path(path) as beside:
+        wavfile.write(beside, int(sample_rate), np.ascontiguousarray(signals.T, dtype="<f8"))
+        if not np.array_equal(read_wav_drives(beside)[0], signals):
+            raise DataError(f"{path}: reading back gave something else than was written; nothing was saved")
+
+
+def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tuple[FloatArray, float]:
+    """Signals (n_in, n) [V] and the sample rate [Hz]. Integer samples need ``full_scale`` [V]: it is never
+    guessed.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise DataError(f"{file}: no such file")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # scipy only warns of files that are cut short
+            rate, samples = wavfile.read(file)
+    except Exception as problem:  # struct errors, warnings and ValueError alike
+        reason = " ".join(str(problem).split())[:100]
+        raise DataError(f"{file}: damaged, cut short or not a WAV file ({reason})") from problem
+    columns = samples.reshape(len(samples), -1).T
+    if not np.issubdtype(columns.dtype, np.floating):
+        columns = _scaled(file, columns, full_scale)
+    if not np.all(np.isfinite(columns)):
+        raise DataError(f"{file}: holds samples that are not finite; it must not be played")
+    return np.ascontiguousarray(columns, dtype=float), float(rate)
+
+
+def _scaled(file: Path, columns: FloatArray, full_scale: float | None) -> FloatArray:
+    if full_scale is None:
+        raise DataError(f"{file}: has integer samples; say how many volts full scale is (full_scale)")
+    if columns.dtype == np.uint8:
+        return np.asarray((columns.astype(float) - 128) / 128 * full_scale)
+    return np.asarray(columns.astype(float) / -float(np.iinfo(columns.dtype.name).min) * full_scale)

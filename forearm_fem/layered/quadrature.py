@@ -1,0 +1,199 @@
+r"""Product integration of a smooth kernel against oscillating Bessel weights.
+
+:math:`\int f(k)\,B(k)\,dk` with :math:`B = \frac1{2\pi}j(ka)j(kb)J_0(kd)` for many (d, a, b) at once: on a
+panel f is interpolated at Gauss-Legendre nodes, f = sum c_m P_m, and the moments of P_m against B are found
+once by a dense rule that never sees f. So the number of kernel evaluations follows the kernel, not the
+oscillation, and all distances and frequencies share them as matrix products. Panels are dyadic, so their
+weights are cached and shared by all frequencies.
+
+The path is k(x) = x on the real axis or k(x) = x + i s tanh(x/s), above the poles of outgoing waves, which
+lie just below the axis when losses are small.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
+from scipy import special
+
+from ..typing import ComplexArray, FloatArray, IntArray
+
+NODES = 12  # Legendre nodes per panel
+_EXTRA = 4  # moments beyond the interpolant, for the error gauge
+_DENSE = 16  # dense Gauss nodes per 2.5 periods of the weight: exact to rounding
+_X, _W = legendre.leggauss(NODES)
+_XD, _WD = legendre.leggauss(_DENSE)
+# c = _TO_LEGENDRE @ f(nodes): (2m + 1)/2 w_j P_m(x_j)
+_TO_LEGENDRE = (np.arange(NODES)[:, None] + 0.5) * legendre.legvander(_X, NODES - 1).T * _W
+
+Panel = tuple[float, float]
+Numbers = FloatArray | ComplexArray
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Unique source-receiver pairs: ``distance``, and radii ``a`` >= ``b``, each (n_pairs,) [m]."""
+
+    distance: FloatArray
+    a: FloatArray
+    b: FloatArray
+
+    @property
+    def extent(self) -> float:
+        """Highest spatial rate of the weights, max(d + a + b) [m]."""
+        return float(np.max(self.distance + self.a + self.b))
+
+    def envelope(self, k: FloatArray) -> FloatArray:
+        """Bound (n_k,) on the integral of B from k to infinity, the largest over pairs [1/m].
+
+        Product of the envelopes of the Bessel functions, times k or, where it oscillates, the inverse of its
+        slowest rate |d -+ a -+ b|.
+        """
+        kk = np.asarray(k)[:, None]
+        size = _j0_size(kk * self.distance) * _jinc_size(kk * self.a) * _jinc_size(kk * self.b)
+        rates = [np.abs(self.distance + s * self.a + t * self.b) for s in (-1, 1) for t in (-1, 1)]
+        slowest = np.minimum.reduce(rates)
+        with np.errstate(divide="ignore"):
+            reach = np.minimum(kk, 2 / slowest)
+        return np.asarray(np.max(size * reach, axis=1) / (2 * math.pi))
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Weights of one panel: ``values`` (NODES, n_pairs) and ``gauge`` (NODES + extra,), the largest moment of
+    each order over pairs."""
+
+    values: Numbers
+    gauge: FloatArray
+
+
+@dataclass
+class Rules:
+    """Weights for ``pairs`` on the path with ``offset`` s [1/m] (0: real axis), computed once per panel."""
+
+    pairs: Pairs
+    offset: float = 0.0
+    _cache: dict[Panel, Rule] = field(default_factory=dict)
+
+    def path(self, x: FloatArray) -> Numbers:
+        """k(x) [1/m]."""
+        if self.offset == 0:
+            return x
+        return np.asarray(x + 1j * self.offset * np.tanh(x / self.offset))
+
+    def nodes(self, panels: list[Panel]) -> Numbers:
+        """k at the nodes of all panels, (len(panels) * NODES,)."""
+        lo, hi = np.array(panels, dtype=float).T
+        return self.path((0.5 * (lo + hi)[:, None] + 0.5 * (hi - lo)[:, None] * _X).ravel())
+
+    def weights(self, panels: list[Panel]) -> Numbers:
+        """(len(panels) * NODES, n_pairs)."""
+        return np.concatenate([self.rule(panel).values for panel in panels])
+
+    def gauges(self, panels: list[Panel]) -> FloatArray:
+        """Largest moments over pairs, (len(panels), NODES + extra)."""
+        return np.array([self.rule(panel).gauge for panel in panels])
+
+    def rule(self, panel: Panel) -> Rule:
+        """Weights of one panel, from the cache if seen before."""
+        if panel not in self._cache:
+            self._cache[panel] = self._moments(panel)
+        return self._cache[panel]
+
+    def _moments(self, panel: Panel) -> Rule:
+        """Moments of Legendre polynomials against B dk/dx, by the dense rule in blocks."""
+        lo, hi = panel
+        n_sub = 2 + math.ceil((hi - lo) * self.pairs.extent / (2 * math.pi * 2.5))
+        edges = np.linspace(-1.0, 1.0, n_sub + 1)
+        blocks = np.array_split(np.arange(n_sub), max(1, n_sub // 64))
+        moments = 0.5 * (hi - lo) * np.sum([self._block(panel, edges, block) for block in blocks], axis=0)
+        return Rule(_TO_LEGENDRE.T @ moments[:NODES], np.max(np.abs(moments), axis=1))
+
+    def _block(self, panel: Panel, edges: FloatArray, block: IntArray) -> Numbers:
+        lo, hi = panel
+        half = 0.5 * (edges[1] - edges[0])
+        t = (0.5 * (edges[block] + edges[block + 1])[:, None] + half * _XD).ravel()
+        weight = np.tile(half * _WD, block.size)
+        x = 0.5 * (lo + hi) + 0.5 * (hi - lo) * t
+        basis = legendre.legvander(t, NODES + _EXTRA - 1).T * weight
+        return np.asarray(basis @ (_bessel_weight(self.path(x), self.pairs) * self._slope(x)[:, None]))
+
+    def _slope(self, x: FloatArray) -> Numbers:
+        """dk/dx."""
+        if self.offset == 0:
+            return np.ones_like(x)
+        return np.asarray(1 + 1j / np.cosh(np.minimum(x / self.offset, 300.0)) ** 2)
+
+
+def panel_errors(values: ComplexArray, gauges: FloatArray) -> FloatArray:
+    r"""Estimated errors (n_freq, n_panels) of the product rule, from node values (n_freq, n_panels * NODES).
+
+    If Legendre coefficients go on decaying like t^m from L, the largest of the last three, the interpolant
+    misses L t^{m-n+2} for m >= n, and those alias into lower orders as L t^{n+1-m}; each meets the moment
+    M_m, ``gauges`` (n_panels, n + extra). t is the slower of the decay over all and over the last six
+    coefficients: a weak sharp pole under a smooth kernel shows only in the latter.
+    """
+    c = np.abs(values.reshape(values.shape[0], -1, NODES) @ _TO_LEGENDRE.T)
+    last, before, size = c[:, :, -3:].max(axis=2), c[:, :, -6:-3].max(axis=2), c.max(axis=2)
+    overall = (last / np.where(size > 0, size, 1.0)) ** (1 / (NODES - 2))
+    recent = np.minimum(last / np.where(before > 0, before, 1.0), 1.0) ** (1 / 3)
+    t = np.maximum(overall, recent)
+    order = np.arange(NODES + _EXTRA) - NODES + 2
+    order[:NODES] = 3 - order[:NODES]
+    sums, power = np.zeros_like(t), t**2
+    for n in range(2, NODES + 2):
+        sums += power * gauges[:, order == n].sum(axis=1)
+        power = power * t
+    return np.asarray(last * sums)
+
+
+def split(panel: Panel) -> list[Panel]:
+    """Both halves; dyadic numbers stay exact."""
+    middle = 0.5 * (panel[0] + panel[1])
+    return [(panel[0], middle), (middle, panel[1])]
+
+
+def octaves(first: float, last: float) -> list[Panel]:
+    """(first, 2 first), (2 first, 4 first), ... up to ``last``."""
+    n = max(0, round(math.log2(last / first)))
+    return [(first * 2.0**i, first * 2.0 ** (i + 1)) for i in range(n)]
+
+
+def _bessel_weight(k: Numbers, pairs: Pairs) -> Numbers:
+    """B = j(ka) j(kb) J0(kd)/(2 pi), (n_k, n_pairs); each function once per distinct argument."""
+    d, at_d = np.unique(pairs.distance, return_inverse=True)
+    radii, at_r = np.unique(np.concatenate([pairs.a, pairs.b]), return_inverse=True)
+    n = pairs.a.size
+    wave, disc = _j0(np.multiply.outer(k, d)), _jinc(np.multiply.outer(k, radii))
+    weight = wave[:, at_d] * disc[:, at_r[:n]] * disc[:, at_r[n:]] / (2 * math.pi)
+    return _complex(weight) if np.iscomplexobj(weight) else np.asarray(weight.real)
+
+
+def _j0(x: Numbers) -> Numbers:
+    return _complex(special.jv(0, x)) if np.iscomplexobj(x) else np.asarray(special.j0(x.real))
+
+
+def _jinc(x: Numbers) -> Numbers:
+    """2 J1(x)/x, 1 at the origin."""
+    zero = x == 0
+    y = np.where(zero, 1.0, x)
+    if np.iscomplexobj(x):
+        return _complex(np.where(zero, 1.0, 2 * special.jv(1, y) / y))
+    return np.asarray(np.where(zero, 1.0, 2 * special.j1(y.real) / y.real), dtype=float)
+
+
+def _complex(x: ArrayLike) -> ComplexArray:
+    return np.asarray(x, dtype=complex)
+
+
+def _j0_size(x: FloatArray) -> FloatArray:
+    return np.asarray(1 / np.sqrt(np.maximum(1.0, 0.5 * np.pi * x)))
+
+
+def _jinc_size(x: FloatArray) -> FloatArray:
+    y = np.maximum(x, 2.0)
+    return np.asarray(np.where(x < 2.0, 1.0, np.minimum(1.0, 2 / y * np.sqrt(2 / (np.pi * y)))))

@@ -1,0 +1,29 @@
+"""How well a transfer matrix can be inverted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..typing import ComplexArray, FloatArray
+
+
+def singular_values(values: ComplexArray) -> FloatArray:
+    """Singular values (n, min(n_out, n_in)) of ``values`` (n, n_out, n_in), descending, in its unit.
+
+    Take the rows of the control points first to judge an inverse filter. Matrices with NaN give NaN.
+    """
+    usable = np.all(np.isfinite(values), axis=(1, 2))
+    out = np.full((len(values), min(values.shape[1:])), np.nan)
+    out[usable] = np.linalg.svd(values[usable], compute_uv=False)
+    return out
+
+
+def condition_number(values: ComplexArray) -> FloatArray:
+    """s_max / s_min (n,) [-] of ``values`` (n, n_out, n_in); inf where singular, NaN where unknown.
+
+    The relative error of G is amplified by up to this number in an unregularised drive.
+    """
+    s = singular_values(values)
+    known = np.isfinite(s[:, 0])
+    out = np.where(known, np.inf, np.nan)
+    return np.divide(s[:, 0], s[:, -1], out=out, where=known & (s[:, -1] > 0))

@@ -1,0 +1,54 @@
+"""How large the moving spot is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import DataError
+from ..typing import FloatArray
+
+
+def contrast(areas: FloatArray, target: int) -> float:
+    """Area of |u| at ``target`` over the largest one elsewhere [-]; ``areas`` (n_out,) from :func:`area`.
+
+    Above 1 the target moves most; stricter than S, which compares with the mean. NaN areas are ignored
+    elsewhere.
+    """
+    others = np.delete(areas, target)
+    largest = np.max(others[np.isfinite(others)], initial=0.0)
+    return float(areas[target] / largest) if largest > 0 else float("inf")
+
+
+def spot_radius(areas: FloatArray, positions: FloatArray, target: int) -> float:
+    """Root mean square distance [m] of the motion from the target, weighted with ``areas`` (n_out,).
+
+    ``positions`` (n_out, 2 or 3) [m]. Depends on the grid: compare only results on the same grid.
+    """
+    distance = np.linalg.norm(positions - positions[target], axis=1)
+    known = np.isfinite(areas)
+    return float(np.sqrt(np.sum(areas[known] * distance[known] ** 2) / np.sum(areas[known])))
+
+
+def fwhm(position: FloatArray, value: FloatArray) -> float:
+    """Full width [m] at half of the maximum of ``value`` (n,) at increasing ``position`` (n,) [m], linear
+    between points.
+
+    NaN if the values do not fall to half on both sides: the spot is wider than the line. Raises DataError for
+    bad lengths.
+    """
+    if value.shape != position.shape or len(value) < 3 or np.any(np.diff(position) <= 0):
+        raise DataError("a width needs at least 3 values at increasing positions")
+    peak = int(np.argmax(value))
+    left = _crossing(position[peak::-1], value[peak::-1])
+    right = _crossing(position[peak:], value[peak:])
+    return abs(right - left)
+
+
+def _crossing(position: FloatArray, value: FloatArray) -> float:
+    """Position at which the values, falling from the first one, first reach half of it."""
+    below = np.nonzero(value <= value[0] / 2)[0]
+    if len(below) == 0:
+        return float("nan")
+    i = int(below[0])
+    share = (value[i - 1] - value[0] / 2) / (value[i - 1] - value[i])
+    return float(position[i - 1] + share * (position[i] - position[i - 1]))

@@ -1,0 +1,133 @@
+"""Signal strength S, and the thesis' table of it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import AccuracyWarning, DataError
+from ..typing import FloatArray
+
+
+def area(
+    displacement: FloatArray, *, time: FloatArray | None = None, window: tuple[float, float] | None = None
+) -> FloatArray:
+    """Mean |u| (n_out,) [m] of ``displacement`` (n_out, n_t): the area under |u(t)| over its duration.
+
+    Taken over ``window`` (start, end) [s] of ``time`` (n_t,) [s], or over all samples. Raises DataError for
+    an empty window.
+    """
+    if window is None:
+        return np.asarray(np.abs(displacement).mean(axis=1))
+    if time is None:
+        raise DataError("a window of S needs the time of the samples")
+    inside = (time >= window[0]) & (time <= window[1])
+    if not inside.any():
+        raise DataError(f"no sample lies in the window {window[0]:g} to {window[1]:g} s")
+    return np.asarray(np.abs(displacement[:, inside]).mean(axis=1))
+
+
+def signal_strength(
+    displacement: FloatArray,
+    target: int,
+    *,
+    time: FloatArray | None = None,
+    window: tuple[float, float] | None = None,
+) -> float:
+    """S [-] = area of |u| at output ``target`` over the mean area at the others, eq. 9 of de Vlam 2022.
+
+    ``displacement`` (n_out, n_t) in any unit. The thesis does not state the time over which it integrates:
+    all samples here, or ``window`` (start, end) [s] of ``time``. Rows of NaN among the others are left out of
+    the mean with an AccuracyWarning; a target of NaN, or others that are all zero, give NaN and inf. Raises
+    DataError for fewer than two outputs or an empty window.
+    """
+    if displacement.ndim != 2 or not 0 <= target < len(displacement) or len(displacement) < 2:
+        raise DataError(
+            f"S needs at least two outputs and one of them as target, got {displacement.shape}, {target}"
+        )
+    areas = area(displacement, time=time, window=window)
+    others = np.delete(areas, target)
+    known = np.isfinite(others)
+    if not np.isfinite(areas[target]) or not known.any():
+        return float("nan")
+    if not known.all():
+        warnings.warn(
+            f"S leaves out {np.count_nonzero(~known)} of {len(others)} outputs whose displacement is unknown",
+            AccuracyWarning,
+            stacklevel=2,
+        )
+    return _quotient(float(areas[target]), float(others[known].mean()))
+
+
+def _quotient(target: float, others: float) -> float:
+    if others > 0:
+        return target / others
+    return float("inf") if target > 0 else float("nan")
+
+
+GROUPS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("Middle (5)", ("5",)),
+    ("Edges (2/4/6/8)", ("2", "4", "6", "8")),
+    ("Corners (1/3/7/9)", ("1", "3", "7", "9")),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StrengthTable:
+    """S by place on the grid: ``mean`` and ``std`` (n_group, n_method) [-]; ``std`` is NaN for a single
+    target."""
+
+    methods: tuple[str, ...]
+    groups: tuple[str, ...]
+    mean: FloatArray
+    std: FloatArray
+
+    def as_text(self) -> str:
+        """The table in lines of text, mean or mean ± std, laid out as the thesis' Table I."""
+        cells = [
+            [f"{m:.2f}" if np.isnan(s) else f"{m:.2f} ± {s:.2f}" for m, s in zip(ms, ss, strict=True)]
+            for ms, ss in zip(self.mean, self.std, strict=True)
+        ]
+        rows = [["", *self.methods], *([g, *row] for g, row in zip(self.groups, cells, strict=True))]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+        return "\n".join(
+            "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows
+        )
+
+
+def signal_strength_table(
+    methods: Sequence[str], targets: Sequence[str], strengths: FloatArray
+) -> StrengthTable:
+    """Middle, edges and corners of ``strengths`` (n_method, n_target) [-]: mean and standard deviation (N -
+    1).
+
+    N - 1 is MATLAB's `std`, in which the thesis was computed. Groups with no target are left out, groups with
+    some of theirs are averaged over these. Raises DataError if a target is none of the 3 x 3 grid's "1".."9".
+    """
+    values = np.asarray(strengths, dtype=float)
+    if values.shape != (len(methods), len(targets)):
+        raise DataError(f"strengths have shape {values.shape}, expected {(len(methods), len(targets))}")
+    if stray := sorted(set(targets) - {t for _, group in GROUPS for t in group}):
+        raise DataError(f"Table I is for a 3 x 3 grid of targets 1 to 9, got also {', '.join(stray)}")
+    groups, means, stds = [], [], []
+    for label, members in GROUPS:
+        columns = [i for i, t in enumerate(targets) if t in members]
+        if columns:
+            groups.append(label)
+            means.append(values[:, columns].mean(axis=1))
+            alone = np.full(len(methods), np.nan)
+            stds.append(values[:, columns].std(axis=1, ddof=1) if len(columns) > 1 else alone)
+    return StrengthTable(tuple(methods), tuple(groups), np.array(means), np.array(stds))
+
+
+def thesis_table() -> StrengthTable:
+    """Table I of de Vlam 2022: S measured on participant 2, one person, with the laser vibrometer's G."""
+    return StrengthTable(
+        methods=("inverse filter", "funneling", "combination"),
+        groups=tuple(label for label, _ in GROUPS),
+        mean=np.array([[1.31, 0.63, 1.72], [1.34, 0.67, 1.69], [2.25, 2.42, 2.60]]),
+        std=np.array([[np.nan] * 3, [0.09, 0.32, 0.19], [0.56, 0.79, 0.92]]),
+    )

@@ -1,0 +1,101 @@
+"""What an error of G means for S."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import DataError
+from ..transfer import ErrorEstimate, TransferMatrix
+from ..typing import ComplexArray, FloatArray
+
+_WAVES = 64  # random cosines that make up one perturbation
+
+
+@dataclass(frozen=True, eq=False)
+class StrengthInterval:
+    """S of the unperturbed G, and the ``low``, ``median`` and ``high`` quantiles over perturbed ones, each
+    [-].
+
+    All have the shape of what the strength function returns; ``samples`` (n_draws, ...) are the draws.
+    """
+
+    value: FloatArray
+    low: FloatArray
+    median: FloatArray
+    high: FloatArray
+    samples: FloatArray
+    coverage: float
+
+
+def signal_strength_uncertainty(
+    transfer: TransferMatrix,
+    strength: Callable[[TransferMatrix], FloatArray],
+    errors: Sequence[ErrorEstimate] | None = None,
+    *,
+    draws: int = 100,
+    seed: int = 0,
+    correlation: float = 50.0,
+    coverage: float = 0.95,
+) -> StrengthInterval:
+    """Interval of S when G errs by ``errors`` (None: those of ``transfer``), by Monte Carlo.
+
+    ``strength`` maps a G to S of any shape, e.g. ``lambda g: strengths(g, targets, methods, wavelet)``: it
+    aims anew on each perturbed G (the error of the S printed), or replays fixed drives (what a device
+    calibrated on a wrong G does). Each source adds an independent complex Gaussian perturbation over all
+    entries, with max_ij |dG_ij| = e(f) max_ij |G_ij| at every frequency, smooth in frequency over about
+    ``correlation`` [Hz]: discretisation and truncation err smoothly, and errors white in frequency would
+    average out of S. The true error has structure that this does not know. Raises DataError without errors or
+    with fewer than 2 draws.
+    """
+    sources = tuple(transfer.errors if errors is None else errors)
+    if not sources or draws < 2 or not 0 < coverage < 1 or correlation <= 0:
+        raise DataError("an interval of S needs error estimates of G, at least 2 draws, a coverage in (0, 1)")
+    rng = np.random.default_rng(seed)
+    samples = np.stack([strength(_perturbed(transfer, sources, rng, correlation)) for _ in range(draws)])
+    tail = (1 - coverage) / 2
+    low, median, high = np.quantile(samples, [tail, 0.5, 1 - tail], axis=0)
+    value = np.asarray(strength(transfer), dtype=float)
+    return StrengthInterval(value, np.asarray(low), np.asarray(median), np.asarray(high), samples, coverage)
+
+
+def _perturbed(
+    transfer: TransferMatrix, sources: tuple[ErrorEstimate, ...], rng: np.random.Generator, correlation: float
+) -> TransferMatrix:
+    usable = (
+        np.isfinite(transfer.values)
+        if transfer.valid is None
+        else transfer.valid & np.isfinite(transfer.values)
+    )
+    scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
+    change = np.zeros(transfer.values.shape, dtype=complex)
+    for source in sources:
+        noise = smooth_noise(transfer.frequency, transfer.values.shape[1:], rng, correlation)
+        noise /= np.abs(noise).max(axis=(1, 2), keepdims=True)
+        change += (relative_error_at(source, transfer.frequency) * scale)[:, None, None] * noise
+    return replace(transfer, values=transfer.values + change)
+
+
+def relative_error_at(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray:
+    """e(f) (n,) [-] at ``frequency`` (n,) [Hz]: linear between the estimate's own, its ends beyond, or its
+    band value."""
+    if not estimate.per_frequency:
+        return np.full(len(frequency), estimate.band)
+    return np.interp(frequency, estimate.frequency, estimate.per_frequency)
+
+
+def smooth_noise(
+    frequency: FloatArray, shape: tuple[int, ...], rng: np.random.Generator, correlation: float
+) -> ComplexArray:
+    """Complex noise (n, *shape) [-] of unit variance with correlation exp(-(df / correlation)^2 / 2), df in
+    [Hz].
+
+    Sum of 64 exponentials exp(i tau f) with random amplitudes and tau normal of width 1 / correlation.
+    """
+    tau = rng.normal(0, 1 / correlation, _WAVES)
+    amplitude = rng.normal(size=(_WAVES, *shape)) + 1j * rng.normal(size=(_WAVES, *shape))
+    return np.asarray(
+        np.tensordot(np.exp(1j * np.outer(frequency, tau)), amplitude / np.sqrt(2 * _WAVES), axes=1)
+    )

@@ -1,0 +1,61 @@
+"""Renderers: from a transfer matrix and a target to drives, and from drives to displacements.
+
+wavelet = ricker()
+sent = drives(InverseFilter(), transfer, "5", wavelet)
+reached = displacements(transfer, sent)
+everything = render_all(transfer)
+"""
+
+from .campaign import Rendered, Rendering, render_all, strengths, thesis_renderers
+from .combination import Combination
+from .drives import Aim, Displacements, Drives, Renderer, displacements, drives, scale_to, scaled
+from .funneling import Funneling, funneling_weights
+from .interpolation import Interpolation
+from .inverse_filter import InverseFilter
+from .inversion import Inversion, Regularisation, invert
+from .limits import DriveReport, Limits, check
+from .spectrum import BinValues, Placed, Record, place, place_on_bins, respond, to_spectrum, to_time
+from .wavelet import Wavelet, from_samples_file, ricker
+from .zeros import SearchedZeros, ThesisZeros, ZeroSearch, best_zeros
+
+__all__ = [
+    "Aim",
+    "BinValues",
+    "Combination",
+    "Displacements",
+    "DriveReport",
+    "Drives",
+    "Funneling",
+    "Interpolation",
+    "InverseFilter",
+    "Inversion",
+    "Limits",
+    "Placed",
+    "Record",
+    "Regularisation",
+    "Rendered",
+    "Renderer",
+    "Rendering",
+    "SearchedZeros",
+    "ThesisZeros",
+    "Wavelet",
+    "ZeroSearch",
+    "best_zeros",
+    "check",
+    "displacements",
+    "drives",
+    "from_samples_file",
+    "funneling_weights",
+    "invert",
+    "place",
+    "place_on_bins",
+    "render_all",
+    "respond",
+    "ricker",
+    "scale_to",
+    "scaled",
+    "strengths",
+    "thesis_renderers",
+    "to_spectrum",
+    "to_time",
+]

@@ -1,0 +1,157 @@
+"""All renderers at all targets."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import AccuracyWarning, ScenarioError
+from ..metrics.strength import StrengthTable, signal_strength, signal_strength_table
+from ..transfer import TransferMatrix
+from ..typing import FloatArray
+from .combination import Combination
+from .drives import Displacements, Drives, Renderer, displacements, drives
+from .funneling import Funneling
+from .inverse_filter import InverseFilter
+from .limits import DriveReport, Limits, check
+from .spectrum import Placed, place
+from .wavelet import Wavelet, ricker
+
+_MUCH_LOST = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """One method at one target: drives, displacements, S [-] (eq. 9), and the drives against the limits."""
+
+    drives: Drives
+    displacements: Displacements
+    strength: float
+    report: DriveReport
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering(Mapping[tuple[str, str], Rendered]):
+    """Results by (method, target), e.g. ``rendering["funneling", "5"]``."""
+
+    methods: tuple[str, ...]
+    targets: tuple[str, ...]
+    results: Mapping[tuple[str, str], Rendered]
+
+    def __getitem__(self, key: tuple[str, str]) -> Rendered:
+        return self.results[key]
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        return iter(self.results)
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    @property
+    def strengths(self) -> FloatArray:
+        """S (n_method, n_target) [-]."""
+        return np.array([[self.results[m, t].strength for t in self.targets] for m in self.methods])
+
+    @property
+    def exceeded(self) -> tuple[str, ...]:
+        """A sentence per limit exceeded, with its method and target."""
+        return tuple(f"{m} towards {t}: {line}" for (m, t), r in self.items() for line in r.report.exceeded)
+
+    def table(self) -> StrengthTable:
+        """S in the layout of the thesis' Table I; needs targets "1".."9"."""
+        return signal_strength_table(self.methods, self.targets, self.strengths)
+
+
+def thesis_renderers() -> tuple[Renderer, ...]:
+    """Inverse filter, funneling and combination with their defaults (de Vlam 2022, III.B)."""
+    return (InverseFilter(), Funneling(), Combination())
+
+
+def render_all(
+    transfer: TransferMatrix,
+    targets: Sequence[str] | None = None,
+    methods: Sequence[Renderer] | None = None,
+    wavelet: Wavelet | None = None,
+    limits: Limits | None = None,
+    *,
+    window: tuple[float, float] | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Rendering:
+    """Every renderer of ``methods`` at every target: drives, displacements, S and the drives' report.
+
+    ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet``
+    the 250 Hz Ricker unless given. S is taken over ``window`` (start, end) [s], or the whole record.
+    ``progress(done, total, what)`` is called after each. Warns (AccuracyWarning) when more than 10 % of the
+    wavelet's energy falls on bins where G is unknown. Raises ScenarioError for two methods of one name or a
+    target given twice, and as :func:`drives`.
+    """
+    targets = tuple(targets) if targets is not None else tuple(p.name for p in transfer.outputs)
+    methods = tuple(methods) if methods is not None else thesis_renderers()
+    wavelet = wavelet or ricker()
+    names = tuple(m.name for m in methods)
+    for what, given in (("method", names), ("target", targets)):
+        if len(set(given)) != len(given):
+            raise ScenarioError(f"a {what} is given twice: {', '.join(given)}; give each its own name")
+    placed = place(transfer, wavelet.record)
+    results: dict[tuple[str, str], Rendered] = {}
+    for method in methods:
+        for target in targets:
+            results[method.name, target] = _render(
+                method, placed, target, wavelet, limits or Limits(), window
+            )
+            if progress is not None:
+                progress(len(results), len(methods) * len(targets), f"{method.name} towards {target}")
+    _warn_lost(results)
+    return Rendering(names, targets, results)
+
+
+def _render(
+    method: Renderer,
+    placed: Placed,
+    target: str,
+    wavelet: Wavelet,
+    limits: Limits,
+    window: tuple[float, float] | None,
+) -> Rendered:
+    sent = drives(method, placed, target, wavelet)
+    reached = displacements(placed, sent)
+    strength = signal_strength(reached.values, reached.target_index, time=reached.time, window=window)
+    return Rendered(sent, reached, strength, check(sent, limits))
+
+
+def _warn_lost(results: Mapping[tuple[str, str], Rendered]) -> None:
+    worst = max(results.values(), key=lambda r: r.drives.lost, default=None)
+    if worst is not None and worst.drives.lost > _MUCH_LOST:
+        warnings.warn(
+            f"G is unknown on bins with {worst.drives.lost:.0%} of the wavelet's energy "
+            f"({worst.drives.method} towards {worst.drives.target}): they are not driven",
+            AccuracyWarning,
+            stacklevel=3,
+        )
+
+
+def strengths(
+    transfer: TransferMatrix,
+    targets: Sequence[str],
+    methods: Sequence[Renderer],
+    wavelet: Wavelet,
+    *,
+    window: tuple[float, float] | None = None,
+    fixed: Sequence[Sequence[Drives]] | None = None,
+) -> FloatArray:
+    """S (n_method, n_target) only, keeping no signals: for studies over many G.
+
+    ``fixed`` (n_method x n_target drives) plays these drives on ``transfer`` instead of aiming anew: what a
+    device calibrated on another G would reach. Raises as :func:`render_all`.
+    """
+    placed = place(transfer, wavelet.record)
+    out = np.empty((len(methods), len(targets)))
+    for m, method in enumerate(methods):
+        for t, target in enumerate(targets):
+            sent = fixed[m][t] if fixed is not None else drives(method, placed, target, wavelet)
+            reached = displacements(placed, sent)
+            out[m, t] = signal_strength(reached.values, placed.row(target), time=reached.time, window=window)
+    return out

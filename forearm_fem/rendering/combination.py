@@ -1,0 +1,42 @@
+"""Combination: the inverse filter, asked only for the displacement that funneling gives at the target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..typing import ComplexArray
+from .drives import Aim
+from .funneling import Funneling
+from .inverse_filter import aim_at
+from .inversion import Regularisation
+from .spectrum import Placed
+from .zeros import ThesisZeros, Zeros
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Combination renderer, III.B.3 of de Vlam 2022: eq. 4 with U at the target from funneling (eq. 3, 6, 8).
+
+    With more control points than actuators the target's displacement is funneling's only up to the misfit, as
+    in :class:`InverseFilter`; the thesis calls the two identical. ``amplitude`` [V] is funneling's A. The
+    other options are the inverse filter's.
+    """
+
+    zeros: Zeros = field(default_factory=ThesisZeros)
+    regularisation: Regularisation = field(default_factory=Regularisation)
+    amplitude: float = 1.0
+    name: str = "combination"
+
+    def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
+        """Drive spectra towards output ``target``; ``wavelet`` (n_bins,) [1/Hz]."""
+        funneling = Funneling(self.amplitude).aim(placed, target, wavelet)
+        row = placed.bins.values[:, placed.row(target)]
+        displacement = np.asarray((row * funneling.spectrum).sum(axis=1))
+        aim = aim_at(placed, target, displacement, self.zeros, self.regularisation)
+        return replace(aim, used=aim.used & funneling.used)
+
+    def with_zeros(self, zeros: Zeros) -> Combination:
+        """The same renderer with other zero points."""
+        return replace(self, zeros=zeros)

@@ -1,0 +1,108 @@
+"""Filling bins between samples of G, and refusing to where the samples are too far apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ..errors import DataError
+from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+
+_ON_BIN = 1e-3  # of the bin spacing: further off, a sample is not on its bin
+_SHORTEST = 8  # samples: fewer leave no way to judge a spline
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """When bins between samples may be filled.
+
+    An interval ``gap`` times wider than both its neighbours is a gap: nothing is filled there. ``tolerance``
+    bounds the estimated error of the spline, max |dG| / max |G| at one frequency. ``enabled`` False copies
+    exact bins only.
+    """
+
+    gap: float = 3.0
+    tolerance: float = 0.01
+    enabled: bool = True
+
+
+def fill(
+    place: FloatArray,
+    values: ComplexArray,
+    valid: BoolArray,
+    index: IntArray,
+    df: float,
+    options: Interpolation,
+) -> tuple[ComplexArray, BoolArray]:
+    """Values and mask (n_index, m) on bins ``index`` from samples (n, m) at ``place`` [bins], ``df`` [Hz]
+    apart.
+
+    Samples on a bin are copied; the others serve a cubic spline per unbroken run of valid samples. Raises
+    DataError where the spline's estimated error exceeds the tolerance.
+    """
+    out, on = (
+        np.zeros((len(index), values.shape[1]), dtype=complex),
+        np.zeros((len(index), values.shape[1]), dtype=bool),
+    )
+    nearest = np.rint(place).astype(int)
+    rows = np.nonzero((np.abs(place - nearest) < _ON_BIN) & np.isin(nearest, index))[0]
+    copied = nearest[rows] - index[0]
+    open_bins = np.delete(index, copied)
+    if options.enabled and len(open_bins):
+        for columns, run in _runs(place, valid, options.gap):
+            inside = open_bins[(open_bins > place[run[0]]) & (open_bins < place[run[-1]])]
+            target = np.ix_(inside - index[0], columns)
+            out[target] = _spline(place[run], values[np.ix_(run, columns)], inside, df, options.tolerance)
+            on[target] = True
+    out[copied], on[copied] = values[rows], valid[rows]
+    return out, on
+
+
+def _runs(place: FloatArray, valid: BoolArray, gap: float) -> list[tuple[IntArray, IntArray]]:
+    """Entries (columns) with the same mask, with each of their runs of valid samples that is long enough."""
+    step = np.diff(place)
+    padded = np.concatenate([[0.0], step, [0.0]])
+    wide = step > gap * np.maximum(padded[:-2], padded[2:])
+    patterns, group = np.unique(valid, axis=1, return_inverse=True)
+    runs: list[tuple[IntArray, IntArray]] = []
+    for g, pattern in enumerate(patterns.T):
+        broken = wide | ~pattern[1:] | ~pattern[:-1]
+        columns = np.nonzero(np.ravel(group) == g)[0]
+        pieces = np.split(np.arange(len(place)), np.nonzero(broken)[0] + 1)
+        runs.extend((columns, run) for run in pieces if len(run) >= _SHORTEST)
+    return runs
+
+
+def _spline(
+    place: FloatArray, values: ComplexArray, bins: IntArray, df: float, tolerance: float
+) -> ComplexArray:
+    if len(bins) == 0:
+        return np.zeros((0, values.shape[1]), dtype=complex)
+    _judge(place, values, bins, df, tolerance)
+    return np.asarray(CubicSpline(place, values)(bins))
+
+
+def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float, tolerance: float) -> None:
+    """Raise if a spline through every other sample misses the rest by more than 8 times the tolerance.
+
+    Halving the spacing of a cubic spline divides its error by up to 16; we count on 8. Only samples next
+    to an interval to be filled are asked.
+    """
+    odd = np.arange(1, len(place) - 1, 2)
+    used = np.isin(np.arange(len(place) - 1), np.searchsorted(place, bins) - 1)
+    odd = odd[used[odd] | used[odd - 1]]
+    if len(odd) == 0:
+        return
+    miss = CubicSpline(place[::2], values[::2])(place[odd]) - values[odd]
+    size = np.maximum(np.abs(values[odd]).max(axis=1), np.finfo(float).tiny)
+    error = np.abs(miss).max(axis=1) / size / 8
+    worst = int(np.argmax(error))
+    if error[worst] > tolerance:
+        at = odd[worst]
+        raise DataError(
+            f"samples of G near {place[at] * df:.4g} Hz are {(place[at + 1] - place[at]) * df:.3g} Hz apart: "
+            f"interpolating them would err by about {error[worst]:.1%}, allowed {tolerance:.1%}; "
+            f"compute G on more frequencies, or allow only exact bins with Interpolation(enabled=False)"
+        )

@@ -1,0 +1,152 @@
+"""Regularised least squares per frequency: S = H^+ U, eq. 4 of de Vlam 2022."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..errors import ScenarioError
+from ..typing import ComplexArray, FloatArray
+
+RegularisationKind = Literal["rcond", "tikhonov", "discrepancy", "lcurve"]
+_ROUNDING = 4e-15  # relative to s_max: what an SVD of a few rows leaves of a singular value that is zero
+_KINDS = ("rcond", "tikhonov", "discrepancy", "lcurve")
+
+
+@dataclass(frozen=True)
+class Regularisation:
+    """How the pseudo-inverse treats small singular values s; ``value`` [-] depends on ``kind``.
+
+    ``rcond``: s < value s_max is dropped (MATLAB's pinv of a 5 x 4 matrix: value = 1.1e-15).
+    ``tikhonov``: 1/s becomes s / (s^2 + lambda^2), lambda = value s_max at each frequency.
+    ``discrepancy``: lambda such that the misfit exceeds the least-squares one by value |U| (Morozov, for a G
+    known to about ``value``); a U that lies below that is left undriven.
+    ``lcurve``: lambda at the corner of the L-curve (largest curvature of log|S| over log|misfit|), searched
+    from value s_max to s_max.
+    In all kinds singular values below 4e-15 s_max are dropped: rounding.
+    """
+
+    kind: RegularisationKind = "rcond"
+    value: float = 1e-12
+
+    def __post_init__(self) -> None:
+        if self.kind not in _KINDS:
+            raise ScenarioError(f"regularisation '{self.kind}' is unknown; known are {', '.join(_KINDS)}")
+        if not 0 <= self.value < 1:
+            raise ScenarioError(f"regularisation value must be in [0, 1), got {self.value:g}")
+
+
+@dataclass(frozen=True, eq=False)
+class Inversion:
+    """What the inversion met at each of its bins.
+
+    ``frequency`` (n,) [Hz]; ``singular_values`` (n, k) of H, descending; ``condition`` (n,) = s_max / s_min
+    (inf if singular to rounding); ``rank`` (n,) effective rank, the sum of the filter factors; ``parameter``
+    (n,) the cut (rcond) or lambda in G's unit; ``misfit`` (n,) |H S - U| / |U|, the part of the target and
+    zeros that cannot be had.
+    """
+
+    frequency: FloatArray
+    singular_values: FloatArray
+    condition: FloatArray
+    rank: FloatArray
+    parameter: FloatArray
+    misfit: FloatArray
+    regularisation: Regularisation
+
+
+def invert(
+    matrix: ComplexArray, wanted: ComplexArray, regularisation: Regularisation, frequency: FloatArray
+) -> tuple[ComplexArray, Inversion]:
+    """S (n, q) minimising |H S - U| per frequency, and the report; H is ``matrix`` (n, c, q), U ``wanted``
+    (n, c).
+
+    A zero column (dead actuator) gets no drive; equal columns share it evenly (minimum norm). Entries must be
+    finite.
+    """
+    left, s, right = np.linalg.svd(matrix, full_matrices=False)
+    beta = (left.conj().swapaxes(1, 2) @ wanted[:, :, None])[:, :, 0]
+    parameter = _parameter(s, beta, wanted, regularisation)
+    weights = _weights(s, parameter, regularisation.kind)
+    drive = (right.conj().swapaxes(1, 2) @ (weights * beta)[:, :, None])[:, :, 0]
+    drive *= matrix.any(axis=1)  # rounding would leave 1e-16 on a dead actuator
+    residual = np.linalg.norm((matrix @ drive[:, :, None])[:, :, 0] - wanted, axis=1)
+    report = Inversion(
+        frequency=frequency,
+        singular_values=s,
+        condition=_ratio(s[:, 0], s[:, -1]),
+        rank=np.asarray((s * weights).sum(axis=1)),
+        parameter=parameter,
+        misfit=np.asarray(residual / np.maximum(np.linalg.norm(wanted, axis=1), np.finfo(float).tiny)),
+        regularisation=regularisation,
+    )
+    return drive, report
+
+
+def _ratio(large: FloatArray, small: FloatArray) -> FloatArray:
+    singular = small <= _ROUNDING * large
+    return np.asarray(np.divide(large, small, out=np.full(len(large), np.inf), where=~singular))
+
+
+def _weights(s: FloatArray, parameter: FloatArray, kind: RegularisationKind) -> FloatArray:
+    """What multiplies U^H u in place of 1 / s, (n, k)."""
+    floor = _ROUNDING * s[:, :1]
+    if kind == "rcond":
+        kept = (s > np.maximum(floor, parameter[:, None])) & (s > 0)
+        return np.divide(1, s, out=np.zeros_like(s), where=kept)
+    damped = s + parameter[:, None] * np.divide(parameter[:, None], s, out=np.zeros_like(s), where=s > 0)
+    return np.divide(1, damped, out=np.zeros_like(s), where=(s > floor) & (s > 0))
+
+
+def _parameter(
+    s: FloatArray, beta: ComplexArray, wanted: ComplexArray, regularisation: Regularisation
+) -> FloatArray:
+    if regularisation.kind == "discrepancy":
+        return _discrepancy(s, beta, regularisation.value * np.linalg.norm(wanted, axis=1))
+    if regularisation.kind == "lcurve":
+        return _lcurve(s, beta, wanted, max(regularisation.value, 1e-12))
+    return np.asarray(regularisation.value * s[:, 0])
+
+
+def _factors(s: FloatArray, parameter: FloatArray) -> FloatArray:
+    """1 - f = lambda^2 / (s^2 + lambda^2), (..., k) for lambda (...,)."""
+    total = np.hypot(s, parameter[..., None])
+    return np.asarray(np.divide(parameter[..., None], total, out=np.zeros_like(total), where=total > 0) ** 2)
+
+
+def _discrepancy(s: FloatArray, beta: ComplexArray, misfit: FloatArray) -> FloatArray:
+    """lambda (n,) by bisection of its logarithm: |lambda^2 / (s^2 + lambda^2) beta| = misfit, increasing in
+    lambda."""
+    low, high = np.full(len(s), np.log(1e-15)), np.full(len(s), np.log(1e6))
+    for _ in range(60):
+        middle = (low + high) / 2
+        reached = np.linalg.norm(_factors(s, np.exp(middle) * s[:, 0]) * np.abs(beta), axis=1)
+        low, high = np.where(reached < misfit, middle, low), np.where(reached < misfit, high, middle)
+    return np.asarray(np.exp(low) * s[:, 0])
+
+
+def _lcurve(s: FloatArray, beta: ComplexArray, wanted: ComplexArray, smallest: float) -> FloatArray:
+    """lambda (n,) of largest curvature of (log misfit, log norm) among 80 values."""
+    ratio = np.geomspace(smallest, 1, 80)
+    parameter = ratio[:, None] * s[:, 0]
+    rest = np.maximum(np.sum(np.abs(wanted) ** 2, axis=1) - np.sum(np.abs(beta) ** 2, axis=1), 0)
+    open_part = _factors(s[None], parameter)
+    tiny = np.finfo(float).tiny
+    misfit = np.sum((open_part * np.abs(beta)) ** 2, axis=2) + rest
+    inverse = np.divide(1, s, out=np.zeros_like(s), where=s > _ROUNDING * s[:, :1])
+    norm = np.sum(((1 - open_part) * inverse * np.abs(beta)) ** 2, axis=2)
+    curvature = _curvature(
+        np.log(np.maximum(misfit, tiny)) / 2, np.log(np.maximum(norm, tiny)) / 2, np.log(ratio)
+    )
+    return np.asarray(parameter[np.argmax(curvature, axis=0), np.arange(len(s))])
+
+
+def _curvature(x: FloatArray, y: FloatArray, t: FloatArray) -> FloatArray:
+    """Signed curvature of (x, y)(t) along axis 0; -inf where the curve stands still."""
+    dx, dy = np.gradient(x, t, axis=0), np.gradient(y, t, axis=0)
+    ddx, ddy = np.gradient(dx, t, axis=0), np.gradient(dy, t, axis=0)
+    speed = np.hypot(dx, dy)
+    still = speed < 1e-3
+    return np.where(still, -np.inf, (dx * ddy - ddx * dy) / np.where(still, 1, speed) ** 3)

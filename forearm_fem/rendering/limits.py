@@ -1,0 +1,74 @@
+"""Whether an actuator bears what it is sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from ..errors import ScenarioError
+from ..typing import FloatArray
+from .drives import Drives
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Per actuator: peak ``voltage`` [V] and mean ``power`` [W] in the coil's ``resistance`` [ohm].
+
+    The power is V^2 / resistance averaged over ``window`` [s], the loudest one of the record, or over the
+    whole record if None. Back-EMF and inductance are ignored: both lower the current, so the power is an
+    upper bound. Defaults: TEAX14C02-8, 0.8 W (a continuous rating) and 7.8 ohm; 2.5 V rms gives 0.8 W.
+    """
+
+    voltage: float = 2.5
+    power: float = 0.8
+    resistance: float = 7.8
+    window: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DriveReport:
+    """``peak`` and ``rms`` (n_in,) in the drive's unit, ``power`` (n_in,) [W], NaN for drives that are no
+    voltages.
+
+    ``exceeded`` has a sentence per limit exceeded; ``checked`` is False for drives that are no voltages.
+    """
+
+    peak: FloatArray
+    rms: FloatArray
+    power: FloatArray
+    exceeded: tuple[str, ...]
+    checked: bool
+
+
+def check(drives: Drives, limits: Limits | None = None) -> DriveReport:
+    """Peak, rms and power of each actuator against ``limits``; raises ScenarioError for a bad averaging
+    window."""
+    limits = limits or Limits()
+    peak = np.abs(drives.signals).max(axis=1)
+    rms = np.sqrt(np.mean(drives.signals**2, axis=1))
+    if drives.unit != "V":
+        return DriveReport(peak, rms, np.full(len(peak), np.nan), (), False)
+    power = _mean_square(drives, limits.window) / limits.resistance
+    over = [
+        f"{p.name}: {v:.3g} V peak, limit {limits.voltage:g} V"
+        for p, v in zip(drives.inputs, peak, strict=True)
+        if v > limits.voltage
+    ]
+    over += [
+        f"{p.name}: {w:.3g} W in {limits.resistance:g} ohm, limit {limits.power:g} W"
+        for p, w in zip(drives.inputs, power, strict=True)
+        if w > limits.power
+    ]
+    return DriveReport(peak, rms, power, tuple(over), True)
+
+
+def _mean_square(drives: Drives, window: float | None) -> FloatArray:
+    if window is None:
+        return np.asarray(np.mean(drives.signals**2, axis=1))
+    samples = round(window * drives.record.sample_rate)
+    if not 1 <= samples <= drives.record.n:
+        raise ScenarioError(f"the power's window of {window:g} s must hold 1 to {drives.record.n} samples")
+    running = uniform_filter1d(drives.signals**2, samples, axis=1, mode="wrap")
+    return np.asarray(np.maximum(running, 0).max(axis=1))

@@ -1,0 +1,206 @@
+"""From a transfer matrix on its own frequencies to the bins of a periodic record, and back to time.
+
+A record of n samples at f_s has bins k f_s / n. Spectra are one-sided and in unit/Hz: X_k = dt sum_j x_j
+exp(-i omega_k t_j), phase referred to t = 0 at sample ``centre``; signals are real, so the mirror bins are
+the conjugates (the thesis' [9, 4, 20000] form) and are never stored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from scipy.fft import irfft, rfft
+
+from ..errors import DataError, ScenarioError
+from ..ports import Port
+from ..transfer import TransferMatrix
+from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+from .interpolation import Interpolation, fill
+
+
+@dataclass(frozen=True)
+class Record:
+    """One period of n samples at ``sample_rate`` [Hz]; t = 0 at sample ``centre`` = n // 2."""
+
+    sample_rate: float
+    n: int
+
+    @classmethod
+    def of(cls, sample_rate: float, duration: float) -> Self:
+        """The record of ``duration`` [s]; raises ScenarioError unless it holds a whole number of samples."""
+        n = round(sample_rate * duration) if sample_rate > 0 and duration > 0 else 0
+        if n < 4 or abs(n - sample_rate * duration) > 1e-6 * n:
+            raise ScenarioError(
+                f"{duration:g} s at {sample_rate:g} Hz is no whole number of samples >= 4; change either"
+            )
+        return cls(float(sample_rate), n)
+
+    @property
+    def centre(self) -> int:
+        """Index of the sample at t = 0."""
+        return self.n // 2
+
+    @property
+    def df(self) -> float:
+        """Spacing of the bins [Hz]: 1 / duration."""
+        return self.sample_rate / self.n
+
+    @property
+    def time(self) -> FloatArray:
+        """Time of the samples (n,) [s]."""
+        return np.asarray((np.arange(self.n) - self.centre) / self.sample_rate, dtype=np.float64)
+
+    @property
+    def frequency(self) -> FloatArray:
+        """All one-sided bins (n // 2 + 1,) [Hz]."""
+        return np.asarray(np.arange(self.n // 2 + 1) * self.df, dtype=np.float64)
+
+    @property
+    def weights(self) -> FloatArray:
+        """Times a one-sided bin occurs in the two-sided spectrum (n // 2 + 1,): 2, but 1 at 0 Hz and
+        Nyquist."""
+        weights = np.full(self.n // 2 + 1, 2.0)
+        weights[0] = 1
+        if self.n % 2 == 0:
+            weights[-1] = 1
+        return weights
+
+
+def to_spectrum(signals: FloatArray, record: Record) -> ComplexArray:
+    """One-sided spectra (..., n // 2 + 1) [unit/Hz] of ``signals`` (..., n) [unit]: forward DFT times dt."""
+    rolled = np.roll(signals, -record.centre, axis=-1)
+    return np.asarray(rfft(rolled, axis=-1) / record.sample_rate, dtype=np.complex128)
+
+
+def to_time(spectrum: ComplexArray, index: IntArray, record: Record) -> FloatArray:
+    """Real signals (m, n) [unit] of the spectra (n_bins, m) [unit/Hz] on the bins ``index``; zero
+    elsewhere."""
+    full = np.zeros((spectrum.shape[1], record.n // 2 + 1), dtype=complex)
+    full[:, index] = spectrum.T
+    signals = irfft(full * record.sample_rate, record.n, axis=-1)
+    return np.asarray(np.roll(signals, record.centre, axis=-1), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class BinValues:
+    """Values on bins of a record: ``index`` (n_bins,), ``values`` and ``valid`` (n_bins, ...).
+
+    Bins on which nothing is known are absent; ``values`` is zero where ``valid`` is False.
+    """
+
+    record: Record
+    index: IntArray
+    values: ComplexArray
+    valid: BoolArray
+
+    @cached_property
+    def frequency(self) -> FloatArray:
+        """Frequencies of the bins (n_bins,) [Hz]."""
+        return np.asarray(self.record.df * self.index, dtype=np.float64)
+
+
+def place_on_bins(
+    frequency: FloatArray,
+    values: ComplexArray,
+    sample_rate: float,
+    duration: float,
+    *,
+    valid: BoolArray | None = None,
+    interpolation: Interpolation | None = None,
+) -> BinValues:
+    """Set ``values`` (n_frequency, ...) known at ``frequency`` [Hz] on the bins of a record.
+
+    Samples on a bin (to 1e-3 of the bin spacing) are copied. Between samples, bins are filled by a cubic
+    spline of real and imaginary part where ``interpolation`` allows; never across a gap, an invalid sample,
+    or outside the band. Bins at 0 Hz and from Nyquist up are left out. Raises DataError for frequencies that
+    do not increase, for NaN in a valid entry, for samples too far apart to interpolate, and if no bin is
+    left.
+    """
+    record = Record.of(sample_rate, duration)
+    values = np.asarray(values, dtype=np.complex128)
+    valid = _checked(np.asarray(frequency, dtype=float), values, valid)
+    place = np.asarray(frequency, dtype=float) / record.df
+    flat, known = values.reshape(len(values), -1), valid.reshape(len(values), -1)
+    index = np.arange(
+        max(1, int(np.ceil(place[0] - 1e-3))), min((record.n - 1) // 2, int(place[-1] + 1e-3)) + 1
+    )
+    out, on = fill(place, np.where(known, flat, 0), known, index, record.df, interpolation or Interpolation())
+    kept = on.any(axis=1)
+    if not kept.any():
+        raise DataError(
+            f"no bin of the record (every {record.df:g} Hz) lies on or between samples of G "
+            f"({frequency[0]:g}-{frequency[-1]:g} Hz, {len(frequency)} of them); compute G on the bins"
+        )
+    shape = (int(kept.sum()), *values.shape[1:])
+    return BinValues(record, index[kept], out[kept].reshape(shape), on[kept].reshape(shape))
+
+
+def _checked(frequency: FloatArray, values: ComplexArray, valid: BoolArray | None) -> BoolArray:
+    if frequency.ndim != 1 or len(frequency) != len(values) or len(frequency) == 0:
+        raise DataError(f"G has {len(values)} matrices for frequencies of shape {frequency.shape}")
+    if not np.all(np.isfinite(frequency)) or np.any(np.diff(frequency) <= 0) or frequency[0] <= 0:
+        raise DataError("the frequencies of G must be positive and increase")
+    usable = np.ones(values.shape, dtype=bool) if valid is None else np.asarray(valid, dtype=bool)
+    if usable.shape != values.shape:
+        raise DataError(f"the mask of G has shape {usable.shape}, expected {values.shape}")
+    if bad := int(np.count_nonzero(~np.isfinite(values) & usable)):
+        first = frequency[
+            np.nonzero((~np.isfinite(values) & usable).reshape(len(values), -1).any(axis=1))[0][0]
+        ]
+        raise DataError(
+            f"G has {bad} entries that are not finite, the first at {first:g} Hz; mark them in `valid`"
+        )
+    return usable
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A transfer matrix on the bins of a record: ``bins.values`` (n_bins, n_out, n_in) in ``unit``."""
+
+    bins: BinValues
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    unit: str
+
+    @property
+    def record(self) -> Record:
+        """The record the bins belong to."""
+        return self.bins.record
+
+    def row(self, name: str) -> int:
+        """Index of the output called ``name``; raises ScenarioError if there is none."""
+        names = [p.name for p in self.outputs]
+        if name not in names:
+            raise ScenarioError(f"'{name}' is no output of G; its outputs are {', '.join(names)}")
+        return names.index(name)
+
+
+def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation | None = None) -> Placed:
+    """``transfer`` on the bins of ``record``; raises as :func:`place_on_bins` and DataError for a wrong
+    shape."""
+    expected = (len(transfer.frequency), len(transfer.outputs), len(transfer.inputs))
+    if transfer.values.shape != expected:
+        raise DataError(
+            f"G has shape {transfer.values.shape}, expected {expected} (frequency, output, input)"
+        )
+    duration = record.n / record.sample_rate
+    bins = place_on_bins(
+        transfer.frequency,
+        transfer.values,
+        record.sample_rate,
+        duration,
+        valid=transfer.valid,
+        interpolation=interpolation,
+    )
+    return Placed(bins, transfer.outputs, transfer.inputs, transfer.unit)
+
+
+def respond(placed: Placed, spectrum: ComplexArray) -> FloatArray:
+    """Displacements (n_out, n_t) [m] for drive spectra (n_bins, n_in) [unit/Hz]; eq. 3 of de Vlam 2022.
+
+    Entries of G that are not valid count as zero.
+    """
+    return to_time((placed.bins.values @ spectrum[:, :, None])[:, :, 0], placed.bins.index, placed.record)

@@ -1,0 +1,387 @@
+"""Tissues: complex shear moduli mu*(omega), density, bulk modulus, and three sourced presets.
+
+Time dependence e^{+i omega t}, so a passive tissue has Im mu*(omega) >= 0 for omega > 0 and
+mu*(-omega) = conj mu*(omega). Every modulus is a small frozen class with the same two methods. Not
+covered: anisotropy and pre-stress (the skin's pre-stress is a membrane term, ``scenario.tissues``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import binom
+
+from .errors import ScenarioError
+from .typing import ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    from .scenario import Scenario
+    from .scenario.tissues import TissueOverride
+
+
+class Modulus(Protocol):
+    """A complex shear modulus as a function of angular frequency."""
+
+    def at(self, omega: ArrayLike) -> ComplexArray:
+        """mu*(omega) [Pa], of omega's shape; omega [rad/s]."""
+        ...
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """Coefficients c (n + 1,) of mu*(omega0 + d) = sum_k c_k d^k [Pa s^k]."""
+        ...
+
+
+@dataclass(frozen=True)
+class KelvinVoigt:
+    """Spring and dashpot in parallel: mu* = mu + i omega eta; loss grows without bound: fit in-band only."""
+
+    mu: float
+    eta: float
+
+    def at(self, omega: ArrayLike) -> ComplexArray:
+        """mu*(omega) [Pa], of omega's shape; omega [rad/s]."""
+        return np.asarray(self.mu + 1j * self.eta * np.asarray(omega, dtype=float))
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """Coefficients (n + 1,) about ``omega0`` [rad/s]: mu*(omega0), i eta, 0, ..."""
+        return np.array([self.mu + 1j * omega0 * self.eta, 1j * self.eta, *[0] * n], dtype=complex)[: n + 1]
+
+
+@dataclass(frozen=True)
+class SpringPot:
+    """Fractional element mu* = mu^(1-a) (i omega eta)^a with 0 < a < 1: constant loss angle a pi/2.
+
+    Klatt 2010 gives mu and a for eta = 1 Pa s (physics.md 1.2). Zero and not smooth at omega = 0.
+    """
+
+    mu: float
+    exponent: float
+    eta: float = 1.0
+
+    def at(self, omega: ArrayLike) -> ComplexArray:
+        """mu*(omega) [Pa], of omega's shape; omega [rad/s]."""
+        return np.asarray(
+            self.mu ** (1 - self.exponent) * (1j * self.eta * np.asarray(omega, dtype=float)) ** self.exponent
+        )
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """Coefficients (n + 1,): mu*(omega0) binom(a, k) / omega0^k; converges for |d| < |omega0|."""
+        if omega0 == 0:
+            raise ValueError("a springpot has no Taylor series at 0 rad/s; expand about a positive frequency")
+        k = np.arange(n + 1)
+        return np.asarray(self.at(omega0) * binom(self.exponent, k) / float(omega0) ** k)
+
+
+@dataclass(frozen=True)
+class Zener:
+    """Standard linear solid: mu* = mu + i omega eta / (1 + i omega tau), tau = eta / (mu_infinity - mu) [s].
+
+    A spring mu beside a spring (mu_infinity - mu) in series with a dashpot eta; bounded at high frequency.
+    """
+
+    mu: float
+    mu_infinity: float
+    eta: float
+
+    @property
+    def relaxation_time(self) -> float:
+        """tau [s]."""
+        return self.eta / (self.mu_infinity - self.mu)
+
+    def at(self, omega: ArrayLike) -> ComplexArray:
+        """mu*(omega) [Pa], of omega's shape; omega [rad/s]."""
+        s = 1j * np.asarray(omega, dtype=float)
+        return np.asarray(self.mu + s * self.eta / (1 + s * self.relaxation_time))
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """Coefficients (n + 1,) of mu_infinity - (mu_infinity - mu) / (1 + i omega tau), geometric."""
+        pole = 1 + 1j * omega0 * self.relaxation_time
+        k = np.arange(n + 1)
+        series = -(self.mu_infinity - self.mu) / pole * (-1j * self.relaxation_time / pole) ** k
+        return np.asarray(np.where(k == 0, self.mu_infinity + series, series))
+
+
+@dataclass(frozen=True)
+class Hysteretic:
+    """Constant loss factor: mu* = mu (1 + i loss sign(omega)); used for bone."""
+
+    mu: float
+    loss: float
+
+    def at(self, omega: ArrayLike) -> ComplexArray:
+        """mu*(omega) [Pa], of omega's shape; omega [rad/s]."""
+        return np.asarray(self.mu * (1 + 1j * self.loss * np.sign(np.asarray(omega, dtype=float))))
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """Coefficients (n + 1,): mu*(omega0), then zeros."""
+        return np.array([self.at(omega0), *[0] * n], dtype=complex)
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """An isotropic tissue: density [kg/m^3], shear modulus, bulk modulus [Pa] (inf = incompressible).
+
+    Wave properties are for omega > 0.
+    """
+
+    name: str
+    density: float
+    modulus: Modulus
+    bulk: float = math.inf
+
+    @property
+    def incompressible(self) -> bool:
+        """Whether the bulk modulus is infinite."""
+        return math.isinf(self.bulk)
+
+    def wavenumber(self, omega: ArrayLike) -> ComplexArray:
+        """Shear wavenumber k = omega sqrt(rho / mu*) [1/m], Im k <= 0 (the wave is e^{i(omega t - k x)})."""
+        w = np.asarray(omega, dtype=float)
+        return np.asarray(w * np.sqrt(self.density / self.modulus.at(w)))
+
+    def wave_speed(self, omega: ArrayLike) -> FloatArray:
+        """Phase speed omega / Re k of a plane shear wave [m/s] (physics.md 8.1)."""
+        return np.asarray(np.asarray(omega, dtype=float) / self.wavenumber(omega).real)
+
+    def attenuation(self, omega: ArrayLike) -> FloatArray:
+        """Decay -Im k of a plane shear wave [1/m] (physics.md 8.1)."""
+        return np.asarray(-self.wavenumber(omega).imag)
+
+    def wavelength(self, omega: ArrayLike) -> FloatArray:
+        """Shear wavelength 2 pi / Re k [m]."""
+        return np.asarray(2 * np.pi / self.wavenumber(omega).real)
+
+
+@dataclass(frozen=True)
+class Sourced:
+    """A value with its plausible range, its spread and where it came from (SI).
+
+    ``spread`` is the factor of a log-normal law: one standard deviation is x/÷ ``spread``; 1 = held.
+    """
+
+    value: float
+    unit: str
+    low: float
+    high: float
+    spread: float
+    source: str
+
+    def draw(self, z: float) -> float:
+        """The value for a standard-normal deviate ``z``: value * spread^z (not clipped to the range)."""
+        return float(self.value * self.spread**z)
+
+
+@dataclass(frozen=True)
+class TissueRecord:
+    """One tissue of a preset: its model and its sourced parameters (density, mu, eta or loss, bulk)."""
+
+    name: str
+    model: str
+    parameters: Mapping[str, Sourced]
+    note: str = ""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The bare numbers, SI."""
+        return {key: p.value for key, p in self.parameters.items()}
+
+    def tissue(self, values: Mapping[str, float] | None = None) -> Tissue:
+        """The tissue, with ``values`` (drawn or chosen) in place of the recorded ones."""
+        return _Spec(self.name, self.model, {**self.values, **(values or {})}).tissue()
+
+
+def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
+    """The scenario's tissues by name: its preset with the overrides applied, bone included.
+
+    Raises :class:`ScenarioError`, with the key's path, for an incomplete new tissue, for a value that
+    would have no effect, and for a limb that names a tissue which does not exist.
+    """
+    records = PRESETS[scenario.tissues.preset]
+    tissues = {name: record.tissue() for name, record in records.items()}
+    changed = {
+        name: _overridden(name, records.get(name), override)
+        for name, override in scenario.tissues.override.items()
+    }
+    result = {**tissues, **changed}
+    _check_limb(scenario.limb, result)
+    return result
+
+
+def limb_tissue_keys(limb: object) -> dict[str, str]:
+    """Key path in the scenario -> tissue named there, for any limb shape."""
+    layers = {f"limb.layers.{i}.tissue": layer.tissue for i, layer in enumerate(getattr(limb, "layers", ()))}
+    core = {"limb.core": limb.core} if hasattr(limb, "core") else {}
+    surfaces = {f"limb.surfaces.{name}": name for name in getattr(limb, "surfaces", ())}
+    regions = {f"limb.regions.{key}": name for key, name in getattr(limb, "regions", {}).items()}
+    return {**layers, **core, **surfaces, **regions}
+
+
+def _check_limb(limb: object, tissues: Mapping[str, Tissue]) -> None:
+    for path, name in limb_tissue_keys(limb).items():
+        if name not in tissues:
+            raise ScenarioError(
+                f"{path}: no tissue is called '{name}'; known are {', '.join(sorted(tissues))}, "
+                f"or define it under [tissues.override.{name}]"
+            )
+
+
+# model -> parameters it must have; a springpot's eta may be left out (1 Pa s)
+_NEEDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "kelvin-voigt": ("mu", "eta"),
+        "springpot": ("mu", "exponent"),
+        "zener": ("mu", "mu_infinity", "eta"),
+        "hysteretic": ("mu", "loss"),
+    }
+)
+
+
+@dataclass(frozen=True)
+class _Spec:
+    """A tissue as named numbers, before it becomes a :class:`Tissue`."""
+
+    name: str
+    model: str
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def tissue(self) -> Tissue:
+        return Tissue(self.name, self.values["density"], self._modulus(), self.values["bulk"])
+
+    def _modulus(self) -> Modulus:
+        v = self.values
+        match self.model:
+            case "kelvin-voigt":
+                return KelvinVoigt(v["mu"], v["eta"])
+            case "springpot":
+                return SpringPot(v["mu"], v["exponent"], v.get("eta", 1.0))
+            case "zener":
+                return Zener(v["mu"], v["mu_infinity"], v["eta"])
+            case _:
+                return Hysteretic(v["mu"], v["loss"])
+
+
+def _overridden(name: str, record: TissueRecord | None, override: TissueOverride) -> Tissue:
+    """Preset with single values replaced; a change of model keeps only density and bulk modulus."""
+    path = f"tissues.override.{name}"
+    given = _given(override)
+    model = override.model or (record.model if record else "kelvin-voigt")
+    kept = dict(record.values) if record else {}
+    if record and model != record.model:
+        kept = {key: kept[key] for key in ("density", "bulk")}
+    _check_used(path, model, given)
+    spec = _Spec(name, model, {**kept, **given})
+    _check_complete(path, spec)
+    return spec.tissue()
+
+
+def _given(override: TissueOverride) -> dict[str, float]:
+    """The numbers an override states; 'incompressible' becomes an infinite bulk modulus."""
+    stated = override.model_dump(exclude={"model"}, exclude_none=True)
+    return {key: math.inf if value == "incompressible" else float(value) for key, value in stated.items()}
+
+
+def _check_used(path: str, model: str, given: Mapping[str, float]) -> None:
+    used = {"density", "bulk", *_NEEDS[model], *(("eta",) if model == "springpot" else ())}
+    for key in given:
+        if key not in used:
+            raise ScenarioError(
+                f"{path}.{key}: has no effect with the {model} model; remove it or set {path}.model"
+            )
+
+
+def _check_complete(path: str, spec: _Spec) -> None:
+    missing = [key for key in ("density", "bulk", *_NEEDS[spec.model]) if key not in spec.values]
+    if missing:
+        raise ScenarioError(f"{path}: a {spec.model} tissue stated anew also needs {', '.join(missing)}")
+    v = spec.values
+    if spec.model == "zener" and v["mu_infinity"] <= v["mu"]:
+        raise ScenarioError(f"{path}.mu_infinity: must exceed mu = {v['mu']:g} Pa, is {v['mu_infinity']:g}")
+
+
+def _density(value: float, low: float, high: float, spread: float) -> Sourced:
+    return Sourced(value, "kg/m^3", low, high, spread, "physics.md 9; range and spread: PMC3233242, 1.1")
+
+
+def _soft(name: str, density: Sourced, mu: Sourced, eta: Sourced, note: str) -> TissueRecord:
+    """A soft tissue; its bulk modulus matters only in being large (physics.md 2.4)."""
+    bulk = Sourced(2.2e9, "Pa", 1e8, 3.1e9, 1.0, "physics.md 9 (rho c^2 of 1.1 gives 2.0-3.1 GPa)")
+    parameters = {"density": density, "mu": mu, "eta": eta, "bulk": bulk}
+    return TissueRecord(name, "kelvin-voigt", MappingProxyType(parameters), note)
+
+
+def _bone() -> TissueRecord:
+    """Cortical bone, E = 17 GPa, nu = 0.3: mu = E / 2(1 + nu), bulk = E / 3(1 - 2 nu)."""
+    young, poisson = 17e9, 0.3
+    source = "physics.md 9: E 17 GPa, nu 0.3 (recalled; irrelevant detail)"
+    mu = young / (2 * (1 + poisson))
+    bulk = young / (3 * (1 - 2 * poisson))
+    parameters = {
+        "density": Sourced(1860.0, "kg/m^3", 1800.0, 2200.0, 1.05, "physics.md 1.1, measured 1862+-101"),
+        "mu": Sourced(mu, "Pa", 0.65 * mu, 1.06 * mu, 1.2, source),
+        "loss": Sourced(0.02, "-", 0.01, 0.03, 1.5, "physics.md 1.1 (recalled)"),
+        "bulk": Sourced(bulk, "Pa", 0.65 * bulk, 1.06 * bulk, 1.2, source),
+    }
+    return TissueRecord("bone", "hysteretic", MappingProxyType(parameters), "nearly rigid beside flesh")
+
+
+_RHO: Mapping[str, Sourced] = MappingProxyType(
+    {
+        "skin": _density(1100.0, 1079.0, 1183.0, 1.05),
+        "fat": _density(950.0, 912.0, 950.0, 1.02),
+        "muscle": _density(1060.0, 1042.0, 1074.0, 1.02),
+    }
+)
+# name -> plausible range of mu [Pa] and eta [Pa s]; physics.md 9
+_RANGES: Mapping[str, tuple[float, float, float, float]] = MappingProxyType(
+    {
+        "skin": (8e3, 35e3, 2.0, 5.0),
+        "fat": (0.8e3, 6e3, 0.5, 3.0),
+        "muscle": (2.5e3, 20e3, 3.0, 8.0),
+    }
+)
+
+
+def _layered(name: str, mu: float, eta: float, source: str, note: str) -> TissueRecord:
+    """A layer with the ranges and spreads of physics.md 9 (mu x/÷ 1.8, eta x/÷ 1.6)."""
+    low, high, eta_low, eta_high = _RANGES[name]
+    shear = Sourced(mu, "Pa", low, high, 1.8, source)
+    viscosity = Sourced(eta, "Pa s", eta_low, eta_high, 1.6, source)
+    return _soft(name, _RHO[name], shear, viscosity, note)
+
+
+def _zhang(name: str) -> TissueRecord:
+    """Zhang et al. 2011, Med Eng Phys 33:31: one half-space for all soft tissue, mean +- SD of 30 people."""
+    source = "Zhang et al. 2011, forearm, 7.86+-1.86 kPa and 5.03+-0.60 Pa s (physics.md 1.2)"
+    density = Sourced(1050.0, "kg/m^3", 950.0, 1100.0, 1.02, "physics.md 8, the half-space computed there")
+    mu = Sourced(7860.0, "Pa", 6000.0, 9720.0, 1.24, source)
+    eta = Sourced(5.03, "Pa s", 4.43, 5.63, 1.12, source)
+    return _soft(name, density, mu, eta, "homogeneous half-space (preset Z)")
+
+
+def _preset(*records: TissueRecord) -> Mapping[str, TissueRecord]:
+    return MappingProxyType({r.name: r for r in (*records, _bone())})
+
+
+_O, _K = "physics.md 9, preset O", "physics.md 9, preset K (matched to the thesis, appendix A)"
+
+PRESETS: Mapping[str, Mapping[str, TissueRecord]] = MappingProxyType(
+    {
+        "default": _preset(
+            _layered("skin", 13e3, 3.0, f"{_O}; dermis, OCE, Feng et al. 2022", "medium confidence"),
+            _layered("fat", 5e3, 1.5, f"{_O}; OCE 5 kPa, but MRE 0.75 kPa", "low to medium confidence"),
+            _layered("muscle", 10e3, 4.0, _O, "low to medium confidence"),
+        ),
+        "thesis": _preset(
+            _layered("skin", 25e3, 3.0, _K, "1.3 mm thick in the match"),
+            _layered("fat", 6e3, 2.0, _K, "2 mm thick in the match"),
+            _layered("muscle", 15e3, 5.0, _K, ""),
+        ),
+        "zhang": _preset(_zhang("skin"), _zhang("fat"), _zhang("muscle")),
+    }
+)

@@ -1,0 +1,314 @@
+"""Signal strength, its table and interval, the thesis' wave estimator, conditioning and spots."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from forearm_fem.errors import AccuracyWarning, DataError
+from forearm_fem.metrics import (
+    area,
+    condition_number,
+    contrast,
+    fit_waves,
+    fwhm,
+    relative_error_at,
+    signal_strength,
+    signal_strength_table,
+    signal_strength_uncertainty,
+    singular_values,
+    smooth_noise,
+    spot_radius,
+    thesis_table,
+)
+from forearm_fem.ports import Port
+from forearm_fem.transfer import ErrorEstimate, TransferMatrix
+
+# ---------------------------------------------------------------- S
+
+
+def test_strength_of_known_areas():
+    t = np.linspace(0, 1, 1001)
+    u = np.array([2.0, 1.0, 3.0, -2.0])[:, None] * np.sin(2 * np.pi * 5 * t)
+    assert signal_strength(u, 2) == pytest.approx(3 / ((2 + 1 + 2) / 3), rel=1e-12)
+
+
+@given(st.floats(1e-9, 1e9), st.permutations([0, 1, 2, 3]))
+def test_strength_ignores_scale_sign_and_the_order_of_the_others(scale, order):
+    u = np.random.default_rng(0).normal(size=(5, 50))
+    shuffled = np.vstack([-u[:1], u[1:][list(order)]])
+    assert signal_strength(scale * shuffled, 0) == pytest.approx(signal_strength(u, 0), rel=1e-12)
+
+
+def test_equal_displacements_have_strength_one_and_a_silent_rest_infinite():
+    assert signal_strength(np.ones((9, 10)), 4) == 1
+    assert signal_strength(np.eye(3), 0) == 1
+    assert signal_strength(np.array([[1.0, 1.0], [0.0, 0.0]]), 0) == np.inf
+    assert np.isnan(signal_strength(np.zeros((2, 2)), 0))
+
+
+def test_strength_over_a_window_counts_only_its_samples():
+    t = np.arange(10) / 10
+    u = np.ones((2, 10))
+    u[0, 5:] = 3
+    assert signal_strength(u, 0, time=t, window=(0.5, 0.9)) == 3
+    assert signal_strength(u, 0) == 2
+    assert np.allclose(area(u, time=t, window=(0.5, 1.0)), [3, 1])
+    with pytest.raises(DataError, match="no sample lies in"):
+        signal_strength(u, 0, time=t, window=(2, 3))
+    with pytest.raises(DataError, match="needs the time"):
+        signal_strength(u, 0, window=(0, 1))
+
+
+def test_unknown_outputs_are_left_out_aloud():
+    u = np.array([[2.0, 2.0], [1.0, 1.0], [np.nan, np.nan]])
+    with pytest.warns(AccuracyWarning, match="leaves out 1 of 2"):
+        assert signal_strength(u, 0) == 2
+    assert np.isnan(signal_strength(u, 2))
+    assert np.isnan(signal_strength(u[[0, 2]], 0))
+
+
+@pytest.mark.parametrize(("shape", "target"), [((1, 5), 0), ((3, 5), 3), ((3, 5), -1), ((5,), 0)])
+def test_strength_of_no_grid_is_refused(shape, target):
+    with pytest.raises(DataError, match="at least two outputs"):
+        signal_strength(np.ones(shape), target)
+
+
+def test_table_has_means_and_the_deviation_of_matlab():
+    s = np.arange(1.0, 10.0)[None] ** 2
+    table = signal_strength_table(["m"], [str(i) for i in range(1, 10)], s)
+    edges, corners = np.array([4, 16, 36, 64.0]), np.array([1, 9, 49, 81.0])
+    assert np.allclose(table.mean[:, 0], [25, edges.mean(), corners.mean()])
+    by_hand = [np.sqrt(np.sum((x - x.mean()) ** 2) / 3) for x in (edges, corners)]
+    assert np.allclose(table.std[1:, 0], by_hand)
+    assert np.isnan(table.std[0, 0])
+
+
+def test_table_refuses_other_grids_and_shapes():
+    with pytest.raises(DataError, match="got also 10"):
+        signal_strength_table(["m"], ["1", "10"], np.ones((1, 2)))
+    with pytest.raises(DataError, match="expected"):
+        signal_strength_table(["m"], ["1"], np.ones((1, 2)))
+
+
+def test_thesis_table_reads_as_printed():
+    lines = thesis_table().as_text().splitlines()
+    assert lines[0].split() == ["inverse", "filter", "funneling", "combination"]
+    assert lines[1].split() == ["Middle", "(5)", "1.31", "0.63", "1.72"]
+    assert "1.34 ± 0.09" in lines[2]
+    assert "0.67 ± 0.32" in lines[2]
+    assert "1.69 ± 0.19" in lines[2]
+    assert "2.25 ± 0.56" in lines[3]
+    assert "2.42 ± 0.79" in lines[3]
+    assert "2.60 ± 0.92" in lines[3]
+
+
+# ---------------------------------------------------------------- interval of S
+
+
+def small_transfer():
+    f = np.arange(10.0, 500.0, 10.0)
+    rng = np.random.default_rng(5)
+    values = (rng.normal(size=(len(f), 3, 2)) + 1j * rng.normal(size=(len(f), 3, 2))) / (
+        1 + f[:, None, None] / 100
+    )
+    outputs = tuple(Port(str(i), "point", (0.01 * i, 0, 0)) for i in range(3))
+    return TransferMatrix(f, values, outputs, outputs[:2])
+
+
+def ratio(g):
+    """A stand-in for S: size of one entry over another's."""
+    return np.array([np.abs(g.values[:, 0, 0]).mean() / np.abs(g.values[:, 1, 0]).mean()])
+
+
+def test_interval_has_the_error_asked_for_at_every_frequency():
+    g, seen = small_transfer(), []
+    e = ErrorEstimate("truncation", 0.1, "test", (10.0, 500.0), (0.01, 0.2))
+    signal_strength_uncertainty(g, lambda p: (seen.append(p), ratio(p))[1], [e], draws=5)
+    change = np.abs(seen[0].values - g.values).max(axis=(1, 2)) / np.abs(g.values).max(axis=(1, 2))
+    assert np.allclose(
+        change, np.interp(g.frequency, [10, 500], [0.01, 0.2]), rtol=1e-10
+    )  # cancellation of G
+
+
+def test_interval_shrinks_with_the_error_and_holds_the_value():
+    g = small_transfer()
+    widths = []
+    for size in (0.1, 0.01):
+        found = signal_strength_uncertainty(
+            g, ratio, [ErrorEstimate("reduction", size, "test")], draws=200, seed=3
+        )
+        assert found.low[0] < found.value[0] < found.high[0]
+        assert found.samples.shape == (200, 1)
+        widths.append(found.high[0] - found.low[0])
+    assert widths[0] / widths[1] == pytest.approx(
+        10, rel=0.1
+    )  # linear in the error; same draws, e^2 terms of 10 %
+
+
+def test_interval_is_reproducible_and_depends_on_the_seed():
+    g, e = small_transfer(), [ErrorEstimate("measurement", 0.05, "test")]
+    one, same, other = (signal_strength_uncertainty(g, ratio, e, draws=4, seed=s).samples for s in (1, 1, 2))
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
+
+
+def test_errors_white_in_frequency_average_out_and_smooth_ones_do_not():
+    g, e = small_transfer(), [ErrorEstimate("discretisation", 0.05, "test")]
+    flat = replace(g, values=np.ones_like(g.values))
+    smooth, white = (
+        np.std(signal_strength_uncertainty(flat, ratio, e, draws=200, correlation=c).samples)
+        for c in (1e4, 1e-3)
+    )
+    assert smooth > 4 * white  # 49 equal frequencies average to a seventh; 200 draws know that to 5 %
+
+
+def test_smooth_noise_has_unit_variance_and_the_correlation_stated():
+    rng = np.random.default_rng(0)
+    f = np.array([100.0, 120.0, 300.0])
+    z = np.concatenate([smooth_noise(f, (50,), rng, 20.0) for _ in range(40)], axis=1)
+    assert np.mean(np.abs(z) ** 2) == pytest.approx(1, abs=0.1)  # 2000 samples of 64 terms: 3 %, three sigma
+    covariance = np.mean(z[1:] * z[0].conj(), axis=1)
+    # 64 random tau in each of 40 draws: its characteristic function errs by 1/sqrt(2560) = 2 %
+    assert np.allclose(covariance, [np.exp(-0.5), 0], atol=0.1)
+
+
+def test_masked_entries_do_not_set_the_error_scale():
+    g = small_transfer()
+    values, valid, seen = g.values.copy(), np.ones(g.values.shape, dtype=bool), []
+    values[:, 2, 1], valid[:, 2, 1] = np.nan, False
+    masked = TransferMatrix(g.frequency, values, g.outputs, g.inputs, valid=valid)
+    e = [ErrorEstimate("measurement", 0.05, "test")]
+    signal_strength_uncertainty(masked, lambda p: (seen.append(p), ratio(p))[1], e, draws=2)
+    known = valid & np.isfinite(values)
+    size = np.where(known, np.abs(values), 0).max(axis=(1, 2))
+    change = np.where(known, np.abs(seen[0].values - values), 0).max(axis=(1, 2))
+    assert np.all(change <= 0.05 * size * (1 + 1e-10))
+    assert np.all(change > 0)
+
+
+@pytest.mark.parametrize("wrong", [{"draws": 1}, {"coverage": 1.0}, {"correlation": 0.0}, {"errors": ()}])
+def test_intervals_without_grounds_are_refused(wrong):
+    wish = {"errors": [ErrorEstimate("measurement", 0.05, "test")], **wrong}
+    with pytest.raises(DataError, match="an interval of S needs"):
+        signal_strength_uncertainty(small_transfer(), ratio, **wish)
+
+
+def test_error_without_frequencies_is_the_band_value():
+    assert np.array_equal(
+        relative_error_at(ErrorEstimate("quadrature", 0.03, "t"), np.array([1.0, 9.0])), [0.03, 0.03]
+    )
+
+
+# ---------------------------------------------------------------- waves
+
+LINE = 2.5e-3 * np.arange(1, 11)  # the thesis' ten points
+
+
+def plane_wave(frequency, c, delta, x=LINE):
+    k = 2 * np.pi * frequency / c - 1j * delta
+    return (0.3 - 0.7j) * np.exp(-1j * np.outer(k, x))
+
+
+@pytest.mark.parametrize("decay", ["nonlinear", "log", "normalised"])
+def test_damped_plane_wave_is_recovered(decay):
+    f = np.linspace(50, 500, 19)
+    c, delta = 3 + f / 200, 20 + 0.4 * f
+    fit = fit_waves(f, LINE, plane_wave(f, c, delta), decay=decay)
+    assert np.allclose(fit.speed, c, rtol=1e-6)  # asked for; rounding gives about 1e-13
+    assert np.allclose(fit.attenuation, delta, rtol=1e-6)
+    assert np.allclose(fit.wavenumber, 2 * np.pi * f / c, rtol=1e-6)
+    assert fit.phase_misfit.max() < 1e-10
+    assert fit.decay_misfit.max() < 1e-7
+    assert np.allclose(fit.phase_step, fit.wavenumber * 2.5e-3, rtol=1e-9)
+
+
+@given(st.floats(1, 30), st.floats(-50, 600), st.floats(20, 600))
+def test_any_wave_sampled_twice_per_wavelength_is_recovered(c, delta, f):
+    if 2 * np.pi * f / c * 2.5e-3 > 3:  # beyond pi per step the phase is ambiguous
+        return
+    fit = fit_waves(np.array([f]), LINE, plane_wave(np.array([f]), np.array([c]), np.array([delta])))
+    assert fit.speed[0] == pytest.approx(c, rel=1e-6)
+    assert fit.attenuation[0] == pytest.approx(delta, rel=1e-6, abs=1e-5)
+
+
+def test_an_ingoing_wave_has_a_negative_speed():
+    f = np.array([100.0])
+    wave = plane_wave(f, np.array([4.0]), np.array([30.0]))
+    assert fit_waves(f, LINE, wave.conj()).speed[0] == pytest.approx(-4, rel=1e-9)
+
+
+def test_nonlinear_fit_is_least_squares_and_weighs_near_points_more_than_log():
+    """A decay that saturates: the fits must differ, and each be the minimum of its own misfit."""
+    size = np.exp(-200 * LINE) + 0.05
+    fits = {
+        d: fit_waves(np.ones(1), LINE, size[None].astype(complex), decay=d).attenuation[0]
+        for d in ("nonlinear", "log")
+    }
+    assert fits["nonlinear"] > fits["log"] + 10
+
+    def best(delta):  # least squares of A for this delta
+        shape = np.exp(-delta * LINE)
+        return np.sum((shape @ size / (shape @ shape) * shape - size) ** 2)
+
+    scan = np.linspace(50, 250, 200001)
+    assert fits["nonlinear"] == pytest.approx(
+        scan[np.argmin([best(d) for d in scan[::10]]) * 10], abs=0.02
+    )  # of the scan
+    assert fits["log"] == pytest.approx(-np.polyfit(LINE, np.log(size), 1)[0], rel=1e-9)
+
+
+def test_unknown_or_silent_rows_are_nan_and_leave_the_others_alone():
+    f = np.array([100.0, 200.0, 300.0])
+    wave = plane_wave(f, 4 + 0 * f, 50 + 0 * f)
+    wave[0, 3], wave[2, 5] = np.nan, 0
+    fit = fit_waves(f, LINE, wave)
+    assert np.array_equal(np.isfinite(fit.speed), [False, True, False])
+    assert np.array_equal(np.isfinite(fit.attenuation), [False, True, False])
+    assert fit.speed[1] == pytest.approx(4, rel=1e-9)
+    assert np.all(np.isnan(fit_waves(f, LINE, 0 * np.nan_to_num(wave)).speed))
+
+
+@pytest.mark.parametrize("x", [[0.0, 0.1], [0.0, 0.2, 0.1], [0.0, 0.1, 0.1]])
+def test_lines_that_say_nothing_are_refused(x):
+    with pytest.raises(DataError, match="3 increasing distances"):
+        fit_waves(np.ones(1), np.array(x), np.ones((1, len(x)), dtype=complex))
+
+
+def test_responses_of_another_shape_are_refused():
+    with pytest.raises(DataError, match="expected"):
+        fit_waves(np.ones(2), LINE, np.ones((1, 10), dtype=complex))
+
+
+# ---------------------------------------------------------------- conditioning, spots
+
+
+def test_singular_values_and_condition():
+    values = np.array(
+        [np.diag([3.0, -2.0, 0.5]), np.diag([1.0, 1.0, 0.0]), np.full((3, 3), np.nan)], dtype=complex
+    )
+    assert np.allclose(singular_values(values)[:2], [[3, 2, 0.5], [1, 1, 0]])
+    assert np.array_equal(condition_number(values), [6, np.inf, np.nan], equal_nan=True)
+
+
+def test_spot_measures():
+    areas = np.array([1.0, 4.0, 2.0, np.nan])
+    places = np.array([[0.0, 0], [0.01, 0], [0.03, 0], [0.0, 9]])
+    assert contrast(areas, 1) == 2
+    assert contrast(np.array([1.0, 0.0]), 0) == np.inf
+    assert spot_radius(areas, places, 1) == pytest.approx(np.sqrt((1 * 0.01**2 + 2 * 0.02**2) / 7))
+
+
+def test_width_at_half_maximum():
+    x = np.linspace(-1, 1, 2001)
+    assert fwhm(x, np.exp(-((x / 0.2) ** 2))) == pytest.approx(
+        2 * 0.2 * np.sqrt(np.log(2)), rel=1e-5
+    )  # 1e-3 steps, linear
+    assert fwhm(np.array([0.0, 1, 2]), np.array([0.0, 2, 0])) == 1
+    assert np.isnan(fwhm(np.array([0.0, 1, 2]), np.array([1.5, 2, 0])))
+    with pytest.raises(DataError, match="width"):
+        fwhm(np.array([0.0, 0, 1]), np.ones(3))
