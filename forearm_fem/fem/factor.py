@@ -91,9 +91,10 @@ def make_factor(operator: AffineOperator, omega: float, backend: Backend, *, sin
 
 @dataclass(frozen=True)
 class Solution:
-    """Solutions (n, k) and their largest relative residual."""
+    """Solutions (n, k), what is left of the right-hand sides (n, k), and the largest relative residual."""
 
     values: ComplexArray
+    rest: ComplexArray
     residual: float
 
 
@@ -124,4 +125,4 @@ def refined_solve(
             break
     if not residual < 1e-6:
         raise SolverError(f"linear solve left a relative residual of {residual:.1e}; the system is singular or badly scaled")
-    return Solution(x, residual)
+    return Solution(x, rest, residual)

@@ -79,7 +79,7 @@ def build_model(
 
 def _functional(space: MixedSpace, port: Port, rules: Constraints) -> FloatArray:
     if port.name in rules.masters and port.kind == "contact":
-        return np.eye(1, rules.transform.shape[1], rules.masters[port.name])[0]
+        return np.asarray(np.eye(1, rules.transform.shape[1], rules.masters[port.name])[0])
     return np.asarray(rules.transform.T @ port_functional(space, port))
 
 
@@ -133,7 +133,8 @@ def _shear_and_mass(
 def _boundaries(
     space: MixedSpace, tissues: Mapping[str, Tissue], supports: Supports, membrane: Membrane, transform: csr_array
 ) -> Matrices:
-    facets, result = space.mesh.facets, []
+    facets = space.mesh.facets
+    result: Matrices = []
     if supports.ends == "absorb" and len(facets.get("end", ())):
         result += _dashpots(space, tissues, facets["end"])
     if supports.underside == "foam" and len(facets.get("underside", ())):
@@ -147,7 +148,8 @@ def _boundaries(
     if membrane.stiffness or membrane.viscosity:
         sheet = Polynomial(membrane.stiffness, membrane.viscosity)
         result.append(("skin membrane", facet_membrane(space, skin), sheet))
-    return [(name, _reduced(transform, matrix), coefficient) for name, matrix, coefficient in result]
+    reduced: Matrices = [(name, _reduced(transform, matrix), coefficient) for name, matrix, coefficient in result]
+    return reduced
 
 
 def _dashpots(space: MixedSpace, tissues: Mapping[str, Tissue], facets: IntArray) -> Matrices:

@@ -63,6 +63,17 @@ class ReducedModel:
             self.coefficients, matrices, self.functionals[keep], self.shares, self.last_order[keep], self.basis[:, keep]
         )
 
+    def projected(self, directions: FloatArray) -> ReducedModel:
+        """The model on the span of orthonormal ``directions`` (r, s) of this space."""
+        return ReducedModel(
+            self.coefficients,
+            np.array([directions.T @ m @ directions for m in self.matrices]),
+            directions.T @ self.functionals,
+            self.shares,
+            np.zeros(directions.shape[1], dtype=bool),
+            self.basis @ directions,
+        )
+
     def with_coefficients(self, coefficients: Sequence[Coefficient]) -> ReducedModel:
         """The same space for other moduli or densities; its error for them is not certified."""
         return ReducedModel(

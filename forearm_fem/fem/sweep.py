@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from ..scenario.sweep import SolverOptions
 from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray
+from .compress import compressed, pole_residue
 from .factor import Factor, Solution, make_factor, refined_solve
 from .model import ForearmModel
 from .reduce import ReducedModel, empty_model, extend
@@ -27,10 +29,15 @@ class Certificate:
 
 @dataclass(frozen=True)
 class SweepResult:
-    """Compliance (n_frequency, n_port, n_port) [m/N] with its linear residual and what certifies the reduction."""
+    """Compliance (n_frequency, n_port, n_port) [m/N] and what certifies it.
+
+    ``residual`` is the largest relative residual of any solve, ``solve_error`` the error of the compliance that it
+    causes, relative to the largest watched entry: x_i . r_j, exact to first order as A is symmetric.
+    """
 
     values: ComplexArray
     residual: float
+    solve_error: float = 0.0
     reduced: ReducedModel | None = None
     expansions: tuple[float, ...] = ()
     certificates: tuple[Certificate, ...] = ()
@@ -50,14 +57,14 @@ class DirectSolver:
         self.factor.factorise(data)
         return self._solve(data, self.model.functionals.astype(complex))
 
-    def taylor(self, frequency: float, start: Solution, order: int) -> list[ComplexArray]:
+    def taylor(self, frequency: float, start: ComplexArray, order: int) -> list[ComplexArray]:
         """Taylor coefficients 0 ... ``order`` in omega of the solutions about ``frequency``, unit-free columns.
 
         A_0 x_k = - sum_j A_j x_(k-j) with the Taylor matrices A_j; each order is scaled by its own norm.
         """
         operator, omega = self.model.operator, 2 * np.pi * frequency
         data, slopes = operator.data(omega), operator.taylor_data(omega, order)
-        series = [start.values]
+        series = [start]
         for k in range(1, order + 1):
             right = np.zeros_like(series[0])
             for j in range(1, k + 1):
@@ -68,6 +75,12 @@ class DirectSolver:
 
     def _solve(self, data: ComplexArray, right: ComplexArray) -> Solution:
         return refined_solve(self.factor, self.model.operator.upper(data), right, tolerance=self.tolerance)
+
+    def solve_error(self, solution: Solution) -> float:
+        """Error of the watched compliances caused by the residual, relative to the largest of them."""
+        block = np.ix_(*_watched(self.model))
+        change = np.abs(solution.values.T @ solution.rest)[block]
+        return float(change.max() / np.abs(self.model.functionals.T @ solution.values)[block].max())
 
     def compliance(self, solution: Solution) -> ComplexArray:
         """Compliance (n_port, n_port) [m/N] from solutions."""
@@ -86,14 +99,36 @@ def direct_sweep(
 ) -> SweepResult:
     """Factorise and solve at every frequency (n,) [Hz]."""
     solver = make_solver(model, options, float(frequency[-1]))
-    values, residual = [], 0.0
+    values, residual, error = [], 0.0, 0.0
     for i, f in enumerate(frequency):
         solution = solver.at(float(f))
         values.append(solver.compliance(solution))
-        residual = max(residual, solution.residual)
+        residual, error = max(residual, solution.residual), max(error, solver.solve_error(solution))
         _tell(progress, "direct solves", i + 1, len(frequency))
     solver.factor.release()
-    return SweepResult(np.array(values), residual)
+    return SweepResult(np.array(values), residual, error)
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """Direct solutions at ``frequency`` with Taylor coefficients: ``series[k]`` (n, n_port) for order k."""
+
+    frequency: float
+    series: tuple[ComplexArray, ...]
+    residual: float
+    solve_error: float
+
+
+class Snapshots(Protocol):
+    """Where expansions are kept between runs, so that an interrupted sweep loses none that was finished."""
+
+    def get(self, frequency: float) -> Expansion | None:
+        """What was stored for a frequency, or None."""
+        ...
+
+    def put(self, expansion: Expansion) -> None:
+        """Store an expansion for good."""
+        ...
 
 
 def reduced_sweep(
@@ -103,79 +138,122 @@ def reduced_sweep(
     *,
     tolerance: float = 1e-4,
     progress: Progress | None = None,
+    snapshots: Snapshots | None = None,
 ) -> SweepResult:
-    """Sweep by a reduced model whose expansion frequencies are chosen where it is least certain.
+    """Sweep by a reduced model expanded about few frequencies and certified between them.
 
-    Each new expansion frequency is first a test: the model built so far is compared there with the direct solve. The
-    sweep ends when that true error is below ``tolerance`` (or ``max_expansions`` is reached: the certificates say so).
+    Expansion starts at :func:`expansion_frequencies`. Then the frequency at which the highest derivatives still matter
+    most is solved directly: that true error certifies the model, and where it exceeds ``tolerance`` the solution and
+    its derivatives extend it (at most ``max_expansions`` times in all; the certificates say what was reached).
     """
-    solver = make_solver(model, options, float(frequency[-1]))
-    reduced, residual = empty_model(model), 0.0
-    expansions: list[float] = []
-    certificates: list[Certificate] = []
-    chosen: float | None = _first(frequency)
-    while chosen is not None:
-        solution = solver.at(chosen)
-        residual = max(residual, solution.residual)
-        if reduced.size:
-            certificates.append(_certify(reduced, solver, solution, chosen))
-        reduced = extend(reduced, model, solver.taylor(chosen, solution, options.derivatives))
-        expansions.append(chosen)
-        _tell(progress, "expansion frequencies", len(expansions), options.max_expansions)
-        chosen = _next(reduced, frequency, expansions, certificates, options, tolerance)
-    solver.factor.release()
-    values = reduced.compliance(frequency)
-    return SweepResult(values, residual, reduced, tuple(expansions), tuple(certificates))
+    work = _Expander(model, options, snapshots)
+    planned = expansion_frequencies(frequency, options)
+    reduced, used = empty_model(model), list[Expansion]()
+    for i, f in enumerate(planned):
+        used.append(work.expand(f))
+        reduced = extend(reduced, model, used[-1].series)
+        _tell(progress, "expansion frequencies", i + 1, len(planned) + 1)
+    certificates = list[Certificate]()
+    while (chosen := most_uncertain(reduced, frequency, [e.frequency for e in used], _watched(model))) is not None:
+        truth = work.direct(chosen)
+        certificates.append(_certify(reduced, model, truth.series[0], chosen))
+        _tell(progress, "expansion frequencies", len(used) + 1, len(used) + 1)
+        if certificates[-1].error <= tolerance or len(used) >= options.max_expansions:
+            break
+        used.append(work.expand(chosen, truth))
+        reduced = extend(reduced, model, used[-1].series)
+    work.release()
+    return _swept(reduced, frequency, used, certificates)
 
 
-def _certify(reduced: ReducedModel, solver: DirectSolver, solution: Solution, frequency: float) -> Certificate:
-    truth = solver.compliance(solution)[None]
+def _swept(
+    reduced: ReducedModel, frequency: FloatArray, used: list[Expansion], certificates: list[Certificate]
+) -> SweepResult:
+    small = compressed(reduced, frequency)
+    fast = pole_residue(small)
+    return SweepResult(
+        small.compliance(frequency) if fast is None else fast.compliance(frequency),
+        max(e.residual for e in used),
+        max(e.solve_error for e in used),
+        small,
+        tuple(e.frequency for e in used),
+        tuple(certificates),
+    )
+
+
+class _Expander:
+    """Makes expansions, or takes them from the store; factorises only when it must."""
+
+    def __init__(self, model: ForearmModel, options: SolverOptions, store: Snapshots | None) -> None:
+        self._model, self._options, self._store = model, options, store
+        self._solver: DirectSolver | None = None
+
+    def direct(self, frequency: float) -> Expansion:
+        """Direct solutions without derivatives, taken from a stored expansion where there is one."""
+        if self._store is not None and (stored := self._store.get(frequency)) is not None:
+            return stored
+        solution = self._ready(frequency).at(frequency)
+        error = self._ready(frequency).solve_error(solution)
+        return Expansion(frequency, (solution.values,), solution.residual, error)
+
+    def expand(self, frequency: float, start: Expansion | None = None) -> Expansion:
+        """Solutions and derivatives; ``start`` are direct solutions whose factorisation is still held."""
+        start = start or self.direct(frequency)
+        if len(start.series) > self._options.derivatives:
+            return start
+        solver = self._ready(frequency)
+        series = solver.taylor(frequency, start.series[0], self._options.derivatives)
+        result = Expansion(frequency, tuple(series), start.residual, start.solve_error)
+        if self._store is not None:
+            self._store.put(result)
+        return result
+
+    def release(self) -> None:
+        """Give the factor's memory back."""
+        if self._solver is not None:
+            self._solver.factor.release()
+
+    def _ready(self, frequency: float) -> DirectSolver:
+        if self._solver is None:
+            self._solver = make_solver(self._model, self._options, frequency)
+        return self._solver
+
+
+def expansion_frequencies(frequency: FloatArray, options: SolverOptions) -> tuple[float, ...]:
+    """Chebyshev nodes of sqrt(f) over the band: best of four spacings tried (docs/decisions.md)."""
+    count = min(options.expansions, len(frequency))
+    nodes = (1 - np.cos((2 * np.arange(count) + 1) * np.pi / (2 * count))) / 2
+    low, high = np.sqrt(frequency[0]), np.sqrt(frequency[-1])
+    wanted = (low + (high - low) * nodes) ** 2
+    return tuple(sorted({float(frequency[np.argmin(np.abs(frequency - f))]) for f in wanted}))
+
+
+def _certify(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArray, frequency: float) -> Certificate:
+    """Error at the watched ports against direct solutions (n, n_port)."""
+    block = np.ix_([0], *_watched(model))
+    truth = ((model.functionals.T @ solutions) * model.shares)[None]
     estimate = reduced.compliance(np.array([frequency]))
-    rows, columns = _points_by_contacts(reduced, solver.model)
-    error = relative_error(estimate[:, rows][:, :, columns], truth[:, rows][:, :, columns])
-    return Certificate(frequency, float(error[0]))
+    return Certificate(frequency, float(relative_error(estimate[block], truth[block])[0]))
 
 
-def _points_by_contacts(reduced: ReducedModel, model: ForearmModel) -> tuple[list[int], list[int]]:
-    """Rows and columns of the compliance whose error counts: grid points (else all ports) by contacts."""
+def most_uncertain(
+    reduced: ReducedModel, frequency: FloatArray, expansions: list[float], watched: tuple[list[int], list[int]]
+) -> float | None:
+    """The frequency at which leaving out the highest derivatives changes the compliance most; None if all are used."""
+    probes = frequency[np.unique(np.linspace(0, len(frequency) - 1, 41).astype(int))]
+    probes = np.array([f for f in probes if f not in expansions] or [f for f in frequency if f not in expansions])
+    if not len(probes):
+        return None
+    block = np.ix_(range(len(probes)), *watched)
+    coarse, fine = reduced.without_last_order().compliance(probes), reduced.compliance(probes)
+    return float(probes[int(np.argmax(relative_error(coarse[block], fine[block])))])
+
+
+def _watched(model: ForearmModel) -> tuple[list[int], list[int]]:
+    """Rows and columns whose error counts: grid points (else contacts) for forces on contacts (else points)."""
     contacts = [i for i, p in enumerate(model.ports) if p.kind == "contact"]
     points = [i for i, p in enumerate(model.ports) if p.kind == "point"]
-    del reduced
     return points or contacts, contacts or points
-
-
-def _first(frequency: FloatArray) -> float:
-    return float(frequency[len(frequency) // 2])
-
-
-def _next(
-    reduced: ReducedModel,
-    frequency: FloatArray,
-    expansions: list[float],
-    certificates: list[Certificate],
-    options: SolverOptions,
-    tolerance: float,
-) -> float | None:
-    """Where to expand next, or None when certified or at the limit of expansions."""
-    certified = bool(certificates) and certificates[-1].error <= tolerance
-    if certified or len(expansions) >= min(options.max_expansions, len(frequency)):
-        return None
-    return most_uncertain(reduced, frequency, expansions)
-
-
-def most_uncertain(reduced: ReducedModel, frequency: FloatArray, expansions: list[float]) -> float:
-    """The frequency at which leaving out the highest derivatives changes the compliance most."""
-    probes = frequency[np.unique(np.linspace(0, len(frequency) - 1, 61).astype(int))]
-    probes = np.array([f for f in probes if f not in expansions])
-    if not len(probes):
-        probes = np.array([f for f in frequency if f not in expansions])
-    change = relative_error(_finite(reduced.without_last_order().compliance(probes)), _finite(reduced.compliance(probes)))
-    return float(probes[int(np.argmax(change))])
-
-
-def _finite(values: ComplexArray) -> ComplexArray:
-    columns = np.isfinite(values).all(axis=(0, 1))
-    return np.asarray(values[:, :, columns])
 
 
 def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:

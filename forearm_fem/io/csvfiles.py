@@ -51,9 +51,13 @@ def _text(value: Any) -> str:
 
 def _head(transfer: TransferMatrix) -> dict[str, Any]:
     return {
-        "unit": transfer.unit, "quantity": "displacement", "sign": "+iwt", "spectrum": "one-sided",
+        "unit": transfer.unit,
+        "quantity": "displacement",
+        "sign": "+iwt",
+        "spectrum": "one-sided",
         "masked": transfer.valid is not None,
-        "outputs": [vars(p) for p in transfer.outputs], "inputs": [vars(p) for p in transfer.inputs],
+        "outputs": [vars(p) for p in transfer.outputs],
+        "inputs": [vars(p) for p in transfer.inputs],
     }
 
 
@@ -66,6 +70,15 @@ def read_csv(path: str | Path) -> RawMatrix:
     is wrong.
     """
     file = Path(path)
+    try:
+        return _read(file)
+    except (KeyError, TypeError, ValueError, AttributeError) as problem:
+        raise DataError(
+            f"{file}: its first line does not fit the rest or is damaged; export it again"
+        ) from problem
+
+
+def _read(file: Path) -> RawMatrix:
     head, header, lines, offset = _split(file)
     table = _table(file, header, lines, offset)
     frequency = np.unique(table["frequency_Hz"])

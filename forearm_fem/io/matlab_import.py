@@ -16,7 +16,7 @@ from scipy.io import loadmat, savemat
 from ..errors import DataError
 from ..measurement.declaration import Axis, Declaration, RawMatrix, RecognitionWarning
 from ..transfer import TransferMatrix
-from ..typing import FloatArray
+from ..typing import BoolArray, FloatArray
 from .atomic import atomic_path
 
 _NAMES = ("frequency_Hz", "frequency", "freq", "f", "F", "freqs", "f_Hz")
@@ -34,7 +34,21 @@ def read_mat(path: str | Path, declaration: Declaration) -> RawMatrix:
     name = _matrix(file, variables, declaration.variable)
     values = np.asarray(variables[name], dtype=complex)
     frequency = _frequency(file, variables, name, values.shape, declaration)
-    return RawMatrix(f"{file}:{name}", values, frequency, provenance={"format": "MATLAB", "variable": name})
+    provenance = {"format": "MATLAB", "variable": name}
+    valid = _mask(file, variables, declaration.valid_variable, values.shape)
+    return RawMatrix(f"{file}:{name}", values, frequency, valid=valid, provenance=provenance)
+
+
+def _mask(
+    file: Path, variables: Mapping[str, Any], name: str | None, shape: tuple[int, ...]
+) -> BoolArray | None:
+    if name is None:
+        return None
+    if name not in variables or variables[name].shape != shape:
+        raise DataError(
+            f"{file}: has no mask '{name}' of G's shape {shape}; leave valid_variable out, or correct it"
+        )
+    return np.asarray(variables[name] != 0)
 
 
 def read_variables(file: Path) -> dict[str, Any]:
@@ -46,8 +60,9 @@ def read_variables(file: Path) -> dict[str, Any]:
             warnings.simplefilter("error")
             found = _hdf5(file) if h5py.is_hdf5(file) else _version5(file)
     except Exception as problem:  # scipy and h5py list no errors for damage
-        reason = " ".join(str(problem).split())[:100] or type(problem).__name__
-        raise DataError(f"{file}: damaged, cut short or not a MATLAB file ({reason})") from problem
+        raise DataError(
+            f"{file}: damaged, cut short or not a MATLAB file; save or copy it again"
+        ) from problem
     if not found:
         raise DataError(
             f"{file}: holds no numeric arrays; save G as a plain array, not inside a structure or object"

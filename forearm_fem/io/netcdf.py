@@ -104,7 +104,7 @@ def _error_variables(of: str, errors: tuple[ErrorEstimate, ...]) -> Variables:
 
 def _padded(rows: list[tuple[float, ...]]) -> FloatArray:
     width = max(map(len, rows))
-    return np.array([[*row, *[np.nan] * (width - len(row))] for row in rows], dtype=float).reshape(-1, width)
+    return np.array([[*row, *[np.nan] * (width - len(row))] for row in rows], dtype=float).reshape(len(rows), width)
 
 
 def _errors_of(dataset: xr.Dataset, of: str) -> tuple[ErrorEstimate, ...]:

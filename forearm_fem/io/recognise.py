@@ -45,7 +45,12 @@ def read_measured(
 def write_measured(path: str | Path, transfer: TransferMatrix) -> None:
     """G in the format of the path's suffix: .nc (everything), .mat (7.3), .uff, .tdms or .csv."""
     writers: Mapping[str, Callable[[str | Path, TransferMatrix], None]] = {
-        ".nc": write_transfer, ".mat": write_mat73, ".uff": write_uff, ".unv": write_uff, ".tdms": write_tdms, ".csv": write_csv,
+        ".nc": write_transfer,
+        ".mat": write_mat73,
+        ".uff": write_uff,
+        ".unv": write_uff,
+        ".tdms": write_tdms,
+        ".csv": write_csv,
     }
     kind = Path(path).suffix.lower()
     if kind not in writers:
@@ -55,7 +60,7 @@ def write_measured(path: str | Path, transfer: TransferMatrix) -> None:
 
 def _netcdf(file: Path, declaration: Declaration, ports: Ports | None) -> TransferMatrix:
     if declaration != Declaration():
-        raise DataError(f"{file}: says all about itself; leave the declaration out, or correct the file")
+        raise DataError(f"{file}: describes itself; leave the declaration out")
     return read_transfer(file)
 
 

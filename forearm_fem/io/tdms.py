@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import importlib
 import json
+import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +16,6 @@ import numpy as np
 from ..errors import DataError, MissingExtra
 from ..measurement.declaration import RawMatrix, port_from
 from ..measurement.recording import Recording
-from ..ports import Port
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .atomic import atomic_path
@@ -31,8 +33,12 @@ def write_tdms(path: str | Path, transfer: TransferMatrix) -> None:
     tdms = _nptdms()
     ports = {"outputs": [vars(p) for p in transfer.outputs], "inputs": [vars(p) for p in transfer.inputs]}
     properties = {
-        "unit": transfer.unit, "quantity": "displacement", "sign": "+iwt", "spectrum": "one-sided",
-        "ports": json.dumps(ports), "masked": int(transfer.valid is not None),
+        "unit": transfer.unit,
+        "quantity": "displacement",
+        "sign": "+iwt",
+        "spectrum": "one-sided",
+        "ports": json.dumps(ports),
+        "masked": int(transfer.valid is not None),
     }
     parts = [
         tdms.GroupObject(_GROUP, properties=properties),
@@ -67,7 +73,8 @@ def _channel(tdms: Any, name: str, data: Any, unit: str) -> Any:
 
 def read_tdms(path: str | Path) -> RawMatrix:
     """G as :func:`write_tdms` lays it out; DataError if missing, damaged, cut short or of another layout."""
-    return _guarded(Path(path), _read)
+    raw: RawMatrix = _guarded(Path(path), _read)
+    return raw
 
 
 def _guarded(file: Path, read: Any) -> Any:
@@ -80,8 +87,28 @@ def _guarded(file: Path, read: Any) -> Any:
     except (DataError, MissingExtra):
         raise
     except Exception as problem:  # npTDMS raises ValueError, struct errors, KeyError, UnicodeDecodeError
-        reason = " ".join(str(problem).split())[:100] or type(problem).__name__
-        raise DataError(f"{file}: damaged, cut short or not a TDMS file ({reason})") from problem
+        raise DataError(f"{file}: damaged, cut short or not a TDMS file; copy it again") from problem
+
+
+@contextmanager
+def _complaints() -> Iterator[list[logging.LogRecord]]:
+    """What npTDMS only logs, and prints: among it that a file is cut short."""
+    heard: list[logging.LogRecord] = []
+
+    class Listener(logging.Filter):
+        def filter(self, record: logging.LogRecord) -> bool:
+            heard.append(record)
+            return False
+
+    listener = Listener()
+    loggers = importlib.import_module("nptdms.log").log_manager.loggers.values()
+    for logger in loggers:
+        logger.addFilter(listener)
+    try:
+        yield heard
+    finally:
+        for logger in loggers:
+            logger.removeFilter(listener)
 
 
 def _nptdms() -> Any:
@@ -94,7 +121,12 @@ def _nptdms() -> Any:
 def _open(file: Path) -> Any:
     if file.read_bytes()[:4] != b"TDSm":
         raise DataError(f"{file}: is not a TDMS file; its first bytes are not 'TDSm'")
-    return _nptdms().TdmsFile.read(str(file))
+    tdms = _nptdms()
+    with _complaints() as complaints:
+        content = tdms.TdmsFile.read(str(file))
+    if complaints:
+        raise DataError(f"{file}: is cut short or damaged; copy it again, or record it again")
+    return content
 
 
 def _read(file: Path) -> RawMatrix:
@@ -131,9 +163,7 @@ def _cube(group: Any, shape: tuple[int, int, int], part: str) -> FloatArray:
     for o, i in np.ndindex(*shape[1:]):
         column = group[f"{o + 1}<-{i + 1} {part}"][:]
         if len(column) != shape[0]:
-            raise DataError(
-                f"entry {o + 1} <- {i + 1} has {len(column)} of {shape[0]} values; the file is cut short"
-            )
+            raise ValueError(f"entry {o + 1} <- {i + 1} has {len(column)} of {shape[0]} values")
         out[:, o, i] = column
     return out
 

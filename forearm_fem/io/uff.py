@@ -1,10 +1,10 @@
-"""Universal file format, dataset 58 (functions at nodal degrees of freedom), through pyuff.
+"""Universal file format, dataset 58 (functions at nodal degrees of freedom); read through pyuff, written
+here.
 
-Four habits of pyuff 2.5 are worked around, each seen in its source: overwriting in binary mode truncates
-the header it has just written (we only append to a new file); NaN becomes 0 (we refuse it, and leave masked
-bins out of the entry); the byte count in the binary header is that of real data (we write the right one);
-and a data set cut short is returned without complaint (we count the values). What is written is read back
-and compared before it counts.
+pyuff 2.5 does not serve for writing: in binary mode "overwrite" truncates the header it has just written,
+NaN becomes 0, complex data get the byte count of real ones, and files are left open. So the datasets are laid
+out here after the format's description (SDRC 58 and 58b) and read back with pyuff before they count. Of
+its reading one habit matters: a dataset cut short is returned without complaint, so values are counted.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ import numpy as np
 
 from ..errors import DataError, MissingExtra
 from ..measurement.declaration import RawMatrix, port_from
-from ..ports import Port
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
@@ -28,29 +27,31 @@ from .atomic import atomic_path
 
 _MARK = "forearm_fem e^{+i omega t}"
 _DEVIATION = "standard deviation"
+_PRIVATE = 9158  # dataset number of our ports
+_END = f"{-1:6d}"
+_DENOMINATOR: Mapping[str, int] = MappingProxyType({"V": 0, "N": 13, "m": 8})
 _NUMERATOR: Mapping[int, Quantity] = MappingProxyType({8: "displacement", 11: "velocity", 12: "acceleration"})
 
 
 def write_uff(path: str | Path, transfer: TransferMatrix) -> None:
     """G as one binary dataset 58 per entry [m/V, m/N or m/m], its deviation as another, the ports in
-    dataset 151.
+    a private one.
 
-    Masked bins are left out of their entry (its abscissa then has a gap), never written as zeros. Error
+    Masked bins are left out of their entry (its abscissa then has a gap), never written as zeros; a bin
+    that is masked in every entry is lost. Error
     estimates, ``contacts`` and provenance are not carried: transfer.nc has them. Raises DataError for NaN
     among valid entries, and if what stands in the file is not what was to be written.
     """
-    pyuff = _pyuff()
+    _pyuff()
     valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
     if bad := int(np.count_nonzero(~np.isfinite(transfer.values) & valid)):
         raise DataError(f"{path}: {bad} entries of G are not finite; mark them in `valid` before writing UFF")
+    blocks = [_header(transfer)]
+    for o, i in np.ndindex(*transfer.values.shape[1:]):
+        blocks += _entry(transfer, valid[:, o, i], o, i)
     with atomic_path(path) as beside:
-        beside.write_text(_header(transfer), encoding="ascii")
-        file = pyuff.UFF(str(beside))
-        for o, i in np.ndindex(*transfer.values.shape[1:]):
-            for dataset in _datasets(transfer, valid[:, o, i], o, i):
-                file.write_sets([dataset], mode="add")
-        beside.write_bytes(_with_byte_counts(beside.read_bytes()))
-        _compare(path, transfer, valid, _read(beside))
+        beside.write_bytes(b"".join(blocks))
+        _compare(path, transfer, valid, _guarded(beside))
 
 
 def read_uff(path: str | Path) -> RawMatrix:
@@ -60,12 +61,15 @@ def read_uff(path: str | Path) -> RawMatrix:
     outputs and inputs in the order of their numbers. Raises DataError for damage, cut-off data, and files
     without FRFs.
     """
-    file = Path(path)
+    return _guarded(Path(path))
+
+
+def _guarded(file: Path) -> RawMatrix:
     if not file.is_file():
         raise DataError(f"{file}: no such file")
     try:
         return _read(file)
-    except DataError:
+    except (DataError, MissingExtra):
         raise
     except Exception as problem:  # pyuff raises plain Exception for whatever goes wrong
         raise DataError(f"{file}: damaged or not a universal file ({_short(problem)})") from problem
@@ -82,72 +86,47 @@ def _pyuff() -> Any:
         raise MissingExtra("pyuff", "uff", "reading and writing universal files") from None
 
 
-def _header(transfer: TransferMatrix) -> str:
-    """Dataset 151 with the ports as JSON in 80-column lines: readers that do not know it skip it."""
-    ports = {"outputs": [_plain(p) for p in transfer.outputs], "inputs": [_plain(p) for p in transfer.inputs]}
-    text = json.dumps({"unit": transfer.unit, "n": len(transfer.frequency), **ports}, ensure_ascii=True)
-    if "    -1" in text:
-        raise DataError("a port's name holds '    -1', which ends a universal dataset; rename it")
-    lines = [text[k : k + 72] for k in range(0, len(text), 72)]
-    return "\n".join([f"{-1:6d}", f"{151:6d}", _MARK, *(f"|{line}|" for line in lines), f"{-1:6d}"]) + "\n"
+def _header(transfer: TransferMatrix) -> bytes:
+    """A private dataset with the ports as JSON in 80-column lines: readers skip numbers that they do not
+    know.
+    """
+    ports = {"outputs": [vars(p) for p in transfer.outputs], "inputs": [vars(p) for p in transfer.inputs]}
+    text = json.dumps({"unit": transfer.unit, **ports}, ensure_ascii=True)
+    lines = [f"|{text[k : k + 72]}|" for k in range(0, len(text), 72)]
+    return "\n".join([_END, f"{_PRIVATE:6d}", _MARK, *lines, _END, ""]).encode("ascii")
 
 
-def _plain(port: Port) -> dict[str, Any]:
-    return dict(vars(port))
-
-
-def _datasets(transfer: TransferMatrix, valid: BoolArray, o: int, i: int) -> list[dict[str, Any]]:
-    values = transfer.values[valid, o, i]
+def _entry(transfer: TransferMatrix, valid: BoolArray, o: int, i: int) -> list[bytes]:
+    """The response of one entry on its valid bins, and its deviation where that is known."""
     if not valid.any():
         return []
-    sets = [_dataset(transfer, o, i, transfer.frequency[valid], values, 4, "frequency response")]
+    x, drive = transfer.frequency[valid], transfer.unit.rpartition("/")[2]
+    sets = [_dataset58("frequency response", 4, (o, i), x, transfer.values[valid, o, i], drive)]
     if transfer.deviation is not None:
         size = transfer.deviation[valid, o, i]
         known = np.isfinite(size)
-        if known.any():
-            sets.append(
-                _dataset(transfer, o, i, transfer.frequency[valid][known], size[known], 0, _DEVIATION)
-            )
+        sets += [_dataset58(_DEVIATION, 0, (o, i), x[known], size[known], drive)] if known.any() else []
     return sets
 
 
-def _dataset(
-    transfer: TransferMatrix, o: int, i: int, x: FloatArray, data: Any, kind: int, title: str
-) -> dict[str, Any]:
-    drive = {"V": 0, "N": 13, "m": 8}[transfer.unit.rpartition("/")[2]]
-    return {
-        "type": 58, "binary": 1, "func_type": kind, "rsp_node": o + 1, "rsp_dir": 3, "ref_node": i + 1, "ref_dir": 3,
-        "id1": title, "id2": _MARK, "id3": "NONE", "id4": f"{o + 1} {i + 1}", "id5": "NONE",
-        "data": np.array(data), "x": _at_least_two(x), "abscissa_spacing": 0, "abscissa_spec_data_type": 18,
-        "abscissa_axis_lab": "frequency", "abscissa_axis_units_lab": "Hz",
-        "ordinate_spec_data_type": 8, "ordinate_axis_lab": "displacement", "ordinate_axis_units_lab": "m",
-        "orddenom_spec_data_type": drive, "orddenom_axis_lab": "drive",
-        "orddenom_axis_units_lab": transfer.unit.rpartition("/")[2],
-    }
-
-
-def _at_least_two(x: FloatArray) -> FloatArray:
-    """pyuff looks at x[1] whatever the spacing."""
-    if len(x) < 2:
-        raise DataError("a universal file needs at least two valid bins per entry; write transfer.nc instead")
-    return np.array(x)
-
-
-def _with_byte_counts(content: bytes) -> bytes:
-    """The header of each binary dataset 58 with the number of bytes that do follow it."""
-    parts, at = [], 0
-    while (start := content.find(b"\n    58b", at)) >= 0:
-        end_of_line = content.index(b"\n", start + 1)
-        data = end_of_line + 1
-        for _ in range(11):
-            data = content.index(b"\n", data) + 1
-        form = content[:data].rsplit(b"\n", 7)[1].split()  # record 7: type, number of pairs
-        size = int(form[1]) * 8 * (2 if int(form[0]) == 4 else 3)
-        fields = content[start + 1 : end_of_line]
-        parts += [content[at : start + 1], fields[:31] + b"%12d" % size + fields[43:] + b"\n"]
-        parts.append(content[end_of_line + 1 : data + size])
-        at = data + size
-    return b"".join([*parts, content[at:]])
+def _dataset58(title: str, kind: int, place: tuple[int, int], x: FloatArray, data: Any, drive: str) -> bytes:
+    """One binary dataset 58b: double precision, little endian, uneven abscissa (in double precision too)."""
+    parts = [data.real, data.imag] if np.iscomplexobj(data) else [data]
+    body = np.stack([x, *parts], axis=1).astype("<f8").tobytes()
+    row = "{:10d}{:5d}{:5d}{:5d} {:<20s} {:<20s}"
+    lines = [
+        _END,
+        f"{58:6d}b{1:6d}{2:6d}{11:12d}{len(body):12d}{0:6d}{0:6d}{0:12d}{0:12d}",
+        *(f"{line:<80s}" for line in (title, _MARK, "NONE", "NONE", "NONE")),
+        f"{kind:5d}{0:10d}{0:5d}{0:10d} {'NONE':>10s}{place[0] + 1:10d}{3:4d} "
+        f"{'NONE':>10s}{place[1] + 1:10d}{3:4d}",
+        f"{6 if len(parts) == 2 else 4:10d}{len(x):10d}{0:10d}{0.0:13.5e}{0.0:13.5e}{0.0:13.5e}",
+        row.format(18, 0, 0, 0, "frequency", "Hz"),
+        row.format(8, 0, 0, 0, "displacement", "m"),
+        row.format(_DENOMINATOR[drive], 0, 0, 0, "drive", drive),
+        row.format(0, 0, 0, 0, "NONE", "NONE"),
+    ]
+    return "\n".join([*lines, ""]).encode("ascii") + body + f"{_END}\n".encode("ascii")
 
 
 def _read(file: Path) -> RawMatrix:
@@ -172,7 +151,9 @@ def _read(file: Path) -> RawMatrix:
 def _sets(file: Path) -> list[dict[str, Any]]:
     if file.read_bytes().count(b"    -1") % 2:
         raise DataError(f"{file}: a dataset has no end mark; the file is cut short")
-    read = _pyuff().UFF(str(file)).read_sets()
+    content = _pyuff().UFF(str(file))
+    functions = [k for k, kind in enumerate(content.get_set_types()) if kind == 58]
+    read = content.read_sets(functions) if functions else []
     return read if isinstance(read, list) else [read]
 
 
@@ -209,8 +190,13 @@ def _cube(
 
 
 def _raw(
-    file: Path, sets: Sequence[dict[str, Any]], x: FloatArray, values: ComplexArray, valid: BoolArray,
-    nodes: list[list[int]], own: dict[str, Any] | None,
+    file: Path,
+    sets: Sequence[dict[str, Any]],
+    x: FloatArray,
+    values: ComplexArray,
+    valid: BoolArray,
+    nodes: list[list[int]],
+    own: dict[str, Any] | None,
 ) -> RawMatrix:
     first = next(s for s in sets if s.get("func_type") == 4)
     above, below = str(first["ordinate_axis_units_lab"]), str(first["orddenom_axis_units_lab"])
@@ -255,11 +241,11 @@ def _own_ports(file: Path) -> dict[str, Any] | None:
 
 def _compare(path: str | Path, transfer: TransferMatrix, valid: BoolArray, back: RawMatrix) -> None:
     """What was read back holds exactly the valid entries."""
-    seen = np.isin(transfer.frequency, back.frequency)
+    found = np.zeros(0) if back.frequency is None else back.frequency
+    seen = np.isin(transfer.frequency, found)
     same = (
-        back.frequency is not None
-        and back.valid is not None
-        and np.array_equal(transfer.frequency[seen], back.frequency)
+        back.valid is not None
+        and np.array_equal(transfer.frequency[seen], found)
         and np.array_equal(valid[seen], back.valid)
         and not valid[~seen].any()
         and np.array_equal(transfer.values[seen][back.valid], back.values[back.valid])

@@ -48,8 +48,7 @@ def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tup
             warnings.simplefilter("error")  # scipy only warns of files that are cut short
             rate, samples = wavfile.read(file)
     except Exception as problem:  # struct errors, warnings and ValueError alike
-        reason = " ".join(str(problem).split())[:100]
-        raise DataError(f"{file}: damaged, cut short or not a WAV file ({reason})") from problem
+        raise DataError(f"{file}: damaged, cut short or not a WAV file; export it again") from problem
     columns = samples.reshape(len(samples), -1).T
     if not np.issubdtype(columns.dtype, np.floating):
         columns = _scaled(file, columns, full_scale)

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from .base import Part
 from .device import Device, Grid
 from .limb import ForearmLimb, Limb
+from .measurement import MeasurementOptions
 from .mesh import MeshOptions
 from .rendering import Rendering
 from .supports import Supports
@@ -35,6 +36,7 @@ class Scenario(Part):
     mesh: MeshOptions = MeshOptions()
     solver: SolverOptions = SolverOptions()
     rendering: Rendering = Rendering()
+    measurement: MeasurementOptions = MeasurementOptions()
 
     @model_validator(mode="after")
     def _targets_exist(self) -> Self:

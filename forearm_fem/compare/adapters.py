@@ -1,0 +1,164 @@
+"""Ready-made models for :func:`fit`: a scenario's tissue and actuator parameters, by their keys."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..device.loop import close_loop
+from ..errors import ScenarioError
+from ..geometry.layout import layers_of
+from ..layered import Disc, Layer, layered_compliance
+from ..ports import Port
+from ..scenario import Scenario, parse_scenario
+from ..tissue import Tissue, resolve_tissues
+from ..transfer import Compliance, TransferMatrix
+from ..typing import FloatArray
+from .parameters import Parameter
+
+ComplianceOf = Callable[[Scenario], Compliance]
+
+
+class ScenarioModel:
+    """Maps dotted scenario keys, e.g. ``tissues.override.skin.mu`` or ``device.coil.moving_mass``, to G.
+
+    ``compliance_of`` computes the skin (layered twin, reduced model, full FE); it is called only when a key
+    outside ``device`` changes, for the actuators are closed around it at no cost. The last ``memory`` skins
+    are kept.
+    """
+
+    def __init__(self, scenario: Scenario, compliance_of: ComplianceOf, memory: int = 64) -> None:
+        self._base = scenario.model_dump(mode="json", exclude_none=True)
+        self._compliance_of = compliance_of
+        self._memory = memory
+        self._known: dict[tuple[tuple[str, float], ...], Compliance] = {}
+
+    def scenario(self, values: Mapping[str, float]) -> Scenario:
+        """The scenario with ``values`` set; ScenarioError for an unknown key."""
+        data = _with(self._base, values)
+        return parse_scenario(data, origin="fit")
+
+    def __call__(self, values: Mapping[str, float]) -> TransferMatrix:
+        """G at ``values``."""
+        scenario = self.scenario(values)
+        key = tuple(sorted((k, v) for k, v in values.items() if not _lumped(k)))
+        if key not in self._known:
+            if len(self._known) >= self._memory:
+                self._known.pop(next(iter(self._known)))
+            self._known[key] = self._compliance_of(scenario)
+        return close_loop(self._known[key], scenario.device)
+
+
+def _lumped(key: str) -> bool:
+    """Keys that do not change the skin: coil, cone mass and housing (the cone's radius does)."""
+    return key.startswith(("device.coil.", "device.housing.")) or key == "device.cone.mass"
+
+
+def _with(data: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
+    """A copy of nested ``data`` with dotted keys set; numbers count list positions
+    (limb.layers.0.thickness).
+    """
+    result: Any = dict(data)
+    for key, value in values.items():
+        result = _put(result, key.split("."), value, key)
+    return dict(result)
+
+
+def _put(data: Any, path: list[str], value: float, key: str) -> Any:
+    if not path:
+        return value
+    if isinstance(data, list | tuple):
+        if not path[0].isdigit() or int(path[0]) >= len(data):
+            raise ScenarioError(f"{key}: '{path[0]}' is no position in a list of {len(data)}")
+        at = int(path[0])
+        return [*data[:at], _put(data[at], path[1:], value, key), *data[at + 1 :]]
+    if not isinstance(data, Mapping):
+        raise ScenarioError(f"{key}: nothing can be set below '{path[0]}'")
+    return {**data, path[0]: _put(data.get(path[0], {}), path[1:], value, key)}
+
+
+def layered_compliance_of(
+    frequency: FloatArray, outputs: tuple[Port, ...], inputs: tuple[Port, ...], *, tolerance: float = 1e-4
+) -> ComplianceOf:
+    """The layered twin at ``frequency`` (n,) [Hz] between the planform places of the measured ports.
+
+    Flat, infinite, uniform pressure under the discs (the scenario's cone radius): a fit absorbs what that
+    leaves out into its parameters. The core below the layers is a half-space.
+    """
+
+    def compute(scenario: Scenario) -> Compliance:
+        radius = scenario.device.cone.radius
+        ports = (*(_contact(p, radius) for p in inputs), *outputs)
+        discs = [Disc(p.position[0], p.position[1], p.radius if p.kind == "contact" else 0.0) for p in ports]
+        result = layered_compliance(
+            layers_from(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs, tolerance=tolerance
+        )
+        values = np.full((len(frequency), len(ports), len(ports)), np.nan + 0j)
+        values[:, :, : len(inputs)] = result.values
+        values[:, : len(inputs)] = result.values.swapaxes(1, 2)
+        return Compliance(frequency, values, ports, provenance={"engine": "layered"})
+
+    return compute
+
+
+def _contact(p: Port, radius: float) -> Port:
+    return Port(p.name, "contact", p.position, p.axis, radius, "pressure")
+
+
+def layers_from(scenario: Scenario) -> tuple[Layer, ...]:
+    """The scenario's layers on a half-space of its core tissue; ScenarioError for a limb without layers."""
+    layers = layers_of(scenario.limb)
+    core = getattr(scenario.limb, "core", None)
+    if not layers or not isinstance(core, str):
+        raise ScenarioError("limb: the layered twin needs a parametric limb with layers and a core tissue")
+    tissues = resolve_tissues(scenario)
+    return (*(_layer(tissues[x.tissue], x.thickness) for x in layers), _layer(tissues[core], math.inf))
+
+
+def _layer(tissue: Tissue, thickness: float) -> Layer:
+    return Layer(thickness, tissue.density, tissue.modulus.at, tissue.bulk)
+
+
+def common_parameters(scenario: Scenario, names: Sequence[str]) -> tuple[Parameter, ...]:
+    """Parameters with sourced ranges (physics.md 4 and 9) for short names: skin.mu, skin.eta, fat.mu, ...,
+    coil.moving_mass, cone.mass, coil.resonance, coil.quality, fat.thickness, plus scale and delay (stage
+    0)."""
+    known = _known(scenario)
+    if unknown := [n for n in names if n not in known]:
+        raise ScenarioError(f"no parameter is called {', '.join(unknown)}; known are {', '.join(known)}")
+    return tuple(known[n] for n in names)
+
+
+def _known(scenario: Scenario) -> dict[str, Parameter]:
+    tissues = resolve_tissues(scenario)
+    coil, cone = scenario.device.coil, scenario.device.cone
+    found = {
+        "scale": Parameter("scale", 1.0, 0.2, 5.0, log=True, stage=0),
+        "delay": Parameter("delay", 0.0, -2e-3, 2e-3, stage=0, unit="s"),
+        "coil.moving_mass": Parameter(
+            "device.coil.moving_mass", coil.moving_mass, 0.1e-3, 1e-3, log=True, unit="kg"
+        ),
+        "coil.force_factor": Parameter(
+            "device.coil.force_factor", coil.force_factor, 0.8, 7.0, log=True, unit="T m"
+        ),
+        "coil.resonance": Parameter(
+            "device.coil.resonance", coil.resonance, 300.0, 1000.0, log=True, unit="Hz"
+        ),
+        "coil.quality": Parameter("device.coil.quality", coil.quality, 1.0, 10.0, log=True),
+        "cone.mass": Parameter("device.cone.mass", cone.mass, 0.1e-3, 1.5e-3, log=True, unit="kg"),
+    }
+    for layer, part in enumerate(layers_of(scenario.limb)):
+        key = f"limb.layers.{layer}.thickness"
+        found[f"{part.tissue}.thickness"] = Parameter(
+            key, part.thickness, part.thickness / 3, part.thickness * 3, log=True, unit="m"
+        )
+    for name, tissue in tissues.items():
+        for short, unit in (("mu", "Pa"), ("eta", "Pa s")):
+            value = getattr(tissue.modulus, short, None)
+            if isinstance(value, float) and value > 0:
+                key = f"tissues.override.{name}.{short}"
+                found[f"{name}.{short}"] = Parameter(key, value, value / 6, value * 6, log=True, unit=unit)
+    return found

@@ -1,0 +1,187 @@
+"""Two transfer matrices on common ground: the same frequencies and entries, with what is missing kept in
+sight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ..errors import DataError
+from ..ports import Port
+from ..transfer import TransferMatrix
+from ..typing import BoolArray, ComplexArray, FloatArray
+
+_SAME = 1e-6  # relative: frequencies closer than this are the same
+_GAP = 3.0  # an interval this much wider than the median one is a gap
+_SHORTEST = 8  # samples in a row that a spline needs
+
+
+@dataclass(frozen=True, eq=False)
+class CommonGround:
+    """``a`` and ``b`` (n, n_out, n_in) in one unit at ``frequency`` (n,) [Hz]; ``valid`` where both are
+    known.
+
+    ``deviation_a`` and ``deviation_b`` (n, n_out, n_in), None if unknown. ``interpolated`` names the one
+    that was splined to the other's frequencies ("", "a" or "b"); ``only_a`` and ``only_b`` are the parts of
+    the bands [Hz] that the other does not cover; ``covered`` [-] is the share of entries compared.
+    """
+
+    frequency: FloatArray
+    a: ComplexArray
+    b: ComplexArray
+    valid: BoolArray
+    deviation_a: FloatArray | None
+    deviation_b: FloatArray | None
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    unit: str
+    interpolated: str
+    only_a: tuple[tuple[float, float], ...]
+    only_b: tuple[tuple[float, float], ...]
+
+    @property
+    def covered(self) -> float:
+        """Share of (frequency, output, input) of the common frequencies at which both are valid."""
+        return float(self.valid.mean())
+
+    @property
+    def omega(self) -> FloatArray:
+        """Angular frequency [rad/s]."""
+        return np.asarray(2 * np.pi * self.frequency)
+
+
+def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
+    """``a`` and ``b`` at the frequencies both cover.
+
+    Where all frequencies of the coarser grid are found in the finer one they are copied; otherwise the
+    finer one is interpolated by a cubic spline to the coarser one's, never across a gap, an invalid sample
+    or beyond its ends. Ports are matched by name and may come in another order; positions may differ.
+    DataError for different units, ports without partner, or no common frequency.
+    """
+    if a.unit != b.unit:
+        raise DataError(f"A is in {a.unit}, B in {b.unit}: these cannot be compared; drive both the same way")
+    _check(a, "A")
+    _check(b, "B")
+    b = _matched(a, b)
+    coarse_is_a = _within(a, b) <= _within(b, a)
+    coarse, fine = (a, b) if coarse_is_a else (b, a)
+    frequency = _shared(coarse, fine)
+    first, second = _at(coarse, frequency), _at(fine, frequency)
+    ours, theirs = (first, second) if coarse_is_a else (second, first)
+    splined = "" if second.copied else ("b" if coarse_is_a else "a")
+    return CommonGround(
+        frequency=frequency,
+        a=ours.values,
+        b=theirs.values,
+        valid=ours.valid & theirs.valid,
+        deviation_a=ours.deviation,
+        deviation_b=theirs.deviation,
+        outputs=a.outputs,
+        inputs=a.inputs,
+        unit=a.unit,
+        interpolated=splined,
+        only_a=_uncovered(a.frequency, b.frequency),
+        only_b=_uncovered(b.frequency, a.frequency),
+    )
+
+
+def _check(g: TransferMatrix, name: str) -> None:
+    expected = (len(g.frequency), len(g.outputs), len(g.inputs))
+    if g.values.shape != expected:
+        raise DataError(f"{name} has shape {g.values.shape}, its frequencies and ports say {expected}")
+    if len(g.frequency) == 0 or np.any(np.diff(g.frequency) <= 0):
+        raise DataError(f"the frequencies of {name} must increase, and there must be some")
+
+
+def _matched(a: TransferMatrix, b: TransferMatrix) -> TransferMatrix:
+    """``b`` with its ports in the order of ``a``'s."""
+    rows, columns = (_order(getattr(a, k), getattr(b, k), k) for k in ("outputs", "inputs"))
+    pick = np.ix_(np.arange(len(b.frequency)), np.array(rows), np.array(columns))
+    return TransferMatrix(
+        b.frequency,
+        b.values[pick],
+        tuple(b.outputs[r] for r in rows),
+        tuple(b.inputs[c] for c in columns),
+        b.unit,
+        valid=None if b.valid is None else b.valid[pick],
+        deviation=None if b.deviation is None else b.deviation[pick],
+    )
+
+
+def _order(ours: tuple[Port, ...], theirs: tuple[Port, ...], what: str) -> list[int]:
+    names = [p.name for p in theirs]
+    if len(set(names)) != len(names) or sorted(names) != sorted(p.name for p in ours):
+        raise DataError(
+            f"the {what} of A and B differ ({', '.join(p.name for p in ours)} "
+            f"and {', '.join(names)}); rename them"
+        )
+    return [names.index(p.name) for p in ours]
+
+
+def _within(g: TransferMatrix, other: TransferMatrix) -> int:
+    """How many frequencies of ``g`` lie within the other's band."""
+    f = g.frequency
+    low, high = other.frequency[0] * (1 - _SAME), other.frequency[-1] * (1 + _SAME)
+    return int(np.count_nonzero((f >= low) & (f <= high)))
+
+
+def _shared(coarse: TransferMatrix, fine: TransferMatrix) -> FloatArray:
+    f = coarse.frequency
+    frequency = f[(f >= fine.frequency[0] * (1 - _SAME)) & (f <= fine.frequency[-1] * (1 + _SAME))]
+    if len(frequency) == 0:
+        raise DataError(
+            f"A and B share no frequency: {coarse.frequency[0]:g}-{coarse.frequency[-1]:g} Hz and "
+            f"{fine.frequency[0]:g}-{fine.frequency[-1]:g} Hz"
+        )
+    return np.asarray(frequency)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sampled:
+    values: ComplexArray
+    valid: BoolArray
+    deviation: FloatArray | None
+    copied: bool
+
+
+def _at(g: TransferMatrix, frequency: FloatArray) -> _Sampled:
+    """``g`` at ``frequency``: copied where it has these samples, else splined."""
+    valid = np.isfinite(g.values) if g.valid is None else g.valid & np.isfinite(g.values)
+    nearest = np.abs(g.frequency[:, None] - frequency).argmin(axis=0)
+    same = np.abs(g.frequency[nearest] / frequency - 1) < _SAME
+    deviation = None if g.deviation is None else g.deviation[nearest]
+    values, known = np.where(valid, g.values, 0)[nearest], valid[nearest]
+    if same.all():
+        return _Sampled(values, known, deviation, True)
+    splined, filled = _splined(g.frequency, np.where(valid, g.values, 0), valid, frequency)
+    pick = same[:, None, None]
+    return _Sampled(np.where(pick, values, splined), np.where(pick, known, filled), deviation, False)
+
+
+def _splined(
+    x: FloatArray, values: ComplexArray, valid: BoolArray, at: FloatArray
+) -> tuple[ComplexArray, BoolArray]:
+    """Cubic splines per unbroken run of valid samples; nothing elsewhere."""
+    out, known = (
+        np.zeros((len(at), *values.shape[1:]), dtype=complex),
+        np.zeros((len(at), *values.shape[1:]), dtype=bool),
+    )
+    wide = np.diff(x) > _GAP * np.median(np.diff(x))
+    for o, i in np.ndindex(*values.shape[1:]):
+        broken = wide | ~valid[1:, o, i] | ~valid[:-1, o, i]
+        for run in np.split(np.arange(len(x)), np.nonzero(broken)[0] + 1):
+            inside = (at >= x[run[0]]) & (at <= x[run[-1]])
+            if len(run) >= _SHORTEST and inside.any():
+                out[inside, o, i] = CubicSpline(x[run], values[run, o, i])(at[inside])
+                known[inside, o, i] = True
+    return out, known
+
+
+def _uncovered(ours: FloatArray, theirs: FloatArray) -> tuple[tuple[float, float], ...]:
+    """Parts of our band beyond the other's ends."""
+    parts = [(float(ours[0]), float(theirs[0]))] if ours[0] < theirs[0] * (1 - _SAME) else []
+    parts += [(float(theirs[-1]), float(ours[-1]))] if ours[-1] > theirs[-1] * (1 + _SAME) else []
+    return tuple(parts)

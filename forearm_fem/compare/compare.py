@@ -1,0 +1,164 @@
+"""The comparison of two transfer matrices, whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..metrics import WaveFit, condition_number, fit_waves
+from ..ports import distances
+from ..transfer import TransferMatrix
+from ..typing import ComplexArray, FloatArray
+from .agreement import Agreement, agreement
+from .common import CommonGround, common_ground
+from .crossplay import CrossPlay, try_cross_play
+
+_TOGETHER = 0.5e-3  # m: points as far from the source as this count as one distance
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """B against A: names, the common ground, agreement, waves per input, condition numbers (n,) and
+    cross-play.
+
+    ``waves_a`` and ``waves_b`` hold one fit per input by the thesis' estimator over the points sorted by
+    distance, None where there are fewer than three distances. ``crossed`` is None with the reason in
+    ``not_crossed``.
+    """
+
+    names: tuple[str, str]
+    ground: CommonGround
+    agreement: Agreement
+    waves_a: tuple[WaveFit | None, ...]
+    waves_b: tuple[WaveFit | None, ...]
+    condition_a: FloatArray
+    condition_b: FloatArray
+    crossed: CrossPlay | None
+    not_crossed: str = ""
+
+
+def compare(
+    a: TransferMatrix, b: TransferMatrix, *, names: tuple[str, str] = ("A", "B"), render: bool = True
+) -> Comparison:
+    """Everything about how far ``b`` is from ``a``; ``render`` False leaves the cross-play out (the slow
+    part).
+    """
+    ground = common_ground(a, b)
+    crossed, why = try_cross_play(ground) if render else (None, "not asked for")
+    return Comparison(
+        names,
+        ground,
+        agreement(ground),
+        _waves(ground, ground.a),
+        _waves(ground, ground.b),
+        _condition(ground, ground.a),
+        _condition(ground, ground.b),
+        crossed,
+        why,
+    )
+
+
+def _condition(ground: CommonGround, values: ComplexArray) -> FloatArray:
+    """s_max / s_min per frequency, NaN where an entry is missing."""
+    return condition_number(np.where(ground.valid, values, np.nan))
+
+
+def _waves(ground: CommonGround, values: ComplexArray) -> tuple[WaveFit | None, ...]:
+    masked = np.where(ground.valid, values, np.nan)
+    apart = distances(ground.outputs, ground.inputs)
+    return tuple(_wave(ground.frequency, apart[:, i], masked[:, :, i]) for i in range(len(ground.inputs)))
+
+
+def _wave(frequency: FloatArray, distance: FloatArray, response: ComplexArray) -> WaveFit | None:
+    """The thesis' fit over increasing distance; points equally far are averaged, as in an isotropic skin."""
+    order = np.argsort(distance, kind="stable")
+    group = np.concatenate([[0], np.cumsum(np.diff(distance[order]) > _TOGETHER)])
+    x = np.bincount(group, distance[order]) / np.bincount(group)
+    if len(x) < 3 or not np.all(np.isfinite(x)):
+        return None
+    share = (group[:, None] == np.arange(len(x))) / np.bincount(group)
+    known = np.isfinite(response).all(axis=1)
+    merged = np.full((len(frequency), len(x)), np.nan + 0j)
+    merged[known] = response[known][:, order] @ share
+    return fit_waves(frequency, x, merged)
+
+
+def summary(c: Comparison) -> dict[str, Any]:
+    """The comparison in plain numbers, for JSON; NaN becomes None."""
+    g, agree = c.ground, c.agreement
+    return {
+        "A": c.names[0],
+        "B": c.names[1],
+        "unit": g.unit,
+        "frequencies": {
+            "common": len(g.frequency),
+            "first_Hz": float(g.frequency[0]),
+            "last_Hz": float(g.frequency[-1]),
+            "interpolated": g.interpolated,
+            "entries_compared": g.covered,
+            "only_in_A_Hz": [list(r) for r in g.only_a],
+            "only_in_B_Hz": [list(r) for r in g.only_b],
+        },
+        "overall": {
+            "e_band": plain(agree.band),
+            "FRAC": plain(agree.overall_frac),
+            "misfit_in_sigma": plain(agree.misfit),
+            "worst_e_f": plain(np.nanmax(agree.per_frequency))
+            if np.isfinite(agree.per_frequency).any()
+            else None,
+        },
+        "entries": [
+            {
+                "output": o.name,
+                "input": i.name,
+                "e": plain(agree.error[r, k]),
+                "dB_rms": plain(agree.magnitude_db[r, k]),
+                "dB_bias": plain(agree.bias_db[r, k]),
+                "phase_rad": plain(agree.phase[r, k]),
+                "delay_s": plain(agree.delay[r, k]),
+                "FRAC": plain(agree.frac[r, k]),
+                "misfit_in_sigma": plain(agree.misfit_entries[r, k]),
+            }
+            for r, o in enumerate(g.outputs)
+            for k, i in enumerate(g.inputs)
+        ],
+        "condition_number": {"A": spread(c.condition_a), "B": spread(c.condition_b)},
+        "waves": [_wave_summary(g, c, k) for k in range(len(g.inputs))],
+        "signal_strength": _crossed(c.crossed) if c.crossed else {"missing": c.not_crossed},
+    }
+
+
+def _wave_summary(g: CommonGround, c: Comparison, k: int) -> dict[str, Any]:
+    both = {"A": c.waves_a[k], "B": c.waves_b[k]}
+    return {
+        "input": g.inputs[k].name,
+        **{
+            name: None
+            if w is None
+            else {"speed_m_s": spread(w.speed), "attenuation_1_m": spread(w.attenuation)}
+            for name, w in both.items()
+        },
+    }
+
+
+def _crossed(x: CrossPlay) -> dict[str, Any]:
+    rows = {"A_on_A": x.a_on_a, "B_on_B": x.b_on_b, "A_on_B": x.a_on_b, "B_on_A": x.b_on_a, "worth": x.worth}
+    return {
+        "targets": list(x.targets),
+        **{m: {k: [plain(v) for v in s[j]] for k, s in rows.items()} for j, m in enumerate(x.methods)},
+    }
+
+
+def plain(value: Any) -> float | None:
+    """A float, or None for what is not finite: JSON knows no NaN."""
+    return float(value) if np.isfinite(value) else None
+
+
+def spread(values: FloatArray) -> dict[str, float | None]:
+    """Smallest, median and largest of the finite values."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return {"min": None, "median": None, "max": None}
+    return {"min": float(known.min()), "median": float(np.median(known)), "max": float(known.max())}

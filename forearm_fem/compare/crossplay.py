@@ -1,0 +1,96 @@
+"""What a calibration is worth: renderers designed on one G and played through another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import DataError, ForearmError
+from ..rendering import Renderer, Wavelet, drives, place, ricker, strengths, thesis_renderers
+from ..transfer import TransferMatrix
+from ..typing import FloatArray
+from .common import CommonGround
+
+_PER_PEAK = 16.0  # samples per period of the wavelet's peak frequency
+
+
+@dataclass(frozen=True, eq=False)
+class CrossPlay:
+    """S (n_method, n_target) [-] of drives made for the first-named G and played on the second.
+
+    ``a_on_b`` is what a device gets that was calibrated on A when the arm is B; ``b_on_b`` the best it
+    could get.
+    """
+
+    methods: tuple[str, ...]
+    targets: tuple[str, ...]
+    a_on_a: FloatArray
+    b_on_b: FloatArray
+    a_on_b: FloatArray
+    b_on_a: FloatArray
+
+    @property
+    def worth(self) -> FloatArray:
+        """S of A's drives on B over S of B's own (n_method, n_target) [-]; 1 where A serves as well as B."""
+        return np.asarray(self.a_on_b / self.b_on_b)
+
+
+def cross_play(
+    ground: CommonGround,
+    *,
+    methods: Sequence[Renderer] | None = None,
+    targets: Sequence[str] | None = None,
+    wavelet: Wavelet | None = None,
+) -> CrossPlay:
+    """S of ``methods`` (the thesis' three) at ``targets`` (all), own and crossed, on the common frequencies.
+
+    Bins that either lacks are driven on neither, so that only the values differ. Raises ForearmError where a
+    renderer cannot work on this geometry or the frequencies lie too far apart.
+    """
+    a, b = sides(ground)
+    shape = wavelet or wavelet_for(ground.frequency)
+    chosen = tuple(methods) if methods is not None else thesis_renderers()
+    aims = tuple(targets) if targets is not None else tuple(p.name for p in ground.outputs)
+    placed = [place(g, shape.record) for g in (a, b)]
+    for_a, for_b = ([[drives(m, p, t, shape) for t in aims] for m in chosen] for p in placed)
+    return CrossPlay(
+        tuple(m.name for m in chosen),
+        aims,
+        a_on_a=strengths(a, aims, chosen, shape, fixed=for_a),
+        b_on_b=strengths(b, aims, chosen, shape, fixed=for_b),
+        a_on_b=strengths(b, aims, chosen, shape, fixed=for_a),
+        b_on_a=strengths(a, aims, chosen, shape, fixed=for_b),
+    )
+
+
+def sides(ground: CommonGround) -> tuple[TransferMatrix, TransferMatrix]:
+    """A and B as transfer matrices on the common frequencies, both with the common mask and A's ports."""
+    first = TransferMatrix(
+        ground.frequency, ground.a, ground.outputs, ground.inputs, ground.unit, valid=ground.valid
+    )
+    return first, replace(first, values=ground.b)
+
+
+def wavelet_for(frequency: FloatArray, peak: float = 250.0) -> Wavelet:
+    """A Ricker wavelet of ``peak`` [Hz] in a record whose bins hold ``frequency`` (n,) [Hz] where these are
+    evenly spaced from 0; else the thesis' record of 2 s at 10 kHz, onto whose bins G is interpolated where
+    that is safe."""
+    if len(frequency) < 2:
+        raise DataError("rendering needs at least two frequencies")
+    df = float(np.median(np.diff(frequency)))
+    k = frequency / df
+    if not np.allclose(k, np.rint(k), atol=1e-6 * k.max()):
+        return ricker(peak)
+    n = 2 * math.ceil(max(_PER_PEAK * peak, 4 * float(frequency[-1])) / df / 2)
+    return ricker(peak, sample_rate=n * df, duration=1 / df)
+
+
+def try_cross_play(ground: CommonGround) -> tuple[CrossPlay | None, str]:
+    """:func:`cross_play`, or None and the sentence that says why there is none."""
+    try:
+        return cross_play(ground), ""
+    except ForearmError as problem:
+        return None, str(problem)

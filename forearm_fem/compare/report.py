@@ -1,0 +1,191 @@
+"""The comparison as tables, JSON and pictures."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..io.atomic import atomic_path, write_text
+from .agreement import fdac_matrix
+from .common import CommonGround
+from .compare import Comparison, summary
+from .crossplay import CrossPlay
+
+_COLUMNS = ("output", "input", "e", "dB_rms", "dB_bias", "phase_rad", "delay_s", "FRAC", "misfit_in_sigma")
+
+
+def as_json(c: Comparison) -> str:
+    """All numbers as JSON; what is unknown is null."""
+    return json.dumps(summary(c), indent=1, allow_nan=False)
+
+
+def as_csv(c: Comparison) -> str:
+    """One line per entry; empty cells are unknown."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    writer.writerows(
+        [row[k] if row[k] is not None else "" for k in _COLUMNS] for row in summary(c)["entries"]
+    )
+    return stream.getvalue()
+
+
+def as_markdown(c: Comparison) -> str:
+    """The comparison for people: what was compared, the overall numbers, entries, condition and S."""
+    s = summary(c)
+    parts = [
+        f"# {s['B']} against {s['A']}",
+        _ground(s),
+        _overall(s),
+        _entries(s),
+        _condition(s),
+        _strengths(c),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _ground(s: dict[str, Any]) -> str:
+    f = s["frequencies"]
+    text = (
+        f"{f['common']} common frequencies, {f['first_Hz']:g} to {f['last_Hz']:g} Hz; "
+        f"{100 * f['entries_compared']:.1f} % of the entries compared"
+    )
+    text += f"; {f['interpolated'].upper()} interpolated" if f["interpolated"] else ""
+    for name in ("A", "B"):
+        text += "".join(f"; {lo:g}-{hi:g} Hz only in {name}" for lo, hi in f[f"only_in_{name}_Hz"])
+    return text + "."
+
+
+def _overall(s: dict[str, Any]) -> str:
+    o = s["overall"]
+    rows = [
+        ("e_band", o["e_band"], "norm of the difference over the norm of A, whole band and matrix"),
+        ("worst e(f)", o["worst_e_f"], "largest difference over largest |A| at one frequency"),
+        ("FRAC", o["FRAC"], "1 if B is a constant times A"),
+        ("misfit", o["misfit_in_sigma"], "rms difference in standard deviations; 1 = noise alone"),
+    ]
+    return _table(("figure", "value", "meaning"), [(n, _number(v), m) for n, v, m in rows])
+
+
+def _entries(s: dict[str, Any]) -> str:
+    header = ("entry", "e", "dB rms", "dB mean", "phase rms [rad]", "delay [ms]", "FRAC")
+    rows = [
+        (
+            f"{r['output']} <- {r['input']}",
+            _number(r["e"]),
+            _number(r["dB_rms"]),
+            _number(r["dB_bias"]),
+            _number(r["phase_rad"]),
+            _number(None if r["delay_s"] is None else 1e3 * r["delay_s"]),
+            _number(r["FRAC"]),
+        )
+        for r in s["entries"]
+    ]
+    return _table(header, rows)
+
+
+def _condition(s: dict[str, Any]) -> str:
+    rows = [(n, *(_number(v) for v in s["condition_number"][n].values())) for n in ("A", "B")]
+    return _table(("condition number", "smallest", "median", "largest"), rows)
+
+
+def _strengths(c: Comparison) -> str:
+    if c.crossed is None:
+        return f"Signal strength: {c.not_crossed}."
+    x = c.crossed
+    header = ("S, mean over targets", "A on A", "B on B", "A on B", "B on A", "worth")
+    arrays = (x.a_on_a, x.b_on_b, x.a_on_b, x.b_on_a, x.worth)
+    return _table(header, [(m, *(_number(_mean(a[j])) for a in arrays)) for j, m in enumerate(x.methods)])
+
+
+def _mean(row: Any) -> float | None:
+    known = row[np.isfinite(row)]
+    return float(known.mean()) if len(known) else None
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _table(header: tuple[str, ...], rows: list[Any]) -> str:
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
+
+
+def plot_overlay(ground: CommonGround, output: int, source: int, *, ax: Axes | None = None) -> Axes:
+    """|G| of one entry of A and B over frequency; gaps stay gaps."""
+    ax = _axes(ax)
+    for name, values in (("A", ground.a), ("B", ground.b)):
+        size = np.where(ground.valid[:, output, source], np.abs(values[:, output, source]), np.nan)
+        ax.loglog(ground.frequency, size, label=name, lw=1)
+    label = f"{ground.outputs[output].name} <- {ground.inputs[source].name}"
+    ax.set(xlabel="frequency [Hz]", ylabel=f"|G| [{ground.unit}]", title=label)
+    ax.legend()
+    return ax
+
+
+def plot_errors(c: Comparison, *, ax: Axes | None = None) -> Axes:
+    """e(f) over frequency."""
+    ax = _axes(ax)
+    ax.loglog(c.ground.frequency, c.agreement.per_frequency, lw=1)
+    ax.set(xlabel="frequency [Hz]", ylabel="e(f) [-]")
+    return ax
+
+
+def plot_fdac(ground: CommonGround, *, ax: Axes | None = None) -> Axes:
+    """FDAC between all frequencies of A and B, at most 200 of each."""
+    ax = _axes(ax)
+    step = max(1, len(ground.frequency) // 200)
+    matrix = fdac_matrix(ground)[::step, ::step]
+    f = ground.frequency
+    image = ax.imshow(
+        matrix, origin="lower", vmin=0, vmax=1, extent=(f[0], f[-1], f[0], f[-1]), aspect="auto"
+    )
+    ax.set(xlabel="frequency of B [Hz]", ylabel="frequency of A [Hz]", title="FDAC")
+    ax.figure.colorbar(image, ax=ax)
+    return ax
+
+
+def plot_cross_play(x: CrossPlay, *, ax: Axes | None = None) -> Axes:
+    """Mean S per method: own and crossed."""
+    ax = _axes(ax)
+    rows = {"A on A": x.a_on_a, "B on B": x.b_on_b, "A on B": x.a_on_b, "B on A": x.b_on_a}
+    place = np.arange(len(x.methods))
+    for k, (label, s) in enumerate(rows.items()):
+        heights = [_mean(row) or 0.0 for row in s]
+        ax.bar(place + 0.2 * (k - 1.5), heights, 0.18, label=label)
+    ax.set_xticks(place, x.methods)
+    ax.set(ylabel="S [-]")
+    ax.axhline(1, lw=0.5, color="0.5")
+    ax.legend()
+    return ax
+
+
+def save(c: Comparison, folder: str | Path) -> tuple[Path, ...]:
+    """comparison.json, .csv, .md and .png in ``folder``, each whole or absent."""
+    target = Path(folder)
+    texts = {"comparison.json": as_json(c), "comparison.csv": as_csv(c), "comparison.md": as_markdown(c)}
+    for name, text in texts.items():
+        write_text(target / name, text)
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    grid = figure.subplots(2, 2).ravel()
+    worst = np.unravel_index(np.argmax(np.nan_to_num(c.agreement.error)), c.agreement.error.shape)
+    plot_errors(c, ax=grid[0])
+    plot_overlay(c.ground, int(worst[0]), int(worst[1]), ax=grid[1])
+    plot_fdac(c.ground, ax=grid[2])
+    if c.crossed is not None:
+        plot_cross_play(c.crossed, ax=grid[3])
+    with atomic_path(target / "comparison.png") as beside:
+        figure.savefig(beside, dpi=110)
+    return tuple(target / name for name in (*texts, "comparison.png"))
+
+
+def _axes(ax: Any) -> Axes:
+    return Figure(layout="constrained").add_subplot() if ax is None else ax

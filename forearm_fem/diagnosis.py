@@ -1,0 +1,42 @@
+"""What this machine offers: versions, solver, threads, memory, rendering."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import psutil
+
+from . import __version__
+from .fem.factor import available_backends
+
+_PICTURE = (
+    "import pyvista as pv; pv.OFF_SCREEN = True; p = pv.Plotter(off_screen=True, window_size=(40, 40)); "
+    "p.add_mesh(pv.Sphere()); p.show(auto_close=False); print(p.render_window.GetClassName())"
+)
+
+
+def diagnosis() -> dict[str, str]:
+    """Name -> finding; nothing raises, what fails is said."""
+    from .pipeline.folder import versions
+
+    found = {"forearm-fem": __version__, **versions()}
+    found["direct solvers"] = ", ".join(available_backends())
+    if available_backends()[0] == "superlu":
+        found["direct solvers"] += " (small scenes only; python3 -m pip install mkl)"
+    found["threads"] = f"{os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}"
+    found["memory"] = f"{psutil.virtual_memory().available / 1e9:.1f} of {psutil.virtual_memory().total / 1e9:.1f} GB free"
+    found["rendering back end"] = rendering_backend()
+    return found
+
+
+def rendering_backend() -> str:
+    """Class of the off-screen render window, tried in a process of its own because a missing driver may kill it."""
+    try:
+        done = subprocess.run([sys.executable, "-c", _PICTURE], capture_output=True, text=True, timeout=60, check=False)
+    except (OSError, subprocess.TimeoutExpired) as problem:
+        return f"none ({problem})"
+    if done.returncode == 0:
+        return done.stdout.strip().splitlines()[-1]
+    return "none: pyvista cannot render here; on Debian: apt-get install libgl1 libegl1 libxrender1"

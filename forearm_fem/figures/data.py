@@ -1,0 +1,209 @@
+"""A results folder, read as it is needed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import metadata
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from ..errors import DataError
+from ..geometry.files import read_mesh
+from ..geometry.mesh import TissueMesh
+from ..io import (
+    Signals,
+    StrengthRow,
+    read_compliance,
+    read_displacements,
+    read_drives,
+    read_signal_strength_csv,
+    read_transfer,
+)
+from ..rendering import Record, Wavelet, from_samples_file, ricker
+from ..scenario import Scenario, parse_scenario
+from ..transfer import Compliance, TransferMatrix
+from ..wavefield import Wavefield, load_wavefield
+
+# file -> the command that writes it
+STAGES: Mapping[str, str] = MappingProxyType(
+    {
+        "scenario.json": "forearm-fem run",
+        "run.json": "forearm-fem run",
+        "mesh.vtu": "forearm-fem mesh",
+        "transfer.nc": "forearm-fem solve",
+        "wavefield.npz": "forearm-fem solve",
+        "drives.nc": "forearm-fem render",
+        "displacements.nc": "forearm-fem render",
+        "signal_strength.csv": "forearm-fem render",
+        "measured.nc": "forearm-fem compare",
+    }
+)
+
+
+@dataclass(frozen=True)
+class Results:
+    """What one run left in ``folder``; every property reads its file once, when first asked.
+
+    A missing file raises DataError with the command that makes it. ``compliance``, ``mesh``, ``wavefield``
+    and ``measured`` exist for some runs only: ask :meth:`has` first.
+    """
+
+    folder: Path
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Results:
+        """The results in ``folder``; DataError if there is no such folder."""
+        place = Path(folder)
+        if not place.is_dir():
+            raise DataError(
+                f"{place}: no such results folder; `forearm-fem run SCENARIO --out {place}` makes one"
+            )
+        return cls(place)
+
+    def has(self, name: str) -> bool:
+        """Whether the file ``name`` is there; "compliance" asks inside transfer.nc."""
+        if name == "compliance":
+            return self.has("transfer.nc") and self._compliance is not None
+        return (self.folder / name).is_file()
+
+    def path(self, name: str) -> Path:
+        """The path of a file that must be there."""
+        if not self.has(name):
+            command = STAGES.get(name, "forearm-fem run")
+            raise DataError(f"{self.folder}: unfinished, {name} is missing; `{command}` makes it")
+        return self.folder / name
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The scenario with all defaults filled in."""
+        return parse_scenario(self._json("scenario.json"), origin=str(self.folder / "scenario.json"))
+
+    @cached_property
+    def run(self) -> Mapping[str, Any]:
+        """Versions, times, memory, errors, warnings and mesh statistics of the run."""
+        return self._json("run.json")
+
+    @cached_property
+    def transfer(self) -> TransferMatrix:
+        """G."""
+        return read_transfer(self.path("transfer.nc"))
+
+    @cached_property
+    def compliance(self) -> Compliance:
+        """The skin's compliance; DataError for measured G, which has none."""
+        if self._compliance is None:
+            raise DataError(f"{self.folder / 'transfer.nc'}: holds no compliance; G was measured or imported")
+        return self._compliance
+
+    @cached_property
+    def _compliance(self) -> Compliance | None:
+        try:
+            return read_compliance(self.path("transfer.nc"))
+        except DataError as problem:
+            if "no compliance" in str(problem):
+                return None
+            raise
+
+    @cached_property
+    def drives(self) -> Signals:
+        """Drives (method, target, actuator, time)."""
+        return read_drives(self.path("drives.nc"))
+
+    @cached_property
+    def displacements(self) -> Signals:
+        """Displacements (method, target, point, time) [m]."""
+        return read_displacements(self.path("displacements.nc"))
+
+    @cached_property
+    def strengths(self) -> tuple[StrengthRow, ...]:
+        """S of every method and target."""
+        return read_signal_strength_csv(self.path("signal_strength.csv"))
+
+    @cached_property
+    def mesh(self) -> TissueMesh:
+        """The tetrahedra."""
+        return read_mesh(self.path("mesh.vtu"))
+
+    @cached_property
+    def wavefield(self) -> Wavefield:
+        """Displacement of every mesh vertex for any drive; DataError if it belongs to another mesh."""
+        field = load_wavefield(self.path("wavefield.npz"))
+        if len(field.modes) != len(self.mesh.points):
+            raise DataError(
+                f"{self.folder}: wavefield.npz has {len(field.modes)} vertices, mesh.vtu "
+                f"{len(self.mesh.points)}; they are of different runs, `forearm-fem solve` makes both anew"
+            )
+        return field
+
+    @property
+    def has_field(self) -> bool:
+        """Whether the motion between the ports is known."""
+        return self.has("wavefield.npz") and self.has("mesh.vtu")
+
+    @cached_property
+    def measured(self) -> TransferMatrix:
+        """A measured G kept beside the simulated one."""
+        return read_transfer(self.path("measured.nc"))
+
+    @cached_property
+    def record(self) -> Record:
+        """The record all signals live on."""
+        time = self.drives.time
+        return Record(round(1 / float(time[1] - time[0]), 6), len(time))
+
+    @cached_property
+    def wavelet(self) -> Wavelet:
+        """The scenario's wavelet on that record."""
+        options, record = self.scenario.rendering.wavelet, self.record
+        duration = record.n / record.sample_rate
+        if options.file is not None:
+            return from_samples_file(options.file, record.sample_rate, duration)
+        return ricker(options.peak, 1.0, record.sample_rate, duration)
+
+    @cached_property
+    def stamp(self) -> str:
+        """Scene, mesh and version in one line, for the foot of each figure."""
+        parts = [f"scene {self.scenario.name}", self._mesh_words, f"forearm_fem {self.version}"]
+        return " · ".join(p for p in parts if p)
+
+    @property
+    def version(self) -> str:
+        """The version that made the results, or failing that the one reading them."""
+        versions = self.run.get("versions", {}) if self.has("run.json") else {}
+        found = versions.get("forearm_fem") or versions.get("forearm-fem")
+        return str(found or _installed())
+
+    @property
+    def mesh_hash(self) -> str:
+        """SHA-256 of the mesh; empty where there is none."""
+        known = self.run.get("mesh_hash") if self.has("run.json") else None
+        if known:
+            return str(known)
+        return self.mesh.digest if self.has("mesh.vtu") else ""
+
+    @property
+    def _mesh_words(self) -> str:
+        if self.mesh_hash:
+            return f"mesh {self.mesh_hash[:10]}"
+        return "layered twin, no mesh" if self.scenario.engine == "layered" else "no mesh"
+
+    def _json(self, name: str) -> dict[str, Any]:
+        file = self.path(name)
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as problem:
+            raise DataError(f"{file}: damaged ({problem}); `{STAGES[name]}` makes it anew") from None
+        if not isinstance(content, dict):
+            raise DataError(f"{file}: damaged, expected a JSON object; `{STAGES[name]}` makes it anew")
+        return content
+
+
+def _installed() -> str:
+    try:
+        return metadata.version("forearm-fem")
+    except metadata.PackageNotFoundError:
+        return "unknown"

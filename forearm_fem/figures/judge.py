@@ -1,0 +1,238 @@
+"""How good is it: signal strength beside the thesis' Table I, maps of S, and error estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import FigureBase
+
+from ..errors import DataError
+from ..metrics import StrengthTable, signal_strength_table, thesis_table
+from ..ports import Port, positions
+from ..transfer import ErrorEstimate
+from ..typing import FloatArray
+from .data import Results
+from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled
+from .tables import Table, markdown
+
+
+@dataclass(frozen=True, eq=False)
+class Strengths:
+    """S (n_method, n_target) [-] with the places of targets and actuators."""
+
+    methods: tuple[str, ...]
+    targets: tuple[str, ...]
+    values: FloatArray
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+
+    def table(self) -> StrengthTable:
+        """In the layout of Table I."""
+        return signal_strength_table(self.methods, self.targets, self.values)
+
+
+def strengths(results: Results) -> Strengths:
+    """S of a run, from signal_strength.csv."""
+    found = {(r.method, r.target): r.S for r in results.strengths}
+    methods, targets = (tuple(dict.fromkeys(key[i] for key in found)) for i in (0, 1))
+    values = np.array([[found.get((m, t), np.nan) for t in targets] for m in methods])
+    by_name = {p.name: p for p in results.transfer.outputs}
+    if stray := [t for t in targets if t not in by_name]:
+        raise DataError(f"{results.folder}: signal_strength.csv names the target {stray[0]}, which G has not; "
+                        "`forearm-fem render` makes it anew")  # fmt: skip
+    outputs = tuple(by_name[t] for t in targets)
+    return Strengths(methods, targets, values, outputs, results.transfer.inputs)
+
+
+def strengths_table(data: Strengths) -> Table:
+    """One line per target, a column per method."""
+    places = positions(data.outputs)
+    columns = {"target": data.targets, "x_m": places[:, 0], "y_m": places[:, 1]}
+    return Table({**columns, **{f"S_{m}": s for m, s in zip(data.methods, data.values, strict=True)}})
+
+
+@styled
+def plot_strength_maps(data: Strengths, *, ax: Axes | None = None) -> FigureBase:
+    """S at each target seen from above, one map per method; white is 1, where the target moves as the mean."""
+    figure = panels(ax, (2.3 * len(data.methods) + 0.6, 2.7))
+    axes = np.atleast_1d(figure.subplots(1, len(data.methods), sharey=True))
+    spread = max(float(np.nanmax(np.abs(np.log2(data.values)))), 0.1)
+    norm = TwoSlopeNorm(0, -spread, spread)
+    for m, method in enumerate(data.methods):
+        dots = _map(axes[m], data, data.values[m], norm)
+        axes[m].set_title(method)
+    axes[0].set_ylabel("y, across [mm]")
+    bar = figure.colorbar(dots, ax=list(axes), shrink=0.9, fraction=0.04)
+    ticks = [t for t in (0.125, 0.25, 0.5, 1, 2, 4, 8, 16) if abs(np.log2(t)) <= spread]
+    bar.set_ticks([float(np.log2(t)) for t in ticks], labels=[f"{t:g}" for t in ticks])
+    bar.set_label("signal strength S [-]")
+    return figure
+
+
+def _map(ax: Axes, data: Strengths, values: FloatArray, norm: TwoSlopeNorm):  # type: ignore[no-untyped-def]
+    at, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
+    size = 340 if len(values) <= 16 else 5000 / len(values)
+    dots = ax.scatter(at[:, 0], at[:, 1], c=np.log2(values), cmap="PuOr_r", norm=norm, s=size, edgecolors=INK, lw=0.5)
+    ax.scatter(coils[:, 0], coils[:, 1], marker="s", s=60, facecolors="none", edgecolors=GREY)
+    for place, value, name in zip(at, values, data.targets, strict=True) if len(values) <= 16 else ():
+        strong = abs(float(norm(np.log2(value))) - 0.5) > 0.36
+        ax.annotate(f"{value:.2f}", place[:2], ha="center", va="center", fontsize=6.5, color="w" if strong else INK)
+        ax.annotate(name, place[:2], (0, -16), textcoords="offset points", ha="center", fontsize=5.5, color=GREY)
+    for place, port in zip(coils, data.inputs, strict=True):
+        ax.annotate(port.name, place[:2], ha="center", va="center", fontsize=4.5, color=GREY)
+    ax.set(xlabel="x, towards the elbow [mm]", aspect="equal")
+    ax.margins(0.14)
+    return dots
+
+
+def table_one_rows(data: Strengths) -> list[list[str]]:
+    """Rows of Table I: group, then simulated and thesis for each method."""
+    ours, theirs = data.table(), thesis_table()
+    rows = []
+    for g, group in enumerate(ours.groups):
+        row = [group]
+        for m, method in enumerate(ours.methods):
+            row += [_cell(ours.mean[g, m], ours.std[g, m]), _thesis_cell(theirs, group, method)]
+        rows.append(row)
+    return rows
+
+
+def _thesis_cell(theirs: StrengthTable, group: str, method: str) -> str:
+    if group not in theirs.groups or method not in theirs.methods:
+        return "–"
+    g, m = theirs.groups.index(group), theirs.methods.index(method)
+    return _cell(theirs.mean[g, m], theirs.std[g, m])
+
+
+def _cell(mean: float, std: float) -> str:
+    return f"{mean:.2f}" if np.isnan(std) else f"{mean:.2f} ± {std:.2f}"
+
+
+def table_one_markdown(data: Strengths) -> str:
+    """Table I, simulated and thesis side by side."""
+    header = ["S", *(f"{m}, {who}" for m in data.methods for who in ("here", "thesis"))]
+    return markdown(header, table_one_rows(data))
+
+
+def table_one_extra(data: Strengths) -> dict[str, str]:
+    """The Markdown beside the figure."""
+    return {"table.md": table_one_markdown(data)}
+
+
+def table_one_csv(data: Strengths) -> Table:
+    """Mean and standard deviation, here and in the thesis."""
+    ours, theirs = data.table(), thesis_table()
+    lines = [(g, m) for g in ours.groups for m in ours.methods]
+    columns: dict[str, list[float]] = {"here_mean": [], "here_std": [], "thesis_mean": [], "thesis_std": []}
+    for g, m in lines:
+        for prefix, table in (("here", ours), ("thesis", theirs)):
+            known = g in table.groups and m in table.methods
+            at = (table.groups.index(g), table.methods.index(m)) if known else None
+            columns[f"{prefix}_mean"].append(float(table.mean[at]) if at else np.nan)
+            columns[f"{prefix}_std"].append(float(table.std[at]) if at else np.nan)
+    return Table({"group": [g for g, _ in lines], "method": [m for _, m in lines], **columns})
+
+
+@styled
+def plot_table_one(data: Strengths, *, ax: Axes | None = None) -> FigureBase:
+    """Signal strength by place on the grid, here (filled) and in the thesis (open), and the numbers below."""
+    figure = panels(ax, (6.4, 3.6))
+    top, bottom = figure.subplots(2, 1, height_ratios=(2.2, 1))
+    _points(top, data)
+    bottom.axis("off")
+    cells = [[row[0], *row[1:]] for row in table_one_rows(data)]
+    header = ["", *(f"{m}\n{who}" for m in data.methods for who in ("here", "thesis"))]
+    widths = [0.22, *[0.78 / (len(header) - 1)] * (len(header) - 1)]
+    table = bottom.table(cells, colLabels=header, colWidths=widths, loc="center", cellLoc="center", edges="horizontal")
+    table.auto_set_font_size(False)
+    table.set_fontsize(7)
+    for (row, _), cell in table.get_celld().items():
+        cell.set_height(0.34 if row == 0 else 0.22)
+        cell.set_linewidth(0.5)
+    return figure
+
+
+def _points(ax: Axes, data: Strengths) -> None:
+    ours, theirs = data.table(), thesis_table()
+    place = np.arange(len(ours.groups), dtype=float)
+    for m, method in enumerate(ours.methods):
+        x = place + 0.24 * (m - (len(ours.methods) - 1) / 2)
+        look = {"color": method_colour(method, ours.methods), "capsize": 2, "lw": 0.8, "ls": "none"}
+        ax.errorbar(x - 0.04, ours.mean[:, m], np.nan_to_num(ours.std[:, m]), fmt="o", label=f"{method}, here", **look)
+        if method in theirs.methods:
+            rows = [theirs.groups.index(g) for g in ours.groups]
+            k = theirs.methods.index(method)
+            ax.errorbar(x + 0.04, theirs.mean[rows, k], np.nan_to_num(theirs.std[rows, k]), fmt="o", mfc="w",
+                        label=f"{method}, thesis P2", **look)  # fmt: skip
+    ax.axhline(1, color=GREY, lw=0.8, ls="--")
+    ax.set_xticks(place, ours.groups)
+    ax.set(ylabel="signal strength S [-]", yscale="log")
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high := high * 1.8)
+    ticks = [t for t in (0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15) if low <= t <= high]
+    ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
+    ax.minorticks_off()
+    ax.legend(ncols=3, loc="upper left", fontsize=6)
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Error estimates of G by source, and the accuracy asked for (NaN for measured G)."""
+
+    estimates: tuple[ErrorEstimate, ...]
+    asked: float
+
+
+def errors(results: Results) -> Errors:
+    """Estimates of a run's G."""
+    if not results.transfer.errors:
+        raise DataError(f"{results.folder}: G carries no error estimate; it was imported without one")
+    return Errors(results.transfer.errors, results.scenario.accuracy)
+
+
+def errors_table(data: Errors) -> Table:
+    """One line per source and frequency."""
+    lines = [(e, f, v) for e in data.estimates for f, v in zip(*_curve(e), strict=True)]
+    return Table(
+        {
+            "source": [e.source for e, _, _ in lines],
+            "frequency_Hz": np.array([f for _, f, _ in lines]),
+            "e": np.array([v for _, _, v in lines]),
+            "e_band": np.array([e.band for e, _, _ in lines]),
+        }
+    )
+
+
+def _curve(e: ErrorEstimate) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return (e.frequency, e.per_frequency) if e.per_frequency else ((np.nan,), (e.band,))
+
+
+@styled
+def plot_errors(data: Errors, *, ax: Axes | None = None) -> Axes:
+    """e(f) of each source of error on a log scale, band values in the legend, and the accuracy asked for."""
+    axes = single(ax, (4.6, 3.0))
+    for k, e in enumerate(data.estimates):
+        label, colour = f"{e.source}: {e.band:.1g}", ACTUATORS[k % len(ACTUATORS)]
+        if e.per_frequency:
+            marker = "o" if len(e.frequency) < 40 else ""
+            axes.plot(e.frequency, np.maximum(e.per_frequency, 1e-16), marker=marker, ms=2.5, color=colour, label=label)
+        else:
+            axes.axhline(max(e.band, 1e-16), color=colour, ls=":", label=label + " (band only)")
+    if np.isfinite(data.asked):
+        axes.axhline(data.asked, color=GREY, ls="--", lw=0.8)
+        axes.annotate(f"asked {data.asked:g}", (0.01, data.asked), xycoords=("axes fraction", "data"), ha="left", va="bottom",
+                      fontsize=7, color=GREY)  # fmt: skip
+    axes.set(xlabel="frequency [Hz]", ylabel="e(f) = max |ΔG| / max |G| [-]", yscale="log")
+    axes.legend(title="source: $e_{band}$", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return axes
+
+
+def method_notes(data: Errors) -> Mapping[str, str]:
+    """How each source's error was found."""
+    return {e.source: e.method for e in data.estimates}
+
+

@@ -1,0 +1,241 @@
+"""G itself: size and phase of its entries, how well it can be inverted, and one G against another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import FigureBase
+
+from ..compare.common import CommonGround, common_ground
+from ..metrics import condition_number, singular_values
+from ..ports import Port, distances
+from ..rendering import Placed, ThesisZeros
+from ..rendering.drives import Aim
+from ..rendering.spectrum import BinValues, Record
+from ..transfer import TransferMatrix
+from ..typing import ComplexArray, FloatArray
+from .data import Results
+from .style import FAINT, GREY, decimal, letter, panels, styled
+from .tables import Table
+
+MICRO = 1e6
+
+
+def shown(transfer: TransferMatrix) -> ComplexArray:
+    """Values (n, n_out, n_in) with NaN where they may not be used."""
+    values = transfer.values
+    return values if transfer.valid is None else np.where(transfer.valid, values, np.nan + 0j)
+
+
+def unwrapped(values: ComplexArray) -> FloatArray:
+    """Phase [cycles] along the first axis, unwrapped; NaN stays NaN."""
+    phase = np.angle(values)
+    known = np.isfinite(phase)
+    filled = np.where(known, phase, 0.0)
+    return np.where(known, np.unwrap(filled, axis=0), np.nan) / (2 * np.pi)
+
+
+def micro(unit: str) -> str:
+    """The unit of 1e6 times values in ``unit``."""
+    return "µ" + unit
+
+
+def transfer_table(transfer: TransferMatrix) -> Table:
+    """|G| and phase [rad] of each entry over frequency."""
+    columns: dict[str, FloatArray] = {"frequency_Hz": transfer.frequency}
+    values = shown(transfer)
+    for o, out in enumerate(transfer.outputs):
+        for i, source in enumerate(transfer.inputs):
+            entry = values[:, o, i]
+            columns[f"abs_G_{out.name}_{source.name}_{transfer.unit}"] = np.abs(entry)
+            columns[f"phase_G_{out.name}_{source.name}_rad"] = np.angle(entry)
+    return Table(columns)
+
+
+@styled
+def plot_transfer(data: TransferMatrix, *, ax: Axes | None = None) -> FigureBase:
+    """|G| and unwrapped phase of every grid point, one column per actuator, coloured by distance to it."""
+    figure = panels(ax, (1.9 * len(data.inputs) + 0.6, 3.9))
+    grid = figure.subplots(2, len(data.inputs), sharex=True, sharey="row", squeeze=False)
+    gap = distances(data.outputs, data.inputs) * 1e3
+    scale = Normalize(float(gap.min()), float(gap.max()))
+    values = shown(data)
+    for i, source in enumerate(data.inputs):
+        _entries(grid[:, i], data.frequency, values[:, :, i], gap[:, i], scale)
+        grid[0, i].set_title(f"actuator {source.name}")
+        grid[1, i].set_xlabel("frequency [Hz]")
+    grid[0, 0].set(ylabel=f"|G| [{micro(data.unit)}]", yscale="log")
+    grid[1, 0].set_ylabel("phase [cycles]")
+    bar = figure.colorbar(ScalarMappable(scale, "viridis_r"), ax=list(grid.ravel()), fraction=0.03, pad=0.01)
+    bar.set_label("distance to the actuator [mm]")
+    return figure
+
+
+def _entries(column: FloatArray, f: FloatArray, values: ComplexArray, gap: FloatArray, scale: Normalize) -> None:
+    """One column's lines, far points first so that near ones lie on top."""
+    top, bottom = column
+    for o in np.argsort(-gap):
+        colour = colormaps["viridis_r"](scale(gap[o]))
+        top.plot(f, MICRO * np.abs(values[:, o]), color=colour)
+        bottom.plot(f, unwrapped(values[:, o]), color=colour)
+
+
+@dataclass(frozen=True, eq=False)
+class Conditioning:
+    """``singular`` (n, r) of the whole G; ``condition`` (n,) of G and ``control`` (n_target, n) of the rows
+    that the inverse filter controls, for each of ``targets`` [-]."""
+
+    frequency: FloatArray
+    unit: str
+    singular: FloatArray
+    condition: FloatArray
+    targets: tuple[str, ...]
+    control: FloatArray
+
+
+def conditioning(results: Results) -> Conditioning:
+    """Singular values and condition numbers of a run's G, with the thesis' zero points."""
+    return conditioning_of(results.transfer)
+
+
+def conditioning_of(transfer: TransferMatrix) -> Conditioning:
+    """The same for any G; control rows are left out where the grid is no rectangle."""
+    values = shown(transfer)
+    names = [p.name for p in transfer.outputs]
+    rows = {t: [names.index(n) for n in (t, *zero_points(transfer, t))] for t in names}
+    rows = {t: r for t, r in rows.items() if len(r) > 1}
+    control = np.array([condition_number(values[:, r]) for r in rows.values()]).reshape(len(rows), len(values))
+    return Conditioning(
+        transfer.frequency,
+        transfer.unit,
+        singular_values(values),
+        condition_number(values),
+        tuple(rows),
+        control,
+    )
+
+
+def zero_points(transfer: TransferMatrix, target: str) -> tuple[str, ...]:
+    """The thesis' zero points for ``target``, none if the outputs form no rectangle."""
+    from ..errors import GeometryError
+
+    bins = BinValues(Record(1.0, 4), np.array([1]), transfer.values[:1], np.ones(transfer.values[:1].shape, bool))
+    try:
+        return ThesisZeros().choose(Placed(bins, transfer.outputs, transfer.inputs, transfer.unit), target, _unused)
+    except GeometryError:
+        return ()
+
+
+def _unused(names: tuple[str, ...]) -> Aim:
+    raise AssertionError(f"the corner rule does not try drives, asked for {names}")
+
+
+def conditioning_table(data: Conditioning) -> Table:
+    """Everything over frequency."""
+    singular = {f"s{k + 1}_{data.unit}": data.singular[:, k] for k in range(data.singular.shape[1])}
+    control = {f"condition_target_{t}": c for t, c in zip(data.targets, data.control, strict=True)}
+    return Table({"frequency_Hz": data.frequency, **singular, "condition_G": data.condition, **control})
+
+
+@styled
+def plot_conditioning(data: Conditioning, *, ax: Axes | None = None) -> FigureBase:
+    """Singular values of G, and condition numbers of G and of the rows an inverse filter controls."""
+    figure = panels(ax, (7.0, 2.8))
+    left, right = figure.subplots(1, 2)
+    for k, line in enumerate(data.singular.T):
+        left.plot(data.frequency, MICRO * line, label=f"$s_{k + 1}$")
+    left.set(yscale="log", xlabel="frequency [Hz]", ylabel=f"singular values of G [{micro(data.unit)}]")
+    left.legend(ncols=2)
+    decimal(left.yaxis)
+    for k, line in enumerate(data.control):
+        label = f"controlled rows, each target ({len(data.targets)})" if k == 0 else None
+        right.plot(data.frequency, line, color=FAINT, lw=0.7, label=label)
+    if "5" in data.targets:
+        line = data.control[data.targets.index("5")]
+        right.plot(data.frequency, line, color="#D55E00", label="controlled rows, target 5")
+    right.plot(data.frequency, data.condition, color="#0072B2", label="all of G")
+    right.set(yscale="log", xlabel="frequency [Hz]", ylabel="condition number [-]")
+    right.legend()
+    decimal(right.yaxis)
+    for panel, text in zip((left, right), "ab", strict=True):
+        letter(panel, text)
+    return figure
+
+
+@dataclass(frozen=True, eq=False)
+class Versus:
+    """Two transfer matrices on common frequencies, and what they are called."""
+
+    names: tuple[str, str]
+    ground: CommonGround
+
+    @property
+    def error(self) -> FloatArray:
+        """|dG| over the largest |G| of the second at that frequency, (n, n_out, n_in) [-]."""
+        g = self.ground
+        size = np.nanmax(np.where(g.valid, np.abs(g.b), np.nan), axis=(1, 2), keepdims=True)
+        return np.where(g.valid, np.abs(g.a - g.b) / size, np.nan)
+
+
+def versus(results: Results) -> Versus:
+    """A run's G and the measured one kept beside it."""
+    return Versus(("simulated", "measured"), common_ground(results.transfer, results.measured))
+
+
+def versus_of(a: TransferMatrix, b: TransferMatrix, names: tuple[str, str] = ("A", "B")) -> Versus:
+    """Any two transfer matrices; raises as :func:`forearm_fem.compare.common.common_ground`."""
+    return Versus(names, common_ground(a, b))
+
+
+def versus_table(data: Versus) -> Table:
+    """|G| of both and their relative difference, entry by entry."""
+    g = data.ground
+    columns: dict[str, FloatArray] = {"frequency_Hz": g.frequency}
+    error = data.error
+    for o, out in enumerate(g.outputs):
+        for i, source in enumerate(g.inputs):
+            tag = f"{out.name}_{source.name}"
+            columns[f"abs_{data.names[0]}_{tag}_{g.unit}"] = np.abs(g.a[:, o, i])
+            columns[f"abs_{data.names[1]}_{tag}_{g.unit}"] = np.abs(g.b[:, o, i])
+            columns[f"difference_{tag}"] = error[:, o, i]
+    return Table(columns)
+
+
+@styled
+def plot_versus(data: Versus, *, ax: Axes | None = None) -> FigureBase:
+    """|G|, phase and e(f) of two matrices per actuator: nearest, middle and farthest point."""
+    g = data.ground
+    figure = panels(ax, (1.9 * len(g.inputs) + 0.4, 5.0))
+    grid = figure.subplots(3, len(g.inputs), sharex=True, sharey="row", squeeze=False)
+    for i, source in enumerate(g.inputs):
+        _overlay(grid[:, i], data, i)
+        grid[0, i].set_title(f"actuator {source.name}")
+        grid[2, i].set_xlabel("frequency [Hz]")
+    grid[0, 0].set(ylabel=f"|G| [{micro(g.unit)}]", yscale="log")
+    grid[1, 0].set_ylabel("phase [cycles]")
+    grid[2, 0].set(ylabel="|ΔG| / max |G| [-]", yscale="log")
+    handles = [grid[0, 0].plot([], [], color=GREY, ls=s, label=n)[0] for n, s in zip(data.names, ("-", ":"), strict=True)]
+    figure.legend(handles=handles, loc="outside upper right", ncols=2)
+    return figure
+
+
+def _overlay(column: FloatArray, data: Versus, i: int) -> None:
+    g, error = data.ground, data.error
+    for o, colour in zip(_three(g.outputs, g.inputs[i]), ("#0072B2", "#E69F00", "#CC79A7"), strict=False):
+        for values, line, label in ((g.a, "-", f"point {g.outputs[o].name}"), (g.b, ":", None)):
+            entry = np.where(g.valid[:, o, i], values[:, o, i], np.nan + 0j)
+            column[0].plot(g.frequency, MICRO * np.abs(entry), ls=line, color=colour, label=label)
+            column[1].plot(g.frequency, unwrapped(entry), ls=line, color=colour)
+        column[2].plot(g.frequency, error[:, o, i], color=colour)
+    column[0].legend()
+
+
+def _three(outputs: tuple[Port, ...], source: Port) -> list[int]:
+    """Nearest, middle and farthest output of ``source``."""
+    order = np.argsort(distances(outputs, (source,))[:, 0], kind="stable")
+    return [int(order[k]) for k in sorted({0, len(order) // 2, len(order) - 1})]

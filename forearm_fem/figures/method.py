@@ -1,0 +1,328 @@
+"""Figures 4 and 5: how one entry of G is measured, and how each renderer gets its drives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import FigureBase
+from matplotlib.patches import ConnectionPatch
+
+from ..errors import DataError
+from ..measurement.sweep import ExponentialSweep
+from ..ports import Port, positions
+from ..rendering import Record, place, respond, to_spectrum
+from ..typing import ComplexArray, FloatArray
+from .data import Results
+from .device import LINES, busy
+from .matrix import MICRO, shown, unwrapped, zero_points
+from .style import ACTUATORS, FAINT, GREY, INK, METHODS, letter, panels, styled
+from .tables import Table, stacked
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One entry of G from a sweep: ``drive`` and ``response`` (n_t,) over ``time`` [s], ``entry`` (n,) over
+    ``frequency`` [Hz]."""
+
+    actuator: Port
+    point: Port
+    drive_unit: str
+    time: FloatArray
+    drive: FloatArray
+    response: FloatArray
+    frequency: FloatArray
+    entry: ComplexArray
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """Figure 4: the entry, and for a target the controls wanted, the drives, and what the points then do.
+
+    ``wanted`` and ``reached`` (n_control, n_t) [m], ``drives`` (n_in, n_t) at ``time`` (n_t,) [s].
+    """
+
+    measured: Measured
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    target: str
+    controls: tuple[str, ...]
+    time: FloatArray
+    wanted: FloatArray
+    drives: FloatArray
+    reached: FloatArray
+    drive_unit: str
+
+
+def method(results: Results) -> Method:
+    """Entry G_11 under the scenario's sweep, and the inverse filter's drives of target 5 (or the first)."""
+    g, moved, sent = results.transfer, results.displacements, results.drives
+    if "inverse filter" not in sent.methods:
+        raise DataError(f"{results.folder}: the inverse filter was not rendered; figure 4 shows it")
+    target = "5" if "5" in sent.targets else sent.targets[0]
+    at = (sent.methods.index("inverse filter"), sent.targets.index(target))
+    controls = (target, *_zeros(results, target))
+    rows = [moved.channels.index(c) for c in controls]
+    keep = busy(sent.values[at], sent.time)
+    wanted = np.zeros((len(rows), len(sent.time)))
+    wanted[0] = 1e-6 * results.scenario.rendering.amplitude * results.wavelet.samples
+    return Method(
+        measured=_measure(results),
+        outputs=g.outputs,
+        inputs=g.inputs,
+        target=target,
+        controls=controls,
+        time=sent.time[keep],
+        wanted=wanted[:, keep],
+        drives=sent.values[at][:, keep],
+        reached=moved.values[at][rows][:, keep],
+        drive_unit=sent.unit,
+    )
+
+
+def _zeros(results: Results, target: str) -> tuple[str, ...]:
+    """Zero points named in the scenario, else the thesis' (a search's are not kept in the files)."""
+    asked = results.scenario.rendering.zeros
+    return tuple(z for z in asked if z != target) if isinstance(asked, tuple) else zero_points(results.transfer, target)
+
+
+def _measure(results: Results) -> Measured:
+    g = results.transfer
+    sweep = ExponentialSweep.of(results.scenario)
+    record = Record(sweep.sample_rate, sweep.n)
+    samples = sweep.samples()
+    placed = place(g, record)
+    spectrum = np.zeros((len(placed.bins.index), len(g.inputs)), dtype=complex)
+    spectrum[:, 0] = to_spectrum(samples, record)[placed.bins.index]
+    moved = respond(placed, spectrum)[0]
+    time = np.arange(sweep.n) / sweep.sample_rate
+    unit = g.unit.rpartition("/")[2]
+    return Measured(g.inputs[0], g.outputs[0], unit, time, samples, moved, g.frequency, shown(g)[:, 0, 0], g.unit)
+
+
+def method_table(data: Method) -> Table:
+    """Controls wanted and reached, and drives, over time."""
+    columns: dict[str, FloatArray] = {"time_s": data.time}
+    for k, name in enumerate(data.controls):
+        columns[f"wanted_{name}_m"] = data.wanted[k]
+        columns[f"reached_{name}_m"] = data.reached[k]
+    for k, port in enumerate(data.inputs):
+        columns[f"drive_{port.name}_{data.drive_unit}"] = data.drives[k]
+    return Table(columns)
+
+
+def method_extra(data: Method) -> dict[str, str]:
+    """The sweep and the response; the transfer function."""
+    m = data.measured
+    over_time = {"time_s": m.time, f"drive_{m.drive_unit}": m.drive, "response_m": m.response}
+    entry = {f"abs_G_{m.unit}": np.abs(m.entry), "phase_G_rad": np.angle(m.entry)}
+    return {
+        "sweep.csv": Table(over_time).as_csv(),
+        "entry.csv": Table({"frequency_Hz": m.frequency, **entry}).as_csv(),
+    }
+
+
+@styled
+def plot_method(data: Method, *, ax: Axes | None = None) -> FigureBase:
+    """One entry of G from a sweep (top), and from controls to drives to what the points do (bottom)."""
+    figure = panels(ax, (7.4, 5.6))
+    top, bottom = figure.subfigures(2, 1, height_ratios=(1, 1.45))
+    _entry(top, data)
+    _filter(bottom, data)
+    return figure
+
+
+def _entry(figure: FigureBase, data: Method) -> None:
+    m = data.measured
+    where, drive, response, entry = figure.subplots(1, 4, width_ratios=(0.9, 1, 1, 1.1))
+    _layout(where, data.outputs, data.inputs, m)
+    drive.plot(m.time, m.drive, color="#CC79A7", lw=0.3, rasterized=True)
+    drive.set(xlabel="time [s]", ylabel=f"[{m.drive_unit}]", title=f"sweep to {m.actuator.name}")
+    response.plot(m.time, MICRO * m.response, color="#D55E00", lw=0.3, rasterized=True)
+    response.set(xlabel="time [s]", ylabel="[µm]", title=f"response of point {m.point.name}")
+    entry.plot(m.frequency, MICRO * np.abs(m.entry), color=INK)
+    entry.set(xlabel="frequency [Hz]", ylabel=f"[µ{m.unit}]", title=f"|G| and phase, {m.point.name} ← {m.actuator.name}")
+    phase = entry.twinx()
+    phase.plot(m.frequency, unwrapped(m.entry), color=GREY, ls="--", lw=0.8)
+    phase.set_ylabel("phase [cycles]", color=GREY)
+    phase.grid(False)
+    phase.spines["right"].set_visible(True)
+    for panel, text in zip((where, drive, response, entry), "abcd", strict=True):
+        panel.text(-0.05, 1.06, text, transform=panel.transAxes, fontweight="bold", ha="right")
+
+
+def _layout(ax: Axes, outputs: tuple[Port, ...], inputs: tuple[Port, ...], m: Measured) -> None:
+    """Grid points and actuators seen from above, with their names."""
+    for ports, mark, colour in ((outputs, "o", "#D55E00"), (inputs, "s", "#CC79A7")):
+        at = 1e3 * positions(ports)
+        filled = [colour if p in (m.point, m.actuator) else "w" for p in ports]
+        ax.scatter(at[:, 0], at[:, 1], c=filled, marker=mark, s=70, edgecolors=colour)
+        for place_, port in zip(at, ports, strict=True):
+            ink = "w" if port in (m.point, m.actuator) else INK
+            ax.annotate(port.name, place_[:2], ha="center", va="center", fontsize=5, color=ink)
+    ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="device")
+    ax.margins(0.15)
+
+
+def _filter(figure: FigureBase, data: Method) -> None:
+    n = max(len(data.controls), len(data.inputs))
+    left, middle, right = figure.subfigures(1, 3, width_ratios=(1, 1, 1))
+    ms = 1e3 * data.time
+    most = MICRO * max(np.abs(data.wanted).max(), np.nanmax(np.abs(data.reached)))
+    for part, rows, title in ((left, data.wanted, "wanted: target and zeros"), (right, data.reached, "reached")):
+        axes = np.atleast_1d(part.subplots(n, 1, sharex=True))
+        for k, panel in enumerate(axes):
+            _control(panel, data, k, ms, rows, most)
+        axes[-1].set_xlabel("time [ms]")
+        part.suptitle(title, fontsize=8)
+    axes = np.atleast_1d(middle.subplots(n, 1, sharex=True))
+    _drives(axes, data, ms)
+    middle.suptitle("$S = H^{+} U$: drives" if len(axes) else "", fontsize=8)
+
+
+def _control(ax: Axes, data: Method, k: int, ms: FloatArray, rows: FloatArray, most: float) -> None:
+    if k >= len(data.controls):
+        ax.axis("off")
+        return
+    ax.plot(ms, MICRO * rows[k], color="#D55E00" if k == 0 else INK)
+    ax.set(ylim=(-1.1 * most, 1.1 * most), xlim=(ms[0], ms[-1]))
+    kind = "target" if k == 0 else "zero"
+    ax.set_ylabel(f"{kind} {data.controls[k]}\n[µm]", rotation=0, ha="right", va="center")
+
+
+def _drives(axes: FloatArray, data: Method, ms: FloatArray) -> None:
+    most = 1.1 * float(np.abs(data.drives).max()) or 1.0
+    last = min(len(data.inputs), len(axes)) - 1
+    for k, panel in enumerate(axes):
+        if k > last:
+            panel.axis("off")
+            continue
+        panel.plot(ms, data.drives[k], color=ACTUATORS[k % 6])
+        panel.set(ylim=(-most, most), xlim=(ms[0], ms[-1]))
+        panel.set_ylabel(f"{data.inputs[k].name}\n[{data.drive_unit}]", rotation=0, ha="right", va="center")
+    axes[last].set_xlabel("time [ms]")
+    axes[last].tick_params(labelbottom=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Workflow:
+    """Figure 5, one target: per method what is asked for, the drives, and what target and others do.
+
+    ``asked`` (n_t,) in ``asked_unit`` per method; ``drives`` (n_in, n_t); ``moved`` (n_out, n_t) [m].
+    """
+
+    target: str
+    row: int
+    methods: tuple[str, ...]
+    time: FloatArray
+    asked: tuple[FloatArray, ...]
+    asked_unit: tuple[str, ...]
+    drives: tuple[FloatArray, ...]
+    moved: tuple[FloatArray, ...]
+    names: tuple[str, ...]
+    drive_unit: str
+
+
+def workflow(results: Results, target: str | None = None) -> Workflow:
+    """The methods of the thesis that were rendered at ``target`` (default 5, or the first)."""
+    sent, moved = results.drives, results.displacements
+    chosen = target or ("5" if "5" in sent.targets else sent.targets[0])
+    methods = tuple(m for m in METHODS if m in sent.methods)
+    if not methods:
+        raise DataError(f"{results.folder}: none of the thesis' methods was rendered; figure 5 shows them")
+    t = sent.targets.index(chosen)
+    row = moved.channels.index(chosen)
+    drives = [sent.values[sent.methods.index(m), t] for m in methods]
+    reached = [moved.values[moved.methods.index(m), t] for m in methods]
+    keep = np.abs(sent.time) < 0.03
+    asked = {m: _asked(results, m, t, row) for m in methods}
+    return Workflow(
+        target=chosen,
+        row=row,
+        methods=methods,
+        time=sent.time[keep],
+        asked=tuple(asked[m][0][keep] for m in methods),
+        asked_unit=tuple(asked[m][1] for m in methods),
+        drives=tuple(d[:, keep] for d in drives),
+        moved=tuple(u[:, keep] for u in reached),
+        names=sent.channels,
+        drive_unit=sent.unit,
+    )
+
+
+def _asked(results: Results, name: str, t: int, row: int) -> tuple[FloatArray, str]:
+    """What a method starts from: a displacement of the target, or the signal sent to all."""
+    moved, amplitude = results.displacements, results.scenario.rendering.amplitude
+    if name == "inverse filter":
+        return 1e-6 * amplitude * results.wavelet.samples, "m"
+    if name == "funneling" or "funneling" not in moved.methods:
+        return amplitude * results.wavelet.samples, results.drives.unit
+    return moved.values[moved.methods.index("funneling"), t, row], "m"
+
+
+def workflow_table(data: Workflow) -> Table:
+    """Asked, drives and the target's displacement over time, method by method."""
+    parts = {}
+    for k, m in enumerate(data.methods):
+        drives = {f"drive_{n}_{data.drive_unit}": d for n, d in zip(data.names, data.drives[k], strict=True)}
+        asked = {"time_s": data.time, "asked": data.asked[k], "asked_unit": [data.asked_unit[k]] * len(data.time)}
+        parts[m] = {**asked, **drives, f"u_{data.target}_m": data.moved[k][data.row]}
+    return stacked("method", parts)
+
+
+_START = {
+    "inverse filter": "wanted at the target; 0 at the zeros",
+    "funneling": "the wavelet itself",
+    "combination": "funneling's motion of the target; 0 at the zeros",
+}
+_STEP = {
+    "inverse filter": r"$S = H^{+} U$",
+    "funneling": r"$s_q = A_q\,s$,  $A_q$ by distance",
+    "combination": r"$S = H^{+} U$",
+}
+
+
+@styled
+def plot_workflow(data: Workflow, *, ax: Axes | None = None) -> FigureBase:
+    """How each renderer gets its drives, and the motion that follows: one column per method, top to bottom."""
+    figure = panels(ax, (7.4, 5.4))
+    grid = figure.subplots(3, len(data.methods), squeeze=False, gridspec_kw={"hspace": 0.32})
+    for k, name in enumerate(data.methods):
+        _column(grid[:, k], data, k)
+        grid[0, k].set_title(f"{name}\n", color=METHODS[name], fontweight="bold", fontsize=9)
+        grid[0, k].text(0.5, 1.03, _START[name], transform=grid[0, k].transAxes, ha="center", fontsize=7)
+        _arrow(figure, grid[0, k], grid[1, k], _STEP[name])
+        _arrow(figure, grid[1, k], grid[2, k], r"$U = G\,S$")
+        grid[2, k].set_xlabel("time [ms]")
+    for panel, text in zip(grid[:, 0], ("start", "drives", "displacement"), strict=True):
+        panel.set_ylabel(f"{text} {panel.get_ylabel()}")
+    letter(grid[0, 0], "")
+    return figure
+
+
+def _column(axes: FloatArray, data: Workflow, k: int) -> None:
+    ms = 1e3 * data.time
+    metres = data.asked_unit[k] == "m"
+    axes[0].plot(ms, (MICRO if metres else 1) * data.asked[k], color=METHODS[data.methods[k]])
+    axes[0].set_ylabel("[µm]" if metres else f"[{data.asked_unit[k]}]")
+    for q, (name, drive) in enumerate(zip(data.names, data.drives[k], strict=True)):
+        axes[1].plot(ms, drive, color=ACTUATORS[q % 6], ls=LINES[q % 4], label=name)
+    axes[1].set_ylabel(f"[{data.drive_unit}]")
+    axes[1].legend(ncols=2, fontsize=6, loc="upper right", handlelength=1.2, columnspacing=0.8)
+    for row, trace in enumerate(data.moved[k]):
+        if row != data.row:
+            axes[2].plot(ms, MICRO * trace, color=FAINT, lw=0.7)
+    axes[2].plot(ms, MICRO * data.moved[k][data.row], color=INK, label=f"target {data.target}")
+    axes[2].set_ylabel("[µm]")
+    axes[2].legend(fontsize=6, loc="upper right")
+    for panel in axes:
+        panel.set_xlim(ms[0], ms[-1])
+
+
+def _arrow(figure: FigureBase, upper: Axes, lower: Axes, text: str) -> None:
+    """An arrow from one panel down to the next, and what happens on the way."""
+    look = {"arrowstyle": "-|>", "color": GREY, "lw": 1.2, "shrinkA": 12, "shrinkB": 2}
+    figure.add_artist(ConnectionPatch((0.5, 0), (0.5, 1), "axes fraction", "axes fraction", axesA=upper, axesB=lower, **look))
+    lower.annotate(text, (0.54, 1.1), xycoords="axes fraction", fontsize=7.5, color=INK, ha="left", va="center")

@@ -1,0 +1,93 @@
+"""The look of every figure: style sheet, colours, canvases and the line that says where it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure, FigureBase, SubFigure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from ..errors import DataError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+Drawn = Axes | FigureBase
+
+SHEET = Path(__file__).with_name("forearm.mplstyle")
+INK, GREY, FAINT = "#222222", "#777777", "#B8B8B8"
+ACTUATORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+METHODS = {"inverse filter": "#0072B2", "funneling": "#D55E00", "combination": "#009E73"}
+TISSUES = {"skin": "#E8B4A0", "fat": "#F2DE9B", "muscle": "#A84B4B", "bone": "#DAD7CB"}
+SIGNED, SIZE = "RdBu_r", "cividis"
+
+
+def styled(draw: Callable[P, R]) -> Callable[P, R]:
+    """``draw`` under our style sheet; the user's own settings are back when it returns."""
+
+    @wraps(draw)
+    def inside(*args: P.args, **kwargs: P.kwargs) -> R:
+        with style.context(SHEET):
+            return draw(*args, **kwargs)
+
+    return inside
+
+
+def single(ax: Axes | None, size: tuple[float, float] = (3.5, 2.6)) -> Axes:
+    """``ax``, or new axes in a figure of ``size`` [inch] that belongs to no window."""
+    return ax if ax is not None else Figure(figsize=size, layout="constrained").add_subplot()
+
+
+def panels(ax: Axes | None, size: tuple[float, float]) -> FigureBase:
+    """A new figure of ``size`` [inch], or a sub-figure in the place of ``ax`` (which disappears)."""
+    if ax is None:
+        return Figure(figsize=size, layout="constrained")
+    spec = ax.get_subplotspec()
+    if spec is None or not isinstance(ax.figure, Figure | SubFigure):
+        raise DataError("this figure has several panels: give it axes made by subplots(), or no ax at all")
+    ax.remove()
+    return ax.figure.add_subfigure(spec)
+
+
+def figure_of(drawn: Drawn) -> Figure:
+    """The whole figure that ``drawn`` is part of."""
+    base: Any = drawn
+    while not isinstance(base, Figure):
+        base = base.figure if isinstance(base, Axes) else base.get_figure(root=True)
+    return base
+
+
+def sign(figure: Figure, source: str) -> None:
+    """``source`` in small grey letters at the foot of ``figure``, below everything else."""
+    height = 0.16 / figure.get_figheight()
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.set(rect=(0, height, 1, 1 - height))  # type: ignore[call-arg]
+    figure.text(0.005, 0.25 * height, source, fontsize=5.5, color=GREY, ha="left", va="bottom")
+
+
+def method_colour(name: str, all_names: Sequence[str]) -> str:
+    """The method's own colour; unknown methods take the next ones of the actuators' cycle."""
+    spare = [c for c in ACTUATORS if c not in METHODS.values()]
+    return METHODS.get(name) or spare[list(all_names).index(name) % len(spare)]
+
+
+def letter(ax: Axes, text: str) -> None:
+    """A panel's bold letter outside its upper left corner."""
+    ax.set_title(text, loc="left", fontweight="bold")
+
+
+def decimal(axis: Axis) -> None:
+    """Plain numbers on a logarithmic axis, also between the decades where it spans few of them."""
+    low, high = sorted(axis.get_view_interval())
+    decades = float(np.log10(high / low)) if low > 0 else 0.0
+    subs = (1.0, 2.0, 5.0) if decades < 2.2 else (1.0,)
+    axis.set_major_locator(LogLocator(10, subs))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -1,0 +1,223 @@
+"""Figures 6 and 7: for a target, the surface at six instants and the grid points over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import FigureBase
+from scipy.interpolate import griddata
+
+from ..errors import DataError
+from ..io import Signals
+from ..ports import Port, positions
+from ..rendering import to_spectrum
+from ..typing import ComplexArray, FloatArray
+from ..wavefield import Wavefield
+from .data import Results
+from .device import busy, record_of
+from .matrix import MICRO
+from .patch import VolarPatch, volar_patch
+from .style import FAINT, GREY, INK, SIGNED, method_colour, panels, styled
+from .tables import Table, stacked
+
+_INSTANTS = 6
+_MESH = 41  # points per side of the interpolated map
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One method at one target.
+
+    ``values`` (n_out, n_t) [m] at ``time`` (n_t,) [s]; ``instants`` (6,) [s]; ``between`` (6, ny, nx) [m]
+    interpolated between the grid points; ``field`` (6, n_vertex) [m] the skin's own normal motion, None without a
+    wavefield.
+    """
+
+    method: str
+    time: FloatArray
+    values: FloatArray
+    instants: FloatArray
+    between: FloatArray
+    field: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A target under every method; ``x`` (nx,) and ``y`` (ny,) [m] span the interpolated maps."""
+
+    target: str
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    shown: tuple[Shown, ...]
+    x: FloatArray
+    y: FloatArray
+    patch: VolarPatch | None
+
+    @property
+    def row(self) -> int:
+        """Index of the target among the outputs."""
+        return [p.name for p in self.outputs].index(self.target)
+
+
+def target_waves(results: Results, target: str) -> Target:
+    """Everything that figure 6 shows, for ``target``."""
+    moved, g = results.displacements, results.transfer
+    if target not in moved.targets:
+        raise DataError(f"{results.folder}: nothing was rendered at target '{target}', only at "
+                        f"{', '.join(moved.targets)}; `forearm-fem render` can")  # fmt: skip
+    patch = volar_patch(results.mesh, (*g.inputs, *g.outputs)) if results.has_field else None
+    places = positions(g.outputs)[:, :2]
+    x, y = (np.linspace(places[:, c].min(), places[:, c].max(), _MESH) for c in (0, 1))
+    shown = tuple(_shown(results, m, target, patch, x, y) for m in moved.methods)
+    return Target(target, g.outputs, g.inputs, shown, x, y, patch)
+
+
+def _shown(
+    results: Results, method: str, target: str, patch: VolarPatch | None, x: FloatArray, y: FloatArray
+) -> Shown:
+    moved = results.displacements
+    values = _one(moved, method, target)
+    instants = moments(moved.time, values, moved.channels.index(target))
+    samples = np.searchsorted(moved.time, instants - 1e-9)
+    between = _between(positions(results.transfer.outputs)[:, :2], values[:, samples].T, x, y)
+    field = None
+    if patch is not None:
+        spectrum = drive_series(results.drives, method, target, results.wavefield)
+        field = patch.normal_field(results.wavefield).in_time(spectrum, instants)
+    keep = busy(values, moved.time)
+    return Shown(method, moved.time[keep], values[:, keep], instants, between, field)
+
+
+def _one(signals: Signals, method: str, target: str) -> FloatArray:
+    return np.asarray(signals.values[signals.methods.index(method), signals.targets.index(target)])
+
+
+def moments(time: FloatArray, values: FloatArray, row: int) -> FloatArray:
+    """Six instants [s] on samples: the target's own peak as the fourth, evenly spaced through the motion.
+
+    The step is a sixth of the span that holds 90 % of the motion, between 0.5 and 3 ms.
+    """
+    keep = busy(values, time, share=0.9, least=0.0)
+    peak = int(np.argmax(np.abs(np.nan_to_num(values[row]))))
+    span = float(time[keep][-1] - time[keep][0])
+    dt = float(time[1] - time[0])
+    step = max(1, round(float(np.clip(span / _INSTANTS, 0.5e-3, 3e-3)) / dt))
+    return np.asarray(time[np.clip(peak + step * (np.arange(_INSTANTS) - 3), 0, len(time) - 1)])
+
+
+def _between(places: FloatArray, values: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Cubic interpolation (n, ny, nx) between grid points, as MATLAB's griddata and the thesis do."""
+    mesh = np.stack(np.meshgrid(x, y), axis=-1)
+    return np.array([griddata(places, v, mesh, method="cubic") for v in values])
+
+
+def drive_series(drives: Signals, method: str, target: str, field: Wavefield) -> ComplexArray:
+    """Fourier-series amplitudes (n_input, n_frequency) of the drives on the wavefield's bins.
+
+    Raises DataError unless these are bins of the drives' record.
+    """
+    record = record_of(drives)
+    index = np.rint(field.frequency / record.df).astype(int)
+    if np.any(np.abs(index * record.df - field.frequency) > 1e-3 * record.df):
+        raise DataError("the wavefield's frequencies are not those of the drives; run `forearm-fem render` again")
+    return np.asarray(to_spectrum(_one(drives, method, target), record)[:, index] * record.df)
+
+
+def target_table(data: Target) -> Table:
+    """Displacement of each grid point over time, method by method."""
+    names = [f"u_{p.name}_m" for p in data.outputs]
+    parts = {s.method: {"time_s": s.time, **dict(zip(names, s.values, strict=True))} for s in data.shown}
+    return stacked("method", parts)
+
+
+def target_extra(data: Target) -> dict[str, str]:
+    """The skin's own motion at the instants, vertex by vertex."""
+    if data.patch is None:
+        return {}
+    at = data.patch.points
+    columns: dict[str, Any] = {"x_m": at[:, 0], "y_m": at[:, 1], "z_m": at[:, 2]}
+    for s in data.shown:
+        for t, field in zip(s.instants, s.field if s.field is not None else (), strict=True):
+            columns[f"u_{s.method}_at_{1e3 * t:.1f}ms_m"] = field
+    return {"field.csv": Table(columns).as_csv()}
+
+
+@styled
+def plot_target(data: Target, *, ax: Axes | None = None) -> FigureBase:
+    """Per method: maps at six instants (interpolated, and the field itself), and the grid points over time."""
+    rows = 2 if data.patch is not None else 1
+    figure = panels(ax, (10.2, 0.5 + len(data.shown) * (1.25 * rows + 0.45)))
+    bands = np.atleast_1d(figure.subfigures(len(data.shown), 1))
+    for band, shown in zip(bands, data.shown, strict=True):
+        _band(band, data, shown, rows)
+    return figure
+
+
+def _band(figure: FigureBase, data: Target, shown: Shown, rows: int) -> None:
+    maps, right = figure.subfigures(1, 2, width_ratios=(2.6, 1))
+    grid = maps.subplots(rows, _INSTANTS, squeeze=False)
+    scale = _scale(shown)
+    for k, t in enumerate(shown.instants):
+        grid[0, k].set_title(f"{1e3 * t:+.1f} ms")
+        grid[0, k].pcolormesh(1e3 * data.x, 1e3 * data.y, MICRO * shown.between[k], cmap=SIGNED, norm=scale,
+                              shading="gouraud", rasterized=True)  # fmt: skip
+        if shown.field is not None and data.patch is not None:
+            grid[1, k].tripcolor(data.patch.triangulation, MICRO * shown.field[k], cmap=SIGNED, norm=scale,
+                                 shading="gouraud", rasterized=True)  # fmt: skip
+        for panel in grid[:, k]:
+            _mark(panel, data)
+    for panel, text in zip(grid[:, 0], ("interpolated", "field itself"), strict=False):
+        panel.set_ylabel(text)
+    bar = maps.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both")
+    bar.set_label("u [µm]")
+    _traces(right.subplots(), data, shown)
+
+
+def _scale(shown: Shown) -> Normalize:
+    """Symmetric about zero, up to what the grid points reach at these instants."""
+    most = MICRO * float(np.nanmax(np.abs(shown.between), initial=0.0))
+    return Normalize(-most or -1.0, most or 1.0)
+
+
+def _mark(ax: Axes, data: Target) -> None:
+    places, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
+    ax.plot(places[:, 0], places[:, 1], ".", color=INK, ms=1.5)
+    ax.plot(*places[data.row, :2], "o", mfc="none", mec=INK, ms=7, mew=0.9)
+    ax.plot(coils[:, 0], coils[:, 1], "s", mfc="none", mec=GREY, ms=5, mew=0.6)
+    reach = 1.3 * np.abs(np.concatenate([places, coils])[:, :2] - places[:, :2].mean(axis=0)).max()
+    middle = places[:, :2].mean(axis=0)
+    ax.set(aspect="equal", xticks=(), yticks=(), xlim=(middle[0] - reach, middle[0] + reach),
+           ylim=(middle[1] - reach, middle[1] + reach))  # fmt: skip
+    ax.grid(False)
+    ax.spines[:].set_visible(False)
+
+
+def _traces(ax: Axes, data: Target, shown: Shown) -> None:
+    for k, trace in enumerate(shown.values):
+        if k != data.row:
+            ax.plot(1e3 * shown.time, MICRO * trace, color=GREY, lw=0.7, ls=":")
+    ax.plot([], [], color=GREY, lw=0.7, ls=":", label="the others")
+    ax.plot(1e3 * shown.time, MICRO * shown.values[data.row], color=INK, label=f"target {data.target}")
+    for t in shown.instants:
+        ax.axvline(1e3 * t, color=FAINT, lw=0.5, zorder=0)
+    colour = method_colour(shown.method, [s.method for s in data.shown])
+    ax.set_title(shown.method, color=colour, fontweight="bold", fontsize=9)
+    ax.set(xlabel="time [ms]", ylabel="u [µm]", xlim=(1e3 * shown.time[0], 1e3 * shown.time[-1]))
+    ax.legend(loc="upper left", fontsize=6)
+
+
+@styled
+def plot_traces(data: Target, *, ax: Axes | None = None) -> FigureBase:
+    """Only the grid points over time, one panel per method: the lower half of figures 6 and 7."""
+    figure = panels(ax, (2.6 * len(data.shown), 2.4))
+    axes = np.atleast_1d(figure.subplots(1, len(data.shown)))
+    for panel, shown in zip(axes, data.shown, strict=True):
+        _traces(panel, data, shown)
+    return figure
+
+

@@ -1,0 +1,146 @@
+"""From a scenario to its mesh."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import MeshError
+from ..ports import Port
+from ..scenario import Scenario
+from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, SurfacesLimb
+from ..typing import FloatArray, IntArray
+from .contacts import check_contact_areas, with_contacts
+from .imprint import imprint
+from .landing import FacetSkin
+from .layout import RIGID, layout_of
+from .limb import limb_mesh, underside
+from .mesh import TissueMesh
+from .place import place_ports, ports_on, true_skin
+from .quality import check_mesh
+from .refine import refine_near, refine_rims
+from .sizing import SizeField, Sizes, SpaceField, element_sizes
+from .slab import slab_mesh
+from .surfaces import read_surfaces, surfaces_mesh
+from .tube import Tube, tube_of
+from .usermesh import user_mesh
+
+Progress = Callable[[str], None]
+_ATTEMPTS = 3  # fTetWild draws random numbers, so that another run may succeed where one did not
+_log = logging.getLogger("forearm_fem.geometry")
+
+
+def build_mesh(
+    scenario: Scenario,
+    *,
+    base: Path = Path("."),
+    scale: float = 1.0,
+    shear_speed: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> TissueMesh:
+    """Tetrahedra of the scenario's limb; ``scale`` multiplies every element size."""
+    sizes = element_sizes(scenario, shear_speed, scale=scale)
+    size = SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading)
+    for attempt in range(1, _ATTEMPTS + 1):
+        mesh = _unmarked(scenario, base, size, progress or _silent)
+        try:
+            return _marked(scenario, mesh, sizes, progress or _silent)
+        except MeshError as problem:
+            if attempt == _ATTEMPTS or isinstance(scenario.limb, SlabLimb | MeshLimb):
+                raise
+            _log.info("attempt %d at the mesh failed (%s); fTetWild's next one will differ", attempt, problem)
+    raise AssertionError("unreachable")
+
+
+def _silent(text: str) -> None:
+    """No progress wanted."""
+
+
+def _unmarked(scenario: Scenario, base: Path, size: SizeField, say: Progress) -> TissueMesh:
+    """The limb's mesh before contacts are pressed into it."""
+    limb, keep_bone = scenario.limb, scenario.supports.bone == "elastic"
+    if isinstance(limb, SlabLimb):
+        return slab_mesh(limb, size.layout, size)
+    if isinstance(limb, ForearmLimb | CylinderLimb):
+        ports_on(scenario, tube_of(limb).volar)  # complain about misplaced ports before the long work
+        return _tube_mesh(tube_of(limb), size, say, keep_bone=keep_bone)
+    if isinstance(limb, MeshLimb):
+        return user_mesh(limb, base, keep_bone=keep_bone)
+    return _nested_mesh(limb, base, size, say, keep_bone=keep_bone)
+
+
+def _marked(scenario: Scenario, mesh: TissueMesh, sizes: Sizes, say: Progress) -> TissueMesh:
+    """With rims followed by edges, refined where the cone is rigid, and contacts named; checked."""
+    ports = tuple(p for p in place_ports(scenario, mesh) if p.kind == "contact")
+    say("following and refining the contact rims")
+    mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, sizes)
+    mesh = with_contacts(mesh, ports)
+    mesh = refine_rims(mesh, ports, _rim_size(scenario, sizes))
+    if len(mesh.tetrahedra) > scenario.mesh.max_elements:
+        raise MeshError(
+            f"the mesh has {len(mesh.tetrahedra)} tetrahedra, mesh.max_elements allows "
+            f"{scenario.mesh.max_elements:g}; "
+            "raise it, or enlarge mesh.size_grid and mesh.size_contact"
+        )
+    check_contact_areas(mesh, ports)
+    check_mesh(mesh, scenario.mesh.min_quality)
+    return mesh
+
+
+def _rim_size(scenario: Scenario, sizes: Sizes) -> float:
+    """Rigid discs have a stress singularity at the rim; a uniform pressure only needs its area."""
+    cone = scenario.device.cone
+    return sizes.rim if cone.contact in RIGID else max(0.5 * sizes.contact, 0.25 * cone.radius)
+
+
+def _imprinted(scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], sizes: Sizes) -> TissueMesh:
+    mesh = refine_near(mesh, ports, min(sizes.contact, 0.6 * scenario.device.cone.radius))
+    limb = scenario.limb
+    exact = true_skin(tube_of(limb)) if isinstance(limb, ForearmLimb | CylinderLimb) else None
+    for port in ports:
+        mesh = imprint(mesh, port, exact or FacetSkin.of(mesh).lift)
+    return replace(mesh, facets={**mesh.facets, **_underside(mesh)})
+
+
+def _underside(mesh: TissueMesh) -> dict[str, IntArray]:
+    found = underside(mesh.points, mesh.facets["skin"])
+    return {"underside": found} if len(found) else {}
+
+
+def limb_volume(scenario: Scenario) -> float | None:
+    """Exact volume [m^3] of what a parametric limb's mesh fills (a slab's quarter too); None for user
+    limbs."""
+    limb, elastic = scenario.limb, scenario.supports.bone == "elastic"
+    if isinstance(limb, SlabLimb):
+        return float(limb.length * limb.width * limb.depth / 2 ** len(set(limb.symmetry)))
+    if isinstance(limb, ForearmLimb | CylinderLimb):
+        return sum(tube_of(limb).volumes(bones_kept=elastic).values())
+    return None
+
+
+def _nested_mesh(
+    limb: SurfacesLimb, base: Path, size: SizeField, say: Progress, *, keep_bone: bool
+) -> TissueMesh:
+    surfaces = read_surfaces(limb, base)
+    outer = FacetSkin(surfaces[0].vertices, surfaces[0].faces)
+    say("meshing the outer surface")
+    field = SpaceField.on(size, lambda xy: outer(xy)[0])
+    return surfaces_mesh(surfaces, field, size.sizes.far, keep_bone=keep_bone)
+
+
+def _tube_mesh(tube: Tube, size: SizeField, say: Progress, *, keep_bone: bool) -> TissueMesh:
+    say("meshing the core (half a minute)")
+    field = SpaceField.on(size, lambda xy: _core_surface(tube, xy))
+    return limb_mesh(tube, field, size.sizes, elastic_bones=keep_bone)
+
+
+def _core_surface(tube: Tube, xy: FloatArray) -> FloatArray:
+    """Points (n, 3) of the core's surface under the skin at ``xy`` (n, 2)."""
+    skin, _ = tube.volar(xy)
+    return tube.place(
+        skin[:, 0], np.where(np.isfinite(skin[:, 1]), tube.angle_of(skin), np.nan), tube.thickness
+    )

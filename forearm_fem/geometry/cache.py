@@ -1,0 +1,167 @@
+"""Meshes are found before they are made: shipped with the scenario, in the user's cache, else built."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ..errors import MeshError
+from ..scenario import Scenario
+from ..scenario.limb import MeshLimb, SurfacesLimb
+from .build import Progress, build_mesh
+from .files import read_mesh, write_mesh
+from .layout import RIGID, layout_of
+from .mesh import TissueMesh
+from .sizing import element_sizes
+
+GENERATOR = 1  # raise when the same scenario would give another mesh
+_log = logging.getLogger("forearm_fem.geometry")
+
+
+def cached_mesh(
+    scenario: Scenario,
+    *,
+    base: Path = Path("."),
+    scale: float = 1.0,
+    shear_speed: Mapping[str, float] | None = None,
+    cache_dir: Path | None = None,
+    shipped_dir: Path | None = None,
+    progress: Progress | None = None,
+) -> TissueMesh:
+    """The scenario's mesh from ``shipped_dir``, else from ``cache_dir``, else built and kept there.
+
+    ``base`` is the scenario file's folder. A file that cannot be read or whose contents changed is logged and
+    passed over. fTetWild is not repeatable: deleting the cache changes forearm meshes (not slabs) slightly.
+    """
+    key = mesh_key(scenario, base=base, scale=scale, shear_speed=shear_speed)
+    for folder in shipped_folders(base, shipped_dir):
+        if (found := _look_up(folder, key)) is not None:
+            return found
+    home = cache_dir or default_cache_dir()
+    if (found := _read(home / f"{key}.json", key)) is not None:
+        return found
+    mesh = build_mesh(scenario, base=base, scale=scale, shear_speed=shear_speed, progress=progress)
+    _try_store(mesh, home / f"{key}.vtu", key)
+    return mesh
+
+
+def mesh_key(
+    scenario: Scenario,
+    *,
+    base: Path = Path("."),
+    scale: float = 1.0,
+    shear_speed: Mapping[str, float] | None = None,
+) -> str:
+    """SHA-256 of everything the mesh depends on, user files' contents included."""
+    layout = layout_of(scenario)
+    depends = {
+        "generator": GENERATOR,
+        "limb": scenario.limb.model_dump(mode="json"),
+        "files": _file_digests(scenario, base),
+        "contacts": layout.contacts.tolist(),
+        "radius": layout.radius,
+        "rigid": scenario.device.cone.contact in RIGID,
+        "points": layout.points.tolist(),
+        "grading": scenario.mesh.grading,
+        "sizes": _rounded(asdict(element_sizes(scenario, shear_speed, scale=scale))),
+        "bone": scenario.supports.bone,
+    }
+    return hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
+
+
+def _rounded(sizes: dict[str, Any]) -> dict[str, Any]:
+    """Sizes to a micrometre: rounding of the last bit must not miss a mesh."""
+    return {k: round(v, 6) if isinstance(v, float) else v for k, v in sizes.items()}
+
+
+def _file_digests(scenario: Scenario, base: Path) -> list[str]:
+    limb = scenario.limb
+    files = [limb.file] if isinstance(limb, MeshLimb) else []
+    files += list(limb.surfaces.values()) if isinstance(limb, SurfacesLimb) else []
+    paths = [base / f for f in files]
+    return [hashlib.sha256(p.read_bytes()).hexdigest() if p.is_file() else "missing" for p in paths]
+
+
+def default_cache_dir() -> Path:
+    """$FOREARM_FEM_CACHE, else $XDG_CACHE_HOME/forearm_fem, else ~/.cache/forearm_fem."""
+    if own := os.environ.get("FOREARM_FEM_CACHE"):
+        return Path(own)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "forearm_fem"
+
+
+def shipped_folders(base: Path, given: Path | None = None) -> tuple[Path, ...]:
+    """Folders of meshes that came with the program: ``given``, else ../meshes of the scenario and
+    ./meshes."""
+    return (given,) if given is not None else (base / ".." / "meshes", Path("meshes"))
+
+
+def store_mesh(mesh: TissueMesh, path: Path, key: str, *, command: str = "") -> None:
+    """Write ``mesh`` to ``path`` (.vtu), and beside it a .json with its key, digest and the command that
+    makes it."""
+    write_mesh(mesh, path)
+    note = {
+        "key": key,
+        "digest": mesh.digest,
+        "tetrahedra": len(mesh.tetrahedra),
+        "generator": GENERATOR,
+        "command": command,
+    }
+    temporary = path.with_name(f".writing-{os.getpid()}-{path.stem}.json")
+    temporary.write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")
+    os.replace(temporary, path.with_suffix(".json"))
+
+
+def ship_mesh(
+    scenario: Scenario, folder: Path, name: str, *, base: Path, scale: float = 1.0, command: str
+) -> TissueMesh:
+    """Build the scenario's mesh and keep it as ``folder``/``name``.vtu with its note."""
+    mesh = build_mesh(scenario, base=base, scale=scale)
+    store_mesh(mesh, folder / f"{name}.vtu", mesh_key(scenario, base=base, scale=scale), command=command)
+    return mesh
+
+
+def _try_store(mesh: TissueMesh, path: Path, key: str) -> None:
+    try:
+        store_mesh(mesh, path, key)
+    except OSError as problem:
+        _log.warning(
+            "the mesh could not be kept in the cache %s (%s); it will be built again", path.parent, problem
+        )
+
+
+def _look_up(folder: Path, key: str) -> TissueMesh | None:
+    notes = sorted(folder.glob("*.json")) if folder.is_dir() else []
+    found = (_read(note, key) for note in notes if _note(note).get("key") == key)
+    return next((mesh for mesh in found if mesh is not None), None)
+
+
+def _note(file: Path) -> dict[str, Any]:
+    try:
+        note = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return note if isinstance(note, dict) else {}
+
+
+def _read(file: Path, key: str) -> TissueMesh | None:
+    """The mesh beside the note ``file`` if both are whole and carry ``key``."""
+    if not file.exists():
+        return None
+    note = _note(file)
+    try:
+        mesh = read_mesh(file.with_suffix(".vtu"))
+    except MeshError as problem:
+        _log.warning("cached mesh passed over, it will be built again: %s", problem)
+        return None
+    if note.get("key") != key or note.get("digest") != mesh.digest:
+        _log.warning(
+            "cached mesh %s does not match its note; it will be built again", file.with_suffix(".vtu")
+        )
+        return None
+    return mesh

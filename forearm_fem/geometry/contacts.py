@@ -1,0 +1,66 @@
+"""Marking the skin under each cone as a named boundary."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import MeshError
+from ..ports import Port
+from ..typing import BoolArray, FloatArray, IntArray
+from .mesh import TissueMesh
+
+_LEAST_AREA = 0.9
+_ON_RIM = 1e-7  # relative to the radius
+
+
+def from_axis(points: FloatArray, port: Port) -> FloatArray:
+    """Distance (n,) [m] of points (n, 3) from the contact's axis."""
+    away = points - np.asarray(port.position)
+    axis = np.asarray(port.axis)
+    return np.asarray(np.linalg.norm(away - np.outer(away @ axis, axis), axis=1))
+
+
+def near(points: FloatArray, port: Port) -> BoolArray:
+    """Points within two radii of the contact: the axis meets a limb a second time on its underside."""
+    return np.asarray(np.linalg.norm(points - np.asarray(port.position), axis=1) < 2 * port.radius)
+
+
+def check_contact_areas(mesh: TissueMesh, ports: tuple[Port, ...]) -> None:
+    """Raise :class:`MeshError` when a contact's facets do not fill its disc (cut in half by symmetry
+    planes)."""
+    for port in (p for p in ports if p.kind == "contact"):
+        cuts = sum(
+            name.startswith("symmetry") and abs(port.position["xy".index(name[-1])]) < 1e-12
+            for name in mesh.facets
+        )
+        part = facet_area(mesh.points, mesh.facets[f"contact {port.name}"]) / (
+            np.pi * port.radius**2 / 2**cuts
+        )
+        if not _LEAST_AREA < part < 1.1:
+            raise MeshError(
+                f"the facets of contact {port.name} cover {100 * part:.0f} % of its disc, need "
+                f"{100 * _LEAST_AREA:g} % "
+                "or more; set mesh.size_contact smaller"
+            )
+
+
+def facet_area(points: FloatArray, facets: IntArray) -> float:
+    """Total area [m^2] of triangles (k, 3)."""
+    a, b, c = points[facets].transpose(1, 0, 2)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def with_contacts(mesh: TissueMesh, ports: tuple[Port, ...]) -> TissueMesh:
+    """The mesh with a boundary "contact <name>" for each contact among ``ports``."""
+    skin = mesh.facets["skin"]
+    named = {}
+    for port in (p for p in ports if p.kind == "contact"):
+        inside = near(mesh.points, port) & (from_axis(mesh.points, port) <= port.radius * (1 + _ON_RIM))
+        chosen = skin[inside[skin].all(axis=1)]
+        if not len(chosen):
+            raise MeshError(
+                f"no skin triangle lies under contact {port.name} of radius {port.radius * 1e3:.3g} mm; "
+                "set mesh.size_contact well below it"
+            )
+        named[f"contact {port.name}"] = chosen
+    return TissueMesh(mesh.points, mesh.tetrahedra, mesh.region, mesh.region_names, {**mesh.facets, **named})

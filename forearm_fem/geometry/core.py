@@ -1,0 +1,168 @@
+"""Tetrahedra of the muscle core by fTetWild, fine under the device, its boundary moved onto the exact
+surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..typing import BoolArray, FloatArray, IntArray
+from .tetwild import ENVELOPE, background_grid, tetrahedralise
+from .topology import boundary_faces
+from .tube import BoneAxis, Tube, lattice
+
+_WIDEST_FACET = 0.25  # [rad]: flat facets take 0.5 % of the area away where all are that wide
+_ALONG, _AROUND_BONE = (
+    24,
+    12,
+)  # facets of the surfaces handed to fTetWild; its vertices move onto the true ones
+Size3 = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class Core:
+    """Core mesh; ``lateral`` (m, 3) are the triangles on which layers grow, ``angle`` (n_point,) their
+    columns.
+
+    ``bone`` (n_tet,) numbers the bone each tetrahedron lies in, -1 for muscle.
+    """
+
+    points: FloatArray
+    tetrahedra: IntArray
+    bone: IntArray
+    lateral: IntArray
+    angle: FloatArray
+    on_bone: BoolArray
+
+
+def core_mesh(tube: Tube, size: Size3, far: float, *, elastic: bool) -> Core:
+    """Mesh of everything inside the layers; bones are left out unless ``elastic``."""
+    vertices, faces = _surfaces(tube, size, elastic)
+    grid, cells = background_grid(vertices.min(axis=0), vertices.max(axis=0), 3e-3)
+    points, tetrahedra = tetrahedralise(vertices, faces, grid, cells, size(grid), far)
+    return _fitted(tube, points, tetrahedra, elastic)
+
+
+def _surfaces(tube: Tube, size: Size3, elastic: bool) -> tuple[FloatArray, IntArray]:
+    """Closed triangulated surfaces: the core outwards; bones inwards and longer (holes), or outwards
+    (kept)."""
+    half = tube.length / 2
+    angle = _facet_angles(tube, size)
+    x = np.linspace(-half, half, _ALONG + 1)
+    wall = tube.place(np.repeat(x, len(angle)), np.tile(angle, len(x)), tube.thickness)
+    parts = [_capped(wall, _ALONG, len(angle))]
+    for bone in tube.bones:
+        reach = half if elastic else half * 1.02
+        wall = _bone_wall(tube, bone, np.linspace(-reach, reach, _ALONG + 1))
+        points, faces = _capped(wall, _ALONG, _AROUND_BONE)
+        parts.append((points, faces if elastic else faces[:, ::-1]))
+    starts = np.cumsum([0, *(len(p) for p, _ in parts)])
+    faces = np.vstack([f + start for (_, f), start in zip(parts, starts[:-1], strict=True)])
+    return np.vstack([p for p, _ in parts]), faces
+
+
+def _facet_angles(tube: Tube, size: Size3) -> FloatArray:
+    """Angles around the section at x = 0, a fine element apart: facets much finer would force small
+    elements."""
+    angle = np.linspace(0, 2 * np.pi, 1001)
+    ring = tube.place(np.zeros(1001), angle, tube.thickness)
+    step = np.linalg.norm(np.diff(ring, axis=0), axis=1)
+    wanted = np.minimum(size((ring[1:] + ring[:-1]) / 2), _WIDEST_FACET * np.linalg.norm(ring[1:], axis=1))
+    total = np.concatenate([[0], np.cumsum(step / wanted)])
+    count = max(12, round(total[-1]))
+    return np.asarray(np.interp(np.arange(count) / count * total[-1], total, angle))
+
+
+def _bone_wall(tube: Tube, bone: BoneAxis, x: FloatArray) -> FloatArray:
+    angle = 2 * np.pi * np.arange(_AROUND_BONE) / _AROUND_BONE
+    ring = bone.radius * np.column_stack([np.sin(angle), np.cos(angle)])
+    centres = tube.bone_centre(bone, x)
+    section = (centres[:, None] + ring).reshape(-1, 2)
+    return np.column_stack([np.repeat(x, _AROUND_BONE), section])
+
+
+def _capped(wall: FloatArray, n: int, m: int) -> tuple[FloatArray, IntArray]:
+    """A tube of n spacings and m points around, closed by fans at both ends, normals outwards."""
+    ends = np.vstack([wall[:m].mean(axis=0), wall[-m:].mean(axis=0)])
+    j = np.arange(m)
+    k = (j + 1) % m
+    low = np.column_stack([np.full(m, len(wall)), j, k])
+    high = np.column_stack([np.full(m, len(wall) + 1), n * m + k, n * m + j])
+    return np.vstack([wall, ends]), np.vstack([lattice(n, m), low, high])
+
+
+def _fitted(tube: Tube, points: FloatArray, tetrahedra: IntArray, elastic: bool) -> Core:
+    """Boundary vertices moved onto the analytic surfaces and end planes."""
+    bone = _bone_of(tube, points[tetrahedra].mean(axis=1)) if elastic else np.full(len(tetrahedra), -1)
+    faces, _ = boundary_faces(tetrahedra)
+    ended = _is_end(tube, points, faces)
+    bony = ~ended & _near_bone(tube, points, faces)
+    wall = faces[~ended & ~bony]
+    if elastic:
+        bony_vertices = np.intersect1d(tetrahedra[bone >= 0], tetrahedra[bone < 0])
+    else:
+        bony_vertices = np.unique(faces[bony])
+    moved = points.copy()
+    ends = np.unique(faces[ended])
+    moved[ends, 0] = np.sign(points[ends, 0]) * tube.length / 2
+    moved[bony_vertices] = _onto_bones(tube, moved[bony_vertices])
+    lateral = np.unique(wall)
+    angle = np.zeros(len(points))
+    angle[lateral] = tube.angle_of(moved[lateral])
+    moved[lateral] = tube.place(moved[lateral, 0], angle[lateral], tube.thickness)
+    on_bone = np.zeros(len(points), dtype=bool)
+    on_bone[bony_vertices] = not elastic
+    return Core(moved, tetrahedra, bone, wall, angle, on_bone)
+
+
+def _slack(tube: Tube) -> float:
+    """How far fTetWild's boundary may lie off the analytic surfaces [m]."""
+    return 2 * ENVELOPE * (tube.length + 2 * float(tube.heights.max())) + _flatness(tube)
+
+
+def _flatness(tube: Tube) -> float:
+    """Height of the bones' arcs over their facets [m]."""
+    widest = max((bone.radius for bone in tube.bones), default=0.0)
+    return float(widest * (1 - np.cos(np.pi / _AROUND_BONE)))
+
+
+def _is_end(tube: Tube, points: FloatArray, faces: IntArray) -> BoolArray:
+    a, b, c = points[faces].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    along = np.abs(normal[:, 0]) > 0.7 * np.linalg.norm(normal, axis=1)
+    near = (np.abs(points[faces][:, :, 0]) > tube.length / 2 - _slack(tube)).all(axis=1)
+    return np.asarray(along & near)
+
+
+def _from_bones(tube: Tube, points: FloatArray) -> FloatArray:
+    """Distance (n, n_bone) [m] from each bone's axis within the section."""
+    away = [np.linalg.norm(points[:, 1:] - tube.bone_centre(b, points[:, 0]), axis=1) for b in tube.bones]
+    return np.column_stack(away) if away else np.full((len(points), 1), np.inf)
+
+
+def _near_bone(tube: Tube, points: FloatArray, faces: IntArray) -> BoolArray:
+    radii = np.array([b.radius for b in tube.bones] or [0.0])
+    near = _from_bones(tube, points) < radii + _slack(tube)
+    per_bone = np.asarray(near)[faces].all(axis=1)
+    return np.asarray(np.any(per_bone, axis=1))
+
+
+def _bone_of(tube: Tube, places: FloatArray) -> IntArray:
+    radii = np.array([b.radius for b in tube.bones] or [0.0])
+    inside = _from_bones(tube, places) < radii
+    return np.where(inside.any(axis=1), inside.argmax(axis=1), -1)
+
+
+def _onto_bones(tube: Tube, points: FloatArray) -> FloatArray:
+    """Each point moved within its section onto the nearest bone's circle."""
+    if not len(points):
+        return points
+    radii = np.array([b.radius for b in tube.bones])
+    which = (_from_bones(tube, points) - radii).argmin(axis=1)
+    centres = np.stack([tube.bone_centre(b, points[:, 0]) for b in tube.bones], axis=1)
+    centre = centres[np.arange(len(points)), which]
+    away = points[:, 1:] - centre
+    away = away * (radii[which] / np.linalg.norm(away, axis=1))[:, None]
+    return np.column_stack([points[:, 0], centre + away])

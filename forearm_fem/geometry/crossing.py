@@ -1,0 +1,57 @@
+"""Do triangles cross? Edges of one against faces of the other, for pairs that are near."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..typing import BoolArray, FloatArray, IntArray
+
+_INSIDE = 1e-7  # touching in a corner, an edge or a plane is not crossing
+
+
+def crossing_faces(first: FloatArray, second: FloatArray | None, faces: IntArray | None) -> int:
+    """Pairs of triangles (n, 3, 3) of ``first`` and ``second`` that cross.
+
+    Without ``second``, ``first`` is tested against itself and pairs that share a vertex (``faces``) do not
+    count.
+    """
+    other = first if second is None else second
+    a, b = _near_pairs(first, other)
+    if second is None:
+        assert faces is not None
+        apart = (faces[a][:, :, None] != faces[b][:, None, :]).all(axis=(1, 2)) & (a != b)
+        a, b = a[apart], b[apart]
+    crosses = np.zeros(len(a), dtype=bool)
+    for edge in ((0, 1), (1, 2), (2, 0)):
+        crosses |= _pierces(first[a][:, edge], other[b]) | _pierces(other[b][:, edge], first[a])
+    return int(crosses.sum()) if second is not None else int(crosses.sum() + 1) // 2
+
+
+def _near_pairs(first: FloatArray, other: FloatArray) -> tuple[IntArray, IntArray]:
+    """Pairs whose bounding spheres meet."""
+    centre_a, centre_b = first.mean(axis=1), other.mean(axis=1)
+    radius_a = np.linalg.norm(first - centre_a[:, None], axis=2).max(axis=1)
+    radius_b = np.linalg.norm(other - centre_b[:, None], axis=2).max(axis=1)
+    hits = cKDTree(centre_b).query_ball_point(centre_a, radius_a + radius_b.max())
+    a = np.repeat(np.arange(len(first)), [len(h) for h in hits])
+    b = np.concatenate([np.asarray(h, dtype=np.int64) for h in hits]) if len(a) else a
+    meet = np.linalg.norm(centre_a[a] - centre_b[b], axis=1) < radius_a[a] + radius_b[b]
+    return a[meet], b[meet]
+
+
+def _pierces(edge: FloatArray, triangle: FloatArray) -> BoolArray:
+    """Whether edges (k, 2, 3) pass strictly through triangles (k, 3, 3) (Moeller and Trumbore)."""
+    start, along = edge[:, 0], edge[:, 1] - edge[:, 0]
+    u, v = triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
+    p = np.cross(along, v)
+    det = np.einsum("ij,ij->i", u, p)
+    scale = np.linalg.norm(u, axis=1) * np.linalg.norm(v, axis=1) * np.linalg.norm(along, axis=1)
+    flat = np.abs(det) < 1e-9 * scale
+    inverse = 1 / np.where(flat, 1.0, det)
+    away = start - triangle[:, 0]
+    q = np.cross(away, u)
+    s, r = np.einsum("ij,ij->i", away, p) * inverse, np.einsum("ij,ij->i", along, q) * inverse
+    t = np.einsum("ij,ij->i", v, q) * inverse
+    inside = (s > _INSIDE) & (r > _INSIDE) & (s + r < 1 - _INSIDE) & (t > _INSIDE) & (t < 1 - _INSIDE)
+    return np.asarray(inside & ~flat)

@@ -1,0 +1,146 @@
+"""Element sizes: from the scenario's accuracy, its highest frequency and its slowest shear wave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull, cKDTree
+
+from ..scenario import Scenario
+from ..typing import FloatArray
+from .layout import Layout, layers_of
+
+DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics.md 6
+_PER_WAVELENGTH = 1.05  # default forearm: 1.05 * 4.4 mm * 0.05**(1/4) = 2.2 mm
+_CONTACT, _FAR, _RIM = 0.8, 6.0, 0.3  # relative to the size between contacts and grid
+_INTO_CORE = 2.2  # the core lies under the layers, where fields are smooth: sizes grow faster there
+_THROUGH = 0.8  # a sublayer is at most about this much of the size between contacts and grid
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Edge lengths [m] under contacts, between contacts and grid, far away and at rigid rims.
+
+    ``sublayers`` counts the element layers through each tissue layer, from the skin inwards.
+    """
+
+    contact: float
+    grid: float
+    far: float
+    rim: float
+    sublayers: tuple[int, ...] = ()
+
+
+def element_sizes(
+    scenario: Scenario, shear_speed: Mapping[str, float] | None = None, *, scale: float = 1.0
+) -> Sizes:
+    """Sizes for ``scenario``; explicit mesh options win, ``scale`` multiplies every size.
+
+    ``shear_speed`` maps tissues to their shear wave speed at ``f_max`` [m/s]. Outputs of P2 elements converge
+    like h^4, hence h = 1.05 lambda_min accuracy^(1/4).
+    """
+    options, radius = scenario.mesh, scenario.device.cone.radius
+    frequencies = scenario.sweep.frequencies
+    f_max = frequencies[-1] if frequencies else scenario.sweep.f_max
+    wavelength = (
+        min(shear_speed.values(), default=DEFAULT_SHEAR_SPEED) if shear_speed else DEFAULT_SHEAR_SPEED
+    )
+    grid = float(np.clip(_PER_WAVELENGTH * wavelength / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
+    grid = scale * (options.size_grid or grid)
+    contact = scale * options.size_contact if options.size_contact else min(_CONTACT * grid, 0.6 * radius)
+    far = scale * options.size_far if options.size_far else _FAR * grid
+    rim = min(_RIM / _CONTACT * contact, contact)
+    counts = tuple(
+        _sublayers(layer.thickness, options.sublayers.get(layer.tissue), grid, scale)
+        for layer in layers_of(scenario.limb)
+    )
+    return Sizes(contact=contact, grid=grid, far=max(far, grid), rim=rim, sublayers=counts)
+
+
+def _sublayers(thickness: float, asked: int | None, grid: float, scale: float) -> int:
+    count = asked / scale if asked else thickness / (_THROUGH * grid)
+    return max(1, round(count))
+
+
+@dataclass(frozen=True)
+class SizeField:
+    """Edge length wanted at a place given by (x, y) and depth below the skin [m]."""
+
+    sizes: Sizes
+    layout: Layout
+    grading: float
+    half_planes: FloatArray
+
+    @classmethod
+    def around(cls, layout: Layout, sizes: Sizes, grading: float) -> SizeField:
+        """Field that is fine near contacts and inside the hull of all ports, and grows away from them."""
+        return cls(sizes, layout, grading, _hull(layout, sizes.grid))
+
+    def __call__(self, xy: FloatArray, depth: FloatArray | float = 0.0) -> FloatArray:
+        """Wanted edge length (n,) at ``xy`` (n, 2) and ``depth`` (n,) below the skin."""
+        s = self.sizes
+        outside = np.max(xy @ self.half_planes[:, :2].T + self.half_planes[:, 2], axis=1, initial=-np.inf)
+        near = s.grid + self.grading * np.hypot(np.maximum(outside, 0), depth)
+        for centre in self.layout.contacts:
+            away = np.maximum(np.linalg.norm(xy - centre, axis=1) - self.layout.radius - 0.5 * s.contact, 0)
+            near = np.minimum(near, s.contact + self.grading * np.hypot(away, depth))
+        return np.asarray(np.minimum(near, s.far))
+
+
+@dataclass(frozen=True)
+class SpaceField:
+    """Edge length wanted at points in space: fine near contacts and the patch of ports, growing away from
+    them."""
+
+    sizes: Sizes
+    grading: float
+    contacts: cKDTree
+    patch: cKDTree
+
+    @classmethod
+    def on(cls, field: SizeField, surface: Callable[[FloatArray], FloatArray]) -> SpaceField:
+        """Field around the ports' places on ``surface``, a map from (x, y) (n, 2) to points (n, 3) or NaN."""
+        patch = _covering(field)
+        discs = np.vstack([c + field.layout.radius * _disc() for c in field.layout.contacts])
+        return cls(field.sizes, _INTO_CORE * field.grading, _tree(surface(discs)), _tree(surface(patch)))
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """Wanted edge length (n,) at ``points`` (n, 3)."""
+        s = self.sizes
+        near = s.grid + self.grading * np.maximum(self.patch.query(points)[0] - 0.5 * s.grid, 0)
+        under = s.contact + self.grading * np.maximum(self.contacts.query(points)[0] - 0.5 * s.contact, 0)
+        return np.asarray(np.minimum(np.minimum(near, under), s.far))
+
+
+def _tree(points: FloatArray) -> cKDTree:
+    return cKDTree(points[np.isfinite(points).all(axis=1)])
+
+
+def _disc() -> FloatArray:
+    """Points (n, 2) covering the unit disc."""
+    x = np.linspace(-1, 1, 13)
+    xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    return np.asarray(xy[np.linalg.norm(xy, axis=1) <= 1])
+
+
+def _covering(field: SizeField) -> FloatArray:
+    """Points (n, 2) at most one size apart that cover the hull of all ports."""
+    step = field.sizes.grid / 2
+    places = np.vstack([field.layout.contacts, field.layout.points])
+    reach = field.layout.radius + field.sizes.grid
+    low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+    x, y = (np.linspace(a, b, max(2, int((b - a) / step))) for a, b in zip(low, high, strict=True))
+    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside = (xy @ field.half_planes[:, :2].T + field.half_planes[:, 2] <= 0).all(axis=1)
+    return np.asarray(xy[inside])
+
+
+def _hull(layout: Layout, margin: float) -> FloatArray:
+    """Half planes (k, 3) a x + b y + c <= 0 around all contacts and points, padded so that it has an area."""
+    turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    around = [c + (layout.radius + margin) * circle for c in layout.contacts]
+    around += [p + margin * circle for p in layout.points]
+    return np.asarray(ConvexHull(np.vstack(around)).equations) if around else np.zeros((0, 3))

@@ -1,0 +1,253 @@
+"""The calibration: outputs x inputs measurements, each saved as it is taken, resumed where it stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import DataError, HardwareError
+from ..ports import Port
+from ..scenario.measurement import MeasurementOptions
+from .daq import Daq, Session, Wiring
+from .diagnostics import Finding
+from .entry import Entry, Measured, assemble, entry
+from .recording import Recording
+from .store import Folder, digest_of
+from .sweep import ExponentialSweep
+
+
+@dataclass(frozen=True)
+class Progress:
+    """After each entry: all ``entries`` so far, the last one just handled, of ``total``; ``reused`` if it
+    was on disk.
+    """
+
+    entries: tuple[Entry, ...]
+    total: int
+    reused: bool
+
+    @property
+    def last(self) -> Entry:
+        """The entry just handled."""
+        return self.entries[-1]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be measured: ports, sweep and options; ``inputs`` are the actuators in the order of the
+    outputs' wiring.
+    """
+
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    sweep: ExponentialSweep
+    options: MeasurementOptions
+
+    def __post_init__(self) -> None:
+        wired = self.options.daq.outputs
+        if len(wired) != len(self.inputs):
+            raise DataError(
+                f"measurement.daq.outputs names {len(wired)} channels for "
+                f"{len(self.inputs)} actuators; name one each"
+            )
+
+    @property
+    def wiring(self) -> Wiring:
+        """Channels of the device."""
+        daq = self.options.daq
+        inputs = (daq.sensor,) if daq.loopback is None else (daq.sensor, daq.loopback)
+        return Wiring(
+            self.sweep.sample_rate,
+            daq.outputs,
+            inputs,
+            daq.input_range,
+            daq.output_range,
+            daq.block,
+            daq.clock,
+        )
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """Everything that a recording depends on; what only changes its evaluation is left out."""
+        daq, how = self.options.daq, self.options
+        return {
+            "sweep": vars(self.sweep),
+            "repeats": how.repeats,
+            "lead_in": how.lead_in,
+            "outputs": [[p.name, *p.position] for p in self.outputs],
+            "inputs": [[p.name, *p.position] for p in self.inputs],
+            "channels": [*daq.outputs, daq.sensor, daq.loopback],
+            "ranges": [daq.input_range, daq.output_range],
+            "amplifier_gain": daq.amplifier_gain,
+        }
+
+    @property
+    def entries(self) -> tuple[tuple[int, int], ...]:
+        """(output, input) in the order of measuring: all actuators at one point, for moving the laser takes
+        longest.
+        """
+        return tuple((o, i) for o in range(len(self.outputs)) for i in range(len(self.inputs)))
+
+
+def calibrate(
+    plan: Plan,
+    daq: Daq,
+    folder: str | Path,
+    *,
+    operator: Callable[[str], bool] | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    retries: int = 1,
+) -> Measured:
+    """Measure what is missing in ``folder`` and return G of all that is there.
+
+    ``operator`` is told, once per point that still needs measuring, where to aim the laser, and answers
+    whether to go on. Recordings that are damaged, or unusable by :func:`diagnose`, are taken again,
+    ``retries`` times; what is unusable then stays marked. ``stop`` is polled per block; HardwareError
+    follows a stop, with everything taken so far saved. Calling again resumes.
+    """
+    store = _store(plan, folder)
+    entries: list[Entry] = []
+    for measured in _walk(plan, daq, store, operator, stop, retries):
+        entries.append(measured.entry)
+        if progress is not None:
+            progress(Progress(tuple(entries), len(plan.entries), measured.reused))
+    return assembled(plan, entries, daq.name)
+
+
+def collected(plan: Plan, folder: str | Path) -> Measured:
+    """G of what ``folder`` holds now, without a device; damaged recordings are findings, missing entries
+    are listed.
+    """
+    store = _store(plan, folder)
+    entries, damaged = [], []
+    for o, i in plan.entries:
+        try:
+            recording = store.get(plan.outputs[o].name, plan.inputs[i].name)
+        except DataError as problem:
+            damaged.append(Finding("damaged", str(problem)))
+            continue
+        if recording is not None:
+            entries.append(_entry(plan, recording))
+    if not entries and damaged:
+        raise DataError(damaged[0].sentence)
+    measured = assembled(plan, entries, "recordings")
+    return Measured(measured.transfer, measured.coherence, measured.missing, (*measured.findings, *damaged))
+
+
+@dataclass(frozen=True)
+class _Taken:
+    entry: Entry
+    reused: bool
+
+
+def _store(plan: Plan, folder: str | Path) -> Folder:
+    store = Folder(Path(folder), digest_of(plan.description))
+    store.begin({"plan": plan.description})
+    return store
+
+
+def _walk(
+    plan: Plan,
+    daq: Daq,
+    store: Folder,
+    operator: Callable[[str], bool] | None,
+    stop: Callable[[], bool] | None,
+    retries: int,
+) -> Iterator[_Taken]:
+    aimed: int | None = None
+    for o, i in plan.entries:
+        recording = _kept(store, plan.outputs[o].name, plan.inputs[i].name)
+        if recording is not None:
+            yield _Taken(_entry(plan, recording), True)
+            continue
+        if aimed != o:
+            _aim(daq, plan.outputs[o], operator)
+            aimed = o
+        yield _Taken(_measure(plan, daq, store, (o, i), stop, retries), False)
+
+
+def _kept(store: Folder, output: str, source: str) -> Recording | None:
+    """What is on disk, unless it is damaged: then it is measured again."""
+    try:
+        return store.get(output, source)
+    except DataError:
+        return None
+
+
+def _aim(daq: Daq, port: Port, operator: Callable[[str], bool] | None) -> None:
+    x, y = (1e3 * c for c in port.position[:2])
+    if operator is not None and not operator(
+        f"aim the laser at point {port.name} (x = {x:.1f} mm, y = {y:.1f} mm)"
+    ):
+        raise HardwareError(
+            f"stopped by the operator before point {port.name}; run the same command to go on"
+        )
+    daq.aim(port.name)
+
+
+def _measure(
+    plan: Plan, daq: Daq, store: Folder, place: tuple[int, int], stop: Callable[[], bool] | None, retries: int
+) -> Entry:
+    for attempt in range(retries + 1):
+        recording = record(plan, daq, place, stop=stop)
+        store.put(recording)
+        result = _entry(plan, recording)
+        if attempt == retries or not any(f.severity == "error" or f.kind == "moved" for f in result.findings):
+            break
+    return result
+
+
+def record(
+    plan: Plan, daq: Daq, place: tuple[int, int], *, stop: Callable[[], bool] | None = None
+) -> Recording:
+    """Play the sweeps on one actuator and keep the periods after the lead-in; ``place`` is (output,
+    input).
+    """
+    options, sweep = plan.options, plan.sweep
+    train = sweep.train(options.lead_in + options.repeats)
+    terminals = np.zeros((len(plan.inputs), train.size))
+    terminals[place[1]] = train / options.daq.amplifier_gain
+    fade = round(options.daq.fade * sweep.sample_rate)
+    with Session(daq, plan.wiring) as session:
+        limit = options.daq.max_voltage / options.daq.amplifier_gain
+        capture = session.play(terminals, limit=limit, fade=fade, stop=stop)
+    if capture.stopped:
+        raise HardwareError(
+            "emergency stop: the drive was faded out; entries already measured are saved, run again to go on"
+        )
+    kept = capture.inputs[:, options.lead_in * sweep.n :].reshape(
+        len(capture.inputs), options.repeats, sweep.n
+    )
+    return Recording(
+        plan.outputs[place[0]].name,
+        plan.inputs[place[1]].name,
+        sweep.sample_rate,
+        sweep.samples(),
+        kept[0],
+        kept[1] if len(kept) > 1 else None,
+        options.daq.input_range,
+        daq.resolution,
+        capture.notes,
+        {"device": daq.name},
+    )
+
+
+def _entry(plan: Plan, recording: Recording) -> Entry:
+    return entry(recording, (plan.sweep.f_min, plan.sweep.f_max), plan.options)
+
+
+def assembled(plan: Plan, entries: Sequence[Entry], device: str) -> Measured:
+    """G of ``entries`` with where it came from."""
+    provenance = {
+        "source": "measured",
+        "device": device,
+        "setup": digest_of(plan.description),
+        "measurement": plan.options.model_dump(mode="json"),
+        "sweep": vars(plan.sweep),
+    }
+    return assemble(entries, plan.outputs, plan.inputs, provenance)

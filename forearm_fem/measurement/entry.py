@@ -1,0 +1,247 @@
+"""One entry of G from one recording, and G from all entries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.fft import rfftfreq
+
+from ..errors import DataError
+from ..ports import Port
+from ..scenario.measurement import MeasurementOptions, Quantity
+from ..transfer import ErrorEstimate, TransferMatrix
+from ..typing import BoolArray, ComplexArray, FloatArray
+from .diagnostics import Finding, diagnose
+from .estimators import Estimate, estimate, spectra
+from .recording import Recording
+from .sweep import excited
+
+POWERS: Mapping[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """Displacement of ``output`` per volt on ``input`` at ``frequency`` (n,) [Hz], the bins of the sweep's
+    band.
+
+    ``value`` (n,) [m/V], NaN on bins without energy; ``deviation`` (n,) [m/V] is sqrt(E|dG|^2), NaN if
+    unknown; ``coherence`` (n,) [-], NaN for a single repeat; ``valid`` (n,) may be used.
+    """
+
+    output: str
+    input: str
+    frequency: FloatArray
+    value: ComplexArray
+    deviation: FloatArray
+    coherence: FloatArray
+    valid: BoolArray
+    findings: tuple[Finding, ...] = ()
+
+
+def to_displacement(frequency: FloatArray, quantity: Quantity) -> ComplexArray:
+    """1 / (i omega)^p (n,): from velocity (p = 1) or acceleration (p = 2) to displacement, e^{+i omega t}."""
+    return np.asarray((2j * np.pi * frequency) ** -float(POWERS[quantity]))
+
+
+def entry(recording: Recording, band: tuple[float, float], options: MeasurementOptions) -> Entry:
+    """The entry that ``recording`` holds, on the bins inside ``band`` [Hz].
+
+    Below the floor (``options.signal_floor`` deviations), without energy, or after an error found in the
+    recording, an entry is marked in ``valid``; its value is what was measured, never filled in. Raises
+    DataError where the sensor's quantity or sensitivity is not declared.
+    """
+    factor_at = _conversion(recording, options)
+    carried = excited(recording.sent, recording.sample_rate, band, options.energy_floor)
+    inside = _inside(recording, band)
+    findings = diagnose(recording, carried, max_drift=options.max_drift)
+    if any(f.severity == "error" and f.kind in _HOPELESS for f in findings):
+        return _nothing(recording, inside, findings)
+    raw = _estimate(recording, carried, options)
+    frequency = rfftfreq(recording.n, 1 / recording.sample_rate)[inside]
+    factor = factor_at(frequency)
+    value = np.where(carried[inside], raw.value[inside] * factor, np.nan)
+    deviation = raw.deviation[inside] * np.abs(factor)
+    spoiled = any(f.severity == "error" for f in findings)
+    valid = (
+        carried[inside]
+        & raw.usable[inside]
+        & ~_below(value, deviation, raw.coherence[inside], options)
+        & (not spoiled)
+    )
+    return Entry(
+        recording.output,
+        recording.input,
+        frequency,
+        value,
+        deviation,
+        raw.coherence[inside],
+        np.asarray(valid),
+        findings,
+    )
+
+
+_HOPELESS = frozenset({"not finite", "no drive"})
+
+
+def _inside(r: Recording, band: tuple[float, float]) -> BoolArray:
+    frequency = rfftfreq(r.n, 1 / r.sample_rate)
+    return np.asarray((frequency > 0) & (frequency >= band[0] - 1e-9) & (frequency <= band[1] + 1e-9))
+
+
+def _nothing(r: Recording, inside: BoolArray, findings: tuple[Finding, ...]) -> Entry:
+    frequency = rfftfreq(r.n, 1 / r.sample_rate)[inside]
+    empty = np.full(len(frequency), np.nan)
+    return Entry(
+        r.output, r.input, frequency, empty + 0j, empty, empty, np.zeros(len(frequency), dtype=bool), findings
+    )
+
+
+def _estimate(r: Recording, carried: BoolArray, options: MeasurementOptions) -> Estimate:
+    drive = np.broadcast_to(r.sent, r.response.shape)
+    if r.loopback is not None:
+        drive = r.loopback * options.daq.amplifier_gain
+    return estimate(options.estimator, spectra(drive, r.response, carried), carried, options, r.sample_rate)
+
+
+def _below(
+    value: ComplexArray, deviation: FloatArray, coherence: FloatArray, options: MeasurementOptions
+) -> BoolArray:
+    """Under the floor, or incoherent; unknown deviation or coherence condemns nothing."""
+    with np.errstate(invalid="ignore"):
+        faint = np.abs(value) < options.signal_floor * deviation
+        return np.asarray(faint | (coherence < options.min_coherence))
+
+
+@dataclass(frozen=True)
+class _Conversion:
+    quantity: Quantity
+    sensitivity: float
+    sign: float
+    delay: float
+
+    def __call__(self, frequency: FloatArray) -> ComplexArray:
+        """Metres per volt of the sensor (n,), with the known delays taken out."""
+        phase = np.exp(2j * np.pi * frequency * self.delay)
+        return np.asarray(self.sign / self.sensitivity * phase * to_displacement(frequency, self.quantity))
+
+
+def _conversion(r: Recording, options: MeasurementOptions) -> _Conversion:
+    sensor = options.sensor
+    if sensor.quantity is None or sensor.sensitivity is None:
+        raise DataError(
+            "the sensor is not declared: set measurement.sensor.quantity to "
+            "displacement, velocity or acceleration "
+            "and measurement.sensor.sensitivity in V per m, m/s or m/s^2"
+        )
+    latency = options.daq.latency if r.loopback is None else 0.0
+    return _Conversion(
+        sensor.quantity, sensor.sensitivity, -1.0 if sensor.inverted else 1.0, sensor.delay + latency
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A measured G with what was found on the way: ``coherence`` (n_frequency, n_out, n_in), ``missing``
+    entries (output, input) that were never taken, and all ``findings``."""
+
+    transfer: TransferMatrix
+    coherence: FloatArray
+    missing: tuple[tuple[str, str], ...] = ()
+    findings: tuple[Finding, ...] = field(default=())
+
+
+def assemble(
+    entries: Sequence[Entry],
+    outputs: tuple[Port, ...],
+    inputs: tuple[Port, ...],
+    provenance: Mapping[str, Any],
+) -> Measured:
+    """G (n_frequency, n_out, n_in) [m/V] from its entries; those never taken are NaN, marked and listed.
+
+    Raises DataError without entries, and for entries on different bins.
+    """
+    if not entries:
+        raise DataError("nothing has been measured yet: there is no entry to make G of")
+    frequency = entries[0].frequency
+    by_name = {(e.output, e.input): e for e in entries}
+    for e in entries:
+        if not np.array_equal(e.frequency, frequency):
+            raise DataError(
+                f"{e.output} <- {e.input} was measured on other bins than the rest; measure it again"
+            )
+    names = [(o.name, i.name) for o in outputs for i in inputs]
+    shape = (len(outputs), len(inputs), len(frequency))
+
+    def cube(pick: Any, empty: Any) -> Any:
+        blank = np.full(len(frequency), empty)
+        return (
+            np.array([pick(by_name[n]) if n in by_name else blank for n in names])
+            .reshape(shape)
+            .transpose(2, 0, 1)
+        )
+
+    values, valid = cube(lambda e: e.value, np.nan + 0j), cube(lambda e: e.valid, False)
+    deviation = cube(lambda e: e.deviation, np.nan)
+    transfer = TransferMatrix(
+        frequency=frequency,
+        values=values,
+        outputs=outputs,
+        inputs=inputs,
+        unit="m/V",
+        valid=valid,
+        deviation=deviation,
+        errors=noise_estimate(frequency, values, deviation, valid),
+        provenance=dict(provenance),
+    )
+    missing = tuple(n for n in names if n not in by_name)
+    found = tuple(f for e in entries for f in e.findings) + _copies(entries)
+    return Measured(transfer, cube(lambda e: e.coherence, np.nan), missing, found)
+
+
+def _copies(entries: Sequence[Entry]) -> tuple[Finding, ...]:
+    """Two noisy entries equal bit for bit are one recording saved twice; without noise, symmetry can do
+    that.
+    """
+    seen: dict[bytes, str] = {}
+    found = []
+    for e in entries:
+        key, label = e.value.tobytes(), f"{e.output} <- {e.input}"
+        if key in seen and _noisy(e):
+            sentence = f"{label} is identical to {seen[key]}: one of them was saved under a wrong name"
+            found.append(Finding("copy", sentence))
+        seen.setdefault(key, label)
+    return tuple(found)
+
+
+def _noisy(e: Entry) -> bool:
+    known = np.isfinite(e.value) & np.isfinite(e.deviation) & (e.value != 0)
+    return bool(known.any() and np.median(e.deviation[known] / np.abs(e.value[known])) > 1e-6)
+
+
+def noise_estimate(
+    frequency: FloatArray, values: ComplexArray, deviation: FloatArray, valid: BoolArray
+) -> tuple[ErrorEstimate, ...]:
+    """The measurement's noise as e(f) and e_band of the valid entries, one standard deviation; () if it is
+    unknown.
+    """
+    known = valid & np.isfinite(deviation) & np.isfinite(values)
+    if not known.any():
+        return ()
+    noise, size = np.where(known, deviation, 0), np.where(known, np.abs(values), 0)
+    peak = size.max(axis=(1, 2))
+    rows = peak > 0
+    per_frequency = noise.max(axis=(1, 2))[rows] / peak[rows]
+    band = float(np.sqrt(np.sum(noise**2) / np.sum(size**2)))
+    return (
+        ErrorEstimate(
+            "measurement",
+            band,
+            "scatter between repeated sweeps, one standard deviation; noise "
+            "only, not the sensor's calibration",
+            tuple(frequency[rows].tolist()),
+            tuple(per_frequency.tolist()),
+        ),
+    )

@@ -1,0 +1,197 @@
+"""From repeated periods of drive and response to a transfer function with coherence and standard deviation.
+
+Spectra are averaged over the repeats at full resolution (``scipy.signal.csd``, one rectangular segment per
+period): the drive is periodic, so there is no leakage to window away. With noise of variance s^2 per bin on
+the response, R periods and a drive X known exactly, every estimator that divides by X has
+
+    E|H - H_true|^2 = s^2 / (R |X|^2)                                        (Bendat & Piersol 2010, 9.2.3)
+
+and s^2 is measured by the scatter between the repeats, R - 1 complex degrees of freedom per bin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from scipy.fft import irfft, rfft
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import csd
+
+from ..scenario.measurement import Estimator, MeasurementOptions
+from ..typing import BoolArray, ComplexArray, FloatArray
+
+_SMOOTH = 15  # bins over which the noise is taken as even
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """One-sided averages over the repeats, each (n_bins,): ``xx``, ``yy`` [V^2], ``xy`` = <X* Y>, of
+    ``repeats`` periods; ``noise`` (n_bins,) [V^2] is the variance of Y about H1 X of one period, NaN if it
+    is unknown."""
+
+    xx: FloatArray
+    yy: FloatArray
+    xy: ComplexArray
+    repeats: int
+    noise: FloatArray
+
+    @property
+    def coherence(self) -> FloatArray:
+        """|S_xy|^2 / (S_xx S_yy) (n_bins,) [-]; NaN for a single period, where it would be 1 whatever was
+        measured.
+        """
+        if self.repeats < 2:
+            return np.full(len(self.xx), np.nan)
+        below = self.xx * self.yy
+        return np.asarray(np.divide(np.abs(self.xy) ** 2, below, out=np.zeros(len(below)), where=below > 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """H (n_bins,) [V/V] with its ``deviation`` sqrt(E|dH|^2) (n_bins,), NaN if unknown, and the
+    ``coherence``.
+
+    ``usable`` (n_bins,) is False where the estimator itself is not to be trusted (edges of a window).
+    """
+
+    value: ComplexArray
+    deviation: FloatArray
+    coherence: FloatArray
+    usable: BoolArray
+
+
+def spectra(drive: FloatArray, response: FloatArray, band: BoolArray) -> Spectra:
+    """Averages over the periods of ``drive`` and ``response`` (n_repeat, n) [V]; ``band`` (n_bins,) carries
+    the drive.
+
+    The noise is the scatter between the repeats, smoothed over 15 bins of the band. With one period it is
+    taken from the bins above the band, which presumes a floor as even as a vibrometer's.
+    """
+    repeats, n = response.shape
+
+    def average(a: FloatArray, b: FloatArray) -> ComplexArray:
+        _, s = csd(
+            a.ravel(),
+            b.ravel(),
+            window="boxcar",
+            nperseg=n,
+            noverlap=0,
+            detrend=False,
+            return_onesided=False,
+            scaling="spectrum",
+        )
+        return np.asarray(s[: n // 2 + 1] * n**2)
+
+    xx, yy = average(drive, drive).real, average(response, response).real
+    xy = average(drive, response)
+    return Spectra(xx, yy, xy, repeats, _noise(xx, yy, xy, repeats, band))
+
+
+def _noise(xx: FloatArray, yy: FloatArray, xy: ComplexArray, repeats: int, band: BoolArray) -> FloatArray:
+    out = np.full(len(xx), np.nan)
+    if repeats > 1 and band.any():
+        rest = yy[band] - np.divide(np.abs(xy[band]) ** 2, xx[band])
+        even = uniform_filter1d(np.maximum(rest, 0), _SMOOTH, mode="nearest")
+        out[band] = np.maximum(even, 0) * repeats / (repeats - 1)
+        return out
+    above = np.nonzero(band)[0][-1] + 1 if band.any() else 0
+    quiet = yy[int(1.2 * above) : -1]
+    return np.where(band, np.mean(quiet) if quiet.size >= 10 else np.nan, np.nan)
+
+
+def estimate(
+    kind: Estimator, s: Spectra, band: BoolArray, options: MeasurementOptions, rate: float
+) -> Estimate:
+    """The estimate ``kind`` asks for, zero outside ``band``; ``rate`` is the sample rate [Hz]."""
+    if kind == "deconvolution":
+        return _deconvolution(s, band, options, rate)
+    value = np.where(band, _ESTIMATORS[kind](s), 0)
+    return Estimate(value, _deviation(s, s.xx, band), s.coherence, band)
+
+
+def _deviation(s: Spectra, below: FloatArray, band: BoolArray) -> FloatArray:
+    """sqrt(s^2 |X|^2 / R) / ``below``: for below = |X|^2 the formula of the module's heading."""
+    with np.errstate(invalid="ignore"):
+        size = np.sqrt(s.noise * s.xx / s.repeats)
+    return np.asarray(np.divide(size, below, out=np.full(len(s.xx), np.nan), where=band))
+
+
+def _h1(s: Spectra) -> ComplexArray:
+    """<X* Y> / <X* X>: unbiased under noise on the response."""
+    return _ratio(s.xy, s.xx)
+
+
+def _h2(s: Spectra) -> ComplexArray:
+    """<Y* Y> / <Y* X>: unbiased under noise on the drive, too large by 1 / coherence under noise on the
+    response.
+    """
+    return _ratio(s.yy.astype(complex), s.xy.conj())
+
+
+def _hv(s: Spectra) -> ComplexArray:
+    """sqrt(<Y* Y> / <X* X>) with the phase of <X* Y>: the geometric mean of H1 and H2 (Rocklin et al.
+    1985).
+    """
+    size = np.sqrt(np.maximum(_ratio(s.yy.astype(complex), s.xx).real, 0))
+    return np.asarray(size * np.exp(1j * np.angle(s.xy)))
+
+
+def _ratio(a: ComplexArray, b: FloatArray | ComplexArray) -> ComplexArray:
+    return np.divide(a, b, out=np.zeros(len(a), dtype=complex), where=b != 0)
+
+
+# "fourier" is the thesis' Y / X; averaged over repeats of one and the same drive it is H1.
+_ESTIMATORS: Mapping[str, Callable[[Spectra], ComplexArray]] = MappingProxyType(
+    {"fourier": _h1, "H1": _h1, "H2": _h2, "Hv": _hv}
+)
+
+
+def _deconvolution(s: Spectra, band: BoolArray, options: MeasurementOptions, rate: float) -> Estimate:
+    """S_xy / (S_xx + lambda max S_xx), optionally cut to ``options.window`` seconds of impulse response."""
+    below = s.xx + options.regularisation * s.xx[band].max(initial=0)
+    value = np.where(band, _ratio(s.xy, below), 0)
+    plain = Estimate(value, _deviation(s, below, band), s.coherence, band)
+    return plain if options.window is None else _windowed(plain, band, options.window, rate)
+
+
+def _windowed(plain: Estimate, band: BoolArray, window: float, rate: float) -> Estimate:
+    """Noise falls by sqrt(kept / record); bins closer than 2 / window to the band's edges are smeared: not
+    usable.
+    """
+    n = 2 * (len(band) - 1)
+    keep = min(int(window * rate), n)
+    before = min(keep // 4, n - keep)
+    shape = np.zeros(n)
+    fade = np.sin(np.pi / 2 * (np.arange(before) + 0.5) / max(before, 1)) ** 2
+    shape[: keep - before] = 1
+    shape[keep - before : keep] = fade[::-1]
+    if before:
+        shape[-before:] = fade
+    value = rfft(irfft(plain.value, n) * shape)
+    share = np.sqrt(np.sum(shape**2) / n)
+    edge = int(np.ceil(2 * n / (window * rate)))
+    index = np.nonzero(band)[0]
+    usable = band & (np.arange(len(band)) >= index[0] + edge) & (np.arange(len(band)) <= index[-1] - edge)
+    power = uniform_filter1d(np.where(band, plain.deviation, 0) ** 2, 2 * edge + 1)
+    rms = np.sqrt(np.maximum(power, 0))  # the filter's running sum may round below zero
+    return replace(plain, value=value, deviation=np.where(band, share * rms, np.nan), usable=usable)
+
+
+def predicted_deviation(noise_rms: float, drive: FloatArray, repeats: int) -> FloatArray:
+    """What theory promises for white noise of ``noise_rms`` [V] per sample: sqrt(N / R) noise / |X|
+    (n_bins,) [V/V].
+
+    ``drive`` (N,) is one period. Add the quantisation's step / sqrt(12) to the noise in squares.
+    """
+    size = np.abs(rfft(drive))
+    noise = noise_rms * np.sqrt(len(drive) / repeats)
+    return np.asarray(np.divide(noise, size, out=np.full(len(size), np.inf), where=size > 0))
+
+
+def fourier_division(drive: FloatArray, response: FloatArray) -> ComplexArray:
+    """Y / X of two records (n,), as the thesis does it; NaN where the drive has no energy at all."""
+    x, y = rfft(drive), rfft(response)
+    return np.asarray(np.divide(y, x, out=np.full(len(x), np.nan + 0j), where=x != 0))

@@ -1,0 +1,177 @@
+"""National Instruments hardware through nidaqmx: analogue output and input on one clock.
+
+The inputs take their ticks from the output task's sample clock, so both run sample by sample. The output is
+streamed without regeneration behind two silent blocks; if the computer cannot keep up the driver stops with
+an error instead of repeating old samples. Tested against nidaqmx's task interface; not yet on a chassis
+(docs/measurement.md).
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..errors import HardwareError, MissingExtra
+from ..typing import FloatArray
+from .daq import Wiring
+
+T = TypeVar("T")
+_QUEUED = 2  # silent blocks ahead of the signal
+
+
+class NiDaq:
+    """Implements :class:`~forearm_fem.measurement.daq.Daq` with nidaqmx; ``module`` stands in for it in
+    tests.
+    """
+
+    def __init__(self, block: int, module: Any = None, bits: int = 16, input_range: float = 10.0) -> None:
+        self._module = module or _nidaqmx()
+        self._block, self._bits, self._range = block, bits, input_range
+        self._output: Any = None
+        self._input: Any = None
+        self._wiring: Wiring | None = None
+
+    @property
+    def name(self) -> str:
+        """Products of the local system that answer, for the record."""
+        with suppress(Exception):  # a missing driver is reported by open(), in words
+            devices = self._module.system.System.local().devices
+            return "NI " + ", ".join(f"{d.product_type} {d.name}" for d in devices)
+        return "NI (no device answered)"
+
+    @property
+    def resolution(self) -> float:
+        """Step of a ``bits`` converter over the input range [V]."""
+        return 2 * self._range / float(2**self._bits)
+
+    @property
+    def ahead(self) -> int:
+        """Two blocks of silence are queued before the signal."""
+        return _QUEUED * self._block
+
+    def aim(self, output: str) -> None:
+        """The operator aims the laser; nothing to do here."""
+
+    def open(self, wiring: Wiring) -> None:
+        """Create both tasks on one clock and start them on the queued silence."""
+        self._wiring = wiring
+        try:
+            _named("opening the channels", lambda: self._configure(wiring))
+        except HardwareError:
+            self.close()
+            raise
+
+    def exchange(self, block: FloatArray) -> FloatArray:
+        """Queue ``block`` (n_output, m) [V]; the inputs (n_input, m) [V] of the m ticks that have passed
+        meanwhile.
+        """
+        if self._output is None or self._wiring is None:
+            raise HardwareError("the NI device is not open; open it before playing")
+        m, wait = block.shape[1], 10.0 + 4 * block.shape[1] / self._wiring.sample_rate
+        _named(
+            "writing the outputs", lambda: self._output.write(_rows(block), auto_start=False, timeout=wait)
+        )
+        got = _named(
+            "reading the inputs", lambda: self._input.read(number_of_samples_per_channel=m, timeout=wait)
+        )
+        return np.asarray(got, dtype=float).reshape(len(self._wiring.inputs), -1)
+
+    def close(self) -> None:
+        """Stop at once, put 0 V on every output, free the channels. Never raises."""
+        for task in (self._output, self._input):
+            if task is not None:
+                with suppress(Exception):
+                    task.stop()
+                with suppress(Exception):
+                    task.close()
+        self._output = self._input = None
+        if self._wiring is not None:
+            with suppress(Exception):
+                self._silence(self._wiring)
+        self._wiring = None
+
+    def _configure(self, wiring: Wiring) -> None:
+        constants = self._module.constants
+        continuous = constants.AcquisitionType.CONTINUOUS
+        buffer = (_QUEUED + 2) * wiring.block
+        self._output, self._input = self._module.Task(), self._module.Task()
+        for channel in wiring.outputs:
+            self._output.ao_channels.add_ao_voltage_chan(
+                channel, min_val=-wiring.output_range, max_val=wiring.output_range
+            )
+        for channel in wiring.inputs:
+            self._input.ai_channels.add_ai_voltage_chan(
+                channel, min_val=-wiring.input_range, max_val=wiring.input_range
+            )
+        self._output.timing.cfg_samp_clk_timing(
+            wiring.sample_rate, sample_mode=continuous, samps_per_chan=buffer
+        )
+        self._input.timing.cfg_samp_clk_timing(
+            wiring.sample_rate, source=wiring.clock, sample_mode=continuous, samps_per_chan=10 * buffer
+        )
+        self._check_rate(wiring)
+        self._output.out_stream.regen_mode = constants.RegenerationMode.DONT_ALLOW_REGENERATION
+        self._output.out_stream.output_buf_size = buffer
+        self._output.write(_rows(np.zeros((len(wiring.outputs), self.ahead))), auto_start=False, timeout=10.0)
+        self._input.start()  # waits for the output's clock
+        self._output.start()
+
+    def _check_rate(self, wiring: Wiring) -> None:
+        actual = float(self._output.timing.samp_clk_rate)
+        if abs(actual / wiring.sample_rate - 1) > 1e-6:
+            raise HardwareError(
+                f"the device runs at {actual:.6g} Hz instead of {wiring.sample_rate:.6g} Hz; "
+                f"set sweep.sample_rate = {actual:.6g} so that bins stay where they belong"
+            )
+
+    def _silence(self, wiring: Wiring) -> None:
+        task = self._module.Task()
+        try:
+            for channel in wiring.outputs:
+                task.ao_channels.add_ao_voltage_chan(
+                    channel, min_val=-wiring.output_range, max_val=wiring.output_range
+                )
+            task.write([0.0] * len(wiring.outputs) if len(wiring.outputs) > 1 else 0.0, auto_start=True)
+        finally:
+            task.close()
+
+
+def _rows(block: FloatArray) -> Any:
+    """As nidaqmx wants it: 2-D for several channels, 1-D for one."""
+    return np.ascontiguousarray(block if len(block) > 1 else block[0])
+
+
+def _nidaqmx() -> Any:
+    try:
+        return importlib.import_module("nidaqmx")
+    except ImportError:
+        raise MissingExtra("nidaqmx", "daq", "measuring with NI hardware") from None
+
+
+def _named(doing: str, call: Callable[[], T]) -> T:
+    """``call()``, with what the driver raises turned into one sentence."""
+    try:
+        return call()
+    except HardwareError:
+        raise
+    except Exception as problem:  # nidaqmx raises DaqError, and DaqNotFoundError without a driver
+        text = " ".join(str(problem).split()) or type(problem).__name__
+        raise HardwareError(
+            f"NI device, {doing}: {_advice(getattr(problem, 'error_code', None))}{text[:300]}"
+        ) from problem
+
+
+def _advice(code: int | None) -> str:
+    """What to do about the errors that are met in practice."""
+    known = {
+        -200279: "samples were lost because they were not read in time, use a larger daq.block; ",
+        -200290: "the outputs ran dry because the computer was too slow, use a larger daq.block; ",
+        -200220: "no such device, check daq.outputs and daq.sensor against NI MAX; ",
+        -200170: "no such channel, check daq.outputs and daq.sensor against NI MAX; ",
+        -50103: "another program holds the channels, close it; ",
+    }
+    return known.get(code, "") if code is not None else ""

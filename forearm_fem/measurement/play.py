@@ -1,0 +1,67 @@
+"""Sending drive signals to the actuators, within limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import HardwareError
+from ..scenario.measurement import DaqOptions
+from ..typing import FloatArray
+from .daq import Daq, Session, Wiring, check_limit, faded
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """``sensor`` (n,) [V] recorded meanwhile; ``peak`` (n_in,) [V at the actuators]; ``seconds`` played;
+    ``stopped`` early.
+    """
+
+    sensor: FloatArray
+    peak: FloatArray
+    seconds: float
+    stopped: bool
+
+
+def play(
+    daq: Daq,
+    signals: FloatArray,
+    sample_rate: float,
+    options: DaqOptions,
+    *,
+    repeats: int = 1,
+    pause: float = 0.0,
+    stop: Callable[[], bool] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Played:
+    """Play ``signals`` (n_in, n) [V at the actuators] ``repeats`` times with ``pause`` [s] of silence
+    between.
+
+    Each repeat is faded in and out over ``options.fade``. HardwareError, before anything sounds, for more
+    than ``options.max_voltage`` or the wrong number of signals. ``stop`` is polled per block; when it turns
+    true, or on Ctrl-C, the drive is ramped down or cut, and the outputs are left at 0 V.
+    """
+    if signals.ndim != 2 or len(signals) != len(options.outputs):
+        raise HardwareError(
+            f"expected {len(options.outputs)} drive signals, one per entry of "
+            f"daq.outputs, got shape {signals.shape}"
+        )
+    check_limit(signals, options.max_voltage)
+    fade = round(options.fade * sample_rate)
+    silence = np.zeros((len(signals), round(pause * sample_rate)))
+    once = np.concatenate([faded(signals, fade), silence], axis=1) / options.amplifier_gain
+    wiring = Wiring(
+        sample_rate,
+        options.outputs,
+        (options.sensor,),
+        options.input_range,
+        options.output_range,
+        options.block,
+        options.clock,
+    )
+    with Session(daq, wiring) as session:
+        limit = options.max_voltage / options.amplifier_gain
+        got = session.play(np.tile(once, repeats), limit=limit, fade=fade, stop=stop, progress=progress)
+    return Played(got.inputs[0], np.abs(signals).max(axis=1), got.played / sample_rate, got.stopped)

@@ -1,0 +1,185 @@
+"""Import recipes: a TOML file that says how somebody's raw arrays become a G, so that no product code need
+know them.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+from scipy.fft import rfft, rfftfreq
+
+from ..errors import DataError
+from ..scenario.base import Part, Positive
+from ..transfer import TransferMatrix
+from ..typing import ComplexArray, FloatArray
+from .declaration import Declaration, RawMatrix, understand
+
+AxisName = Annotated[str, Field(pattern=r"^[a-z_]+$")]
+
+
+class ArrayRecipe(Part):
+    """Raw numbers on disk: one array per file, the files stacked along a further axis."""
+
+    files: Annotated[tuple[str, ...], Field(min_length=1, description="in the order of the stacked axis")]
+    format: Literal["raw", "npy"] = "raw"
+    dtype: str = Field(default="<f4", description="numpy's name of the number format, with byte order")
+    shape: Annotated[tuple[int, ...], Field(min_length=1)]
+    order: Literal["C", "F"] = Field(
+        default="C", description="F: the first index runs fastest (MATLAB, Fortran)"
+    )
+    skip: Annotated[int, Field(ge=0)] = Field(default=0, description="bytes before the numbers")
+    axes: tuple[AxisName, ...] = Field(
+        description="names of the array's axes; 'time' or 'frequency', 'output', 'input'"
+    )
+    stack: AxisName | None = Field(
+        default=None, description="axis along which the files are stacked, e.g. 'input'"
+    )
+    select: dict[str, tuple[int, ...]] = Field(
+        default_factory=dict, description="indices to take along an axis, counted from 1, in the order wanted"
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if len(self.shape) != len(self.axes):
+            raise ValueError(f"shape has {len(self.shape)} axes, axes names {len(self.axes)}")
+        if self.stack is None and len(self.files) > 1:
+            raise ValueError("several files need a stack axis")
+        names = [*self.axes, *([self.stack] if self.stack else [])]
+        if unknown := set(self.select) - set(names):
+            raise ValueError(f"select names {sorted(unknown)}, the axes are {names}")
+        if len(set(names)) != len(names):
+            raise ValueError(f"axes and stack name an axis twice: {names}")
+        return self
+
+
+class TimeRecipe(Part):
+    """The array holds impulse responses: what their time axis means."""
+
+    sample_rate: Positive
+    zero: Annotated[int, Field(ge=0)] = Field(default=0, description="samples before time zero")
+    per_sample: bool = Field(
+        default=True,
+        description="response to a unit impulse one sample long (the sum over samples is G); False: times dt",
+    )
+
+
+class ImportRecipe(Part):
+    """How to read a data set, what it means, and where it comes from."""
+
+    name: str
+    source: str = Field(default="", description="citation; ends up in the provenance")
+    array: ArrayRecipe
+    time: TimeRecipe | None = Field(
+        default=None, description="given: the array is in time and is transformed"
+    )
+    declaration: Declaration
+
+
+def load_recipe(path: str | Path) -> ImportRecipe:
+    """The recipe in a TOML file; DataError in one sentence for what is wrong with it."""
+    file = Path(path)
+    try:
+        return ImportRecipe.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        raise DataError(f"{file}: no such recipe") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as problem:
+        raise DataError(f"{file}: not a TOML file: {problem}") from None
+    except ValidationError as problem:
+        first = min(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")  # these cause others
+        where = ".".join(str(p) for p in first["loc"]) or "recipe"
+        unknown = first["type"] == "extra_forbidden"
+        message = "unknown key" if unknown else first["msg"].removeprefix("Value error, ")
+        raise DataError(f"{file}: {where}: {message[0].lower()}{message[1:]}") from None
+
+
+def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix:
+    """G from the recipe's files in ``folder``; DataError for missing, short or contradictory ones."""
+    array, axes = _stacked(recipe.array, Path(folder))
+    array, axes = _selected(recipe, array, axes)
+    domain = "frequency" if recipe.time is None else "time"
+    if sorted(axes) != sorted((domain, "output", "input")):
+        raise DataError(
+            f"recipe '{recipe.name}': the axes left are {', '.join(axes)}, "
+            f"expected {domain}, output and input; "
+            "select one index along every other axis"
+        )
+    ordered = np.transpose(array, [axes.index(a) for a in (domain, "output", "input")])
+    values, frequency = (
+        (ordered.astype(complex), None) if recipe.time is None else _spectrum(ordered, recipe.time)
+    )
+    raw = RawMatrix(
+        recipe.name,
+        values,
+        frequency,
+        ("frequency", "output", "input"),
+        spectrum=None if recipe.time is None else "one-sided",
+        provenance={"recipe": recipe.name, "cite": recipe.source},
+    )
+    return understand(raw, recipe.declaration)
+
+
+def _stacked(recipe: ArrayRecipe, folder: Path) -> tuple[FloatArray, list[str]]:
+    arrays = [_array(recipe, folder / name) for name in recipe.files]
+    if recipe.stack is None:
+        return arrays[0], list(recipe.axes)
+    return np.stack(arrays, axis=-1), [*recipe.axes, recipe.stack]
+
+
+def _array(recipe: ArrayRecipe, file: Path) -> FloatArray:
+    if not file.is_file():
+        raise DataError(f"{file}: no such file; the recipe expects it here")
+    try:
+        numbers = np.load(file, allow_pickle=False) if recipe.format == "npy" else _raw_numbers(recipe, file)
+    except (ValueError, TypeError, EOFError) as problem:
+        raise DataError(f"{file}: cannot be read as {recipe.format} {recipe.dtype}: {problem}") from None
+    expected = int(np.prod(recipe.shape))
+    if numbers.size != expected:
+        raise DataError(
+            f"{file}: holds {numbers.size} numbers, the recipe's shape "
+            f"{list(recipe.shape)} needs {expected}; "
+            "the file is cut short, or shape, dtype or skip are wrong"
+        )
+    return np.asarray(
+        numbers.reshape(recipe.shape, order=recipe.order) if recipe.format == "raw" else numbers, dtype=float
+    )
+
+
+def _raw_numbers(recipe: ArrayRecipe, file: Path) -> FloatArray:
+    content = file.read_bytes()[recipe.skip :]
+    if len(content) % np.dtype(recipe.dtype).itemsize:
+        raise ValueError(f"{len(content)} bytes are no whole number of items")
+    return np.frombuffer(content, dtype=recipe.dtype)
+
+
+def _selected(recipe: ImportRecipe, array: FloatArray, axes: list[str]) -> tuple[FloatArray, list[str]]:
+    """Indices taken; an axis of which one index is left, and which is no axis of G, disappears."""
+    for name, wanted in recipe.array.select.items():
+        at = axes.index(name)
+        if min(wanted) < 1 or max(wanted) > array.shape[at]:
+            raise DataError(
+                f"recipe '{recipe.name}': select.{name} counts from 1 to "
+                f"{array.shape[at]}, got {list(wanted)}"
+            )
+        array = np.take(array, np.array(wanted) - 1, axis=at)
+    extra = [
+        k
+        for k, a in enumerate(axes)
+        if a not in ("time", "frequency", "output", "input") and array.shape[k] == 1
+    ]
+    return np.squeeze(array, axis=tuple(extra)), [a for k, a in enumerate(axes) if k not in extra]
+
+
+def _spectrum(response: FloatArray, time: TimeRecipe) -> tuple[ComplexArray, FloatArray]:
+    """One-sided spectrum (n // 2 + 1, n_out, n_in), phase referred to sample ``zero``, and its frequencies
+    [Hz].
+    """
+    n = len(response)
+    if time.zero >= n:
+        raise DataError(f"time.zero = {time.zero} lies outside the {n} samples of the responses")
+    spectrum = rfft(np.roll(response, -time.zero, axis=0), axis=0)
+    values = spectrum if time.per_sample else spectrum / time.sample_rate
+    return np.asarray(values), np.asarray(rfftfreq(n, 1 / time.sample_rate))

@@ -1,0 +1,128 @@
+"""The finite-element engine: compliance of all ports, and the two cheaper solves that tell its error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..fem.model import ForearmModel, build_model
+from ..fem.sweep import Snapshots, SweepResult, direct_sweep, reduced_sweep
+from ..geometry.cache import cached_mesh
+from ..geometry.mesh import TissueMesh
+from ..geometry.place import place_ports
+from ..scenario import Scenario
+from ..scenario.supports import Supports
+from ..tissue import Tissue, resolve_tissues
+from ..transfer import Compliance, ErrorEstimate
+from ..typing import FloatArray
+
+Progress = Callable[[str, int, int], None]
+COARSER = 2.0  # size ratio of the second mesh
+REDUCTION = 1e-4  # e(f) asked of the reduced model: far below any discretisation error
+TRUNCATION_PROBES = 5
+
+
+@dataclass(frozen=True)
+class FemSolution:
+    """Compliance, the sweep it came from, and what the error estimates need."""
+
+    compliance: Compliance
+    sweep: SweepResult
+    model: ForearmModel
+
+
+def solve_fem(
+    scenario: Scenario,
+    mesh: TissueMesh,
+    frequency: FloatArray,
+    *,
+    progress: Progress | None = None,
+    snapshots: Snapshots | None = None,
+) -> FemSolution:
+    """Compliance of all ports of ``scenario`` on ``mesh`` at ``frequency`` (n,) [Hz]."""
+    model = fem_model(scenario, mesh)
+    if scenario.solver.sweep == "reduced" and len(frequency) > scenario.solver.expansions:
+        result = reduced_sweep(
+            model, frequency, scenario.solver, tolerance=reduction_tolerance(scenario), progress=progress,
+            snapshots=snapshots,
+        )  # fmt: skip
+    else:
+        result = direct_sweep(model, frequency, scenario.solver, progress=progress)
+    compliance = Compliance(frequency, masked(result.values, model), model.ports, _errors(result, frequency))
+    return FemSolution(compliance, result, model)
+
+
+def reduction_tolerance(scenario: Scenario) -> float:
+    """The reduction may cost a hundredth of the accuracy asked for, never more than 1e-4."""
+    return min(REDUCTION, scenario.accuracy / 100)
+
+
+def fem_model(scenario: Scenario, mesh: TissueMesh, *, supports: Supports | None = None) -> ForearmModel:
+    """Operator and ports of ``scenario`` on ``mesh``; ``supports`` replaces the scenario's."""
+    return build_model(
+        mesh,
+        place_ports(scenario, mesh),
+        fem_tissues(scenario),
+        supports or scenario.supports,
+        scenario.tissues.membrane,
+        element=scenario.mesh.element,
+    )
+
+
+def fem_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
+    """The scenario's tissues by name."""
+    return resolve_tissues(scenario)
+
+
+def masked(values: np.ndarray, model: ForearmModel) -> np.ndarray:  # type: ignore[type-arg]
+    """Compliance with the self terms of points (infinite for a point force) set to NaN."""
+    result = np.array(values, dtype=complex)
+    for i, port in enumerate(model.ports):
+        if port.kind == "point":
+            result[:, i, i] = np.nan
+    return result
+
+
+def coarser_compliance(
+    scenario: Scenario, frequency: FloatArray, *, base: Path, progress: Progress | None = None
+) -> Compliance:
+    """The same scenario on a mesh whose elements are :data:`COARSER` times larger."""
+    mesh = cached_mesh(scenario, base=base, scale=COARSER)
+    return solve_fem(scenario, mesh, frequency, progress=progress).compliance
+
+
+def other_ends(scenario: Scenario, frequency: FloatArray, *, base: Path) -> tuple[Compliance, Compliance] | None:
+    """Compliances on the coarse mesh with the scenario's ends and with another kind, at a few frequencies.
+
+    Their difference shows how much of the answer comes back from the cut ends. None where the mesh has no cut ends.
+    """
+    mesh = cached_mesh(scenario, base=base, scale=COARSER)
+    if not len(mesh.facets.get("end", ())):
+        return None
+    probes = frequency[truncation_probes(len(frequency))]
+    other = scenario.supports.model_copy(update={"ends": "absorb" if scenario.supports.ends != "absorb" else "fixed"})
+    pair = []
+    for supports in (scenario.supports, other):
+        model = fem_model(scenario, mesh, supports=supports)
+        values = direct_sweep(model, probes, scenario.solver).values
+        pair.append(Compliance(probes, masked(values, model), model.ports))
+    return pair[0], pair[1]
+
+
+def truncation_probes(n: int) -> list[int]:
+    """Indices of a few frequencies, closer together at the low end where waves reach the ends."""
+    places = np.linspace(0, 1, min(TRUNCATION_PROBES, n)) ** 2
+    return sorted({round(float(p) * (n - 1)) for p in places})
+
+
+def _errors(result: SweepResult, frequency: FloatArray) -> tuple[ErrorEstimate, ...]:
+    solve = ErrorEstimate("linear solve", result.solve_error, "adjoint-weighted residual |x_i . r_j| of the solves used")
+    if not result.certificates:
+        return (solve,)
+    worst = max(c.error for c in result.certificates[-1:])
+    text = "direct solves at " + ", ".join(f"{c.frequency:g} Hz ({c.error:.1e})" for c in result.certificates)
+    del frequency
+    return (solve, ErrorEstimate("reduction", worst, f"the reduced model held against {text}, the last not used by it"))

@@ -1,0 +1,89 @@
+"""What a scenario will cost and how well its mesh carries the waves, before anything is solved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import SolverError
+from ..fem.space import mixed_space
+from ..geometry.cache import cached_mesh
+from ..geometry.mesh import TissueMesh
+from ..geometry.place import place_ports
+from ..geometry.quality import Resolution, nodes_per_wavelength
+from ..scenario import Scenario
+from ..tissue import resolve_tissues
+from .frequencies import frequencies
+
+NODES_NEEDED = 6.0  # per shear wavelength near the ports; below it the error of far entries passes 10 %
+
+# Fitted to factorisations of limbs and slabs with 22 761-199 233 unknowns on 2 cores (docs/decisions.md): double precision.
+_BYTES = 0.26e9, 22_700.0, 1.25
+_SECONDS = 7.0, 131_000.0, 1.8
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Size, cost and resolution of a scenario's main solve."""
+
+    tetrahedra: int
+    unknowns: int
+    memory_bytes: float
+    seconds: float
+    resolution: tuple[Resolution, ...]
+
+    def sentences(self, f_max: float) -> tuple[str, ...]:
+        """What the mesh cannot carry: a sentence per tissue with too few nodes near the ports."""
+        return tuple(
+            f"{r.tissue}: {r.per_wavelength_near_ports:.1f} nodes per shear wavelength near the ports at {f_max:g} Hz, "
+            f"need {NODES_NEEDED:g}; lower mesh.size_grid or sweep.f_max"
+            for r in self.resolution
+            if r.per_wavelength_near_ports < NODES_NEEDED
+        )
+
+
+def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | None = None) -> Forecast:
+    """Count unknowns on the scenario's mesh (made if need be) and estimate memory and time of the solve."""
+    mesh = mesh or cached_mesh(scenario, base=base)
+    space = mixed_space(mesh, scenario.mesh.element)
+    unknowns = space.n_displacements + space.n_pressures
+    factorisations = scenario.solver.expansions + 1
+    if scenario.solver.sweep == "direct":
+        factorisations = len(frequencies(scenario.sweep))
+    single = 0.5 if scenario.solver.precision == "single" else 1.0
+    one = _power(_SECONDS, unknowns) * single
+    return Forecast(
+        len(mesh.tetrahedra),
+        unknowns,
+        1.5 * _power(_BYTES, unknowns) * single + 0.5e9,
+        one * factorisations * (3.0 if scenario.solver.sweep == "reduced" else 1.2),
+        resolution(scenario, mesh),
+    )
+
+
+def refuse_if_too_large(forecast: Forecast, scenario: Scenario) -> None:
+    """Raise :class:`SolverError` with advice where the estimate exceeds ``solver.memory_limit``."""
+    if forecast.memory_bytes > scenario.solver.memory_limit:
+        raise SolverError(
+            f"the solve of {forecast.unknowns} unknowns needs about {forecast.memory_bytes / 1e9:.1f} GB, more than "
+            f"solver.memory_limit = {scenario.solver.memory_limit / 1e9:.1f} GB; raise the limit, set solver.precision = "
+            "'single' or a larger accuracy"
+        )
+
+
+def resolution(scenario: Scenario, mesh: TissueMesh) -> tuple[Resolution, ...]:
+    """Nodes per shear wavelength and per decay length at the highest frequency, tissue by tissue."""
+    f_max = float(frequencies(scenario.sweep)[-1])
+    omega = np.array([2 * np.pi * f_max])
+    tissues = {name: t for name, t in resolve_tissues(scenario).items() if name in mesh.region_names}
+    speeds = {name: float(t.wave_speed(omega)[0]) for name, t in tissues.items()}
+    decay = {name: 1 / max(float(t.attenuation(omega)[0]), 1e-9) for name, t in tissues.items()}
+    ports = place_ports(scenario, mesh)
+    return nodes_per_wavelength(mesh, scenario.mesh.element, speeds, decay, f_max, ports=ports)
+
+
+def _power(fit: tuple[float, float, float], n: float) -> float:
+    value, at, exponent = fit
+    return value * (n / at) ** exponent

@@ -1,0 +1,130 @@
+"""The whole way in memory: scenario -> compliance -> G with its errors -> drives, displacements, S."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..device import close_loop
+from ..geometry.cache import cached_mesh
+from ..geometry.mesh import TissueMesh
+from ..rendering import Limits, Rendering, render_all
+from ..scenario import Scenario
+from ..transfer import Compliance, ErrorEstimate, TransferMatrix, band_error, relative_error
+from ..typing import FloatArray
+from .fem_engine import COARSER
+from .frequencies import frequencies
+from .layered_engine import solve_layered
+from .renderers import renderers, wavelet
+from .solved import Solved, solve
+
+Progress = Callable[[str, int, int], None]
+ASSUMED_ORDER = 2.0  # P2 outputs converge like h^3 to h^4; rims and gradings cost some of it (docs/decisions.md)
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A simulated calibration.
+
+    ``coarse`` is G on the second, coarser mesh (None where no estimate was asked): ``transfer.errors`` and the error of S
+    follow from it. ``notes`` are sentences that belong in the report.
+    """
+
+    scenario: Scenario
+    mesh: TissueMesh | None
+    compliance: Compliance
+    transfer: TransferMatrix
+    coarse: TransferMatrix | None = None
+    solved: Solved | None = None
+    notes: tuple[str, ...] = field(default=())
+
+
+def simulate(
+    scenario: Scenario,
+    *,
+    base: str | Path = ".",
+    progress: Progress | None = None,
+    mesh: TissueMesh | None = None,
+) -> Simulation:
+    """G of ``scenario`` in m per volt (or per newton, per metre) with an error estimate per source.
+
+    ``base`` is the folder that user files in the scenario refer to. Raises a :class:`ForearmError` for whatever cannot be
+    built or solved.
+    """
+    frequency = frequencies(scenario.sweep)
+    if scenario.engine == "layered":
+        compliance = solve_layered(scenario, frequency, progress=progress)
+        transfer = close_loop(compliance, scenario.device)
+        return Simulation(scenario, None, compliance, transfer, notes=_flat_notes(scenario))
+    mesh = mesh or cached_mesh(scenario, base=Path(base))
+    return closed(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
+
+
+def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
+    """G and its errors from compliances: the device enters here, at no further FE solve."""
+    transfer = close_loop(solved.compliance, scenario.device)
+    coarse = close_loop(solved.coarse, scenario.device) if solved.coarse else None
+    errors = [_discretisation(transfer, coarse)] if coarse else []
+    if solved.ends:
+        errors.append(_truncation(*(close_loop(c, scenario.device) for c in solved.ends)))
+    transfer = replace(transfer, errors=(*errors, *transfer.errors))
+    return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, solved.problems)
+
+
+def render(simulation: Simulation, *, progress: Callable[[int, int, str], None] | None = None) -> Rendering:
+    """Drives, displacements and S of the scenario's methods and targets on its G."""
+    return render_transfer(simulation.scenario, simulation.transfer, progress=progress)
+
+
+def render_transfer(
+    scenario: Scenario,
+    transfer: TransferMatrix,
+    *,
+    base: str | Path = ".",
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Rendering:
+    """The scenario's renderers on any G, simulated or measured."""
+    wanted = scenario.rendering
+    targets = [p.name for p in transfer.outputs] if wanted.targets == "all" else list(wanted.targets)
+    device = scenario.device
+    limits = Limits(device.max_voltage, device.max_power, device.coil.resistance) if transfer.unit == "m/V" else None
+    return render_all(
+        transfer, targets, renderers(wanted), wavelet(wanted, scenario.sweep, Path(base)), limits,
+        progress=progress,
+    )  # fmt: skip
+
+
+def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstimate:
+    """|G_coarse - G_fine| / (s^p - 1): the error of the fine mesh if it falls like h^p with size ratio s."""
+    gain = COARSER**ASSUMED_ORDER - 1
+    error: FloatArray = relative_error(coarse.values, fine.values) / gain
+    return ErrorEstimate(
+        "discretisation",
+        band_error(coarse.values, fine.values) / gain,
+        f"G on a mesh with {COARSER:g} times larger elements differs by {gain:g} times this; order {ASSUMED_ORDER:g} assumed",
+        tuple(fine.frequency.tolist()),
+        tuple(error.tolist()),
+    )
+
+
+def _truncation(own: TransferMatrix, other: TransferMatrix) -> ErrorEstimate:
+    error = relative_error(other.values, own.values)
+    return ErrorEstimate(
+        "truncation",
+        band_error(other.values, own.values),
+        "change of G when the cut ends are treated the other way (absorbing against fixed), on the coarser mesh",
+        tuple(own.frequency.tolist()),
+        tuple(np.asarray(error).tolist()),
+    )
+
+
+def _flat_notes(scenario: Scenario) -> tuple[str, ...]:
+    notes = ["engine = layered: flat, endless layers without bones or ends"]
+    if scenario.device.cone.contact != "pressure":
+        notes.append(f"the {scenario.device.cone.contact} cones are replaced by uniform pressure on the same disc")
+    if scenario.supports.underside != "free":
+        notes.append("the support under the arm is left out")
+    return tuple(notes)

@@ -1,0 +1,222 @@
+"""Everything that needs a factorisation, kept in a cache folder so that no finished part is computed twice."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..errors import DataError, ForearmError
+from ..fem.sweep import Expansion
+from ..geometry.cache import cached_mesh, default_cache_dir
+from ..geometry.mesh import TissueMesh
+from ..geometry.place import place_ports
+from ..io.atomic import atomic_path, write_text
+from ..io.netcdf import read_compliance, write_compliance
+from ..scenario import Scenario
+from ..transfer import Compliance
+from ..typing import ComplexArray, FloatArray
+from .fem_engine import COARSER, FemSolution, coarser_compliance, other_ends, reduction_tolerance, solve_fem
+
+_log = logging.getLogger("forearm_fem.pipeline")
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """All compliances of a scenario on one mesh.
+
+    ``coarse`` is on the coarser mesh, ``ends`` a pair with the scenario's and with other ends at a few frequencies (both
+    None where no estimate was asked). ``modes`` (n_point, 3, r) and ``states`` (n_frequency, r, n_contact) rebuild the
+    wavefield at the mesh vertices per unit contact force; empty for a direct sweep. ``facts`` are for the report.
+    """
+
+    compliance: Compliance
+    coarse: Compliance | None
+    ends: tuple[Compliance, Compliance] | None
+    modes: FloatArray
+    states: ComplexArray
+    facts: dict[str, Any]
+    problems: tuple[str, ...] = ()
+
+
+def solve(
+    scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, *, base: Path, progress: Progress | None = None
+) -> Solved:
+    """Solve what is not in the cache yet; each finished part is stored at once."""
+    store = _Store(default_cache_dir() / "solves" / solve_key(scenario, mesh, frequency))
+    main = _main_part(store, scenario, mesh, frequency, progress)
+    coarse, ends, problems = None, None, list[str]()
+    if scenario.solver.discretisation_estimate:
+        try:
+            coarse = store.compliance(
+                "coarse", lambda: coarser_compliance(scenario, frequency, base=base, progress=_named(progress, "coarser mesh"))
+            )
+            ends = _ends(store, scenario, frequency, base, progress)
+        except ForearmError as problem:
+            problems.append(f"the error estimate on a coarser mesh failed: {problem}")
+    return replace(main, coarse=coarse, ends=ends, problems=tuple(problems))
+
+
+def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> str:
+    """SHA-256 of all that the compliances depend on; coils and housing are not among them."""
+    parts = {
+        "version": __version__,
+        "mesh": mesh.digest,
+        "ports": [asdict(p) for p in place_ports(scenario, mesh)],
+        "tissues": scenario.tissues.model_dump(mode="json"),
+        "supports": scenario.supports.model_dump(mode="json"),
+        "solver": scenario.solver.model_dump(mode="json", exclude={"memory_limit", "discretisation_estimate"}),
+        "element": scenario.mesh.element,
+        "tolerance": reduction_tolerance(scenario),
+        "frequency": hashlib.sha256(frequency.tobytes()).hexdigest(),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _main_part(
+    store: _Store, scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, progress: Progress | None
+) -> Solved:
+    if (kept := store.main()) is not None:
+        return kept
+    solution = solve_fem(scenario, mesh, frequency, progress=progress, snapshots=store)
+    result = _packed(solution, frequency)
+    store.keep_main(result)
+    return result
+
+
+def _packed(solution: FemSolution, frequency: FloatArray) -> Solved:
+    sweep, model = solution.sweep, solution.model
+    n_u, n_p = model.degrees_of_freedom
+    facts = {
+        "displacement_unknowns": n_u,
+        "pressure_unknowns": n_p,
+        "residual": sweep.residual,
+        "expansion_frequencies": list(sweep.expansions),
+        "certificates": [asdict(c) for c in sweep.certificates],
+        "reduced_size": sweep.reduced.size if sweep.reduced else 0,
+    }
+    modes, states = np.zeros((0, 3, 0)), np.zeros((len(frequency), 0, 0), dtype=complex)
+    if sweep.reduced is not None:
+        contacts = solution.compliance.indices("contact")
+        modes = vertex_modes(solution)
+        states = sweep.reduced.states(frequency)[:, :, contacts] * model.shares[contacts]
+    return Solved(solution.compliance, None, None, modes, states, facts)
+
+
+def vertex_modes(solution: FemSolution) -> FloatArray:
+    """Displacements of the reduced basis at the mesh vertices (n_point, 3, r)."""
+    reduced, model = solution.sweep.reduced, solution.model
+    assert reduced is not None
+    vertices = np.zeros(len(model.space.mesh.points), dtype=np.int64)
+    vertices[model.space.vertices.ravel()] = model.space.nodes[:, :4].ravel()
+    return np.asarray(model.displacements(reduced.basis)[vertices])
+
+
+def _ends(
+    store: _Store, scenario: Scenario, frequency: FloatArray, base: Path, progress: Progress | None
+) -> tuple[Compliance, Compliance] | None:
+    if not len(cached_mesh(scenario, base=base, scale=COARSER).facets.get("end", ())):
+        return None
+    _tell(progress, "truncation estimate", 0)
+    kept = store.read("ends_own"), store.read("ends_other")
+    if kept[0] is not None and kept[1] is not None:
+        return kept[0], kept[1]
+    pair = other_ends(scenario, frequency, base=base)
+    if pair is not None:
+        store.write("ends_own", pair[0])
+        store.write("ends_other", pair[1])
+    _tell(progress, "truncation estimate", 1)
+    return pair
+
+
+def _named(progress: Progress | None, prefix: str) -> Progress | None:
+    if progress is None:
+        return None
+    return lambda stage, done, total: progress(f"{prefix}: {stage}", done, total)
+
+
+def _tell(progress: Progress | None, stage: str, done: int) -> None:
+    if progress is not None:
+        progress(stage, done, 1)
+
+
+class _Store:
+    """One folder per solve; an unreadable part is computed again, an unwritable folder only costs the reuse."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def get(self, frequency: float) -> Expansion | None:
+        """An expansion of an interrupted sweep; see :class:`forearm_fem.fem.sweep.Snapshots`."""
+        try:
+            with np.load(self._snapshot(frequency)) as data:
+                return Expansion(frequency, tuple(data["series"]), float(data["residual"]), float(data["solve_error"]))
+        except (OSError, ValueError, KeyError, EOFError):
+            return None
+
+    def put(self, expansion: Expansion) -> None:
+        """Keep an expansion until the sweep is finished."""
+        try:
+            with atomic_path(self._snapshot(expansion.frequency)) as target, open(target, "wb") as stream:
+                np.savez(
+                    stream, series=np.array(expansion.series), residual=expansion.residual,
+                    solve_error=expansion.solve_error,
+                )  # fmt: skip
+        except (DataError, OSError) as problem:
+            _log.warning("an expansion could not be kept for a later run: %s", problem)
+
+    def _snapshot(self, frequency: float) -> Path:
+        return self._folder / "expansions" / f"{frequency:g}.npz"
+
+    def compliance(self, name: str, make: Callable[[], Compliance]) -> Compliance:
+        """The stored compliance of a name, or a new one, stored."""
+        if (kept := self.read(name)) is not None:
+            return kept
+        made = make()
+        self.write(name, made)
+        return made
+
+    def read(self, name: str) -> Compliance | None:
+        """A stored compliance, or None."""
+        try:
+            return read_compliance(self._folder / f"{name}.nc")
+        except DataError:
+            return None
+
+    def write(self, name: str, compliance: Compliance) -> None:
+        """Store a compliance; failing to is logged."""
+        try:
+            write_compliance(self._folder / f"{name}.nc", compliance)
+        except (DataError, OSError) as problem:
+            _log.warning("%s could not be kept for a later run: %s", name, problem)
+
+    def main(self) -> Solved | None:
+        """The stored main part, or None."""
+        compliance = self.read("compliance")
+        try:
+            with np.load(self._folder / "field.npz") as field:
+                modes, states = field["modes"].astype(float), field["states"].astype(complex)
+            facts = json.loads((self._folder / "facts.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError, KeyError, EOFError):
+            return None
+        return None if compliance is None else Solved(compliance, None, None, modes, states, facts)
+
+    def keep_main(self, solved: Solved) -> None:
+        """Store the main part, then drop the expansions it came from."""
+        try:
+            with atomic_path(self._folder / "field.npz") as target, open(target, "wb") as stream:
+                np.savez(stream, modes=solved.modes.astype(np.float32), states=solved.states.astype(np.complex64))
+            write_text(self._folder / "facts.json", json.dumps(solved.facts))
+        except (DataError, OSError) as problem:
+            _log.warning("the solution could not be kept for a later run: %s", problem)
+        self.write("compliance", solved.compliance)
+        shutil.rmtree(self._folder / "expansions", ignore_errors=True)

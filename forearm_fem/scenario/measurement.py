@@ -1,0 +1,105 @@
+"""How the transfer matrix is measured: sweep, sensor, channels, averaging and safety."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from .base import Fraction, NonNegative, Part, Positive
+
+Quantity = Literal["displacement", "velocity", "acceleration"]
+Estimator = Literal["fourier", "H1", "H2", "Hv", "deconvolution"]
+
+
+class SensorOptions(Part):
+    """What the vibrometer's output means; nothing is guessed, so both must be given before real hardware is
+    used.
+    """
+
+    quantity: Quantity | None = Field(
+        default=None, description="what the sensor's voltage is proportional to"
+    )
+    sensitivity: Positive | None = Field(
+        default=None, description="V per m, per m/s or per m/s^2 (OFV-5000 at 10 mm/s/V: 100 V per m/s)"
+    )
+    inverted: bool = Field(default=False, description="positive voltage means motion into the skin")
+    delay: float = Field(default=0.0, description="delay of the sensor's own electronics [s], removed from G")
+
+
+class DaqOptions(Part):
+    """Channels and safety of the analogue hardware."""
+
+    outputs: tuple[str, ...] = Field(
+        default=("cDAQ1Mod1/ao0", "cDAQ1Mod1/ao1", "cDAQ1Mod1/ao2", "cDAQ1Mod1/ao3"),
+        description="one per actuator, in order",
+    )
+    sensor: str = Field(default="cDAQ1Mod2/ai0", description="input channel of the vibrometer")
+    loopback: str | None = Field(
+        default=None, description="input channel wired to the drive; None: what was sent is trusted"
+    )
+    clock: str = Field(
+        default="/cDAQ1/ao/SampleClock",
+        description="terminal that clocks the inputs, so that both are synchronous",
+    )
+    input_range: Positive = Field(default=10.0, description="full scale of the inputs, plus and minus [V]")
+    output_range: Positive = Field(default=10.0, description="full scale of the outputs, plus and minus [V]")
+    amplifier_gain: Positive = Field(default=1.0, description="V at the actuator per V at the output")
+    latency: float = Field(
+        default=0.0, description="known delay from output to input [s], removed from G; 0 with a loopback"
+    )
+    block: Annotated[int, Field(ge=16, le=1_000_000)] = Field(
+        default=1000, description="samples exchanged at a time"
+    )
+    max_voltage: Positive = Field(default=2.5, description="at the actuator; a drive above it is refused [V]")
+    fade: NonNegative = Field(
+        default=0.005, description="ramp at the start, the end and an emergency stop [s]"
+    )
+
+
+class MeasurementOptions(Part):
+    """Calibration: an exponential sine sweep per actuator and point, repeated without a pause.
+
+    Band, duration and rate are the scenario's ``sweep``. One period is sent first and thrown away, so that
+    what is kept is periodic and the division by the drive's spectrum is free of leakage.
+    """
+
+    amplitude: Positive = Field(default=1.0, description="of the sweep at the actuator [V]")
+    repeats: Annotated[int, Field(ge=1, le=1000)] = Field(
+        default=4, description="periods kept; coherence and deviation need 2"
+    )
+    lead_in: Annotated[int, Field(ge=0, le=100)] = Field(default=1, description="periods thrown away before")
+    taper: Annotated[float, Field(ge=0, le=0.25)] = Field(
+        default=0.01, description="part of the sweep faded in, and out"
+    )
+    estimator: Estimator = "H1"
+    regularisation: Annotated[float, Field(ge=0, lt=1)] = Field(
+        default=1e-6, description="deconvolution: added to |X|^2, relative to its largest value"
+    )
+    window: Positive | None = Field(
+        default=None, description="deconvolution: part of the impulse response kept [s]"
+    )
+    energy_floor: Fraction = Field(
+        default=2e-2, description="bins whose drive is below this part of its largest are masked"
+    )
+    signal_floor: Positive = Field(
+        default=2.0, description="entries below this many standard deviations are marked invalid"
+    )
+    min_coherence: Annotated[float, Field(ge=0, lt=1)] = Field(
+        default=0.0, description="entries below are marked invalid"
+    )
+    max_drift: Positive = Field(
+        default=0.05, description="change between the first and last repeat that is reported [-]"
+    )
+    sensor: SensorOptions = SensorOptions()
+    daq: DaqOptions = DaqOptions()
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.amplitude > self.daq.max_voltage:
+            raise ValueError(
+                f"amplitude {self.amplitude:g} V exceeds daq.max_voltage {self.daq.max_voltage:g} V"
+            )
+        if self.estimator != "deconvolution" and self.window is not None:
+            raise ValueError("window has an effect only with estimator = 'deconvolution'")
+        return self

@@ -1,0 +1,95 @@
+"""Finite elements against closed forms: shear bar, rigid punch, oscillating sphere, rigid bodies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..fem.boundary import facet_load
+from ..fem.model import build_model
+from ..fem.sweep import direct_sweep
+from ..layered import kelvin_voigt_shear_wave
+from ..ports import Port
+from ..scenario.supports import Supports
+from ..scenario.tissues import Membrane
+from .blocks import block_mesh, shell_mesh
+from .scenes import DIRECT, RADIUS, flesh, quarter_slab, slab_model, slab_response, solve
+
+BAR = 0.02  # length [m]
+BAR_HZ = 300.0
+
+
+def shear_bar_errors(element: str, counts: Sequence[int]) -> list[float]:
+    """Relative error of the nodal displacement of a bar sheared at its end, for ``counts`` cells along it."""
+    return [_shear_bar(element, n) for n in counts]
+
+
+def _shear_bar(element: str, n: int) -> float:
+    """u_z(x) in a bar held at x = 0 with a shear traction of 1 Pa on x = L; u_x = 0 on its z faces.
+
+    With k = omega / c - i alpha from the closed form: u = sin kx / (mu* k cos kL).
+    """
+    tissue, width = flesh(2500.0, 2.0), 0.004
+    sides = {"end": ("x0",), "tip": ("x1",), "symmetry x": ("z0", "z1")}
+    mesh = block_mesh((n, 1, 1), (BAR, width, width), facets=sides)
+    model = build_model(mesh, (), {"block": tissue}, Supports(ends="fixed"), Membrane(), element=element)
+    right = np.zeros((model.operator.n, 1))
+    load = facet_load(model.space, mesh.facets["tip"], np.array([0.0, 0.0, 1.0]))
+    right[: model.operator.n_displacements, 0] = model.constraints.transform.T @ load
+    found = model.displacements(solve(model, BAR_HZ, right)[:, 0])[:, 2]
+    omega = 2 * np.pi * BAR_HZ
+    c, alpha = kelvin_voigt_shear_wave(np.array(omega), 2500.0, 2.0, tissue.density)
+    k = omega / c - 1j * alpha
+    exact = np.sin(k * model.space.node_points[:, 0]) / (complex(tissue.modulus.at(omega)) * k * np.cos(k * BAR))
+    corner = model.space.node_points[:, 0] * n / BAR
+    nodes = np.abs(corner - np.round(corner)) < 1e-9 if element == "P1" else np.ones(len(found), dtype=bool)
+    return float(np.abs(found - exact)[nodes].max() / np.abs(exact).max())
+
+
+def punch_stiffness(contact: str, side: float, *, rim: float = 1.0) -> float:
+    """Static stiffness [N/m] of a rigid disc on an incompressible block of half-width and depth side / 2, all held.
+
+    ``rim`` multiplies the element sizes.
+    """
+    sizes = {"size_grid": 6e-3, "size_contact": 1.2e-3, "size_far": 0.1 * side, "grading": 0.6}
+    scenario = quarter_slab(
+        (), side=side, depth=side / 2, mesh=sizes, ends="fixed", contact=contact,
+        override={"muscle": {"bulk": "incompressible", "eta": 0.0}},
+    )  # fmt: skip
+    value = slab_response(slab_model(scenario, scale=rim), [1e-3])[0, 0]
+    return float(1 / value.real)
+
+
+def oestreicher_impedance(omega: float, radius: float, mu: complex, rho: float) -> complex:
+    """Force per velocity [N s/m] of a rigid sphere oscillating in an infinite incompressible medium.
+
+    Oestreicher 1951 for k -> 0: (2/3) pi a^3 rho i omega (1 - 9 i/ah - 9/(ah)^2), h^2 = rho omega^2/mu, Im h < 0.
+    """
+    ah = radius * omega * np.sqrt(rho / mu)
+    return complex(2 / 3 * np.pi * radius**3 * rho * 1j * omega * (1 - 9j / ah - 9 / ah**2))
+
+
+def sphere_errors(splits: Sequence[int], frequency: float) -> list[float]:
+    """Relative error of the impedance of a 3.5 mm sphere, bonded to flesh that is held at 12 radii."""
+    tissue, omega = flesh(), 2 * np.pi * frequency
+    exact = oestreicher_impedance(omega, RADIUS, complex(tissue.modulus.at(omega)), tissue.density)
+    errors = []
+    for n in splits:
+        radii = RADIUS * np.geomspace(1.0, 12.0, 2 * n + 1)
+        port = Port("A1", "contact", (0.0, 0.0, 0.0), radius=RADIUS, contact="bonded")
+        model = build_model(shell_mesh(radii, n), (port,), {"block": tissue}, Supports(ends="fixed"), Membrane())
+        value = direct_sweep(model, np.array([frequency]), DIRECT).values[0, 0, 0]
+        errors.append(float(abs(1 / (1j * omega * value) / exact - 1)))
+    return errors
+
+
+def free_block_error(frequency: float) -> float:
+    """|C (-omega^2 m) - 1| of a 20 mm cube of flesh held by nothing, pushed evenly over its whole top."""
+    side, tissue = 0.02, flesh()
+    mesh = block_mesh((2, 2, 2), (side,) * 3, facets={"contact A1": ("z1",)}, bend=0.05)
+    port = Port("A1", "contact", (side / 2, side / 2, side), radius=side / 2)
+    model = build_model(mesh, (port,), {"block": tissue}, Supports(ends="free"), Membrane())
+    value = direct_sweep(model, np.array([frequency]), DIRECT).values[0, 0, 0]
+    return float(abs(-((2 * math.pi * frequency) ** 2) * tissue.density * side**3 * value - 1))

@@ -1,0 +1,136 @@
+"""Small scenes that several verification cases share: blocks and quarter slabs with the options that matter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..fem.factor import make_factor, refined_solve
+from ..fem.model import ForearmModel, build_model
+from ..fem.sweep import direct_sweep
+from ..geometry.build import build_mesh
+from ..geometry.mesh import TissueMesh
+from ..geometry.place import place_ports
+from ..layered import Base, Disc, Layer, Surface, layered_compliance
+from ..ports import Port
+from ..scenario import Scenario, parse_scenario
+from ..scenario.supports import Supports
+from ..scenario.sweep import SolverOptions
+from ..scenario.tissues import Membrane
+from ..tissue import KelvinVoigt, Tissue, resolve_tissues
+from ..typing import ComplexArray, FloatArray
+from .blocks import block_mesh
+
+RADIUS = 3.5e-3
+DIRECT = SolverOptions(sweep="direct")
+
+
+def flesh(mu: float = 7860.0, eta: float = 5.03, *, bulk: float = math.inf, density: float = 1050.0) -> Tissue:
+    """A homogeneous Kelvin-Voigt tissue called "block"; default: Zhang's skin."""
+    return Tissue("block", density, KelvinVoigt(mu, eta), bulk)
+
+
+def held_block(
+    n: int = 3, *, element: str = "P2", tissue: Tissue | None = None, ends: str = "fixed", contact: str = "pressure"
+) -> ForearmModel:
+    """A 24 x 16 x 8 mm block held at x = 0 with a 4 mm square contact and three points on its top."""
+    size = (0.024, 0.016, 0.008)
+    mesh = block_mesh((2 * n, 2 * n, n), size, facets={"end": ("x0",)}, bend=0.05)
+    mesh = _with_patch(mesh, (0.008, 0.004), (0.016, 0.012))
+    ports = (
+        Port("A1", "contact", (0.012, 0.008, 0.008), radius=0.004, contact=contact),  # type: ignore[arg-type]
+        *(Port(str(i), "point", (x, y, 0.008)) for i, (x, y) in enumerate([(0.004, 0.003), (0.02, 0.004), (0.021, 0.014)])),
+    )
+    supports = Supports(ends=ends)  # type: ignore[arg-type]
+    return build_model(mesh, ports, {"block": tissue or flesh()}, supports, Membrane(), element=element)
+
+
+def _with_patch(mesh: TissueMesh, low: tuple[float, float], high: tuple[float, float]) -> TissueMesh:
+    """Skin facets whose corners lie in a rectangle, named as contact A1."""
+    skin = mesh.facets["skin"]
+    corner = mesh.points[skin][:, :, :2]
+    tiny = 1e-9
+    inside = ((corner >= np.array(low) - tiny) & (corner <= np.array(high) + tiny)).all(axis=(1, 2))
+    facets = {**mesh.facets, "contact A1": skin[inside]}
+    return TissueMesh(mesh.points, mesh.tetrahedra, mesh.region, mesh.region_names, facets)
+
+
+def solve(model: ForearmModel, frequency: float, load: ComplexArray | FloatArray) -> ComplexArray:
+    """Solutions (n, k) of A(2 pi f) x = load (n, k)."""
+    omega = 2 * np.pi * frequency
+    factor = make_factor(model.operator, omega, "auto", single=False)
+    data = model.operator.data(omega)
+    factor.factorise(data)
+    x = refined_solve(factor, model.operator.upper(data), load.astype(complex)).values
+    factor.release()
+    return x
+
+
+def quarter_slab(
+    radii: Sequence[float],
+    *,
+    side: float = 0.12,
+    depth: float = 0.04,
+    layers: Sequence[tuple[str, float]] = (),
+    preset: str = "zhang",
+    mesh: Mapping[str, Any] | None = None,
+    frequencies: Sequence[float] = (100.0,),
+    ends: str = "absorb",
+    contact: str = "pressure",
+    override: Mapping[str, Any] | None = None,
+) -> Scenario:
+    """Scenario of one disc in the middle of a square slab, a quarter of it modelled, points at ``radii`` along x."""
+    limb = {
+        "shape": "slab", "length": side, "width": side, "depth": depth, "symmetry": ["x", "y"],
+        "layers": [{"tissue": t, "thickness": h} for t, h in layers],
+    }  # fmt: skip
+    return parse_scenario(
+        {
+            "limb": limb,
+            "tissues": {"preset": preset, "override": dict(override or {})},
+            "supports": {"ends": ends},
+            "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": contact, "radius": RADIUS}},
+            "grid": {"points": [[r, 0.0] for r in radii]},
+            "sweep": {"frequencies": list(frequencies)},
+            "mesh": dict(mesh or {}),
+        }
+    )
+
+
+def slab_model(scenario: Scenario, *, scale: float = 1.0) -> ForearmModel:
+    """Mesh and assemble a slab scenario; ``scale`` multiplies every element size."""
+    mesh = build_mesh(scenario, scale=scale)
+    tissues, ports = resolve_tissues(scenario), place_ports(scenario, mesh)
+    return build_model(
+        mesh, ports, tissues, scenario.supports, scenario.tissues.membrane, element=scenario.mesh.element
+    )
+
+
+def slab_response(model: ForearmModel, frequencies: Sequence[float]) -> ComplexArray:
+    """Mean under the disc, then the points: displacement per force on the disc (n_frequency, 1 + n_point) [m/N]."""
+    return direct_sweep(model, np.array(frequencies), DIRECT).values[:, :, 0]
+
+
+def twin_layers(scenario: Scenario) -> list[Layer]:
+    """The slab's layers, its core as half-space."""
+    tissues, limb = resolve_tissues(scenario), scenario.limb
+    pairs = [(x.tissue, x.thickness) for x in getattr(limb, "layers", ())] + [(getattr(limb, "core", "muscle"), math.inf)]
+    return [Layer(h, tissues[t].density, tissues[t].modulus.at, tissues[t].bulk) for t, h in pairs]
+
+
+def twin_response(scenario: Scenario, frequencies: Sequence[float], *, depth: float | None = None) -> ComplexArray:
+    """The exact counterpart of :func:`slab_response`; a ``depth`` puts rigid ground under the core."""
+    layers, base, membrane = twin_layers(scenario), "halfspace", scenario.tissues.membrane
+    if depth is not None:
+        above = sum(x.thickness_m for x in layers[:-1])
+        last = layers[-1]
+        layers, base = [*layers[:-1], Layer(depth - above, last.density, last.modulus, last.bulk_modulus)], "rigid"
+    discs = [Disc(0.0, 0.0, scenario.device.cone.radius), *(Disc(x, y) for x, y in scenario.grid.places)]
+    surface = Surface(membrane.tension, 4 * membrane.stiffness, membrane.mass)
+    omega = 2 * np.pi * np.array(frequencies)
+    choice: Base = "rigid" if base == "rigid" else "halfspace"
+    result = layered_compliance(layers, omega, discs[:1], discs, base=choice, surface=surface, tolerance=1e-8)
+    return result.values[:, :, 0]

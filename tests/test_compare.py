@@ -1,0 +1,181 @@
+"""Comparison of two transfer matrices: known differences must come out as such, gaps must stay visible."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_measurement_scene import RATE, SENSOR, SWEEP, device_for, part, plan_for, wave_matrix
+
+from forearm_fem.compare.agreement import agreement, fdac_matrix
+from forearm_fem.compare.commands import run_compare
+from forearm_fem.compare.common import common_ground
+from forearm_fem.compare.compare import compare, summary
+from forearm_fem.compare.crossplay import cross_play, wavelet_for
+from forearm_fem.compare.report import as_csv, as_json, as_markdown
+from forearm_fem.errors import DataError
+from forearm_fem.io.recognise import write_measured
+from forearm_fem.measurement.calibrate import calibrate
+from forearm_fem.measurement.virtual import noise_for
+from forearm_fem.metrics import condition_number
+
+A = wave_matrix()
+
+
+def changed(g, factor=1.0, delay=0.0):
+    turn = factor * np.exp(-1j * g.omega * delay)
+    return replace(g, values=g.values * turn[:, None, None])
+
+
+def test_a_matrix_agrees_with_itself():
+    a = agreement(common_ground(A, A))
+    assert a.band == 0
+    assert a.overall_frac == pytest.approx(1)
+    np.testing.assert_allclose(a.fdac, 1)
+    np.testing.assert_allclose(a.delay, 0, atol=1e-15)
+    assert np.isnan(a.misfit)  # no deviations: not said to be zero
+
+
+def test_gain_and_delay_are_told_apart():
+    a = agreement(common_ground(A, changed(A, 1.1, 2e-4)))
+    np.testing.assert_allclose(a.bias_db, 20 * np.log10(1.1))
+    np.testing.assert_allclose(a.magnitude_db, 20 * np.log10(1.1))
+    np.testing.assert_allclose(a.delay, 2e-4, rtol=1e-9)
+    np.testing.assert_allclose(a.fdac, 1)  # one number per frequency: the shape is the same
+    assert np.all(a.frac < 0.999)  # along frequency the phase turns
+
+
+def test_frac_ignores_a_constant_and_e_band_does_not():
+    a = agreement(common_ground(A, changed(A, 0.8)))
+    np.testing.assert_allclose(a.frac, 1)
+    assert a.band == pytest.approx(0.2)
+    np.testing.assert_allclose(a.per_frequency, 0.2)
+    np.testing.assert_allclose(a.error, 0.2)
+
+
+def test_misfit_of_two_noisy_measurements_is_one(tmp_path):
+    scene = part(A, 2, 2)
+    noise = noise_for(30.0, scene, SWEEP.samples(), RATE, SENSOR)
+    both = [
+        calibrate(
+            plan_for(scene, repeats=8), device_for(scene, noise=noise, seed=s), tmp_path / str(s)
+        ).transfer
+        for s in (1, 2)
+    ]
+    a = agreement(common_ground(*both))
+    assert a.misfit == pytest.approx(
+        1.0, abs=0.08
+    )  # about 900 complex differences, and the floor keeps strong ones
+
+
+def test_fdac_ridge_moves_with_a_resonance():
+    f = np.arange(20.0, 400.0, 4.0)
+
+    def two_modes(shift):
+        k = (f[:, None, None] - shift) / 60
+        return replace(
+            wave_matrix(f), values=np.exp(1j * k * np.arange(9)[None, :, None]) * (1 + 0j * np.arange(4))
+        )
+
+    ridge = fdac_matrix(common_ground(two_modes(0.0), two_modes(20.0))).argmax(axis=1)
+    assert np.all(ridge[:-6] - np.arange(len(f))[:-6] == 5)  # 20 Hz = 5 bins later
+
+
+def test_finer_grid_is_copied_where_it_has_the_bins_and_splined_where_not():
+    fine = wave_matrix(np.arange(10.0, 500.5, 0.5))
+    exact = common_ground(A, fine)
+    assert exact.interpolated == ""
+    assert agreement(exact).band == 0
+    offset = common_ground(wave_matrix(np.arange(11.3, 480.0, 7.0)), fine)
+    assert offset.interpolated == "b"
+    assert agreement(offset).band < 1e-4  # cubic spline through 0.5 Hz bins
+    assert offset.only_b == ((10.0, 11.3), (pytest.approx(473.3), 500.0))
+
+
+def test_gaps_are_not_bridged():
+    fine = wave_matrix(np.arange(10.0, 500.5, 0.5))
+    keep = (fine.frequency < 200) | (fine.frequency > 260)
+    holed = replace(fine, frequency=fine.frequency[keep], values=fine.values[keep])
+    coarse = wave_matrix(np.arange(11.3, 480.0, 7.0))
+    ground = common_ground(coarse, holed)
+    inside = (ground.frequency > 200) & (ground.frequency < 260)
+    assert not ground.valid[inside].any()
+    assert ground.valid[~inside].all()
+    assert ground.covered == pytest.approx(np.mean(~inside))
+    assert agreement(ground).band < 1e-4
+
+
+def test_masked_entries_stay_out_of_everything():
+    valid = np.ones(A.values.shape, dtype=bool)
+    valid[:, 4, 2] = False
+    b = replace(A, values=np.where(valid, A.values, 1e3), valid=valid)
+    c = compare(A, b, render=False)
+    assert c.agreement.band == 0
+    assert np.isnan(c.agreement.frac[4, 2])
+    assert np.isnan(c.condition_b).all()
+    assert c.ground.covered == pytest.approx(35 / 36)
+    assert json.loads(as_json(c))["entries"][4 * 4 + 2]["e"] is None
+
+
+def test_ports_are_matched_by_name():
+    order = [3, 1, 0, 2]
+    b = replace(A, values=A.values[:, :, order], inputs=tuple(A.inputs[i] for i in order))
+    assert compare(A, b, render=False).agreement.band == 0
+    with pytest.raises(DataError, match="rename them"):
+        compare(A, part(A, 9, 3))
+    with pytest.raises(DataError, match="cannot be compared"):
+        compare(A, replace(A, unit="m/N"))
+    with pytest.raises(DataError, match="share no frequency"):
+        compare(A, wave_matrix(np.arange(600.0, 700.0, 2.0)))
+
+
+def test_waves_by_the_thesis_estimator_on_both():
+    c = compare(A, wave_matrix(speed=4.0), render=False)
+    at = np.searchsorted(c.ground.frequency, 100.0)
+    assert c.waves_a[0].speed[at] == pytest.approx(3.0, rel=1e-6)
+    assert c.waves_b[0].speed[at] == pytest.approx(4.0, rel=1e-6)
+    assert c.waves_a[0].attenuation[at] == pytest.approx(40 + 2 * np.pi * 100 / 20, rel=1e-6)
+    np.testing.assert_allclose(c.condition_a, condition_number(A.values))
+
+
+def test_cross_play_with_itself_costs_nothing_and_with_another_arm_something():
+    same = cross_play(common_ground(A, changed(A, 0.7)), targets=("5", "6"))
+    np.testing.assert_allclose(same.worth, 1, rtol=1e-9)  # S does not know gain
+    other = cross_play(common_ground(A, wave_matrix(stretch=1.4)), targets=("5",))
+    inverse = other.methods.index("inverse filter")
+    assert other.a_on_b[inverse, 0] < other.b_on_b[inverse, 0]
+
+
+def test_wavelet_sits_on_the_common_bins():
+    shape = wavelet_for(np.arange(10.0, 500.5, 0.5))
+    assert (shape.record.sample_rate, shape.record.n) == (4000.0, 8000)
+    odd = wavelet_for(np.arange(9, 201) * 1300 / 522)
+    assert odd.record.df == pytest.approx(1300 / 522)
+    assert wavelet_for(np.array([10.0, 17.0, 19.0])).record.n == 20000
+
+
+def test_run_compare_writes_table_csv_json_and_figure(tmp_path):
+    write_measured(tmp_path / "a.nc", A)
+    write_measured(tmp_path / "b.csv", changed(A, 1.05))
+    result = run_compare(tmp_path / "a.nc", tmp_path / "b.csv", folder=tmp_path / "out")
+    assert sorted(f.name for f in result.files) == [
+        "comparison.csv",
+        "comparison.json",
+        "comparison.md",
+        "comparison.png",
+    ]
+    content = json.loads((tmp_path / "out" / "comparison.json").read_text())
+    assert content["overall"]["e_band"] == pytest.approx(0.05)
+    assert content["A"] == "a.nc"
+    assert "| inverse filter |" in result.text
+    assert len(as_csv(result.comparison).splitlines()) == 37
+
+
+def test_what_cannot_be_rendered_is_said_not_raised():
+    line = part(A, 9, 1)
+    c = compare(line, line)
+    assert c.crossed is None
+    assert c.not_crossed in as_markdown(c)
+    assert summary(c)["signal_strength"]["missing"]

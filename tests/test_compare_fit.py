@@ -1,0 +1,234 @@
+"""Fitting: known parameters recovered within the stated uncertainty, and what cannot be known is said to be
+unknown.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
+
+from forearm_fem.compare.adapters import ScenarioModel, common_parameters, layered_compliance_of
+from forearm_fem.compare.commands import run_fit
+from forearm_fem.compare.fit import fit, scale_and_delay
+from forearm_fem.compare.parameters import Parameter
+from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.ports import distances
+from forearm_fem.scenario import parse_scenario
+from forearm_fem.transfer import TransferMatrix
+
+F = np.arange(20.0, 400.0, 10.0)
+D = distances(OUTPUTS, INPUTS)
+TRUE = {"speed": 3.4, "loss": 55.0, "resonance": 280.0}
+
+
+def model(p):
+    """Damped waves through a resonance, like the scene's."""
+    w = 2 * np.pi * F[:, None, None]
+    k = w / p["speed"] - 1j * p["loss"]
+    return (
+        1e-5
+        / (1 - (F[:, None, None] / p["resonance"]) ** 2 + 0.5j * F[:, None, None] / p["resonance"])
+        * np.exp(-1j * k * D)
+    )
+
+
+PARAMETERS = (
+    Parameter("speed", 3.0, 1.0, 10.0, log=True),
+    Parameter("loss", 40.0, 10.0, 200.0, log=True),
+    Parameter("resonance", 300.0, 150.0, 600.0, log=True),
+)
+
+
+def noisy(values, seed, sigma=3e-7, deviation=True):
+    rng = np.random.default_rng(seed)
+    noise = sigma / np.sqrt(2) * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
+    known = np.full(values.shape, sigma) if deviation else None
+    return TransferMatrix(F, values + noise, OUTPUTS, INPUTS, deviation=known)
+
+
+def test_exact_data_give_exact_parameters():
+    result = fit(model, TransferMatrix(F, model(TRUE), OUTPUTS, INPUTS), PARAMETERS)
+    assert result.values == pytest.approx(TRUE, rel=1e-6)
+    assert result.identified
+    assert result.e_band < 1e-6
+
+
+@pytest.mark.parametrize("deviation", [True, False])
+def test_coverage_of_the_stated_intervals(deviation):
+    """40 seeds, 3 parameters: 95 % intervals hold the truth, z scores have unit spread."""
+    inside, z = [], []
+    for seed in range(40):
+        result = fit(model, noisy(model(TRUE), seed, deviation=deviation), PARAMETERS)
+        for name, value in TRUE.items():
+            low, high = result.interval[name]
+            inside.append(low < value < high)
+            z.append((result.values[name] - value) / result.deviation[name])
+        assert result.identified
+    # binomial, 120 trials at 0.95: 0.89 is three standard deviations below
+    assert 0.89 <= np.mean(inside) <= 1.0
+    assert np.std(z) == pytest.approx(1.0, abs=0.2)  # 120 samples: +-0.065, three of these
+
+
+def test_scale_and_delay_are_found_first():
+    start = {**TRUE, "resonance": 280.0}
+    shifted = model(start) * 0.6 * np.exp(-2j * np.pi * F * 1.5e-3)[:, None, None]
+    extra = (
+        Parameter("scale", 1.0, 0.2, 5.0, log=True, stage=0),
+        Parameter("delay", 0.0, -5e-3, 5e-3, stage=0, unit="s"),
+    )
+    factor, delay = scale_and_delay(
+        TransferMatrix(F, model(start), OUTPUTS, INPUTS), TransferMatrix(F, shifted, OUTPUTS, INPUTS)
+    )
+    assert (factor, delay) == (pytest.approx(0.6, rel=1e-3), pytest.approx(1.5e-3, abs=1e-6))
+    extra = (extra[0], replace(extra[1], start=delay))
+    result = fit(model, noisy(shifted, 1), (*extra, *PARAMETERS))
+    assert result.values["scale"] == pytest.approx(0.6, abs=4 * result.deviation["scale"])
+    assert result.values["delay"] == pytest.approx(1.5e-3, abs=4 * result.deviation["delay"])
+    assert result.values["speed"] == pytest.approx(3.4, abs=4 * result.deviation["speed"])
+
+
+def test_two_parameters_that_only_act_as_a_product_are_named():
+    def product(p):
+        return model({**TRUE, "speed": p["speed"]}) * p["gain"] * p["sensitivity"]
+
+    parameters = (
+        PARAMETERS[0],
+        Parameter("gain", 1.0, 0.1, 10.0, log=True),
+        Parameter("sensitivity", 1.0, 0.1, 10.0, log=True),
+    )
+    result = fit(product, noisy(model(TRUE), 3), parameters)
+    assert not result.identified
+    assert len(result.unknown) == 1
+    assert "cannot tell gain and sensitivity apart" in result.sentences[0]
+    assert result.values["speed"] == pytest.approx(
+        3.4, abs=4 * result.deviation["speed"]
+    )  # the rest is still good
+
+
+def test_a_parameter_without_effect_is_named():
+    result = fit(
+        lambda p: model({**TRUE, "speed": p["speed"]}),
+        noisy(model(TRUE), 4),
+        (PARAMETERS[0], Parameter("bone", 1.0, 0.5, 2.0)),
+    )
+    assert "do not determine bone" in result.sentences[0]
+    assert result.correlation[0, 1] == pytest.approx(0, abs=1e-6)
+
+
+def test_a_wrong_model_says_so_and_widens_its_interval():
+    result = fit(lambda p: model({**TRUE, "resonance": 330.0, **p}), noisy(model(TRUE), 5), PARAMETERS[:1])
+    assert result.chi2 > 10
+    assert any("misses the data" in s for s in result.sentences)
+    clean = fit(lambda p: model({**TRUE, **p}), noisy(model(TRUE), 5), PARAMETERS[:1])
+    assert result.deviation["speed"] > 2 * clean.deviation["speed"]
+
+
+def test_a_bound_that_holds_is_named():
+    result = fit(
+        lambda p: model({**TRUE, **p}), noisy(model(TRUE), 6), (Parameter("loss", 30.0, 10.0, 45.0),)
+    )
+    assert result.at_bound == ("loss",)
+    assert any("ended on its bound" in s for s in result.sentences)
+
+
+def test_more_starts_leave_a_local_minimum():
+    """From 1.5 m/s the phase is a whole turn off at the far points."""
+    far = (Parameter("speed", 1.5, 1.0, 10.0, log=True),)
+    stuck = fit(lambda p: model({**TRUE, **p}), noisy(model(TRUE), 6), far)
+    assert stuck.chi2 > 10
+    assert any("misses the data" in s for s in stuck.sentences)
+    free = fit(lambda p: model({**TRUE, **p}), noisy(model(TRUE), 6), far, starts=6)
+    assert free.chi2 == pytest.approx(1.0, abs=0.15)
+    assert free.values["speed"] == pytest.approx(3.4, abs=4 * free.deviation["speed"])
+
+
+def test_gradients_replace_differences():
+    calls = []
+
+    def counted(p):
+        calls.append(1)
+        return model({**TRUE, **p})
+
+    def gradient(p):
+        w = 2 * np.pi * F[:, None, None]
+        return {"speed": model({**TRUE, **p}) * (1j * w / p["speed"] ** 2 * D)}
+
+    data = noisy(model(TRUE), 7)
+    scale = Parameter("scale", 1.0, 0.2, 5.0, log=True, stage=0)
+    by_gradient = fit(counted, data, (scale, PARAMETERS[0]), gradient=gradient)
+    spent = len(calls)
+    by_difference = fit(counted, data, (scale, PARAMETERS[0]))
+    assert by_gradient.values["speed"] == pytest.approx(by_difference.values["speed"], rel=1e-6)
+    np.testing.assert_allclose(by_gradient.covariance, by_difference.covariance, rtol=1e-3, atol=1e-12)
+    assert spent < len(calls) - spent + 10
+
+
+def test_impossible_fits_are_refused():
+    with pytest.raises(ScenarioError, match="lower <= start <= upper"):
+        Parameter("speed", 11.0, 1.0, 10.0)
+    with pytest.raises(ScenarioError, match="positive lower bound"):
+        Parameter("delay", 0.0, -1.0, 1.0, log=True)
+    few = TransferMatrix(F[:1], model(TRUE)[:1, :1, :1], OUTPUTS[:1], INPUTS[:1])
+    with pytest.raises(DataError, match="measure more"):
+        fit(lambda p: model(p)[:1, :1, :1], few, PARAMETERS)
+    with pytest.raises(DataError, match="distinct names"):
+        fit(model, few, ())
+
+
+SCENARIO = parse_scenario({"device": {"housing": {"fixed": True}}})
+TWIN_F = np.array([60.0, 120.0, 180.0, 250.0, 330.0, 420.0])
+
+
+def twin(**values):
+    skin = layered_compliance_of(TWIN_F, OUTPUTS, INPUTS, tolerance=1e-5)
+    return ScenarioModel(SCENARIO, skin)(values)
+
+
+def test_layered_twin_recovers_skin_and_coil_parameters(tmp_path):
+    """Actuator and tissue parameters from a noisy G of the twin (40 dB), in tissue keys of the scenario."""
+    true = {"tissues.override.skin.mu": 18e3, "device.coil.moving_mass": 0.5e-3}
+    truth = twin(**true)
+    sigma = 0.01 * np.sqrt(np.mean(np.abs(truth.values) ** 2))
+    rng = np.random.default_rng(11)
+    noise = (
+        sigma
+        / np.sqrt(2)
+        * (rng.standard_normal(truth.values.shape) + 1j * rng.standard_normal(truth.values.shape))
+    )
+    data = replace(
+        truth, values=truth.values + noise, deviation=np.full(truth.values.shape, sigma), contacts=None
+    )
+    result = run_fit(SCENARIO, data, ["scale", "skin.mu", "coil.moving_mass"], folder=tmp_path)
+    for name, value in true.items():
+        low, high = result.fit.interval[name]
+        assert low < value < high
+    assert result.fit.chi2 == pytest.approx(1.0, abs=0.2)  # 432 numbers: +-0.07, three of these
+    assert json.loads((tmp_path / "fit.json").read_text())["identified"]
+
+
+def test_layered_twin_says_that_coil_and_cone_mass_are_one_number():
+    data = replace(twin(), contacts=None)
+    sigma = 0.01 * np.sqrt(np.mean(np.abs(data.values) ** 2))
+    data = replace(data, deviation=np.full(data.values.shape, sigma))
+    model_of = ScenarioModel(SCENARIO, layered_compliance_of(TWIN_F, OUTPUTS, INPUTS))
+    resonance_free = [
+        p
+        for p in common_parameters(
+            SCENARIO, ["coil.moving_mass", "cone.mass", "coil.resonance", "coil.quality"]
+        )
+    ]
+    result = fit(model_of, data, resonance_free)
+    assert not result.identified
+    assert "cannot tell" in result.sentences[0]
+
+
+def test_scenario_keys_are_checked():
+    with pytest.raises(ScenarioError, match="known are"):
+        common_parameters(SCENARIO, ["skin.colour"])
+    with pytest.raises(ScenarioError, match="unknown key"):
+        ScenarioModel(SCENARIO, lambda s: pytest.fail("not reached"))({"device.coil.colour": 1.0})
+    assert wave_matrix().unit == "m/V"

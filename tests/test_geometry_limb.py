@@ -1,0 +1,185 @@
+"""Forearm and cylinder: volumes, layers, rims, ports; one coarse mesh of each serves all tests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forearm_fem.errors import GeometryError
+from forearm_fem.geometry.build import build_mesh, limb_volume
+from forearm_fem.geometry.contacts import facet_area, from_axis
+from forearm_fem.geometry.place import place_ports
+from forearm_fem.geometry.quality import check_mesh, mesh_quality
+from forearm_fem.geometry.refine import refine
+from forearm_fem.geometry.tube import tube_of
+from forearm_fem.scenario import Scenario, parse_scenario
+
+COARSE = {"size_grid": 5e-3, "size_contact": 3e-3, "size_far": 12e-3}
+
+
+def forearm(**changes):
+    return parse_scenario({"limb": changes.pop("limb", {}), "mesh": COARSE, **changes})
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return forearm()
+
+
+@pytest.fixture(scope="module")
+def mesh(scenario):
+    return build_mesh(scenario)
+
+
+@pytest.fixture(scope="module")
+def cylinder():
+    ulna = {"name": "ulna", "y": 0.0, "depth": 0.025, "diameter": 0.014}
+    limb = {"shape": "cylinder", "length": 0.1, "bones": [ulna]}
+    scenario = forearm(
+        limb=limb, supports={"bone": "elastic"}, device={"spacing": 0.03}, grid={"pitch": 0.008}
+    )
+    return scenario, build_mesh(scenario)
+
+
+def test_forearm_is_sound(mesh):
+    check_mesh(mesh, 0.02)
+    assert mesh.region_names == ("skin", "fat", "muscle")
+    assert {"skin", "bone", "end", "underside", "contact A1", "contact A4"} <= set(mesh.facets)
+    assert mesh_quality(mesh).median > 0.5
+
+
+def test_volumes_are_close_to_the_analytic_ones(mesh, scenario):
+    """Flat facets of 0.25 rad miss 1 %; the default mesh's 0.5 % is recorded with the shipped meshes."""
+    quality = mesh_quality(mesh, expected_volume=limb_volume(scenario))
+    assert abs(quality.volume_error) < 0.012
+    exact = tube_of(scenario.limb).volumes(bones_kept=False)
+    for tissue, volume in quality.volumes.items():
+        assert volume == pytest.approx(exact[tissue], rel=0.015)
+
+
+def test_interfaces_lie_at_their_depths(mesh, scenario):
+    """Every interface vertex the mesher placed lies on the analytic surface; split ones on chords of it."""
+    tube = tube_of(scenario.limb)
+    for outer, inner, depth in (("skin", "fat", 1.2e-3), ("fat", "muscle", 4.2e-3)):
+        shared = np.intersect1d(_of(mesh, outer), _of(mesh, inner))
+        points = mesh.points[shared]
+        exact = tube.place(points[:, 0], tube.angle_of(points), depth)
+        away = np.linalg.norm(points - exact, axis=1)
+        assert np.median(away) < 1e-9
+        assert (
+            away.max() < 5e-4
+        )  # chords of 0.25 rad on a radius of 30 mm: 0.23 mm, of their chords a little more
+
+
+def test_thickness_is_measured_along_the_normal(scenario):
+    tube = tube_of(scenario.limb)
+    x, angle = np.array([-0.03, 0.0, 0.04]), np.array([0.2, 1.0, 2.5])
+    skin, inner = tube.place(x, angle, 0.0), tube.place(x, angle, 1.2e-3)
+    assert ((skin - inner) * tube.normal(x, angle)).sum(axis=1) == pytest.approx(1.2e-3, rel=1e-12)
+
+
+def _of(mesh, tissue):
+    return np.unique(mesh.tetrahedra[mesh.region == mesh.region_names.index(tissue)])
+
+
+@pytest.mark.parametrize("name", ["A1", "A2", "A3", "A4"])
+def test_contacts_fill_their_discs(mesh, scenario, name):
+    port = next(p for p in place_ports(scenario, mesh) if p.name == name)
+    facets = mesh.facets[f"contact {name}"]
+    assert from_axis(mesh.points[np.unique(facets)], port).max() <= port.radius * (1 + 1e-7)
+    assert 0.94 < facet_area(mesh.points, facets) / (np.pi * port.radius**2) < 1.01
+
+
+def test_end_facets_are_plane_and_underside_faces_down(mesh):
+    assert np.abs(mesh.points[mesh.facets["end"]][:, :, 0]) == pytest.approx(0.06, abs=1e-12)
+    under = mesh.points[mesh.facets["underside"]]
+    normal = np.cross(under[:, 1] - under[:, 0], under[:, 2] - under[:, 0])
+    assert (normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)).all()
+
+
+def test_bone_walls_are_round(mesh, scenario):
+    tube = tube_of(scenario.limb)
+    walls = mesh.points[np.unique(mesh.facets["bone"])]
+    away = [np.linalg.norm(walls[:, 1:] - tube.bone_centre(b, walls[:, 0]), axis=1) for b in tube.bones]
+    radius = np.min(away, axis=0)
+    assert np.median(radius) == pytest.approx(7e-3, rel=1e-9)
+    assert radius.min() > 7e-3 * np.cos(np.pi / 9)  # refinement puts vertices on chords
+
+
+def test_ports_lie_on_the_skin_with_its_normals(mesh, scenario):
+    ports = place_ports(scenario, mesh)
+    assert [p.name for p in ports] == ["A1", "A2", "A3", "A4", *(str(i) for i in range(1, 10))]
+    centre = ports[8]
+    radius = 0.227 / (2 * np.pi)
+    assert centre.position == pytest.approx((0, 0, radius))
+    assert centre.axis[1] == pytest.approx(0)
+    assert centre.axis[0] == pytest.approx(-0.08, abs=0.03)  # the limb widens towards the elbow, +x
+    assert ports[0].position[:2] == pytest.approx((-0.0225, -0.0225))
+    assert ports[1].axis == pytest.approx(np.array(ports[0].axis) * [1, -1, 1])  # mirror image in y
+
+
+def test_refinement_carries_all_boundaries(mesh):
+    finer = refine(mesh, np.arange(len(mesh.tetrahedra)) % 50 == 0)
+    check_mesh(finer, 0.005)
+    for name, facets in mesh.facets.items():
+        assert facet_area(finer.points, finer.facets[name]) == pytest.approx(facet_area(mesh.points, facets))
+
+
+def test_elastic_bone_is_a_region(cylinder):
+    scenario, mesh = cylinder
+    check_mesh(mesh, 0.02)
+    assert mesh.region_names == ("skin", "fat", "muscle", "bone")
+    assert "bone" not in mesh.facets
+    quality = mesh_quality(mesh, expected_volume=limb_volume(scenario))
+    assert abs(quality.volume_error) < 0.012
+    assert quality.volumes["bone"] == pytest.approx(
+        np.pi * 0.007**2 * 0.1, rel=0.06
+    )  # sections of 12 corners: 4.5 %
+
+
+def test_elliptic_sections_have_the_circumference_asked_for():
+    tube = tube_of(parse_scenario({"limb": {"aspect": 1.3, "bones": []}}).limb)
+    angle = np.linspace(0, 2 * np.pi, 20001)
+    ring = tube.place(np.zeros(20001), angle, 0.0)
+    assert np.linalg.norm(np.diff(ring, axis=0), axis=1).sum() == pytest.approx(0.227, rel=1e-6)
+    assert ring[:, 1].max() / ring[:, 2].max() == pytest.approx(1.3, rel=1e-6)
+    inner = tube.place(np.zeros(20001), angle, 3e-3)
+    assert tube.angle_of(inner) == pytest.approx(np.where(angle > np.pi, angle - 2 * np.pi, angle), abs=1e-9)
+
+
+def _bones(*bones):
+    keys = ("y", "depth", "diameter")
+    return {"bones": [{"name": f"b{i}", **dict(zip(keys, b, strict=True))} for i, b in enumerate(bones)]}
+
+
+BAD_LIMBS = [
+    ({"limb": {"layers": [{"tissue": "skin", "thickness": 0.03}]}}, "layers are 30 mm thick together"),
+    ({"limb": {"circumference": [[0, 0.02]], "bones": []}}, "4.2 mm thick together"),
+    (
+        {"limb": {"aspect": 2.0, "layers": [{"tissue": "fat", "thickness": 0.012}], "bones": []}},
+        "bring aspect nearer 1",
+    ),
+    ({"limb": _bones((0.03, 0.03, 0.014))}, "bone 'b0' does not lie inside the muscle"),
+    ({"limb": _bones((0.0, 0.008, 0.014))}, "bone 'b0' does not lie inside"),
+    ({"limb": _bones((0.0, 0.2, 0.014))}, "bone 'b0' does not lie inside"),
+    ({"limb": _bones((-0.005, 0.03, 0.014), (0.005, 0.03, 0.014))}, "'b0' and 'b1' overlap by"),
+    ({"limb": {"length": 0.05}}, "contact A1 .* reaches beyond the limb"),
+    ({"limb": {"length": 0.04}}, "contact A1 .* misses the limb"),
+    ({"device": {"contacts": [[0.0, 0.0322]]}}, "contact A1 .* hangs over the limb's side"),
+    ({"device": {"spacing": 0.09}}, "contact A1 .* misses the limb"),
+    ({"device": {"contacts": [[0, 0], [0.001, 0]]}}, "contacts A1 and A2"),
+    ({"grid": {"points": [[0.0, 0.035]]}}, "grid point 1 .* hangs over"),
+    ({"grid": {"points": [[0.0, 0.04]]}}, "grid point 1 .* misses"),
+    ({"limb": {"shape": "cylinder", "diameter": 0.008}}, "layers are 4.2 mm thick together"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), BAD_LIMBS)
+def test_impossible_limbs_are_refused_at_once(changes, message):
+    with pytest.raises(GeometryError, match=message):
+        build_mesh(forearm(**changes))
+
+
+def test_default_scenario_is_possible():
+    tube = tube_of(Scenario().limb)
+    assert len(tube.bones) == 2
