@@ -17,7 +17,7 @@ from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .device import LINES, busy
 from .matrix import MICRO, shown, unwrapped, zero_points
-from .style import ACTUATORS, FAINT, GREY, INK, METHODS, letter, panels, styled
+from .style import ACTUATORS, FAINT, GREY, INK, METHODS, panels, styled
 from .tables import Table, stacked
 
 
@@ -170,8 +170,8 @@ def _filter(figure: FigureBase, data: Method) -> None:
     n = max(len(data.controls), len(data.inputs))
     left, middle, right = figure.subfigures(1, 3, width_ratios=(1, 1, 1))
     ms = 1e3 * data.time
-    most = MICRO * max(np.abs(data.wanted).max(), np.nanmax(np.abs(data.reached)))
-    for part, rows, title in ((left, data.wanted, "wanted: target and zeros"), (right, data.reached, "reached")):
+    for part, rows, title in ((left, data.wanted, "wanted: target and zeros"), (right, data.reached, "reached (own scale)")):
+        most = MICRO * float(np.nanmax(np.abs(rows))) or 1.0
         axes = np.atleast_1d(part.subplots(n, 1, sharex=True))
         for k, panel in enumerate(axes):
             _control(panel, data, k, ms, rows, most)
@@ -179,7 +179,7 @@ def _filter(figure: FigureBase, data: Method) -> None:
         part.suptitle(title, fontsize=8)
     axes = np.atleast_1d(middle.subplots(n, 1, sharex=True))
     _drives(axes, data, ms)
-    middle.suptitle("$S = H^{+} U$: drives" if len(axes) else "", fontsize=8)
+    middle.suptitle("drives, $S = H^{+} U$", fontsize=8)
 
 
 def _control(ax: Axes, data: Method, k: int, ms: FloatArray, rows: FloatArray, most: float) -> None:
@@ -273,9 +273,9 @@ def workflow_table(data: Workflow) -> Table:
 
 
 _START = {
-    "inverse filter": "wanted at the target; 0 at the zeros",
+    "inverse filter": "wavelet at target; 0 at zeros",
     "funneling": "the wavelet itself",
-    "combination": "funneling's motion of the target; 0 at the zeros",
+    "combination": "funneling's motion of target; 0 at zeros",
 }
 _STEP = {
     "inverse filter": r"$S = H^{+} U$",
@@ -292,13 +292,15 @@ def plot_workflow(data: Workflow, *, ax: Axes | None = None) -> FigureBase:
     for k, name in enumerate(data.methods):
         _column(grid[:, k], data, k)
         grid[0, k].set_title(f"{name}\n", color=METHODS[name], fontweight="bold", fontsize=9)
-        grid[0, k].text(0.5, 1.03, _START[name], transform=grid[0, k].transAxes, ha="center", fontsize=7)
+        start = grid[0, k].text(0.5, 1.05, _START[name], transform=grid[0, k].transAxes, ha="center", fontsize=6.5)
+        start.set_in_layout(False)
         _arrow(figure, grid[0, k], grid[1, k], _STEP[name])
         _arrow(figure, grid[1, k], grid[2, k], r"$U = G\,S$")
         grid[2, k].set_xlabel("time [ms]")
     for panel, text in zip(grid[:, 0], ("start", "drives", "displacement"), strict=True):
         panel.set_ylabel(f"{text} {panel.get_ylabel()}")
-    letter(grid[0, 0], "")
+    figure.legend(*grid[1, 0].get_legend_handles_labels(), loc="outside lower left", ncols=6)
+    figure.legend(*grid[2, 0].get_legend_handles_labels(), loc="outside lower right", ncols=2)
     return figure
 
 
@@ -310,13 +312,12 @@ def _column(axes: FloatArray, data: Workflow, k: int) -> None:
     for q, (name, drive) in enumerate(zip(data.names, data.drives[k], strict=True)):
         axes[1].plot(ms, drive, color=ACTUATORS[q % 6], ls=LINES[q % 4], label=name)
     axes[1].set_ylabel(f"[{data.drive_unit}]")
-    axes[1].legend(ncols=2, fontsize=6, loc="upper right", handlelength=1.2, columnspacing=0.8)
     for row, trace in enumerate(data.moved[k]):
         if row != data.row:
             axes[2].plot(ms, MICRO * trace, color=FAINT, lw=0.7)
+    axes[2].plot([], [], color=FAINT, lw=0.7, label="the others")
     axes[2].plot(ms, MICRO * data.moved[k][data.row], color=INK, label=f"target {data.target}")
     axes[2].set_ylabel("[µm]")
-    axes[2].legend(fontsize=6, loc="upper right")
     for panel in axes:
         panel.set_xlim(ms[0], ms[-1])
 
@@ -325,4 +326,4 @@ def _arrow(figure: FigureBase, upper: Axes, lower: Axes, text: str) -> None:
     """An arrow from one panel down to the next, and what happens on the way."""
     look = {"arrowstyle": "-|>", "color": GREY, "lw": 1.2, "shrinkA": 12, "shrinkB": 2}
     figure.add_artist(ConnectionPatch((0.5, 0), (0.5, 1), "axes fraction", "axes fraction", axesA=upper, axesB=lower, **look))
-    lower.annotate(text, (0.54, 1.1), xycoords="axes fraction", fontsize=7.5, color=INK, ha="left", va="center")
+    lower.annotate(text, (0.54, 1.1), xycoords="axes fraction", fontsize=7.5, color=INK, ha="left", va="center").set_in_layout(False)

@@ -151,7 +151,7 @@ def target_extra(data: Target) -> dict[str, str]:
 def plot_target(data: Target, *, ax: Axes | None = None) -> FigureBase:
     """Per method: maps at six instants (interpolated, and the field itself), and the grid points over time."""
     rows = 2 if data.patch is not None else 1
-    figure = panels(ax, (10.2, 0.5 + len(data.shown) * (1.25 * rows + 0.45)))
+    figure = panels(ax, (10.2, 0.3 + len(data.shown) * (1.08 * rows + 0.4)))
     bands = np.atleast_1d(figure.subfigures(len(data.shown), 1))
     for band, shown in zip(bands, data.shown, strict=True):
         _band(band, data, shown, rows)
@@ -163,7 +163,7 @@ def _band(figure: FigureBase, data: Target, shown: Shown, rows: int) -> None:
     grid = maps.subplots(rows, _INSTANTS, squeeze=False)
     scale = _scale(shown)
     for k, t in enumerate(shown.instants):
-        grid[0, k].set_title(f"{1e3 * t:+.1f} ms")
+        grid[0, k].set_title(_milliseconds(t))
         grid[0, k].pcolormesh(1e3 * data.x, 1e3 * data.y, MICRO * shown.between[k], cmap=SIGNED, norm=scale,
                               shading="gouraud", rasterized=True)  # fmt: skip
         if shown.field is not None and data.patch is not None:
@@ -173,9 +173,14 @@ def _band(figure: FigureBase, data: Target, shown: Shown, rows: int) -> None:
             _mark(panel, data)
     for panel, text in zip(grid[:, 0], ("interpolated", "field itself"), strict=False):
         panel.set_ylabel(text)
-    bar = maps.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both")
+    bar = maps.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both",
+                        shrink=0.9)  # fmt: skip
     bar.set_label("u [µm]")
     _traces(right.subplots(), data, shown)
+
+
+def _milliseconds(t: float) -> str:
+    return "0 ms" if abs(t) < 5e-5 else f"{1e3 * t:+.1f} ms"
 
 
 def _scale(shown: Shown) -> Normalize:

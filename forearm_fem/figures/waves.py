@@ -314,7 +314,7 @@ def _curves(top: Axes, bottom: Axes, fit: WaveFit, label: str, colour: str, ls: 
     top.plot(fit.frequency, fit.attenuation, color=colour, ls=ls, label=label)
     bottom.plot(fit.frequency, np.where(straight, fit.speed, np.nan), color=colour, ls=ls)
     bottom.plot(fit.frequency, np.where(straight, np.nan, fit.speed), color=colour, lw=0.6, ls=":")
-    if not straight.all() and top.get_lines().index(top.get_lines()[-1]) == 0:
+    if not straight.all():
         bottom.plot([], [], color=colour, lw=0.6, ls=":", label=f"phase misfit above {_STRAIGHT:g} rad: no plane wave")
 
 

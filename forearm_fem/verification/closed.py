@@ -18,7 +18,7 @@ from .blocks import block_mesh, shell_mesh
 from .scenes import DIRECT, RADIUS, flesh, quarter_slab, slab_model, slab_response, solve
 
 BAR = 0.02  # length [m]
-BAR_HZ = 300.0
+BAR_HZ = 100.0
 
 
 def shear_bar_errors(element: str, counts: Sequence[int]) -> list[float]:

@@ -38,7 +38,7 @@ def held_block(
 ) -> ForearmModel:
     """A 24 x 16 x 8 mm block held at x = 0 with a 4 mm square contact and three points on its top."""
     size = (0.024, 0.016, 0.008)
-    mesh = block_mesh((2 * n, 2 * n, n), size, facets={"end": ("x0",)}, bend=0.05)
+    mesh = block_mesh((3 * n, 4 * ((n + 1) // 2), n), size, facets={"end": ("x0",)}, bend=0.05)
     mesh = _with_patch(mesh, (0.008, 0.004), (0.016, 0.012))
     ports = (
         Port("A1", "contact", (0.012, 0.008, 0.008), radius=0.004, contact=contact),  # type: ignore[arg-type]

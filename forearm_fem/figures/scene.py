@@ -1,0 +1,170 @@
+"""Building blocks for pictures in space: pyvista grids of the mesh, device, grid and bones, and a safe plotter."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+import vtk
+
+from ..errors import ForearmError
+from ..geometry.mesh import TissueMesh
+from ..ports import Port
+from ..scenario import Scenario
+from ..typing import FloatArray, IntArray
+from .style import INK, TISSUES
+
+MM = 1e3
+_TETRA, _TRIANGLE = 10, 5
+_ACTUATOR_HEIGHT, _ACTUATOR_RADIUS = 9.85e-3, 7e-3  # TEAX14C02-8, physics.md 4
+_CONE_HEIGHT = 6e-3  # for the drawing only
+Camera = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+
+def volume_grid(mesh: TissueMesh) -> Any:
+    """All tetrahedra as a pyvista grid in mm, with the cell data "region"."""
+    cells = np.column_stack([np.full(len(mesh.tetrahedra), 4), mesh.tetrahedra]).ravel()
+    grid = pv.UnstructuredGrid(cells, np.full(len(mesh.tetrahedra), _TETRA, np.uint8), MM * mesh.points)
+    grid.cell_data["region"] = mesh.region
+    return grid
+
+
+def surface_grid(mesh: TissueMesh, facets: IntArray) -> Any:
+    """Facets as pyvista polygons in mm; point data "vertex" are the mesh's own numbers."""
+    used, local = np.unique(facets, return_inverse=True)
+    faces = np.column_stack([np.full(len(facets), 3), local.reshape(facets.shape)])
+    surface = pv.PolyData(MM * mesh.points[used], faces.ravel())
+    surface.point_data["vertex"] = used
+    return surface
+
+
+@dataclass(frozen=True, eq=False)
+class Cones:
+    """Cones and coils as closed surfaces standing on the skin."""
+
+    bodies: tuple[Any, ...]
+    names: tuple[str, ...]
+    tops: FloatArray
+
+
+def cones_of(ports: Sequence[Port], lift: float = 0.0) -> Cones:
+    """One per contact, ``lift`` [mm] above the skin."""
+    bodies, tops = [], []
+    for port in ports:
+        foot, axis = MM * np.array(port.position), np.array(port.axis)
+        cone = _tapered(port.radius, _ACTUATOR_RADIUS, _CONE_HEIGHT, foot + lift * axis, axis)
+        top = foot + (lift + MM * _CONE_HEIGHT) * axis
+        coil = pv.Cylinder(top + MM * _ACTUATOR_HEIGHT / 2 * axis, axis, MM * _ACTUATOR_RADIUS, MM * _ACTUATOR_HEIGHT,
+                           resolution=40)  # fmt: skip
+        bodies += [cone, coil]
+        tops.append(top + MM * _ACTUATOR_HEIGHT * axis)
+    return Cones(tuple(bodies), tuple(p.name for p in ports), np.array(tops).reshape(-1, 3))
+
+
+def _tapered(low: float, high: float, height: float, foot: FloatArray, axis: FloatArray) -> Any:
+    """A truncated cone of radii ``low`` and ``high`` [m], its small end at ``foot`` [mm]."""
+    profile = MM * np.array([[0, 0, 0], [low, 0, 0], [high, 0, height], [0, 0, height]])
+    body = pv.lines_from_points(profile).extrude_rotate(resolution=40, capping=False)
+    return body.rotate_vector(*_turn(axis), point=(0, 0, 0)).translate(foot)
+
+
+def _turn(axis: FloatArray) -> tuple[FloatArray, float]:
+    """Vector and angle [degrees] that turn z into ``axis``."""
+    across = np.cross([0.0, 0.0, 1.0], axis)
+    size = float(np.linalg.norm(across))
+    if size < 1e-9:
+        return np.array([1.0, 0.0, 0.0]), 0.0
+    return across / size, float(np.degrees(np.arctan2(size, axis[2])))
+
+
+def add_device(plotter: Any, ports: Sequence[Port], *, lift: float = 0.0, opacity: float = 0.35) -> None:
+    """Cones and coils, seen through."""
+    cones = cones_of([p for p in ports if p.kind == "contact"], lift)
+    for body in cones.bodies:
+        plotter.add_mesh(body, color="#6F7C8C", opacity=opacity, smooth_shading=True, split_sharp_edges=True)
+    if len(cones.names):
+        add_labels(plotter, cones.tops + [0, 0, 1.5], cones.names, size=15)
+
+
+def add_grid(plotter: Any, ports: Sequence[Port], target: str | None = None, *, lift: float = 0.4) -> None:
+    """Grid points as dots with numbers, the target larger and in another colour."""
+    points = [p for p in ports if p.kind == "point"]
+    at = np.array([MM * np.array(p.position) + lift * np.array(p.axis) for p in points]).reshape(-1, 3)
+    for port, place in zip(points, at, strict=True):
+        chosen = port.name == target
+        ball = pv.Sphere(1.1 if chosen else 0.6, place)
+        plotter.add_mesh(ball, color="#E69F00" if chosen else INK, lighting=not chosen)
+    if len(points) and len(points) <= 25:
+        add_labels(plotter, at + [0, 0, 1.2], [p.name for p in points], size=13)
+
+
+def add_labels(plotter: Any, places: FloatArray, names: Sequence[str], *, size: int) -> None:
+    """Names that are never hidden behind what they name."""
+    plotter.add_point_labels(
+        np.asarray(places, dtype=float), list(names), font_size=size, text_color="black", shape=None,
+        show_points=False, always_visible=True, bold=False,
+    )  # fmt: skip
+
+
+def add_bones(plotter: Any, mesh: TissueMesh) -> None:
+    """The surfaces of bones left out of the mesh, or the bones themselves."""
+    if "bone" in mesh.facets and len(mesh.facets["bone"]):
+        plotter.add_mesh(surface_grid(mesh, mesh.facets["bone"]), color=TISSUES["bone"], smooth_shading=True)
+    elif "bone" in mesh.region_names:
+        grid = volume_grid(mesh).extract_cells(mesh.region == mesh.region_names.index("bone"))
+        plotter.add_mesh(grid.extract_surface(algorithm="dataset_surface"), color=TISSUES["bone"])
+
+
+def centre_of(scenario: Scenario, mesh: TissueMesh, ports: Sequence[Port]) -> FloatArray:
+    """The middle of the ports [mm], what cameras look at."""
+    return MM * np.array([p.position for p in ports] or [mesh.points.mean(axis=0)]).mean(axis=0)
+
+
+def add_scale_bar(plotter: Any, at: FloatArray, length: float = 10.0) -> None:
+    """A bar of ``length`` [mm] along x that starts at ``at`` [mm], with its length beside it."""
+    end = np.asarray(at) + [length, 0, 0]
+    plotter.add_mesh(pv.Tube(at, end, radius=0.35), color=INK, lighting=False)
+    add_labels(plotter, np.array([(np.asarray(at) + end) / 2 - [0, 2.2, 0]]), [f"{length:g} mm"], size=15)
+
+
+def has_display() -> bool:
+    """Whether a window could be opened."""
+    return os.name == "nt" or sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+@contextmanager
+def plotter_for(size: tuple[int, int], *, off_screen: bool = True) -> Iterator[Any]:
+    """A white plotter, closed at the end; ForearmError with a remedy where VTK can draw nothing.
+
+    VTK's note that there is no X server is kept off the terminal: it then draws with EGL or OSMesa.
+    """
+    before = vtk.vtkLogger.GetCurrentVerbosityCutoff()
+    vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)
+    try:
+        plotter = _opened(size, off_screen)
+        try:
+            yield plotter
+        finally:
+            plotter.close()
+    finally:
+        vtk.vtkLogger.SetStderrVerbosity(before)
+
+
+def _opened(size: tuple[int, int], off_screen: bool) -> Any:
+    if not off_screen and not has_display():
+        raise ForearmError("there is no display for a window; leave interactive off, or set DISPLAY")
+    try:
+        plotter = pv.Plotter(off_screen=off_screen, window_size=list(size))
+    except (RuntimeError, OSError, ImportError) as problem:
+        raise ForearmError(
+            f"VTK cannot draw here ({problem}); on Debian install the packages libegl1, libgl1 and libxrender1"
+        ) from problem
+    plotter.set_background("white")
+    plotter.enable_anti_aliasing("ssaa")
+    return plotter
