@@ -64,7 +64,8 @@ def tissue_matrices(space: MixedSpace, region: int, reference: ReferenceTensors)
     """
     chosen = np.flatnonzero(space.mesh.region == region)
     jacobian = space.jacobians[chosen]
-    inverse, volume = np.linalg.inv(jacobian), np.abs(np.linalg.det(jacobian))
+    inverse = np.asarray(np.linalg.inv(jacobian), dtype=float)
+    volume = np.abs(np.asarray(np.linalg.det(jacobian), dtype=float))
     nodes, pressures = space.nodes[chosen], space.pressures[chosen]
     blocks = shear_blocks(inverse, volume, reference.gradient)
     scalar_mass = _scatter(nodes, nodes, volume[:, None, None] * reference.mass, (space.n_nodes, space.n_nodes))

@@ -65,7 +65,7 @@ def facet_load(space: MixedSpace, facets: IntArray, direction: FloatArray) -> Fl
     for tets, values, _, weights in _by_local_facet(space, facets):
         share = np.outer(weights[1], values @ weights[0])
         scalar += np.bincount(space.nodes[tets].ravel(), weights=share.ravel(), minlength=space.n_nodes)
-    return np.kron(scalar, direction)
+    return np.asarray(np.kron(scalar, direction), dtype=float)
 
 
 _Weights = tuple[FloatArray, FloatArray, FloatArray]

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 
 from ..errors import GeometryError
-from ..typing import FloatArray, IntArray
+from ..typing import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def _check_discs(held: IntArray, discs: tuple[RigidDisc, ...]) -> None:
             seen[int(node)] = f"contact {disc.name}"
 
 
-def _disc_entries(disc: RigidDisc, allowed: np.ndarray, first: int) -> tuple[Triplets, int]:  # type: ignore[type-arg]
+def _disc_entries(disc: RigidDisc, allowed: BoolArray, first: int) -> tuple[Triplets, int]:
     """Columns of one disc: its displacement, then (frictionless) two tangential unknowns per node."""
     rows = (3 * disc.nodes[:, None] + np.arange(3)).ravel()
     normal = Triplets(rows, np.full(len(rows), first), np.tile(disc.axis, len(disc.nodes)))

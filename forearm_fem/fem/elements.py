@@ -13,7 +13,7 @@ from skfem.refdom import RefTet
 from ..typing import FloatArray
 
 
-class ElementTetP3(ElementH1):
+class ElementTetP3(ElementH1):  # type: ignore[misc]
     """Cubic Lagrange tetrahedron: 4 corner, 12 edge and 4 face nodes.
 
     Edge nodes are ordered by scikit-fem's ascending vertex numbering (``sort_t``), so that neighbours agree.

@@ -14,7 +14,7 @@ from ..typing import ComplexArray
 from . import pardiso
 from .operator import AffineOperator, symmetric_product
 
-Backend = Literal["auto", "pardiso", "superlu", "cudss"]
+Backend = Literal["auto", "pardiso", "superlu"]
 
 
 class Factor(Protocol):
@@ -82,11 +82,9 @@ def make_factor(operator: AffineOperator, omega: float, backend: Backend, *, sin
     """Analysed, not yet factorised, solver for the operator's pattern."""
     upper = operator.upper(operator.data(omega))
     chosen = choose_backend(backend, operator.n)
-    if chosen == "cudss":
-        from .cudss import CudssFactor  # the accelerator's packages are an extra
-
-        return CudssFactor(upper)
-    return pardiso.PardisoFactor(upper, single=single) if chosen == "pardiso" else SuperLUFactor(upper)
+    if chosen == "pardiso":
+        return pardiso.PardisoFactor(upper, single=single)
+    return SuperLUFactor(upper)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ def port_functional(space: MixedSpace, port: Port) -> FloatArray:
     if facets is None or len(facets) == 0:
         raise GeometryError(f"the mesh has no facets named 'contact {port.name}'; mesh the scenario again")
     _, areas = facet_normals(space.mesh.points, facets)
-    return facet_load(space, facets, np.array(port.axis)) / areas.sum()
+    return np.asarray(facet_load(space, facets, np.array(port.axis)) / areas.sum())
 
 
 def force_share(space: MixedSpace, port: Port) -> float:

@@ -158,7 +158,8 @@ def _dashpots(space: MixedSpace, tissues: Mapping[str, Tissue], facets: IntArray
     The shear impedance is taken for the normal direction too: rho c_p would be a wall at 10-500 Hz.
     """
     tets, _ = space.owners(facets)
-    regions, result = space.mesh.region[tets], []
+    regions = space.mesh.region[tets]
+    result: Matrices = []
     for region, name in enumerate(space.mesh.region_names):
         mine, tissue = facets[regions == region], tissues[name]
         if len(mine):

@@ -11,8 +11,10 @@ import sys
 import sysconfig
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ..errors import SolverError
@@ -77,10 +79,10 @@ class PardisoFactor:
 
     def solve(self, right: ComplexArray) -> ComplexArray:
         """Solutions (n, k) of the factorised system for right-hand sides (n, k); no outer refinement."""
-        b = np.asfortranarray(right.reshape(self.n, -1), dtype=self._dtype)
-        x = np.zeros_like(b, order="F")
+        b: Any = np.asfortranarray(right.reshape(self.n, -1), dtype=self._dtype)
+        x: Any = np.zeros_like(b, order="F")
         self._run(_SOLVE, b, x)
-        return x.astype(np.complex128).reshape(right.shape)
+        return np.asarray(x.astype(np.complex128).reshape(right.shape))
 
     @property
     def factor_bytes(self) -> float:
@@ -135,5 +137,5 @@ def _integer(value: int) -> ctypes._Pointer[ctypes.c_int]:
     return ctypes.pointer(ctypes.c_int(value))
 
 
-def _pointer(array: np.ndarray) -> ctypes.c_void_p:  # type: ignore[type-arg]
+def _pointer(array: NDArray[Any]) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)

@@ -28,18 +28,17 @@ from ..scenario import Scenario, parse_scenario
 from ..transfer import Compliance, TransferMatrix
 from ..wavefield import Wavefield, load_wavefield
 
-# file -> the command that writes it
+# file -> the stage (sub-command) that writes it
 STAGES: Mapping[str, str] = MappingProxyType(
     {
-        "scenario.json": "forearm-fem run",
-        "run.json": "forearm-fem run",
-        "mesh.vtu": "forearm-fem mesh",
-        "transfer.nc": "forearm-fem solve",
-        "wavefield.npz": "forearm-fem solve",
-        "drives.nc": "forearm-fem render",
-        "displacements.nc": "forearm-fem render",
-        "signal_strength.csv": "forearm-fem render",
-        "measured.nc": "forearm-fem compare",
+        "scenario.json": "solve",
+        "run.json": "solve",
+        "mesh.vtu": "mesh",
+        "transfer.nc": "solve",
+        "wavefield.npz": "solve",
+        "drives.nc": "render",
+        "displacements.nc": "render",
+        "signal_strength.csv": "render",
     }
 )
 
@@ -60,7 +59,7 @@ class Results:
         place = Path(folder)
         if not place.is_dir():
             raise DataError(
-                f"{place}: no such results folder; `forearm-fem run SCENARIO --out {place}` makes one"
+                f"{place}: no such results folder; `forearm-fem run SCENARIO --out {place}` makes it"
             )
         return cls(place)
 
@@ -73,9 +72,14 @@ class Results:
     def path(self, name: str) -> Path:
         """The path of a file that must be there."""
         if not self.has(name):
-            command = STAGES.get(name, "forearm-fem run")
-            raise DataError(f"{self.folder}: unfinished, {name} is missing; `{command}` makes it")
+            raise DataError(f"{self.folder}: unfinished, {name} is missing; {self.remedy(name)}")
         return self.folder / name
+
+    def remedy(self, name: str) -> str:
+        """Half a sentence: the command that makes the file ``name``."""
+        if name == "measured.nc":
+            return "keep a measured G there (forearm_fem.io.write_transfer) to compare with"
+        return f"`forearm-fem {STAGES.get(name, 'run')} SCENARIO --out {self.folder}` makes it"
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -135,7 +139,7 @@ class Results:
         if len(field.modes) != len(self.mesh.points):
             raise DataError(
                 f"{self.folder}: wavefield.npz has {len(field.modes)} vertices, mesh.vtu "
-                f"{len(self.mesh.points)}; they are of different runs, `forearm-fem solve` makes both anew"
+                f"{len(self.mesh.points)}; they are of different runs, {self.remedy('wavefield.npz')} anew"
             )
         return field
 
@@ -171,16 +175,19 @@ class Results:
         return " · ".join(p for p in parts if p)
 
     @property
-    def version(self) -> str:
-        """The version that made the results, or failing that the one reading them."""
-        versions = self.run.get("versions", {}) if self.has("run.json") else {}
-        found = versions.get("forearm_fem") or versions.get("forearm-fem")
-        return str(found or _installed())
+    def account(self) -> Mapping[str, Any]:
+        """run.json, or nothing while the run is not finished."""
+        return self.run if self.has("run.json") else {}
 
     @property
+    def version(self) -> str:
+        """The version that made the results, or failing that the one reading them."""
+        return str(self.account.get("program") or _installed())
+
+    @cached_property
     def mesh_hash(self) -> str:
         """SHA-256 of the mesh; empty where there is none."""
-        known = self.run.get("mesh_hash") if self.has("run.json") else None
+        known = (self.account.get("mesh") or {}).get("sha256") or self.transfer.provenance.get("mesh_sha256")
         if known:
             return str(known)
         return self.mesh.digest if self.has("mesh.vtu") else ""
@@ -196,9 +203,9 @@ class Results:
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as problem:
-            raise DataError(f"{file}: damaged ({problem}); `{STAGES[name]}` makes it anew") from None
+            raise DataError(f"{file}: damaged ({problem}); {self.remedy(name)} anew") from None
         if not isinstance(content, dict):
-            raise DataError(f"{file}: damaged, expected a JSON object; `{STAGES[name]}` makes it anew")
+            raise DataError(f"{file}: damaged, expected a JSON object; {self.remedy(name)} anew")
         return content
 
 

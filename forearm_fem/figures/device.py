@@ -160,7 +160,7 @@ def levels_extra(data: DriveLevels) -> dict[str, str]:
 @styled
 def plot_drives(data: DriveLevels, *, ax: Axes | None = None) -> FigureBase:
     """Drives towards one target over time with the voltage limit; peak and power of all targets below."""
-    figure = panels(ax, (7.2, 4.6))
+    figure = panels(ax, (7.2, 4.8))
     n = len(data.methods)
     grid = figure.add_gridspec(2, 2 * n)
     for m, method in enumerate(data.methods):

@@ -52,34 +52,35 @@ def cutaway(results: Results) -> Cutaway:
 
 
 def cutaway_picture(mesh: TissueMesh, ports: Sequence[Port], size: tuple[int, int] = (1500, 1000)) -> Any:
-    """Off-screen picture; the quarter towards the camera is removed down to the bones."""
-    grid, middle = volume_grid(mesh), MM * positions(tuple(ports)).mean(axis=0)
-    corner = MM * mesh.points[mesh.tetrahedra].mean(axis=1)
-    kept = ~((corner[:, 0] < middle[0] - 10) & (corner[:, 1] < middle[1] + 2))
+    """Off-screen picture; a box on the camera's side is cut away down to the bones, past the first actuator."""
+    grid, low = volume_grid(mesh), MM * mesh.points.min(axis=0)
+    coil = MM * np.array(ports[0].position)
+    box = (low[0] - 1, coil[0] + 1, low[1] - 1, coil[1] + 14, low[2] - 1, 1e3)
     with plotter_for(size) as plotter:
-        part = grid.extract_cells(kept)
+        part = grid.clip_box(box, invert=True)
         for i, colour in enumerate(tissue_colours(mesh.region_names)):
             cells = np.flatnonzero(part.cell_data["region"] == i)
             if len(cells):
                 plotter.add_mesh(part.extract_cells(cells), color=colour, show_edges=True, edge_color="#4A3A34",
-                                 line_width=0.6, ambient=0.35)  # fmt: skip
+                                 line_width=0.6, ambient=0.4)  # fmt: skip
         add_bones(plotter, mesh)
-        add_device(plotter, ports, opacity=0.55)
+        add_device(plotter, ports, opacity=0.5)
         add_grid(plotter, ports)
         _axes_marks(plotter, mesh)
-        reach = float(np.ptp(MM * mesh.points, axis=0).max())
-        plotter.camera_position = [middle + reach * np.array([-1.0, -1.15, 0.75]), middle - [0, 0, 16], (0, 0, 1)]
-        plotter.camera.zoom(1.25)
+        whole = np.array(grid.bounds).reshape(3, 2)
+        plotter.camera_position = [(-1.0, -1.15, 0.85), (0, 0, 0), (0, 0, 1)]
+        plotter.reset_camera(bounds=(whole + [[-16, 6], [-16, 6], [-2, 12]]).ravel())
+        plotter.camera.zoom(1.35)
         return np.array(plotter.screenshot(None, return_img=True))
 
 
 def _axes_marks(plotter: Any, mesh: TissueMesh) -> None:
     """Arrows along x and y at the lower front corner."""
-    low = MM * mesh.points.min(axis=0)
-    start = np.array([low[0], low[1], low[2]])
-    for direction, name in (((1, 0, 0), "x (to the elbow)"), ((0, 1, 0), "y"), ((0, 0, 1), "z")):
-        plotter.add_mesh(pv.Arrow(start, direction, scale=14, shaft_radius=0.03, tip_radius=0.08), color=GREY)
-        add_labels(plotter, np.array([start + 17 * np.array(direction)]), [name], size=14)
+    start = MM * mesh.points.min(axis=0) - 3
+    for direction, name in (((1, 0, 0), "x, elbow"), ((0, 1, 0), "y"), ((0, 0, 1), "z")):
+        arrow = pv.Arrow(start=start, direction=direction, scale=14, shaft_radius=0.03, tip_radius=0.08)
+        plotter.add_mesh(arrow, color=GREY)
+        add_labels(plotter, np.array([start + 16 * np.array(direction)]), [name], size=18)
 
 
 def cutaway_table(data: Cutaway) -> Table:

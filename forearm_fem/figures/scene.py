@@ -60,8 +60,13 @@ def cones_of(ports: Sequence[Port], lift: float = 0.0) -> Cones:
         foot, axis = MM * np.array(port.position), np.array(port.axis)
         cone = _tapered(port.radius, _ACTUATOR_RADIUS, _CONE_HEIGHT, foot + lift * axis, axis)
         top = foot + (lift + MM * _CONE_HEIGHT) * axis
-        coil = pv.Cylinder(top + MM * _ACTUATOR_HEIGHT / 2 * axis, axis, MM * _ACTUATOR_RADIUS, MM * _ACTUATOR_HEIGHT,
-                           resolution=40)  # fmt: skip
+        coil = pv.Cylinder(
+            center=top + MM * _ACTUATOR_HEIGHT / 2 * axis,
+            direction=axis,
+            radius=MM * _ACTUATOR_RADIUS,
+            height=MM * _ACTUATOR_HEIGHT,
+            resolution=40,
+        )
         bodies += [cone, coil]
         tops.append(top + MM * _ACTUATOR_HEIGHT * axis)
     return Cones(tuple(bodies), tuple(p.name for p in ports), np.array(tops).reshape(-1, 3))
@@ -89,7 +94,7 @@ def add_device(plotter: Any, ports: Sequence[Port], *, lift: float = 0.0, opacit
     for body in cones.bodies:
         plotter.add_mesh(body, color="#6F7C8C", opacity=opacity, smooth_shading=True, split_sharp_edges=True)
     if len(cones.names):
-        add_labels(plotter, cones.tops + [0, 0, 1.5], cones.names, size=15)
+        add_labels(plotter, cones.tops + [0, 0, 1.5], cones.names, size=22)
 
 
 def add_grid(plotter: Any, ports: Sequence[Port], target: str | None = None, *, lift: float = 0.4) -> None:
@@ -98,10 +103,10 @@ def add_grid(plotter: Any, ports: Sequence[Port], target: str | None = None, *, 
     at = np.array([MM * np.array(p.position) + lift * np.array(p.axis) for p in points]).reshape(-1, 3)
     for port, place in zip(points, at, strict=True):
         chosen = port.name == target
-        ball = pv.Sphere(1.1 if chosen else 0.6, place)
+        ball = pv.Sphere(radius=1.1 if chosen else 0.6, center=place)
         plotter.add_mesh(ball, color="#E69F00" if chosen else INK, lighting=not chosen)
     if len(points) and len(points) <= 25:
-        add_labels(plotter, at + [0, 0, 1.2], [p.name for p in points], size=13)
+        add_labels(plotter, at + [0, 0, 1.2], [p.name for p in points], size=17)
 
 
 def add_labels(plotter: Any, places: FloatArray, names: Sequence[str], *, size: int) -> None:
@@ -129,7 +134,7 @@ def centre_of(scenario: Scenario, mesh: TissueMesh, ports: Sequence[Port]) -> Fl
 def add_scale_bar(plotter: Any, at: FloatArray, length: float = 10.0) -> None:
     """A bar of ``length`` [mm] along x that starts at ``at`` [mm], with its length beside it."""
     end = np.asarray(at) + [length, 0, 0]
-    plotter.add_mesh(pv.Tube(at, end, radius=0.35), color=INK, lighting=False)
+    plotter.add_mesh(pv.Tube(pointa=at, pointb=end, radius=0.35), color=INK, lighting=False)
     add_labels(plotter, np.array([(np.asarray(at) + end) / 2 - [0, 2.2, 0]]), [f"{length:g} mm"], size=15)
 
 

@@ -175,7 +175,7 @@ def _band(figure: FigureBase, data: Target, shown: Shown, rows: int) -> None:
         panel.set_ylabel(text)
     bar = maps.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both",
                         shrink=0.9)  # fmt: skip
-    bar.set_label("u [µm]")
+    bar.set_label("u [µm], cut at the grid's range", fontsize=7)
     _traces(right.subplots(), data, shown)
 
 

@@ -302,7 +302,7 @@ def plot_dispersion(data: Dispersion, *, ax: Axes | None = None) -> FigureBase:
     bottom.set(ylabel="phase speed c [m/s]", xlabel="frequency [Hz]", ylim=(0, _top(data)))
     top.legend()
     if bottom.get_legend_handles_labels()[0]:
-        bottom.legend(loc="upper left")
+        bottom.legend(loc="lower right")
     for panel, text in zip((top, bottom), "ab", strict=True):
         letter(panel, text)
     return figure

@@ -17,7 +17,7 @@ from ..scenario import Scenario
 from ..scenario.supports import Supports
 from ..tissue import Tissue, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
-from ..typing import FloatArray
+from ..typing import ComplexArray, FloatArray
 
 Progress = Callable[[str, int, int], None]
 COARSER = 2.0  # size ratio of the second mesh
@@ -51,7 +51,7 @@ def solve_fem(
         )  # fmt: skip
     else:
         result = direct_sweep(model, frequency, scenario.solver, progress=progress)
-    compliance = Compliance(frequency, masked(result.values, model), model.ports, _errors(result, frequency))
+    compliance = Compliance(frequency, masked(result.values, model), model.ports, _errors(result))
     return FemSolution(compliance, result, model)
 
 
@@ -77,7 +77,7 @@ def fem_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
     return resolve_tissues(scenario)
 
 
-def masked(values: np.ndarray, model: ForearmModel) -> np.ndarray:  # type: ignore[type-arg]
+def masked(values: ComplexArray, model: ForearmModel) -> ComplexArray:
     """Compliance with the self terms of points (infinite for a point force) set to NaN."""
     result = np.array(values, dtype=complex)
     for i, port in enumerate(model.ports):
@@ -118,11 +118,10 @@ def truncation_probes(n: int) -> list[int]:
     return sorted({round(float(p) * (n - 1)) for p in places})
 
 
-def _errors(result: SweepResult, frequency: FloatArray) -> tuple[ErrorEstimate, ...]:
+def _errors(result: SweepResult) -> tuple[ErrorEstimate, ...]:
     solve = ErrorEstimate("linear solve", result.solve_error, "adjoint-weighted residual |x_i . r_j| of the solves used")
     if not result.certificates:
         return (solve,)
-    worst = max(c.error for c in result.certificates[-1:])
+    worst = result.certificates[-1].error
     text = "direct solves at " + ", ".join(f"{c.frequency:g} Hz ({c.error:.1e})" for c in result.certificates)
-    del frequency
     return (solve, ErrorEstimate("reduction", worst, f"the reduced model held against {text}, the last not used by it"))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..device import close_loop, respond
+from ..device import close_loop, contact_state, respond
 from ..errors import AccuracyWarning, DataError
 from ..fem.factor import available_backends
 from ..geometry.build import limb_volume
@@ -31,11 +31,12 @@ from ..io.tables import strength_rows, write_signal_strength_csv
 from ..rendering import Rendering
 from ..scenario import Scenario
 from ..transfer import ErrorEstimate, TransferMatrix
+from ..typing import ComplexArray
 from ..wavefield import Wavefield, save_wavefield
 from .forecast import forecast, refuse_if_too_large
 from .frequencies import frequencies
 from .resources import Ledger
-from .simulate import ASSUMED_ORDER, Simulation, closed, render_transfer, simulate
+from .simulation import ASSUMED_ORDER, Simulation, closed, render_transfer, simulate
 from .fem_engine import COARSER
 from .solved import solve
 
@@ -172,9 +173,7 @@ def wavefield_of(simulation: Simulation) -> Wavefield:
     return Wavefield(simulation.compliance.frequency, solved.modes, solved.states @ force)
 
 
-def _forces(simulation: Simulation) -> np.ndarray:  # type: ignore[type-arg]
-    from ..device import contact_state
-
+def _forces(simulation: Simulation) -> ComplexArray:
     return np.asarray(contact_state(simulation.compliance, simulation.scenario.device).force)
 
 

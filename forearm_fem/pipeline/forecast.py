@@ -86,4 +86,4 @@ def resolution(scenario: Scenario, mesh: TissueMesh) -> tuple[Resolution, ...]:
 
 def _power(fit: tuple[float, float, float], n: float) -> float:
     value, at, exponent = fit
-    return value * (n / at) ** exponent
+    return float(value * (n / at) ** exponent)

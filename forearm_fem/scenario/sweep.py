@@ -32,7 +32,7 @@ class Sweep(Part):
 class SolverOptions(Part):
     """How systems are factorised and the sweep is made."""
 
-    backend: Literal["auto", "pardiso", "superlu", "cudss"] = "auto"
+    backend: Literal["auto", "pardiso", "superlu"] = "auto"
     precision: Literal["double", "single"] = Field("double", description="of the factors; solves are refined to double")
     sweep: Literal["reduced", "direct"] = "reduced"
     expansions: Annotated[int, Field(ge=1, le=50)] = Field(3, description="expansion frequencies to start with")

@@ -22,7 +22,7 @@ BAR_HZ = 100.0
 
 
 def shear_bar_errors(element: str, counts: Sequence[int]) -> list[float]:
-    """Relative error of the nodal displacement of a bar sheared at its end, for ``counts`` cells along it."""
+    """Relative error of the nodal displacement of a bar sheared at its end, for ``counts`` cells through its width."""
     return [_shear_bar(element, n) for n in counts]
 
 
@@ -33,7 +33,7 @@ def _shear_bar(element: str, n: int) -> float:
     """
     tissue, width = flesh(2500.0, 2.0), 0.004
     sides = {"end": ("x0",), "tip": ("x1",), "symmetry x": ("z0", "z1")}
-    mesh = block_mesh((n, 1, 1), (BAR, width, width), facets=sides)
+    mesh = block_mesh((5 * n, n, n), (BAR, width, width), facets=sides)
     model = build_model(mesh, (), {"block": tissue}, Supports(ends="fixed"), Membrane(), element=element)
     right = np.zeros((model.operator.n, 1))
     load = facet_load(model.space, mesh.facets["tip"], np.array([0.0, 0.0, 1.0]))
@@ -43,8 +43,7 @@ def _shear_bar(element: str, n: int) -> float:
     c, alpha = kelvin_voigt_shear_wave(np.array(omega), 2500.0, 2.0, tissue.density)
     k = omega / c - 1j * alpha
     exact = np.sin(k * model.space.node_points[:, 0]) / (complex(tissue.modulus.at(omega)) * k * np.cos(k * BAR))
-    corner = model.space.node_points[:, 0] * n / BAR
-    nodes = np.abs(corner - np.round(corner)) < 1e-9 if element == "P1" else np.ones(len(found), dtype=bool)
+    nodes = slice(len(mesh.points)) if element == "P1" else slice(None)  # a bubble's coefficient is not a value
     return float(np.abs(found - exact)[nodes].max() / np.abs(exact).max())
 
 

@@ -299,8 +299,8 @@ def plot_workflow(data: Workflow, *, ax: Axes | None = None) -> FigureBase:
         grid[2, k].set_xlabel("time [ms]")
     for panel, text in zip(grid[:, 0], ("start", "drives", "displacement"), strict=True):
         panel.set_ylabel(f"{text} {panel.get_ylabel()}")
-    figure.legend(*grid[1, 0].get_legend_handles_labels(), loc="outside lower left", ncols=6)
-    figure.legend(*grid[2, 0].get_legend_handles_labels(), loc="outside lower right", ncols=2)
+    named = [panel.get_legend_handles_labels() for panel in grid[1:, 0]]
+    figure.legend(*(named[0][k] + named[1][k] for k in (0, 1)), loc="outside lower center", ncols=8)
     return figure
 
 

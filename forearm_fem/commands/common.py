@@ -1,0 +1,154 @@
+"""What commands share: argument types, a stage run with progress bars, notes, G from a file or folder."""
+
+from __future__ import annotations
+
+import signal
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from ..errors import DataError
+from ..scenario import Scenario, apply_overrides
+
+if TYPE_CHECKING:
+    from ..measurement.declaration import Declaration
+    from ..pipeline.folder import Run
+
+console = Console(stderr=True)
+
+ScenarioFile = Annotated[Path, typer.Argument(help="scenario file, e.g. scenarios/thesis.toml")]
+Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=0.040")]
+OutFolder = Annotated[Path | None, typer.Option("--out", help="results folder; default results/NAME")]
+Declared = Annotated[
+    list[str] | None,
+    typer.Option("--declare", help="what a file does not say of itself, e.g. unit='mm/V' or sign='+iwt'"),
+]
+
+
+class Display:
+    """A progress bar per stage with count and time left, on stderr."""
+
+    def __init__(self) -> None:
+        self._bars = Progress(
+            TextColumn("{task.description:42}"), BarColumn(20), MofNCompleteColumn(), TimeElapsedColumn(),
+            TextColumn("left"), TimeRemainingColumn(), console=console,
+        )  # fmt: skip
+        self._tasks: dict[str, TaskID] = {}
+
+    def __enter__(self) -> Display:
+        self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bars.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Progress callback of the library."""
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(stage, total=total)
+        self._bars.update(self._tasks[stage], completed=done, total=total)
+
+
+def out_folder(out: Path | None, scenario: Scenario) -> Path:
+    """The folder asked for, else ``results/NAME``."""
+    return out or Path("results") / scenario.name
+
+
+def stage(asked: Scenario, file: Path, out: Path | None, work: Callable[[Run], Any]) -> Run:
+    """Run ``work`` on a new run with a progress display, then print its notes."""
+    from ..pipeline.folder import Run
+
+    with Display() as display:
+        job = Run.start(asked, out_folder(out, asked), file.parent, display)
+        work(job)
+    print_notes(job.notes)
+    return job
+
+
+def print_notes(notes: Sequence[str]) -> None:
+    """Each note once, on stderr."""
+    for note in dict.fromkeys(notes):
+        console.print(f"[yellow]note:[/yellow] {_plain(note)}", highlight=False, soft_wrap=True)
+
+
+def print_error(message: object) -> None:
+    """One sentence on stderr, brackets in it not taken for markup."""
+    console.print(f"[red]error:[/red] {_plain(str(message))}", highlight=False, soft_wrap=True)
+
+
+def _plain(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(" ".join(text.split()))
+
+
+@contextmanager
+def noted() -> Iterator[None]:
+    """Warnings of the library as notes instead of Python's own two lines."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        yield
+    print_notes([str(w.message) for w in caught if not issubclass(w.category, DeprecationWarning)])
+
+
+def transfer_file(what: Path) -> Path:
+    """A file as it is; of a results folder its ``transfer.nc``."""
+    if what.is_dir():
+        what = what / "transfer.nc"
+        if not what.is_file():
+            raise DataError(f"{what.parent}: no transfer.nc in this folder; `forearm-fem solve` makes one, or name a file")
+    if not what.exists():
+        raise DataError(f"{what}: no such file or results folder")
+    return what
+
+
+def declaration(items: Sequence[str] | None) -> Declaration | None:
+    """``--declare key=value`` items as a declaration; None where there are none."""
+    if not items:
+        return None
+    from pydantic import ValidationError
+
+    from ..measurement.declaration import Declaration
+
+    try:
+        return Declaration.model_validate(apply_overrides({}, items))
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        key = ".".join(str(p) for p in first["loc"])
+        known = ", ".join(Declaration.model_fields)
+        raise DataError(f"--declare {key}: {first['msg'].lower()}; known are {known}") from None
+
+
+class Stop:
+    """True once Ctrl-C was pressed: the drive is then ramped down; a second Ctrl-C cuts it."""
+
+    def __init__(self) -> None:
+        self.pressed = False
+        self.waiting = False  # for the operator: nothing sounds, so Ctrl-C ends the program at once
+
+    def __call__(self) -> bool:
+        """Polled by the library, block by block."""
+        return self.pressed
+
+
+@contextmanager
+def stop_on_ctrl_c() -> Iterator[Stop]:
+    """Emergency stop by Ctrl-C while hardware plays."""
+    stop = Stop()
+
+    def press(number: int, _: object) -> None:
+        if stop.pressed or stop.waiting:
+            raise KeyboardInterrupt
+        stop.pressed = True
+
+    before = signal.signal(signal.SIGINT, press)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,189 @@
+"""calibrate, play, compare, fit: measured G and simulated G beside each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from ..errors import HardwareError
+from ..scenario import Scenario, load_scenario
+from .common import (
+    Declared,
+    Display,
+    OutFolder,
+    Overrides,
+    ScenarioFile,
+    Stop,
+    console,
+    declaration,
+    noted,
+    out_folder,
+    stage,
+    stop_on_ctrl_c,
+    transfer_file,
+)
+
+if TYPE_CHECKING:
+    from ..measurement.calibrate import Progress
+    from ..measurement.commands import CalibrationResult, VirtualSetup
+
+DaqChoice = Annotated[Literal["virtual", "ni"], typer.Option("--daq", help="virtual: through a G; ni: a cDAQ")]
+Through = Annotated[
+    Path | None,
+    typer.Option("--through", help="virtual: file or results folder of the G to play through; default: simulated now"),
+]
+Snr = Annotated[float, typer.Option(help="virtual: strongest response over the sensor's noise [dB]")]
+Bits = Annotated[int, typer.Option(min=0, max=32, help="virtual: of the converters; 0 = no quantisation")]
+Latency = Annotated[int, typer.Option(min=0, help="virtual: delay of the inputs [samples]")]
+Seed = Annotated[int, typer.Option(help="virtual: seed of the noise")]
+
+
+def calibrate(
+    scenario: ScenarioFile,
+    overrides: Overrides = None,
+    out: OutFolder = None,
+    daq: DaqChoice = "virtual",
+    through: Through = None,
+    snr: Snr = 60.0,
+    bits: Bits = 16,
+    latency: Latency = 0,
+    seed: Seed = 0,
+    yes: Annotated[bool, typer.Option("--yes", help="do not wait for Enter at each point")] = False,
+) -> None:
+    """Measure G, one actuator and one point at a time; the same command resumes after a stop."""
+    asked = load_scenario(scenario, overrides=overrides or ())
+    folder = out or out_folder(None, asked) / "calibration"
+    virtual = _virtual(asked, scenario, through, snr, bits, latency, seed) if daq == "virtual" else None
+    result = _calibrated(asked, folder, daq, virtual, ask=daq == "ni" and not yes)
+    for finding in result.measured.findings:
+        typer.echo(finding.sentence)
+    valid = result.measured.transfer.valid
+    if valid is not None:
+        typer.echo(f"entries that may be used: {100 * valid.mean():.0f} %")
+    typer.echo(f"G: {result.transfer_file}")
+
+
+def _calibrated(
+    asked: Scenario, folder: Path, daq: Literal["virtual", "ni"], virtual: VirtualSetup | None, *, ask: bool
+) -> CalibrationResult:
+    from ..measurement.commands import run_calibration
+
+    with Display() as display, noted(), stop_on_ctrl_c() as stop:
+
+        def after(step: Progress) -> None:
+            display("measurements (saved one by one)", len(step.entries), step.total)
+
+        def operator(where: str) -> bool:
+            return _ask_operator(where, stop) if ask else True
+
+        try:
+            return run_calibration(
+                asked, folder, daq=daq, virtual=virtual, operator=operator, progress=after, stop=stop
+            )
+        except HardwareError:
+            _raise_if_stopped(stop)
+            raise
+
+
+def _raise_if_stopped(stop: Stop) -> None:
+    if stop.pressed:
+        raise KeyboardInterrupt
+
+
+def _ask_operator(where: str, stop: Stop) -> bool:
+    console.print(f"{where}; Enter to measure, q to stop", highlight=False)
+    stop.waiting = True
+    try:
+        return input().strip().lower() != "q"
+    except EOFError:
+        return False
+    finally:
+        stop.waiting = False
+
+
+def _virtual(
+    asked: Scenario, file: Path, through: Path | None, snr: float, bits: int, latency: int, seed: int
+) -> VirtualSetup:
+    from ..io.recognise import read_measured
+    from ..measurement.commands import VirtualSetup
+    from ..pipeline.folder import run_solve
+
+    if through is None:
+        job = stage(asked, file, None, run_solve)
+        through = job.out
+    return VirtualSetup(read_measured(transfer_file(through)), snr, bits, latency, seed)
+
+
+def play(
+    scenario: ScenarioFile,
+    drives: Annotated[Path, typer.Argument(help="drives.nc, a results folder that holds one, or a WAV file")],
+    overrides: Overrides = None,
+    method: Annotated[str | None, typer.Option(help="of drives.nc: inverse filter, funneling or combination")] = None,
+    target: Annotated[str | None, typer.Option(help="of drives.nc: a grid point, e.g. 5")] = None,
+    daq: DaqChoice = "virtual",
+    through: Through = None,
+    scale: Annotated[float, typer.Option(help="multiplies the drives")] = 1.0,
+    repeats: Annotated[int, typer.Option(min=1)] = 1,
+    pause: Annotated[float, typer.Option(min=0.0, help="silence between repeats [s]")] = 0.0,
+    snr: Snr = 60.0,
+) -> None:
+    """Send drive signals, faded and within the voltage limit; Ctrl-C ramps down, twice cuts."""
+    from ..measurement.commands import run_play
+
+    asked = load_scenario(scenario, overrides=overrides or ())
+    signals = drives / "drives.nc" if drives.is_dir() else drives
+    virtual = _virtual(asked, scenario, through, snr, 16, 0, 0) if daq == "virtual" else None
+    with noted(), stop_on_ctrl_c() as stop:
+        played = run_play(
+            asked, signals, daq=daq, virtual=virtual, method=method, target=target, scale=scale, repeats=repeats,
+            pause=pause, stop=stop,
+        )  # fmt: skip
+    typer.echo(f"played {played.seconds:.3g} s, peaks {', '.join(f'{v:.3g}' for v in played.peak)} V")
+    if played.stopped:
+        raise KeyboardInterrupt
+
+
+def compare(
+    a: Annotated[Path, typer.Argument(help="G to hold against: a file of any known kind, or a results folder")],
+    b: Annotated[Path, typer.Argument(help="G that is judged")],
+    out: Annotated[Path | None, typer.Option("--out", help="default results/compare-A-B")] = None,
+    declare_a: Annotated[list[str] | None, typer.Option(help="what A does not say of itself, e.g. unit='mm/V'")] = None,
+    declare_b: Annotated[list[str] | None, typer.Option(help="the same for B")] = None,
+    render: Annotated[bool, typer.Option(help="play the drives designed on one through the other")] = True,
+) -> None:
+    """How far apart two G are: per entry, overall, in S, in dispersion; table, figures, JSON."""
+    from ..compare.commands import run_compare
+
+    folder = out or Path("results") / f"compare-{a.stem}-{b.stem}"
+    with noted():
+        result = run_compare(
+            transfer_file(a), transfer_file(b), folder=folder, declaration_a=declaration(declare_a),
+            declaration_b=declaration(declare_b), render=render,
+        )  # fmt: skip
+    typer.echo(result.text)
+    typer.echo(f"comparison: {folder}")
+
+
+def fit(
+    scenario: ScenarioFile,
+    measured: Annotated[Path, typer.Argument(help="measured G: a file or a results folder")],
+    parameters: Annotated[list[str], typer.Argument(help="e.g. scale delay skin.mu fat.mu coil.moving_mass")],
+    overrides: Overrides = None,
+    out: OutFolder = None,
+    declare: Declared = None,
+    frequencies: Annotated[int, typer.Option(min=2, help="of the measured bins, evenly spread")] = 24,
+) -> None:
+    """Fit parameters of a scenario (on its layered twin) to a measured G; says what the data cannot tell."""
+    from ..compare.commands import run_fit
+
+    asked = load_scenario(scenario, overrides=overrides or ())
+    folder = out or out_folder(None, asked) / "fit"
+    with noted(), console.status("fitting"):
+        result = run_fit(
+            asked, transfer_file(measured), parameters, folder=folder, declaration=declaration(declare),
+            frequencies=frequencies,
+        )  # fmt: skip
+    typer.echo(result.text)
+    typer.echo(f"fit: {folder}")

@@ -1,0 +1,84 @@
+"""run, mesh, solve, render: from a scenario to a results folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..scenario import Scenario, load_scenario
+from .common import OutFolder, Overrides, ScenarioFile, stage
+
+
+def run(
+    scenario: ScenarioFile,
+    overrides: Overrides = None,
+    out: OutFolder = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="print size, cost and resolution; solve nothing")] = False,
+) -> None:
+    """The main job: mesh, solve, render, figures and report."""
+    asked = load_scenario(scenario, overrides=overrides or ())
+    if dry_run:
+        _print_forecast(asked, scenario.parent)
+        return
+    from ..pipeline.folder import run_all
+
+    job = stage(asked, scenario, out, run_all)
+    typer.echo((job.out / "report.md").read_text(encoding="utf-8"))
+    typer.echo(f"results: {job.out}")
+
+
+def mesh(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
+    """Make or find the mesh and write mesh.vtu."""
+    from ..pipeline.folder import run_mesh
+
+    asked = load_scenario(scenario, overrides=overrides or ())
+    job = stage(asked, scenario, out, run_mesh)
+    _print_forecast(asked, scenario.parent)
+    if asked.engine != "layered":
+        typer.echo(f"mesh: {job.out / 'mesh.vtu'}")
+
+
+def solve(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
+    """Solve for G and its errors, reusing what is there."""
+    from ..pipeline.folder import run_solve
+
+    job = stage(load_scenario(scenario, overrides=overrides or ()), scenario, out, run_solve)
+    account = json.loads((job.out / "run.json").read_text(encoding="utf-8"))
+    for error in account["errors"]:
+        typer.echo(f"{error['source']:15} band {error['band']:.2e}  worst e(f) {error['worst']:.2e}")
+    typer.echo(account["accuracy"])
+    typer.echo(f"G: {job.out / 'transfer.nc'}")
+
+
+def render(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
+    """Run the renderers on G, solving only what is missing."""
+    from ..pipeline.folder import run_render
+
+    job = stage(load_scenario(scenario, overrides=overrides or ()), scenario, out, run_render)
+    typer.echo((job.out / "signal_strength.csv").read_text(encoding="utf-8"))
+
+
+def _print_forecast(asked: Scenario, base: Path) -> None:
+    from ..pipeline.forecast import forecast
+    from ..pipeline.frequencies import frequencies
+
+    band = frequencies(asked.sweep)
+    if asked.engine == "layered":
+        typer.echo(f"layered half-space: no mesh, no unknowns; {len(band)} frequencies in about 2 s")
+        return
+    expected = forecast(asked, base=base)
+    typer.echo(f"tetrahedra       {expected.tetrahedra}")
+    typer.echo(f"unknowns         {expected.unknowns} ({asked.mesh.element}, displacement and pressure)")
+    typer.echo(f"memory           about {expected.memory_bytes / 1e9:.1f} GB")
+    typer.echo(f"time             about {expected.seconds / 60:.1f} min on 2 cores, for {len(band)} frequencies")
+    for r in expected.resolution:
+        typer.echo(
+            f"{r.tissue:16} {r.per_wavelength_near_ports:.1f} nodes per shear wavelength and "
+            f"{r.per_decay_near_ports:.1f} per decay length near the ports at {band[-1]:g} Hz; "
+            f"{r.per_wavelength:.1f} and {r.per_decay:.1f} at worst"
+        )
+    for sentence in expected.sentences(float(band[-1])):
+        typer.echo(f"warning: {sentence}")

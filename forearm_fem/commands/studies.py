@@ -1,0 +1,83 @@
+"""verify, bench, campaign: many solves for one table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .common import Display, noted, print_notes
+
+if TYPE_CHECKING:
+    from ..verification import HardRow, Row
+
+Full = Annotated[bool, typer.Option("--full", help="the long version")]
+
+
+def bench(
+    full: Full = False,
+    out: Annotated[Path, typer.Option("--out", help="where CSV and PNG go")] = Path("benchmarks/results"),
+    only: Annotated[list[str] | None, typer.Option(help="parts, e.g. error, size, reduced; default all")] = None,
+) -> None:
+    """Wall time and memory against true error, one curve per method; cost against size; reduced against direct."""
+    from ..bench import run_bench
+
+    with Display() as display, noted():
+        written = run_bench(out, full=full, only=only, progress=display)
+    for file in written:
+        typer.echo(str(file))
+
+
+def campaign(
+    file: Annotated[Path, typer.Argument(help="campaign file: a scenario and a list, grid or draw of overrides")],
+    out: Annotated[Path | None, typer.Option("--out", help="default results/NAME")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="address of a running Dask scheduler, e.g. tcp://host:8786; default: this machine")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="processes on this machine; default: what memory allows")] = None,
+) -> None:
+    """Run many variants of a scenario; finished ones are skipped, failed ones do not stop the rest."""
+    from ..campaign import load_campaign, run_campaign
+
+    asked = load_campaign(file)
+    with Display() as display, noted():
+        result = run_campaign(asked, out or Path("results") / asked.name, scheduler=scheduler, workers=workers, progress=display)
+    typer.echo(result.table)
+    print_notes([f"{m.name}: {m.problem}" for m in result.members if m.problem])
+    typer.echo(f"campaign: {result.folder}")
+    if any(m.problem for m in result.members):
+        raise typer.Exit(1)
+
+
+def verify(
+    full: Full = False,
+    hard: Annotated[bool, typer.Option("--hard", help="the hard cases instead: extreme scenes and their verdicts")] = False,
+) -> None:
+    """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
+    from .. import verification
+
+    with Display() as display, noted():
+        if hard:
+            cases = verification.run_hard_cases(progress=display)
+        else:
+            rows = verification.run_verification(full=full, progress=display)
+    good = all(c.verdict != "WRONG" for c in cases) if hard else all(r.met for r in rows)
+    typer.echo(_hard_table(cases) if hard else _verification_table(rows))
+    if not good:
+        raise typer.Exit(1)
+
+
+def _verification_table(rows: Sequence[Row]) -> str:
+    head = "| case | reference | quantity | error | tolerance | met |\n| --- | --- | --- | --- | --- | --- |"
+    lines = [
+        f"| {r.case} | {r.reference} | {r.quantity} | {r.error:.2e} | {r.tolerance:.0e} | {'yes' if r.met else 'NO'} |"
+        for r in rows
+    ]
+    return "\n".join([head, *lines])
+
+
+def _hard_table(rows: Sequence[HardRow]) -> str:
+    head = "| case | what | result | true error | verdict |\n| --- | --- | --- | --- | --- |"
+    return "\n".join([head, *(f"| {r.case} | {r.what} | {r.result} | {r.true_error} | {r.verdict} |" for r in rows)])

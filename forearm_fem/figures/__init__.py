@@ -1,0 +1,59 @@
+"""Figures of a run: the thesis' and those it should have had, each a function of data and axes.
+
+make_figures("results/thesis", formats=("png", "pdf"))
+data = conditioning(Results.open("results/thesis"))
+plot_conditioning(data)
+"""
+
+from .data import Results
+from .device import drive_levels, impedance, plot_drives, plot_impedance
+from .judge import errors, plot_errors, plot_strength_maps, plot_table_one, strengths, table_one_markdown
+from .matrix import (
+    conditioning,
+    conditioning_of,
+    plot_conditioning,
+    plot_transfer,
+    plot_versus,
+    versus,
+    versus_of,
+)
+from .methods import method, plot_method, plot_workflow, workflow
+from .registry import FigureKind, applies, kinds, make_figures
+from .targets import plot_target, plot_traces, target_waves
+from .waves import dispersion, plot_dispersion, plot_travel, travel
+
+__all__ = [
+    "FigureKind",
+    "Results",
+    "applies",
+    "conditioning",
+    "conditioning_of",
+    "dispersion",
+    "drive_levels",
+    "errors",
+    "impedance",
+    "kinds",
+    "make_figures",
+    "method",
+    "plot_conditioning",
+    "plot_dispersion",
+    "plot_drives",
+    "plot_errors",
+    "plot_impedance",
+    "plot_method",
+    "plot_strength_maps",
+    "plot_table_one",
+    "plot_target",
+    "plot_traces",
+    "plot_transfer",
+    "plot_travel",
+    "plot_versus",
+    "plot_workflow",
+    "strengths",
+    "table_one_markdown",
+    "target_waves",
+    "travel",
+    "versus",
+    "versus_of",
+    "workflow",
+]

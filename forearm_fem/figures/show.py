@@ -1,0 +1,343 @@
+"""Waves in the limb as pictures and films: surface or cut planes, at a frequency or through time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ..errors import DataError, MissingExtra
+from ..io.atomic import atomic_path, write_text
+from ..ports import Port
+from ..typing import FloatArray, IntArray
+from .data import Results
+from .motion import Motion, View, motion, nice, shown_values
+from .scene import (
+    MM,
+    add_bones,
+    add_device,
+    add_grid,
+    add_scale_bar,
+    plotter_for,
+    surface_grid,
+    volume_grid,
+)
+from .style import SIGNED, SIZE
+
+Progress = Callable[[int, int, str], None]
+CAMERAS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
+    {"oblique": (-0.75, -1.0, 0.95), "top": (0.0, -0.001, 1.0), "side": (0.0, -1.0, 0.25), "wrist": (-1.0, -0.12, 0.3)}
+)
+_BULGE = 5.0  # mm: the largest displacement as drawn
+_MAPS = {"normal": SIGNED, "magnitude": SIZE, "phase": "twilight"}
+
+
+@dataclass(frozen=True)
+class Look:
+    """How to show it: ``camera`` of :data:`CAMERAS`; ``cut`` "", "x", "y" or "xy" opens the limb in front of planes
+    through the target normal to these axes; ``amplification`` [-] (None: so that the largest displacement is drawn as
+    about 5 mm); ``limit`` [m] of the colours (None: what the grid points reach)."""
+
+    camera: str = "oblique"
+    cut: str = ""
+    amplification: float | None = None
+    limit: float | None = None
+    size: tuple[int, int] = (1200, 900)
+
+    def __post_init__(self) -> None:
+        """Refuse cameras and cuts that do not exist."""
+        if self.camera not in CAMERAS:
+            raise DataError(f"no camera is called '{self.camera}'; known are {', '.join(CAMERAS)}")
+        if self.cut not in ("", "x", "y", "xy"):
+            raise DataError(f"cut is '', 'x', 'y' or 'xy', got '{self.cut}'")
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What is deformed: a pyvista ``dataset`` whose points are combinations of mesh vertices.
+
+    ``rest`` (n, 3) [mm]; ``modes`` (n, 3, r) of its points; ``normals`` (n, 3) the direction "normal" refers to.
+    """
+
+    dataset: Any
+    rest: FloatArray
+    modes: FloatArray
+    normals: FloatArray
+
+
+def body_of(results: Results, cut: str, target: str) -> Body:
+    """The skin, or the limb behind the cut planes."""
+    if not cut:
+        return _skin(results)
+    return _opened(results, cut, target)
+
+
+def _skin(results: Results) -> Body:
+    mesh = results.mesh
+    surface = surface_grid(mesh, mesh.facets["skin"]).compute_normals(
+        cell_normals=False, split_vertices=False, consistent_normals=True, auto_orient_normals=False
+    )
+    vertices: IntArray = np.asarray(surface.point_data["vertex"])
+    normals = np.asarray(surface.point_data["Normals"], dtype=float)
+    up = np.argmax(surface.points[:, 2])
+    normals = normals * (1.0 if normals[up, 2] > 0 else -1.0)
+    return Body(surface, np.array(surface.points, dtype=float), results.wavefield.modes[vertices], normals)
+
+
+def _opened(results: Results, cut: str, target: str) -> Body:
+    """Cut once: the modes travel through the clip as point data, so that each step is one product."""
+    mesh, modes = results.mesh, results.wavefield.modes
+    place = MM * np.array(_port(results.transfer.outputs, target).position)
+    grid = volume_grid(mesh)
+    grid.point_data["modes"] = modes.reshape(len(modes), -1).astype(np.float32)
+    low, high = grid.points.min(axis=0) - 1, grid.points.max(axis=0) + 1
+    bounds = [low[0], place[0] if "x" in cut else high[0], low[1], place[1] if "y" in cut else high[1], low[2], high[2]]
+    part = grid.clip_box(bounds, invert=True).extract_surface(algorithm="dataset_surface").triangulate()
+    taken = np.asarray(part.point_data["modes"], dtype=float).reshape(part.n_points, 3, -1)
+    part.clear_data()
+    upward = np.tile([0.0, 0.0, 1.0], (part.n_points, 1))
+    return Body(part, np.array(part.points, dtype=float), taken, upward)
+
+
+def _port(ports: tuple[Port, ...], name: str) -> Port:
+    return next((p for p in ports if p.name == name), ports[len(ports) // 2])
+
+
+def amplification(moved: Motion, body: Body, look: Look) -> float:
+    """How many times larger than life the motion is drawn: as asked, or 1, 2 or 5 times a power of ten."""
+    if look.amplification is not None:
+        return look.amplification
+    sizes = [np.linalg.norm(moved.displacement(body.modes, k), axis=1).max() for k in _some(len(moved.steps))]
+    most = float(max(sizes))
+    return nice(_BULGE / (MM * most)) if most > 0 else 1.0
+
+
+def _some(n: int) -> list[int]:
+    return sorted({int(k) for k in np.linspace(0, n - 1, min(n, 16))})
+
+
+def colour_limit(results: Results, moved: Motion, look: Look) -> float:
+    """Where colours end [m]: as asked, or the largest motion of the grid points' nearest vertices."""
+    if look.limit is not None:
+        return look.limit
+    places = np.array([p.position for p in results.transfer.outputs])
+    near = [int(np.argmin(np.linalg.norm(results.mesh.points - p, axis=1))) for p in places]
+    modes = results.wavefield.modes[near]
+    most = max(float(np.linalg.norm(moved.displacement(modes, k), axis=1).max()) for k in range(len(moved.steps)))
+    return most or 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A plotter with everything in place; :meth:`show` sets one step of the motion."""
+
+    plotter: Any
+    body: Body
+    moved: Motion
+    factor: float
+    limit: float
+
+    def show(self, step: int) -> None:
+        """Deform and colour the body as at ``step``, and say which it is."""
+        u = self.moved.displacement(self.body.modes, step)
+        self.body.dataset.points = self.body.rest + MM * self.factor * u
+        self.body.dataset.point_data["shown"] = self._values(u)
+        self.plotter.add_text(self._words(step), position="upper_left", font_size=11, color="black", name="words")
+
+    def _values(self, u: FloatArray) -> FloatArray:
+        if self.moved.view.quantity == "phase":
+            assert self.moved.phasor is not None
+            normal = np.einsum("pcr,pc,r->p", self.body.modes, self.body.normals, self.moved.phasor, optimize=True)
+            return np.asarray(np.angle(normal, deg=True))
+        return 1e6 * shown_values(u, self.body.normals, self.moved.view.quantity)
+
+    def _words(self, step: int) -> str:
+        drawn = "drawn true to scale" if self.factor == 1 else f"motion drawn {self.factor:,.0f} times larger"
+        if self.factor == 0:
+            drawn = "motion not drawn, only coloured"
+        return f"{self.moved.view.words}\n{self.moved.label(step)}\n{drawn}"
+
+
+def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
+    """Body, device, grid, bones, scale bar, colours and camera in ``plotter``."""
+    view = moved.view
+    body = body_of(results, look.cut, view.target)
+    stage = Stage(plotter, body, moved, amplification(moved, body, look), colour_limit(results, moved, look))
+    stage.show(0)
+    ports = (*results.transfer.inputs, *results.transfer.outputs)
+    plotter.add_mesh(body.dataset, scalars="shown", cmap=_MAPS[view.quantity], clim=_range(stage), smooth_shading=True,
+                     ambient=0.35, specular=0.1, scalar_bar_args=_bar(view.quantity))  # fmt: skip
+    add_device(plotter, ports, opacity=0.25)
+    add_grid(plotter, ports, view.target if view.actuator is None else None, lift=0.6)
+    add_bones(plotter, results.mesh)
+    low = MM * np.array([p.position for p in ports]).min(axis=0)
+    add_scale_bar(plotter, low + [-8, -16, 0])
+    plotter.add_text(results.stamp, position="lower_left", font_size=7, color="gray")
+    _aim(plotter, results, look)
+    return stage
+
+
+def _range(stage: Stage) -> tuple[float, float]:
+    most = 1e6 * stage.limit
+    return {"normal": (-most, most), "magnitude": (0.0, most), "phase": (-180.0, 180.0)}[stage.moved.view.quantity]
+
+
+def _bar(quantity: str) -> dict[str, Any]:
+    title = {"normal": "outward displacement [um]", "magnitude": "displacement [um]", "phase": "phase [degrees]"}
+    return {"title": title[quantity], "vertical": False, "position_x": 0.3, "position_y": 0.03, "width": 0.4,
+            "height": 0.06, "title_font_size": 18, "label_font_size": 16, "fmt": "%.3g", "color": "black"}  # fmt: skip
+
+
+def _aim(plotter: Any, results: Results, look: Look) -> None:
+    """The set camera, looking at the device; wide enough for it and 25 mm more."""
+    places = MM * np.array([p.position for p in (*results.transfer.inputs, *results.transfer.outputs)])
+    middle = places.mean(axis=0)
+    plotter.camera_position = [CAMERAS[look.camera], (0, 0, 0), (0, 1, 0) if look.camera == "top" else (0, 0, 1)]
+    low, high = places.min(axis=0) - [25, 22, 14], places.max(axis=0) + [25, 22, 18]
+    plotter.reset_camera(bounds=np.stack([low, high]).T.ravel())
+    plotter.camera.zoom(1.25)
+    assert np.all(np.isfinite(middle))
+
+
+def render_still(
+    results: Results | str | Path,
+    path: str | Path | None = None,
+    *,
+    view: View | None = None,
+    look: Look | None = None,
+    at: float = 0.0,
+) -> Any:
+    """One picture (height, width, 3), also written to ``path`` (.png) if given.
+
+    ``at`` is the instant [s], or at a frequency the phase [rad]. Off-screen; raises DataError for what the results
+    do not hold and ForearmError where VTK cannot draw.
+    """
+    found, view, look = _given(results, view, look)
+    moved = motion(found, view, np.array([at]))
+    wide = motion(found, view)
+    limit = colour_limit(found, wide, look)
+    fixed = Look(look.camera, look.cut, look.amplification, limit, look.size)
+    with plotter_for(look.size) as plotter:
+        staged(found, plotter, moved, fixed)
+        picture = np.array(plotter.screenshot(None, return_img=True))
+    if path is not None:
+        with atomic_path(path) as beside:
+            Image.fromarray(picture).save(beside)
+    return picture
+
+
+def animate(
+    results: Results | str | Path,
+    path: str | Path,
+    *,
+    view: View | None = None,
+    look: Look | None = None,
+    steps: FloatArray | None = None,
+    frames_per_second: float = 12.0,
+    progress: Progress | None = None,
+) -> Path:
+    """A film (.gif, or .mp4 with the extra ``movie``) of the motion at ``steps`` [s], or phases [rad].
+
+    By default 60 instants around the wavelet's centre, or 24 phases. No new solve. Raises as :func:`render_still`,
+    and MissingExtra for an .mp4 without imageio.
+    """
+    target = Path(path)
+    save = _writer(target)
+    found, view, look = _given(results, view, look)
+    moved = motion(found, view, steps)
+    with plotter_for(look.size) as plotter:
+        stage = staged(found, plotter, moved, look)
+        pictures = [_picture(stage, k, progress) for k in range(len(moved.steps))]
+    with atomic_path(target) as beside:
+        save(beside, pictures, frames_per_second)
+    return target
+
+
+def _picture(stage: Stage, step: int, progress: Progress | None) -> Any:
+    stage.show(step)
+    if progress is not None:
+        progress(step + 1, len(stage.moved.steps), stage.moved.label(step))
+    return np.array(stage.plotter.screenshot(None, return_img=True))
+
+
+def _writer(target: Path) -> Callable[[Path, list[Any], float], None]:
+    if target.suffix == ".gif":
+        return _write_gif
+    if target.suffix != ".mp4":
+        raise DataError(f"{target}: films are .gif or .mp4, not '{target.suffix}'")
+    for package in ("imageio", "imageio_ffmpeg"):
+        try:
+            import_module(package)
+        except ImportError:
+            raise MissingExtra(package, "movie", "an .mp4 film") from None
+    return _write_mp4
+
+
+def _write_gif(path: Path, pictures: list[Any], rate: float) -> None:
+    """One palette for all frames, so that colours do not flicker."""
+    sample = Image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 4)][:4]))
+    palette = sample.quantize(256, method=Image.Quantize.MEDIANCUT)
+    frames = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=round(1000 / rate), loop=0, optimize=False)
+
+
+def _write_mp4(path: Path, pictures: list[Any], rate: float) -> None:
+    imageio = import_module("imageio")
+    even = [p[: p.shape[0] // 2 * 2, : p.shape[1] // 2 * 2] for p in pictures]
+    with imageio.get_writer(path, fps=rate, macro_block_size=2, quality=8) as film:
+        for picture in even:
+            film.append_data(picture)
+
+
+def _given(results: Results | str | Path, view: View | None, look: Look | None) -> tuple[Results, View, Look]:
+    found = results if isinstance(results, Results) else Results.open(results)
+    return found, view or default_view(found), look or Look()
+
+
+def default_view(results: Results) -> View:
+    """The inverse filter at target 5, or the first there is of each."""
+    drives = results.drives
+    first = View()
+    method = first.method if first.method in drives.methods else drives.methods[0]
+    return View(method, first.target if first.target in drives.targets else drives.targets[0])
+
+
+def write_pvd(
+    results: Results | str | Path,
+    path: str | Path,
+    *,
+    view: View | None = None,
+    steps: FloatArray | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """A series for ParaView: ``path`` (.pvd) and beside it a folder of its name with one .vtu per step.
+
+    Point data "displacement" (n, 3) [m], cell data "region"; coordinates are in metres, time in seconds (at a
+    frequency: phase in degrees). Warp by vector in ParaView to see it move.
+    """
+    target = Path(path)
+    if target.suffix != ".pvd":
+        raise DataError(f"{target}: a series for ParaView is a .pvd file, not '{target.suffix}'")
+    found, view, _ = _given(results, view, None)
+    moved = motion(found, view, steps)
+    grid = volume_grid(found.mesh)
+    grid.points = found.mesh.points.copy()
+    lines = []
+    for k, at in enumerate(moved.steps):
+        grid.point_data["displacement"] = moved.displacement(found.wavefield.modes, k)
+        name = f"{target.stem}/{k:04d}.vtu"
+        with atomic_path(target.parent / name) as beside:
+            grid.save(beside)
+        time = at if moved.phasor is None else np.degrees(at)
+        lines.append(f'    <DataSet timestep="{time:.9g}" file="{name}"/>')
+        if progress is not None:
+            progress(k + 1, len(moved.steps), moved.label(k))
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
+    write_text(target, head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n")
+    return target

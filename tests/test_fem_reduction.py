@@ -1,0 +1,202 @@
+"""The reduced sweep against direct solves; what projection must keep; poles and residues."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forearm_fem.fem.compress import compressed, pole_residue
+from forearm_fem.fem.reduce import empty_model, extend, load_reduced, orthonormal_extension, real_columns, save_reduced
+from forearm_fem.fem.sweep import direct_sweep, expansion_frequencies, make_solver, most_uncertain, reduced_sweep
+from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.tissue import Hysteretic, SpringPot, Tissue, Zener
+from forearm_fem.transfer import relative_error
+from forearm_fem.verification.scenes import flesh, held_block
+
+BAND = np.linspace(10.0, 500.0, 197)
+CHECK = np.array([10.0, 33.0, 80.0, 140.0, 210.0, 333.0, 470.0, 500.0])
+OPTIONS = SolverOptions()
+
+
+@pytest.fixture(scope="module")
+def model():
+    return held_block(3, tissue=flesh(bulk=2.2e9))
+
+
+@pytest.fixture(scope="module")
+def sweep(model):
+    return reduced_sweep(model, BAND, OPTIONS, tolerance=1e-6)
+
+
+@pytest.fixture(scope="module")
+def truth(model):
+    return direct_sweep(model, CHECK, OPTIONS).values
+
+
+@pytest.fixture(scope="module")
+def one_expansion(model):
+    """Uncompressed space of one frequency with five derivatives."""
+    solver = make_solver(model, OPTIONS, 100.0)
+    return extend(empty_model(model), model, solver.taylor(100.0, solver.at(100.0).values, 5))
+
+
+def test_reduced_sweep_equals_direct_solves(sweep, truth):
+    error = relative_error(sweep.reduced.compliance(CHECK), truth)
+    assert error.max() < 1e-5  # asked for 1e-6 at the most uncertain frequency; a factor 10 of room elsewhere
+    assert sweep.certificates[-1].error < 1e-6
+
+
+def test_values_of_the_sweep_are_those_of_its_model(sweep):
+    assert relative_error(sweep.values, sweep.reduced.compliance(BAND)).max() < 1e-8  # pole-residue's own limit
+
+
+def test_certificate_is_a_true_error(model):
+    """Certified on a solve that the model had not used: repeat it by hand."""
+    few = SolverOptions(expansions=1, derivatives=2, max_expansions=1)
+    result = reduced_sweep(model, BAND, few, tolerance=1e-12)
+    stated = result.certificates[-1]
+    exact = direct_sweep(model, np.array([stated.frequency]), OPTIONS).values
+    points, contacts = [1, 2, 3], [0]
+    block = np.ix_([0], points, contacts)
+    found = result.reduced.compliance(np.array([stated.frequency]))
+    assert relative_error(found[block], exact[block])[0] == pytest.approx(stated.error, rel=1e-2)
+    assert stated.error > 1e-4  # and it says so, rather than stopping silently
+    assert len(result.expansions) == 1
+
+
+def test_more_expansions_are_taken_until_certified(model):
+    few = SolverOptions(expansions=1, derivatives=2, max_expansions=8)
+    result = reduced_sweep(model, BAND, few, tolerance=1e-5)
+    assert 1 < len(result.expansions) <= 8
+    assert result.certificates[-1].error < 1e-5
+    assert [c.error for c in result.certificates][0] > 1e-5
+
+
+def test_reduced_model_keeps_reciprocity_and_passivity(one_expansion):
+    """Also far from the expansion, where it is inaccurate."""
+    for c in one_expansion.compliance(np.array([10.0, 100.0, 500.0, 2000.0])):
+        assert np.abs(c - c.T).max() < 1e-9 * np.abs(c).max()
+        assert np.linalg.eigvalsh(-(c - c.conj().T) / 2j).min() > -1e-9 * np.abs(c).max()
+
+
+def test_compressed_model_keeps_structure_and_values(sweep, one_expansion):
+    small = compressed(one_expansion, BAND)
+    assert small.size <= one_expansion.size
+    assert relative_error(small.compliance(BAND), one_expansion.compliance(BAND)).max() < 1e-7
+    for matrix in sweep.reduced.matrices:
+        assert np.abs(matrix - matrix.T).max() <= 1e-12 * np.abs(matrix).max()
+
+
+def test_basis_is_orthonormal_and_divergence_free(model, one_expansion):
+    """Displacements orthonormal; B u + S p = 0 holds on the span, which is why pressure drops out."""
+    n_u = model.operator.n_displacements
+    basis = one_expansion.basis
+    assert basis[:n_u].T @ basis[:n_u] == pytest.approx(np.eye(one_expansion.size), abs=1e-10)
+    rest = model.operator.multiply(model.operator.data(0.0), basis)[n_u:]
+    coupling = [t for t in model.operator.terms if t.name == "incompressibility"][0]
+    size = np.abs(model.operator.term_matrix(coupling)).max()
+    assert np.abs(rest).max() < 1e-8 * size
+
+
+def test_expansion_is_exact_at_its_frequency(model, one_expansion):
+    exact = direct_sweep(model, np.array([100.0]), OPTIONS).values
+    assert relative_error(one_expansion.compliance(np.array([100.0])), exact).max() < 1e-8
+
+
+def test_derivatives_raise_the_order_of_contact(model):
+    """Two-sided by symmetry: with derivatives 0..q the error grows like d^(2q+2) or better away from the expansion."""
+    solver = make_solver(model, OPTIONS, 100.0)
+    series = solver.taylor(100.0, solver.at(100.0).values, 2)
+    exact = direct_sweep(model, np.array([104.0, 108.0]), OPTIONS).values
+    for q in (0, 1):
+        space = extend(empty_model(model), model, series[: q + 1])
+        error = relative_error(space.compliance(np.array([104.0, 108.0])), exact)
+        assert np.log2(error[1] / error[0]) > 2 * q + 1.5
+
+
+def test_taylor_series_reproduces_the_neighbourhood(model):
+    """Sum of scaled Taylor coefficients at 2 % of detuning; the remainder is (0.02 / radius)^6."""
+    solver = make_solver(model, OPTIONS, 100.0)
+    series = solver.taylor(100.0, solver.at(100.0).values, 5)
+    near = sum(x * 0.02**k for k, x in enumerate(series))
+    exact = solver.at(102.0).values
+    assert np.abs(near - exact).max() < 1e-6 * np.abs(exact).max()
+
+
+def test_repeated_expansion_adds_nothing(model, one_expansion):
+    solver = make_solver(model, OPTIONS, 100.0)
+    again = extend(one_expansion, model, solver.taylor(100.0, solver.at(100.0).values, 5))
+    added = again.size - one_expansion.size
+    assert added <= 0.15 * one_expansion.size  # directions that the drop tolerance of 1e-7 had left out
+    assert np.isfinite(again.compliance(BAND[:3])).all()
+    assert relative_error(again.compliance(BAND), one_expansion.compliance(BAND)).max() < 1.0
+
+
+# --- poles and residues ----------------------------------------------------------------------------------------------
+
+
+def test_pole_residue_equals_dense_solves(sweep):
+    fast = pole_residue(sweep.reduced)
+    assert fast is not None
+    assert relative_error(fast.compliance(BAND), sweep.reduced.compliance(BAND)).max() < 1e-8
+
+
+def test_poles_of_a_passive_model_are_stable(sweep):
+    assert pole_residue(sweep.reduced).poles.real.max() < 0
+
+
+@pytest.mark.parametrize("modulus", [SpringPot(2680.0, 0.253), Zener(6e3, 12e3, 5.0), Hysteretic(8e3, 0.2)])
+def test_other_moduli_fall_back_to_dense_reduced_solves(modulus):
+    """A springpot and a Zener solid are no polynomials; a hysteretic one is (at positive frequencies): all right."""
+    model = held_block(2, tissue=Tissue("block", 1050.0, modulus, 2.2e9))
+    band = np.linspace(50.0, 500.0, 61)
+    result = reduced_sweep(model, band, OPTIONS, tolerance=1e-5)
+    exact = direct_sweep(model, band[[0, 20, 60]], OPTIONS).values
+    assert relative_error(result.values[[0, 20, 60]], exact).max() < 1e-4
+    if not isinstance(modulus, Hysteretic):
+        assert pole_residue(result.reduced) is None
+
+
+# --- parts -----------------------------------------------------------------------------------------------------------
+
+
+def test_saved_model_comes_back(tmp_path, sweep):
+    save_reduced(sweep.reduced, tmp_path / "r.npz", with_basis=False)
+    back = load_reduced(tmp_path / "r.npz", sweep.reduced.coefficients)
+    assert np.array_equal(back.compliance(CHECK), sweep.reduced.compliance(CHECK))
+    save_reduced(sweep.reduced, tmp_path / "b.npz", with_basis=True)
+    basis = load_reduced(tmp_path / "b.npz", sweep.reduced.coefficients).basis
+    assert np.abs(basis - sweep.reduced.basis).max() < 1e-6 * np.abs(basis).max()
+
+
+def test_orthonormal_extension_drops_what_is_known():
+    rng = np.random.default_rng(0)
+    basis, _ = np.linalg.qr(rng.normal(size=(40, 4)))
+    known = basis @ rng.normal(size=(4, 2))
+    fresh = rng.normal(size=(40, 1))
+    added = orthonormal_extension(basis, np.hstack([known, fresh]), 40, drop=1e-7)
+    assert added.shape == (40, 1)
+    assert np.abs(basis.T @ added).max() < 1e-12
+
+
+def test_real_columns_leaves_zero_columns_out():
+    block = np.array([[1 + 0j, 2j], [0, 1j]])
+    assert real_columns(block).shape == (2, 2)
+
+
+def test_expansion_frequencies_are_bins_of_the_band():
+    for count in (1, 3, 7):
+        chosen = expansion_frequencies(BAND, SolverOptions(expansions=count))
+        assert set(chosen) <= set(BAND)
+        assert len(chosen) == count
+    assert expansion_frequencies(np.array([100.0]), OPTIONS) == (100.0,)
+
+
+def test_no_uncertain_frequency_is_left_when_all_are_used(one_expansion):
+    assert most_uncertain(one_expansion, np.array([100.0]), [100.0], ([0], [0])) is None
+
+
+def test_single_frequency_sweep(model):
+    result = reduced_sweep(model, np.array([120.0]), OPTIONS)
+    exact = direct_sweep(model, np.array([120.0]), OPTIONS).values
+    assert relative_error(result.values, exact).max() < 1e-8

@@ -1,0 +1,215 @@
+"""Direct solvers: agreement, single precision with refinement, named failures."""
+
+from __future__ import annotations
+
+import alternatives as slow
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from forearm_fem.errors import SolverError
+from forearm_fem.fem import factor as factors
+from forearm_fem.fem.coefficients import Polynomial
+from forearm_fem.fem.factor import SuperLUFactor, make_factor, refined_solve
+from forearm_fem.fem.operator import affine_operator, symmetric_product
+from forearm_fem.fem.pardiso import PardisoFactor, library
+from forearm_fem.fem.sweep import direct_sweep
+from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.verification.scenes import flesh, held_block
+
+needs_mkl = pytest.mark.skipif(library() is None, reason="MKL is not installed")
+OMEGA = 2 * np.pi * 150.0
+
+
+@pytest.fixture(scope="module")
+def model():
+    return held_block(2)
+
+
+@pytest.fixture(scope="module")
+def loads(model):
+    rng = np.random.default_rng(5)
+    return rng.normal(size=(model.operator.n, 3)) + 1j * rng.normal(size=(model.operator.n, 3))
+
+
+def test_operator_is_complex_symmetric_and_affine(model):
+    """A(omega) from one pattern equals the sum of its terms; A = A^T, not A^H."""
+    operator = model.operator
+    a = slow.dense(operator, OMEGA)
+    terms = [operator.term_matrix(t).toarray() * complex(t.coefficient.at(OMEGA)) for t in operator.terms]
+    upper = np.sum(terms, axis=0)
+    assert np.abs(a - (upper + upper.T - np.diag(np.diag(upper)))).max() < 1e-14 * np.abs(a).max()
+    assert np.array_equal(a, a.T)
+    assert np.abs(a.imag).max() > 1e-3 * np.abs(a).max()
+
+
+def test_taylor_data_is_the_derivative(model):
+    operator, d = model.operator, 1e-3
+    first, second, third = operator.taylor_data(OMEGA, 3)
+    ahead, behind, here = (operator.data(OMEGA + s * d) for s in (1, -1, 0))
+    # quadratic coefficients: differences are exact up to rounding of the data / d
+    assert np.abs((ahead - behind) / (2 * d) - first).max() < 1e-11 * np.abs(here).max() / d
+    assert np.abs((ahead + behind - 2 * here) / (2 * d**2) - second).max() < 1e-11 * np.abs(here).max() / d**2
+    assert third is None
+
+
+def test_diagonal_stands_first_in_each_row(model):
+    operator = model.operator
+    assert np.array_equal(operator.indices[operator.diagonal_positions], np.arange(operator.n))
+
+
+def test_symmetric_product_with_vectors_and_columns():
+    upper = csr_array(np.array([[1.0, 2, 0], [0, 3, 4], [0, 0, 5]]))
+    full = np.array([[1.0, 2, 0], [2, 3, 4], [0, 4, 5]])
+    x = np.array([[1.0, 2], [3, 4], [5, 6]])
+    assert np.array_equal(symmetric_product(upper, x), full @ x)
+    assert np.array_equal(symmetric_product(upper, x[:, 0]), full @ x[:, 0])
+
+
+@needs_mkl
+def test_pardiso_superlu_and_dense_agree(model, loads):
+    data = model.operator.data(OMEGA)
+    exact = np.linalg.solve(slow.dense(model.operator, OMEGA), loads)
+    for backend in ("pardiso", "superlu"):
+        solver = make_factor(model.operator, OMEGA, backend, single=False)
+        solver.factorise(data)
+        found = refined_solve(solver, model.operator.upper(data), loads).values
+        assert np.abs(found - exact).max() < 1e-8 * np.abs(exact).max(), backend  # condition 1e6 times rounding
+        solver.release()
+
+
+@needs_mkl
+def test_compliance_equals_dense(model):
+    found = direct_sweep(model, np.array([5.0, 150.0]), SolverOptions()).values
+    for value, f in zip(found, (5.0, 150.0), strict=True):
+        exact = slow.dense_compliance(model, f)
+        assert np.abs(value - exact).max() < 1e-10 * np.abs(exact).max()
+
+
+@needs_mkl
+@pytest.mark.parametrize("frequency", [0.5, 150.0, 2000.0])
+def test_single_precision_is_refined_to_double(model, frequency):
+    f = np.array([frequency])
+    single, double = (direct_sweep(model, f, SolverOptions(precision=p)) for p in ("single", "double"))
+    assert single.residual < 1e-9
+    assert np.abs(single.values - double.values).max() < 1e-7 * np.abs(double.values).max()
+
+
+@needs_mkl
+def test_single_precision_alone_is_not_enough(model, loads):
+    """What refinement is for: the bare single-precision solve leaves more than 1e-9."""
+    data = model.operator.data(OMEGA)
+    solver = PardisoFactor(model.operator.upper(data), single=True)
+    solver.factorise(data)
+    bare = loads - model.operator.multiply(data, solver.solve(loads))
+    assert 1e-9 < np.linalg.norm(bare) / np.linalg.norm(loads) < 1e-1
+    assert refined_solve(solver, model.operator.upper(data), loads).residual < 1e-11
+
+
+@needs_mkl
+def test_saddle_systems_need_no_perturbed_pivots(model):
+    solver = PardisoFactor(model.operator.upper(model.operator.data(OMEGA)))
+    solver.factorise(model.operator.data(OMEGA))
+    assert solver.perturbed_pivots == 0
+    assert solver.factor_bytes > 1e5
+
+
+def singular(kind):
+    """A 3 x 3 operator without an inverse: a zero row, or a null vector hidden in ones."""
+    matrix = np.array([[2.0, 1, 0], [1, 1, 0], [0, 0, 0]]) if kind == "zero row" else np.ones((3, 3))
+    return affine_operator([("a", csr_array(matrix), Polynomial(1.0))], 3, 1.0)
+
+
+@pytest.mark.parametrize("kind", ["zero row", "null vector"])
+@pytest.mark.parametrize("backend", ["superlu", pytest.param("pardiso", marks=needs_mkl)])
+def test_singular_system_is_a_named_error(kind, backend):
+    operator = singular(kind)
+    data, right = operator.data(0.0), np.array([[1.0], [2.0], [3.0]], dtype=complex)
+    with pytest.raises(SolverError):
+        solver = make_factor(operator, 0.0, backend, single=False)
+        solver.factorise(data)
+        refined_solve(solver, operator.upper(data), right)
+
+
+class Sloppy:
+    """A solver that returns a fixed multiple of the right answer to A = diagonal."""
+
+    def __init__(self, diagonal, gain):
+        self.diagonal, self.gain = diagonal, gain
+
+    def solve(self, right):
+        return self.gain * right / self.diagonal[:, None]
+
+
+@pytest.mark.parametrize(("gain", "fine"), [(0.9, True), (1.0, True), (0.2, False), (2.5, False)])
+def test_refinement_converges_or_raises(gain, fine):
+    """Gain g leaves (1 - g)^7 after six rounds: 0.9 is rescued, 0.2 gains too little per round, 2.5 diverges."""
+    d = np.array([1.0, 4.0, 9.0])
+    right = np.ones((3, 2), dtype=complex)
+    upper = csr_array(np.diag(d).astype(complex))
+    if fine:
+        solution = refined_solve(Sloppy(d, gain), upper, right, tolerance=1e-6)
+        assert solution.values == pytest.approx(right / d[:, None], rel=2e-6)
+        assert solution.residual <= 1e-6
+    else:
+        with pytest.raises(SolverError, match="relative residual"):
+            refined_solve(Sloppy(d, gain), upper, right)
+
+
+def test_refinement_of_a_zero_column():
+    d = np.array([2.0, 3.0])
+    right = np.array([[1.0, 0.0], [1.0, 0.0]], dtype=complex)
+    solution = refined_solve(Sloppy(d, 1.0), csr_array(np.diag(d).astype(complex)), right)
+    assert np.array_equal(solution.values[:, 1], [0, 0])
+
+
+def test_not_a_number_never_comes_out():
+    right = np.array([[np.nan], [1.0]], dtype=complex)
+    with pytest.raises(SolverError):
+        refined_solve(Sloppy(np.ones(2), 1.0), csr_array(np.eye(2, dtype=complex)), right)
+
+
+def test_superlu_refuses_what_it_would_not_finish():
+    with pytest.raises(SolverError, match="install MKL"):
+        factors.choose_backend("superlu", 100_000)
+
+
+def test_without_mkl_superlu_serves(monkeypatch):
+    monkeypatch.setattr(factors.pardiso, "library", lambda: None)
+    assert factors.available_backends() == ("superlu",)
+    assert factors.choose_backend("auto", 1000) == "superlu"
+    with pytest.raises(SolverError, match="not installed"):
+        PardisoFactor(csr_array(np.eye(2)))
+
+
+def test_superlu_factor_can_be_reused(model, loads):
+    data = model.operator.data(OMEGA)
+    solver = SuperLUFactor(model.operator.upper(data))
+    for omega in (OMEGA, 2 * OMEGA):
+        data = model.operator.data(omega)
+        solver.factorise(data)
+        rest = loads - model.operator.multiply(data, solver.solve(loads))
+        assert np.linalg.norm(rest) < 1e-6 * np.linalg.norm(loads)
+    solver.release()
+
+
+@needs_mkl
+def test_pardiso_factor_can_be_reused_and_released_twice(model, loads):
+    solver = PardisoFactor(model.operator.upper(model.operator.data(OMEGA)))
+    for omega in (OMEGA, 2 * OMEGA, OMEGA):
+        data = model.operator.data(omega)
+        solver.factorise(data)
+        assert refined_solve(solver, model.operator.upper(data), loads).residual < 1e-11
+    one = loads[:, 0]
+    assert solver.solve(one) == pytest.approx(solver.solve(loads)[:, 0], rel=1e-6, abs=1e-9 * np.abs(one).max())
+    solver.release()
+    solver.release()
+
+
+def test_incompressible_and_stiff_bulk_meet():
+    """1e14 Pa and infinity differ by mu / kappa; neither loses digits."""
+    stiff, infinite = (
+        direct_sweep(held_block(2, tissue=flesh(bulk=b)), np.array([100.0]), SolverOptions()).values
+        for b in (1e14, np.inf)
+    )
+    assert np.abs(stiff - infinite).max() < 1e-8 * np.abs(infinite).max()
