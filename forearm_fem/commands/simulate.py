@@ -25,6 +25,7 @@ def run(
         return
     from ..pipeline.folder import run_all
 
+    _check_wavelet(asked, scenario.parent)
     job = stage(asked, scenario, out, run_all)
     typer.echo((job.out / "report.md").read_text(encoding="utf-8"))
     typer.echo(f"results: {job.out}")
@@ -57,8 +58,17 @@ def render(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder =
     """Run the renderers on G, solving only what is missing."""
     from ..pipeline.folder import run_render
 
-    job = stage(load_scenario(scenario, overrides=overrides or ()), scenario, out, run_render)
+    asked = load_scenario(scenario, overrides=overrides or ())
+    _check_wavelet(asked, scenario.parent)
+    job = stage(asked, scenario, out, run_render)
     typer.echo((job.out / "signal_strength.csv").read_text(encoding="utf-8"))
+
+
+def _check_wavelet(asked: Scenario, base: Path) -> None:
+    """A wavelet file that cannot be used is found before minutes of solving."""
+    from ..pipeline.renderers import wavelet
+
+    wavelet(asked.rendering, asked.sweep, base)
 
 
 def _print_forecast(asked: Scenario, base: Path) -> None:

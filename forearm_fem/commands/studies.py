@@ -64,12 +64,12 @@ def verify(
         else:
             rows = verification.run_verification(full=full, progress=display)
     good = all(c.verdict != "WRONG" for c in cases) if hard else all(r.met for r in rows)
-    typer.echo(_hard_table(cases) if hard else _verification_table(rows))
+    typer.echo(hard_table(cases) if hard else verification_table(rows))
     if not good:
         raise typer.Exit(1)
 
 
-def _verification_table(rows: Sequence[Row]) -> str:
+def verification_table(rows: Sequence[Row]) -> str:
     head = "| case | reference | quantity | error | tolerance | met |\n| --- | --- | --- | --- | --- | --- |"
     lines = [
         f"| {r.case} | {r.reference} | {r.quantity} | {r.error:.2e} | {r.tolerance:.0e} | {'yes' if r.met else 'NO'} |"
@@ -78,6 +78,6 @@ def _verification_table(rows: Sequence[Row]) -> str:
     return "\n".join([head, *lines])
 
 
-def _hard_table(rows: Sequence[HardRow]) -> str:
+def hard_table(rows: Sequence[HardRow]) -> str:
     head = "| case | what | result | true error | verdict |\n| --- | --- | --- | --- | --- |"
     return "\n".join([head, *(f"| {r.case} | {r.what} | {r.result} | {r.true_error} | {r.verdict} |" for r in rows)])

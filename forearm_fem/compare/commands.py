@@ -55,7 +55,10 @@ def _load(what: str | Path | TransferMatrix, declaration: Declaration | None) ->
 
 
 def _name(what: str | Path | TransferMatrix, otherwise: str) -> str:
-    return otherwise if isinstance(what, TransferMatrix) else Path(what).name
+    if isinstance(what, TransferMatrix):
+        return otherwise
+    file = Path(what)
+    return file.resolve().parent.name if file.name == "transfer.nc" else file.name
 
 
 @dataclass(frozen=True, eq=False)

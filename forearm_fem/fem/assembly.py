@@ -95,9 +95,7 @@ def _divergence(
 ) -> csr_array:
     blocks = np.einsum("e,eai,apb->iepb", volume, inverse, reference, optimize=True)
     n_p, n_u = space.n_pressures, space.n_displacements
-    parts = [
-        _scatter(space.pressures[chosen], 3 * space.nodes[chosen] + i, blocks[i], (n_p, n_u)) for i in range(3)
-    ]
+    parts = [_scatter(space.pressures[chosen], 3 * space.nodes[chosen] + i, blocks[i], (n_p, n_u)) for i in range(3)]
     return csr_array(parts[0] + parts[1] + parts[2])
 
 
@@ -119,9 +117,7 @@ def _scatter_blocks(rows: IntArray, columns: IntArray, blocks: FloatArray, shape
     return csr_array(matrix.tocsr())
 
 
-def element_pattern(
-    rows: IntArray, columns: IntArray, width: int
-) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+def element_pattern(rows: IntArray, columns: IntArray, width: int) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Order that sorts all element pairs by (row, column), starts of equal pairs, and their rows and columns."""
     keys = (rows[:, :, None].astype(np.int64) * width + columns[:, None, :]).reshape(-1)
     order = np.argsort(keys, kind="stable")

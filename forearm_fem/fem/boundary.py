@@ -71,9 +71,7 @@ def facet_load(space: MixedSpace, facets: IntArray, direction: FloatArray) -> Fl
 _Weights = tuple[FloatArray, FloatArray, FloatArray]
 
 
-def _by_local_facet(
-    space: MixedSpace, facets: IntArray
-) -> list[tuple[IntArray, FloatArray, FloatArray, _Weights]]:
+def _by_local_facet(space: MixedSpace, facets: IntArray) -> list[tuple[IntArray, FloatArray, FloatArray, _Weights]]:
     """Per local facet number: tetrahedra, values (nb, q), tangential gradients (k, nb, 3, q) and
     (reference weights (q,), Jacobians (k,), unit normals (k, 3))."""
     points, weights = get_quadrature(RefTri, 2 * space.pair.displacement.maxdeg)

@@ -122,5 +122,7 @@ def refined_solve(
         if not gained:
             break
     if not residual < 1e-6:
-        raise SolverError(f"linear solve left a relative residual of {residual:.1e}; the system is singular or badly scaled")
+        raise SolverError(
+            f"linear solve left a relative residual of {residual:.1e}; the system is singular or badly scaled"
+        )
     return Solution(x, rest, residual)

@@ -57,7 +57,9 @@ def _nearest_facet(points: FloatArray, facets: IntArray, position: FloatArray) -
     a, b, c = (points[facets[:, i]] for i in range(3))
     candidates = np.argsort(np.linalg.norm((a + b + c) / 3 - position, axis=1))[:60]
     feet = [_foot(points[facets[f]], position) for f in candidates]
-    gaps = [float(np.linalg.norm(bary @ points[facets[f]] - position)) for f, bary in zip(candidates, feet, strict=True)]
+    gaps = [
+        float(np.linalg.norm(bary @ points[facets[f]] - position)) for f, bary in zip(candidates, feet, strict=True)
+    ]
     best = int(np.argmin(gaps))
     return int(candidates[best]), feet[best]
 

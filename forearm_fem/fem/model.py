@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import block_array, csr_array
 
 from ..geometry.mesh import TissueMesh
@@ -39,7 +41,7 @@ class ForearmModel:
     functionals: FloatArray
     shares: FloatArray
 
-    def displacements(self, x: FloatArray) -> FloatArray:
+    def displacements(self, x: NDArray[Any]) -> NDArray[Any]:
         """Displacement components (n_nodes, 3, ...) of solutions ``x`` (n, ...), constraints undone."""
         full = self.constraints.transform @ x[: self.operator.n_displacements]
         return np.asarray(full.reshape(self.space.n_nodes, 3, *x.shape[1:]))
@@ -88,9 +90,7 @@ def _constraints(space: MixedSpace, ports: tuple[Port, ...], supports: Supports)
     held = [facets[name] for name in _held(supports) if name in facets and len(facets[name])]
     nodes = [space.facet_nodes(f) for f in held]
     planes = {
-        axis: space.facet_nodes(facets[name])
-        for name, axis in (("symmetry x", 0), ("symmetry y", 1))
-        if name in facets
+        axis: space.facet_nodes(facets[name]) for name, axis in (("symmetry x", 0), ("symmetry y", 1)) if name in facets
     }
     return constraints(space.n_nodes, _unique(nodes), planes, tuple(_disc(space, p) for p in ports if _is_rigid(p)))
 

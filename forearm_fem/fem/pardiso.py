@@ -46,7 +46,9 @@ def _candidates() -> list[str]:
     """Files named mkl_rt inside this environment first (wheels put them off the loader's path)."""
     roots = {Path(sysconfig.get_path("data")), Path(sys.prefix), Path(sys.base_prefix)}
     folders = [root / sub for root in roots for sub in ("lib", "Library/bin")]
-    found = [str(f) for folder in folders for f in sorted(folder.glob("*mkl_rt*")) if ".so" in f.name or ".dll" in f.name]
+    found = [
+        str(f) for folder in folders for f in sorted(folder.glob("*mkl_rt*")) if ".so" in f.name or ".dll" in f.name
+    ]
     return [*found, "libmkl_rt.so", "libmkl_rt.so.2", "mkl_rt.2.dll"]
 
 

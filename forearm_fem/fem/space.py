@@ -117,6 +117,4 @@ def mixed_space(mesh: TissueMesh, element: str) -> MixedSpace:
     continuous = np.asarray(skfem.Dofs(grid, pair.pressure).element_dofs.T)
     keys = continuous * len(mesh.region_names) + mesh.region[:, None]
     unique, pressures = np.unique(keys, return_inverse=True)
-    return MixedSpace(
-        mesh, pair, ascending, nodes, pressures.reshape(keys.shape), int(nodes.max()) + 1, len(unique)
-    )
+    return MixedSpace(mesh, pair, ascending, nodes, pressures.reshape(keys.shape), int(nodes.max()) + 1, len(unique))

@@ -31,7 +31,8 @@ class Certificate:
 class SweepResult:
     """Compliance (n_frequency, n_port, n_port) [m/N] and what certifies it.
 
-    ``residual`` is the largest relative residual of any solve, ``solve_error`` the error of the compliance that it
+    ``last_change`` is the largest e(f) by which the highest derivatives change the reduced model: the error of the
+    smaller model, so more than its own. ``residual`` is the largest relative residual of any solve, ``solve_error`` the error of the compliance that it
     causes, relative to the largest watched entry: x_i . r_j, exact to first order as A is symmetric.
     """
 
@@ -40,6 +41,7 @@ class SweepResult:
     solve_error: float = 0.0
     reduced: ReducedModel | None = None
     expansions: tuple[float, ...] = ()
+    last_change: float = 0.0
     certificates: tuple[Certificate, ...] = ()
 
 
@@ -136,7 +138,7 @@ def reduced_sweep(
     frequency: FloatArray,
     options: SolverOptions,
     *,
-    tolerance: float = 1e-4,
+    tolerance: float | None = 1e-4,
     progress: Progress | None = None,
     snapshots: Snapshots | None = None,
 ) -> SweepResult:
@@ -144,7 +146,8 @@ def reduced_sweep(
 
     Expansion starts at :func:`expansion_frequencies`. Then the frequency at which the highest derivatives still matter
     most is solved directly: that true error certifies the model, and where it exceeds ``tolerance`` the solution and
-    its derivatives extend it (at most ``max_expansions`` times in all; the certificates say what was reached).
+    its derivatives extend it (at most ``max_expansions`` times in all; the certificates say what was reached). With
+    ``tolerance`` None nothing is certified and no factorisation is spent on it.
     """
     work = _Expander(model, options, snapshots)
     planned = expansion_frequencies(frequency, options)
@@ -153,8 +156,12 @@ def reduced_sweep(
         used.append(work.expand(f))
         reduced = extend(reduced, model, used[-1].series)
         _tell(progress, "expansion frequencies", i + 1, len(planned) + 1)
-    certificates = list[Certificate]()
-    while (chosen := most_uncertain(reduced, frequency, [e.frequency for e in used], _watched(model))) is not None:
+    certificates, change = list[Certificate](), 0.0
+    while tolerance is not None:
+        doubt = most_uncertain(reduced, frequency, [e.frequency for e in used], _watched(model))
+        if doubt is None:
+            break
+        chosen, change = doubt
         truth = work.direct(chosen)
         certificates.append(_certify(reduced, model, truth.series[0], chosen))
         _tell(progress, "expansion frequencies", len(used) + 1, len(used) + 1)
@@ -163,11 +170,15 @@ def reduced_sweep(
         used.append(work.expand(chosen, truth))
         reduced = extend(reduced, model, used[-1].series)
     work.release()
-    return _swept(reduced, frequency, used, certificates)
+    return _swept(reduced, frequency, used, certificates, change)
 
 
 def _swept(
-    reduced: ReducedModel, frequency: FloatArray, used: list[Expansion], certificates: list[Certificate]
+    reduced: ReducedModel,
+    frequency: FloatArray,
+    used: list[Expansion],
+    certificates: list[Certificate],
+    change: float,
 ) -> SweepResult:
     small = compressed(reduced, frequency)
     fast = pole_residue(small)
@@ -177,6 +188,7 @@ def _swept(
         max(e.solve_error for e in used),
         small,
         tuple(e.frequency for e in used),
+        change,
         tuple(certificates),
     )
 
@@ -238,15 +250,20 @@ def _certify(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArray
 
 def most_uncertain(
     reduced: ReducedModel, frequency: FloatArray, expansions: list[float], watched: tuple[list[int], list[int]]
-) -> float | None:
-    """The frequency at which leaving out the highest derivatives changes the compliance most; None if all are used."""
+) -> tuple[float, float] | None:
+    """The frequency at which leaving out the highest derivatives changes the compliance most, and the change e(f).
+
+    None if all frequencies are expansion frequencies.
+    """
     probes = frequency[np.unique(np.linspace(0, len(frequency) - 1, 41).astype(int))]
     probes = np.array([f for f in probes if f not in expansions] or [f for f in frequency if f not in expansions])
     if not len(probes):
         return None
     block = np.ix_(range(len(probes)), *watched)
     coarse, fine = reduced.without_last_order().compliance(probes), reduced.compliance(probes)
-    return float(probes[int(np.argmax(relative_error(coarse[block], fine[block])))])
+    change = relative_error(coarse[block], fine[block])
+    worst = int(np.argmax(change))
+    return float(probes[worst]), float(change[worst])
 
 
 def _watched(model: ForearmModel) -> tuple[list[int], list[int]]:

@@ -79,15 +79,19 @@ def body_of(results: Results, cut: str, target: str) -> Body:
 
 
 def _skin(results: Results) -> Body:
-    mesh = results.mesh
-    surface = surface_grid(mesh, mesh.facets["skin"]).compute_normals(
-        cell_normals=False, split_vertices=False, consistent_normals=True, auto_orient_normals=False
-    )
+    surface = surface_grid(results.mesh, results.mesh.facets["skin"])
     vertices: IntArray = np.asarray(surface.point_data["vertex"])
-    normals = np.asarray(surface.point_data["Normals"], dtype=float)
-    up = np.argmax(surface.points[:, 2])
-    normals = normals * (1.0 if normals[up, 2] > 0 else -1.0)
-    return Body(surface, np.array(surface.points, dtype=float), results.wavefield.modes[vertices], normals)
+    return _body(surface, results.wavefield.modes[vertices], None)
+
+
+def _body(surface: Any, modes: FloatArray, normals: FloatArray | None) -> Body:
+    """Normals that point outwards, the way the volar skin's do; they shade the body and define "normal"."""
+    surface.compute_normals(cell_normals=False, split_vertices=False, auto_orient_normals=True, inplace=True)
+    found = np.array(surface.point_data["Normals"], dtype=float)
+    if found[int(np.argmax(surface.points[:, 2])), 2] < 0:
+        surface.flip_faces(inplace=True)
+        found = -found
+    return Body(surface, np.array(surface.points, dtype=float), modes, found if normals is None else normals)
 
 
 def _opened(results: Results, cut: str, target: str) -> Body:
@@ -96,13 +100,19 @@ def _opened(results: Results, cut: str, target: str) -> Body:
     place = MM * np.array(_port(results.transfer.outputs, target).position)
     grid = volume_grid(mesh)
     grid.point_data["modes"] = modes.reshape(len(modes), -1).astype(np.float32)
-    low, high = grid.points.min(axis=0) - 1, grid.points.max(axis=0) + 1
-    bounds = [low[0], place[0] if "x" in cut else high[0], low[1], place[1] if "y" in cut else high[1], low[2], high[2]]
-    part = grid.clip_box(bounds, invert=True).extract_surface(algorithm="dataset_surface").triangulate()
+    part = _behind(grid, cut, place).extract_surface(algorithm="dataset_surface").triangulate()
+    part = part.compute_normals(cell_normals=False, split_vertices=True, feature_angle=40.0)  # sharp edges stay sharp
     taken = np.asarray(part.point_data["modes"], dtype=float).reshape(part.n_points, 3, -1)
     part.clear_data()
-    upward = np.tile([0.0, 0.0, 1.0], (part.n_points, 1))
-    return Body(part, np.array(part.points, dtype=float), taken, upward)
+    return _body(part, taken, np.tile([0.0, 0.0, 1.0], (part.n_points, 1)))
+
+
+def _behind(grid: Any, cut: str, place: FloatArray) -> Any:
+    """What lies behind the planes through ``place`` [mm], seen from the wrist and from negative y."""
+    if cut in ("x", "y"):
+        return grid.clip(normal=cut, origin=place, invert=False)
+    front = grid.clip(normal="x", origin=place, invert=True).clip(normal="y", origin=place, invert=False)
+    return grid.clip(normal="x", origin=place, invert=False).merge(front, merge_points=True)
 
 
 def _port(ports: tuple[Port, ...], name: str) -> Port:
@@ -148,7 +158,8 @@ class Stage:
         u = self.moved.displacement(self.body.modes, step)
         self.body.dataset.points = self.body.rest + MM * self.factor * u
         self.body.dataset.point_data["shown"] = self._values(u)
-        self.plotter.add_text(self._words(step), position="upper_left", font_size=11, color="black", name="words")
+        self.body.dataset.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False, inplace=True)
+        self.plotter.add_text(self._words(step), position="upper_left", font_size=10, color="black", name="words")
 
     def _values(self, u: FloatArray) -> FloatArray:
         if self.moved.view.quantity == "phase":
@@ -172,13 +183,14 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
     stage.show(0)
     ports = (*results.transfer.inputs, *results.transfer.outputs)
     plotter.add_mesh(body.dataset, scalars="shown", cmap=_MAPS[view.quantity], clim=_range(stage), smooth_shading=True,
-                     ambient=0.35, specular=0.1, scalar_bar_args=_bar(view.quantity))  # fmt: skip
+                     ambient=0.3, diffuse=0.62, specular=0.05, scalar_bar_args=_bar(view.quantity, look),
+                     interpolate_before_map=view.quantity != "phase")  # fmt: skip
     add_device(plotter, ports, opacity=0.25)
     add_grid(plotter, ports, view.target if view.actuator is None else None, lift=0.6)
     add_bones(plotter, results.mesh)
     low = MM * np.array([p.position for p in ports]).min(axis=0)
     add_scale_bar(plotter, low + [-8, -16, 0])
-    plotter.add_text(results.stamp, position="lower_left", font_size=7, color="gray")
+    plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray")
     _aim(plotter, results, look)
     return stage
 
@@ -188,21 +200,21 @@ def _range(stage: Stage) -> tuple[float, float]:
     return {"normal": (-most, most), "magnitude": (0.0, most), "phase": (-180.0, 180.0)}[stage.moved.view.quantity]
 
 
-def _bar(quantity: str) -> dict[str, Any]:
-    title = {"normal": "outward displacement [um]", "magnitude": "displacement [um]", "phase": "phase [degrees]"}
-    return {"title": title[quantity], "vertical": False, "position_x": 0.3, "position_y": 0.03, "width": 0.4,
-            "height": 0.06, "title_font_size": 18, "label_font_size": 16, "fmt": "%.3g", "color": "black"}  # fmt: skip
+def _bar(quantity: str, look: Look) -> dict[str, Any]:
+    names = {"normal": "u_z [µm]" if look.cut else "u outward [µm]", "magnitude": "|u| [µm]", "phase": "phase [°]"}
+    scale = look.size[1] / 900
+    return {"title": names[quantity], "vertical": True, "position_x": 0.88, "position_y": 0.25, "width": 0.05,
+            "height": 0.5, "title_font_size": round(18 * scale), "label_font_size": round(16 * scale),
+            "fmt": "%.3g", "color": "black"}  # fmt: skip
 
 
 def _aim(plotter: Any, results: Results, look: Look) -> None:
     """The set camera, looking at the device; wide enough for it and 25 mm more."""
     places = MM * np.array([p.position for p in (*results.transfer.inputs, *results.transfer.outputs)])
-    middle = places.mean(axis=0)
     plotter.camera_position = [CAMERAS[look.camera], (0, 0, 0), (0, 1, 0) if look.camera == "top" else (0, 0, 1)]
     low, high = places.min(axis=0) - [25, 22, 14], places.max(axis=0) + [25, 22, 18]
     plotter.reset_camera(bounds=np.stack([low, high]).T.ravel())
-    plotter.camera.zoom(1.25)
-    assert np.all(np.isfinite(middle))
+    plotter.camera.zoom(1.2)
 
 
 def render_still(
@@ -281,8 +293,8 @@ def _writer(target: Path) -> Callable[[Path, list[Any], float], None]:
 
 def _write_gif(path: Path, pictures: list[Any], rate: float) -> None:
     """One palette for all frames, so that colours do not flicker."""
-    sample = Image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 4)][:4]))
-    palette = sample.quantize(256, method=Image.Quantize.MEDIANCUT)
+    sample = Image.fromarray(np.concatenate([p[::2, ::2] for p in pictures[:: max(1, len(pictures) // 12)]]))
+    palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)
     frames = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=round(1000 / rate), loop=0, optimize=False)
 

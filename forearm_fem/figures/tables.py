@@ -48,5 +48,5 @@ def stacked(key: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
 def markdown(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     """A table in Markdown."""
     head = list(header)
-    lines = [head, ["---"] * len(head), *(list(row) for row in rows)]
+    lines = [head, ["---"] * len(head), *([c.replace("|", "\\|") for c in row] for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"

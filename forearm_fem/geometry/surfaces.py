@@ -18,6 +18,7 @@ from ..typing import FloatArray, IntArray
 from .boundary import with_boundaries, without_bone
 from .core import Size3
 from .crossing import crossing_faces
+from .extent import check_extent
 from .levelset import cut_along
 from .mesh import TissueMesh
 from .tetwild import background_grid, tetrahedralise
@@ -95,6 +96,7 @@ def _read(tissue: str, file: Path, unit: float) -> Surface:
         raise GeometryError(f"{file}: triangles of '{tissue}' face both ways; make their winding consistent")
     faces = np.asarray(body.faces, dtype=np.int64)
     surface = Surface(tissue, np.asarray(body.vertices, dtype=float) * unit, faces)
+    check_extent(file, surface.vertices)
     if abs(surface.volume) < 1e-12:
         raise GeometryError(
             f"{file}: the surface of '{tissue}' encloses no volume; check limb.unit (metres per file unit)"

@@ -14,8 +14,14 @@ from ..typing import FloatArray, IntArray
 from .prisms import oriented
 
 ENVELOPE = 1e-3  # of the bounding box's diagonal: fTetWild's surface stays this close to the given one
-TIME_LIMIT = 1800.0  # [s]
-_WORK = """
+TIME_LIMIT = 600.0  # [s]
+MEMORY_LIMIT = 6 * 2**30  # [bytes]; a default limb takes 0.5 GB, a size in the wrong unit took 20 GB
+_WORK = f"""
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, ({MEMORY_LIMIT}, {MEMORY_LIMIT}))
+except ImportError:
+    pass  # not on this platform
 import numpy as np, pytetwild
 given = np.load("in.npz")
 points, tetrahedra = pytetwild.tetrahedralize(
@@ -66,8 +72,10 @@ def _run(folder: str) -> None:
             f"fTetWild did not finish within {TIME_LIMIT:g} s; enlarge mesh.size_grid and mesh.size_contact"
         ) from None
     if done.returncode != 0 or not Path(folder, "out.npz").exists():
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise MeshError(f"fTetWild failed (exit status {done.returncode}): {last}; try other mesh sizes")
+        last = (done.stderr.strip().splitlines() or ["no message, likely out of memory"])[-1]
+        raise MeshError(
+            f"fTetWild failed (exit status {done.returncode}: {last}); enlarge mesh sizes, check the unit of the geometry"
+        )
 
 
 def background_grid(low: FloatArray, high: FloatArray, step: float) -> tuple[FloatArray, IntArray]:

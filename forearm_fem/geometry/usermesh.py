@@ -11,6 +11,7 @@ from ..errors import MeshError
 from ..scenario.limb import MeshLimb
 from ..typing import IntArray
 from .boundary import with_boundaries, without_bone
+from .extent import check_extent
 from .files import read_quietly
 from .mesh import TissueMesh
 from .prisms import oriented
@@ -33,6 +34,7 @@ def user_mesh(limb: MeshLimb, base: Path, *, keep_bone: bool) -> TissueMesh:
         raise MeshError(f"{file}: points have {points.shape[1]} coordinates, need 3; give a volume mesh")
     used, renumbered = np.unique(tetrahedra, return_inverse=True)
     points = points[used]
+    check_extent(file, points)
     mesh = TissueMesh(points, oriented(points, renumbered.reshape(-1, 4)), region, names, {})
     mesh = mesh if keep_bone else without_bone(mesh)
     return with_boundaries(mesh, 1e-6 * float(np.ptp(points[:, 0])))

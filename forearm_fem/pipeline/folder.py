@@ -206,7 +206,10 @@ def _strength_error(run: Run, rendering: Rendering, coarse: TransferMatrix | Non
     other = render_transfer(run.scenario, coarse, base=run.base)
     gain = COARSER**ASSUMED_ORDER - 1
     change = np.abs(other.strengths - rendering.strengths) / gain
-    return {m: dict(zip(rendering.targets, row.tolist(), strict=True)) for m, row in zip(rendering.methods, change, strict=True)}
+    return {
+        m: dict(zip(rendering.targets, row.tolist(), strict=True))
+        for m, row in zip(rendering.methods, change, strict=True)
+    }
 
 
 def _mesh_facts(run: Run, mesh: TissueMesh | None) -> dict[str, Any]:

@@ -32,7 +32,13 @@ def solve_layered(
             progress("layered half-space", round(100 * fraction), 100)
 
     result = layered_compliance(
-        _layers(scenario), 2 * np.pi * frequency, discs, discs, surface=_surface(scenario), tolerance=1e-7, progress=tell
+        _layers(scenario),
+        2 * np.pi * frequency,
+        discs,
+        discs,
+        surface=_surface(scenario),
+        tolerance=1e-7,
+        progress=tell,
     )
     error = np.asarray(result.error)
     estimate = ErrorEstimate(

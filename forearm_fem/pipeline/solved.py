@@ -16,7 +16,7 @@ import numpy as np
 from .. import __version__
 from ..errors import DataError, ForearmError
 from ..fem.sweep import Expansion
-from ..geometry.cache import cached_mesh, default_cache_dir
+from ..geometry.cache import default_cache_dir
 from ..geometry.mesh import TissueMesh
 from ..geometry.place import place_ports
 from ..io.atomic import atomic_path, write_text
@@ -24,7 +24,7 @@ from ..io.netcdf import read_compliance, write_compliance
 from ..scenario import Scenario
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
-from .fem_engine import COARSER, FemSolution, coarser_compliance, other_ends, reduction_tolerance, solve_fem
+from .fem_engine import FemSolution, coarser_compliance, other_ends, reduction_tolerance, solve_fem
 
 _log = logging.getLogger("forearm_fem.pipeline")
 Progress = Callable[[str, int, int], None]
@@ -34,14 +34,14 @@ Progress = Callable[[str, int, int], None]
 class Solved:
     """All compliances of a scenario on one mesh.
 
-    ``coarse`` is on the coarser mesh, ``ends`` a pair with the scenario's and with other ends at a few frequencies (both
-    None where no estimate was asked). ``modes`` (n_point, 3, r) and ``states`` (n_frequency, r, n_contact) rebuild the
+    ``coarse`` is on the coarser mesh, ``other_ends`` on it too, with other ends and at a few frequencies (None where no
+    estimate was asked). ``modes`` (n_point, 3, r) and ``states`` (n_frequency, r, n_contact) rebuild the
     wavefield at the mesh vertices per unit contact force; empty for a direct sweep. ``facts`` are for the report.
     """
 
     compliance: Compliance
     coarse: Compliance | None
-    ends: tuple[Compliance, Compliance] | None
+    other_ends: Compliance | None
     modes: FloatArray
     states: ComplexArray
     facts: dict[str, Any]
@@ -58,12 +58,13 @@ def solve(
     if scenario.solver.discretisation_estimate:
         try:
             coarse = store.compliance(
-                "coarse", lambda: coarser_compliance(scenario, frequency, base=base, progress=_named(progress, "coarser mesh"))
+                "coarse",
+                lambda: coarser_compliance(scenario, frequency, base=base, progress=_named(progress, "coarser mesh")),
             )
             ends = _ends(store, scenario, frequency, base, progress)
         except ForearmError as problem:
             problems.append(f"the error estimate on a coarser mesh failed: {problem}")
-    return replace(main, coarse=coarse, ends=ends, problems=tuple(problems))
+    return replace(main, coarse=coarse, other_ends=ends, problems=tuple(problems))
 
 
 def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> str:
@@ -87,7 +88,9 @@ def _main_part(
 ) -> Solved:
     if (kept := store.main()) is not None:
         return kept
-    solution = solve_fem(scenario, mesh, frequency, progress=progress, snapshots=store)
+    solution = solve_fem(
+        scenario, mesh, frequency, progress=progress, snapshots=store, tolerance=reduction_tolerance(scenario)
+    )
     result = _packed(solution, frequency)
     store.keep_main(result)
     return result
@@ -123,19 +126,13 @@ def vertex_modes(solution: FemSolution) -> FloatArray:
 
 def _ends(
     store: _Store, scenario: Scenario, frequency: FloatArray, base: Path, progress: Progress | None
-) -> tuple[Compliance, Compliance] | None:
-    if not len(cached_mesh(scenario, base=base, scale=COARSER).facets.get("end", ())):
-        return None
+) -> Compliance | None:
     _tell(progress, "truncation estimate", 0)
-    kept = store.read("ends_own"), store.read("ends_other")
-    if kept[0] is not None and kept[1] is not None:
-        return kept[0], kept[1]
-    pair = other_ends(scenario, frequency, base=base)
-    if pair is not None:
-        store.write("ends_own", pair[0])
-        store.write("ends_other", pair[1])
+    found = store.read("other_ends") or other_ends(scenario, frequency, base=base)
+    if found is not None:
+        store.write("other_ends", found)
     _tell(progress, "truncation estimate", 1)
-    return pair
+    return found
 
 
 def _named(progress: Progress | None, prefix: str) -> Progress | None:

@@ -1,0 +1,87 @@
+"""A window to walk around in: sliders for the instant or phase, the target and the method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from .data import Results
+from .motion import View, motion
+from .scene import plotter_for
+from .show import Look, Stage, default_view, staged
+
+
+def interact(
+    results: Results | str | Path, *, view: View | None = None, look: Look | None = None, off_screen: bool = False
+) -> None:
+    """Open a window with sliders; returns when it is closed. ForearmError where there is no display.
+
+    At a frequency the first slider is the phase and a fourth one the frequency. ``off_screen`` is for tests.
+    """
+    found = results if isinstance(results, Results) else Results.open(results)
+    look = look or Look(size=(1300, 950))
+    with plotter_for(look.size, off_screen=off_screen) as plotter:
+        room = Room(found, plotter, view or default_view(found), look)
+        room.furnish()
+        plotter.show(auto_close=False)
+
+
+class Room:
+    """The window's state: which motion, which step."""
+
+    def __init__(self, results: Results, plotter: Any, view: View, look: Look) -> None:
+        self.results, self.plotter, self.view, self.look = results, plotter, view, look
+        self.step = 0
+        self.stage: Stage | None = None
+
+    def furnish(self) -> None:
+        """Scene and sliders; the scene is built anew when the motion changes."""
+        self._rebuild()
+        drives = self.results.drives
+        assert self.stage is not None
+        self._slider("phase" if self.view.frequency else "instant", len(self.stage.moved.steps), 0, self._to_step)
+        self._slider("target", len(drives.targets), 1, self._to_target)
+        self._slider("method", len(drives.methods), 2, self._to_method)
+        if self.view.frequency is not None:
+            band = self.results.transfer.frequency
+            self.plotter.add_slider_widget(self._to_frequency, (float(band[0]), float(band[-1])), self.view.frequency,
+                                           title="Hz", fmt="%.0f", **_place(3))  # fmt: skip
+
+    def _slider(self, title: str, n: int, row: int, act: Callable[[int], None]) -> None:
+        if n > 1:
+            self.plotter.add_slider_widget(lambda v: act(round(v)), (0, n - 1), 0, title=title, fmt="%.0f", **_place(row))
+
+    def _rebuild(self) -> None:
+        camera = self.plotter.camera_position if self.stage is not None else None
+        self.plotter.clear_actors()
+        self.stage = staged(self.results, self.plotter, motion(self.results, self.view), self.look)
+        if camera is not None:
+            self.plotter.camera_position = camera
+        self.stage.show(min(self.step, len(self.stage.moved.steps) - 1))
+
+    def _to_step(self, step: int) -> None:
+        self.step = step
+        assert self.stage is not None
+        self.stage.show(step)
+
+    def _to_target(self, index: int) -> None:
+        self._to(replace(self.view, target=self.results.drives.targets[index]))
+
+    def _to_method(self, index: int) -> None:
+        self._to(replace(self.view, method=self.results.drives.methods[index]))
+
+    def _to_frequency(self, frequency: float) -> None:
+        self._to(replace(self.view, frequency=frequency))
+
+    def _to(self, view: View) -> None:
+        if view != self.view:
+            self.view = view
+            self._rebuild()
+
+
+def _place(row: int) -> dict[str, Any]:
+    """Sliders below each other at the lower left."""
+    y = 0.32 - 0.085 * row
+    return {"pointa": (0.02, y), "pointb": (0.22, y), "style": "modern", "title_height": 0.018}

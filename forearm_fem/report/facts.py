@@ -1,0 +1,265 @@
+"""What the report says, as plain text and numbers; nothing here knows HTML or Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..figures.data import Results
+from ..figures.judge import Strengths, strengths, table_one_rows
+from ..metrics import condition_number, thesis_table
+from ..rendering.limits import Limits
+from ..scenario import Scenario
+from ..typing import FloatArray
+
+Rows = list[list[str]]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A table with its heading; ``note`` is a sentence below it."""
+
+    header: list[str]
+    rows: Rows
+    note: str = ""
+
+
+def scene_block(results: Results) -> Block:
+    """What was asked, in a reader's words."""
+    s = results.scenario
+    rows = [
+        ["limb", _limb(s)],
+        ["tissues", _tissues(s)],
+        ["supports", f"bone {s.supports.bone}, underside {s.supports.underside}, cut ends {s.supports.ends}"],
+        ["device", _device(s)],
+        ["grid", f"{len(results.transfer.outputs)} points, pitch {_mm(s.grid.pitch)}"],
+        ["sweep", f"{len(results.transfer.frequency)} frequencies, {results.transfer.frequency[0]:g} to "
+                  f"{results.transfer.frequency[-1]:g} Hz"],
+        ["engine", "finite elements" if s.engine == "fem" else "semi-analytic layered half-space (flat, no bone)"],
+        ["accuracy asked", f"e_band ≤ {s.accuracy:g}"],
+    ]  # fmt: skip
+    return Block(["", ""], rows, s.description)
+
+
+def _mm(length: float) -> str:
+    return f"{1e3 * length:g} mm"
+
+
+def _limb(s: Scenario) -> str:
+    layers = getattr(s.limb, "layers", ())
+    inside = ", ".join(f"{x.tissue} {_mm(x.thickness)}" for x in layers)
+    core = getattr(s.limb, "core", "")
+    bones = ", ".join(b.name for b in getattr(s.limb, "bones", ()))
+    parts = [s.limb.shape, inside, f"on {core}" if core else "", f"bones: {bones}" if bones else ""]
+    return "; ".join(p for p in parts if p)
+
+
+def _tissues(s: Scenario) -> str:
+    changed = ", ".join(s.tissues.override)
+    return f"preset {s.tissues.preset}" + (f"; changed: {changed}" if changed else "")
+
+
+def _device(s: Scenario) -> str:
+    d = s.device
+    absent = f"; out of contact: {', '.join(d.out_of_contact)}" if d.out_of_contact else ""
+    return (f"{len(d.centres)} actuators, {_mm(d.spacing)} apart, {d.drive} drive, cones of {_mm(2 * d.cone.radius)} "
+            f"diameter, {d.cone.contact} contact{absent}")  # fmt: skip
+
+
+def mesh_block(results: Results) -> Block | None:
+    """Size, quality and resolution of the mesh; None without one."""
+    facts: Mapping[str, Any] = results.account.get("mesh") or {}
+    quality: Mapping[str, Any] = facts.get("quality") or {}
+    if not results.has("mesh.vtu"):
+        return None
+    mesh = results.mesh
+    rows = [
+        ["vertices", f"{len(mesh.points):,}"],
+        ["tetrahedra", f"{len(mesh.tetrahedra):,} ({results.scenario.mesh.element} elements)"],
+        ["SHA-256", results.mesh_hash[:16]],
+    ]
+    if quality:
+        rows.append(["quality (1 = regular)", f"least {quality['least']:.2f}, median {quality['median']:.2f}"])
+    for r in facts.get("resolution") or ():
+        near, far = r["per_wavelength_near_ports"], r["per_wavelength"]
+        rows.append([f"nodes per shear wavelength, {r['tissue']}", f"{near:.1f} near the ports, {far:.1f} anywhere"])
+    return Block(["", ""], rows, "Six nodes per wavelength near the ports are a rule of thumb, not a proof.")
+
+
+def errors_block(results: Results) -> Block:
+    """Estimated error of G by source, with the way it was found."""
+    rows = [[e.source, f"{e.band:.1e}", f"{e.worst:.1e}", e.method] for e in results.transfer.errors]
+    note = str(results.account.get("accuracy") or "")
+    if not rows:
+        note = "G carries no error estimate."
+    return Block(["source", "e_band", "worst e(f)", "how it was estimated"], rows, note)
+
+
+def matrix_block(results: Results) -> Block:
+    """Size of G and how well it can be inverted."""
+    g = results.transfer
+    values = g.values if g.valid is None else np.where(g.valid, g.values, np.nan)
+    condition = condition_number(values)
+    size = np.abs(values)
+    at = np.unravel_index(int(np.nanargmax(size)), size.shape)
+    known = condition[np.isfinite(condition)]
+    spread = f"median {np.median(known):.1f}, largest {known.max():.1f}" if len(known) else "unknown"
+    rows = [
+        ["entries", f"{size.shape[1]} points × {size.shape[2]} actuators × {size.shape[0]} frequencies, {g.unit}"],
+        ["largest entry", f"{1e6 * size[at]:.3g} µ{g.unit} at {g.frequency[at[0]]:g} Hz, "
+                          f"{g.outputs[at[1]].name} ← {g.inputs[at[2]].name}"],
+        ["condition number", spread],
+    ]  # fmt: skip
+    return Block(["", ""], rows, "Errors of G are amplified in the drives by up to the condition number.")
+
+
+def renderer_block(results: Results) -> Block:
+    """Per method: largest drive, power and displacement over the targets."""
+    drives, moved, device = results.drives, results.displacements, results.scenario.device
+    rows = []
+    for m, method in enumerate(drives.methods):
+        peak = np.abs(drives.values[m]).max(axis=(1, 2))
+        own = [np.nanmax(np.abs(moved.values[m, t, moved.channels.index(n)])) for t, n in enumerate(moved.targets)]
+        rows.append([method, _span(peak, drives.unit), _power(drives.values[m], device.coil.resistance, drives.unit),
+                     _span(1e6 * np.array(own), "µm")])  # fmt: skip
+    header = ["method", "largest drive", "largest mean power", "target's own peak"]
+    return Block(header, rows, "Ranges are over the targets. Everything is linear: scaled drives scale all alike.")
+
+
+def _span(values: FloatArray, unit: str) -> str:
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{low:.2g} {unit}" if np.isclose(low, high) else f"{low:.2g} to {high:.2g} {unit}"
+
+
+def _power(values: FloatArray, resistance: float, unit: str) -> str:
+    if unit != "V":
+        return "–"
+    return f"{1e3 * float(np.mean(values**2, axis=2).max()) / resistance:.2g} mW"
+
+
+def exceeded(results: Results) -> list[str]:
+    """A sentence per actuator, method and target that passes a limit of the scenario."""
+    drives, device = results.drives, results.scenario.device
+    if drives.unit != "V":
+        return []
+    limits = Limits(device.max_voltage, device.max_power, device.coil.resistance)
+    peak = np.abs(drives.values).max(axis=3)
+    power = np.mean(drives.values**2, axis=3) / limits.resistance
+    found = []
+    for values, most, unit, what in ((peak, limits.voltage, "V", "peak"), (power, limits.power, "W", "mean power")):
+        for m, t, k in np.argwhere(values > most):
+            where = f"{drives.methods[m]} towards {drives.targets[t]}, {drives.channels[k]}"
+            found.append(f"{where}: {values[m, t, k]:.3g} {unit} {what}, limit {most:g} {unit}.")
+    return found
+
+
+def strength_block(results: Results) -> Block | None:
+    """Table I, here and in the thesis; None for a grid that is not 3 by 3."""
+    data = strengths(results)
+    if not _is_thesis_grid(data):
+        return None
+    header = ["S", *(f"{m}, {who}" for m in data.methods for who in ("here", "thesis"))]
+    return Block(header, table_one_rows(data), "Thesis: one participant (P2), measured with the laser vibrometer.")
+
+
+def _is_thesis_grid(data: Strengths) -> bool:
+    return set(data.targets) <= {str(k) for k in range(1, 10)}
+
+
+def by_target_block(results: Results) -> Block:
+    """S of every target with its estimated error, where there is one."""
+    data = strengths(results)
+    errors: Mapping[str, Mapping[str, float]] = results.account.get("signal_strength_error") or {}
+    rows = []
+    for t, target in enumerate(data.targets):
+        cells = []
+        for m, method in enumerate(data.methods):
+            error = (errors.get(method) or {}).get(target)
+            cells.append(f"{data.values[m, t]:.2f}" + (f" ± {error:.2g}" if error is not None else ""))
+        rows.append([target, *cells])
+    note = "± is the change of S on a coarser mesh, as estimated by the run." if errors else ""
+    return Block(["target", *data.methods], rows, note)
+
+
+def differences(results: Results) -> list[str]:
+    """A sentence for each entry of Table I that differs by more than the thesis' own spread and our error."""
+    data = strengths(results)
+    if not _is_thesis_grid(data):
+        return []
+    ours, theirs = data.table(), thesis_table()
+    error = _group_error(results, data)
+    lines = []
+    for g, group in enumerate(ours.groups):
+        for m, method in enumerate(ours.methods):
+            if group in theirs.groups and method in theirs.methods:
+                at = (theirs.groups.index(group), theirs.methods.index(method))
+                lines.append(_difference(group, method, float(ours.mean[g, m]), float(theirs.mean[at]),
+                                         float(theirs.std[at]), error.get((group, method))))  # fmt: skip
+    return [line for line in lines if line]
+
+
+def _group_error(results: Results, data: Strengths) -> dict[tuple[str, str], float]:
+    """Mean estimated error of S over a group's targets."""
+    from ..metrics.strength import GROUPS
+
+    known: Mapping[str, Mapping[str, float]] = results.account.get("signal_strength_error") or {}
+    out = {}
+    for label, members in GROUPS:
+        for method in data.methods:
+            found = [known[method][t] for t in members if t in known.get(method, {})]
+            if found:
+                out[label, method] = float(np.mean(found))
+    return out
+
+
+def _difference(group: str, method: str, ours: float, theirs: float, spread: float, error: float | None) -> str:
+    gap, room = abs(ours - theirs), (0.0 if np.isnan(spread) else spread) + (error or 0.0)
+    if gap <= max(room, 0.05 * theirs):
+        return ""
+    way = "above" if ours > theirs else "below"
+    known = f"; our own estimated error is {error:.2g}" if error is not None else ""
+    among = "one value, so its spread is unknown" if np.isnan(spread) else f"spread {spread:.2g}"
+    side = " The verdict on focusing (S > 1) differs." if (ours > 1) != (theirs > 1) else ""
+    return (f"{group}, {method}: {ours:.2f} here, {theirs:.2f} in the thesis ({among}); {gap / theirs:.0%} "
+            f"{way}{known}.{side}")  # fmt: skip
+
+
+def warnings_of(results: Results) -> list[str]:
+    """Notes of the run, each once."""
+    account = results.account
+    notes = [*(account.get("notes") or ()), *(account.get("warnings") or ())]
+    if not account:
+        notes.append("run.json is missing: cost, notes and verdict on accuracy of this run are unknown.")
+    return list(dict.fromkeys(str(n) for n in notes))
+
+
+def cost_block(results: Results) -> Block | None:
+    """Seconds and memory per stage."""
+    stages: Mapping[str, Mapping[str, float]] = results.account.get("stages") or {}
+    rows = [
+        [name, f"{s['seconds']:.1f} s", f"{s.get('peak_memory_bytes', s.get('peak_memory', 0)) / 1e9:.2f} GB"]
+        for name, s in stages.items()
+    ]
+    return Block(["stage", "wall clock", "peak memory"], rows) if rows else None
+
+
+def provenance_block(results: Results) -> Block:
+    """What made these results."""
+    versions: Mapping[str, str] = results.account.get("versions") or {}
+    rows = [["forearm_fem", results.version], ["scene", results.scenario.name], ["mesh SHA-256", results.mesh_hash]]
+    rows += [[k, str(v)] for k, v in versions.items()]
+    return Block(["", ""], [r for r in rows if r[1]])
+
+
+def headline(results: Results) -> str:
+    """The whole story in two sentences."""
+    s = results.scenario
+    data = strengths(results)
+    best = [f"{m} {np.nanmean(v):.2f}" for m, v in zip(data.methods, data.values, strict=True)]
+    verdict = str(results.account.get("accuracy") or "the accuracy reached is not on record")
+    return f"Scene {s.name}: mean signal strength over {len(data.targets)} targets is {', '.join(best)}. Accuracy: {verdict}."
+
+

@@ -1,0 +1,186 @@
+"""The report as one self-contained page and as Markdown."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+
+from jinja2 import Environment
+from matplotlib import style
+from PIL import Image
+
+from ..errors import DataError, ForearmError
+from ..figures.data import Results
+from ..figures.registry import applies, kinds
+from ..figures.show import View, render_still
+from ..figures.style import SHEET, figure_of, sign
+from ..figures.tables import markdown
+from ..figures.targets import plot_traces, target_waves
+from ..io.atomic import write_text
+from . import facts
+from .facts import Block
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG in base64, and its caption."""
+
+    title: str
+    data: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading with what stands below it."""
+
+    anchor: str
+    title: str
+    block: Block | None = None
+    paragraphs: list[str] = field(default_factory=list)
+    bullets: list[str] = field(default_factory=list)
+    pictures: list[Picture] = field(default_factory=list)
+    warn: bool = False
+
+
+def write_report(
+    results_dir: str | Path | Results, out_dir: str | Path | None = None, progress: Progress | None = None
+) -> tuple[Path, Path]:
+    """``report.html`` (self-contained) and ``report.md`` in the folder, or in ``out_dir``; their paths.
+
+    Only a few figures are made; `forearm-fem figures` makes all. A picture that cannot be drawn here becomes a
+    sentence. Raises DataError for an unfinished or unwritable folder.
+    """
+    results = results_dir if isinstance(results_dir, Results) else Results.open(results_dir)
+    for name in ("scenario.json", "transfer.nc", "drives.nc", "displacements.nc", "signal_strength.csv"):
+        results.path(name)
+    folder = Path(out_dir) if out_dir is not None else results.folder
+    paths = folder / "report.html", folder / "report.md"
+    sections = _sections(results, progress or _silent)
+    write_text(paths[1], as_markdown(results, sections))
+    write_text(paths[0], as_html(results, sections))
+    return paths
+
+
+def _silent(done: int, total: int, what: str) -> None:
+    """No progress wanted."""
+
+
+def _sections(results: Results, progress: Progress) -> list[Section]:
+    drawn, missing = _pictures(results, progress)
+    limits = facts.exceeded(results)
+    by_name = {name: [p for n, p in drawn if n == name] for name, _ in drawn}
+    waves = [p for n, p in drawn if n.startswith("target")] + by_name.get("wavefield", [])
+    strength = facts.strength_block(results)
+    sections = [
+        Section("scene", "Scene", facts.scene_block(results)),
+        Section("mesh", "Mesh", facts.mesh_block(results), pictures=by_name.get("mesh", []),
+                paragraphs=[] if results.has("mesh.vtu") else ["There is no mesh: G does not come from one."]),
+        Section("errors", "Estimated errors of G", facts.errors_block(results)),
+        Section("transfer", "Transfer matrix G", facts.matrix_block(results), pictures=by_name.get("transfer", [])),
+        Section("renderers", "Renderers", facts.renderer_block(results)),
+        Section("limits", "Limits", bullets=limits[:20], warn=True, paragraphs=[_limit_words(limits, results)]),
+        Section("strength", "Signal strength S", facts.by_target_block(results)),
+        Section("thesis", "Beside the thesis' Table I", strength, bullets=facts.differences(results),
+                paragraphs=[] if strength else ["The grid is not the thesis' 3 × 3, so there is no Table I."]),
+        Section("waves", "Waves", pictures=waves, bullets=missing),
+        Section("warnings", "Warnings", bullets=facts.warnings_of(results), warn=True,
+                paragraphs=[] if facts.warnings_of(results) else ["None."]),
+        Section("cost", "Cost", facts.cost_block(results)),
+        Section("provenance", "Provenance", facts.provenance_block(results),
+                paragraphs=[f"`forearm-fem figures {results.folder}` makes all figures with their numbers."]),
+    ]  # fmt: skip
+    return [s for s in sections if s.block or s.paragraphs or s.bullets or s.pictures]
+
+
+def _limit_words(limits: list[str], results: Results) -> str:
+    if results.drives.unit != "V":
+        return "The drives are no voltages, so limits were not checked."
+    if not limits:
+        return "No drive exceeds the actuators' limits in voltage or mean power."
+    more = f" (the first 20 of {len(limits)})" if len(limits) > 20 else ""
+    return f"{len(limits)} limits are exceeded{more}; scale the drives down, S does not change."
+
+
+def _pictures(results: Results, progress: Progress) -> tuple[list[tuple[str, Picture]], list[str]]:
+    """Pictures by name, and a sentence for each that could not be made."""
+    known = kinds(results)
+    jobs: list[tuple[str, Callable[[], Picture]]] = []
+    for name in ("mesh", "transfer"):
+        if not applies(known[name], results):
+            jobs.append((name, lambda name=name: _figure(results, name)))  # type: ignore[misc]
+    shown = [t for t in ("5", "6") if t in results.displacements.targets] or [results.displacements.targets[0]]
+    jobs += [(f"target-{t}", lambda t=t: _traces(results, t)) for t in shown]  # type: ignore[misc]
+    if results.has_field:
+        jobs.append(("wavefield", lambda: _still(results, shown[0])))
+    drawn, missing = [], []
+    for done, (name, make) in enumerate(jobs):
+        progress(done, len(jobs), name)
+        try:
+            drawn.append((name, make()))
+        except DataError:
+            raise
+        except ForearmError as problem:  # no way to draw in space here
+            missing.append(f"{name}: {problem}")
+    return drawn, missing
+
+
+def _figure(results: Results, name: str) -> Picture:
+    kind = kinds(results)[name]
+    return _embedded(kind.draw(kind.compute(results)), kind.title, results)
+
+
+def _traces(results: Results, target: str) -> Picture:
+    thesis = {"5": ", as in the thesis' figure 6", "6": ", as in the thesis' figure 7"}.get(target, "")
+    title = f"Displacement of all points over time, target {target} solid{thesis}"
+    return _embedded(plot_traces(target_waves(results, target)), title, results)
+
+
+def _embedded(drawn: object, title: str, results: Results) -> Picture:
+    figure = figure_of(drawn)  # type: ignore[arg-type]
+    sign(figure, results.stamp)
+    stream = io.BytesIO()
+    with style.context(SHEET):
+        figure.savefig(stream, format="png", dpi=130)
+    return Picture(title, base64.b64encode(stream.getvalue()).decode())
+
+
+def _still(results: Results, target: str) -> Picture:
+    methods = results.drives.methods
+    view = View("inverse filter" if "inverse filter" in methods else methods[0], target)
+    stream = io.BytesIO()
+    Image.fromarray(render_still(results, view=view)).save(stream, "PNG", optimize=True)
+    title = f"The skin at t = 0: {view.method} towards target {target}; colours cover the range of the grid points"
+    return Picture(title, base64.b64encode(stream.getvalue()).decode())
+
+
+def as_html(results: Results, sections: list[Section]) -> str:
+    """The page; nothing in it is fetched from elsewhere."""
+    source = resources.files(__package__).joinpath("report.html.j2").read_text(encoding="utf-8")
+    page = Environment(autoescape=True, trim_blocks=True).from_string(source)
+    title = f"Run of scene {results.scenario.name}"
+    return page.render(title=title, lead=facts.headline(results), sections=sections, stamp=results.stamp)
+
+
+def as_markdown(results: Results, sections: list[Section]) -> str:
+    """The same without pictures."""
+    parts = [f"# Run of scene {results.scenario.name}\n", facts.headline(results) + "\n"]
+    for section in sections:
+        body = _markdown_body(section)
+        if body:
+            parts += [f"## {section.title}\n", *body]
+    return "\n".join([*parts, f"*{results.stamp}*\n"])
+
+
+def _markdown_body(section: Section) -> list[str]:
+    lines = [text + "\n" for text in section.paragraphs]
+    if section.block and section.block.rows:
+        lines.append(markdown(section.block.header, section.block.rows))
+    if section.block and section.block.note:
+        lines.append(section.block.note + "\n")
+    return [*lines, *(f"- {line}" for line in section.bullets), *([""] if section.bullets else [])]

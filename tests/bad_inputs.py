@@ -1,0 +1,303 @@
+"""Wrong scenarios and meshes: what a user may get wrong, as data. ``python tests/bad_inputs.py`` rewrites the docs table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import trimesh
+
+DOCS = Path(__file__).parents[1] / "docs" / "bad_inputs.md"
+SLAB = """name = "bad"
+[limb]
+shape = "slab"
+length = 0.06
+width = 0.06
+depth = 0.02
+[mesh]
+size_contact = 0.005
+size_grid = 0.008
+size_far = 0.015
+sublayers = { skin = 1, fat = 1 }
+[device]
+spacing = 0.03
+[device.cone]
+contact = "pressure"
+[sweep]
+frequencies = [100.0]
+[solver]
+sweep = "direct"
+"""
+LAYERED = 'name = "bad"\nengine = "layered"\n[sweep]\nfrequencies = [100.0]\n'
+FOREARM = 'name = "bad"\n'
+SURFACES = """name = "bad"
+[limb]
+shape = "surfaces"
+surfaces = { skin = "skin.stl", muscle = "muscle.stl" }
+[device]
+spacing = 0.02
+[sweep]
+frequencies = [100.0]
+"""
+MESH = """name = "bad"
+[limb]
+shape = "mesh"
+file = "limb.vtu"
+regions = { "1" = "muscle" }
+[device]
+spacing = 0.02
+[sweep]
+frequencies = [100.0]
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A mistake: scenario text, overrides, the files beside it, and words that its sentence must hold."""
+
+    name: str
+    text: str | bytes | None
+    says: tuple[str, ...]
+    overrides: tuple[str, ...] = ()
+    files: Callable[[Path], None] | None = None
+    command: str = "solve"
+    left: tuple[str, ...] = ()  # finished stages that stay
+
+
+def _box(folder: Path, name: str, size: Iterable[float], *, at: Iterable[float] = (0, 0, 0), change: Any = None) -> None:
+    body = trimesh.creation.box(extents=list(size))
+    body = body.subdivide().subdivide()
+    body.apply_translation(list(at))
+    if change is not None:
+        change(body)
+    body.export(folder / name)
+
+
+def _good_outer(folder: Path) -> None:
+    _box(folder, "skin.stl", (0.12, 0.06, 0.05))
+
+
+def _open_surface(folder: Path) -> None:
+    def cut(body: Any) -> None:
+        body.update_faces(np.arange(len(body.faces)) > 3)
+
+    _box(folder, "skin.stl", (0.12, 0.06, 0.05), change=cut)
+    _box(folder, "muscle.stl", (0.12, 0.04, 0.03))
+
+
+def _some_inverted(folder: Path) -> None:
+    def turn(body: Any) -> None:
+        body.faces[::3] = body.faces[::3, ::-1]
+
+    _box(folder, "skin.stl", (0.12, 0.06, 0.05), change=turn)
+    _box(folder, "muscle.stl", (0.12, 0.04, 0.03))
+
+
+def _crossing(folder: Path) -> None:
+    _good_outer(folder)
+    _box(folder, "muscle.stl", (0.12, 0.04, 0.03), at=(0, 0.021, 0))
+
+
+def _separate(folder: Path) -> None:
+    _good_outer(folder)
+    _box(folder, "muscle.stl", (0.1, 0.04, 0.03), at=(0, 0.2, 0))
+
+
+def _missing_surface(folder: Path) -> None:
+    _good_outer(folder)
+
+
+def _text_surface(folder: Path) -> None:
+    _good_outer(folder)
+    (folder / "muscle.stl").write_text("these are not triangles\n")
+
+
+def _self_crossing(folder: Path) -> None:
+    def fold(body: Any) -> None:
+        top = np.flatnonzero(np.isclose(body.vertices[:, 2], 0.025) & (np.abs(body.vertices[:, 0]) < 0.01))
+        body.vertices[top, 2] = -0.04
+
+    _box(folder, "skin.stl", (0.12, 0.06, 0.05), change=fold)
+    _box(folder, "muscle.stl", (0.12, 0.04, 0.01), at=(0, 0, -0.01))
+
+
+def _millimetre_surfaces(folder: Path) -> None:
+    _box(folder, "skin.stl", (120, 60, 50))
+    _box(folder, "muscle.stl", (120, 40, 30))
+
+
+def _block() -> tuple[Any, Any]:
+    """Points and tetrahedra (six per cell) of a block 80 x 80 x 20 mm with its top at z = 0."""
+    n = (9, 9, 3)
+    x, y, z = np.meshgrid(np.linspace(-0.04, 0.04, 9), np.linspace(-0.04, 0.04, 9), np.linspace(-0.02, 0, 3), indexing="ij")
+    index = np.arange(np.prod(n)).reshape(n)
+    corner = [index[i : n[0] - 1 + i, j : n[1] - 1 + j, k : n[2] - 1 + k].ravel() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    paths = ((0, 1, 3, 7), (0, 1, 5, 7), (0, 2, 3, 7), (0, 2, 6, 7), (0, 4, 5, 7), (0, 4, 6, 7))
+    cells = np.vstack([np.column_stack([corner[c] for c in path]) for path in paths])
+    return np.column_stack([x.ravel(), y.ravel(), z.ravel()]), cells
+
+
+_CORNERS, _TETRA = _block()
+
+
+def _mesh(cells: Any = (("tetra", _TETRA),), points: Any = _CORNERS, label: int | None = 1) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        data = {} if label is None else {"region": [np.full(len(c), label) for _, c in cells]}
+        meshio.Mesh(points, list(cells), cell_data=data).write(folder / "limb.vtu")
+
+    return write
+
+
+def _damaged_mesh(folder: Path) -> None:
+    _mesh()(folder)
+    whole = (folder / "limb.vtu").read_bytes()
+    (folder / "limb.vtu").write_bytes(whole[: len(whole) // 2])
+
+
+def _flat_tetrahedron(folder: Path) -> None:
+    flat = np.vstack([_CORNERS, [[-0.039, -0.039, -0.0200001], [-0.038, -0.039, -0.02], [-0.039, -0.038, -0.02]]])
+    extra = np.array([[0, len(flat) - 3, len(flat) - 2, len(flat) - 1]])
+    _mesh((("tetra", np.vstack([_TETRA, extra])),), flat)(folder)
+
+
+def _wavelet_of_text(folder: Path) -> None:
+    (folder / "wave.csv").write_text("hello\nworld\n")
+
+
+_TRIANGLE = (("triangle", np.array([[0, 1, 2]])),)
+_HEXAHEDRON = (("hexahedron", np.arange(8)[None]),)
+_CUBE = np.array([[x, y, z] for z in (0.0, 0.1) for x, y in ((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1))])
+_NAN = np.where(np.arange(len(_CORNERS))[:, None] == 40, np.nan, _CORNERS)
+
+CASES: tuple[Case, ...] = (
+    Case("no such scenario", None, ("no such file",)),
+    Case("truncated TOML", SLAB[: SLAB.index('"slab"') + 3], ("not valid TOML",)),
+    Case("a picture instead of a scenario", b"\x89PNG\r\n\x1a\n\xff\xfe", ("cannot be read as a text file",)),
+    Case("unknown key", SLAB + "[divice]\nspacing = 0.04\n", ("divice", "unknown key")),
+    Case("unknown key in a table", SLAB, ("device.spacings", "unknown key"), ("device.spacings=0.04",)),
+    Case("text for a number", SLAB, ("device.spacing", "valid number"), ("device.spacing='wide'",)),
+    Case("NaN", LAYERED, ("device.spacing", "finite"), ("device.spacing=nan",)),
+    Case("infinite modulus", LAYERED, ("tissues.override.skin.mu", "finite"), ("tissues.override.skin.mu=inf",)),
+    Case("negative modulus", LAYERED, ("tissues.override.skin.mu", "greater than 0", "-13000"), ("tissues.override.skin.mu=-13e3",)),
+    Case("negative viscosity", LAYERED, ("tissues.override.fat.eta", "greater than or equal to 0"), ("tissues.override.fat.eta=-1",)),
+    Case("density in g/cm^3", LAYERED, ("density", "100"), ("tissues.override.skin.density=1.1",)),
+    Case("unknown preset", LAYERED, ("tissues.preset", "'default'"), ("tissues.preset='human'",)),
+    Case("unknown limb shape", LAYERED, ("limb", "forearm"), ("limb.shape='leg'",)),
+    Case("unknown renderer", LAYERED, ("rendering.methods", "funneling"), ("rendering.methods=['magic']",)),
+    Case("f_max = 0", LAYERED, ("sweep.f_max", "greater than 0"), ("sweep.f_max=0",)),
+    Case("f_max below f_min", LAYERED, ("f_max must exceed f_min",), ("sweep.f_max=5",)),
+    Case("sample_rate too low", LAYERED, ("sample_rate must be at least",), ("sweep.sample_rate=800",)),
+    Case("frequencies not increasing", LAYERED, ("frequencies must increase",), ("sweep.frequencies=[200.0, 100.0]",)),
+    Case("record too short for a bin", 'name = "bad"\nengine = "layered"\n', ("no bin",),
+         ("sweep.f_min=310", "sweep.f_max=390", "sweep.duration=0.005")),
+    Case("target not in the grid", LAYERED, ("['12']", "1..9"), ("rendering.targets=['12']",)),
+    Case("zero point not in the grid", LAYERED, ("['Z']", "1..9"), ("rendering.zeros=['Z']",)),
+    Case("actuator that does not exist", LAYERED, ("out_of_contact", "A4"), ("device.out_of_contact=['A7']",)),
+    Case("spacing in mm by mistake", LAYERED, ("device.spacing", "0.3", "45"), ("device.spacing=45",)),
+    Case("limb length in mm by mistake", SLAB, ("limb.length", "less than or equal to 2"), ("limb.length=120",)),
+    Case("layer of a tissue that does not exist", LAYERED, ("no tissue is called 'gristle'",),
+         ("limb.layers=[{tissue='gristle', thickness=0.001}]",)),
+    Case("new tissue stated half", LAYERED, ("gel", "also needs"), ("tissues.override.gel.mu=1000.0",)),
+    Case("parameter without effect", LAYERED, ("has no effect",), ("tissues.override.skin.exponent=0.3",)),
+    Case("layered engine for a user's mesh", MESH, ("needs layers",), ("engine='layered'",)),
+    Case("wavelet file missing", LAYERED.replace("frequencies = [100.0]", "f_max = 300.0\nduration = 0.25\nsample_rate = 2000.0"),
+         ("nowhere.csv",), ("rendering.wavelet.file='nowhere.csv'",), command="render"),
+    Case("wavelet file without numbers", LAYERED.replace("frequencies = [100.0]", "f_max = 300.0\nduration = 0.25\nsample_rate = 2000.0"),
+         ("wave.csv",), ("rendering.wavelet.file='wave.csv'",), _wavelet_of_text, "render"),
+    Case("layer thicker than the slab", SLAB, ("thick together", "limb.depth"),
+         ("limb.layers=[{tissue='skin', thickness=0.03}]",)),
+    Case("layer thicker than the forearm", FOREARM, ("thick together",), ("limb.layers=[{tissue='fat', thickness=0.05}]",), command="mesh"),
+    Case("contact off the slab", SLAB, ("contact A1", "does not lie"), ("device.spacing=0.08",)),
+    Case("contact off the forearm", FOREARM, ("contact A1",), ("device.spacing=0.2",), command="mesh"),
+    Case("contacts overlapping", SLAB, ("contacts A1 and A2", "apart"), ("device.spacing=0.006",)),
+    Case("grid point off the slab", SLAB, ("grid point 1",), ("grid.pitch=0.05",)),
+    Case("symmetry through contacts beside the plane", SLAB, ("limb.symmetry",), ("limb.symmetry=['x']",)),
+    Case("bone out of the muscle", FOREARM, ("bone 'radius'",),
+         ("limb.bones=[{name='radius', y=0.034, depth=0.023, diameter=0.014}]",), command="mesh"),
+    Case("bones through each other", FOREARM, ("bones", "radius", "ulna"),
+         ("limb.bones=[{name='radius', y=0.0, depth=0.03, diameter=0.014}, {name='ulna', y=0.004, depth=0.03, diameter=0.014}]",),
+         command="mesh"),
+    Case("memory limit too small", SLAB, ("memory_limit", "raise the limit"), ("solver.memory_limit=1e6",),
+         left=("mesh.vtu", "scenario.json")),
+    Case("surface file missing", SURFACES, ("muscle.stl", "no such surface"), files=_missing_surface),
+    Case("surface file of text", SURFACES, ("muscle.stl",), files=_text_surface),
+    Case("open surface", SURFACES, ("skin.stl", "not closed"), files=_open_surface),
+    Case("normals of some triangles inverted", SURFACES, ("skin.stl", "face both ways"), files=_some_inverted),
+    Case("surface crossing its neighbour", SURFACES, ("'skin' and 'muscle' cross",), files=_crossing),
+    Case("surface crossing itself", SURFACES, ("crosses itself",), files=_self_crossing),
+    Case("surface outside its neighbour", SURFACES, ("'muscle' reaches",), files=_separate),
+    Case("surfaces in mm by mistake", SURFACES, ("limb.unit", "120 m"), files=_millimetre_surfaces),
+    Case("bone as the outermost surface", SURFACES, ("the bone's",), ("limb.surfaces={bone='skin.stl'}",), _good_outer),
+    Case("no surface at all", SURFACES.replace('{ skin = "skin.stl", muscle = "muscle.stl" }', "{}"), ("limb.surfaces is empty",)),
+    Case("mesh file missing", MESH, ("limb.vtu", "no such mesh file")),
+    Case("mesh file of the wrong type", MESH, ("limb.png", "cannot be read as a mesh"), ("limb.file='limb.png'",),
+         lambda folder: _put(folder / "limb.png", b"\x89PNG\r\n")),
+    Case("mesh file cut off", MESH, ("limb.vtu", "cannot be read as a mesh"), files=_damaged_mesh),
+    Case("surface mesh for a volume mesh", MESH, ("no tetrahedra", "triangle"), files=_mesh(_TRIANGLE)),
+    Case("hexahedra", MESH, ("hexahedron", "only tetrahedra"), files=_mesh(_HEXAHEDRON, _CUBE)),
+    Case("mesh without regions", MESH, ("carry no region",), files=_mesh(label=None)),
+    Case("region with no tissue", MESH, ("regions 7 have no tissue",), files=_mesh(label=7)),
+    Case("region name not in the file", MESH, ("limb.regions names", "tendon"), ("limb.regions={'1'='muscle', tendon='fat'}",), _mesh()),
+    Case("NaN in the mesh", MESH, ("not finite",), files=_mesh(points=_NAN)),
+    Case("flat tetrahedron", MESH, ("quality",), files=_flat_tetrahedron),
+    Case("mesh in mm by mistake", MESH, ("limb.unit", "80 m"), files=_mesh(points=1000 * _CORNERS)),
+)  # fmt: skip
+
+
+def _put(file: Path, content: bytes) -> None:
+    file.write_bytes(content)
+
+
+def prepare(case: Case, folder: Path) -> list[str]:
+    """Write the case's files into ``folder``; the command line that must fail."""
+    if case.files is not None:
+        case.files(folder)
+    if isinstance(case.text, str):
+        (folder / "bad.toml").write_text(case.text)
+    elif case.text is not None:
+        (folder / "bad.toml").write_bytes(case.text)
+    overrides = [part for item in case.overrides for part in ("--set", item)]
+    return [case.command, "bad.toml", *overrides, "--out", "out"]
+
+
+def table(answers: Iterable[tuple[Case, str]]) -> str:
+    """The page that docs/bad_inputs.md holds."""
+    lines = [
+        "# Wrong scenarios and meshes, and the sentence each gets",
+        "",
+        "Every row is run by `tests/test_bad_inputs.py`: one sentence, exit code 2, and nothing left in the",
+        "results folder but the mesh where it was finished before the mistake could show.",
+        "The table is written by `python tests/bad_inputs.py`; a test fails where it is not current.",
+        "",
+        "| what is wrong | `forearm-fem` says |",
+        "| --- | --- |",
+        *(f"| {case.name} | {sentence.replace('|', chr(92) + '|')} |" for case, sentence in answers),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def documented() -> dict[str, str]:
+    """Name -> sentence, as the docs have them."""
+    rows = (line.split(" | ", 1) for line in DOCS.read_text(encoding="utf-8").splitlines() if line.startswith("| "))
+    return {row[0].removeprefix("| "): row[1].removesuffix(" |").replace("\\|", "|") for row in rows}
+
+
+def _main() -> None:
+    import tempfile
+
+    from cli_runner import cli
+
+    answers = []
+    for case in CASES:
+        with tempfile.TemporaryDirectory() as name:
+            answer = cli(*prepare(case, Path(name)), cwd=Path(name))
+        answers.append((case, answer.sentence))
+    DOCS.write_text(table(answers), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    _main()

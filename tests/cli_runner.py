@@ -1,0 +1,69 @@
+"""Runs the command line in this process, as the installed program would run."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+
+from forearm_fem.cli import main
+
+SMALL = """name = "small"
+engine = "layered"
+accuracy = 0.05
+
+[sweep]
+f_max = 300.0
+duration = 0.25
+sample_rate = 2000.0
+
+[rendering]
+targets = ["5", "6"]
+"""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the program said."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def sentence(self) -> str:
+        """The error message without its prefix; asserts that there is exactly one, on one line."""
+        lines = [line for line in self.err.splitlines() if line.startswith("error: ")]
+        assert len(lines) == 1, self.err
+        return lines[0].removeprefix("error: ")
+
+
+def cli(*arguments: object, cwd: Path | None = None) -> Answer:
+    """``forearm-fem ARGUMENTS`` in the folder ``cwd``."""
+    out, err = io.StringIO(), io.StringIO()
+    argv = ["forearm-fem", *map(str, arguments)]
+    with mock.patch.object(sys, "argv", argv), contextlib.chdir(cwd or Path.cwd()):
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = _exit_code()
+    return Answer(code, out.getvalue(), err.getvalue())
+
+
+def _exit_code() -> int:
+    try:
+        main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def leftovers(folder: Path) -> list[str]:
+    """Every file below ``folder``."""
+    return sorted(str(p.relative_to(folder)) for p in _walk(folder))
+
+
+def _walk(folder: Path) -> Iterator[Path]:
+    return (p for p in folder.rglob("*") if p.is_file())

@@ -1,0 +1,28 @@
+"""Every wrong input gets one sentence and exit code 2, and leaves nothing behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from bad_inputs import CASES, Case, documented, prepare
+from cli_runner import cli, leftovers
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name.replace(" ", "_"))
+def test_wrong_input_gets_one_sentence(case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path.parent / "cache"))
+    arguments = prepare(case, tmp_path)
+    answer = cli(*arguments, cwd=tmp_path)
+    assert answer.code == 2, answer
+    assert "Traceback" not in answer.err
+    for words in case.says:
+        assert words in answer.sentence
+    assert leftovers(tmp_path / "out") == list(case.left)
+    assert documented().get(case.name) == answer.sentence, "run: python tests/bad_inputs.py"
+
+
+def test_the_table_has_every_case_once() -> None:
+    names = [case.name for case in CASES]
+    assert len(set(names)) == len(names) >= 25
+    assert set(documented()) - {"what is wrong", "---"} == set(names)

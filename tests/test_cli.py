@@ -1,0 +1,193 @@
+"""The command line on the layered engine: what it prints, where it writes, how it fails."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from cli_runner import SMALL, cli, leftovers
+
+from forearm_fem.commands import studies
+from forearm_fem.io.netcdf import read_transfer
+from forearm_fem.io.signals import read_drives
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scenario, its G and its drives."""
+    folder = tmp_path_factory.mktemp("solved")
+    (folder / "small.toml").write_text(SMALL)
+    answer = cli("render", "small.toml", cwd=folder)
+    assert answer.code == 0, answer.err
+    return folder
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A folder with a scenario and nothing else."""
+    (tmp_path / "small.toml").write_text(SMALL)
+    return tmp_path
+
+
+def test_the_help_loads_nothing_heavy() -> None:
+    heavy = ("scipy", "xarray", "matplotlib", "pyvista", "skfem", "trimesh", "distributed")
+    code = (
+        "import sys, forearm_fem.cli; "
+        f"print([m for m in {heavy} if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_installed_program_ends_with_its_code() -> None:
+    program = [sys.executable, "-m", "forearm_fem.cli"]
+    done = subprocess.run([*program, "solve", "nowhere.toml"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "error: nowhere.toml: no such file; name a scenario such as scenarios/thesis.toml\n"
+    assert subprocess.run([*program, "--version"], capture_output=True, check=False).returncode == 0
+
+
+def test_help_names_every_command() -> None:
+    answer = cli("--help")
+    names = ("run", "mesh", "solve", "render", "calibrate", "play", "compare", "fit", "figures", "show", "verify",
+             "bench", "campaign", "schema", "doctor")  # fmt: skip
+    assert answer.code == 0
+    assert all(f" {name} " in answer.out for name in names)
+
+
+def test_no_command_is_answered_with_the_help_alone() -> None:
+    answer = cli()
+    assert answer.code == 2
+    assert "Commands" in answer.out
+    assert "error" not in answer.err
+
+
+def test_schema_is_json_with_every_table() -> None:
+    tables = json.loads(cli("schema").out)["properties"]
+    assert {"limb", "tissues", "device", "grid", "sweep", "mesh", "solver", "rendering"} <= set(tables)
+
+
+def test_doctor_says_what_the_machine_offers() -> None:
+    out = cli("doctor").out
+    assert all(word in out for word in ("forearm-fem", "numpy", "direct solvers", "memory", "rendering back end"))
+
+
+def test_dry_run_solves_and_writes_nothing(scene: Path) -> None:
+    answer = cli("run", "small.toml", "--dry-run", cwd=scene)
+    assert answer.code == 0
+    assert "frequencies" in answer.out
+    assert leftovers(scene) == ["small.toml"]
+
+
+def test_solve_states_the_error_and_the_file(solved: Path) -> None:
+    answer = cli("solve", "small.toml", cwd=solved)
+    assert answer.code == 0
+    assert "quadrature" in answer.out
+    assert "met" in answer.out
+    g = read_transfer(solved / "results/small/transfer.nc")
+    assert (g.values.shape[1:], g.unit) == ((9, 4), "m/V")
+
+
+def test_render_prints_the_strengths_it_wrote(solved: Path) -> None:
+    folder = solved / "results/small"
+    written = (folder / "signal_strength.csv").read_text()
+    assert written in cli("render", "small.toml", cwd=solved).out
+    assert read_drives(folder / "drives.nc").targets == ("5", "6")
+
+
+def test_overrides_reach_the_scenario(scene: Path) -> None:
+    answer = cli("solve", "small.toml", "--set", "device.spacing=0.04", "--set", "name=other", cwd=scene)
+    assert answer.code == 0, answer.err
+    g = read_transfer(scene / "results/other/transfer.nc")
+    assert {abs(p.position[0]) for p in g.inputs} == {0.02}
+
+
+def test_an_override_changes_g_and_out_chooses_the_folder(solved: Path, tmp_path: Path) -> None:
+    out = tmp_path / "elsewhere"
+    cli("solve", "small.toml", "--set", "tissues.override.skin.mu=26e3", "--out", out, cwd=solved)
+    soft, stiff = (read_transfer(f / "transfer.nc") for f in (solved / "results/small", out))
+    near, far = (abs(g.values[5, 0, 0]) for g in (stiff, soft))
+    assert near != pytest.approx(far, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("item", "says"),
+    [
+        ("device.spacing", "--set expects key.path=value"),
+        ("device.spacings=0.04", "device.spacings: unknown key"),
+        ("device.spacing=wide", "valid number"),
+        ("name.first=x", "is a value, not a table"),
+    ],
+)
+def test_bad_overrides_are_one_sentence(scene: Path, item: str, says: str) -> None:
+    answer = cli("solve", "small.toml", "--set", item, cwd=scene)
+    assert answer.code == 2
+    assert says in answer.sentence
+    assert leftovers(scene) == ["small.toml"]
+
+
+@pytest.mark.parametrize("arguments", [("solve",), ("solve", "small.toml", "--sett", "a=1"), ("sovle", "small.toml")])
+def test_misuse_is_one_sentence(scene: Path, arguments: tuple[str, ...]) -> None:
+    answer = cli(*arguments, cwd=scene)
+    assert answer.code == 2
+    assert answer.sentence
+
+
+def test_an_interruption_ends_with_130(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("forearm_fem.pipeline.folder.simulate", interrupted)
+    answer = cli("solve", "small.toml", cwd=scene)
+    assert answer.code == 130
+    assert "interrupted" in answer.err
+    assert leftovers(scene) == ["small.toml"]
+
+
+def test_running_out_of_memory_is_one_sentence(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def exhausted(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("forearm_fem.pipeline.folder.simulate", exhausted)
+    answer = cli("solve", "small.toml", cwd=scene)
+    assert answer.code == 2
+    assert "memory" in answer.sentence
+
+
+def test_a_results_folder_that_is_a_file_is_one_sentence(scene: Path) -> None:
+    (scene / "taken").write_text("mine")
+    answer = cli("solve", "small.toml", "--out", "taken", cwd=scene)
+    assert answer.code == 2
+    assert "cannot be written" in answer.sentence
+    assert (scene / "taken").read_text() == "mine"
+
+
+def test_figures_writes_picture_and_numbers(solved: Path) -> None:
+    answer = cli("figures", "results/small", "--only", "condition", "--format", "png,svg", cwd=solved)
+    assert answer.code == 0, answer.err
+    assert {Path(line).suffix for line in answer.out.split()} == {".png", ".svg", ".csv"}
+    assert all((solved / line).is_file() for line in answer.out.split())
+
+
+def test_figures_without_results_says_how_to_make_them(scene: Path) -> None:
+    answer = cli("figures", "results/small", cwd=scene)
+    assert answer.code == 2
+    assert "forearm-fem run" in answer.sentence
+
+
+def test_unknown_bench_part_is_one_sentence(scene: Path) -> None:
+    answer = cli("bench", "--only", "nothing", "--out", "b", cwd=scene)
+    assert answer.code == 2
+    assert "error" in answer.sentence  # the known parts are listed, among them 'error'
+    assert leftovers(scene) == ["small.toml"]
+
+
+def test_verification_tables_mark_what_is_not_met() -> None:
+    from forearm_fem.verification import HardRow, Row
+
+    rows = [Row("disc", "closed form", "u", e, 1e-2, "why") for e in (1e-3, 1e-1)]
+    assert [line.split("|")[-2].strip() for line in studies.verification_table(rows).splitlines()[2:]] == ["yes", "NO"]
+    assert "named error" in studies.hard_table([HardRow("a", "b", "c", "-", "named error")])

@@ -1,0 +1,97 @@
+"""calibrate, play, compare and fit through the command line, on the layered twin and the virtual DAQ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import SMALL, cli
+
+from forearm_fem.io.netcdf import read_transfer
+from forearm_fem.io.recognise import write_measured
+from forearm_fem.transfer import band_error
+
+NINE_TO_FOUR = 'grid.points=[[0.0,0.0],[0.01,0.0]]'  # fewer points: 8 measurements instead of 36
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scenario, its G, and a virtual calibration through it."""
+    folder = tmp_path_factory.mktemp("lab")
+    (folder / "small.toml").write_text(SMALL.replace('["5", "6"]', '["1", "2"]').replace("[rendering]", "[rendering]\nmethods = ['funneling']"))
+    assert cli("render", "small.toml", "--set", NINE_TO_FOUR, cwd=folder).code == 0
+    answer = cli("calibrate", "small.toml", "--set", NINE_TO_FOUR, "--through", "results/small", "--snr", 40, cwd=folder)
+    assert answer.code == 0, answer.err
+    return folder
+
+
+def test_calibration_recovers_g(lab: Path) -> None:
+    truth, found = (read_transfer(lab / f"results/small/{f}transfer.nc") for f in ("", "calibration/"))
+    both = np.isin(truth.frequency, found.frequency), np.isin(found.frequency, truth.frequency)
+    # 40 dB of noise over 4 repeats of a 500-sample sweep leaves about 1 %
+    assert band_error(found.values[both[1]], truth.values[both[0]]) < 0.03
+
+
+def test_calibration_resumes_without_measuring_again(lab: Path) -> None:
+    folder = lab / "results/small/calibration"
+    before = {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")}
+    answer = cli("calibrate", "small.toml", "--set", NINE_TO_FOUR, "--through", "results/small", "--snr", 40, cwd=lab)
+    assert answer.code == 0
+    assert {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")} == before
+
+
+def test_real_hardware_needs_a_declared_sensor(lab: Path) -> None:
+    answer = cli("calibrate", "small.toml", "--set", NINE_TO_FOUR, "--daq", "ni", cwd=lab)
+    assert answer.code == 2
+    assert "measurement.sensor" in answer.sentence
+
+
+def test_compare_takes_folders_and_files(lab: Path) -> None:
+    answer = cli("compare", "results/small", "results/small/calibration/transfer.nc", "--out", "c", cwd=lab)
+    assert answer.code == 0, answer.err
+    assert "calibration against small" in answer.out.replace("small against calibration", "calibration against small")
+    assert {f.suffix for f in (lab / "c").iterdir()} >= {".json", ".md", ".png"}
+
+
+def test_two_engines_of_one_scenario_compare(lab: Path) -> None:
+    cli("solve", "small.toml", "--set", NINE_TO_FOUR, "--set", "tissues.preset=thesis", "--out", "other", cwd=lab)
+    answer = cli("compare", "results/small", "other", "--no-render", cwd=lab)
+    assert answer.code == 0, answer.err
+    assert (lab / "results/compare-small-other/comparison.json").is_file()
+
+
+def test_compare_asks_for_what_a_file_does_not_say(lab: Path, tmp_path: Path) -> None:
+    write_measured(tmp_path / "g.csv", read_transfer(lab / "results/small/transfer.nc"))
+    answer = cli("compare", "results/small", tmp_path / "g.csv", "--declare-b", "colour='red'", cwd=lab)
+    assert answer.code == 2
+    assert "--declare colour" in answer.sentence
+    assert "unit" in answer.sentence
+
+
+@pytest.mark.parametrize("other", ["nowhere", "nowhere.nc", "small.toml"])
+def test_compare_refuses_what_holds_no_g(lab: Path, other: str) -> None:
+    answer = cli("compare", "results/small", other, "--out", "never", cwd=lab)
+    assert answer.code == 2
+    assert answer.sentence
+    assert not (lab / "never").exists()
+
+
+def test_fit_finds_the_modulus_and_rejects_unknown_names(lab: Path) -> None:
+    common = ("fit", "small.toml", "results/small/calibration")
+    found = cli(*common, "skin.mu", "--frequencies", 6, "--set", NINE_TO_FOUR, cwd=lab)
+    assert found.code == 0, found.err
+    assert "tissues.override.skin.mu" in found.out
+    wrong = cli(*common, "skin.colour", "--set", NINE_TO_FOUR, cwd=lab)
+    assert wrong.code == 2
+    assert "skin.mu" in wrong.sentence
+
+
+def test_play_obeys_the_voltage_limit(lab: Path) -> None:
+    common = ("play", "small.toml", "results/small", "--target", 1, "--through", "results/small", "--set", NINE_TO_FOUR)
+    fine = cli(*common, "--scale", 0.1, cwd=lab)
+    assert fine.code == 0, fine.err
+    assert "played" in fine.out
+    loud = cli(*common, "--scale", 100, cwd=lab)
+    assert loud.code == 2
+    assert "V" in loud.sentence

@@ -1,0 +1,214 @@
+"""Figures: numbers beside them, names, formats, unfinished and read-only folders, notebooks."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from test_figures_scene import folder  # noqa: F401
+
+from forearm_fem.errors import DataError
+from forearm_fem.figures import (
+    Results,
+    conditioning,
+    conditioning_of,
+    dispersion,
+    kinds,
+    make_figures,
+    plot_conditioning,
+    plot_errors,
+    plot_target,
+    target_waves,
+    versus_of,
+)
+from forearm_fem.figures.judge import errors
+from forearm_fem.figures.targets import moments
+from forearm_fem.figures.waves import travel
+from forearm_fem.io import write_transfer
+from forearm_fem.layered.closed_forms import rayleigh_wavenumber
+from forearm_fem.layered.kernel import Layer, surface_kernel
+
+
+@pytest.fixture(scope="module")
+def run(folder: Path) -> Results:  # noqa: F811
+    return Results.open(folder)
+
+
+@pytest.fixture(scope="module")
+def made(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noqa: F811
+    """Every figure once, except for all but one of the targets."""
+    out = tmp_path_factory.mktemp("figures")
+    names = [n for n in kinds(Results.open(folder)) if not n.startswith("target") and n != "measured"]
+    make_figures(folder, out, only=[*names, "target-5"])
+    return out
+
+
+def rows(path: Path) -> tuple[str, list[dict[str, str]]]:
+    source, *lines = path.read_text(encoding="utf-8").splitlines()
+    return source, list(csv.DictReader(lines))
+
+
+def test_every_figure_has_a_picture_and_its_numbers(made: Path) -> None:
+    pictures = {p.stem for p in made.glob("*.png")}
+    assert pictures == {p.stem for p in made.glob("*.csv")} & pictures
+    assert {"figure-2", "figure-4", "figure-5", "figure-a2", "table-1", "target-5", "mesh", "transfer"} <= pictures
+    assert all(p.read_bytes()[:4] == b"\x89PNG" for p in made.glob("*.png"))
+    assert not [p for p in made.iterdir() if p.name.startswith(".")]
+
+
+def test_the_numbers_beside_a_figure_are_those_of_the_run(made: Path, run: Results) -> None:
+    source, lines = rows(made / "transfer.csv")
+    assert source.startswith("# scene tiny · mesh ")
+    assert source.endswith("forearm_fem 0.0.test")
+    written = [float(line["abs_G_5_A2_m/V"]) for line in lines]
+    np.testing.assert_allclose(written, np.abs(run.transfer.values[:, 4, 1]), rtol=1e-9)
+
+
+def test_table_one_beside_the_thesis(made: Path, run: Results) -> None:
+    _, lines = rows(made / "table-1.csv")
+    middle = next(x for x in lines if x["group"] == "Middle (5)" and x["method"] == "funneling")
+    assert float(middle["here_mean"]) == pytest.approx(next(r.S for r in run.strengths if (r.target, r.method) == ("5", "funneling")))
+    assert float(middle["thesis_mean"]) == 0.63
+    assert "| Middle (5) |" in (made / "table-1-table.md").read_text(encoding="utf-8")
+
+
+def test_the_target_figure_holds_the_nine_displacements(made: Path, run: Results) -> None:
+    _, lines = rows(made / "target-5.csv")
+    own = [(float(x["time_s"]), float(x["u_5_m"])) for x in lines if x["method"] == "inverse filter"]
+    whole = run.displacements.values[0, 4, 4]
+    at = np.searchsorted(run.displacements.time, [t for t, _ in own])
+    np.testing.assert_allclose([u for _, u in own], whole[at], rtol=1e-8, atol=1e-20)
+
+
+def test_instants_surround_the_targets_peak() -> None:
+    time = (np.arange(2000) - 1000) * 1e-4
+    values = np.exp(-((time - 5e-3) ** 2) / (2 * 2e-3**2)) * np.ones((2, 1))
+    found = moments(time, values, 0)
+    assert len(found) == 6
+    assert found[3] == pytest.approx(5e-3)
+    assert np.ptp(np.diff(found)) < 1e-12
+
+
+def test_the_inverse_filter_delivers_the_wavelet_at_the_end_of_the_line(run: Results) -> None:
+    data = travel(run)
+    last = data.moved[0][-1]
+    assert data.time[int(np.argmax(last))] == pytest.approx(0, abs=1e-4)
+    spectrum, f = run.wavelet.spectrum.real, run.record.frequency
+    left = spectrum[(f > 9) & (f < 401)].sum() / spectrum.sum()  # of the wavelet's peak, by G's band
+    assert last.max() == pytest.approx(1e-6 * left, rel=1e-3)
+    assert np.abs(data.moved[0][0]).max() > 5 * last.max()  # the cone must move more than the target
+
+
+def test_the_traced_root_of_a_half_space_is_rayleighs() -> None:
+    from forearm_fem.figures.roots import trace_root
+
+    layer = Layer(np.inf, 1050.0, lambda w: 7860.0 + 5.03j * w)
+    omega = 2 * np.pi * np.array([50.0, 200.0, 500.0])
+    root = trace_root(lambda k, w: surface_kernel(k, w, [layer]), [layer], omega)
+    np.testing.assert_allclose(root, rayleigh_wavenumber(omega, layer.modulus(omega), 1050.0), rtol=1e-6)
+
+
+def test_the_estimator_on_the_surface_wave_alone_finds_its_speed(run: Results) -> None:
+    data = dispersion(run)
+    assert data.root is not None
+    assert data.alone is not None
+    speed = 2 * np.pi * data.fit.frequency / data.root.real
+    np.testing.assert_allclose(data.alone.speed, speed, rtol=0.07)  # 1/sqrt(r) and near field shift the phase
+    assert np.all(data.alone.attenuation > -data.root.imag)  # spreading counts as attenuation in the thesis' fit
+
+
+def test_conditioning_holds_control_rows_of_each_target(run: Results) -> None:
+    data = conditioning(run)
+    assert data.control.shape == (9, len(run.transfer.frequency))
+    np.testing.assert_allclose(data.condition, data.singular[:, 0] / data.singular[:, -1])
+
+
+def test_simulated_against_measured_needs_a_measured_matrix(run: Results, folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    with pytest.raises(DataError, match=r"measured\.nc is missing"):
+        make_figures(folder, tmp_path, only=["measured"])
+    whole = tmp_path / "run"
+    shutil.copytree(folder, whole)
+    write_transfer(whole / "measured.nc", run.transfer)
+    make_figures(whole, tmp_path, only=["measured"])
+    _, lines = rows(tmp_path / "measured.csv")
+    assert max(float(x["difference_1_A1"]) for x in lines) == 0.0
+    assert versus_of(run.transfer, run.transfer).error.max() == 0
+
+
+def test_a_figure_draws_into_a_notebooks_axes_and_leaves_its_style_alone(run: Results) -> None:
+    before = dict(mpl.rcParams)
+    own = Figure().subplots(1, 2)
+    assert plot_errors(errors(run), ax=own[0]) is own[0]
+    assert isinstance(plot_conditioning(conditioning_of(run.transfer), ax=own[1]), SubFigure)
+    assert isinstance(plot_errors(errors(run)), Axes)
+    assert dict(mpl.rcParams) == before
+    with pytest.raises(DataError, match="several panels"):
+        plot_target(target_waves(run, "5"), ax=Figure().add_axes((0, 0, 1, 1)))
+
+
+@pytest.mark.parametrize("missing, stage", [("drives.nc", "render"), ("transfer.nc", "solve"), ("scenario.json", "solve")])
+def test_a_half_finished_folder_names_the_missing_stage(folder: Path, tmp_path: Path, missing: str, stage: str) -> None:  # noqa: F811
+    part = tmp_path / "part"
+    part.mkdir()
+    for file in folder.iterdir():
+        if file.name != missing:
+            os.symlink(file, part / file.name)
+    with pytest.raises(DataError, match=f"{missing}.*`forearm-fem {stage} SCENARIO --out {part}`"):
+        make_figures(part, only=["figure-5"])
+
+
+def test_a_run_without_mesh_or_field_leaves_their_figures_out(folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    part = tmp_path / "part"
+    part.mkdir()
+    for file in folder.iterdir():
+        if file.name not in ("mesh.vtu", "wavefield.npz"):
+            os.symlink(file, part / file.name)
+    from forearm_fem.figures.registry import applies
+
+    run = Results.open(part)
+    left_out = {n for n, k in kinds(run).items() if applies(k, run)}
+    assert left_out == {"mesh", "resolution", "measured"}
+    assert target_waves(run, "5").patch is None
+    written = make_figures(part, tmp_path / "out", only=["figure-2", "figure-a2"])
+    assert len(written) == 5
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        ({"only": ["figure-9"]}, "no figure is called 'figure-9'; known are figure-2"),
+        ({"formats": ("bmp",)}, "'bmp' is no format"),
+        ({"out_dir": "/proc/nowhere"}, "cannot be written there"),
+    ],
+)
+def test_wrong_requests_are_refused_in_one_sentence(folder: Path, call: dict[str, object], words: str) -> None:  # noqa: F811
+    with pytest.raises(DataError, match=words):
+        make_figures(folder, **call)  # type: ignore[arg-type]
+
+
+def test_no_folder_no_figures(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no such results folder"):
+        make_figures(tmp_path / "nothing")
+
+
+def test_vector_formats_and_any_back_end(folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    """A back end that needs a display is the user's; we draw without it."""
+    code = (
+        "import sys; from forearm_fem.figures import make_figures\n"
+        f"make_figures({str(folder)!r}, {str(tmp_path)!r}, only=['errors'], formats=('pdf', 'svg'))\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"MPLBACKEND": "TkAgg"}
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "errors.pdf").read_bytes()[:5] == b"%PDF-"
+    assert "discretisation" in (tmp_path / "errors.svg").read_text(encoding="utf-8")

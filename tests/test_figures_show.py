@@ -1,0 +1,171 @@
+"""Waves in space: what moves, how it is drawn, films, ParaView and the page."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from PIL import Image
+from test_figures_scene import folder  # noqa: F401
+
+from forearm_fem.errors import DataError, MissingExtra
+from forearm_fem.figures import Results
+from forearm_fem.figures.interact import Room, interact
+from forearm_fem.figures.motion import View, motion, nice
+from forearm_fem.figures.page import export_html
+from forearm_fem.figures.scene import plotter_for
+from forearm_fem.figures.show import Look, amplification, animate, body_of, render_still, write_pvd
+
+SMALL = (320, 240)
+
+
+@pytest.fixture(scope="module")
+def run(folder: Path) -> Results:  # noqa: F811
+    return Results.open(folder)
+
+
+def nearest(run: Results, name: str) -> int:
+    port = next(p for p in run.transfer.outputs if p.name == name)
+    return int(np.argmin(np.linalg.norm(run.mesh.points - port.position, axis=1)))
+
+
+def test_a_motion_through_time_is_the_wavefields_own(run: Results) -> None:
+    times = np.array([0.0, 5e-3])
+    moved = motion(run, View("funneling", "5"), times)
+    from forearm_fem.figures.targets import drive_series
+
+    whole = run.wavefield.in_time(drive_series(run.drives, "funneling", "5", run.wavefield), times)
+    np.testing.assert_allclose(moved.displacement(run.wavefield.modes, 1), whole[1], atol=1e-12 * np.abs(whole).max())
+
+
+def test_waves_leave_the_actuator_and_decay(run: Results) -> None:
+    """At 100 Hz the phase falls and the size shrinks with the distance from the only actuator that moves."""
+    view = View(frequency=100.0, actuator="A1")
+    phasor = motion(run, view).phasor
+    u = run.wavefield.modes[:, 2] @ phasor
+    start = run.transfer.inputs[0].position
+    top = run.mesh.points[:, 2] > -1e-9
+    gap = np.linalg.norm(run.mesh.points - start, axis=1)
+    near, far = top & (gap > 6e-3) & (gap < 9e-3), top & (gap > 11e-3) & (gap < 14e-3)
+    assert np.abs(u[far]).mean() < 0.6 * np.abs(u[near]).mean()
+    assert 0.3 < np.angle(u[near].mean() / u[far].mean()) < 3.0
+
+
+def test_the_drawn_amplification_is_honest(run: Results) -> None:
+    moved, skin = motion(run, View("funneling", "5")), body_of(run, "", "5")
+    factor = amplification(moved, skin, Look())
+    most = max(np.linalg.norm(moved.displacement(skin.modes, k), axis=1).max() for k in range(len(moved.steps)))
+    assert 1.5e-3 < factor * most < 5.5e-3  # metres on the picture
+    assert amplification(moved, skin, Look(amplification=7.0)) == 7.0
+    assert [nice(v) for v in (1.0, 1.9, 4.99, 5.0, 730.0)] == [1, 1, 2, 5, 500]
+
+
+def test_a_still_shows_the_wave(run: Results, tmp_path: Path) -> None:
+    path = tmp_path / "still.png"
+    picture = render_still(run, path, view=View("funneling", "5"), look=Look(size=SMALL, camera="top"), at=2e-3)
+    assert np.array_equal(np.asarray(Image.open(path)), picture)
+    flat = render_still(run, view=View("funneling", "5"), look=Look(size=SMALL, camera="top"), at=-0.09)
+    assert np.abs(picture.astype(int) - flat).max(axis=2).mean() > 5  # before the wavelet nothing moves
+
+
+@pytest.mark.parametrize("cut", ["y", "xy"])
+def test_a_cut_limb_keeps_the_field_on_its_faces(run: Results, cut: str) -> None:
+    body = body_of(run, cut, "5")
+    rest = 1e3 * run.mesh.points
+    assert body.rest[:, 1].max() == pytest.approx(rest[:, 1].max(), abs=1e-3)
+    inside = np.abs(body.rest[:, 1]) < 1e-3
+    assert inside.sum() > 20  # the face itself
+    same = np.linalg.norm(rest[:, None] - body.rest[None, ::50], axis=2).argmin(axis=0)
+    exact = np.linalg.norm(rest[same] - body.rest[::50], axis=1) < 1e-4
+    np.testing.assert_allclose(body.modes[::50][exact], run.wavefield.modes[same[exact]], atol=1e-6)
+
+
+def test_a_film_has_all_its_frames(run: Results, tmp_path: Path) -> None:
+    told: list[str] = []
+    path = animate(run, tmp_path / "film.gif", look=Look(size=(160, 120)), steps=np.array([0.0, 2e-3, 4e-3]),
+                   progress=lambda done, total, what: told.append(what))  # fmt: skip
+    with Image.open(path) as film:
+        assert getattr(film, "n_frames", 1) == 3
+    assert told == ["t = 0.0 ms", "t = +2.0 ms", "t = +4.0 ms"]
+
+
+def test_mp4_names_its_extra(run: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "imageio", None)
+    with pytest.raises(MissingExtra, match=r"forearm-fem\[movie\]"):
+        animate(run, tmp_path / "film.mp4")
+
+
+def test_paraview_reads_the_series(run: Results, tmp_path: Path) -> None:
+    path = write_pvd(run, tmp_path / "waves.pvd", steps=np.array([0.0, 1e-3]))
+    files = re.findall(r'timestep="([^"]*)" file="([^"]*)"', path.read_text())
+    assert [float(t) for t, _ in files] == [0.0, 1e-3]
+    read = meshio.read(path.parent / files[1][1])
+    np.testing.assert_allclose(read.points, run.mesh.points, atol=1e-9)
+    moved = motion(run, View(), np.array([1e-3])).displacement(run.wavefield.modes, 0)
+    np.testing.assert_allclose(read.point_data["displacement"], moved, atol=1e-6 * np.abs(moved).max())
+
+
+@pytest.mark.parametrize(
+    "view, words",
+    [
+        (View(method="magic"), "nothing was rendered for 'magic'"),
+        (View(frequency=4000.0), "outside the sweep"),
+        (View(quantity="phase"), "a phase belongs to a frequency"),
+        (View(actuator="A1"), "give one in Hz"),
+        (View(frequency=100.0, actuator="B7"), "no actuator is called 'B7'"),
+    ],
+)
+def test_impossible_views_are_refused(run: Results, view: View, words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        motion(run, view)
+
+
+def test_without_a_field_it_says_so(folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    for file in folder.iterdir():
+        if file.name != "wavefield.npz":
+            shutil.copy(file, tmp_path / file.name)
+    with pytest.raises(DataError, match=r"wavefield\.npz is missing.*forearm-fem solve"):
+        render_still(tmp_path)
+
+
+def test_a_window_needs_a_display(run: Results, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    from forearm_fem.errors import ForearmError
+
+    with pytest.raises(ForearmError, match="no display"):
+        interact(run)
+
+
+def test_the_windows_sliders_change_what_moves(run: Results) -> None:
+    with plotter_for(SMALL) as plotter:
+        room = Room(run, plotter, View(), Look(size=SMALL))
+        room.furnish()
+        room._to_method(1)
+        room._to_target(0)
+        room._to_step(3)
+        assert room.view == View("funneling", "1")
+        assert room.stage is not None
+        assert room.stage.moved.view == room.view
+
+
+def test_the_page_is_whole_and_draws_in_a_browser(run: Results, tmp_path: Path) -> None:
+    page = export_html(run, tmp_path / "waves.html", frames=6)
+    text = page.read_text(encoding="utf-8")
+    assert "http" not in re.sub(r"data:[^\"']*", "", text)  # nothing is fetched
+    assert text.count('"kind": "time"') == 6
+    browser = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chromium-browser")
+    if browser is None:
+        pytest.skip("no chromium here")
+    command = [browser, "--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+               "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=1500",
+               "--dump-dom", page.as_uri()]  # fmt: skip
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False).stdout
+    assert 'data-drawn="yes"' in shown
+    assert float(re.findall(r'data-largest="([^"]*)"', shown)[0]) > 0

@@ -1,0 +1,77 @@
+"""The report: whole, self-contained, escaped, and honest about what is missing."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from test_figures_scene import folder  # noqa: F401
+
+from forearm_fem.errors import DataError
+from forearm_fem.figures import Results
+from forearm_fem.report import write_report
+from forearm_fem.report.facts import differences, exceeded
+
+
+@pytest.fixture(scope="module")
+def report(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str, Path]:  # noqa: F811
+    out = tmp_path_factory.mktemp("report")
+    page, text = write_report(folder, out)
+    return page.read_text(encoding="utf-8"), text.read_text(encoding="utf-8"), page
+
+
+def test_the_story_is_told_in_order(report: tuple[str, str, Path]) -> None:
+    titles = re.findall(r"<h2[^>]*>([^<]*)</h2>", report[0])
+    assert titles == [
+        "Scene", "Mesh", "Estimated errors of G", "Transfer matrix G", "Renderers", "Limits", "Signal strength S",
+        "Beside the thesis&#39; Table I", "Waves", "Warnings", "Cost", "Provenance",
+    ]  # fmt: skip
+    assert re.findall(r"^## (.*)$", report[1], re.M) == [t.replace("&#39;", "'") for t in titles]
+
+
+def test_the_page_holds_its_pictures_and_fetches_nothing(report: tuple[str, str, Path]) -> None:
+    assert report[0].count("data:image/png;base64,") == 5  # mesh, G, targets 5 and 6, one wavefield
+    assert not re.findall(r'(?:src|href)="(?!data:)', report[0])
+
+
+def test_notes_are_escaped_on_the_page(report: tuple[str, str, Path]) -> None:
+    assert "the numbers &lt;b&gt;are&lt;/b&gt; synthetic" in report[0]
+    assert "- the numbers <b>are</b> synthetic" in report[1]
+
+
+def test_each_entry_of_table_one_that_differs_has_a_sentence(folder: Path, report: tuple[str, str, Path]) -> None:  # noqa: F811
+    lines = differences(Results.open(folder))
+    corner = next(x for x in lines if x.startswith("Corners (1/3/7/9), combination"))
+    assert "2.60 in the thesis (spread 0.92)" in corner
+    assert all(x in report[1] for x in lines)
+
+
+def test_limits_exceeded_are_named(folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    shutil.copytree(folder, tmp_path / "run")
+    file = tmp_path / "run" / "scenario.json"
+    file.write_text(file.read_text().replace('"max_voltage":2.5', '"max_voltage":0.1'))
+    lines = exceeded(Results.open(tmp_path / "run"))
+    assert any(re.match(r"funneling towards 5, A1: 0\.2\d+ V peak, limit 0\.1 V\.", x) for x in lines)
+    assert exceeded(Results.open(folder)) == []
+
+
+def test_an_unfinished_run_has_no_report(folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    for file in folder.iterdir():
+        if file.name != "signal_strength.csv":
+            os.symlink(file, tmp_path / file.name)
+    with pytest.raises(DataError, match=r"signal_strength\.csv is missing; `forearm-fem render"):
+        write_report(tmp_path)
+
+
+def test_the_page_opens_in_a_browser(report: tuple[str, str, Path], tmp_path: Path) -> None:
+    browser = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chromium-browser")
+    if browser is None:
+        pytest.skip("no chromium here")
+    command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}",
+               f"--print-to-pdf={tmp_path / 'page.pdf'}", report[2].as_uri()]  # fmt: skip
+    subprocess.run(command, capture_output=True, timeout=120, check=False)
+    assert (tmp_path / "page.pdf").stat().st_size > 100_000
