@@ -68,7 +68,9 @@ class Case:
     left: tuple[str, ...] = ()  # finished stages that stay
 
 
-def _box(folder: Path, name: str, size: Iterable[float], *, at: Iterable[float] = (0, 0, 0), change: Any = None) -> None:
+def _box(
+    folder: Path, name: str, size: Iterable[float], *, at: Iterable[float] = (0, 0, 0), change: Any = None
+) -> None:
     body = trimesh.creation.box(extents=list(size))
     body = body.subdivide().subdivide()
     body.apply_translation(list(at))
@@ -133,9 +135,16 @@ def _millimetre_surfaces(folder: Path) -> None:
 def _block() -> tuple[Any, Any]:
     """Points and tetrahedra (six per cell) of a block 80 x 80 x 20 mm with its top at z = 0."""
     n = (9, 9, 3)
-    x, y, z = np.meshgrid(np.linspace(-0.04, 0.04, 9), np.linspace(-0.04, 0.04, 9), np.linspace(-0.02, 0, 3), indexing="ij")
+    x, y, z = np.meshgrid(
+        np.linspace(-0.04, 0.04, 9), np.linspace(-0.04, 0.04, 9), np.linspace(-0.02, 0, 3), indexing="ij"
+    )
     index = np.arange(np.prod(n)).reshape(n)
-    corner = [index[i : n[0] - 1 + i, j : n[1] - 1 + j, k : n[2] - 1 + k].ravel() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    corner = [
+        index[i : n[0] - 1 + i, j : n[1] - 1 + j, k : n[2] - 1 + k].ravel()
+        for i in (0, 1)
+        for j in (0, 1)
+        for k in (0, 1)
+    ]
     paths = ((0, 1, 3, 7), (0, 1, 5, 7), (0, 2, 3, 7), (0, 2, 6, 7), (0, 4, 5, 7), (0, 4, 6, 7))
     cells = np.vstack([np.column_stack([corner[c] for c in path]) for path in paths])
     return np.column_stack([x.ravel(), y.ravel(), z.ravel()]), cells
@@ -144,7 +153,9 @@ def _block() -> tuple[Any, Any]:
 _CORNERS, _TETRA = _block()
 
 
-def _mesh(cells: Any = (("tetra", _TETRA),), points: Any = _CORNERS, label: int | None = 1) -> Callable[[Path], None]:
+def _mesh(
+    cells: Any = (("tetra", _TETRA),), points: Any = _CORNERS, label: int | None = 1
+) -> Callable[[Path], None]:
     def write(folder: Path) -> None:
         data = {} if label is None else {"region": [np.full(len(c), label) for _, c in cells]}
         meshio.Mesh(points, list(cells), cell_data=data).write(folder / "limb.vtu")
@@ -159,7 +170,9 @@ def _damaged_mesh(folder: Path) -> None:
 
 
 def _flat_tetrahedron(folder: Path) -> None:
-    flat = np.vstack([_CORNERS, [[-0.039, -0.039, -0.0200001], [-0.038, -0.039, -0.02], [-0.039, -0.038, -0.02]]])
+    flat = np.vstack(
+        [_CORNERS, [[-0.039, -0.039, -0.0200001], [-0.038, -0.039, -0.02], [-0.039, -0.038, -0.02]]]
+    )
     extra = np.array([[0, len(flat) - 3, len(flat) - 2, len(flat) - 1]])
     _mesh((("tetra", np.vstack([_TETRA, extra])),), flat)(folder)
 
@@ -181,9 +194,21 @@ CASES: tuple[Case, ...] = (
     Case("unknown key in a table", SLAB, ("device.spacings", "unknown key"), ("device.spacings=0.04",)),
     Case("text for a number", SLAB, ("device.spacing", "valid number"), ("device.spacing='wide'",)),
     Case("NaN", LAYERED, ("device.spacing", "finite"), ("device.spacing=nan",)),
-    Case("infinite modulus", LAYERED, ("tissues.override.skin.mu", "finite"), ("tissues.override.skin.mu=inf",)),
-    Case("negative modulus", LAYERED, ("tissues.override.skin.mu", "greater than 0", "-13000"), ("tissues.override.skin.mu=-13e3",)),
-    Case("negative viscosity", LAYERED, ("tissues.override.fat.eta", "greater than or equal to 0"), ("tissues.override.fat.eta=-1",)),
+    Case(
+        "infinite modulus", LAYERED, ("tissues.override.skin.mu", "finite"), ("tissues.override.skin.mu=inf",)
+    ),
+    Case(
+        "negative modulus",
+        LAYERED,
+        ("tissues.override.skin.mu", "greater than 0", "-13000"),
+        ("tissues.override.skin.mu=-13e3",),
+    ),
+    Case(
+        "negative viscosity",
+        LAYERED,
+        ("tissues.override.fat.eta", "greater than or equal to 0"),
+        ("tissues.override.fat.eta=-1",),
+    ),
     Case("density in g/cm^3", LAYERED, ("density", "100"), ("tissues.override.skin.density=1.1",)),
     Case("unknown preset", LAYERED, ("tissues.preset", "'default'"), ("tissues.preset='human'",)),
     Case("unknown limb shape", LAYERED, ("limb", "forearm"), ("limb.shape='leg'",)),
@@ -191,61 +216,138 @@ CASES: tuple[Case, ...] = (
     Case("f_max = 0", LAYERED, ("sweep.f_max", "greater than 0"), ("sweep.f_max=0",)),
     Case("f_max below f_min", LAYERED, ("f_max must exceed f_min",), ("sweep.f_max=5",)),
     Case("sample_rate too low", LAYERED, ("sample_rate must be at least",), ("sweep.sample_rate=800",)),
-    Case("frequencies not increasing", LAYERED, ("frequencies must increase",), ("sweep.frequencies=[200.0, 100.0]",)),
-    Case("record too short for a bin", 'name = "bad"\nengine = "layered"\n', ("no bin",),
-         ("sweep.f_min=310", "sweep.f_max=390", "sweep.duration=0.005")),
+    Case(
+        "frequencies not increasing",
+        LAYERED,
+        ("frequencies must increase",),
+        ("sweep.frequencies=[200.0, 100.0]",),
+    ),
+    Case(
+        "record too short for a bin",
+        'name = "bad"\nengine = "layered"\n',
+        ("no bin",),
+        ("sweep.f_min=310", "sweep.f_max=390", "sweep.duration=0.005"),
+    ),
     Case("target not in the grid", LAYERED, ("['12']", "1..9"), ("rendering.targets=['12']",)),
     Case("zero point not in the grid", LAYERED, ("['Z']", "1..9"), ("rendering.zeros=['Z']",)),
-    Case("actuator that does not exist", LAYERED, ("out_of_contact", "A4"), ("device.out_of_contact=['A7']",)),
+    Case(
+        "actuator that does not exist", LAYERED, ("out_of_contact", "A4"), ("device.out_of_contact=['A7']",)
+    ),
     Case("spacing in mm by mistake", LAYERED, ("device.spacing", "0.3", "45"), ("device.spacing=45",)),
-    Case("limb length in mm by mistake", SLAB, ("limb.length", "less than or equal to 2"), ("limb.length=120",)),
-    Case("layer of a tissue that does not exist", LAYERED, ("no tissue is called 'gristle'",),
-         ("limb.layers=[{tissue='gristle', thickness=0.001}]",)),
+    Case(
+        "limb length in mm by mistake", SLAB, ("limb.length", "less than or equal to 2"), ("limb.length=120",)
+    ),
+    Case(
+        "layer of a tissue that does not exist",
+        LAYERED,
+        ("no tissue is called 'gristle'",),
+        ("limb.layers=[{tissue='gristle', thickness=0.001}]",),
+    ),
     Case("new tissue stated half", LAYERED, ("gel", "also needs"), ("tissues.override.gel.mu=1000.0",)),
     Case("parameter without effect", LAYERED, ("has no effect",), ("tissues.override.skin.exponent=0.3",)),
     Case("layered engine for a user's mesh", MESH, ("needs layers",), ("engine='layered'",)),
-    Case("wavelet file missing", LAYERED.replace("frequencies = [100.0]", "f_max = 300.0\nduration = 0.25\nsample_rate = 2000.0"),
-         ("nowhere.csv",), ("rendering.wavelet.file='nowhere.csv'",), command="render"),
-    Case("wavelet file without numbers", LAYERED.replace("frequencies = [100.0]", "f_max = 300.0\nduration = 0.25\nsample_rate = 2000.0"),
-         ("wave.csv",), ("rendering.wavelet.file='wave.csv'",), _wavelet_of_text, "render"),
-    Case("layer thicker than the slab", SLAB, ("thick together", "limb.depth"),
-         ("limb.layers=[{tissue='skin', thickness=0.03}]",)),
-    Case("layer thicker than the forearm", FOREARM, ("thick together",), ("limb.layers=[{tissue='fat', thickness=0.05}]",), command="mesh"),
+    Case(
+        "wavelet file missing",
+        LAYERED.replace("frequencies = [100.0]", "f_max = 300.0\nduration = 0.25\nsample_rate = 2000.0"),
+        ("nowhere.csv",),
+        ("rendering.wavelet.file='nowhere.csv'",),
+        command="render",
+    ),
+    Case(
+        "wavelet file without numbers",
+        LAYERED.replace("frequencies = [100.0]", "f_max = 300.0\nduration = 0.25\nsample_rate = 2000.0"),
+        ("wave.csv",),
+        ("rendering.wavelet.file='wave.csv'",),
+        _wavelet_of_text,
+        "render",
+    ),
+    Case(
+        "layer thicker than the slab",
+        SLAB,
+        ("thick together", "limb.depth"),
+        ("limb.layers=[{tissue='skin', thickness=0.03}]",),
+    ),
+    Case(
+        "layer thicker than the forearm",
+        FOREARM,
+        ("thick together",),
+        ("limb.layers=[{tissue='fat', thickness=0.05}]",),
+        command="mesh",
+    ),
     Case("contact off the slab", SLAB, ("contact A1", "does not lie"), ("device.spacing=0.08",)),
     Case("contact off the forearm", FOREARM, ("contact A1",), ("device.spacing=0.2",), command="mesh"),
     Case("contacts overlapping", SLAB, ("contacts A1 and A2", "apart"), ("device.spacing=0.006",)),
     Case("grid point off the slab", SLAB, ("grid point 1",), ("grid.pitch=0.05",)),
     Case("symmetry through contacts beside the plane", SLAB, ("limb.symmetry",), ("limb.symmetry=['x']",)),
-    Case("bone out of the muscle", FOREARM, ("bone 'radius'",),
-         ("limb.bones=[{name='radius', y=0.034, depth=0.023, diameter=0.014}]",), command="mesh"),
-    Case("bones through each other", FOREARM, ("bones", "radius", "ulna"),
-         ("limb.bones=[{name='radius', y=0.0, depth=0.03, diameter=0.014}, {name='ulna', y=0.004, depth=0.03, diameter=0.014}]",),
-         command="mesh"),
-    Case("memory limit too small", SLAB, ("memory_limit", "raise the limit"), ("solver.memory_limit=1e6",),
-         left=("mesh.vtu", "scenario.json")),
+    Case(
+        "bone out of the muscle",
+        FOREARM,
+        ("bone 'radius'",),
+        ("limb.bones=[{name='radius', y=0.034, depth=0.023, diameter=0.014}]",),
+        command="mesh",
+    ),
+    Case(
+        "bones through each other",
+        FOREARM,
+        ("bones", "radius", "ulna"),
+        (
+            "limb.bones=[{name='radius', y=0.0, depth=0.03, diameter=0.014}, {name='ulna', y=0.004, depth=0.03, diameter=0.014}]",
+        ),
+        command="mesh",
+    ),
+    Case(
+        "memory limit too small",
+        SLAB,
+        ("memory_limit", "raise the limit"),
+        ("solver.memory_limit=1e6",),
+        left=("mesh.vtu", "scenario.json"),
+    ),
     Case("surface file missing", SURFACES, ("muscle.stl", "no such surface"), files=_missing_surface),
     Case("surface file of text", SURFACES, ("muscle.stl",), files=_text_surface),
     Case("open surface", SURFACES, ("skin.stl", "not closed"), files=_open_surface),
-    Case("normals of some triangles inverted", SURFACES, ("skin.stl", "face both ways"), files=_some_inverted),
+    Case(
+        "normals of some triangles inverted", SURFACES, ("skin.stl", "face both ways"), files=_some_inverted
+    ),
     Case("surface crossing its neighbour", SURFACES, ("'skin' and 'muscle' cross",), files=_crossing),
     Case("surface crossing itself", SURFACES, ("crosses itself",), files=_self_crossing),
     Case("surface outside its neighbour", SURFACES, ("'muscle' reaches",), files=_separate),
     Case("surfaces in mm by mistake", SURFACES, ("limb.unit", "120 m"), files=_millimetre_surfaces),
-    Case("bone as the outermost surface", SURFACES, ("the bone's",), ("limb.surfaces={bone='skin.stl'}",), _good_outer),
-    Case("no surface at all", SURFACES.replace('{ skin = "skin.stl", muscle = "muscle.stl" }', "{}"), ("limb.surfaces is empty",)),
+    Case(
+        "bone as the outermost surface",
+        SURFACES,
+        ("the bone's",),
+        ("limb.surfaces={bone='skin.stl'}",),
+        _good_outer,
+    ),
+    Case(
+        "no surface at all",
+        SURFACES.replace('{ skin = "skin.stl", muscle = "muscle.stl" }', "{}"),
+        ("limb.surfaces is empty",),
+    ),
     Case("mesh file missing", MESH, ("limb.vtu", "no such mesh file")),
-    Case("mesh file of the wrong type", MESH, ("limb.png", "cannot be read as a mesh"), ("limb.file='limb.png'",),
-         lambda folder: _put(folder / "limb.png", b"\x89PNG\r\n")),
+    Case(
+        "mesh file of the wrong type",
+        MESH,
+        ("limb.png", "cannot be read as a mesh"),
+        ("limb.file='limb.png'",),
+        lambda folder: _put(folder / "limb.png", b"\x89PNG\r\n"),
+    ),
     Case("mesh file cut off", MESH, ("limb.vtu", "cannot be read as a mesh"), files=_damaged_mesh),
     Case("surface mesh for a volume mesh", MESH, ("no tetrahedra", "triangle"), files=_mesh(_TRIANGLE)),
     Case("hexahedra", MESH, ("hexahedron", "only tetrahedra"), files=_mesh(_HEXAHEDRON, _CUBE)),
     Case("mesh without regions", MESH, ("carry no region",), files=_mesh(label=None)),
     Case("region with no tissue", MESH, ("regions 7 have no tissue",), files=_mesh(label=7)),
-    Case("region name not in the file", MESH, ("limb.regions names", "tendon"), ("limb.regions={'1'='muscle', tendon='fat'}",), _mesh()),
+    Case(
+        "region name not in the file",
+        MESH,
+        ("limb.regions names", "tendon"),
+        ("limb.regions={'1'='muscle', tendon='fat'}",),
+        _mesh(),
+    ),
     Case("NaN in the mesh", MESH, ("not finite",), files=_mesh(points=_NAN)),
     Case("flat tetrahedron", MESH, ("quality",), files=_flat_tetrahedron),
     Case("mesh in mm by mistake", MESH, ("limb.unit", "80 m"), files=_mesh(points=1000 * _CORNERS)),
-)  # fmt: skip
+)
 
 
 def _put(file: Path, content: bytes) -> None:
@@ -282,7 +384,11 @@ def table(answers: Iterable[tuple[Case, str]]) -> str:
 
 def documented() -> dict[str, str]:
     """Name -> sentence, as the docs have them."""
-    rows = (line.split(" | ", 1) for line in DOCS.read_text(encoding="utf-8").splitlines() if line.startswith("| "))
+    rows = (
+        line.split(" | ", 1)
+        for line in DOCS.read_text(encoding="utf-8").splitlines()
+        if line.startswith("| ")
+    )
     return {row[0].removeprefix("| "): row[1].removesuffix(" |").replace("\\|", "|") for row in rows}
 
 

@@ -34,10 +34,7 @@ def scene(tmp_path: Path) -> Path:
 
 def test_the_help_loads_nothing_heavy() -> None:
     heavy = ("scipy", "xarray", "matplotlib", "pyvista", "skfem", "trimesh", "distributed")
-    code = (
-        "import sys, forearm_fem.cli; "
-        f"print([m for m in {heavy} if m in sys.modules])"
-    )
+    code = f"import sys, forearm_fem.cli; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
@@ -72,7 +69,9 @@ def test_schema_is_json_with_every_table() -> None:
 
 def test_doctor_says_what_the_machine_offers() -> None:
     out = cli("doctor").out
-    assert all(word in out for word in ("forearm-fem", "numpy", "direct solvers", "memory", "rendering back end"))
+    assert all(
+        word in out for word in ("forearm-fem", "numpy", "direct solvers", "memory", "rendering back end")
+    )
 
 
 def test_dry_run_solves_and_writes_nothing(scene: Path) -> None:
@@ -129,7 +128,9 @@ def test_bad_overrides_are_one_sentence(scene: Path, item: str, says: str) -> No
     assert leftovers(scene) == ["small.toml"]
 
 
-@pytest.mark.parametrize("arguments", [("solve",), ("solve", "small.toml", "--sett", "a=1"), ("sovle", "small.toml")])
+@pytest.mark.parametrize(
+    "arguments", [("solve",), ("solve", "small.toml", "--sett", "a=1"), ("sovle", "small.toml")]
+)
 def test_misuse_is_one_sentence(scene: Path, arguments: tuple[str, ...]) -> None:
     answer = cli(*arguments, cwd=scene)
     assert answer.code == 2
@@ -189,5 +190,8 @@ def test_verification_tables_mark_what_is_not_met() -> None:
     from forearm_fem.verification import HardRow, Row
 
     rows = [Row("disc", "closed form", "u", e, 1e-2, "why") for e in (1e-3, 1e-1)]
-    assert [line.split("|")[-2].strip() for line in studies.verification_table(rows).splitlines()[2:]] == ["yes", "NO"]
+    assert [line.split("|")[-2].strip() for line in studies.verification_table(rows).splitlines()[2:]] == [
+        "yes",
+        "NO",
+    ]
     assert "named error" in studies.hard_table([HardRow("a", "b", "c", "-", "named error")])

@@ -12,16 +12,30 @@ from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.recognise import write_measured
 from forearm_fem.transfer import band_error
 
-NINE_TO_FOUR = 'grid.points=[[0.0,0.0],[0.01,0.0]]'  # fewer points: 8 measurements instead of 36
+NINE_TO_FOUR = "grid.points=[[0.0,0.0],[0.01,0.0]]"  # fewer points: 8 measurements instead of 36
 
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a scenario, its G, and a virtual calibration through it."""
     folder = tmp_path_factory.mktemp("lab")
-    (folder / "small.toml").write_text(SMALL.replace('["5", "6"]', '["1", "2"]').replace("[rendering]", "[rendering]\nmethods = ['funneling']"))
+    (folder / "small.toml").write_text(
+        SMALL.replace('["5", "6"]', '["1", "2"]').replace(
+            "[rendering]", "[rendering]\nmethods = ['funneling']"
+        )
+    )
     assert cli("render", "small.toml", "--set", NINE_TO_FOUR, cwd=folder).code == 0
-    answer = cli("calibrate", "small.toml", "--set", NINE_TO_FOUR, "--through", "results/small", "--snr", 40, cwd=folder)
+    answer = cli(
+        "calibrate",
+        "small.toml",
+        "--set",
+        NINE_TO_FOUR,
+        "--through",
+        "results/small",
+        "--snr",
+        40,
+        cwd=folder,
+    )
     assert answer.code == 0, answer.err
     return folder
 
@@ -36,7 +50,9 @@ def test_calibration_recovers_g(lab: Path) -> None:
 def test_calibration_resumes_without_measuring_again(lab: Path) -> None:
     folder = lab / "results/small/calibration"
     before = {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")}
-    answer = cli("calibrate", "small.toml", "--set", NINE_TO_FOUR, "--through", "results/small", "--snr", 40, cwd=lab)
+    answer = cli(
+        "calibrate", "small.toml", "--set", NINE_TO_FOUR, "--through", "results/small", "--snr", 40, cwd=lab
+    )
     assert answer.code == 0
     assert {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")} == before
 
@@ -50,12 +66,24 @@ def test_real_hardware_needs_a_declared_sensor(lab: Path) -> None:
 def test_compare_takes_folders_and_files(lab: Path) -> None:
     answer = cli("compare", "results/small", "results/small/calibration/transfer.nc", "--out", "c", cwd=lab)
     assert answer.code == 0, answer.err
-    assert "calibration against small" in answer.out.replace("small against calibration", "calibration against small")
+    assert "calibration against small" in answer.out.replace(
+        "small against calibration", "calibration against small"
+    )
     assert {f.suffix for f in (lab / "c").iterdir()} >= {".json", ".md", ".png"}
 
 
 def test_two_engines_of_one_scenario_compare(lab: Path) -> None:
-    cli("solve", "small.toml", "--set", NINE_TO_FOUR, "--set", "tissues.preset=thesis", "--out", "other", cwd=lab)
+    cli(
+        "solve",
+        "small.toml",
+        "--set",
+        NINE_TO_FOUR,
+        "--set",
+        "tissues.preset=thesis",
+        "--out",
+        "other",
+        cwd=lab,
+    )
     answer = cli("compare", "results/small", "other", "--no-render", cwd=lab)
     assert answer.code == 0, answer.err
     assert (lab / "results/compare-small-other/comparison.json").is_file()
@@ -88,7 +116,17 @@ def test_fit_finds_the_modulus_and_rejects_unknown_names(lab: Path) -> None:
 
 
 def test_play_obeys_the_voltage_limit(lab: Path) -> None:
-    common = ("play", "small.toml", "results/small", "--target", 1, "--through", "results/small", "--set", NINE_TO_FOUR)
+    common = (
+        "play",
+        "small.toml",
+        "results/small",
+        "--target",
+        1,
+        "--through",
+        "results/small",
+        "--set",
+        NINE_TO_FOUR,
+    )
     fine = cli(*common, "--scale", 0.1, cwd=lab)
     assert fine.code == 0, fine.err
     assert "played" in fine.out

@@ -76,7 +76,9 @@ def test_the_numbers_beside_a_figure_are_those_of_the_run(made: Path, run: Resul
 def test_table_one_beside_the_thesis(made: Path, run: Results) -> None:
     _, lines = rows(made / "table-1.csv")
     middle = next(x for x in lines if x["group"] == "Middle (5)" and x["method"] == "funneling")
-    assert float(middle["here_mean"]) == pytest.approx(next(r.S for r in run.strengths if (r.target, r.method) == ("5", "funneling")))
+    assert float(middle["here_mean"]) == pytest.approx(
+        next(r.S for r in run.strengths if (r.target, r.method) == ("5", "funneling"))
+    )
     assert float(middle["thesis_mean"]) == 0.63
     assert "| Middle (5) |" in (made / "table-1-table.md").read_text(encoding="utf-8")
 
@@ -155,7 +157,9 @@ def test_a_figure_draws_into_a_notebooks_axes_and_leaves_its_style_alone(run: Re
         plot_target(target_waves(run, "5"), ax=Figure().add_axes((0, 0, 1, 1)))
 
 
-@pytest.mark.parametrize("missing, stage", [("drives.nc", "render"), ("transfer.nc", "solve"), ("scenario.json", "solve")])
+@pytest.mark.parametrize(
+    ("missing", "stage"), [("drives.nc", "render"), ("transfer.nc", "solve"), ("scenario.json", "solve")]
+)
 def test_a_half_finished_folder_names_the_missing_stage(folder: Path, tmp_path: Path, missing: str, stage: str) -> None:  # noqa: F811
     part = tmp_path / "part"
     part.mkdir()
@@ -183,7 +187,7 @@ def test_a_run_without_mesh_or_field_leaves_their_figures_out(folder: Path, tmp_
 
 
 @pytest.mark.parametrize(
-    "call, words",
+    ("call", "words"),
     [
         ({"only": ["figure-9"]}, "no figure is called 'figure-9'; known are figure-2"),
         ({"formats": ("bmp",)}, "'bmp' is no format"),

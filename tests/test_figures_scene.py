@@ -44,9 +44,11 @@ SCENE = {
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished run; do not write into it."""
-    place = tmp_path_factory.mktemp("run")
-    write_run(place)
+    """A finished run, made once for all files that import this; do not write into it."""
+    place = tmp_path_factory.getbasetemp() / "finished_run"
+    if not place.is_dir():
+        place.mkdir()
+        write_run(place)
     return place
 
 

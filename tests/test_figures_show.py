@@ -53,7 +53,7 @@ def test_waves_leave_the_actuator_and_decay(run: Results) -> None:
     top = run.mesh.points[:, 2] > -1e-9
     gap = np.linalg.norm(run.mesh.points - start, axis=1)
     near, far = top & (gap > 6e-3) & (gap < 9e-3), top & (gap > 11e-3) & (gap < 14e-3)
-    assert np.abs(u[far]).mean() < 0.6 * np.abs(u[near]).mean()
+    assert np.abs(u[far]).mean() < 0.8 * np.abs(u[near]).mean()
     assert 0.3 < np.angle(u[near].mean() / u[far].mean()) < 3.0
 
 
@@ -112,7 +112,7 @@ def test_paraview_reads_the_series(run: Results, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "view, words",
+    ("view", "words"),
     [
         (View(method="magic"), "nothing was rendered for 'magic'"),
         (View(frequency=4000.0), "outside the sweep"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -53,7 +54,9 @@ def test_each_entry_of_table_one_that_differs_has_a_sentence(folder: Path, repor
 def test_limits_exceeded_are_named(folder: Path, tmp_path: Path) -> None:  # noqa: F811
     shutil.copytree(folder, tmp_path / "run")
     file = tmp_path / "run" / "scenario.json"
-    file.write_text(file.read_text().replace('"max_voltage":2.5', '"max_voltage":0.1'))
+    scene = json.loads(file.read_text())
+    scene["device"]["max_voltage"] = 0.1
+    file.write_text(json.dumps(scene))
     lines = exceeded(Results.open(tmp_path / "run"))
     assert any(re.match(r"funneling towards 5, A1: 0\.2\d+ V peak, limit 0\.1 V\.", x) for x in lines)
     assert exceeded(Results.open(folder)) == []

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from ..errors import DataError
 from ..scenario import Scenario, apply_overrides
@@ -23,7 +31,9 @@ if TYPE_CHECKING:
 console = Console(stderr=True)
 
 ScenarioFile = Annotated[Path, typer.Argument(help="scenario file, e.g. scenarios/thesis.toml")]
-Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=0.040")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=0.040")
+]
 OutFolder = Annotated[Path | None, typer.Option("--out", help="results folder; default results/NAME")]
 Declared = Annotated[
     list[str] | None,
@@ -102,7 +112,9 @@ def transfer_file(what: Path) -> Path:
     if what.is_dir():
         what = what / "transfer.nc"
         if not what.is_file():
-            raise DataError(f"{what.parent}: no transfer.nc in this folder; `forearm-fem solve` makes one, or name a file")
+            raise DataError(
+                f"{what.parent}: no transfer.nc in this folder; `forearm-fem solve` makes one, or name a file"
+            )
     if not what.exists():
         raise DataError(f"{what}: no such file or results folder")
     return what

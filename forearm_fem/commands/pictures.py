@@ -15,9 +15,13 @@ Results = Annotated[Path, typer.Argument(help="results folder of a run")]
 
 def figures(
     results: Results,
-    only: Annotated[list[str] | None, typer.Option(help="figure names; again for more, or separated by commas")] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(help="figure names; again for more, or separated by commas")
+    ] = None,
     formats: Annotated[str, typer.Option("--format", help="any of png,pdf,svg")] = "png",
-    out: Annotated[Path | None, typer.Option("--out", help="default: figures inside the results folder")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="default: figures inside the results folder")
+    ] = None,
 ) -> None:
     """Make the figures of a run, each with its numbers as CSV."""
     if not results.is_dir():
@@ -35,7 +39,9 @@ def figures(
 
 def show(
     what: Annotated[Path, typer.Argument(help="scenario file or results folder")],
-    picture: Annotated[Path | None, typer.Option("--save", help="write a picture instead of opening a window")] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--save", help="write a picture instead of opening a window")
+    ] = None,
 ) -> None:
     """Look at a limb, its mesh and the ports in a window, or as a picture."""
     if not what.exists():

@@ -19,31 +19,41 @@ Full = Annotated[bool, typer.Option("--full", help="the long version")]
 def bench(
     full: Full = False,
     out: Annotated[Path, typer.Option("--out", help="where CSV and PNG go")] = Path("benchmarks/results"),
-    only: Annotated[list[str] | None, typer.Option(help="parts, e.g. error, size, reduced; default all")] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(help="parts, e.g. error, size, reduced; default all")
+    ] = None,
+    threads: Annotated[int, typer.Option(min=1, help="of each run; more than one needs an idle machine")] = 1,
 ) -> None:
     """Wall time and memory against true error, one curve per method; cost against size; reduced against direct."""
     from ..bench import run_bench
 
     with Display() as display, noted():
-        written = run_bench(out, full=full, only=only, progress=display)
+        written = run_bench(out, full=full, only=only, count=threads, progress=display)
     for file in written:
         typer.echo(str(file))
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(help="campaign file: a scenario and a list, grid or draw of overrides")],
+    file: Annotated[
+        Path, typer.Argument(help="campaign file: a scenario and a list, grid or draw of overrides")
+    ],
     out: Annotated[Path | None, typer.Option("--out", help="default results/NAME")] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="address of a running Dask scheduler, e.g. tcp://host:8786; default: this machine")
+        str | None,
+        typer.Option(help="address of a running Dask scheduler, e.g. tcp://host:8786; default: this machine"),
     ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="processes on this machine; default: what memory allows")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="processes on this machine; default: what memory allows")
+    ] = None,
 ) -> None:
     """Run many variants of a scenario; finished ones are skipped, failed ones do not stop the rest."""
     from ..campaign import load_campaign, run_campaign
 
     asked = load_campaign(file)
     with Display() as display, noted():
-        result = run_campaign(asked, out or Path("results") / asked.name, scheduler=scheduler, workers=workers, progress=display)
+        result = run_campaign(
+            asked, out or Path("results") / asked.name, scheduler=scheduler, workers=workers, progress=display
+        )
     typer.echo(result.table)
     print_notes([f"{m.name}: {m.problem}" for m in result.members if m.problem])
     typer.echo(f"campaign: {result.folder}")
@@ -53,7 +63,9 @@ def campaign(
 
 def verify(
     full: Full = False,
-    hard: Annotated[bool, typer.Option("--hard", help="the hard cases instead: extreme scenes and their verdicts")] = False,
+    hard: Annotated[
+        bool, typer.Option("--hard", help="the hard cases instead: extreme scenes and their verdicts")
+    ] = False,
 ) -> None:
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
     from .. import verification
@@ -80,4 +92,6 @@ def verification_table(rows: Sequence[Row]) -> str:
 
 def hard_table(rows: Sequence[HardRow]) -> str:
     head = "| case | what | result | true error | verdict |\n| --- | --- | --- | --- | --- |"
-    return "\n".join([head, *(f"| {r.case} | {r.what} | {r.result} | {r.true_error} | {r.verdict} |" for r in rows)])
+    return "\n".join(
+        [head, *(f"| {r.case} | {r.what} | {r.result} | {r.true_error} | {r.verdict} |" for r in rows)]
+    )

@@ -58,9 +58,7 @@ class Results:
         """The results in ``folder``; DataError if there is no such folder."""
         place = Path(folder)
         if not place.is_dir():
-            raise DataError(
-                f"{place}: no such results folder; `forearm-fem run SCENARIO --out {place}` makes it"
-            )
+            raise DataError(f"{place}: no such results folder; `forearm-fem run SCENARIO --out {place}` makes it")
         return cls(place)
 
     def has(self, name: str) -> bool:

@@ -17,7 +17,6 @@ from .data import Results
 from .style import ACTUATORS, GREY, decimal, letter, method_colour, panels, styled
 from .tables import Table
 
-
 LINES: tuple[Any, ...] = ("-", (0, (4, 2)), (2, (2, 2)), (0, (1, 1.5)))  # equal lines stay visible
 
 
@@ -61,7 +60,7 @@ def plot_impedance(data: Impedance, *, ax: Axes | None = None) -> FigureBase:
     figure = panels(ax, (2.4 * n, 2.7))
     axes = figure.subplots(1, n)
     for k, name in enumerate(data.names):
-        look = {"color": ACTUATORS[k % len(ACTUATORS)], "ls": LINES[k % 4], "label": name}
+        look: dict[str, Any] = {"color": ACTUATORS[k % len(ACTUATORS)], "ls": LINES[k % 4], "label": name}
         axes[0].plot(data.frequency, np.abs(data.skin[:, k]), **look)
         axes[1].plot(data.frequency, np.angle(data.skin[:, k], deg=True), **look)
         if data.electrical is not None:
@@ -163,17 +162,21 @@ def plot_drives(data: DriveLevels, *, ax: Axes | None = None) -> FigureBase:
     figure = panels(ax, (7.2, 4.8))
     n = len(data.methods)
     grid = figure.add_gridspec(2, 2 * n)
+    first: Axes | None = None
     for m, method in enumerate(data.methods):
         panel = figure.add_subplot(grid[0, 2 * m : 2 * m + 2])
+        first = first or panel
         _over_time(panel, data, m)
         panel.set_title(f"{method}, target {data.target}")
         panel.set_ylabel(f"drive [{data.unit}]" if m == 0 else "")
     left, right = figure.add_subplot(grid[1, :n]), figure.add_subplot(grid[1, n:])
     _by_target(left, data, data.peak, data.max_peak, f"largest peak [{data.unit}]")
     _by_target(right, data, data.power, data.max_power, "largest mean power [W]")
-    for which, names in ((figure.axes[0], "upper"), (left, "lower")):
-        handles, labels = which.get_legend_handles_labels()
-        figure.legend(handles, labels, loc=f"outside {names} center", ncols=len(labels))
+    assert first is not None
+    handles, labels = first.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 

@@ -46,12 +46,15 @@ class Room:
         self._slider("method", len(drives.methods), 2, self._to_method)
         if self.view.frequency is not None:
             band = self.results.transfer.frequency
-            self.plotter.add_slider_widget(self._to_frequency, (float(band[0]), float(band[-1])), self.view.frequency,
+            ends = (float(band[0]), float(band[-1]))
+            self.plotter.add_slider_widget(self._to_frequency, ends, value=self.view.frequency,
                                            title="Hz", fmt="%.0f", **_place(3))  # fmt: skip
 
     def _slider(self, title: str, n: int, row: int, act: Callable[[int], None]) -> None:
         if n > 1:
-            self.plotter.add_slider_widget(lambda v: act(round(v)), (0, n - 1), 0, title=title, fmt="%.0f", **_place(row))
+            self.plotter.add_slider_widget(
+                lambda v: act(round(v)), (0, n - 1), value=0, title=title, fmt="%.0f", **_place(row)
+            )
 
     def _rebuild(self) -> None:
         camera = self.plotter.camera_position if self.stage is not None else None

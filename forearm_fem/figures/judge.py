@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -73,7 +74,7 @@ def plot_strength_maps(data: Strengths, *, ax: Axes | None = None) -> FigureBase
     return figure
 
 
-def _map(ax: Axes, data: Strengths, values: FloatArray, norm: TwoSlopeNorm):  # type: ignore[no-untyped-def]
+def _map(ax: Axes, data: Strengths, values: FloatArray, norm: TwoSlopeNorm) -> Any:
     at, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
     size = 340 if len(values) <= 16 else 5000 / len(values)
     dots = ax.scatter(at[:, 0], at[:, 1], c=np.log2(values), cmap="PuOr_r", norm=norm, s=size, edgecolors=INK, lw=0.5)
@@ -161,7 +162,7 @@ def _points(ax: Axes, data: Strengths) -> None:
     place = np.arange(len(ours.groups), dtype=float)
     for m, method in enumerate(ours.methods):
         x = place + 0.24 * (m - (len(ours.methods) - 1) / 2)
-        look = {"color": method_colour(method, ours.methods), "capsize": 2, "lw": 0.8, "ls": "none"}
+        look: dict[str, Any] = {"color": method_colour(method, ours.methods), "capsize": 2, "lw": 0.8, "ls": "none"}
         ax.errorbar(x - 0.04, ours.mean[:, m], np.nan_to_num(ours.std[:, m]), fmt="o", label=f"{method}, here", **look)
         if method in theirs.methods:
             rows = [theirs.groups.index(g) for g in ours.groups]
@@ -224,8 +225,8 @@ def plot_errors(data: Errors, *, ax: Axes | None = None) -> Axes:
             axes.axhline(max(e.band, 1e-16), color=colour, ls=":", label=label + " (band only)")
     if np.isfinite(data.asked):
         axes.axhline(data.asked, color=GREY, ls="--", lw=0.8)
-        axes.annotate(f"asked {data.asked:g}", (0.01, data.asked), xycoords=("axes fraction", "data"), ha="left", va="bottom",
-                      fontsize=7, color=GREY)  # fmt: skip
+        axes.annotate(f"asked {data.asked:g}", (0.01, data.asked), xycoords=("axes fraction", "data"), ha="left",
+                      va="bottom", fontsize=7, color=GREY)  # fmt: skip
     axes.set(xlabel="frequency [Hz]", ylabel="e(f) = max |ΔG| / max |G| [-]", yscale="log")
     axes.legend(title="source: $e_{band}$", loc="center left", bbox_to_anchor=(1.0, 0.5))
     return axes
@@ -234,5 +235,3 @@ def plot_errors(data: Errors, *, ax: Axes | None = None) -> Axes:
 def method_notes(data: Errors) -> Mapping[str, str]:
     """How each source's error was found."""
     return {e.source: e.method for e in data.estimates}
-
-

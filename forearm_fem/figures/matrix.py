@@ -218,8 +218,11 @@ def plot_versus(data: Versus, *, ax: Axes | None = None) -> FigureBase:
         grid[2, i].set_xlabel("frequency [Hz]")
     grid[0, 0].set(ylabel=f"|G| [{micro(g.unit)}]", yscale="log")
     grid[1, 0].set_ylabel("phase [cycles]")
-    grid[2, 0].set(ylabel="|ΔG| / max |G| [-]", yscale="log")
-    handles = [grid[0, 0].plot([], [], color=GREY, ls=s, label=n)[0] for n, s in zip(data.names, ("-", ":"), strict=True)]
+    scale = "log" if np.any(data.error > 0) else "linear"
+    grid[2, 0].set(ylabel="|ΔG| / max |G| [-]", yscale=scale)
+    handles = [
+        grid[0, 0].plot([], [], color=GREY, ls=s, label=n)[0] for n, s in zip(data.names, ("-", ":"), strict=True)
+    ]
     figure.legend(handles=handles, loc="outside upper right", ncols=2)
     return figure
 

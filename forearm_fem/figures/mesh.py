@@ -46,9 +46,10 @@ class Cutaway:
 def cutaway(results: Results) -> Cutaway:
     """The run's mesh with everything wristwards of an actuator row and to one side taken away."""
     mesh, ports = results.mesh, (*results.transfer.inputs, *results.transfer.outputs)
-    volume = np.bincount(mesh.region, weights=mesh.volumes, minlength=len(mesh.region_names))
-    count = np.bincount(mesh.region, minlength=len(mesh.region_names)).astype(float)
-    return Cutaway(cutaway_picture(mesh, ports), mesh.region_names, volume, count, len(mesh.points))
+    n = len(mesh.region_names)
+    volume = np.bincount(mesh.region, weights=mesh.volumes, minlength=n)
+    count = np.asarray(np.bincount(mesh.region, minlength=n), float)
+    return Cutaway(cutaway_picture(mesh, ports), mesh.region_names, np.asarray(volume, float), count, len(mesh.points))
 
 
 def cutaway_picture(mesh: TissueMesh, ports: Sequence[Port], size: tuple[int, int] = (1500, 1000)) -> Any:
@@ -69,7 +70,7 @@ def cutaway_picture(mesh: TissueMesh, ports: Sequence[Port], size: tuple[int, in
         _axes_marks(plotter, mesh)
         whole = np.array(grid.bounds).reshape(3, 2)
         plotter.camera_position = [(-1.0, -1.15, 0.85), (0, 0, 0), (0, 0, 1)]
-        plotter.reset_camera(bounds=(whole + [[-16, 6], [-16, 6], [-2, 12]]).ravel())
+        plotter.reset_camera(bounds=(whole + np.array([[-16, 6], [-16, 6], [-2, 12]])).ravel())
         plotter.camera.zoom(1.35)
         return np.array(plotter.screenshot(None, return_img=True))
 
@@ -95,7 +96,10 @@ def plot_cutaway(data: Cutaway, *, ax: Axes | None = None) -> Axes:
     axes.imshow(trimmed(data.picture), interpolation="lanczos")
     axes.axis("off")
     colours = tissue_colours(data.names)
-    labels = [f"{n}: {1e6 * v:.0f} cm³, {c:,.0f} tetrahedra" for n, v, c in zip(data.names, data.volume, data.count, strict=True)]
+    labels = [
+        f"{n}: {1e6 * v:.0f} cm³, {c:,.0f} tetrahedra"
+        for n, v, c in zip(data.names, data.volume, data.count, strict=True)
+    ]
     handles = [Patch(fc=c, ec=INK, lw=0.4, label=t) for c, t in zip(colours, labels, strict=True)]
     axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, -0.1), ncols=len(handles), fontsize=6.5)
     axes.set_title(f"{data.total:,} vertices, {data.count.sum():,.0f} tetrahedra")
@@ -160,7 +164,9 @@ def _from_above(mesh: TissueMesh, value: FloatArray) -> Map:
     """Skin facets that face upwards, each with its tetrahedron's value."""
     surface = surface_grid(mesh, mesh.facets["skin"])
     facets = mesh.facets["skin"]
-    faces = np.concatenate([np.sort(mesh.tetrahedra[:, list(c)], axis=1) for c in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))])
+    faces = np.concatenate(
+        [np.sort(mesh.tetrahedra[:, list(c)], axis=1) for c in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))]
+    )
     owner = np.tile(np.arange(len(mesh.tetrahedra)), 4)
     order = np.lexsort(faces.T[::-1])
     n = len(mesh.points)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -128,7 +129,7 @@ def method_extra(data: Method) -> dict[str, str]:
 def plot_method(data: Method, *, ax: Axes | None = None) -> FigureBase:
     """One entry of G from a sweep (top), and from controls to drives to what the points do (bottom)."""
     figure = panels(ax, (7.4, 5.6))
-    top, bottom = figure.subfigures(2, 1, height_ratios=(1, 1.45))
+    top, bottom = figure.subfigures(2, 1, height_ratios=(1, 1.45), squeeze=False)[:, 0]
     _entry(top, data)
     _filter(bottom, data)
     return figure
@@ -143,7 +144,9 @@ def _entry(figure: FigureBase, data: Method) -> None:
     response.plot(m.time, MICRO * m.response, color="#D55E00", lw=0.3, rasterized=True)
     response.set(xlabel="time [s]", ylabel="[µm]", title=f"response of point {m.point.name}")
     entry.plot(m.frequency, MICRO * np.abs(m.entry), color=INK)
-    entry.set(xlabel="frequency [Hz]", ylabel=f"[µ{m.unit}]", title=f"|G| and phase, {m.point.name} ← {m.actuator.name}")
+    entry.set(
+        xlabel="frequency [Hz]", ylabel=f"[µ{m.unit}]", title=f"|G| and phase, {m.point.name} ← {m.actuator.name}"
+    )
     phase = entry.twinx()
     phase.plot(m.frequency, unwrapped(m.entry), color=GREY, ls="--", lw=0.8)
     phase.set_ylabel("phase [cycles]", color=GREY)
@@ -168,9 +171,12 @@ def _layout(ax: Axes, outputs: tuple[Port, ...], inputs: tuple[Port, ...], m: Me
 
 def _filter(figure: FigureBase, data: Method) -> None:
     n = max(len(data.controls), len(data.inputs))
-    left, middle, right = figure.subfigures(1, 3, width_ratios=(1, 1, 1))
+    left, middle, right = figure.subfigures(1, 3, squeeze=False)[0]
     ms = 1e3 * data.time
-    for part, rows, title in ((left, data.wanted, "wanted: target and zeros"), (right, data.reached, "reached (own scale)")):
+    for part, rows, title in (
+        (left, data.wanted, "wanted: target and zeros"),
+        (right, data.reached, "reached (own scale)"),
+    ):
         most = MICRO * float(np.nanmax(np.abs(rows))) or 1.0
         axes = np.atleast_1d(part.subplots(n, 1, sharex=True))
         for k, panel in enumerate(axes):
@@ -324,6 +330,10 @@ def _column(axes: FloatArray, data: Workflow, k: int) -> None:
 
 def _arrow(figure: FigureBase, upper: Axes, lower: Axes, text: str) -> None:
     """An arrow from one panel down to the next, and what happens on the way."""
-    look = {"arrowstyle": "-|>", "color": GREY, "lw": 1.2, "shrinkA": 12, "shrinkB": 2}
-    figure.add_artist(ConnectionPatch((0.5, 0), (0.5, 1), "axes fraction", "axes fraction", axesA=upper, axesB=lower, **look))
-    lower.annotate(text, (0.54, 1.1), xycoords="axes fraction", fontsize=7.5, color=INK, ha="left", va="center").set_in_layout(False)
+    look: dict[str, Any] = {"arrowstyle": "-|>", "color": GREY, "lw": 1.2, "shrinkA": 12, "shrinkB": 2}
+    figure.add_artist(
+        ConnectionPatch((0.5, 0), (0.5, 1), "axes fraction", "axes fraction", axesA=upper, axesB=lower, **look)
+    )
+    lower.annotate(
+        text, (0.54, 1.1), xycoords="axes fraction", fontsize=7.5, color=INK, ha="left", va="center"
+    ).set_in_layout(False)

@@ -82,7 +82,7 @@ def motion(results: Results, view: View, steps: FloatArray | None = None) -> Mot
 
 def default_times() -> FloatArray:
     """60 instants from 12 ms before the wavelet's centre to 17.5 ms after it [s]."""
-    return np.arange(-24, 36) * 0.5e-3
+    return np.asarray(np.arange(-24, 36) * 0.5e-3, dtype=np.float64)
 
 
 def check(results: Results, view: View) -> None:

@@ -73,7 +73,7 @@ class _Marked:
 def _views(results: Results) -> list[View]:
     check(results, default_view(results))
     drives, g = results.drives, results.transfer
-    wanted = [t for t in ("5", "6") if t in drives.targets] or [drives.targets[0]]
+    wanted: list[str] = [t for t in ("5", "6") if t in drives.targets] or [drives.targets[0]]
     timed = [View(m, t) for t in wanted for m in drives.methods]
     inside = [f for f in _FREQUENCIES if g.frequency[0] <= f <= g.frequency[-1]]
     return timed + [View(frequency=f, actuator=g.inputs[0].name) for f in inside]
@@ -118,7 +118,8 @@ def _content(results: Results, skin: Body, series: list[dict[str, Any]], frames:
     ports = (*g.inputs, *g.outputs)
     cones = cones_of(g.inputs)
     tags = [{"name": p.name, "kind": "point", "at": _above(p.position, p.axis, 0.8)} for p in g.outputs]
-    tags += [{"name": n, "kind": "coil", "at": (top + [0, 0, 3]).tolist()} for n, top in zip(cones.names, cones.tops, strict=True)]
+    above = cones.tops + np.array([0, 0, 3])
+    tags += [{"name": n, "kind": "coil", "at": at.tolist()} for n, at in zip(cones.names, above, strict=True)]
     places = MM * np.array([p.position for p in ports])
     faces = np.asarray(skin.dataset.faces).reshape(-1, 4)[:, 1:]
     return {
@@ -142,7 +143,9 @@ def _above(position: tuple[float, float, float], axis: tuple[float, float, float
 def _triangles(body: Any) -> FloatArray:
     """Corners (3 n, 3) of a pyvista surface."""
     surface = body.triangulate()
-    return np.asarray(surface.points)[np.asarray(surface.faces).reshape(-1, 4)[:, 1:].ravel()]
+    order = np.asarray(surface.faces).reshape(-1, 4)[:, 1:].ravel()
+    corners: FloatArray = np.asarray(surface.points, dtype=float)[order]
+    return corners
 
 
 def _packed(values: Any, kind: Any) -> str:

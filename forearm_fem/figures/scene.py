@@ -16,7 +16,6 @@ import vtk
 from ..errors import ForearmError
 from ..geometry.mesh import TissueMesh
 from ..ports import Port
-from ..scenario import Scenario
 from ..typing import FloatArray, IntArray
 from .style import INK, TISSUES
 
@@ -94,7 +93,7 @@ def add_device(plotter: Any, ports: Sequence[Port], *, lift: float = 0.0, opacit
     for body in cones.bodies:
         plotter.add_mesh(body, color="#6F7C8C", opacity=opacity, smooth_shading=True, split_sharp_edges=True)
     if len(cones.names):
-        add_labels(plotter, cones.tops + [0, 0, 1.5], cones.names, size=22)
+        add_labels(plotter, cones.tops + np.array([0, 0, 1.5]), cones.names, size=22)
 
 
 def add_grid(plotter: Any, ports: Sequence[Port], target: str | None = None, *, lift: float = 0.4) -> None:
@@ -106,7 +105,7 @@ def add_grid(plotter: Any, ports: Sequence[Port], target: str | None = None, *, 
         ball = pv.Sphere(radius=1.1 if chosen else 0.6, center=place)
         plotter.add_mesh(ball, color="#E69F00" if chosen else INK, lighting=not chosen)
     if len(points) and len(points) <= 25:
-        add_labels(plotter, at + [0, 0, 1.2], [p.name for p in points], size=17)
+        add_labels(plotter, at + np.array([0, 0, 1.2]), [p.name for p in points], size=17)
 
 
 def add_labels(plotter: Any, places: FloatArray, names: Sequence[str], *, size: int) -> None:
@@ -126,21 +125,17 @@ def add_bones(plotter: Any, mesh: TissueMesh) -> None:
         plotter.add_mesh(grid.extract_surface(algorithm="dataset_surface"), color=TISSUES["bone"])
 
 
-def centre_of(scenario: Scenario, mesh: TissueMesh, ports: Sequence[Port]) -> FloatArray:
-    """The middle of the ports [mm], what cameras look at."""
-    return MM * np.array([p.position for p in ports] or [mesh.points.mean(axis=0)]).mean(axis=0)
-
-
 def add_scale_bar(plotter: Any, at: FloatArray, length: float = 10.0) -> None:
     """A bar of ``length`` [mm] along x that starts at ``at`` [mm], with its length beside it."""
-    end = np.asarray(at) + [length, 0, 0]
+    end = at + np.array([length, 0, 0])
     plotter.add_mesh(pv.Tube(pointa=at, pointb=end, radius=0.35), color=INK, lighting=False)
-    add_labels(plotter, np.array([(np.asarray(at) + end) / 2 - [0, 2.2, 0]]), [f"{length:g} mm"], size=15)
+    add_labels(plotter, np.array([(at + end) / 2 - np.array([0, 2.2, 0])]), [f"{length:g} mm"], size=15)
 
 
 def has_display() -> bool:
     """Whether a window could be opened."""
-    return os.name == "nt" or sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    named = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return os.name == "nt" or sys.platform == "darwin" or bool(named)
 
 
 @contextmanager
@@ -165,7 +160,7 @@ def _opened(size: tuple[int, int], off_screen: bool) -> Any:
     if not off_screen and not has_display():
         raise ForearmError("there is no display for a window; leave interactive off, or set DISPLAY")
     try:
-        plotter = pv.Plotter(off_screen=off_screen, window_size=list(size))
+        plotter: Any = pv.Plotter(off_screen=off_screen, window_size=list(size))
     except (RuntimeError, OSError, ImportError) as problem:
         raise ForearmError(
             f"VTK cannot draw here ({problem}); on Debian install the packages libegl1, libgl1 and libxrender1"

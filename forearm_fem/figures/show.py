@@ -123,13 +123,9 @@ def amplification(moved: Motion, body: Body, look: Look) -> float:
     """How many times larger than life the motion is drawn: as asked, or 1, 2 or 5 times a power of ten."""
     if look.amplification is not None:
         return look.amplification
-    sizes = [np.linalg.norm(moved.displacement(body.modes, k), axis=1).max() for k in _some(len(moved.steps))]
+    sizes = [np.linalg.norm(moved.displacement(body.modes, k), axis=1).max() for k in range(len(moved.steps))]
     most = float(max(sizes))
     return nice(_BULGE / (MM * most)) if most > 0 else 1.0
-
-
-def _some(n: int) -> list[int]:
-    return sorted({int(k) for k in np.linspace(0, n - 1, min(n, 16))})
 
 
 def colour_limit(results: Results, moved: Motion, look: Look) -> float:
@@ -158,7 +154,9 @@ class Stage:
         u = self.moved.displacement(self.body.modes, step)
         self.body.dataset.points = self.body.rest + MM * self.factor * u
         self.body.dataset.point_data["shown"] = self._values(u)
-        self.body.dataset.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False, inplace=True)
+        self.body.dataset.compute_normals(
+            cell_normals=False, split_vertices=False, consistent_normals=False, inplace=True
+        )
         self.plotter.add_text(self._words(step), position="upper_left", font_size=10, color="black", name="words")
 
     def _values(self, u: FloatArray) -> FloatArray:
@@ -189,7 +187,7 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
     add_grid(plotter, ports, view.target if view.actuator is None else None, lift=0.6)
     add_bones(plotter, results.mesh)
     low = MM * np.array([p.position for p in ports]).min(axis=0)
-    add_scale_bar(plotter, low + [-8, -16, 0])
+    add_scale_bar(plotter, low + np.array([-8, -16, 0]))
     plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray")
     _aim(plotter, results, look)
     return stage
@@ -212,7 +210,7 @@ def _aim(plotter: Any, results: Results, look: Look) -> None:
     """The set camera, looking at the device; wide enough for it and 25 mm more."""
     places = MM * np.array([p.position for p in (*results.transfer.inputs, *results.transfer.outputs)])
     plotter.camera_position = [CAMERAS[look.camera], (0, 0, 0), (0, 1, 0) if look.camera == "top" else (0, 0, 1)]
-    low, high = places.min(axis=0) - [25, 22, 14], places.max(axis=0) + [25, 22, 18]
+    low, high = places.min(axis=0) - [25, 22, 14], places.max(axis=0) + np.array([25, 22, 18])
     plotter.reset_camera(bounds=np.stack([low, high]).T.ravel())
     plotter.camera.zoom(1.2)
 

@@ -48,11 +48,11 @@ def panels(ax: Axes | None, size: tuple[float, float]) -> FigureBase:
     """A new figure of ``size`` [inch], or a sub-figure in the place of ``ax`` (which disappears)."""
     if ax is None:
         return Figure(figsize=size, layout="constrained")
-    spec = ax.get_subplotspec()
-    if spec is None or not isinstance(ax.figure, Figure | SubFigure):
+    spec, figure = ax.get_subplotspec(), ax.figure
+    if spec is None or not isinstance(figure, Figure | SubFigure):
         raise DataError("this figure has several panels: give it axes made by subplots(), or no ax at all")
     ax.remove()
-    return ax.figure.add_subfigure(spec)
+    return figure.add_subfigure(spec)
 
 
 def figure_of(drawn: Drawn) -> Figure:

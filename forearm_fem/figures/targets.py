@@ -77,9 +77,7 @@ def target_waves(results: Results, target: str) -> Target:
     return Target(target, g.outputs, g.inputs, shown, x, y, patch)
 
 
-def _shown(
-    results: Results, method: str, target: str, patch: VolarPatch | None, x: FloatArray, y: FloatArray
-) -> Shown:
+def _shown(results: Results, method: str, target: str, patch: VolarPatch | None, x: FloatArray, y: FloatArray) -> Shown:
     moved = results.displacements
     values = _one(moved, method, target)
     instants = moments(moved.time, values, moved.channels.index(target))
@@ -152,14 +150,14 @@ def plot_target(data: Target, *, ax: Axes | None = None) -> FigureBase:
     """Per method: maps at six instants (interpolated, and the field itself), and the grid points over time."""
     rows = 2 if data.patch is not None else 1
     figure = panels(ax, (10.2, 0.3 + len(data.shown) * (1.08 * rows + 0.4)))
-    bands = np.atleast_1d(figure.subfigures(len(data.shown), 1))
+    bands = figure.subfigures(len(data.shown), 1, squeeze=False)[:, 0]
     for band, shown in zip(bands, data.shown, strict=True):
         _band(band, data, shown, rows)
     return figure
 
 
 def _band(figure: FigureBase, data: Target, shown: Shown, rows: int) -> None:
-    maps, right = figure.subfigures(1, 2, width_ratios=(2.6, 1))
+    maps, right = figure.subfigures(1, 2, width_ratios=(2.6, 1), squeeze=False)[0]
     grid = maps.subplots(rows, _INSTANTS, squeeze=False)
     scale = _scale(shown)
     for k, t in enumerate(shown.instants):
@@ -224,5 +222,3 @@ def plot_traces(data: Target, *, ax: Axes | None = None) -> FigureBase:
     for panel, shown in zip(axes, data.shown, strict=True):
         _traces(panel, data, shown)
     return figure
-
-

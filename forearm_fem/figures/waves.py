@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -66,7 +67,9 @@ def _field_line(results: Results, places: tuple[float, ...]) -> Line:
     corners, weights = patch.weights(start[:2] + np.outer(np.interp(places, gaps, fine), along))
     field = patch.normal_field(results.wavefield).between(corners, weights)
     cone = _same_bins(results, field.frequency)
-    return Line(g.inputs[0].name, field.frequency, np.array(places), field.response(0), cone, g.unit, "field between the points")
+    return Line(
+        g.inputs[0].name, field.frequency, np.array(places), field.response(0), cone, g.unit, "field between the points"
+    )
 
 
 def _same_bins(results: Results, frequency: FloatArray) -> ComplexArray | None:
@@ -200,7 +203,7 @@ def _place_names(data: Travel) -> list[str]:
 def plot_travel(data: Travel, *, ax: Axes | None = None) -> FigureBase:
     """A wavelet attenuated and dispersed along a line: drive, displacement and spectrum at each place."""
     figure = panels(ax, (7.2, 1.1 + 0.62 * (len(data.distance) + 3)))
-    halves = figure.subfigures(1, len(data.methods))
+    halves: Any = figure.subfigures(1, len(data.methods))
     for m, half in enumerate(halves):
         _half(half, data, m)
     return figure

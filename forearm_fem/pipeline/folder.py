@@ -72,6 +72,7 @@ def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
     transfer, coarse = _solved(run)
     _rendered(run, transfer, coarse)
+    _write_run(run)
     with run.stage("report"):
         from ..report import write_report  # plotting is heavy and not needed by the other stages
 
@@ -230,13 +231,14 @@ def _write_run(run: Run) -> None:
     before = _read_json(target)
     transfer = read_transfer(run.out / "transfer.nc")
     solution = _read_json(run.out / "solution.json")
+    stages = {**before.get("stages", {}), **run.ledger.stages}
     account = {
         "scenario": run.scenario.model_dump(mode="json"),
         "versions": versions(),
         "program": __version__,
         "mesh": solution.get("mesh", {}),
         "solution": solution.get("facts", {}),
-        "stages": {**before.get("stages", {}), **run.ledger.stages},
+        "stages": {name: _first_cost(cost, before.get("stages", {}).get(name)) for name, cost in stages.items()},
         "errors": [_error_entry(e) for e in transfer.errors],
         "accuracy": accuracy_verdict(run.scenario, transfer.errors),
         "condition_number": _condition(transfer),
@@ -244,6 +246,11 @@ def _write_run(run: Run) -> None:
         "notes": list(dict.fromkeys(run.notes)),
     }
     write_text(target, json.dumps(account, indent=2))
+
+
+def _first_cost(cost: dict[str, float], before: dict[str, float] | None) -> dict[str, float]:
+    """What the stage cost when it was computed: a stage that only reused results keeps its older, larger account."""
+    return before if before and before["seconds"] > cost["seconds"] else cost
 
 
 def _error_entry(error: ErrorEstimate) -> dict[str, Any]:

@@ -260,6 +260,5 @@ def headline(results: Results) -> str:
     data = strengths(results)
     best = [f"{m} {np.nanmean(v):.2f}" for m, v in zip(data.methods, data.values, strict=True)]
     verdict = str(results.account.get("accuracy") or "the accuracy reached is not on record")
-    return f"Scene {s.name}: mean signal strength over {len(data.targets)} targets is {', '.join(best)}. Accuracy: {verdict}."
-
-
+    told = f"mean signal strength over {len(data.targets)} targets is {', '.join(best)}"
+    return f"Scene {s.name}: {told}. Accuracy: {verdict}."

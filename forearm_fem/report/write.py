@@ -15,8 +15,9 @@ from PIL import Image
 
 from ..errors import DataError, ForearmError
 from ..figures.data import Results
+from ..figures.motion import View
 from ..figures.registry import applies, kinds
-from ..figures.show import View, render_still
+from ..figures.show import render_still
 from ..figures.style import SHEET, figure_of, sign
 from ..figures.tables import markdown
 from ..figures.targets import plot_traces, target_waves
@@ -111,10 +112,11 @@ def _pictures(results: Results, progress: Progress) -> tuple[list[tuple[str, Pic
     """Pictures by name, and a sentence for each that could not be made."""
     known = kinds(results)
     jobs: list[tuple[str, Callable[[], Picture]]] = []
-    for name in ("mesh", "transfer"):
-        if not applies(known[name], results):
-            jobs.append((name, lambda name=name: _figure(results, name)))  # type: ignore[misc]
-    shown = [t for t in ("5", "6") if t in results.displacements.targets] or [results.displacements.targets[0]]
+    fitting = [name for name in ("mesh", "transfer") if not applies(known[name], results)]
+    jobs += [(name, lambda name=name: _figure(results, name)) for name in fitting]  # type: ignore[misc]
+    shown: list[str] = [t for t in ("5", "6") if t in results.displacements.targets] or [
+        results.displacements.targets[0]
+    ]
     jobs += [(f"target-{t}", lambda t=t: _traces(results, t)) for t in shown]  # type: ignore[misc]
     if results.has_field:
         jobs.append(("wavefield", lambda: _still(results, shown[0])))
@@ -183,4 +185,5 @@ def _markdown_body(section: Section) -> list[str]:
         lines.append(markdown(section.block.header, section.block.rows))
     if section.block and section.block.note:
         lines.append(section.block.note + "\n")
+    lines += [f"*{picture.title}: in report.html*\n" for picture in section.pictures]
     return [*lines, *(f"- {line}" for line in section.bullets), *([""] if section.bullets else [])]

@@ -1,0 +1,70 @@
+"""All cases in one tuple, run in order, timed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from . import cases, hard, slabs, twin
+from .rows import HardRow, Progress, Row
+
+
+@dataclass(frozen=True)
+class Case:
+    """A named generator of rows; ``quick`` ones make up the short version."""
+
+    name: str
+    rows: Callable[[], Iterator[Row]]
+    quick: bool = True
+
+
+CASES = (
+    Case("twin, published tables", twin.table_rows),
+    Case("twin, Miller-Pursey", twin.miller_pursey_rows),
+    Case("twin, limits", twin.limit_rows),
+    Case("orders, P2/P1", partial(cases.order_rows, "P2")),
+    Case("orders, P3/P2", partial(cases.order_rows, "P3")),
+    Case("orders, MINI", partial(cases.order_rows, "P1")),
+    Case("orders, modulus jump, P2/P1", partial(cases.order_rows, "P2", jump=20.0)),
+    Case("orders, modulus jump, P3/P2", partial(cases.order_rows, "P3", jump=20.0), quick=False),
+    Case("no locking", cases.locking_rows),
+    Case("shear bar", cases.shear_bar_rows),
+    Case("rigid punch", cases.punch_rows),
+    Case("oscillating sphere", cases.sphere_rows),
+    Case("structure", cases.structure_rows),
+    Case("solvers and reduction", cases.solver_rows),
+    Case("FE against the twin, three levels", slabs.convergence_rows),
+    Case("FE against the tables, 100 Hz", partial(slabs.reference_rows, slabs.REFERENCE[1:2])),
+    Case("FE against the tables, all frequencies", partial(slabs.reference_rows, slabs.REFERENCE), quick=False),
+)
+
+
+def run_verification(
+    full: bool = False, progress: Progress | None = None, *, chosen: Sequence[Case] = CASES
+) -> list[Row]:
+    """Run the quick cases, or with ``full`` all of them; progress(name, done, total) after each."""
+    wanted = [c for c in chosen if full or c.quick]
+    rows: list[Row] = []
+    for i, case in enumerate(wanted):
+        start = time.perf_counter()
+        found = list(case.rows())
+        share = (time.perf_counter() - start) / max(len(found), 1)
+        rows += [replace(row, seconds=row.seconds or share) for row in found]
+        _tell(progress, case.name, i + 1, len(wanted))
+    return rows
+
+
+def run_hard_cases(progress: Progress | None = None) -> list[HardRow]:
+    """Extreme scenes, each right within its stated error or refused by name."""
+    rows: list[HardRow] = []
+    for i, case in enumerate(hard.HARD):
+        rows += hard.judged(case)
+        _tell(progress, case.name, i + 1, len(hard.HARD))
+    return rows
+
+
+def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:
+    if progress is not None:
+        progress(stage, done, total)

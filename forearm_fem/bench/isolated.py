@@ -1,0 +1,61 @@
+"""A run in a process of its own, so that its memory is its own; medians of several."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from multiprocessing import get_context
+from typing import TypeVar
+
+from ..errors import SolverError
+
+A = TypeVar("A")
+R = TypeVar("R")
+PATIENCE = 20.0  # s: repeats stop after this
+REPEATS = 3
+_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Processes started inside use ``count`` threads; a busy machine punishes more of them than it has free cores."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, str(count)))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
+def isolated(work: Callable[[A], R], argument: A) -> R:
+    """``work(argument)`` in a fresh process; SolverError where it was killed."""
+    try:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            return pool.submit(work, argument).result()
+    except BrokenProcessPool:
+        raise SolverError(f"a benchmark of {argument} was killed, most likely for memory") from None
+
+
+def repeated(work: Callable[[A], R], argument: A) -> tuple[R, ...]:
+    """Up to three runs, fewer where one takes long."""
+    results, start = [isolated(work, argument)], time.perf_counter()
+    while len(results) < REPEATS and (time.perf_counter() - start) * (1 + 1 / len(results)) < PATIENCE:
+        results.append(isolated(work, argument))
+    return tuple(results)
+
+
+def median(runs: Sequence[R]) -> R:
+    """The first run with the median of every ``seconds...`` and ``peak...`` field, and ``runs`` set."""
+    first = runs[0]
+    names = [f.name for f in fields(first) if f.name.startswith(("seconds", "peak"))]  # type: ignore[arg-type]
+    middle = {n: statistics.median(getattr(r, n) for r in runs) for n in names}
+    return replace(first, **middle, runs=len(runs))  # type: ignore[type-var]

@@ -1,0 +1,142 @@
+"""The plots of the benchmark, drawn from its CSV files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..io.atomic import atomic_path
+
+Row = Mapping[str, str]
+# (method, element, precision) -> label, colour, marker, line
+CURVES: Mapping[tuple[str, str, str], tuple[str, str, str, str]] = MappingProxyType(
+    {
+        ("direct", "P2", "double"): ("direct solve per bin, P2", "#444444", "s", "-"),
+        ("interpolated", "P2", "double"): ("11 direct solves interpolated, P2", "#8c6bb1", "D", "-"),
+        ("reduced", "P2", "double"): ("reduced, P2", "#0072b2", "o", "-"),
+        ("reduced", "P2", "single"): ("reduced, P2, single precision", "#56b4e9", "o", "--"),
+        ("reduced", "P3", "double"): ("reduced, P3", "#009e73", "^", "-"),
+        ("reduced", "P1", "double"): ("reduced, P1 (MINI)", "#d55e00", "v", "-"),
+        ("twin", "-", "double"): ("layered twin (no mesh)", "#cc79a7", "*", "-"),
+    }
+)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Rows of a CSV file; none where it does not exist yet."""
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def draw_all(folder: Path) -> list[Path]:
+    """Every plot whose CSV is there."""
+    written = []
+    for name, draw in _PLOTS.items():
+        if rows := read_rows(folder / f"{name}.csv"):
+            figure = draw(rows)
+            with atomic_path(folder / f"{name}.png") as beside:
+                figure.savefig(beside, dpi=150)
+            written.append(folder / f"{name}.png")
+    return written
+
+
+def _speed_against_error(rows: Sequence[Row]) -> Figure:
+    figure = Figure(figsize=(9.5, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2, sharex=True)
+    for key, (label, colour, marker, line) in CURVES.items():
+        mine = [r for r in rows if (r["method"], r["element"], r["precision"]) == key]
+        mine.sort(key=lambda r: (int(r["unknowns"]), -float(r["scale"])))
+        x = [float(r["error_worst"]) for r in mine]
+        style: dict[str, Any] = {
+            "color": colour,
+            "marker": marker,
+            "linestyle": line,
+            "markersize": 5,
+            "label": label,
+        }
+        left.loglog(x, [float(r["seconds_cpu"]) for r in mine], **style)
+        right.loglog(x, [float(r["peak_bytes"]) / 1e9 for r in mine], **style)
+    _labelled(
+        left,
+        "true error  max|dG| / max|G|, worst over 80-400 Hz",
+        "scenario to G at 161 bins, processor time [s]",
+    )
+    _labelled(right, "true error", "peak memory of the process [GB]")
+    left.invert_xaxis()
+    figure.legend(
+        *left.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8, frameon=False
+    )
+    return figure
+
+
+def _cost_against_size(rows: Sequence[Row]) -> Figure:
+    figure = Figure(figsize=(9.5, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    steps = {"assembly": "#009e73", "analysis": "#e69f00", "factorisation": "#0072b2", "solve": "#d55e00"}
+    for precision, line in (("double", "-"), ("single", "--")):
+        mine = sorted((r for r in rows if r["precision"] == precision), key=lambda r: int(r["unknowns"]))
+        n = [int(r["unknowns"]) for r in mine]
+        for step, colour in steps.items():
+            y = [float(r[f"seconds_{step}"]) for r in mine]
+            left.loglog(
+                n, y, line, color=colour, marker="o", markersize=4, label=f"{step}, {precision}{_slope(n, y)}"
+            )
+        right.loglog(n, [float(r["peak_bytes"]) / 1e9 for r in mine], line, color="#444444", marker="o", markersize=4,
+                     label=f"{precision}")  # fmt: skip
+    _labelled(left, "unknowns", "one frequency [s]")
+    _labelled(right, "unknowns", "peak memory of the process [GB]")
+    for axes in (left, right):
+        axes.legend(fontsize=7, frameon=False)
+    return figure
+
+
+def _slope(n: Sequence[int], y: Sequence[float]) -> str:
+    start = max(0, len(n) // 2 - 1)
+    if len(n) - start < 2 or min(y[start:]) <= 0:
+        return ""
+    return f" ~ n^{np.polyfit(np.log(n[start:]), np.log(y[start:]), 1)[0]:.1f}"
+
+
+def _reduced_against_direct(rows: Sequence[Row]) -> Figure:
+    figure = Figure(figsize=(9.5, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    n = [int(r["unknowns"]) for r in rows]
+    for key, label, colour in (
+        ("seconds_direct_sweep", "direct sweep, 981 bins (from 10)", "#444444"),
+        ("seconds_reduced_sweep", "reduced sweep, 981 bins", "#0072b2"),
+        ("seconds_direct_frequency", "one direct frequency", "#8c6bb1"),
+        ("seconds_factorisation", "one factorisation", "#e69f00"),
+        ("seconds_many_evaluations", "20,000 more frequencies", "#009e73"),
+    ):
+        left.loglog(n, [float(r[key]) for r in rows], marker="o", color=colour, label=label)
+    right.semilogy(
+        n, [float(r["error_worst"]) for r in rows], marker="o", color="#0072b2", label="worst held-out bin"
+    )
+    right.semilogy(n, [float(r["error_median"]) for r in rows], marker="o", color="#56b4e9", label="median")
+    right.axhline(1e-4, color="#999999", linewidth=0.8, linestyle=":", label="tolerance asked")
+    _labelled(left, "unknowns", "seconds")
+    _labelled(right, "unknowns", "e(f) against direct solves")
+    for axes in (left, right):
+        axes.legend(fontsize=7, frameon=False)
+    return figure
+
+
+def _labelled(axes: Axes, x: str, y: str) -> None:
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    axes.grid(visible=True, which="major", color="#dddddd", linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+_PLOTS: Mapping[str, Callable[[Sequence[Row]], Figure]] = MappingProxyType(
+    {"error": _speed_against_error, "size": _cost_against_size, "reduced": _reduced_against_direct}
+)

@@ -1,0 +1,95 @@
+"""One member: done once, remembered by a mark that names exactly what was asked; its failure is data."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from ..errors import ForearmError
+from ..io.atomic import write_text
+
+MARK = "member.json"
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that a worker needs: plain data, so that it travels to any machine that sees ``folder`` and ``base``."""
+
+    name: str
+    scenario: str
+    stage: str
+    base: str
+    folder: str
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of what is asked; a mark with another digest is of an older question."""
+        content = json.dumps([__version__, self.scenario, self.stage])
+        return hashlib.sha256(content.encode()).hexdigest()
+
+
+def finished(job: Job) -> dict[str, Any] | None:
+    """The summary of a member that was finished before, or None."""
+    try:
+        mark = json.loads((Path(job.folder) / MARK).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(mark, dict) or mark.get("digest") != job.digest:
+        return None
+    summary = mark.get("summary")
+    return summary if isinstance(summary, dict) else None
+
+
+def work(job: Job) -> dict[str, Any]:
+    """Run the member; its summary, or {"problem": sentence}. Nothing it raises leaves the worker."""
+    try:
+        summary = _done(job)
+        write_text(Path(job.folder) / MARK, json.dumps({"digest": job.digest, "summary": summary}, indent=2))
+        return summary
+    except ForearmError as problem:
+        return {"problem": str(problem)}
+    except MemoryError:
+        return {"problem": "out of memory; set mesh sizes or accuracy larger, or use fewer workers"}
+    except Exception as problem:
+        return {"problem": f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
+
+
+def _done(job: Job) -> dict[str, Any]:
+    from ..pipeline.folder import Run, run_all, run_render, run_solve
+    from ..scenario import Scenario
+
+    scenario = Scenario.model_validate_json(job.scenario)
+    run = Run.start(scenario, Path(job.folder), Path(job.base))
+    {"solve": run_solve, "render": run_render, "run": run_all}[job.stage](run)
+    return summary(Path(job.folder))
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    """The numbers of a finished folder that belong in a table."""
+    account = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    found: dict[str, Any] = {
+        "e_band": max((e["band"] for e in account["errors"]), default=None),
+        "condition": account["condition_number"].get("median"),
+        "seconds": round(sum(s["seconds"] for s in account["stages"].values()), 1),
+    }
+    return {**found, **strengths(folder / "signal_strength.csv")}
+
+
+def strengths(file: Path) -> dict[str, float]:
+    """S of each method, mean over the targets; empty where nothing was rendered."""
+    if not file.is_file():
+        return {}
+    lines = [line.split(",") for line in file.read_text(encoding="utf-8").splitlines()]
+    where = {name: k for k, name in enumerate(lines[0])}
+    method, value = (
+        where["method"],
+        next(k for name, k in where.items() if name.startswith("S") or "strength" in name),
+    )
+    values: dict[str, list[float]] = {}
+    for line in lines[1:]:
+        values.setdefault(line[method], []).append(float(line[value]))
+    return {f"S {name}": sum(v) / len(v) for name, v in values.items()}

@@ -1,0 +1,197 @@
+"""The campaign file: a base scenario, and which of its keys vary how.
+
+name = "spacings"
+scenario = "thesis.toml"          # relative to this file
+stage = "render"                  # or "solve", "run" (with figures and report)
+set = { accuracy = 0.1 }          # for every member
+[grid]                            # every combination
+"device.spacing" = [0.035, 0.045]
+"tissues.preset" = ["default", "thesis"]
+[[members]]                       # single variants, beside the grid
+name = "wide"
+set = { "device.spacing" = 0.06 }
+[draw]                            # log-normal draws with the spreads of the preset's tissues
+count = 20
+seed = 1
+parameters = ["skin.mu", "fat.mu", "muscle.eta"]
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from ..errors import ScenarioError
+from ..scenario import Scenario, load_scenario
+from ..scenario.base import Part
+from ..tissue import PRESETS, Sourced
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
+Values = dict[str, Any]
+
+
+class MemberTable(Part):
+    """A single variant."""
+
+    name: Name
+    set: Values = Field(default_factory=dict)
+
+
+class DrawTable(Part):
+    """Random tissues: each parameter is its preset's value times spread^z, z standard normal, all independent."""
+
+    count: Annotated[int, Field(ge=1, le=100_000)]
+    seed: int = 0
+    parameters: tuple[str, ...] | None = Field(
+        None, description="tissue.key; default: mu and eta of all soft tissues"
+    )
+
+
+class CampaignFile(Part):
+    """A campaign file; see the module."""
+
+    name: Name
+    scenario: str = Field(description="scenario file, relative to the campaign file")
+    stage: Literal["solve", "render", "run"] = "render"
+    set: Values = Field(default_factory=dict, description="overrides for every member")
+    grid: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(default_factory=dict)
+    members: tuple[MemberTable, ...] = ()
+    draw: DrawTable | None = None
+
+
+@dataclass(frozen=True)
+class Member:
+    """A variant: its ``values`` by dotted key, and the scenario they give."""
+
+    name: str
+    values: Mapping[str, Any]
+    scenario: Scenario
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """All members; ``base`` is the folder that files named in the scenario are relative to."""
+
+    name: str
+    stage: Literal["solve", "render", "run"]
+    base: Path
+    members: tuple[Member, ...]
+
+
+def load_campaign(path: str | Path) -> Campaign:
+    """Campaign from a TOML file, every member's scenario checked; raises ScenarioError in one sentence."""
+    file = Path(path)
+    asked = _parsed(file)
+    source = file.parent / asked.scenario
+    preset = load_scenario(source, overrides=[_override(*item) for item in asked.set.items()])
+    variants = list(_variants(asked, preset))
+    names = [name for name, _ in variants]
+    if twice := sorted({n for n in names if names.count(n) > 1}):
+        raise ScenarioError(f"{file}: members are called {', '.join(twice)} twice; give each its own name")
+    return Campaign(
+        asked.name,
+        asked.stage,
+        source.parent,
+        tuple(_member(source, asked, *variant) for variant in variants),
+    )
+
+
+def _parsed(file: Path) -> CampaignFile:
+    try:
+        return CampaignFile.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        raise ScenarioError(f"{file}: no such campaign file") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as problem:
+        raise ScenarioError(f"{file}: cannot be read as TOML ({problem})") from None
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise ScenarioError(
+            f"{file}: {key}: {first['msg'].lower()}; known keys are {', '.join(CampaignFile.model_fields)}"
+        ) from None
+
+
+def _variants(asked: CampaignFile, preset: Scenario) -> Iterator[tuple[str, Values]]:
+    keys = list(asked.grid)
+    for combination in itertools.product(*asked.grid.values()) if keys else ():
+        values = dict(zip(keys, combination, strict=True))
+        yield grid_name(values), values
+    for member in asked.members:
+        yield member.name, dict(member.set)
+    if asked.draw is not None:
+        width = len(str(asked.draw.count - 1))
+        for k, values in enumerate(draws(preset, asked.draw)):
+            yield f"draw-{k:0{width}d}", values
+    if not keys and not asked.members and asked.draw is None:
+        yield asked.name, {}
+
+
+def grid_name(values: Mapping[str, Any]) -> str:
+    """A folder name that says what varies: last part of each key and its value."""
+    parts = [f"{key.rpartition('.')[2]}-{_plain(value)}" for key, value in values.items()]
+    return re.sub(r"[^A-Za-z0-9_.-]+", "-", "_".join(parts)).strip("-")
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:
+    """Overrides of each draw; draw k is the same however many are asked for (one generator, row by row)."""
+    spread = _drawn(scenario, table)
+    random = np.random.default_rng(table.seed)
+    for _ in range(table.count):
+        z = random.standard_normal(len(spread))
+        yield {
+            f"tissues.override.{key}": s.draw(float(v)) for (key, s), v in zip(spread.items(), z, strict=True)
+        }
+
+
+def _drawn(scenario: Scenario, table: DrawTable) -> dict[str, Sourced]:
+    known = {
+        f"{tissue}.{key}": sourced
+        for tissue, record in PRESETS[scenario.tissues.preset].items()
+        for key, sourced in record.parameters.items()
+        if sourced.spread > 1 and record.model == "kelvin-voigt"
+    }
+    wanted = table.parameters or tuple(k for k in known if k.endswith((".mu", ".eta")))
+    if bad := [k for k in wanted if k not in known]:
+        raise ScenarioError(
+            f"draw.parameters: no spread is known of '{bad[0]}'; known are {', '.join(known)}"
+        )
+    return {key: known[key] for key in wanted}
+
+
+def _member(source: Path, asked: CampaignFile, name: str, values: Values) -> Member:
+    merged = {**asked.set, **values, "name": name}
+    try:
+        return Member(
+            name, values, load_scenario(source, overrides=[_override(*item) for item in merged.items()])
+        )
+    except ScenarioError as problem:
+        raise ScenarioError(f"member {name}: {problem}") from None
+
+
+def _override(key: str, value: Any) -> str:
+    return f"{key}={_toml(value)}"
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML writes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f'"{k}" = {_toml(v)}' for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return repr(value)

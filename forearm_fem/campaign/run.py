@@ -1,0 +1,184 @@
+"""All members of a campaign on Dask: local processes by default, an existing scheduler by address."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from ..errors import ForearmError, MissingExtra, SolverError
+from ..io.atomic import write_text
+from .member import Job, finished, work
+from .model import Campaign, Member
+
+Progress = Callable[[str, int, int], None]
+LIGHT = 0.6e9  # bytes of a worker that solves no finite elements
+SHARE = 0.8  # of the free memory that workers may take together
+PATIENCE = 10  # s for a scheduler to answer
+
+
+@dataclass(frozen=True)
+class MemberResult:
+    """What became of a member: numbers for the table, or the sentence why it failed; ``reused`` if done before."""
+
+    name: str
+    values: Mapping[str, Any]
+    numbers: Mapping[str, Any]
+    problem: str = ""
+    reused: bool = False
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """All members, in the file's order; ``table`` is the summary as markdown."""
+
+    folder: Path
+    members: tuple[MemberResult, ...]
+    table: str
+
+
+def run_campaign(
+    campaign: Campaign,
+    folder: str | Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> CampaignResult:
+    """Run what is not finished yet, each member into ``folder/NAME``, and write ``summary.csv`` and ``summary.md``.
+
+    A failed member is reported and does not stop the others; running again does only what is missing. ``scheduler`` is the
+    address of a Dask scheduler whose workers see ``folder`` and the scenario's folder under the same path; otherwise
+    ``workers`` local processes are started (default: as many as cores and forecast memory allow).
+    """
+    out = Path(folder).resolve()
+    jobs = [_job(campaign, m, out) for m in campaign.members]
+    done = {job.name: found for job in jobs if (found := finished(job)) is not None}
+    reused = set(done)
+    missing = [job for job in jobs if job.name not in done]
+    _tell(progress, len(done), len(jobs))
+    if missing:
+        with _client(scheduler, lambda: workers or worker_count(campaign, missing)) as client:
+            for name, found in _results(client, missing):
+                done[name] = found
+                _tell(progress, len(done), len(jobs))
+                _write(out, _collected(campaign, done, reused))
+    return _write(out, _collected(campaign, done, reused))
+
+
+def _job(campaign: Campaign, member: Member, out: Path) -> Job:
+    scenario = member.scenario.model_dump_json()
+    return Job(member.name, scenario, campaign.stage, str(campaign.base.resolve()), str(out / member.name))
+
+
+def worker_count(campaign: Campaign, jobs: Sequence[Job]) -> int:
+    """Processes that cores and free memory allow, by the forecast of the first finite-element member."""
+    wanted = {job.name for job in jobs}
+    heavy = [m for m in campaign.members if m.name in wanted and m.scenario.engine == "fem"]
+    need = LIGHT
+    if heavy:
+        from ..pipeline.forecast import forecast
+
+        try:
+            need = forecast(heavy[0].scenario, base=campaign.base).memory_bytes
+        except ForearmError:  # the member itself will say so
+            need = heavy[0].scenario.solver.memory_limit
+    free = SHARE * psutil.virtual_memory().available
+    return max(1, min(len(jobs), os.cpu_count() or 1, int(free // need)))
+
+
+@contextmanager
+def _client(scheduler: str | None, count: Callable[[], int]) -> Iterator[Any]:
+    distributed = _distributed()
+    if scheduler is not None:
+        try:
+            client: Any = distributed.Client(scheduler, timeout=PATIENCE)
+        except (OSError, ValueError) as problem:
+            raise SolverError(
+                f"no Dask scheduler answers at {scheduler} ({problem}); check the address"
+            ) from None
+        with client:
+            yield client
+        return
+    settings = {"n_workers": count(), "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with (
+        distributed.LocalCluster(**settings, memory_limit=0, silence_logs=50) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield client
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise MissingExtra("distributed", "campaign", "a campaign") from None
+    return distributed
+
+
+def _results(client: Any, jobs: Sequence[Job]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """(name, numbers) as members end; a worker that dies three times with a member loses this member only."""
+    distributed = _distributed()
+    names: dict[str, str] = {}
+    futures: list[Any] = []
+    for job in jobs:
+        future = client.submit(work, job, key=f"{job.name}-{job.digest}", pure=False)
+        names[future.key] = job.name
+        futures.append(future)
+    for future in distributed.as_completed(futures):
+        if future.status == "finished":
+            yield names[future.key], future.result()
+        else:
+            yield (
+                names[future.key],
+                {"problem": f"its worker was lost ({future.exception()}), most likely for memory"},
+            )
+
+
+def _collected(
+    campaign: Campaign, done: Mapping[str, Mapping[str, Any]], reused: set[str]
+) -> list[MemberResult]:
+    found = []
+    for member in campaign.members:
+        if member.name in done:
+            numbers = dict(done[member.name])
+            problem = str(numbers.pop("problem", ""))
+            found.append(MemberResult(member.name, member.values, numbers, problem, member.name in reused))
+    return found
+
+
+def _write(out: Path, members: Sequence[MemberResult]) -> CampaignResult:
+    rows = [{"member": m.name, **m.values, **m.numbers, "problem": m.problem} for m in members]
+    columns = list(dict.fromkeys(key for row in rows for key in row if key != "problem")) + ["problem"]
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(out / "summary.csv", stream.getvalue())
+    table = markdown(columns, rows)
+    write_text(out / "summary.md", table + "\n")
+    return CampaignResult(out, tuple(members), table)
+
+
+def markdown(columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as a markdown table, numbers to four digits."""
+    lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
+    lines += ["| " + " | ".join(_cell(row.get(c, "")) for c in columns) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def _cell(value: Any) -> str:
+    text = f"{value:.4g}" if isinstance(value, float) else str("" if value is None else value)
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+def _tell(progress: Progress | None, done: int, total: int) -> None:
+    if progress is not None:
+        progress("members", done, total)

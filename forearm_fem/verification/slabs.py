@@ -1,0 +1,160 @@
+"""Finite elements against the layered twin: reference tables, three mesh levels, and the error estimate's honesty."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..scenario import Scenario
+from ..typing import ComplexArray
+from .rows import Row
+from .scenes import quarter_slab, slab_model, slab_response, twin_response
+
+LAYERS_O = (("skin", 1.2e-3), ("fat", 3.0e-3))
+RADII = (0.010, 0.020, 0.0318)
+RATIO = 1.5  # element size of the coarse mesh over that of the fine one, as in the pipeline
+ORDER = 2.0  # assumed by the estimate; outputs of P2 elements reach 3 to 4 once the mesh resolves the wave
+
+
+@dataclass(frozen=True)
+class Slab:
+    """A square quarter slab for one frequency: ``side``, ``depth``, ``grid`` and ``far`` sizes [m]."""
+
+    preset: str
+    frequency: float
+    side: float
+    depth: float
+    grid: float
+    far: float
+    radii: tuple[float, ...] = RADII
+    contact: float = 1.1e-3
+    element: str = "P2"
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario to mesh."""
+        sizes = {"size_grid": self.grid, "size_contact": self.contact, "size_far": self.far, "element": self.element}
+        return quarter_slab(
+            self.radii, side=self.side, depth=self.depth, preset=self.preset, mesh=sizes,
+            layers=LAYERS_O if self.preset == "default" else (), frequencies=(self.frequency,),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Level:
+    """One mesh of a slab: unknowns, values (1 + n_point,) [m/N] and wall seconds."""
+
+    unknowns: int
+    values: ComplexArray
+    seconds: float
+
+
+def solve_level(slab: Slab, scale: float = 1.0) -> Level:
+    """Mesh, assemble and solve with every element size multiplied by ``scale``."""
+    start = time.perf_counter()
+    model = slab_model(slab.scenario, scale=scale)
+    values = slab_response(model, [slab.frequency])[0]
+    return Level(model.operator.n, values, time.perf_counter() - start)
+
+
+def exact(slab: Slab) -> ComplexArray:
+    """The endless twin's values (1 + n_point,) [m/N]."""
+    return np.asarray(twin_response(slab.scenario, [slab.frequency])[0])
+
+
+def errors(found: ComplexArray, truth: ComplexArray) -> tuple[float, float]:
+    """Error under the disc (relative to itself) and e(f) over the points (relative to the largest of them)."""
+    gap = np.abs(found - truth)
+    return float(gap[0] / abs(truth[0])), float(gap[1:].max() / np.abs(truth[1:]).max())
+
+
+def estimate(coarse: ComplexArray, fine: ComplexArray) -> float:
+    """|coarse - fine| / (RATIO^ORDER - 1) over the points: what the pipeline states for the fine mesh."""
+    gap = np.abs(coarse - fine)[1:].max() / np.abs(fine[1:]).max()
+    return float(gap / (RATIO**ORDER - 1))
+
+
+# Each slab is as small as the attenuation at its frequency allows and as fine as its shortest wave needs.
+_SIZES = {50.0: (0.4, 0.2, 4e-3, 20e-3), 100.0: (0.24, 0.1, 3e-3, 12e-3), 200.0: (0.14, 0.05, 1.8e-3, 8e-3)}
+REFERENCE = tuple(
+    Slab(preset, f, *size)
+    for preset, top in (("zhang", 1.2e-3), ("default", 0.9e-3))
+    for f, size in {**_SIZES, 400.0: (0.08, 0.03, top, 5e-3)}.items()
+)
+
+
+def reference_rows(slabs: Sequence[Slab] = REFERENCE) -> Iterator[Row]:
+    """1 % under the disc and e(f) <= 2 % over r = 10-31.8 mm, as issue 3 asks, with unknowns and seconds."""
+    for slab in slabs:
+        level, truth = solve_level(slab), exact(slab)
+        disc, points = errors(level.values, truth)
+        case = f"FE, {_name(slab)}, {slab.frequency:g} Hz, {level.unknowns} unknowns"
+        row = Row(case, "layered twin", "mean under the disc", disc, 0.01, "asked for; rim polygon 0.5 %", level.seconds)
+        yield row
+        yield replace(row, quantity="e(f), r = 10-31.8 mm", error=points, tolerance=0.02, reason="asked for")
+
+
+def _name(slab: Slab) -> str:
+    return "half-space Z" if slab.preset == "zhang" else "preset O"
+
+
+CONVERGENCE = Slab("default", 300.0, 0.07, 0.025, 1.3e-3, 5e-3, radii=(0.010, 0.020), contact=0.9e-3)
+
+
+def convergence_rows(slab: Slab = CONVERGENCE, scales: Sequence[float] = (2.25, 1.5, 1.0)) -> Iterator[Row]:
+    """Three levels: the order seen between the first and the last, and the two-mesh estimate on the finest."""
+    truth = exact(slab)
+    levels = [solve_level(slab, s) for s in scales]
+    found = [errors(level.values, truth)[1] for level in levels]
+    order = float(np.log(found[0] / found[-1]) / np.log(scales[0] / scales[-1]))
+    seconds = sum(level.seconds for level in levels)
+    case = f"FE, preset O, {slab.frequency:g} Hz, three levels to {levels[-1].unknowns} unknowns"
+    reason = "below 3: sizes grow away from the ports and the coarsest mesh has 2.5 elements a wave"
+    yield Row(case, "layered twin", f"3 - order seen ({order:.2f})", max(0.0, 3 - order), 1.0, reason, seconds)
+    yield Row(case, "layered twin", "e(f) on the finest", found[-1], 0.02, "asked for", seconds)
+    effectivity = estimate(levels[-2].values, levels[-1].values) / found[-1]
+    yield Row(case, "layered twin", f"|log5 effectivity| ({effectivity:.2f})", abs(float(np.log(effectivity) / np.log(5.0))),
+              1.0, "the estimate is within 1/5 ... 5 of the true error", seconds)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Effectivity:
+    """Estimated and true e(f) of one mesh of one scene."""
+
+    scene: str
+    scale: float
+    unknowns: int
+    estimated: float
+    true: float
+
+    @property
+    def ratio(self) -> float:
+        """Estimated over true error: between 0.5 and 5 is asked for."""
+        return self.estimated / self.true
+
+
+SCENES = (
+    Slab("zhang", 100.0, 0.24, 0.1, 5e-3, 16e-3),
+    Slab("zhang", 200.0, 0.14, 0.05, 3e-3, 8e-3),
+    Slab("zhang", 400.0, 0.08, 0.03, 1.9e-3, 5e-3),
+    Slab("default", 100.0, 0.24, 0.1, 5e-3, 16e-3),
+    Slab("default", 200.0, 0.14, 0.05, 3e-3, 8e-3),
+    Slab("default", 400.0, 0.08, 0.03, 1.6e-3, 5e-3),
+    Slab("default", 500.0, 0.07, 0.025, 1.6e-3, 5e-3, radii=(0.010, 0.020)),
+    Slab("default", 300.0, 0.08, 0.03, 2.4e-3, 6e-3, element="P3"),
+)
+
+
+def effectivities(slabs: Sequence[Slab] = SCENES, scales: Sequence[float] = (1.5, 1.0)) -> Iterator[Effectivity]:
+    """Estimated against true error, two meshes of each scene with a coarser third one."""
+    for slab in slabs:
+        truth, coarse = exact(slab), solve_level(slab, scales[0] * RATIO)
+        for scale in scales:
+            fine = solve_level(slab, scale)
+            name = f"{_name(slab)} {slab.frequency:g} Hz {slab.element}"
+            stated, true = estimate(coarse.values, fine.values), errors(fine.values, truth)[1]
+            yield Effectivity(name, scale, fine.unknowns, stated, true)
+            coarse = fine

@@ -1,0 +1,217 @@
+"""Campaigns on the layered engine: grids, draws, failures, resuming, other schedulers."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import SMALL, cli
+
+from forearm_fem.campaign import CampaignResult, load_campaign, run, run_campaign
+from forearm_fem.campaign.model import DrawTable, draws
+from forearm_fem.errors import MissingExtra, ScenarioError, SolverError
+from forearm_fem.scenario import Scenario
+from forearm_fem.tissue import PRESETS
+
+QUICK = "set = { sweep = { frequencies = [100.0, 200.0] } }\n"
+
+
+class Here:
+    """A stand-in for a Dask client that works in this process, in reverse order."""
+
+    def __init__(self) -> None:
+        self.ran: list[str] = []
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> Here:
+    """Members run in this process; Dask itself is tested once below."""
+    log = Here()
+
+    @contextmanager
+    def client(*_: object) -> Iterator[Here]:
+        yield log
+
+    def results(client: Here, jobs: list[Any]) -> Iterator[tuple[str, Any]]:
+        for job in reversed(jobs):
+            client.ran.append(job.name)
+            yield job.name, run.work(job)
+
+    monkeypatch.setattr(run, "_client", client)
+    monkeypatch.setattr(run, "_results", results)
+    return log
+
+
+def made(folder: Path, text: str, *, head: str = QUICK) -> Path:
+    (folder / "small.toml").write_text(SMALL)
+    (folder / "c.toml").write_text(f'name = "c"\nscenario = "small.toml"\nstage = "solve"\n{head}{text}')
+    return folder / "c.toml"
+
+
+def start(file: Path, out: Path | None = None) -> CampaignResult:
+    return run_campaign(load_campaign(file), out or file.parent / "out")
+
+
+def test_a_grid_is_every_combination(tmp_path: Path) -> None:
+    file = made(
+        tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04]\n"tissues.preset" = ["default", "zhang"]\n'
+    )
+    members = load_campaign(file).members
+    assert [m.name for m in members] == [
+        "spacing-0.03_preset-default", "spacing-0.03_preset-zhang",
+        "spacing-0.04_preset-default", "spacing-0.04_preset-zhang",
+    ]  # fmt: skip
+    assert members[3].scenario.device.spacing == 0.04
+    assert members[3].scenario.tissues.preset == "zhang"
+    assert members[3].scenario.sweep.frequencies == (100.0, 200.0)
+
+
+def test_draws_follow_the_sourced_spreads_and_the_seed() -> None:
+    table = DrawTable(count=4000, seed=3, parameters=("skin.mu", "fat.eta"))
+    drawn = list(draws(Scenario(), table))
+    logs = np.log([[d["tissues.override.skin.mu"], d["tissues.override.fat.eta"]] for d in drawn])
+    skin, fat = PRESETS["default"]["skin"].parameters["mu"], PRESETS["default"]["fat"].parameters["eta"]
+    # 4000 draws: the mean of a log is known to spread / 63, its deviation to 1.1 %
+    assert logs.mean(axis=0) == pytest.approx(np.log([skin.value, fat.value]), abs=0.04)
+    assert np.exp(logs.std(axis=0)) == pytest.approx([skin.spread, fat.spread], rel=0.03)
+    assert abs(np.corrcoef(logs.T)[0, 1]) < 0.06
+    assert drawn[:5] == list(draws(Scenario(), table.model_copy(update={"count": 5})))
+    assert drawn[0] != next(draws(Scenario(), table.model_copy(update={"seed": 4})))
+
+
+def test_all_soft_tissues_are_drawn_by_default() -> None:
+    first = next(draws(Scenario(), DrawTable(count=1)))
+    assert set(first) == {
+        f"tissues.override.{t}.{k}" for t in ("skin", "fat", "muscle") for k in ("mu", "eta")
+    }
+
+
+def test_one_failed_member_does_not_lose_the_rest(tmp_path: Path, here: Here) -> None:
+    members = '[[members]]\nname = "fine"\n[[members]]\nname = "no-layers"\nset = { limb = { shape = "mesh", file = "x.vtu", regions = { 1 = "fat" } } }\n'
+    result = start(made(tmp_path, members))
+    fine, failed = result.members
+    assert (fine.problem, fine.numbers["e_band"] < 1e-5) == ("", True)
+    assert "needs layers" in failed.problem
+    assert (tmp_path / "out/fine/transfer.nc").is_file()
+    assert not (tmp_path / "out/no-layers").exists()
+    with (tmp_path / "out/summary.csv").open(newline="") as stream:
+        assert [row["member"] for row in csv.DictReader(stream)] == ["fine", "no-layers"]
+    assert "needs layers" in (tmp_path / "out/summary.md").read_text()
+
+
+def test_finished_members_are_skipped_and_changed_ones_are_not(tmp_path: Path, here: Here) -> None:
+    file = made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04]\n')
+    start(file)
+    assert len(here.ran) == 2
+    again = start(file)
+    assert (len(here.ran), [m.reused for m in again.members]) == (2, [True, True])
+    made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04, 0.05]\n')
+    assert [m.reused for m in start(file).members] == [True, True, False]
+    made(
+        tmp_path, '[grid]\n"device.spacing" = [0.03]\n', head="set = { sweep = { frequencies = [150.0] } }\n"
+    )
+    assert [m.reused for m in start(file).members] == [False]
+
+
+def test_a_killed_campaign_keeps_what_was_finished(
+    tmp_path: Path, here: Here, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04, 0.05]\n')
+    whole, calls = run.work, []
+
+    def killed(job: Any) -> Any:
+        calls.append(job)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return whole(job)
+
+    monkeypatch.setattr(run, "work", killed)
+    with pytest.raises(KeyboardInterrupt):
+        start(file)
+    assert (tmp_path / "out/summary.csv").is_file()
+    monkeypatch.setattr(run, "work", whole)
+    assert [m.reused for m in start(file).members] == [False, False, True]
+
+
+def test_a_fault_of_the_program_is_kept_to_its_member(
+    tmp_path: Path, here: Here, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr("forearm_fem.pipeline.folder.run_solve", broken)
+    assert "ZeroDivisionError: oh" in start(made(tmp_path, "")).members[0].problem
+
+
+def test_rendered_members_state_their_strengths(tmp_path: Path, here: Here) -> None:
+    file = made(tmp_path, "", head="")
+    file.write_text(file.read_text().replace('"solve"', '"render"'))
+    numbers = start(file).members[0].numbers
+    assert {"S inverse filter", "S funneling", "S combination"} <= set(numbers)
+    assert all(v > 0 for v in numbers.values())
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("colour = 1\n", "colour"),
+        ('[grid]\n"device.spacings" = [0.03]\n', "device.spacings: unknown key"),
+        ('[grid]\n"device.spacing" = []\n', "grid.device.spacing"),
+        ('[grid]\n"device.spacing" = [0.03, 0.03]\n', "twice"),
+        ('[draw]\ncount = 2\nparameters = ["skin.colour"]\n', "skin.colour"),
+        ("[draw]\ncount = 0\n", "draw.count"),
+        ("[grid\n", "TOML"),
+    ],
+)
+def test_a_wrong_campaign_file_is_one_sentence(tmp_path: Path, text: str, says: str) -> None:
+    answer = cli("campaign", made(tmp_path, text), cwd=tmp_path)
+    assert answer.code == 2
+    assert says in answer.sentence
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_missing_campaign_file_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match="no such campaign file"):
+        load_campaign(tmp_path / "none.toml")
+
+
+def test_without_dask_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtra, match=r"forearm-fem\[campaign\]"):
+        start(made(tmp_path, ""))
+
+
+def test_memory_limits_the_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign = load_campaign(made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04, 0.05]\n'))
+    jobs = [run._job(campaign, m, tmp_path) for m in campaign.members]
+    monkeypatch.setattr(run.os, "cpu_count", lambda: 64)
+    for free, workers in ((0.1e9, 1), (1.6e9, 2), (100e9, 3)):
+        monkeypatch.setattr(
+            run.psutil, "virtual_memory", lambda free=free: type("M", (), {"available": free})
+        )
+        assert run.worker_count(campaign, jobs) == workers
+
+
+def test_no_scheduler_at_the_address_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "PATIENCE", 0.5)
+    file = made(tmp_path, "")
+    with pytest.raises(SolverError, match="no Dask scheduler"):
+        run_campaign(load_campaign(file), tmp_path / "out", scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.filterwarnings("ignore")  # Dask's own
+def test_dask_processes_here_and_by_address(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    file = made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04]\n')
+    answer = cli("campaign", file, "--out", tmp_path / "out", "--workers", 1, cwd=tmp_path)
+    assert answer.code == 0, answer.err
+    assert "spacing-0.04" in answer.out
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
+        there = run_campaign(load_campaign(file), tmp_path / "there", scheduler=cluster.scheduler_address)
+    assert [m.problem for m in there.members] == ["", ""]
