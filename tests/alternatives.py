@@ -14,7 +14,7 @@ def skfem_mesh(space):
 
 
 def bases(space, region):
-    """Vector displacement and scalar pressure bases on one tissue's tetrahedra (quadrature asked for degree 9, exact to 8)."""
+    """Vector displacement and scalar pressure bases on one tissue's tetrahedra (rule "9" is exact to degree 8)."""
     mesh, cells = skfem_mesh(space), np.flatnonzero(space.mesh.region == region)
     vector = skfem.ElementVector(space.pair.displacement)
     return [skfem.Basis(mesh, e, elements=cells, intorder=9) for e in (vector, space.pair.pressure)]

@@ -17,7 +17,7 @@ from ..errors import SolverError
 
 A = TypeVar("A")
 R = TypeVar("R")
-PATIENCE = 20.0  # s: repeats stop after this
+PATIENCE = 6.0  # s: repeats stop after this
 REPEATS = 3
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 

@@ -70,7 +70,7 @@ def _size(out: Path, full: bool, progress: Progress | None) -> Path:
 
 
 def _reduced(out: Path, full: bool, progress: Progress | None) -> Path:
-    scales, rows = (1.3, 1.0, 0.8) if full else (1.3, 1.0), []
+    scales, rows = (1.7, 1.3, 1.0, 0.8) if full else (1.7, 1.3), []
     for done, scale in enumerate(scales):
         _tell(progress, "reduced against direct", done, len(scales))
         result = isolated(reduction.reduced, (scale, reduction.HELD_OUT if full else reduction.TIMED))

@@ -13,8 +13,8 @@ from ..pipeline.resources import Ledger
 from ..verification.scenes import slab_model
 from .scene import options, quarter
 
-SCALES = (3.0, 2.0, 1.5, 1.2, 1.0)
-MORE = (0.8, 0.65, 0.55, 0.48)
+SCALES = (3.0, 2.0, 1.5, 1.2)
+MORE = (1.0, 0.8, 0.65, 0.55, 0.48)
 FREQUENCY = 400.0  # Hz
 STEPS = ("seconds_assembly", "seconds_analysis", "seconds_factorisation", "seconds_solve", "peak_bytes")
 

@@ -71,7 +71,7 @@ class ElementPair:
 def element_pair(name: str) -> ElementPair:
     """Pair by displacement order: "P2" Taylor-Hood P2/P1, "P3" P3/P2, "P1" the MINI element (P1 + bubble / P1).
 
-    scikit-fem's tetrahedral rules asked for degree 5 and more are exact to one degree less (seen in 12.0.2: its rule "6"
+    scikit-fem's tetrahedral rules asked for degree 5 and more are exact to one degree less (seen in 12.0.2: rule "6"
     misses x^6 by 5 %), so mass matrices of degree 6 and 8 ask for 7 and 9.
     """
     pairs = {

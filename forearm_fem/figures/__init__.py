@@ -5,6 +5,18 @@ data = conditioning(Results.open("results/thesis"))
 plot_conditioning(data)
 """
 
+import os
+
+from ..errors import ForearmError
+
+try:
+    import matplotlib  # noqa: F401
+except ValueError:  # it looks at MPLBACKEND while it is imported, and knows no old names
+    raise ForearmError(
+        f"matplotlib refuses the back end '{os.environ.get('MPLBACKEND')}' named in MPLBACKEND; "
+        "unset it, for figures need none"
+    ) from None
+
 from .data import Results
 from .device import drive_levels, impedance, plot_drives, plot_impedance
 from .judge import errors, plot_errors, plot_strength_maps, plot_table_one, strengths, table_one_markdown

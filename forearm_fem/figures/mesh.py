@@ -71,7 +71,7 @@ def cutaway_picture(mesh: TissueMesh, ports: Sequence[Port], size: tuple[int, in
         whole = np.array(grid.bounds).reshape(3, 2)
         plotter.camera_position = [(-1.0, -1.15, 0.85), (0, 0, 0), (0, 0, 1)]
         plotter.reset_camera(bounds=(whole + np.array([[-16, 6], [-16, 6], [-2, 12]])).ravel())
-        plotter.camera.zoom(1.35)
+        plotter.camera.zoom(1.1)
         return np.array(plotter.screenshot(None, return_img=True))
 
 

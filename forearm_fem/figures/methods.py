@@ -306,7 +306,7 @@ def plot_workflow(data: Workflow, *, ax: Axes | None = None) -> FigureBase:
     for panel, text in zip(grid[:, 0], ("start", "drives", "displacement"), strict=True):
         panel.set_ylabel(f"{text} {panel.get_ylabel()}")
     named = [panel.get_legend_handles_labels() for panel in grid[1:, 0]]
-    figure.legend(*(named[0][k] + named[1][k] for k in (0, 1)), loc="outside lower center", ncols=8)
+    figure.legend(*(named[0][k] + named[1][k] for k in (0, 1)), loc="outside lower right", ncols=8)
     return figure
 
 

@@ -184,6 +184,9 @@ def save_drawn(drawn: Drawn, stem: Path, formats: Sequence[str], source: str = "
     figure = figure_of(drawn)
     if source:
         sign(figure, source)
+    with style.context(SHEET):
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # arranged once, not once per format
     written = []
     for ending in formats:
         path = stem.with_name(f"{stem.name}.{ending}")

@@ -119,7 +119,9 @@ def add_labels(plotter: Any, places: FloatArray, names: Sequence[str], *, size: 
 def add_bones(plotter: Any, mesh: TissueMesh) -> None:
     """The surfaces of bones left out of the mesh, or the bones themselves."""
     if "bone" in mesh.facets and len(mesh.facets["bone"]):
-        plotter.add_mesh(surface_grid(mesh, mesh.facets["bone"]), color=TISSUES["bone"], smooth_shading=True)
+        bone = plotter.add_mesh(surface_grid(mesh, mesh.facets["bone"]), color=TISSUES["bone"], smooth_shading=True)
+        bone.mapper.SetResolveCoincidentTopologyToPolygonOffset()  # the flesh has the same surface
+        bone.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(-4.0, -4.0)
     elif "bone" in mesh.region_names:
         grid = volume_grid(mesh).extract_cells(mesh.region == mesh.region_names.index("bone"))
         plotter.add_mesh(grid.extract_surface(algorithm="dataset_surface"), color=TISSUES["bone"])

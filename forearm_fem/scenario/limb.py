@@ -17,7 +17,7 @@ class LayerThickness(Part):
 
 
 class Bone(Part):
-    """A straight bone of circular section parallel to the limb axis."""
+    """A bone of circular section along the limb; its axis keeps its place relative to the limb's radius (taper)."""
 
     name: str
     y: float = Field(description="axis offset across the limb [m]")

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from .mutations import mutation_table, run_mutations
 from .rows import HardRow, Row, weakest
 from .run import run_hard_cases, run_verification
 
@@ -33,6 +34,14 @@ def _row(r: Row) -> str:
     return "| " + " | ".join(map(_cell, (*cells, "yes" if r.met else "**NO**"))) + " |"
 
 
+def broken_section() -> str:
+    """What deliberate bugs do to the rows: each one put in, the failing rows named."""
+    return (
+        "\n## Break it\n\nEach bug put into the running package (`benchmarks/break_it.py`); rows that then fail:\n\n"
+        + (mutation_table(run_mutations()))
+    )
+
+
 def stability_page(rows: Sequence[HardRow]) -> str:
     """docs/stability.md."""
     wrong = sum(r.verdict == "WRONG" for r in rows)
@@ -48,7 +57,8 @@ def stability_page(rows: Sequence[HardRow]) -> str:
 
 def machine() -> str:
     """Where the run was made."""
-    return f"Machine: {os.cpu_count()} cores, {platform.system()} {platform.machine()}, Python {platform.python_version()}."
+    system = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
+    return f"Machine: {os.cpu_count()} cores, {system}."
 
 
 def _cell(text: str) -> str:
@@ -60,7 +70,7 @@ def main(arguments: Sequence[str]) -> None:
     folder = Path(arguments[0])
     folder.mkdir(parents=True, exist_ok=True)
     rows = run_verification("--full" in arguments)
-    (folder / "verification.md").write_text(verification_page(rows), encoding="utf-8")
+    (folder / "verification.md").write_text(verification_page(rows) + broken_section(), encoding="utf-8")
     (folder / "stability.md").write_text(stability_page(run_hard_cases()), encoding="utf-8")
 
 

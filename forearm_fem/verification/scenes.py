@@ -17,6 +17,7 @@ from ..geometry.place import place_ports
 from ..layered import Base, Disc, Layer, Surface, layered_compliance
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
+from ..scenario.limb import SlabLimb
 from ..scenario.supports import Supports
 from ..scenario.sweep import SolverOptions
 from ..scenario.tissues import Membrane
@@ -33,6 +34,9 @@ def flesh(mu: float = 7860.0, eta: float = 5.03, *, bulk: float = math.inf, dens
     return Tissue("block", density, KelvinVoigt(mu, eta), bulk)
 
 
+_POINTS = ((0.004, 0.003), (0.02, 0.004), (0.021, 0.014))
+
+
 def held_block(
     n: int = 3, *, element: str = "P2", tissue: Tissue | None = None, ends: str = "fixed", contact: str = "pressure"
 ) -> ForearmModel:
@@ -42,9 +46,9 @@ def held_block(
     mesh = _with_patch(mesh, (0.008, 0.004), (0.016, 0.012))
     ports = (
         Port("A1", "contact", (0.012, 0.008, 0.008), radius=0.004, contact=contact),  # type: ignore[arg-type]
-        *(Port(str(i), "point", (x, y, 0.008)) for i, (x, y) in enumerate([(0.004, 0.003), (0.02, 0.004), (0.021, 0.014)])),
+        *(Port(str(i), "point", (x, y, 0.008)) for i, (x, y) in enumerate(_POINTS)),
     )
-    supports = Supports(ends=ends)  # type: ignore[arg-type]
+    supports = Supports(ends=ends)
     return build_model(mesh, ports, {"block": tissue or flesh()}, supports, Membrane(), element=element)
 
 
@@ -117,7 +121,8 @@ def slab_response(model: ForearmModel, frequencies: Sequence[float]) -> ComplexA
 def twin_layers(scenario: Scenario) -> list[Layer]:
     """The slab's layers, its core as half-space."""
     tissues, limb = resolve_tissues(scenario), scenario.limb
-    pairs = [(x.tissue, x.thickness) for x in getattr(limb, "layers", ())] + [(getattr(limb, "core", "muscle"), math.inf)]
+    assert isinstance(limb, SlabLimb)
+    pairs = [*((x.tissue, x.thickness) for x in limb.layers), (limb.core, math.inf)]
     return [Layer(h, tissues[t].density, tissues[t].modulus.at, tissues[t].bulk) for t, h in pairs]
 
 

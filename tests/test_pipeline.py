@@ -1,0 +1,121 @@
+"""The whole way through on a tiny block: files, reuse, resumption, physics of what comes out."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from forearm_fem.fem import sweep
+from forearm_fem.io.matlab import read_thesis_mat
+from forearm_fem.io.netcdf import read_compliance, read_transfer
+from forearm_fem.pipeline import folder
+from forearm_fem.pipeline.folder import Run, run_all, run_render, run_solve
+from forearm_fem.scenario import parse_scenario
+
+TINY = {
+    "name": "tiny",
+    "accuracy": 0.5,
+    "limb": {"shape": "slab", "length": 0.07, "width": 0.07, "depth": 0.012},
+    "mesh": {
+        "size_contact": 0.008,
+        "size_grid": 0.014,
+        "size_far": 0.02,
+        "sublayers": {"skin": 1, "fat": 1},
+    },
+    "device": {"cone": {"contact": "pressure"}},
+    "sweep": {"f_min": 20, "f_max": 200, "duration": 0.2, "sample_rate": 2000},
+    "solver": {"derivatives": 3, "expansions": 2},
+    "rendering": {"wavelet": {"peak": 80}},
+}
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """A cache of its own, so that nothing made before counts."""
+    patch = pytest.MonkeyPatch()
+    where = tmp_path_factory.mktemp("cache")
+    patch.setenv("FOREARM_FEM_CACHE", str(where))
+    yield where
+    patch.undo()
+
+
+@pytest.fixture(scope="module")
+def finished(home, tmp_path_factory):
+    """Results of a complete run."""
+    out = tmp_path_factory.mktemp("results") / "tiny"
+    run_all(Run.start(parse_scenario(TINY), out, Path()))
+    return out
+
+
+def test_a_run_leaves_every_file_that_is_promised(finished):
+    promised = """transfer.nc transfer.mat drives.nc displacements.nc signal_strength.csv mesh.vtu report.md
+        report.html run.json scenario.json wavefield.npz""".split()
+    assert [name for name in promised if not (finished / name).is_file()] == []
+    assert [p for p in finished.rglob("*") if p.name.startswith(".")] == []  # nothing half-written
+
+
+def test_the_account_names_every_source_of_error(finished):
+    account = json.loads((finished / "run.json").read_text())
+    assert {e["source"] for e in account["errors"]} >= {"discretisation", "truncation", "reduction", "linear solve"}
+    assert all(e["band"] >= 0 for e in account["errors"])
+    assert account["mesh"]["sha256"]
+    assert account["stages"]["solve"]["peak_memory_bytes"] > 1e6
+
+
+def test_compliance_is_reciprocal_and_passive(finished):
+    c = read_compliance(finished / "transfer.nc").values
+    off = ~np.eye(c.shape[1], dtype=bool)
+    swapped = c.swapaxes(1, 2)
+    # the reduced model is symmetric term by term: only rounding is left
+    assert np.abs((c - swapped)[:, off]).max() < 1e-9 * np.abs(c[:, off]).max()
+    driving = c[:, range(4), range(4)]
+    assert np.all(driving.imag <= 0)  # e^{+i omega t}: a passive limb takes in power
+
+
+def test_the_matlab_file_is_two_sided_and_hermitian(finished):
+    g = read_thesis_mat(finished / "transfer.mat").values
+    one = read_transfer(finished / "transfer.nc").values
+    assert g.shape == one.shape
+
+
+def test_a_second_run_solves_nothing(finished, home, monkeypatch):
+    def forbidden(*_args, **_kwargs):
+        raise AssertionError("a factorisation was made again")
+
+    monkeypatch.setattr(sweep, "make_factor", forbidden)
+    run_render(Run.start(parse_scenario(TINY), finished, Path()))
+
+
+def test_a_new_coil_needs_no_new_solve(finished, home, monkeypatch, tmp_path):
+    monkeypatch.setattr(sweep, "make_factor", lambda *_a, **_k: pytest.fail("a factorisation was made"))
+    heavier = parse_scenario({**TINY, "device": {"cone": {"contact": "pressure", "mass": 0.002}}})
+    other = run_solve(Run.start(heavier, tmp_path / "heavier", Path()))
+    before = read_transfer(finished / "transfer.nc")
+    assert np.abs(other.values - before.values).max() > 0.01 * np.abs(before.values).max()
+
+
+def test_an_interrupted_sweep_goes_on_where_it_stopped(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "cache"))
+    scenario = parse_scenario({**TINY, "solver": {**TINY["solver"], "discretisation_estimate": False}})
+    seen = []
+
+    def stop_after_one(stage, done, total):
+        if stage == "expansion frequencies" and done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_solve(Run.start(scenario, tmp_path / "out", Path(), stop_after_one))
+    assert not (tmp_path / "out" / "transfer.nc").exists()
+    original = sweep.DirectSolver.at
+    monkeypatch.setattr(sweep.DirectSolver, "at", lambda self, f: (seen.append(f), original(self, f))[1])
+    resumed = run_solve(Run.start(scenario, tmp_path / "out", Path()))
+    planned = sweep.expansion_frequencies(resumed.frequency, scenario.solver)
+    assert planned[0] not in seen  # stored by the first run
+    assert planned[1] in seen
+
+
+def test_too_little_memory_is_refused_beforehand(home, tmp_path):
+    scenario = parse_scenario({**TINY, "solver": {**TINY["solver"], "memory_limit": 1e6}})
+    with pytest.raises(folder.refuse_if_too_large.__globals__["SolverError"], match="memory_limit"):
+        run_solve(Run.start(scenario, tmp_path / "out", Path()))
