@@ -47,12 +47,15 @@ def scene_file(path: Path, scale: float, count: int) -> str:
     parts |= {f"facets end_{n}": mesh.facets["end"][behind == k] for k, n in enumerate(mesh.region_names)}
     free = _rest(mesh.facets["skin"], mesh.facets["contact A1"])
     np.savez(
-        path, points=mesh.points, tetrahedra=mesh.tetrahedra, region=mesh.region, region_names=np.array(mesh.region_names),
-        boundary_names=np.array([*(n.removeprefix("facets ") for n in parts), "skin"]), **parts, **{"facets skin": free},
+        path, points=mesh.points, tetrahedra=mesh.tetrahedra, region=mesh.region,
+        region_names=np.array(mesh.region_names),
+        boundary_names=np.array([*(n.removeprefix("facets ") for n in parts), "skin"]), **parts,
+        **{"facets skin": free},
         mu=np.array([t.modulus.at(omega)[0] for t in chosen]), density=np.array([t.density for t in chosen]),
         bulk=np.array([t.bulk for t in chosen]), frequency=FREQUENCY, threads=count,
         impedance=np.array([np.sqrt(t.density * abs(t.modulus.at(np.array([0.0]))[0])) for t in chosen]),
-        pressure_scale=1e6, disc_area=_area(mesh.points[mesh.facets["contact A1"]]), point=np.array([0.010, 0.0, 0.0]),
+        pressure_scale=1e6,
+        disc_area=_area(mesh.points[mesh.facets["contact A1"]]), point=np.array([0.010, 0.0, 0.0]),
     )  # fmt: skip
     value = direct_sweep(model, np.array([FREQUENCY]), DIRECT).values[0, 2, 0]
     return f"{value.real:.6g}{value.imag:+.6g}j"
@@ -70,7 +73,8 @@ def _area(corners: np.ndarray) -> float:
 
 def peer(python: str, script: str, scene: Path, solver: str, repeats: int, count: int) -> dict[str, Any] | None:
     """Median of the runs of a peer, or None where it is not there or does not finish."""
-    environment = {**os.environ, **dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(count))}
+    names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    environment = {**os.environ, **dict.fromkeys(names, str(count))}
     runs = []
     for _ in range(repeats):
         try:
@@ -94,7 +98,8 @@ def ours(precision: str, scale: float, value: str) -> dict[str, Any]:
     middle = {s: round(statistics.median(getattr(r, s) for r in runs), 3)
               for s in ("seconds_assembly", "seconds_analysis", "seconds_factorisation", "seconds_solve")}  # fmt: skip
     return {
-        "program": "forearm_fem", "version": __version__, "solver": f"PARDISO, {precision}", "unknowns": runs[0].unknowns,
+        "program": "forearm_fem", "version": __version__, "solver": f"PARDISO, {precision}",
+        "unknowns": runs[0].unknowns,
         "seconds_assembly": middle["seconds_assembly"],
         "seconds_factorisation": round(middle["seconds_analysis"] + middle["seconds_factorisation"], 3),
         "seconds_solve": middle["seconds_solve"], "compliance": value, "runs": len(runs),
@@ -115,7 +120,8 @@ def main() -> None:
         scene = Path(folder) / "scene.npz"
         value = scene_file(scene, asked.scale, asked.threads)
         rows = [ours(p, asked.scale, value) for p in ("double", "single")]
-        wanted = [(asked.ngsolve, "peers_ngsolve.py", s) for s in ("sparsecholesky", "umfpack", "pardiso") if asked.ngsolve]
+        solvers = ("sparsecholesky", "umfpack", "pardiso") if asked.ngsolve else ()
+        wanted = [(asked.ngsolve, "peers_ngsolve.py", s) for s in solvers]
         wanted += [(asked.fenicsx, "peers_fenicsx.py", "mumps")] if asked.fenicsx else []
         for python, script, solver in wanted:
             if (row := peer(python, script, scene, solver, asked.repeats, asked.threads)) is not None:

@@ -18,7 +18,7 @@ _COMPLEX = "/usr/lib/petscdir/petsc-complex"
 os.environ.setdefault("PETSC_DIR", _COMPLEX)
 sys.path.insert(0, f"{_COMPLEX}/lib/python3/dist-packages")
 
-import numpy as np
+import numpy as np  # noqa: E402
 
 try:
     import dolfinx
@@ -47,8 +47,11 @@ def mesh_of(scene: dict) -> tuple:
     ours = used[np.asarray(mesh.geometry.input_global_indices)[node[vertices]]]
     known = {tuple(k): i for i, k in enumerate(np.sort(ours, axis=1).tolist())}
     names = [str(n) for n in scene["boundary_names"]]
-    found = {n: np.array(sorted(known[tuple(f)] for f in np.sort(scene[f"facets {n}"], axis=1).tolist()), dtype=np.int32) for n in names}
-    return mesh, region, found
+    return mesh, region, {n: _places(known, scene[f"facets {n}"]) for n in names}
+
+
+def _places(known: dict, facets: np.ndarray) -> np.ndarray:
+    return np.array(sorted(known[tuple(f)] for f in np.sort(facets, axis=1).tolist()), dtype=np.int32)
 
 
 def forms(mesh: dolfinx.mesh.Mesh, region: np.ndarray, facets: dict, scene: dict) -> tuple:

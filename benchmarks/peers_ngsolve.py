@@ -1,9 +1,9 @@
-"""The quarter slab of `forearm-fem bench` in NGSolve: assembly, factorisation and solve of one complex matrix at 400 Hz.
+"""The quarter slab of `forearm-fem bench` in NGSolve: one complex matrix at 400 Hz assembled, factorised and solved.
 
     /tmp/ngs/bin/python benchmarks/peers_ngsolve.py scene.npz [sparsecholesky|pardiso|umfpack] >> peers.jsonl
 
-``scene.npz`` comes from `benchmarks/peers.py`. The pair (P2, pressure P1 per tissue), the tetrahedra and the load are ours, so
-the compliance at 10 mm must agree with ours in all digits.
+``scene.npz`` comes from `benchmarks/peers.py`. The pair (P2, pressure P1 per tissue), the tetrahedra and the load are
+ours, so the compliance at 10 mm must agree with ours in all digits.
 """
 
 from __future__ import annotations

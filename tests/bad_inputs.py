@@ -1,15 +1,31 @@
-"""Wrong scenarios and meshes: what a user may get wrong, as data. ``python tests/bad_inputs.py`` rewrites the docs table."""
+"""Wrong scenarios and meshes: as data; ``python tests/bad_inputs.py`` rewrites the docs table."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import meshio
-import numpy as np
-import trimesh
+from bad_files import (
+    CORNERS,
+    CUBE,
+    HEXAHEDRON,
+    NAN,
+    TRIANGLE,
+    crossing,
+    damaged_mesh,
+    flat_tetrahedron,
+    good_outer,
+    mesh,
+    millimetre_surfaces,
+    missing_surface,
+    open_surface,
+    self_crossing,
+    separate,
+    some_inverted,
+    text_surface,
+    wavelet_of_text,
+)
 
 DOCS = Path(__file__).parents[1] / "docs" / "bad_inputs.md"
 SLAB = """name = "bad"
@@ -67,124 +83,6 @@ class Case:
     command: str = "solve"
     left: tuple[str, ...] = ()  # finished stages that stay
 
-
-def _box(
-    folder: Path, name: str, size: Iterable[float], *, at: Iterable[float] = (0, 0, 0), change: Any = None
-) -> None:
-    body = trimesh.creation.box(extents=list(size))
-    body = body.subdivide().subdivide()
-    body.apply_translation(list(at))
-    if change is not None:
-        change(body)
-    body.export(folder / name)
-
-
-def _good_outer(folder: Path) -> None:
-    _box(folder, "skin.stl", (0.12, 0.06, 0.05))
-
-
-def _open_surface(folder: Path) -> None:
-    def cut(body: Any) -> None:
-        body.update_faces(np.arange(len(body.faces)) > 3)
-
-    _box(folder, "skin.stl", (0.12, 0.06, 0.05), change=cut)
-    _box(folder, "muscle.stl", (0.12, 0.04, 0.03))
-
-
-def _some_inverted(folder: Path) -> None:
-    def turn(body: Any) -> None:
-        body.faces[::3] = body.faces[::3, ::-1]
-
-    _box(folder, "skin.stl", (0.12, 0.06, 0.05), change=turn)
-    _box(folder, "muscle.stl", (0.12, 0.04, 0.03))
-
-
-def _crossing(folder: Path) -> None:
-    _good_outer(folder)
-    _box(folder, "muscle.stl", (0.12, 0.04, 0.03), at=(0, 0.021, 0))
-
-
-def _separate(folder: Path) -> None:
-    _good_outer(folder)
-    _box(folder, "muscle.stl", (0.1, 0.04, 0.03), at=(0, 0.2, 0))
-
-
-def _missing_surface(folder: Path) -> None:
-    _good_outer(folder)
-
-
-def _text_surface(folder: Path) -> None:
-    _good_outer(folder)
-    (folder / "muscle.stl").write_text("these are not triangles\n")
-
-
-def _self_crossing(folder: Path) -> None:
-    def fold(body: Any) -> None:
-        top = np.flatnonzero(np.isclose(body.vertices[:, 2], 0.025) & (np.abs(body.vertices[:, 0]) < 0.01))
-        body.vertices[top, 2] = -0.04
-
-    _box(folder, "skin.stl", (0.12, 0.06, 0.05), change=fold)
-    _box(folder, "muscle.stl", (0.12, 0.04, 0.01), at=(0, 0, -0.01))
-
-
-def _millimetre_surfaces(folder: Path) -> None:
-    _box(folder, "skin.stl", (120, 60, 50))
-    _box(folder, "muscle.stl", (120, 40, 30))
-
-
-def _block() -> tuple[Any, Any]:
-    """Points and tetrahedra (six per cell) of a block 80 x 80 x 20 mm with its top at z = 0."""
-    n = (9, 9, 3)
-    x, y, z = np.meshgrid(
-        np.linspace(-0.04, 0.04, 9), np.linspace(-0.04, 0.04, 9), np.linspace(-0.02, 0, 3), indexing="ij"
-    )
-    index = np.arange(np.prod(n)).reshape(n)
-    corner = [
-        index[i : n[0] - 1 + i, j : n[1] - 1 + j, k : n[2] - 1 + k].ravel()
-        for i in (0, 1)
-        for j in (0, 1)
-        for k in (0, 1)
-    ]
-    paths = ((0, 1, 3, 7), (0, 1, 5, 7), (0, 2, 3, 7), (0, 2, 6, 7), (0, 4, 5, 7), (0, 4, 6, 7))
-    cells = np.vstack([np.column_stack([corner[c] for c in path]) for path in paths])
-    return np.column_stack([x.ravel(), y.ravel(), z.ravel()]), cells
-
-
-_CORNERS, _TETRA = _block()
-
-
-def _mesh(
-    cells: Any = (("tetra", _TETRA),), points: Any = _CORNERS, label: int | None = 1
-) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        data = {} if label is None else {"region": [np.full(len(c), label) for _, c in cells]}
-        meshio.Mesh(points, list(cells), cell_data=data).write(folder / "limb.vtu")
-
-    return write
-
-
-def _damaged_mesh(folder: Path) -> None:
-    _mesh()(folder)
-    whole = (folder / "limb.vtu").read_bytes()
-    (folder / "limb.vtu").write_bytes(whole[: len(whole) // 2])
-
-
-def _flat_tetrahedron(folder: Path) -> None:
-    flat = np.vstack(
-        [_CORNERS, [[-0.039, -0.039, -0.0200001], [-0.038, -0.039, -0.02], [-0.039, -0.038, -0.02]]]
-    )
-    extra = np.array([[0, len(flat) - 3, len(flat) - 2, len(flat) - 1]])
-    _mesh((("tetra", np.vstack([_TETRA, extra])),), flat)(folder)
-
-
-def _wavelet_of_text(folder: Path) -> None:
-    (folder / "wave.csv").write_text("hello\nworld\n")
-
-
-_TRIANGLE = (("triangle", np.array([[0, 1, 2]])),)
-_HEXAHEDRON = (("hexahedron", np.arange(8)[None]),)
-_CUBE = np.array([[x, y, z] for z in (0.0, 0.1) for x, y in ((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1))])
-_NAN = np.where(np.arange(len(_CORNERS))[:, None] == 40, np.nan, _CORNERS)
 
 CASES: tuple[Case, ...] = (
     Case("no such scenario", None, ("no such file",)),
@@ -258,7 +156,7 @@ CASES: tuple[Case, ...] = (
         LAYERED.replace("frequencies = [100.0]", "f_max = 300.0\nduration = 0.25\nsample_rate = 2000.0"),
         ("wave.csv",),
         ("rendering.wavelet.file='wave.csv'",),
-        _wavelet_of_text,
+        wavelet_of_text,
         "render",
     ),
     Case(
@@ -291,7 +189,8 @@ CASES: tuple[Case, ...] = (
         FOREARM,
         ("bones", "radius", "ulna"),
         (
-            "limb.bones=[{name='radius', y=0.0, depth=0.03, diameter=0.014}, {name='ulna', y=0.004, depth=0.03, diameter=0.014}]",
+            "limb.bones=[{name='radius', y=0.0, depth=0.03, diameter=0.014},"
+            " {name='ulna', y=0.004, depth=0.03, diameter=0.014}]",
         ),
         command="mesh",
     ),
@@ -302,22 +201,20 @@ CASES: tuple[Case, ...] = (
         ("solver.memory_limit=1e6",),
         left=("mesh.vtu", "scenario.json"),
     ),
-    Case("surface file missing", SURFACES, ("muscle.stl", "no such surface"), files=_missing_surface),
-    Case("surface file of text", SURFACES, ("muscle.stl",), files=_text_surface),
-    Case("open surface", SURFACES, ("skin.stl", "not closed"), files=_open_surface),
-    Case(
-        "normals of some triangles inverted", SURFACES, ("skin.stl", "face both ways"), files=_some_inverted
-    ),
-    Case("surface crossing its neighbour", SURFACES, ("'skin' and 'muscle' cross",), files=_crossing),
-    Case("surface crossing itself", SURFACES, ("crosses itself",), files=_self_crossing),
-    Case("surface outside its neighbour", SURFACES, ("'muscle' reaches",), files=_separate),
-    Case("surfaces in mm by mistake", SURFACES, ("limb.unit", "120 m"), files=_millimetre_surfaces),
+    Case("surface file missing", SURFACES, ("muscle.stl", "no such surface"), files=missing_surface),
+    Case("surface file of text", SURFACES, ("muscle.stl",), files=text_surface),
+    Case("open surface", SURFACES, ("skin.stl", "not closed"), files=open_surface),
+    Case("normals of some triangles inverted", SURFACES, ("skin.stl", "face both ways"), files=some_inverted),
+    Case("surface crossing its neighbour", SURFACES, ("'skin' and 'muscle' cross",), files=crossing),
+    Case("surface crossing itself", SURFACES, ("crosses itself",), files=self_crossing),
+    Case("surface outside its neighbour", SURFACES, ("'muscle' reaches",), files=separate),
+    Case("surfaces in mm by mistake", SURFACES, ("limb.unit", "120 m"), files=millimetre_surfaces),
     Case(
         "bone as the outermost surface",
         SURFACES,
         ("the bone's",),
         ("limb.surfaces={bone='skin.stl'}",),
-        _good_outer,
+        good_outer,
     ),
     Case(
         "no surface at all",
@@ -332,21 +229,21 @@ CASES: tuple[Case, ...] = (
         ("limb.file='limb.png'",),
         lambda folder: _put(folder / "limb.png", b"\x89PNG\r\n"),
     ),
-    Case("mesh file cut off", MESH, ("limb.vtu", "cannot be read as a mesh"), files=_damaged_mesh),
-    Case("surface mesh for a volume mesh", MESH, ("no tetrahedra", "triangle"), files=_mesh(_TRIANGLE)),
-    Case("hexahedra", MESH, ("hexahedron", "only tetrahedra"), files=_mesh(_HEXAHEDRON, _CUBE)),
-    Case("mesh without regions", MESH, ("carry no region",), files=_mesh(label=None)),
-    Case("region with no tissue", MESH, ("regions 7 have no tissue",), files=_mesh(label=7)),
+    Case("mesh file cut off", MESH, ("limb.vtu", "cannot be read as a mesh"), files=damaged_mesh),
+    Case("surface mesh for a volume mesh", MESH, ("no tetrahedra", "triangle"), files=mesh(TRIANGLE)),
+    Case("hexahedra", MESH, ("hexahedron", "only tetrahedra"), files=mesh(HEXAHEDRON, CUBE)),
+    Case("mesh without regions", MESH, ("carry no region",), files=mesh(label=None)),
+    Case("region with no tissue", MESH, ("regions 7 have no tissue",), files=mesh(label=7)),
     Case(
         "region name not in the file",
         MESH,
         ("limb.regions names", "tendon"),
         ("limb.regions={'1'='muscle', tendon='fat'}",),
-        _mesh(),
+        mesh(),
     ),
-    Case("NaN in the mesh", MESH, ("not finite",), files=_mesh(points=_NAN)),
-    Case("flat tetrahedron", MESH, ("quality",), files=_flat_tetrahedron),
-    Case("mesh in mm by mistake", MESH, ("limb.unit", "80 m"), files=_mesh(points=1000 * _CORNERS)),
+    Case("NaN in the mesh", MESH, ("not finite",), files=mesh(points=NAN)),
+    Case("flat tetrahedron", MESH, ("quality",), files=flat_tetrahedron),
+    Case("mesh in mm by mistake", MESH, ("limb.unit", "80 m"), files=mesh(points=1000 * CORNERS)),
 )
 
 

@@ -46,9 +46,13 @@ def cli(*arguments: object, cwd: Path | None = None) -> Answer:
     """``forearm-fem ARGUMENTS`` in the folder ``cwd``."""
     out, err = io.StringIO(), io.StringIO()
     argv = ["forearm-fem", *map(str, arguments)]
-    with mock.patch.object(sys, "argv", argv), contextlib.chdir(cwd or Path.cwd()):
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            code = _exit_code()
+    with (
+        mock.patch.object(sys, "argv", argv),
+        contextlib.chdir(cwd or Path.cwd()),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        code = _exit_code()
     return Answer(code, out.getvalue(), err.getvalue())
 
 

@@ -93,7 +93,8 @@ def test_all_soft_tissues_are_drawn_by_default() -> None:
 
 
 def test_one_failed_member_does_not_lose_the_rest(tmp_path: Path, here: Here) -> None:
-    members = '[[members]]\nname = "fine"\n[[members]]\nname = "no-layers"\nset = { limb = { shape = "mesh", file = "x.vtu", regions = { 1 = "fat" } } }\n'
+    mesh = '{ limb = { shape = "mesh", file = "x.vtu", regions = { 1 = "fat" } } }'
+    members = f'[[members]]\nname = "fine"\n[[members]]\nname = "no-layers"\nset = {mesh}\n'
     result = start(made(tmp_path, members))
     fine, failed = result.members
     assert (fine.problem, fine.numbers["e_band"] < 1e-5) == ("", True)

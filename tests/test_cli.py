@@ -179,6 +179,16 @@ def test_figures_without_results_says_how_to_make_them(scene: Path) -> None:
     assert "forearm-fem run" in answer.sentence
 
 
+@pytest.mark.parametrize(
+    ("what", "save", "says"),
+    [("nowhere", "a.png", "no such file"), ("small.toml", "a.png", "forearm-fem run"), (".", "a.tiff", ".png, .gif")],
+)
+def test_show_says_what_it_needs(scene: Path, what: str, save: str, says: str) -> None:
+    answer = cli("show", what, "--save", save, cwd=scene)
+    assert answer.code == 2
+    assert says in answer.sentence
+
+
 def test_unknown_bench_part_is_one_sentence(scene: Path) -> None:
     answer = cli("bench", "--only", "nothing", "--out", "b", cwd=scene)
     assert answer.code == 2

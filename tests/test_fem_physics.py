@@ -64,7 +64,7 @@ def test_kelvin_voigt_shear_wave_in_a_bar(element, counts, order, limit):
     assert math.log(coarse / fine) / math.log(counts[1] / counts[0]) > order - 0.3  # the coarse mesh is not asymptotic
 
 
-@pytest.mark.parametrize("contact", ["frictionless", "bonded"])
+@pytest.mark.parametrize("contact", ["frictionless", pytest.param("bonded", marks=pytest.mark.slow)])
 def test_rigid_punch(contact):
     """Static, incompressible: both are 8 mu a. Fixed walls at distance R stiffen it by O(a / R): extrapolated."""
     exact = 8 * 7860.0 * 3.5e-3
@@ -144,13 +144,13 @@ def test_free_block_moves_as_a_rigid_body():
 def test_absorbing_ends_approach_the_half_space():
     """On a slab of one wavelength, dashpots reflect less than a wall: nearer to a slab twice as wide."""
     mesh = {"size_grid": 4e-3, "size_contact": 2e-3, "size_far": 1.2e-2}
-    radii, f = (0.01, 0.02), [100.0]
-    wide = slab_response(slab_model(quarter_slab(radii, side=0.13, depth=0.05, mesh=mesh)), f)
+    radii, f = (0.01, 0.02), [40.0]
+    wide = slab_response(slab_model(quarter_slab(radii, side=0.15, depth=0.06, mesh=mesh)), f)
     errors = {}
     for ends in ("absorb", "fixed", "free"):
         narrow = slab_response(slab_model(quarter_slab(radii, side=0.07, depth=0.03, mesh=mesh, ends=ends)), f)
         errors[ends] = np.abs(narrow - wide).max() / np.abs(wide).max()
-    assert errors["absorb"] < 0.5 * min(errors["fixed"], errors["free"])
+    assert errors["absorb"] < 0.3 * min(errors["fixed"], errors["free"])  # seen: 0.036 against 0.20
 
 
 def test_foam_and_skin_terms_act_with_their_sign():
@@ -222,7 +222,7 @@ def test_scaled_meshes_obey_similarity():
 
 def test_quarter_and_whole_slab_agree():
     """Symmetry planes and shares of force: the same element sizes, other triangles."""
-    mesh = {"size_grid": 4e-3, "size_contact": 1.8e-3, "size_far": 8e-3}
+    mesh = {"size_grid": 5e-3, "size_contact": 2e-3, "size_far": 8e-3}
     scenario = quarter_slab((0.008,), side=0.04, depth=0.015, mesh=mesh, ends="fixed")
     whole = scenario.model_copy(update={"limb": scenario.limb.model_copy(update={"symmetry": ()})})
     a, b = (slab_response(slab_model(s), [150.0])[0] for s in (scenario, whole))

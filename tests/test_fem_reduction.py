@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from forearm_fem.fem.compress import compressed, pole_residue
-from forearm_fem.fem.reduce import empty_model, extend, load_reduced, orthonormal_extension, real_columns, save_reduced
-from forearm_fem.fem.sweep import direct_sweep, expansion_frequencies, make_solver, most_uncertain, reduced_sweep
+from forearm_fem.fem.reduce import empty_model, extend, orthonormal_extension, real_columns
+from forearm_fem.fem.sweep import direct_sweep, expansion_frequencies, make_solver, reduced_sweep, widest_gap
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.tissue import Hysteretic, SpringPot, Tissue, Zener
 from forearm_fem.transfer import relative_error
@@ -160,15 +160,6 @@ def test_other_moduli_fall_back_to_dense_reduced_solves(modulus):
 # --- parts -----------------------------------------------------------------------------------------------------------
 
 
-def test_saved_model_comes_back(tmp_path, sweep):
-    save_reduced(sweep.reduced, tmp_path / "r.npz", with_basis=False)
-    back = load_reduced(tmp_path / "r.npz", sweep.reduced.coefficients)
-    assert np.array_equal(back.compliance(CHECK), sweep.reduced.compliance(CHECK))
-    save_reduced(sweep.reduced, tmp_path / "b.npz", with_basis=True)
-    basis = load_reduced(tmp_path / "b.npz", sweep.reduced.coefficients).basis
-    assert np.abs(basis - sweep.reduced.basis).max() < 1e-6 * np.abs(basis).max()
-
-
 def test_orthonormal_extension_drops_what_is_known():
     rng = np.random.default_rng(0)
     basis, _ = np.linalg.qr(rng.normal(size=(40, 4)))
@@ -192,8 +183,10 @@ def test_expansion_frequencies_are_bins_of_the_band():
     assert expansion_frequencies(np.array([100.0]), OPTIONS) == (100.0,)
 
 
-def test_no_uncertain_frequency_is_left_when_all_are_used(one_expansion):
-    assert most_uncertain(one_expansion, np.array([100.0]), [100.0], ([0], [0])) is None
+def test_the_test_frequency_is_farthest_from_the_expansions():
+    assert widest_gap(np.array([100.0]), [100.0]) is None
+    band = np.arange(10.0, 501.0)
+    assert widest_gap(band, [20.0, 163.0, 444.0]) == pytest.approx(75.0, abs=8.0)  # mid of the gap in sqrt(f): 74.3 Hz
 
 
 def test_single_frequency_sweep(model):

@@ -1,4 +1,4 @@
-"""Wall time and memory against true error: every method on the same scene, held against its exact solution."""
+"""Wall time and memory against true error: every method on the same scene, against its exact solution."""
 
 from .run import PARTS, run_bench
 

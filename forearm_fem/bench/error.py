@@ -34,7 +34,8 @@ class Case:
 
 @dataclass(frozen=True)
 class Timed:
-    """``seconds`` of wall time (``_cpu``: of processors) from scenario to G at all bins, ``peak_bytes`` of the process, error against the exact solution."""
+    """From scenario to G at all bins: ``seconds`` of wall time (``_cpu``: of processors), ``peak_bytes`` of the
+    process, error against the exact solution."""
 
     method: str
     element: str

@@ -24,7 +24,7 @@ _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 @contextmanager
 def threads(count: int) -> Iterator[None]:
-    """Processes started inside use ``count`` threads; a busy machine punishes more of them than it has free cores."""
+    """Processes started inside use ``count`` threads; more than there are free cores are punished."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, str(count)))
     try:

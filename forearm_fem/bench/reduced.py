@@ -24,8 +24,8 @@ MANY = 20_000
 
 @dataclass(frozen=True)
 class Reduced:
-    """``seconds_...`` of one factorisation, one direct frequency (factorisation and 13 solves), the whole reduced sweep,
-    the direct sweep (from ten solves), and 20,000 evaluations; e(f) at ``held_out`` frequencies not used."""
+    """``seconds_...`` of one factorisation, one direct frequency (with 13 solves), the whole reduced sweep, the
+    direct sweep (from ten solves), and 20,000 evaluations; e(f) at ``held_out`` frequencies not used."""
 
     unknowns: int
     ports: int
@@ -54,7 +54,7 @@ class Reduced:
 
 
 def reduced(case: tuple[float, int]) -> Reduced:
-    """Time and check the 981-bin sweep of the thesis' device; ``case`` is (scale of the sizes, held-out solves)."""
+    """Time and check the thesis' 981-bin sweep; ``case`` is (scale of the sizes, held-out solves)."""
     scale, held_out = case
     scenario = device(scale)
     bins = frequencies(scenario.sweep)
@@ -69,7 +69,8 @@ def reduced(case: tuple[float, int]) -> Reduced:
         _watched(model, sweep.values[np.searchsorted(bins, probes)]), _watched(model, truth)
     )
     return Reduced(
-        model.operator.n, len(model.ports), len(bins), len(sweep.expansions), sweep.reduced.size if sweep.reduced else 0,
+        model.operator.n, len(model.ports), len(bins), len(sweep.expansions),
+        sweep.reduced.size if sweep.reduced else 0,
         factorisation, seconds, whole, seconds * len(bins), _many(sweep), len(probes), float(error.max()),
         float(np.median(error)),
     )  # fmt: skip
@@ -83,7 +84,7 @@ def held_out_bins(bins: FloatArray, sweep: SweepResult, count: int) -> FloatArra
 
 
 def _direct(solver: DirectSolver, probes: FloatArray) -> tuple[ComplexArray, float, float]:
-    """Compliances (n, n_port, n_port), median seconds per frequency (of the first ten) and per factorisation."""
+    """Compliances (n, n_port, n_port), median seconds per frequency and per factorisation."""
     values, seconds, factorising = [], [], []
     for f in probes:
         start = perf_counter()

@@ -32,9 +32,10 @@ def run_bench(
 ) -> Written:
     """Time the parts asked for (all of :data:`PARTS` by default) into ``folder`` and return the files written.
 
-    Minutes on two cores; ``full`` adds larger systems and held-out frequencies. Figures and ``README.md`` are drawn from
-    the CSV files, so parts can be run one by one. With one thread (``count``, the default) ``seconds_cpu`` is the wall time
-    of an idle machine even where others work on it; with more, only an idle machine gives numbers that mean something.
+    Minutes on two cores; ``full`` adds larger systems and held-out frequencies. Figures and ``README.md`` are
+    drawn from the CSV files, so parts can be run one by one. With one thread (``count``, the default)
+    ``seconds_cpu`` is about the wall time of an idle machine even where others work on it; more threads need an
+    idle machine.
     """
     chosen = tuple(only or PARTS)
     if bad := [name for name in chosen if name not in PARTS]:

@@ -55,7 +55,8 @@ def sized(case: tuple[str, float]) -> Sized:
         clock.append(perf_counter())
     assembly, analysis, factorisation, solve = np.diff(clock).tolist()
     return Sized(
-        precision, scale, model.operator.n, assembly, analysis, factorisation, solve, ledger.stages["all"]["peak_memory_bytes"], solution.residual,
+        precision, scale, model.operator.n, assembly, analysis, factorisation, solve,
+        ledger.stages["all"]["peak_memory_bytes"], solution.residual,
     )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ def _machine(rows: Sequence[Row]) -> list[str]:
 
 
 def cheapest(rows: Sequence[Row], error: float, *, method: str | None = None) -> Row | None:
-    """The row with the least processor time at a true error of at most ``error``; the twin, which has no limb, left out."""
+    """Least processor time at a true error of at most ``error``; the twin, which has no limb, left out."""
     good = [r for r in rows if float(r["error_worst"]) <= error and r["method"] != "twin"]
     good = [r for r in good if method is None or r["method"] == method]
     return min(good, key=lambda r: float(r["seconds_cpu"]), default=None)
@@ -42,10 +42,12 @@ def cheapest(rows: Sequence[Row], error: float, *, method: str | None = None) ->
 def _error(rows: Sequence[Row]) -> list[str]:
     lines = ["## Speed against error", "", "![speed against error](error.png)", ""]
     lines += [
-        "From scenario to G at 161 bins on a quarter slab (skin, fat, muscle) against the exact layered solution; e is the",
-        "worst max|dG|/max|G| over 80-400 Hz, the direct sweep's over the 11 frequencies solved, its time extrapolated. Seconds are of processors",
-        f"(with one thread: wall time on an idle machine; the wall time here was {_stretch(rows):.2f} times that, median).",
-        "", "| asked e | cheapest | unknowns | seconds | peak GB | direct sweep, s | ratio |", "|---|---|---|---|---|---|---|",
+        "From scenario to G at 161 bins on a quarter slab (skin, fat, muscle) against the exact layered solution; e is",
+        "the worst max|dG|/max|G| over 80-400 Hz (direct sweep: over the 11 frequencies solved, time extrapolated).",
+        "Seconds are of processors; with one thread that is the wall time on an idle machine",
+        f"(the wall time of this run was {_stretch(rows):.2f} times that, median).", "",
+        "| asked e | cheapest | unknowns | seconds | peak GB | direct sweep, s | ratio |",
+        "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for error in ASKED:
         if (best := cheapest(rows, error)) is None:
@@ -87,7 +89,7 @@ def _size(rows: Sequence[Row]) -> list[str]:
     ratio = float(two["seconds_factorisation"]) / float(one["seconds_factorisation"])
     return [
         "## Cost against size", "", "![cost against size](size.png)", "",
-        f"At {two['unknowns']} unknowns: {shares}, {float(two['peak_bytes']) / 1e9:.2g} GB. Fitted exponents are in the legend.",
+        f"At {two['unknowns']} unknowns: {shares}, {float(two['peak_bytes']) / 1e9:.2g} GB. Exponents: see the legend.",
         f"**Choose** single precision where memory ends: its factorisation takes 1/{ratio:.2g} of the time here, and",
         f"{float(one['peak_bytes']) / float(two['peak_bytes']):.2g} of the peak memory; solves are refined to double "
         f"(residual {float(one['residual']):.0e}).",
@@ -96,7 +98,7 @@ def _size(rows: Sequence[Row]) -> list[str]:
 
 
 def _reduced(rows: Sequence[Row]) -> list[str]:
-    head = "| unknowns | one factorisation, s | reduced sweep, s | in factorisations | direct sweep, s | faster | e held out | 20,000 bins, s |"
+    head = "| unknowns | one factorisation, s | reduced, s | in those | direct, s | faster | e | 20,000 bins, s |"
     lines = [
         "## Reduced against direct",
         "",
@@ -112,7 +114,7 @@ def _reduced(rows: Sequence[Row]) -> list[str]:
             f"{f['in_factorisations']:.3g} | {f['seconds_direct_sweep']:.3g} | {f['speed_ratio']:.3g} x | "
             f"{f['error_worst']:.1e} | {f['seconds_many_evaluations']:.2g} |"
         )
-    end = "**Choose** the reduced sweep (the default) for any list longer than its expansions; a direct sweep only to check it."
+    end = "**Choose** the reduced sweep (the default); a direct one only to check it."
     return [*lines, "", f"Four discs, nine points, 981 bins; direct sweep from ten solves. {end}", ""]
 
 

@@ -54,9 +54,9 @@ def run_campaign(
 ) -> CampaignResult:
     """Run what is not finished yet, each member into ``folder/NAME``, and write ``summary.csv`` and ``summary.md``.
 
-    A failed member is reported and does not stop the others; running again does only what is missing. ``scheduler`` is the
-    address of a Dask scheduler whose workers see ``folder`` and the scenario's folder under the same path; otherwise
-    ``workers`` local processes are started (default: as many as cores and forecast memory allow).
+    A failed member is reported and does not stop the others; running again does only what is missing. ``scheduler`` is
+    the address of a Dask scheduler whose workers see ``folder`` and the scenario's folder under the same path;
+    otherwise ``workers`` local processes are started (default: as many as cores and forecast memory allow).
     """
     out = Path(folder).resolve()
     jobs = [_job(campaign, m, out) for m in campaign.members]
@@ -156,7 +156,7 @@ def _collected(
 
 def _write(out: Path, members: Sequence[MemberResult]) -> CampaignResult:
     rows = [{"member": m.name, **m.values, **m.numbers, "problem": m.problem} for m in members]
-    columns = list(dict.fromkeys(key for row in rows for key in row if key != "problem")) + ["problem"]
+    columns = [*dict.fromkeys(key for row in rows for key in row if key != "problem"), "problem"]
     stream = io.StringIO()
     writer = csv.DictWriter(stream, columns, lineterminator="\n")
     writer.writeheader()

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import DataError
+from ..scenario import load_scenario
 from .common import Display, noted
 
 Results = Annotated[Path, typer.Argument(help="results folder of a run")]
@@ -38,20 +39,49 @@ def figures(
 
 
 def show(
-    what: Annotated[Path, typer.Argument(help="scenario file or results folder")],
-    picture: Annotated[
-        Path | None, typer.Option("--save", help="write a picture instead of opening a window")
+    what: Annotated[Path, typer.Argument(help="results folder, or a scenario whose results lie in results/NAME")],
+    save: Annotated[
+        Path | None, typer.Option("--save", help="instead of a window: .png, .gif, .mp4, or .html to turn in a browser")
     ] = None,
 ) -> None:
-    """Look at a limb, its mesh and the ports in a window, or as a picture."""
-    if not what.exists():
-        raise DataError(f"{what}: no such scenario file or results folder")
-    from ..figures import show as open_window
-
+    """Walk around the moving limb in a window, or keep a picture, film or page of it."""
+    folder = _results_of(what)
     with noted():
-        written = open_window(what, picture)
-    if written is not None:
-        typer.echo(str(written))
+        if save is None:
+            from ..figures.interact import interact
+
+            interact(folder)
+            return
+        _saved(folder, save)
+    typer.echo(str(save))
+
+
+def _results_of(what: Path) -> Path:
+    if what.is_dir():
+        return what
+    folder = Path("results") / load_scenario(what).name
+    if not folder.is_dir():
+        raise DataError(f"{folder}: no results of {what} yet; `forearm-fem run {what}` makes them")
+    return folder
+
+
+def _saved(folder: Path, save: Path) -> None:
+    kind = save.suffix.lower()
+    if kind == ".png":
+        from ..figures.show import render_still
+
+        render_still(folder, save)
+    elif kind in (".gif", ".mp4"):
+        from ..figures.show import animate
+
+        with Display() as display:
+            animate(folder, save, progress=lambda done, total, _: display("frames", done, total))
+    elif kind == ".html":
+        from ..figures.page import export_html
+
+        export_html(folder, save)
+    else:
+        raise DataError(f"{save}: choose a name that ends in .png, .gif, .mp4 or .html")
 
 
 def _listed(items: list[str] | None) -> list[str] | None:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
-from ..typing import BoolArray, ComplexArray, FloatArray
+from ..typing import ComplexArray, FloatArray
 from .coefficients import Coefficient
 from .model import ForearmModel
 from .operator import AffineOperator, Term, symmetric_product
@@ -25,21 +24,19 @@ _DROPPED = {"incompressibility"}  # its energy is the one of "compression" on th
 class ReducedModel:
     """Compliance of all ports at any frequency from small real matrices.
 
-    ``matrices`` (n_term, r, r) with ``coefficients``; ``functionals`` (r, n_port); ``last_order`` marks the columns that
-    the highest derivatives added. ``basis`` (n, r) reconstructs displacements and scaled pressures.
+    ``matrices`` (n_term, r, r) with ``coefficients``; ``functionals`` (r, n_port). ``basis`` (n, r) reconstructs displacements and scaled pressures.
     """
 
     coefficients: tuple[Coefficient, ...]
     matrices: FloatArray
     functionals: FloatArray
     shares: FloatArray
-    last_order: BoolArray
     basis: FloatArray = field(repr=False)
 
     @property
     def size(self) -> int:
         """Dimension r of the reduced space."""
-        return len(self.last_order)
+        return len(self.functionals)
 
     def states(self, frequency: FloatArray) -> ComplexArray:
         """Reduced solutions (n_frequency, r, n_port) for a unit force on each port."""
@@ -55,14 +52,6 @@ class ReducedModel:
         values = np.einsum("ri,frj->fij", self.functionals, self.states(frequency), optimize=True)
         return np.asarray(values * self.shares)
 
-    def without_last_order(self) -> ReducedModel:
-        """The model on the smaller space without the highest derivatives: its distance estimates the error."""
-        keep = np.flatnonzero(~self.last_order)
-        matrices = self.matrices[:, keep[:, None], keep[None, :]]
-        return ReducedModel(
-            self.coefficients, matrices, self.functionals[keep], self.shares, self.last_order[keep], self.basis[:, keep]
-        )
-
     def projected(self, directions: FloatArray) -> ReducedModel:
         """The model on the span of orthonormal ``directions`` (r, s) of this space."""
         return ReducedModel(
@@ -70,15 +59,12 @@ class ReducedModel:
             np.array([directions.T @ m @ directions for m in self.matrices]),
             directions.T @ self.functionals,
             self.shares,
-            np.zeros(directions.shape[1], dtype=bool),
             self.basis @ directions,
         )
 
     def with_coefficients(self, coefficients: Sequence[Coefficient]) -> ReducedModel:
         """The same space for other moduli or densities; its error for them is not certified."""
-        return ReducedModel(
-            tuple(coefficients), self.matrices, self.functionals, self.shares, self.last_order, self.basis
-        )
+        return ReducedModel(tuple(coefficients), self.matrices, self.functionals, self.shares, self.basis)
 
 
 def empty_model(model: ForearmModel) -> ReducedModel:
@@ -89,7 +75,6 @@ def empty_model(model: ForearmModel) -> ReducedModel:
         np.zeros((len(kept), 0, 0)),
         np.zeros((0, len(model.ports))),
         model.shares,
-        np.zeros(0, dtype=bool),
         np.zeros((model.operator.n, 0)),
     )
 
@@ -116,15 +101,14 @@ def extend(
 ) -> ReducedModel:
     """Add solutions and derivatives (a list over derivative orders of (n, k) arrays) to the space."""
     operator = model.operator
-    basis, flags = reduced.basis, reduced.last_order
-    for order, block in enumerate(snapshots):
+    basis = reduced.basis
+    for block in snapshots:
         new = orthonormal_extension(basis, real_columns(block), operator.n_displacements, drop=drop)
         basis = np.hstack([basis, new])
-        flags = np.concatenate([flags, np.full(new.shape[1], order == len(snapshots) - 1)])
     added = basis[:, reduced.size :]
     matrices = _extended_matrices(reduced, operator, basis, added)
     functionals = np.vstack([reduced.functionals, added.T @ model.functionals])
-    return ReducedModel(reduced.coefficients, matrices, functionals, reduced.shares, flags, basis)
+    return ReducedModel(reduced.coefficients, matrices, functionals, reduced.shares, basis)
 
 
 def real_columns(block: ComplexArray) -> FloatArray:
@@ -166,21 +150,3 @@ def _extended_matrices(
         matrix[old:, :old] = columns[:old].T
         matrix[old:, old:] = (columns[old:] + columns[old:].T) / 2
     return matrices
-
-
-def save_reduced(reduced: ReducedModel, path: Path, *, with_basis: bool) -> None:
-    """Store matrices and functionals (a few MB), and on request the basis in single precision."""
-    basis = reduced.basis.astype(np.float32) if with_basis else np.zeros((0, reduced.size), dtype=np.float32)
-    np.savez_compressed(
-        path, matrices=reduced.matrices, functionals=reduced.functionals, shares=reduced.shares,
-        last_order=reduced.last_order, basis=basis,
-    )  # fmt: skip
-
-
-def load_reduced(path: Path, coefficients: Sequence[Coefficient]) -> ReducedModel:
-    """A stored reduced model; the coefficients come from the scenario (``ForearmModel`` order, see `empty_model`)."""
-    with np.load(path) as store:
-        return ReducedModel(
-            tuple(coefficients), store["matrices"], store["functionals"], store["shares"],
-            store["last_order"], store["basis"].astype(float),
-        )  # fmt: skip

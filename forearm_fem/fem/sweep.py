@@ -31,8 +31,7 @@ class Certificate:
 class SweepResult:
     """Compliance (n_frequency, n_port, n_port) [m/N] and what certifies it.
 
-    ``last_change`` is the largest e(f) by which the highest derivatives change the reduced model: the error of the
-    smaller model, so more than its own. ``residual`` is the largest relative residual of any solve, ``solve_error`` the error of the compliance that it
+    ``residual`` is the largest relative residual of any solve, ``solve_error`` the error of the compliance that it
     causes, relative to the largest watched entry: x_i . r_j, exact to first order as A is symmetric.
     """
 
@@ -41,7 +40,6 @@ class SweepResult:
     solve_error: float = 0.0
     reduced: ReducedModel | None = None
     expansions: tuple[float, ...] = ()
-    last_change: float = 0.0
     certificates: tuple[Certificate, ...] = ()
 
 
@@ -144,8 +142,8 @@ def reduced_sweep(
 ) -> SweepResult:
     """Sweep by a reduced model expanded about few frequencies and certified between them.
 
-    Expansion starts at :func:`expansion_frequencies`. Then the frequency at which the highest derivatives still matter
-    most is solved directly: that true error certifies the model, and where it exceeds ``tolerance`` the solution and
+    Expansion starts at :func:`expansion_frequencies`. Then the frequency farthest from all of them is solved directly:
+    that true error certifies the model, and where it exceeds ``tolerance`` the solution and
     its derivatives extend it (at most ``max_expansions`` times in all; the certificates say what was reached). With
     ``tolerance`` None nothing is certified and no factorisation is spent on it.
     """
@@ -156,12 +154,8 @@ def reduced_sweep(
         used.append(work.expand(f))
         reduced = extend(reduced, model, used[-1].series)
         _tell(progress, "expansion frequencies", i + 1, len(planned) + 1)
-    certificates, change = list[Certificate](), 0.0
-    while tolerance is not None:
-        doubt = most_uncertain(reduced, frequency, [e.frequency for e in used], _watched(model))
-        if doubt is None:
-            break
-        chosen, change = doubt
+    certificates = list[Certificate]()
+    while tolerance is not None and (chosen := widest_gap(frequency, [e.frequency for e in used])) is not None:
         truth = work.direct(chosen)
         certificates.append(_certify(reduced, model, truth.series[0], chosen))
         _tell(progress, "expansion frequencies", len(used) + 1, len(used) + 1)
@@ -170,15 +164,11 @@ def reduced_sweep(
         used.append(work.expand(chosen, truth))
         reduced = extend(reduced, model, used[-1].series)
     work.release()
-    return _swept(reduced, frequency, used, certificates, change)
+    return _swept(reduced, frequency, used, certificates)
 
 
 def _swept(
-    reduced: ReducedModel,
-    frequency: FloatArray,
-    used: list[Expansion],
-    certificates: list[Certificate],
-    change: float,
+    reduced: ReducedModel, frequency: FloatArray, used: list[Expansion], certificates: list[Certificate]
 ) -> SweepResult:
     small = compressed(reduced, frequency)
     fast = pole_residue(small)
@@ -188,7 +178,6 @@ def _swept(
         max(e.solve_error for e in used),
         small,
         tuple(e.frequency for e in used),
-        change,
         tuple(certificates),
     )
 
@@ -248,22 +237,14 @@ def _certify(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArray
     return Certificate(frequency, float(relative_error(estimate[block], truth[block])[0]))
 
 
-def most_uncertain(
-    reduced: ReducedModel, frequency: FloatArray, expansions: list[float], watched: tuple[list[int], list[int]]
-) -> tuple[float, float] | None:
-    """The frequency at which leaving out the highest derivatives changes the compliance most, and the change e(f).
+def widest_gap(frequency: FloatArray, expansions: list[float]) -> float | None:
+    """The frequency farthest, in sqrt(f), from all expansion frequencies; None if every frequency is one.
 
-    None if all frequencies are expansion frequencies.
+    The reduced model is worst there (docs/decisions.md); of two equal gaps the lower one is taken.
     """
-    probes = frequency[np.unique(np.linspace(0, len(frequency) - 1, 41).astype(int))]
-    probes = np.array([f for f in probes if f not in expansions] or [f for f in frequency if f not in expansions])
-    if not len(probes):
-        return None
-    block = np.ix_(range(len(probes)), *watched)
-    coarse, fine = reduced.without_last_order().compliance(probes), reduced.compliance(probes)
-    change = relative_error(coarse[block], fine[block])
-    worst = int(np.argmax(change))
-    return float(probes[worst]), float(change[worst])
+    away = np.abs(np.sqrt(frequency)[:, None] - np.sqrt(np.array(expansions))[None]).min(axis=1)
+    worst = int(np.argmax(np.round(away, 1)))
+    return float(frequency[worst]) if away[worst] > 0 else None
 
 
 def _watched(model: ForearmModel) -> tuple[list[int], list[int]]:

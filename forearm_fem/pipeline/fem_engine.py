@@ -133,7 +133,7 @@ def _errors(result: SweepResult) -> tuple[ErrorEstimate, ...]:
         solve,
         ErrorEstimate(
             "reduction",
-            max(result.last_change, result.certificates[-1].error),
-            f"largest change by the highest derivatives; true errors at direct solves not used before: {text}",
+            result.certificates[-1].error,
+            f"true error, farthest from the expansion frequencies, against direct solves not used before: {text}",
         ),
     )

@@ -16,7 +16,7 @@ import numpy as np
 
 from .. import __version__
 from ..device import close_loop, contact_state, respond
-from ..errors import AccuracyWarning, DataError
+from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.factor import available_backends
 from ..geometry.build import limb_volume
 from ..geometry.cache import cached_mesh
@@ -39,6 +39,7 @@ from .resources import Ledger
 from .simulation import ASSUMED_ORDER, Simulation, closed, render_transfer, simulate
 from .fem_engine import COARSER
 from .solved import solve
+from .wave_report import write_wave_report
 
 Progress = Callable[[str, int, int], None]
 
@@ -71,12 +72,16 @@ class Run:
 def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
     transfer, coarse = _solved(run)
-    _rendered(run, transfer, coarse)
+    from ..report import write_report  # plotting is heavy and not needed by the other stages
+
+    if run.scenario.rendering.methods:
+        _rendered(run, transfer, coarse)
     _write_run(run)
     with run.stage("report"):
-        from ..report import write_report  # plotting is heavy and not needed by the other stages
-
-        write_report(run.out)
+        if run.scenario.rendering.methods:
+            write_report(run.out)
+        else:
+            write_wave_report(run.scenario, transfer, run.out)
     _write_run(run)
 
 
@@ -102,6 +107,8 @@ def run_solve(run: Run) -> TransferMatrix:
 
 def run_render(run: Run) -> Rendering:
     """Renderers on the folder's G (solved first where it is missing): drives, displacements and S."""
+    if not run.scenario.rendering.methods:
+        raise ScenarioError("rendering.methods is empty, so there is nothing to render; name a method or use `solve`")
     transfer, coarse = _solved(run)
     rendering = _rendered(run, transfer, coarse)
     _write_run(run)

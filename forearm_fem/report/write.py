@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from ..figures.show import render_still
 from ..figures.style import SHEET, figure_of, sign
 from ..figures.tables import markdown
 from ..figures.targets import plot_traces, target_waves
-from ..io.atomic import write_text
+from ..io.atomic import atomic_path, write_text
 from . import facts
 from .facts import Block
 
@@ -30,10 +30,11 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG in base64, and its caption."""
+    """A PNG in base64, its caption, and the name of its file in ``figures/``."""
 
     title: str
     data: str
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Section:
 def write_report(
     results_dir: str | Path | Results, out_dir: str | Path | None = None, progress: Progress | None = None
 ) -> tuple[Path, Path]:
-    """``report.html`` (self-contained) and ``report.md`` in the folder, or in ``out_dir``; their paths.
+    """``report.html`` (self-contained), ``report.md`` and ``figures/`` in the folder, or in ``out_dir``; their paths.
 
     Only a few figures are made; `forearm-fem figures` makes all. A picture that cannot be drawn here becomes a
     sentence. Raises DataError for an unfinished or unwritable folder.
@@ -63,6 +64,9 @@ def write_report(
     folder = Path(out_dir) if out_dir is not None else results.folder
     paths = folder / "report.html", folder / "report.md"
     sections = _sections(results, progress or _silent)
+    for picture in (p for section in sections for p in section.pictures):
+        with atomic_path(folder / "figures" / f"{picture.name}.png") as target:
+            target.write_bytes(base64.b64decode(picture.data))
     write_text(paths[1], as_markdown(results, sections))
     write_text(paths[0], as_html(results, sections))
     return paths
@@ -124,7 +128,7 @@ def _pictures(results: Results, progress: Progress) -> tuple[list[tuple[str, Pic
     for done, (name, make) in enumerate(jobs):
         progress(done, len(jobs), name)
         try:
-            drawn.append((name, make()))
+            drawn.append((name, replace(make(), name=name)))
         except DataError:
             raise
         except ForearmError as problem:  # no way to draw in space here
@@ -170,7 +174,7 @@ def as_html(results: Results, sections: list[Section]) -> str:
 
 
 def as_markdown(results: Results, sections: list[Section]) -> str:
-    """The same without pictures."""
+    """The same, with its pictures as files beside it."""
     parts = [f"# Run of scene {results.scenario.name}\n", facts.headline(results) + "\n"]
     for section in sections:
         body = _markdown_body(section)
@@ -185,5 +189,5 @@ def _markdown_body(section: Section) -> list[str]:
         lines.append(markdown(section.block.header, section.block.rows))
     if section.block and section.block.note:
         lines.append(section.block.note + "\n")
-    lines += [f"*{picture.title}: in report.html*\n" for picture in section.pictures]
+    lines += [f"![{picture.title}](figures/{picture.name}.png)\n" for picture in section.pictures]
     return [*lines, *(f"- {line}" for line in section.bullets), *([""] if section.bullets else [])]

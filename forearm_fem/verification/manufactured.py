@@ -2,8 +2,8 @@ r"""Manufactured complex solutions: waves that solve the equations for a body fo
 
 :math:`u = \sum_m c_m (i k_m\times b + d/\kappa)\,e^{i k_m\cdot x}` and
 :math:`p = -\sum_m c_m\, i k_m\cdot d\, e^{i k_m\cdot x}`, so that :math:`p = -\kappa\nabla\cdot u` for every bulk
-modulus, infinity included. The waves are combined so that u vanishes on x = 0, where the block is held; all other faces carry
-the exact traction.
+modulus, infinity included. The waves are combined so that u vanishes on x = 0, where the block is held; all other
+faces carry the exact traction.
 """
 
 from __future__ import annotations

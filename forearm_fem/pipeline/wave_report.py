@@ -1,0 +1,89 @@
+"""Report of a scene that renders nothing: how waves travel and decay from one contact, and the twin beside it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ForearmError
+from ..io.atomic import write_text
+from ..metrics import fit_waves
+from ..metrics.waves import WaveFit
+from ..ports import distances
+from ..scenario import Scenario
+from ..scenario.limb import SlabLimb
+from ..transfer import TransferMatrix, relative_error
+from ..typing import FloatArray
+from .layered_engine import solve_layered
+
+
+def write_wave_report(scenario: Scenario, transfer: TransferMatrix, out: Path) -> Path:
+    """``report.md`` and, where a line of points allows it, ``waves.csv`` with attenuation and speed; returns the report."""
+    parts = [
+        f"# Run of scene {scenario.name}\n",
+        scenario.description + "\n",
+        "## Estimated errors of G\n",
+        *_errors(transfer),
+    ]
+    if (fit := thesis_fit(transfer)) is not None:
+        write_text(out / "waves.csv", waves_csv(fit))
+        parts += ["\n## Attenuation and speed by the thesis' estimator (waves.csv)\n", *_waves(fit)]
+    if isinstance(scenario.limb, SlabLimb) and scenario.device.drive == "force":
+        parts += ["\n## Beside the semi-analytic half-space\n", *_twin(scenario, transfer)]
+    return _written(out / "report.md", parts)
+
+
+def thesis_fit(transfer: TransferMatrix) -> WaveFit | None:
+    """Appendix A's estimator over the points that lie outside the first contact; None with fewer than four of them."""
+    distance = distances(transfer.outputs, transfer.inputs)[:, 0]
+    outside = np.flatnonzero(distance > 1e-3 if len(distance) else distance)
+    order = outside[np.argsort(distance[outside])]
+    if len(order) < 4:
+        return None
+    return fit_waves(transfer.frequency, distance[order], transfer.values[:, order, 0])
+
+
+def waves_csv(fit: WaveFit) -> str:
+    """Lines ``frequency_hz,attenuation_per_m,speed_m_per_s``."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["frequency_hz", "attenuation_per_m", "speed_m_per_s"])
+    writer.writerows(zip(fit.frequency.tolist(), fit.attenuation.tolist(), fit.speed.tolist(), strict=True))
+    return stream.getvalue()
+
+
+def _errors(transfer: TransferMatrix) -> list[str]:
+    lines = [f"| {e.source} | {e.band:.1e} | {e.worst:.1e} | {e.method} |" for e in transfer.errors]
+    return ["| source | e_band | worst e(f) | how |", "| --- | --- | --- | --- |", *lines]
+
+
+def _waves(fit: WaveFit) -> list[str]:
+    chosen = np.unique(np.linspace(0, len(fit.frequency) - 1, min(10, len(fit.frequency))).astype(int))
+    rows = [f"| {fit.frequency[k]:g} | {fit.attenuation[k]:.0f} | {fit.speed[k]:.2f} |" for k in chosen]
+    return ["| Hz | attenuation 1/m | speed m/s |", "| --- | --- | --- |", *rows]
+
+
+def _twin(scenario: Scenario, transfer: TransferMatrix) -> list[str]:
+    """Table of errors against the twin: each point relative to itself, and e(f) over all but the first."""
+    try:
+        truth = solve_layered(scenario, transfer.frequency).block("point", "contact")
+    except ForearmError as problem:
+        return [f"The twin cannot do this scene: {problem}"]
+    own: FloatArray = np.abs(transfer.values - truth)[:, :, 0] / np.abs(truth[:, :, 0])
+    names = [f"{d * 1e3:.1f} mm" for d in distances(transfer.outputs, transfer.inputs)[:, 0]]
+    overall = relative_error(transfer.values[:, 1:], truth[:, 1:]) if len(names) > 1 else np.zeros(len(own))
+    rows = [
+        f"| {f:g} | " + " | ".join(f"{v:.4f}" for v in row) + f" | {e:.4f} |"
+        for f, row, e in zip(transfer.frequency, own, overall, strict=True)
+    ]
+    header = "| Hz | " + " | ".join(names) + " | e(f) beyond the first |"
+    rule = "| --- " * (len(names) + 2) + "|"
+    return ["Error of each point relative to itself; e(f) relative to the largest of them.\n", header, rule, *rows]
+
+
+def _written(path: Path, parts: list[str]) -> Path:
+    write_text(path, "\n".join(parts) + "\n")
+    return path
