@@ -15,7 +15,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Scenario", "Simulation", "__version__", "load_scenario", "render", "simulate"]
 
-_HOMES = {"load_scenario": "scenario", "Scenario": "scenario", "simulate": "pipeline", "render": "pipeline", "Simulation": "pipeline"}
+_HOMES = {
+    "load_scenario": "scenario",
+    "Scenario": "scenario",
+    "simulate": "pipeline",
+    "render": "pipeline",
+    "Simulation": "pipeline",
+}
 
 
 def __getattr__(name: str) -> Any:

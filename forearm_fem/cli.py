@@ -60,9 +60,7 @@ def _is_usage(problem: Exception) -> bool:
 
 @app.callback(invoke_without_command=True)
 def _version(
-    version: Annotated[
-        bool, typer.Option("--version", help="print the version and stop", is_eager=True)
-    ] = False,
+    version: Annotated[bool, typer.Option("--version", help="print the version and stop", is_eager=True)] = False,
 ) -> None:
     if version:
         typer.echo(f"forearm-fem {__version__}")

@@ -26,7 +26,9 @@ def diagnosis() -> dict[str, str]:
     if available_backends()[0] == "superlu":
         found["direct solvers"] += " (small scenes only; python3 -m pip install mkl)"
     found["threads"] = f"{os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}"
-    found["memory"] = f"{psutil.virtual_memory().available / 1e9:.1f} of {psutil.virtual_memory().total / 1e9:.1f} GB free"
+    found["memory"] = (
+        f"{psutil.virtual_memory().available / 1e9:.1f} of {psutil.virtual_memory().total / 1e9:.1f} GB free"
+    )
     found["rendering back end"] = rendering_backend()
     return found
 

@@ -205,8 +205,7 @@ def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
     records = PRESETS[scenario.tissues.preset]
     tissues = {name: record.tissue() for name, record in records.items()}
     changed = {
-        name: _overridden(name, records.get(name), override)
-        for name, override in scenario.tissues.override.items()
+        name: _overridden(name, records.get(name), override) for name, override in scenario.tissues.override.items()
     }
     result = {**tissues, **changed}
     _check_limb(scenario.limb, result)
@@ -290,9 +289,7 @@ def _check_used(path: str, model: str, given: Mapping[str, float]) -> None:
     used = {"density", "bulk", *_NEEDS[model], *(("eta",) if model == "springpot" else ())}
     for key in given:
         if key not in used:
-            raise ScenarioError(
-                f"{path}.{key}: has no effect with the {model} model; remove it or set {path}.model"
-            )
+            raise ScenarioError(f"{path}.{key}: has no effect with the {model} model; remove it or set {path}.model")
 
 
 def _check_complete(path: str, spec: _Spec) -> None:

@@ -11,9 +11,7 @@ import numpy as np
 import trimesh
 
 
-def box(
-    folder: Path, name: str, size: Iterable[float], *, at: Iterable[float] = (0, 0, 0), change: Any = None
-) -> None:
+def box(folder: Path, name: str, size: Iterable[float], *, at: Iterable[float] = (0, 0, 0), change: Any = None) -> None:
     body = trimesh.creation.box(extents=list(size))
     body = body.subdivide().subdivide()
     body.apply_translation(list(at))
@@ -96,9 +94,7 @@ def block() -> tuple[Any, Any]:
 CORNERS, TETRA = block()
 
 
-def mesh(
-    cells: Any = (("tetra", TETRA),), points: Any = CORNERS, label: int | None = 1
-) -> Callable[[Path], None]:
+def mesh(cells: Any = (("tetra", TETRA),), points: Any = CORNERS, label: int | None = 1) -> Callable[[Path], None]:
     def write(folder: Path) -> None:
         data = {} if label is None else {"region": [np.full(len(c), label) for _, c in cells]}
         meshio.Mesh(points, list(cells), cell_data=data).write(folder / "limb.vtu")
@@ -113,9 +109,7 @@ def damaged_mesh(folder: Path) -> None:
 
 
 def flat_tetrahedron(folder: Path) -> None:
-    flat = np.vstack(
-        [CORNERS, [[-0.039, -0.039, -0.0200001], [-0.038, -0.039, -0.02], [-0.039, -0.038, -0.02]]]
-    )
+    flat = np.vstack([CORNERS, [[-0.039, -0.039, -0.0200001], [-0.038, -0.039, -0.02], [-0.039, -0.038, -0.02]]])
     extra = np.array([[0, len(flat) - 3, len(flat) - 2, len(flat) - 1]])
     mesh((("tetra", np.vstack([TETRA, extra])),), flat)(folder)
 

@@ -92,9 +92,7 @@ CASES: tuple[Case, ...] = (
     Case("unknown key in a table", SLAB, ("device.spacings", "unknown key"), ("device.spacings=0.04",)),
     Case("text for a number", SLAB, ("device.spacing", "valid number"), ("device.spacing='wide'",)),
     Case("NaN", LAYERED, ("device.spacing", "finite"), ("device.spacing=nan",)),
-    Case(
-        "infinite modulus", LAYERED, ("tissues.override.skin.mu", "finite"), ("tissues.override.skin.mu=inf",)
-    ),
+    Case("infinite modulus", LAYERED, ("tissues.override.skin.mu", "finite"), ("tissues.override.skin.mu=inf",)),
     Case(
         "negative modulus",
         LAYERED,
@@ -128,13 +126,9 @@ CASES: tuple[Case, ...] = (
     ),
     Case("target not in the grid", LAYERED, ("['12']", "1..9"), ("rendering.targets=['12']",)),
     Case("zero point not in the grid", LAYERED, ("['Z']", "1..9"), ("rendering.zeros=['Z']",)),
-    Case(
-        "actuator that does not exist", LAYERED, ("out_of_contact", "A4"), ("device.out_of_contact=['A7']",)
-    ),
+    Case("actuator that does not exist", LAYERED, ("out_of_contact", "A4"), ("device.out_of_contact=['A7']",)),
     Case("spacing in mm by mistake", LAYERED, ("device.spacing", "0.3", "45"), ("device.spacing=45",)),
-    Case(
-        "limb length in mm by mistake", SLAB, ("limb.length", "less than or equal to 2"), ("limb.length=120",)
-    ),
+    Case("limb length in mm by mistake", SLAB, ("limb.length", "less than or equal to 2"), ("limb.length=120",)),
     Case(
         "layer of a tissue that does not exist",
         LAYERED,
@@ -281,11 +275,7 @@ def table(answers: Iterable[tuple[Case, str]]) -> str:
 
 def documented() -> dict[str, str]:
     """Name -> sentence, as the docs have them."""
-    rows = (
-        line.split(" | ", 1)
-        for line in DOCS.read_text(encoding="utf-8").splitlines()
-        if line.startswith("| ")
-    )
+    rows = (line.split(" | ", 1) for line in DOCS.read_text(encoding="utf-8").splitlines() if line.startswith("| "))
     return {row[0].removeprefix("| "): row[1].removesuffix(" |").replace("\\|", "|") for row in rows}
 
 

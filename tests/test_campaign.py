@@ -59,9 +59,7 @@ def start(file: Path, out: Path | None = None) -> CampaignResult:
 
 
 def test_a_grid_is_every_combination(tmp_path: Path) -> None:
-    file = made(
-        tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04]\n"tissues.preset" = ["default", "zhang"]\n'
-    )
+    file = made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04]\n"tissues.preset" = ["default", "zhang"]\n')
     members = load_campaign(file).members
     assert [m.name for m in members] == [
         "spacing-0.03_preset-default", "spacing-0.03_preset-zhang",
@@ -87,9 +85,7 @@ def test_draws_follow_the_sourced_spreads_and_the_seed() -> None:
 
 def test_all_soft_tissues_are_drawn_by_default() -> None:
     first = next(draws(Scenario(), DrawTable(count=1)))
-    assert set(first) == {
-        f"tissues.override.{t}.{k}" for t in ("skin", "fat", "muscle") for k in ("mu", "eta")
-    }
+    assert set(first) == {f"tissues.override.{t}.{k}" for t in ("skin", "fat", "muscle") for k in ("mu", "eta")}
 
 
 def test_one_failed_member_does_not_lose_the_rest(tmp_path: Path, here: Here) -> None:
@@ -114,15 +110,11 @@ def test_finished_members_are_skipped_and_changed_ones_are_not(tmp_path: Path, h
     assert (len(here.ran), [m.reused for m in again.members]) == (2, [True, True])
     made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04, 0.05]\n')
     assert [m.reused for m in start(file).members] == [True, True, False]
-    made(
-        tmp_path, '[grid]\n"device.spacing" = [0.03]\n', head="set = { sweep = { frequencies = [150.0] } }\n"
-    )
+    made(tmp_path, '[grid]\n"device.spacing" = [0.03]\n', head="set = { sweep = { frequencies = [150.0] } }\n")
     assert [m.reused for m in start(file).members] == [False]
 
 
-def test_a_killed_campaign_keeps_what_was_finished(
-    tmp_path: Path, here: Here, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_campaign_keeps_what_was_finished(tmp_path: Path, here: Here, monkeypatch: pytest.MonkeyPatch) -> None:
     file = made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04, 0.05]\n')
     whole, calls = run.work, []
 
@@ -193,9 +185,7 @@ def test_memory_limits_the_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     jobs = [run._job(campaign, m, tmp_path) for m in campaign.members]
     monkeypatch.setattr(run.os, "cpu_count", lambda: 64)
     for free, workers in ((0.1e9, 1), (1.6e9, 2), (100e9, 3)):
-        monkeypatch.setattr(
-            run.psutil, "virtual_memory", lambda free=free: type("M", (), {"available": free})
-        )
+        monkeypatch.setattr(run.psutil, "virtual_memory", lambda free=free: type("M", (), {"available": free}))
         assert run.worker_count(campaign, jobs) == workers
 
 

@@ -69,9 +69,7 @@ def test_schema_is_json_with_every_table() -> None:
 
 def test_doctor_says_what_the_machine_offers() -> None:
     out = cli("doctor").out
-    assert all(
-        word in out for word in ("forearm-fem", "numpy", "direct solvers", "memory", "rendering back end")
-    )
+    assert all(word in out for word in ("forearm-fem", "numpy", "direct solvers", "memory", "rendering back end"))
 
 
 def test_dry_run_solves_and_writes_nothing(scene: Path) -> None:
@@ -128,9 +126,7 @@ def test_bad_overrides_are_one_sentence(scene: Path, item: str, says: str) -> No
     assert leftovers(scene) == ["small.toml"]
 
 
-@pytest.mark.parametrize(
-    "arguments", [("solve",), ("solve", "small.toml", "--sett", "a=1"), ("sovle", "small.toml")]
-)
+@pytest.mark.parametrize("arguments", [("solve",), ("solve", "small.toml", "--sett", "a=1"), ("sovle", "small.toml")])
 def test_misuse_is_one_sentence(scene: Path, arguments: tuple[str, ...]) -> None:
     answer = cli(*arguments, cwd=scene)
     assert answer.code == 2

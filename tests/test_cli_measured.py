@@ -20,9 +20,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a scenario, its G, and a virtual calibration through it."""
     folder = tmp_path_factory.mktemp("lab")
     (folder / "small.toml").write_text(
-        SMALL.replace('["5", "6"]', '["1", "2"]').replace(
-            "[rendering]", "[rendering]\nmethods = ['funneling']"
-        )
+        SMALL.replace('["5", "6"]', '["1", "2"]').replace("[rendering]", "[rendering]\nmethods = ['funneling']")
     )
     assert cli("render", "small.toml", "--set", NINE_TO_FOUR, cwd=folder).code == 0
     answer = cli(
@@ -50,9 +48,7 @@ def test_calibration_recovers_g(lab: Path) -> None:
 def test_calibration_resumes_without_measuring_again(lab: Path) -> None:
     folder = lab / "results/small/calibration"
     before = {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")}
-    answer = cli(
-        "calibrate", "small.toml", "--set", NINE_TO_FOUR, "--through", "results/small", "--snr", 40, cwd=lab
-    )
+    answer = cli("calibrate", "small.toml", "--set", NINE_TO_FOUR, "--through", "results/small", "--snr", 40, cwd=lab)
     assert answer.code == 0
     assert {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")} == before
 
@@ -66,9 +62,7 @@ def test_real_hardware_needs_a_declared_sensor(lab: Path) -> None:
 def test_compare_takes_folders_and_files(lab: Path) -> None:
     answer = cli("compare", "results/small", "results/small/calibration/transfer.nc", "--out", "c", cwd=lab)
     assert answer.code == 0, answer.err
-    assert "calibration against small" in answer.out.replace(
-        "small against calibration", "calibration against small"
-    )
+    assert "calibration against small" in answer.out.replace("small against calibration", "calibration against small")
     assert {f.suffix for f in (lab / "c").iterdir()} >= {".json", ".md", ".png"}
 
 

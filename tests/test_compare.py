@@ -59,15 +59,11 @@ def test_misfit_of_two_noisy_measurements_is_one(tmp_path):
     scene = part(A, 2, 2)
     noise = noise_for(30.0, scene, SWEEP.samples(), RATE, SENSOR)
     both = [
-        calibrate(
-            plan_for(scene, repeats=8), device_for(scene, noise=noise, seed=s), tmp_path / str(s)
-        ).transfer
+        calibrate(plan_for(scene, repeats=8), device_for(scene, noise=noise, seed=s), tmp_path / str(s)).transfer
         for s in (1, 2)
     ]
     a = agreement(common_ground(*both))
-    assert a.misfit == pytest.approx(
-        1.0, abs=0.08
-    )  # about 900 complex differences, and the floor keeps strong ones
+    assert a.misfit == pytest.approx(1.0, abs=0.08)  # about 900 complex differences, and the floor keeps strong ones
 
 
 def test_fdac_ridge_moves_with_a_resonance():
@@ -75,9 +71,7 @@ def test_fdac_ridge_moves_with_a_resonance():
 
     def two_modes(shift):
         k = (f[:, None, None] - shift) / 60
-        return replace(
-            wave_matrix(f), values=np.exp(1j * k * np.arange(9)[None, :, None]) * (1 + 0j * np.arange(4))
-        )
+        return replace(wave_matrix(f), values=np.exp(1j * k * np.arange(9)[None, :, None]) * (1 + 0j * np.arange(4)))
 
     ridge = fdac_matrix(common_ground(two_modes(0.0), two_modes(20.0))).argmax(axis=1)
     assert np.all(ridge[:-6] - np.arange(len(f))[:-6] == 5)  # 20 Hz = 5 bins later

@@ -104,9 +104,7 @@ def test_two_parameters_that_only_act_as_a_product_are_named():
     assert not result.identified
     assert len(result.unknown) == 1
     assert "cannot tell gain and sensitivity apart" in result.sentences[0]
-    assert result.values["speed"] == pytest.approx(
-        3.4, abs=4 * result.deviation["speed"]
-    )  # the rest is still good
+    assert result.values["speed"] == pytest.approx(3.4, abs=4 * result.deviation["speed"])  # the rest is still good
 
 
 def test_a_parameter_without_effect_is_named():
@@ -128,9 +126,7 @@ def test_a_wrong_model_says_so_and_widens_its_interval():
 
 
 def test_a_bound_that_holds_is_named():
-    result = fit(
-        lambda p: model({**TRUE, **p}), noisy(model(TRUE), 6), (Parameter("loss", 30.0, 10.0, 45.0),)
-    )
+    result = fit(lambda p: model({**TRUE, **p}), noisy(model(TRUE), 6), (Parameter("loss", 30.0, 10.0, 45.0),))
     assert result.at_bound == ("loss",)
     assert any("ended on its bound" in s for s in result.sentences)
 
@@ -195,13 +191,9 @@ def test_layered_twin_recovers_skin_and_coil_parameters(tmp_path):
     sigma = 0.01 * np.sqrt(np.mean(np.abs(truth.values) ** 2))
     rng = np.random.default_rng(11)
     noise = (
-        sigma
-        / np.sqrt(2)
-        * (rng.standard_normal(truth.values.shape) + 1j * rng.standard_normal(truth.values.shape))
+        sigma / np.sqrt(2) * (rng.standard_normal(truth.values.shape) + 1j * rng.standard_normal(truth.values.shape))
     )
-    data = replace(
-        truth, values=truth.values + noise, deviation=np.full(truth.values.shape, sigma), contacts=None
-    )
+    data = replace(truth, values=truth.values + noise, deviation=np.full(truth.values.shape, sigma), contacts=None)
     result = run_fit(SCENARIO, data, ["scale", "skin.mu", "coil.moving_mass"], folder=tmp_path)
     for name, value in true.items():
         low, high = result.fit.interval[name]
@@ -216,10 +208,7 @@ def test_layered_twin_says_that_coil_and_cone_mass_are_one_number():
     data = replace(data, deviation=np.full(data.values.shape, sigma))
     model_of = ScenarioModel(SCENARIO, layered_compliance_of(TWIN_F, OUTPUTS, INPUTS))
     resonance_free = [
-        p
-        for p in common_parameters(
-            SCENARIO, ["coil.moving_mass", "cone.mass", "coil.resonance", "coil.quality"]
-        )
+        p for p in common_parameters(SCENARIO, ["coil.moving_mass", "cone.mass", "coil.resonance", "coil.quality"])
     ]
     result = fit(model_of, data, resonance_free)
     assert not result.identified

@@ -31,8 +31,7 @@ def ports() -> tuple[Port, ...]:
     centres = [(-half, -half), (-half, half), (half, -half), (half, half)]
     axes = [(0.0, np.sign(y) * TILT, float(np.sqrt(1 - TILT**2))) for _, y in centres]
     contacts = [
-        Port(f"A{i + 1}", "contact", (x, y, 0.0), axes[i], 3.5e-3, "bonded")
-        for i, (x, y) in enumerate(centres)
+        Port(f"A{i + 1}", "contact", (x, y, 0.0), axes[i], 3.5e-3, "bonded") for i, (x, y) in enumerate(centres)
     ]
     places = [((r - 1) * 0.0133, (c - 1) * 0.0133, 0.0) for r in range(3) for c in range(3)]
     grid = [Port(str(i + 1), "point", place) for i, place in enumerate(places)]

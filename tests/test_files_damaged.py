@@ -53,9 +53,7 @@ from forearm_fem.measurement.virtual import Faults, noise_for
 DOCS = Path(__file__).parents[1] / "docs" / "measurement.md"
 BEGIN, END = "<!-- damaged: begin -->", "<!-- damaged: end -->"
 PORTS = (OUTPUTS, INPUTS)
-KNOWN = Declaration(
-    unit="m/V", spectrum="one-sided", sign="+iwt", variable="G", frequency_variable="frequency_Hz"
-)
+KNOWN = Declaration(unit="m/V", spectrum="one-sided", sign="+iwt", variable="G", frequency_variable="frequency_Hz")
 AXES = ("output", "input", "frequency")
 G = wave_matrix(np.arange(10.0, 100.5, 2.0))
 SMALL = part(wave_matrix(), 1, 2)
@@ -442,9 +440,7 @@ def _(tmp):
 
 
 # ---------------------------------------------------------------- recordings
-def taken(
-    change: dict[str, object] | None = None, repeats: int = 4, noise: float = 1e-4, **faults: object
-) -> object:
+def taken(change: dict[str, object] | None = None, repeats: int = 4, noise: float = 1e-4, **faults: object) -> object:
     """Findings on one recording of a virtual device with ``faults``."""
     plan = plan_for(SMALL, repeats=repeats)
     recording = record(plan, device_for(SMALL, noise=noise, faults=Faults(**faults)), (0, 0))

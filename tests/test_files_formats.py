@@ -98,22 +98,16 @@ def test_matlab_mask_is_read_where_it_is_declared(tmp_path):
     write_mat73(tmp_path / "G.mat", g)
     blind = read_measured(tmp_path / "G.mat", FOREIGN, ports=PORTS)
     assert blind.valid is None
-    told = read_measured(
-        tmp_path / "G.mat", FOREIGN.model_copy(update={"valid_variable": "valid"}), ports=PORTS
-    )
+    told = read_measured(tmp_path / "G.mat", FOREIGN.model_copy(update={"valid_variable": "valid"}), ports=PORTS)
     np.testing.assert_array_equal(told.valid, g.valid)
     with pytest.raises(DataError, match="has no mask"):
         read_measured(tmp_path / "G.mat", FOREIGN.model_copy(update={"valid_variable": "ok"}), ports=PORTS)
 
 
 def test_matlab_names_are_recognised_with_a_warning_each(tmp_path):
-    savemat(
-        tmp_path / "G.mat", {"H": np.ones((9, 4, 5)) * np.array([1, 2, 3, 4, 5]), "freq": np.arange(5.0) + 10}
-    )
+    savemat(tmp_path / "G.mat", {"H": np.ones((9, 4, 5)) * np.array([1, 2, 3, 4, 5]), "freq": np.arange(5.0) + 10})
     with pytest.warns(RecognitionWarning) as caught:
-        g = read_measured(
-            tmp_path / "G.mat", Declaration(unit="mm/V", spectrum="one-sided", sign="+iwt"), ports=PORTS
-        )
+        g = read_measured(tmp_path / "G.mat", Declaration(unit="mm/V", spectrum="one-sided", sign="+iwt"), ports=PORTS)
     assert {w.message.what for w in caught} == {"G", "frequency", "axes of shape (9, 4, 5)"}
     assert g.values[2, 0, 0] == 3e-3
 
@@ -161,9 +155,7 @@ def test_units_and_signs_end_as_displacement(tmp_path, unit, power, sign):
     stored = g.values * (2j * np.pi * g.frequency[:, None, None]) ** power / parse_unit(unit).factor
     stored = stored if sign == "+iwt" else stored.conj()
     savemat(tmp_path / "G.mat", {"G": stored.transpose(1, 2, 0), "frequency_Hz": g.frequency})
-    back = read_measured(
-        tmp_path / "G.mat", FOREIGN.model_copy(update={"unit": unit, "sign": sign}), ports=PORTS
-    )
+    back = read_measured(tmp_path / "G.mat", FOREIGN.model_copy(update={"unit": unit, "sign": sign}), ports=PORTS)
     np.testing.assert_allclose(back.values, g.values, rtol=1e-13)
     assert back.unit == "m/V"
 
@@ -311,9 +303,7 @@ def test_a_mangled_file_is_one_sentence_or_still_right(tmp_path, suffix, at, jun
     suffix=st.sampled_from(["csv", "uff", "tdms"]),
 )
 def test_any_number_survives_any_format(tmp_path, values, suffix):
-    g = TransferMatrix(
-        np.array([10.0, 11.1, 1e3]), np.array(values).reshape(3, 1, 1), OUTPUTS[:1], INPUTS[:1]
-    )
+    g = TransferMatrix(np.array([10.0, 11.1, 1e3]), np.array(values).reshape(3, 1, 1), OUTPUTS[:1], INPUTS[:1])
     g = replace(g, valid=np.ones((3, 1, 1), dtype=bool))
     file = tmp_path / f"G.{suffix}"
     write_measured(file, g)

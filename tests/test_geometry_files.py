@@ -90,9 +90,7 @@ def _cached(tmp_path, **changes):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "build_mesh", counted)
-        mesh = cached_mesh(
-            scenario, base=tmp_path, cache_dir=tmp_path / "cache", shipped_dir=tmp_path / "shipped"
-        )
+        mesh = cached_mesh(scenario, base=tmp_path, cache_dir=tmp_path / "cache", shipped_dir=tmp_path / "shipped")
     return mesh, len(built)
 
 
@@ -170,9 +168,7 @@ def folder(tmp_path_factory):
         open_body.update_faces(np.arange(len(open_body.faces)) > 3)
         open_body.export(place / "open.stl")
         bow = cylinder(25)
-        bow.vertices = np.where(
-            bow.vertices[:, :1] > 0, bow.vertices * [1, -1, -1] * [-1.2, 0.3, 0.3], bow.vertices
-        )
+        bow.vertices = np.where(bow.vertices[:, :1] > 0, bow.vertices * [1, -1, -1] * [-1.2, 0.3, 0.3], bow.vertices)
         bow.export(place / "selfcrossing.stl")
     (place / "text.stl").write_text("hello")
     return place

@@ -35,9 +35,7 @@ def mesh(scenario):
 def cylinder():
     ulna = {"name": "ulna", "y": 0.0, "depth": 0.025, "diameter": 0.014}
     limb = {"shape": "cylinder", "length": 0.1, "bones": [ulna]}
-    scenario = forearm(
-        limb=limb, supports={"bone": "elastic"}, device={"spacing": 0.03}, grid={"pitch": 0.008}
-    )
+    scenario = forearm(limb=limb, supports={"bone": "elastic"}, device={"spacing": 0.03}, grid={"pitch": 0.008})
     return scenario, build_mesh(scenario)
 
 
@@ -66,9 +64,7 @@ def test_interfaces_lie_at_their_depths(mesh, scenario):
         exact = tube.place(points[:, 0], tube.angle_of(points), depth)
         away = np.linalg.norm(points - exact, axis=1)
         assert np.median(away) < 1e-9
-        assert (
-            away.max() < 5e-4
-        )  # chords of 0.25 rad on a radius of 30 mm: 0.23 mm, of their chords a little more
+        assert away.max() < 5e-4  # chords of 0.25 rad on a radius of 30 mm: 0.23 mm, of their chords a little more
 
 
 def test_thickness_is_measured_along_the_normal(scenario):
@@ -132,9 +128,7 @@ def test_elastic_bone_is_a_region(cylinder):
     assert "bone" not in mesh.facets
     quality = mesh_quality(mesh, expected_volume=limb_volume(scenario))
     assert abs(quality.volume_error) < 0.012
-    assert quality.volumes["bone"] == pytest.approx(
-        np.pi * 0.007**2 * 0.1, rel=0.06
-    )  # sections of 12 corners: 4.5 %
+    assert quality.volumes["bone"] == pytest.approx(np.pi * 0.007**2 * 0.1, rel=0.06)  # sections of 12 corners: 4.5 %
 
 
 def test_elliptic_sections_have_the_circumference_asked_for():

@@ -35,9 +35,7 @@ def quarter():
 
 
 def quarter_scenario():
-    return slab(
-        limb={"symmetry": ["x", "y"]}, device={"contacts": [[0, 0]]}, grid={"points": [[0.01, 0], [0.02, 0]]}
-    )
+    return slab(limb={"symmetry": ["x", "y"]}, device={"contacts": [[0, 0]]}, grid={"points": [[0.01, 0], [0.02, 0]]})
 
 
 def test_volumes_of_layers_are_exact(mesh):
@@ -48,9 +46,7 @@ def test_volumes_of_layers_are_exact(mesh):
 
 
 def test_every_face_is_shared_by_two_or_on_a_named_boundary(mesh):
-    key, count = np.unique(
-        keys(mesh.tetrahedra[:, FACES].reshape(-1, 3), len(mesh.points)), return_counts=True
-    )
+    key, count = np.unique(keys(mesh.tetrahedra[:, FACES].reshape(-1, 3), len(mesh.points)), return_counts=True)
     named = np.vstack([mesh.facets["skin"], mesh.facets["end"]])
     assert count.max() == 2
     assert set(key[count == 1]) == set(keys(named, len(mesh.points)))
@@ -224,9 +220,7 @@ def _hole(m):
 
 
 def _twice(m):
-    return _with(
-        m, tetrahedra=np.vstack([m.tetrahedra, m.tetrahedra[:1]]), region=np.append(m.region, m.region[0])
-    )
+    return _with(m, tetrahedra=np.vstack([m.tetrahedra, m.tetrahedra[:1]]), region=np.append(m.region, m.region[0]))
 
 
 def _two_parts(m):
@@ -285,8 +279,6 @@ def test_a_hanging_vertex_is_found(quarter):
     from forearm_fem.geometry.topology import boundary_faces
 
     faces, _ = boundary_faces(tets)
-    hung = _with(
-        m, points=points, tetrahedra=tets, region=np.append(m.region, m.region[t]), facets={"skin": faces}
-    )
+    hung = _with(m, points=points, tetrahedra=tets, region=np.append(m.region, m.region[t]), facets={"skin": faces})
     with pytest.raises(MeshError, match=r"hang on another facet's edge|not a closed surface"):
         check_mesh(hung, 0.0)

@@ -82,9 +82,7 @@ def test_transfer_and_compliance_round_trip(tmp_path: Path) -> None:
 
 
 def test_optional_parts_stay_absent(tmp_path: Path) -> None:
-    bare = replace(
-        transfer(), contacts=None, valid=None, deviation=None, errors=(), provenance={}, unit="m/N"
-    )
+    bare = replace(transfer(), contacts=None, valid=None, deviation=None, errors=(), provenance={}, unit="m/N")
     io.write_transfer(tmp_path / "g.nc", bare)
     same(io.read_transfer(tmp_path / "g.nc"), bare)
     with pytest.raises(DataError, match=r"g\.nc: .*no compliance"):
@@ -128,9 +126,7 @@ def signals() -> io.Signals:
     values[0, 0, 0] = np.nan
     methods = ("inverse filter", "funneling", "combination")
     time = np.arange(50) * 1e-4 - 1e-3
-    return io.Signals(
-        values, methods, ("1", "5"), ("A1", "A2", "A3", "A4"), time, "V", np.eye(4)[:, :3], {"a": 1}
-    )
+    return io.Signals(values, methods, ("1", "5"), ("A1", "A2", "A3", "A4"), time, "V", np.eye(4)[:, :3], {"a": 1})
 
 
 @pytest.mark.parametrize(

@@ -84,9 +84,7 @@ def brute_force(kernel, limit, radius, outputs):
     """
     x, w = np.polynomial.legendre.leggauss(8)
     edges = np.unique(
-        np.concatenate(
-            [[0.0], np.geomspace(1e-3, 2.0, 200), np.linspace(2.0, 4e3, 2000), np.linspace(4e3, 4e5, 20000)]
-        )
+        np.concatenate([[0.0], np.geomspace(1e-3, 2.0, 200), np.linspace(2.0, 4e3, 2000), np.linspace(4e3, 4e5, 20000)])
     )
     k = (0.5 * (edges[1:] + edges[:-1])[:, None] + 0.5 * np.diff(edges)[:, None] * x).ravel()
     f = (0.5 * np.diff(edges)[:, None] * w).ravel() * (k * kernel(k) - limit) * special.j1(k * radius) / k
@@ -219,9 +217,7 @@ def test_lossless_guided_waves_on_a_rigid_base():
     stack = [(0.004, 1000.0, 5e3), (0.012, 1050.0, 8e3)]
     loss = np.array([0.002, 0.003, 0.004, 0.006, 0.008, 0.01, 0.012])
     u, *damped = (
-        line(
-            [Layer(h, rho, lossy(mu, x), BULK) for h, rho, mu in stack], omega, base="rigid", tolerance=1e-8
-        )[0]
+        line([Layer(h, rho, lossy(mu, x), BULK) for h, rho, mu in stack], omega, base="rigid", tolerance=1e-8)[0]
         for x in (0.0, *loss)
     )
     limit = np.linalg.solve(np.vander(loss, increasing=True), np.array(damped))[0]
@@ -320,18 +316,14 @@ def test_unreached_tolerance_warns(monkeypatch):
     assert largest(rough.values[:, :, 0] - fine)[0] < rough.error[0] * largest(fine)[0]
 
 
-@pytest.mark.parametrize(
-    ("d", "a", "b"), [(0.0, 1.0, 1.0), (0.0, 1.0, 0.4), (0.7, 1.0, 0.5), (1.2, 0.6, 0.9)]
-)
+@pytest.mark.parametrize(("d", "a", "b"), [(0.0, 1.0, 1.0), (0.0, 1.0, 0.4), (0.7, 1.0, 0.5), (1.2, 0.6, 0.9)])
 def test_disc_interaction(d, a, b):
     """Against the integral of its definition; the tail beyond k = 4000 is below 2/(pi^2 k^2)/8 ~ 2e-9."""
     k, w = np.polynomial.legendre.leggauss(16)
     edges = np.linspace(0.0, 4000.0, 4001)
     x = (0.5 * (edges[1:] + edges[:-1])[:, None] + 0.5 * k).ravel()
     f = 4 * special.j1(x * a) * special.j1(x * b) / (x * x * a * b) * special.j0(x * d)
-    assert disc_interaction(d, a, b) == pytest.approx(
-        np.sum(np.tile(0.5 * w, 4000) * f) / (2 * np.pi), abs=1e-7
-    )
+    assert disc_interaction(d, a, b) == pytest.approx(np.sum(np.tile(0.5 * w, 4000) * f) / (2 * np.pi), abs=1e-7)
     assert disc_interaction(d, a, b) == disc_interaction(d, b, a)
 
 

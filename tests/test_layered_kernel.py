@@ -80,8 +80,7 @@ def test_incompressible_is_the_limit_of_bulk_modulus():
     k, omega = np.logspace(1, 5, 60), np.array(2 * np.pi * 200.0)
     limit = surface_kernel(k, omega, homogeneous((1e-3,), math.inf))
     gaps = [
-        np.max(np.abs(surface_kernel(k, omega, homogeneous((1e-3,), bulk)) / limit - 1))
-        for bulk in (1e9, 1e11, 1e13)
+        np.max(np.abs(surface_kernel(k, omega, homogeneous((1e-3,), bulk)) / limit - 1)) for bulk in (1e9, 1e11, 1e13)
     ]
     assert gaps[0] < 1e-2
     assert np.allclose(np.array(gaps[1:]) / gaps[:-1], 1e-2, rtol=0.1)

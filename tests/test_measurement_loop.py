@@ -80,9 +80,7 @@ def test_without_noise_the_loop_is_exact(tmp_path):
 def test_every_estimator_finds_g_at_60_db(tmp_path, estimator):
     truth = part(wave_matrix(), 1, 1)
     noise = noise_for(60.0, truth, SWEEP.samples(), RATE, SENSOR)
-    measured = calibrate(
-        plan_for(truth, estimator=estimator), device_for(truth, noise=noise), tmp_path
-    ).transfer
+    measured = calibrate(plan_for(truth, estimator=estimator), device_for(truth, noise=noise), tmp_path).transfer
     assert band_error(measured.values, truth.values) < 3e-3  # 60 dB, 4 repeats, 17 dB less drive at the top
 
 
@@ -131,9 +129,7 @@ def test_spectra_are_scipys_and_one_period_has_no_coherence():
     ratio = welch[1:-1] / s.xy[1:-1]
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)  # one constant: the scaling to a density
     assert np.isnan(spectra(x[:1], y[:1], band).coherence).all()
-    np.testing.assert_allclose(
-        s.noise[band].mean(), SWEEP.n, rtol=0.1
-    )  # white noise of variance 1: N per bin
+    np.testing.assert_allclose(s.noise[band].mean(), SWEEP.n, rtol=0.1)  # white noise of variance 1: N per bin
 
 
 def test_single_period_takes_its_noise_from_above_the_band(tmp_path):
@@ -207,9 +203,7 @@ def test_any_quantity_ends_as_metres(tmp_path, quantity):
     sensitivity = {"displacement": 1e5, "velocity": 200.0, "acceleration": 0.5}[quantity]
     plan = plan_for(truth, repeats=2)
     sensor = type(plan.options.sensor)(quantity=quantity, sensitivity=sensitivity, inverted=True)
-    plan = type(plan)(
-        plan.outputs, plan.inputs, plan.sweep, plan.options.model_copy(update={"sensor": sensor})
-    )
+    plan = type(plan)(plan.outputs, plan.inputs, plan.sweep, plan.options.model_copy(update={"sensor": sensor}))
     daq = device_for(truth, bits=0, sensor=VirtualSensor(quantity, sensitivity))
     g = calibrate(plan, daq, tmp_path).transfer
     assert band_error(g.values, -truth.values) < 1e-12
@@ -236,9 +230,7 @@ def test_thesis_size_loop_on_the_layered_twin(tmp_path, snr_db, strengths):
     table.
     """
     scenario = parse_scenario({})
-    twin = ScenarioModel(
-        scenario, layered_compliance_of(np.arange(20, 1001) * 0.5, *planform_ports(scenario))
-    )
+    twin = ScenarioModel(scenario, layered_compliance_of(np.arange(20, 1001) * 0.5, *planform_ports(scenario)))
     truth = replace(twin({}), contacts=None)
     setup = VirtualSetup(truth, snr_db, latency=5)
     estimate = run_calibration(scenario, tmp_path, virtual=setup, figure=False).measured.transfer
@@ -257,9 +249,7 @@ def test_thesis_size_loop_on_the_layered_twin(tmp_path, snr_db, strengths):
 def test_a_window_buys_back_most_of_what_20_db_cost(tmp_path):
     """The last line of that table: impulse responses cut to 0.2 s of the 2 s record."""
     scenario = parse_scenario({"measurement": {"estimator": "deconvolution", "window": 0.2}})
-    twin = ScenarioModel(
-        scenario, layered_compliance_of(np.arange(20, 1001) * 0.5, *planform_ports(scenario))
-    )
+    twin = ScenarioModel(scenario, layered_compliance_of(np.arange(20, 1001) * 0.5, *planform_ports(scenario)))
     truth = replace(twin({}), contacts=None)
     setup = VirtualSetup(truth, 20.0, latency=5)
     estimate = run_calibration(scenario, tmp_path, virtual=setup, figure=False).measured.transfer

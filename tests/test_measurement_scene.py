@@ -17,9 +17,7 @@ RATE, DURATION = 2000.0, 0.5
 SWEEP = ExponentialSweep(10.0, 500.0, DURATION, RATE)
 SENSOR = VirtualSensor("velocity", 200.0)
 OUTPUTS = tuple(
-    Port(str(3 * r + c + 1), "point", (13.3e-3 * (r - 1), 13.3e-3 * (c - 1), 0.0))
-    for r in range(3)
-    for c in range(3)
+    Port(str(3 * r + c + 1), "point", (13.3e-3 * (r - 1), 13.3e-3 * (c - 1), 0.0)) for r in range(3) for c in range(3)
 )
 INPUTS = tuple(
     Port(f"A{2 * r + c + 1}", "contact", (45e-3 * (r - 0.5), 45e-3 * (c - 0.5), 0.0), radius=3.5e-3)
@@ -36,11 +34,7 @@ def wave_matrix(frequency=None, *, speed: float = 3.0, stretch: float = 1.0) -> 
     w = 2 * np.pi * f
     k = w / speed - 1j * (40 + w / 20)
     resonance = 1 / (1 - (f / 300) ** 2 + 1j * f / 600)
-    values = (
-        1e-5
-        * resonance[:, None, None]
-        * np.exp(-1j * k[:, None, None] * stretch * distances(OUTPUTS, INPUTS))
-    )
+    values = 1e-5 * resonance[:, None, None] * np.exp(-1j * k[:, None, None] * stretch * distances(OUTPUTS, INPUTS))
     return TransferMatrix(f, values, OUTPUTS, INPUTS)
 
 

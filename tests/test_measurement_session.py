@@ -142,9 +142,7 @@ def scenario(**extra):
 
 def test_run_calibration_writes_transfer_and_live_figure(tmp_path):
     seen = []
-    result = run_calibration(
-        scenario(), tmp_path, virtual=VirtualSetup(SCENE, latency=3), progress=seen.append
-    )
+    result = run_calibration(scenario(), tmp_path, virtual=VirtualSetup(SCENE, latency=3), progress=seen.append)
     assert len(seen) == 6
     back = read_transfer(result.transfer_file)
     assert np.nanmax(np.abs(back.values - SCENE.values)) < 0.02 * np.abs(SCENE.values).max()
@@ -157,9 +155,7 @@ def test_run_calibration_asks_for_what_is_not_declared(tmp_path):
     with pytest.raises(ScenarioError, match=r"measurement\.sensor"):
         run_calibration(scenario(), tmp_path, daq="ni")
     with pytest.raises(ScenarioError, match="needs a G to play through"):
-        run_calibration(
-            scenario(measurement={"sensor": {"quantity": "velocity", "sensitivity": 100.0}}), tmp_path
-        )
+        run_calibration(scenario(measurement={"sensor": {"quantity": "velocity", "sensitivity": 100.0}}), tmp_path)
     with pytest.raises(ScenarioError, match="virtual or ni"):
         run_calibration(
             scenario(measurement={"sensor": {"quantity": "velocity", "sensitivity": 100.0}}),

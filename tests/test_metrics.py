@@ -113,9 +113,7 @@ def test_thesis_table_reads_as_printed():
 def small_transfer():
     f = np.arange(10.0, 500.0, 10.0)
     rng = np.random.default_rng(5)
-    values = (rng.normal(size=(len(f), 3, 2)) + 1j * rng.normal(size=(len(f), 3, 2))) / (
-        1 + f[:, None, None] / 100
-    )
+    values = (rng.normal(size=(len(f), 3, 2)) + 1j * rng.normal(size=(len(f), 3, 2))) / (1 + f[:, None, None] / 100)
     outputs = tuple(Port(str(i), "point", (0.01 * i, 0, 0)) for i in range(3))
     return TransferMatrix(f, values, outputs, outputs[:2])
 
@@ -130,24 +128,18 @@ def test_interval_has_the_error_asked_for_at_every_frequency():
     e = ErrorEstimate("truncation", 0.1, "test", (10.0, 500.0), (0.01, 0.2))
     signal_strength_uncertainty(g, lambda p: (seen.append(p), ratio(p))[1], [e], draws=5)
     change = np.abs(seen[0].values - g.values).max(axis=(1, 2)) / np.abs(g.values).max(axis=(1, 2))
-    assert np.allclose(
-        change, np.interp(g.frequency, [10, 500], [0.01, 0.2]), rtol=1e-10
-    )  # cancellation of G
+    assert np.allclose(change, np.interp(g.frequency, [10, 500], [0.01, 0.2]), rtol=1e-10)  # cancellation of G
 
 
 def test_interval_shrinks_with_the_error_and_holds_the_value():
     g = small_transfer()
     widths = []
     for size in (0.1, 0.01):
-        found = signal_strength_uncertainty(
-            g, ratio, [ErrorEstimate("reduction", size, "test")], draws=200, seed=3
-        )
+        found = signal_strength_uncertainty(g, ratio, [ErrorEstimate("reduction", size, "test")], draws=200, seed=3)
         assert found.low[0] < found.value[0] < found.high[0]
         assert found.samples.shape == (200, 1)
         widths.append(found.high[0] - found.low[0])
-    assert widths[0] / widths[1] == pytest.approx(
-        10, rel=0.1
-    )  # linear in the error; same draws, e^2 terms of 10 %
+    assert widths[0] / widths[1] == pytest.approx(10, rel=0.1)  # linear in the error; same draws, e^2 terms of 10 %
 
 
 def test_interval_is_reproducible_and_depends_on_the_seed():
@@ -161,8 +153,7 @@ def test_errors_white_in_frequency_average_out_and_smooth_ones_do_not():
     g, e = small_transfer(), [ErrorEstimate("discretisation", 0.05, "test")]
     flat = replace(g, values=np.ones_like(g.values))
     smooth, white = (
-        np.std(signal_strength_uncertainty(flat, ratio, e, draws=200, correlation=c).samples)
-        for c in (1e4, 1e-3)
+        np.std(signal_strength_uncertainty(flat, ratio, e, draws=200, correlation=c).samples) for c in (1e4, 1e-3)
     )
     assert smooth > 4 * white  # 49 equal frequencies average to a seventh; 200 draws know that to 5 %
 
@@ -199,9 +190,7 @@ def test_intervals_without_grounds_are_refused(wrong):
 
 
 def test_error_without_frequencies_is_the_band_value():
-    assert np.array_equal(
-        relative_error_at(ErrorEstimate("quadrature", 0.03, "t"), np.array([1.0, 9.0])), [0.03, 0.03]
-    )
+    assert np.array_equal(relative_error_at(ErrorEstimate("quadrature", 0.03, "t"), np.array([1.0, 9.0])), [0.03, 0.03])
 
 
 # ---------------------------------------------------------------- waves
@@ -246,8 +235,7 @@ def test_nonlinear_fit_is_least_squares_and_weighs_near_points_more_than_log():
     """A decay that saturates: the fits must differ, and each be the minimum of its own misfit."""
     size = np.exp(-200 * LINE) + 0.05
     fits = {
-        d: fit_waves(np.ones(1), LINE, size[None].astype(complex), decay=d).attenuation[0]
-        for d in ("nonlinear", "log")
+        d: fit_waves(np.ones(1), LINE, size[None].astype(complex), decay=d).attenuation[0] for d in ("nonlinear", "log")
     }
     assert fits["nonlinear"] > fits["log"] + 10
 
@@ -288,9 +276,7 @@ def test_responses_of_another_shape_are_refused():
 
 
 def test_singular_values_and_condition():
-    values = np.array(
-        [np.diag([3.0, -2.0, 0.5]), np.diag([1.0, 1.0, 0.0]), np.full((3, 3), np.nan)], dtype=complex
-    )
+    values = np.array([np.diag([3.0, -2.0, 0.5]), np.diag([1.0, 1.0, 0.0]), np.full((3, 3), np.nan)], dtype=complex)
     assert np.allclose(singular_values(values)[:2], [[3, 2, 0.5], [1, 1, 0]])
     assert np.array_equal(condition_number(values), [6, np.inf, np.nan], equal_nan=True)
 

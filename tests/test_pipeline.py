@@ -49,8 +49,19 @@ def finished(home, tmp_path_factory):
 
 
 def test_a_run_leaves_every_file_that_is_promised(finished):
-    promised = """transfer.nc transfer.mat drives.nc displacements.nc signal_strength.csv mesh.vtu report.md
-        report.html run.json scenario.json wavefield.npz""".split()
+    promised = [
+        "transfer.nc",
+        "transfer.mat",
+        "drives.nc",
+        "displacements.nc",
+        "signal_strength.csv",
+        "mesh.vtu",
+        "report.md",
+        "report.html",
+        "run.json",
+        "scenario.json",
+        "wavefield.npz",
+    ]
     assert [name for name in promised if not (finished / name).is_file()] == []
     assert [p for p in finished.rglob("*") if p.name.startswith(".")] == []  # nothing half-written
 

@@ -157,11 +157,7 @@ def test_weights_sum_to_one_and_are_eq_6_in_a_turned_frame(x, y, angle):
     at = {"shift": (0.3, -0.1), "angle": angle}
     target = Port("t", "point", (*turned(x, y, **at), 0.01))
     weights = funneling_weights(actuators(**at), target)
-    eq6 = [
-        (1 - abs(x - a) / 0.045) * (1 - abs(y - b) / 0.045)
-        for a in (-0.0225, 0.0225)
-        for b in (-0.0225, 0.0225)
-    ]
+    eq6 = [(1 - abs(x - a) / 0.045) * (1 - abs(y - b) / 0.045) for a in (-0.0225, 0.0225) for b in (-0.0225, 0.0225)]
     assert np.allclose(weights, eq6, atol=1e-9)  # rounding of the turn, relative to 45 mm
     assert weights.sum() == pytest.approx(1, abs=1e-12)
 
@@ -207,9 +203,7 @@ def test_funneling_sends_the_wavelet_in_the_same_phase(g):
     one = sent.signals.sum(axis=0)
     assert np.allclose(sent.signals, weights[:, None] * one, atol=1e-13)  # rounding at a size of 2 V
     # cut at 500 Hz = 2 f_p the peak loses int_2^inf x^2 e^{-x^2} dx / (sqrt(pi) / 4) = 4.61 %
-    assert one[wavelet.record.centre] == pytest.approx(
-        2 * (1 - 0.0461), abs=2e-3
-    )  # 10 Hz below, bins of 0.5 Hz
+    assert one[wavelet.record.centre] == pytest.approx(2 * (1 - 0.0461), abs=2e-3)  # 10 Hz below, bins of 0.5 Hz
     assert np.abs(one - 2 * wavelet.samples).max() < 0.0465 * 2
 
 

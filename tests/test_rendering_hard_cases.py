@@ -56,9 +56,7 @@ def test_limits_name_every_actuator_that_exceeds_them(coarse, short):
     assert report.checked
     assert np.allclose(report.power, np.mean(sent.signals**2, axis=1) / 8, rtol=1e-12)
     assert np.allclose(report.rms**2 / 8, report.power, rtol=1e-12)
-    over = [
-        p.name for p, v, w in zip(sent.inputs, report.peak, report.power, strict=True) if v > 5 or w > 0.1
-    ]
+    over = [p.name for p, v, w in zip(sent.inputs, report.peak, report.power, strict=True) if v > 5 or w > 0.1]
     assert over == ["A1"]  # nearest to point 1
     assert [line.split(":")[0] for line in report.exceeded] == ["A1", "A1"]
     assert check(scaled(sent, 0.01)).exceeded == ()

@@ -68,9 +68,7 @@ def test_discrepancy_reaches_the_misfit_asked_for():
     drive, _ = invert(matrix, wanted, Regularisation("discrepancy", 0.1), f)
     least, _ = invert(matrix, wanted, Regularisation(), f)
     extra = np.linalg.norm((matrix @ (drive - least)[:, :, None])[:, :, 0], axis=1)
-    assert np.allclose(
-        extra, 0.1 * np.linalg.norm(wanted, axis=1), rtol=1e-9
-    )  # bisection to 2^-60 of 48 e-folds
+    assert np.allclose(extra, 0.1 * np.linalg.norm(wanted, axis=1), rtol=1e-9)  # bisection to 2^-60 of 48 e-folds
 
 
 def test_discrepancy_leaves_what_lies_below_the_error_undriven():
@@ -94,9 +92,7 @@ def test_lcurve_lets_the_signal_through_and_stops_the_noise():
     damped, report = invert(matrix[None].astype(complex), wanted, Regularisation("lcurve", 1e-10), np.ones(1))
     plain, _ = invert(matrix[None].astype(complex), wanted, Regularisation(), np.ones(1))
     error = [np.linalg.norm(x[0] - truth) / np.linalg.norm(truth) for x in (damped, plain)]
-    assert (
-        error[0] < 0.2
-    )  # ideal damping leaves about 0.1 here; the L-curve is a heuristic, within a factor 2
+    assert error[0] < 0.2  # ideal damping leaves about 0.1 here; the L-curve is a heuristic, within a factor 2
     assert error[1] > 10  # without damping the noise divided by 1e-6 wins
     assert 1e-5 < report.parameter[0] < 1e-1  # near the noise, far from both ends of the search
 
@@ -120,9 +116,7 @@ def test_singular_matrices_give_finite_shared_drives(coarse, short, kind, case):
         values[:, :, 1] = values[:, :, 0]
     else:
         values[7] = 0
-    sent = drives(
-        InverseFilter(regularisation=Regularisation(kind, 1e-3)), replace(coarse, values=values), "5", short
-    )
+    sent = drives(InverseFilter(regularisation=Regularisation(kind, 1e-3)), replace(coarse, values=values), "5", short)
     assert np.all(np.isfinite(sent.signals))
     if case == "dead":
         assert np.all(sent.signals[1] == 0)
@@ -137,9 +131,7 @@ def test_singular_matrices_give_finite_shared_drives(coarse, short, kind, case):
         assert np.all(sent.spectrum[7] == 0)
 
 
-@pytest.mark.parametrize(
-    ("kind", "value"), [("ridge", 0.1), ("rcond", -0.1), ("rcond", 1.0), ("rcond", np.nan)]
-)
+@pytest.mark.parametrize(("kind", "value"), [("ridge", 0.1), ("rcond", -0.1), ("rcond", 1.0), ("rcond", np.nan)])
 def test_bad_regularisation_is_refused(kind, value):
     with pytest.raises(ScenarioError, match="regularisation"):
         Regularisation(kind, value)

@@ -93,9 +93,7 @@ def test_ricker_is_the_thesis_formula():
     assert ratio == pytest.approx(4 * np.exp(-3), rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    "wish", [{"peak_hz": 0.0}, {"peak_hz": 2000.0}, {"peak_hz": 250.0, "duration": 0.02}]
-)
+@pytest.mark.parametrize("wish", [{"peak_hz": 0.0}, {"peak_hz": 2000.0}, {"peak_hz": 250.0, "duration": 0.02}])
 def test_ricker_that_does_not_fit_is_refused(wish):
     with pytest.raises(ScenarioError, match="Ricker wavelet"):
         ricker(**wish)
@@ -203,9 +201,7 @@ def test_interpolation_error_falls_with_the_fourth_power_and_stays_below_its_tol
         bins = place_on_bins(f, delayed(f), 10000.0, 2.0)
         truth = delayed(bins.frequency)
         inner = slice(40, -40)  # the ends of a spline are worse
-        errors.append(
-            (np.abs(bins.values - truth).max(axis=(1, 2)) / np.abs(truth).max(axis=(1, 2)))[inner].max()
-        )
+        errors.append((np.abs(bins.values - truth).max(axis=(1, 2)) / np.abs(truth).max(axis=(1, 2)))[inner].max())
     assert errors[0] < 0.01
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.3)  # cubic spline, order 4
 
@@ -233,9 +229,7 @@ def test_invalid_samples_interrupt_only_their_own_entry():
     values = np.where(valid, delayed(f), np.nan)
     bins = place_on_bins(f, values, 10000.0, 2.0, valid=valid)
     assert bins.valid[:, 0, 0].all()
-    assert bins.values[:, 0, 0] == pytest.approx(
-        place_on_bins(f, delayed(f), 10000.0, 2.0).values[:, 0, 0], rel=1e-12
-    )
+    assert bins.values[:, 0, 0] == pytest.approx(place_on_bins(f, delayed(f), 10000.0, 2.0).values[:, 0, 0], rel=1e-12)
     masked = ~bins.valid[:, 0, 1]
     assert np.array_equal(masked, (bins.frequency > f[99]) & (bins.frequency < f[101]))
     assert np.all(bins.values[masked, 0, 1] == 0)

@@ -111,9 +111,7 @@ def _twin(case: Case) -> list[Timed]:
     """The layered solution itself, asked for ``scale`` as tolerance, against a tighter one."""
     ledger, discs = Ledger(), [Disc(0.0, 0.0, 3.5e-3), *(Disc(r, 0.0) for r in RADII)]
     with ledger.stage("all"):
-        result = layered_compliance(
-            twin_layers(quarter()), 2 * np.pi * BAND, discs[:1], discs, tolerance=case.scale
-        )
+        result = layered_compliance(twin_layers(quarter()), 2 * np.pi * BAND, discs[:1], discs, tolerance=case.scale)
     return [_row(case, 0, ledger, result.values, BAND)]
 
 

@@ -72,9 +72,7 @@ def _speed_against_error(rows: Sequence[Row]) -> Figure:
     )
     _labelled(right, "true error", "peak memory of the process [GB]")
     left.invert_xaxis()
-    figure.legend(
-        *left.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8, frameon=False
-    )
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return figure
 
 
@@ -87,9 +85,7 @@ def _cost_against_size(rows: Sequence[Row]) -> Figure:
         n = [int(r["unknowns"]) for r in mine]
         for step, colour in steps.items():
             y = [float(r[f"seconds_{step}"]) for r in mine]
-            left.loglog(
-                n, y, line, color=colour, marker="o", markersize=4, label=f"{step}, {precision}{_slope(n, y)}"
-            )
+            left.loglog(n, y, line, color=colour, marker="o", markersize=4, label=f"{step}, {precision}{_slope(n, y)}")
         right.loglog(n, [float(r["peak_bytes"]) / 1e9 for r in mine], line, color="#444444", marker="o", markersize=4,
                      label=f"{precision}")  # fmt: skip
     _labelled(left, "unknowns", "one frequency [s]")
@@ -118,9 +114,7 @@ def _reduced_against_direct(rows: Sequence[Row]) -> Figure:
         ("seconds_many_evaluations", "20,000 more frequencies", "#009e73"),
     ):
         left.loglog(n, [float(r[key]) for r in rows], marker="o", color=colour, label=label)
-    right.semilogy(
-        n, [float(r["error_worst"]) for r in rows], marker="o", color="#0072b2", label="worst held-out bin"
-    )
+    right.semilogy(n, [float(r["error_worst"]) for r in rows], marker="o", color="#0072b2", label="worst held-out bin")
     right.semilogy(n, [float(r["error_median"]) for r in rows], marker="o", color="#56b4e9", label="median")
     right.axhline(1e-4, color="#999999", linewidth=0.8, linestyle=":", label="tolerance asked")
     _labelled(left, "unknowns", "seconds")

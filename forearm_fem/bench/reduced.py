@@ -65,9 +65,7 @@ def reduced(case: tuple[float, int]) -> Reduced:
     probes = held_out_bins(bins, sweep, held_out)
     solver = make_solver(model, options(), float(probes[0]))
     truth, seconds, factorisation = _direct(solver, probes)
-    error = relative_error(
-        _watched(model, sweep.values[np.searchsorted(bins, probes)]), _watched(model, truth)
-    )
+    error = relative_error(_watched(model, sweep.values[np.searchsorted(bins, probes)]), _watched(model, truth))
     return Reduced(
         model.operator.n, len(model.ports), len(bins), len(sweep.expansions),
         sweep.reduced.size if sweep.reduced else 0,

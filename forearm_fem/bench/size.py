@@ -49,9 +49,7 @@ def sized(case: tuple[str, float]) -> Sized:
         factor.factorise(data)
         clock.append(perf_counter())
         right = model.functionals.astype(complex)
-        solution = refined_solve(
-            factor, model.operator.upper(data), right, tolerance=1e-9 if single else 1e-11
-        )
+        solution = refined_solve(factor, model.operator.upper(data), right, tolerance=1e-9 if single else 1e-11)
         clock.append(perf_counter())
     assembly, analysis, factorisation, solve = np.diff(clock).tolist()
     return Sized(

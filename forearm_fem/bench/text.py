@@ -80,8 +80,7 @@ def _label(row: Row) -> str:
 
 def _size(rows: Sequence[Row]) -> list[str]:
     largest = {
-        p: max((r for r in rows if r["precision"] == p), key=lambda r: int(r["unknowns"]))
-        for p in ("double", "single")
+        p: max((r for r in rows if r["precision"] == p), key=lambda r: int(r["unknowns"])) for p in ("double", "single")
     }
     two, one = largest["double"], largest["single"]
     steps = {s: float(two[f"seconds_{s}"]) for s in ("assembly", "analysis", "factorisation", "solve")}

@@ -50,9 +50,7 @@ class DrawTable(Part):
 
     count: Annotated[int, Field(ge=1, le=100_000)]
     seed: int = 0
-    parameters: tuple[str, ...] | None = Field(
-        None, description="tissue.key; default: mu and eta of all soft tissues"
-    )
+    parameters: tuple[str, ...] | None = Field(None, description="tissue.key; default: mu and eta of all soft tissues")
 
 
 class CampaignFile(Part):
@@ -150,9 +148,7 @@ def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:
     random = np.random.default_rng(table.seed)
     for _ in range(table.count):
         z = random.standard_normal(len(spread))
-        yield {
-            f"tissues.override.{key}": s.draw(float(v)) for (key, s), v in zip(spread.items(), z, strict=True)
-        }
+        yield {f"tissues.override.{key}": s.draw(float(v)) for (key, s), v in zip(spread.items(), z, strict=True)}
 
 
 def _drawn(scenario: Scenario, table: DrawTable) -> dict[str, Sourced]:
@@ -164,18 +160,14 @@ def _drawn(scenario: Scenario, table: DrawTable) -> dict[str, Sourced]:
     }
     wanted = table.parameters or tuple(k for k in known if k.endswith((".mu", ".eta")))
     if bad := [k for k in wanted if k not in known]:
-        raise ScenarioError(
-            f"draw.parameters: no spread is known of '{bad[0]}'; known are {', '.join(known)}"
-        )
+        raise ScenarioError(f"draw.parameters: no spread is known of '{bad[0]}'; known are {', '.join(known)}")
     return {key: known[key] for key in wanted}
 
 
 def _member(source: Path, asked: CampaignFile, name: str, values: Values) -> Member:
     merged = {**asked.set, **values, "name": name}
     try:
-        return Member(
-            name, values, load_scenario(source, overrides=[_override(*item) for item in merged.items()])
-        )
+        return Member(name, values, load_scenario(source, overrides=[_override(*item) for item in merged.items()]))
     except ScenarioError as problem:
         raise ScenarioError(f"member {name}: {problem}") from None
 

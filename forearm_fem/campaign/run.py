@@ -101,9 +101,7 @@ def _client(scheduler: str | None, count: Callable[[], int]) -> Iterator[Any]:
         try:
             client: Any = distributed.Client(scheduler, timeout=PATIENCE)
         except (OSError, ValueError) as problem:
-            raise SolverError(
-                f"no Dask scheduler answers at {scheduler} ({problem}); check the address"
-            ) from None
+            raise SolverError(f"no Dask scheduler answers at {scheduler} ({problem}); check the address") from None
         with client:
             yield client
         return
@@ -142,9 +140,7 @@ def _results(client: Any, jobs: Sequence[Job]) -> Iterator[tuple[str, dict[str, 
             )
 
 
-def _collected(
-    campaign: Campaign, done: Mapping[str, Mapping[str, Any]], reused: set[str]
-) -> list[MemberResult]:
+def _collected(campaign: Campaign, done: Mapping[str, Mapping[str, Any]], reused: set[str]) -> list[MemberResult]:
     found = []
     for member in campaign.members:
         if member.name in done:

@@ -31,9 +31,7 @@ if TYPE_CHECKING:
 console = Console(stderr=True)
 
 ScenarioFile = Annotated[Path, typer.Argument(help="scenario file, e.g. scenarios/thesis.toml")]
-Overrides = Annotated[
-    list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=0.040")
-]
+Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=0.040")]
 OutFolder = Annotated[Path | None, typer.Option("--out", help="results folder; default results/NAME")]
 Declared = Annotated[
     list[str] | None,

@@ -29,14 +29,10 @@ if TYPE_CHECKING:
     from ..measurement.calibrate import Progress
     from ..measurement.commands import CalibrationResult, VirtualSetup
 
-DaqChoice = Annotated[
-    Literal["virtual", "ni"], typer.Option("--daq", help="virtual: through a G; ni: a cDAQ")
-]
+DaqChoice = Annotated[Literal["virtual", "ni"], typer.Option("--daq", help="virtual: through a G; ni: a cDAQ")]
 Through = Annotated[
     Path | None,
-    typer.Option(
-        "--through", help="virtual: file or results folder of the G to play through; default: simulated now"
-    ),
+    typer.Option("--through", help="virtual: file or results folder of the G to play through; default: simulated now"),
 ]
 Snr = Annotated[float, typer.Option(help="virtual: strongest response over the sensor's noise [dB]")]
 Bits = Annotated[int, typer.Option(min=0, max=32, help="virtual: of the converters; 0 = no quantisation")]
@@ -124,9 +120,7 @@ def play(
     scenario: ScenarioFile,
     drives: Annotated[Path, typer.Argument(help="drives.nc, a results folder that holds one, or a WAV file")],
     overrides: Overrides = None,
-    method: Annotated[
-        str | None, typer.Option(help="of drives.nc: inverse filter, funneling or combination")
-    ] = None,
+    method: Annotated[str | None, typer.Option(help="of drives.nc: inverse filter, funneling or combination")] = None,
     target: Annotated[str | None, typer.Option(help="of drives.nc: a grid point, e.g. 5")] = None,
     daq: DaqChoice = "virtual",
     through: Through = None,
@@ -152,14 +146,10 @@ def play(
 
 
 def compare(
-    a: Annotated[
-        Path, typer.Argument(help="G to hold against: a file of any known kind, or a results folder")
-    ],
+    a: Annotated[Path, typer.Argument(help="G to hold against: a file of any known kind, or a results folder")],
     b: Annotated[Path, typer.Argument(help="G that is judged")],
     out: Annotated[Path | None, typer.Option("--out", help="default results/compare-A-B")] = None,
-    declare_a: Annotated[
-        list[str] | None, typer.Option(help="what A does not say of itself, e.g. unit='mm/V'")
-    ] = None,
+    declare_a: Annotated[list[str] | None, typer.Option(help="what A does not say of itself, e.g. unit='mm/V'")] = None,
     declare_b: Annotated[list[str] | None, typer.Option(help="the same for B")] = None,
     render: Annotated[bool, typer.Option(help="play the drives designed on one through the other")] = True,
 ) -> None:

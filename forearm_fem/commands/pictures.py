@@ -16,13 +16,9 @@ Results = Annotated[Path, typer.Argument(help="results folder of a run")]
 
 def figures(
     results: Results,
-    only: Annotated[
-        list[str] | None, typer.Option(help="figure names; again for more, or separated by commas")
-    ] = None,
+    only: Annotated[list[str] | None, typer.Option(help="figure names; again for more, or separated by commas")] = None,
     formats: Annotated[str, typer.Option("--format", help="any of png,pdf,svg")] = "png",
-    out: Annotated[
-        Path | None, typer.Option("--out", help="default: figures inside the results folder")
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="default: figures inside the results folder")] = None,
 ) -> None:
     """Make the figures of a run, each with its numbers as CSV."""
     if not results.is_dir():

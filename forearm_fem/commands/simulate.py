@@ -16,9 +16,7 @@ def run(
     scenario: ScenarioFile,
     overrides: Overrides = None,
     out: OutFolder = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="print size, cost and resolution; solve nothing")
-    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="print size, cost and resolution; solve nothing")] = False,
 ) -> None:
     """The main job: mesh, solve, render, figures and report."""
     asked = load_scenario(scenario, overrides=overrides or ())
@@ -85,9 +83,7 @@ def _print_forecast(asked: Scenario, base: Path) -> None:
     typer.echo(f"tetrahedra       {expected.tetrahedra}")
     typer.echo(f"unknowns         {expected.unknowns} ({asked.mesh.element}, displacement and pressure)")
     typer.echo(f"memory           about {expected.memory_bytes / 1e9:.1f} GB")
-    typer.echo(
-        f"time             about {expected.seconds / 60:.1f} min on 2 cores, for {len(band)} frequencies"
-    )
+    typer.echo(f"time             about {expected.seconds / 60:.1f} min on 2 cores, for {len(band)} frequencies")
     for r in expected.resolution:
         typer.echo(
             f"{r.tissue:16} {r.per_wavelength_near_ports:.1f} nodes per shear wavelength and "

@@ -19,9 +19,7 @@ Full = Annotated[bool, typer.Option("--full", help="the long version")]
 def bench(
     full: Full = False,
     out: Annotated[Path, typer.Option("--out", help="where CSV and PNG go")] = Path("benchmarks/results"),
-    only: Annotated[
-        list[str] | None, typer.Option(help="parts, e.g. error, size, reduced; default all")
-    ] = None,
+    only: Annotated[list[str] | None, typer.Option(help="parts, e.g. error, size, reduced; default all")] = None,
     threads: Annotated[int, typer.Option(min=1, help="of each run; more than one needs an idle machine")] = 1,
 ) -> None:
     """Wall time and memory against true error, one curve per method; cost against size; reduced against direct."""
@@ -34,9 +32,7 @@ def bench(
 
 
 def campaign(
-    file: Annotated[
-        Path, typer.Argument(help="campaign file: a scenario and a list, grid or draw of overrides")
-    ],
+    file: Annotated[Path, typer.Argument(help="campaign file: a scenario and a list, grid or draw of overrides")],
     out: Annotated[Path | None, typer.Option("--out", help="default results/NAME")] = None,
     scheduler: Annotated[
         str | None,
@@ -92,6 +88,4 @@ def verification_table(rows: Sequence[Row]) -> str:
 
 def hard_table(rows: Sequence[HardRow]) -> str:
     head = "| case | what | result | true error | verdict |\n| --- | --- | --- | --- | --- |"
-    return "\n".join(
-        [head, *(f"| {r.case} | {r.what} | {r.result} | {r.true_error} | {r.verdict} |" for r in rows)]
-    )
+    return "\n".join([head, *(f"| {r.case} | {r.what} | {r.result} | {r.true_error} | {r.verdict} |" for r in rows)])

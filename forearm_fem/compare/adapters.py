@@ -138,15 +138,9 @@ def _known(scenario: Scenario) -> dict[str, Parameter]:
     found = {
         "scale": Parameter("scale", 1.0, 0.2, 5.0, log=True, stage=0),
         "delay": Parameter("delay", 0.0, -2e-3, 2e-3, stage=0, unit="s"),
-        "coil.moving_mass": Parameter(
-            "device.coil.moving_mass", coil.moving_mass, 0.1e-3, 1e-3, log=True, unit="kg"
-        ),
-        "coil.force_factor": Parameter(
-            "device.coil.force_factor", coil.force_factor, 0.8, 7.0, log=True, unit="T m"
-        ),
-        "coil.resonance": Parameter(
-            "device.coil.resonance", coil.resonance, 300.0, 1000.0, log=True, unit="Hz"
-        ),
+        "coil.moving_mass": Parameter("device.coil.moving_mass", coil.moving_mass, 0.1e-3, 1e-3, log=True, unit="kg"),
+        "coil.force_factor": Parameter("device.coil.force_factor", coil.force_factor, 0.8, 7.0, log=True, unit="T m"),
+        "coil.resonance": Parameter("device.coil.resonance", coil.resonance, 300.0, 1000.0, log=True, unit="Hz"),
         "coil.quality": Parameter("device.coil.quality", coil.quality, 1.0, 10.0, log=True),
         "cone.mass": Parameter("device.cone.mass", cone.mass, 0.1e-3, 1.5e-3, log=True, unit="kg"),
     }

@@ -109,9 +109,7 @@ def _share(x: FloatArray, weight: FloatArray, axes: tuple[int, ...]) -> FloatArr
 def _peak_ratio(a: ComplexArray, b: ComplexArray) -> FloatArray:
     """e(f) = max |b - a| / max |a| over the valid entries."""
     below = np.abs(a).max(axis=(1, 2))
-    return np.asarray(
-        np.divide(np.abs(b - a).max(axis=(1, 2)), below, out=np.full(len(a), np.nan), where=below > 0)
-    )
+    return np.asarray(np.divide(np.abs(b - a).max(axis=(1, 2)), below, out=np.full(len(a), np.nan), where=below > 0))
 
 
 def _delay(omega: FloatArray, a: ComplexArray, b: ComplexArray) -> FloatArray:

@@ -120,14 +120,11 @@ def fit_text(result: FitResult) -> str:
     lines = ["| parameter | value | 95 % interval | unit |", "|---|---|---|---|"]
     for p in result.parameters:
         low, high = result.interval[p.name]
-        lines.append(
-            f"| {p.name} | {result.values[p.name]:.4g} | {low:.4g} to {high:.4g} | {p.unit or '-'} |"
-        )
+        lines.append(f"| {p.name} | {result.values[p.name]:.4g} | {low:.4g} to {high:.4g} | {p.unit or '-'} |")
     chi = "unknown (no standard deviations)" if np.isnan(result.chi2) else f"{result.chi2:.2f}"
     lines += [
         "",
-        f"reduced chi^2 {chi}; misfit {100 * result.e_band:.2g} % of the "
-        f"data's norm; {result.n_data} numbers.",
+        f"reduced chi^2 {chi}; misfit {100 * result.e_band:.2g} % of the data's norm; {result.n_data} numbers.",
     ]
     return "\n".join([*lines, *result.sentences]) + "\n"
 

@@ -115,8 +115,7 @@ def _order(ours: tuple[Port, ...], theirs: tuple[Port, ...], what: str) -> list[
     names = [p.name for p in theirs]
     if len(set(names)) != len(names) or sorted(names) != sorted(p.name for p in ours):
         raise DataError(
-            f"the {what} of A and B differ ({', '.join(p.name for p in ours)} "
-            f"and {', '.join(names)}); rename them"
+            f"the {what} of A and B differ ({', '.join(p.name for p in ours)} and {', '.join(names)}); rename them"
         )
     return [names.index(p.name) for p in ours]
 
@@ -161,9 +160,7 @@ def _at(g: TransferMatrix, frequency: FloatArray) -> _Sampled:
     return _Sampled(np.where(pick, values, splined), np.where(pick, known, filled), deviation, False)
 
 
-def _splined(
-    x: FloatArray, values: ComplexArray, valid: BoolArray, at: FloatArray
-) -> tuple[ComplexArray, BoolArray]:
+def _splined(x: FloatArray, values: ComplexArray, valid: BoolArray, at: FloatArray) -> tuple[ComplexArray, BoolArray]:
     """Cubic splines per unbroken run of valid samples; nothing elsewhere."""
     out, known = (
         np.zeros((len(at), *values.shape[1:]), dtype=complex),

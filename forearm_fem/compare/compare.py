@@ -105,9 +105,7 @@ def summary(c: Comparison) -> dict[str, Any]:
             "e_band": plain(agree.band),
             "FRAC": plain(agree.overall_frac),
             "misfit_in_sigma": plain(agree.misfit),
-            "worst_e_f": plain(np.nanmax(agree.per_frequency))
-            if np.isfinite(agree.per_frequency).any()
-            else None,
+            "worst_e_f": plain(np.nanmax(agree.per_frequency)) if np.isfinite(agree.per_frequency).any() else None,
         },
         "entries": [
             {
@@ -135,9 +133,7 @@ def _wave_summary(g: CommonGround, c: Comparison, k: int) -> dict[str, Any]:
     return {
         "input": g.inputs[k].name,
         **{
-            name: None
-            if w is None
-            else {"speed_m_s": spread(w.speed), "attenuation_1_m": spread(w.attenuation)}
+            name: None if w is None else {"speed_m_s": spread(w.speed), "attenuation_1_m": spread(w.attenuation)}
             for name, w in both.items()
         },
     }

@@ -68,9 +68,7 @@ def cross_play(
 
 def sides(ground: CommonGround) -> tuple[TransferMatrix, TransferMatrix]:
     """A and B as transfer matrices on the common frequencies, both with the common mask and A's ports."""
-    first = TransferMatrix(
-        ground.frequency, ground.a, ground.outputs, ground.inputs, ground.unit, valid=ground.valid
-    )
+    first = TransferMatrix(ground.frequency, ground.a, ground.outputs, ground.inputs, ground.unit, valid=ground.valid)
     return first, replace(first, values=ground.b)
 
 

@@ -69,11 +69,7 @@ class FitResult:
         """What to say besides the numbers."""
         ends = tuple(f"{n} ended on its bound: widen it, or the model is wrong" for n in self.at_bound)
         poor = self.chi2 > 2
-        misfit = (
-            (f"the model misses the data by {math.sqrt(self.chi2):.1f} standard deviations (rms)",)
-            if poor
-            else ()
-        )
+        misfit = (f"the model misses the data by {math.sqrt(self.chi2):.1f} standard deviations (rms)",) if poor else ()
         stuck = () if self.converged else (f"the fit did not converge: {self.message}",)
         return (*(d.sentence for d in self.unknown), *ends, *misfit, *stuck)
 
@@ -101,9 +97,7 @@ def fit(
     DataError without usable data or for fewer data than parameters.
     """
     problem = _Problem.of(model, measured, tuple(parameters), gradient, fallback_noise, progress)
-    tries = [
-        problem.staged(place, max_evaluations, tolerance) for place in _starts(problem.parameters, starts)
-    ]
+    tries = [problem.staged(place, max_evaluations, tolerance) for place in _starts(problem.parameters, starts)]
     best = min(tries, key=lambda t: t.cost)
     return _result(problem, best.place, best.converged, best.message)
 
@@ -150,24 +144,17 @@ class _Problem:
         names = [p.name for p in parameters]
         if not names or len(set(names)) != len(names):
             raise DataError(f"a fit needs parameters with distinct names, got {names}")
-        used = (
-            np.isfinite(measured.values)
-            if measured.valid is None
-            else measured.valid & np.isfinite(measured.values)
-        )
+        used = np.isfinite(measured.values) if measured.valid is None else measured.valid & np.isfinite(measured.values)
         sigma = np.full(used.shape, np.nan) if measured.deviation is None else measured.deviation
         known = used & np.isfinite(sigma) & (sigma > 0)
         sigma_known = bool(known.any())
         used = known if sigma_known else used
         if 2 * np.count_nonzero(used) <= len(names):
             raise DataError(
-                f"{2 * np.count_nonzero(used)} usable numbers cannot determine "
-                f"{len(names)} parameters; measure more"
+                f"{2 * np.count_nonzero(used)} usable numbers cannot determine {len(names)} parameters; measure more"
             )
         rms = float(np.sqrt(np.mean(np.abs(measured.values[used]) ** 2)))
-        weight = np.sqrt(2) / (
-            sigma[used] if sigma_known else np.full(np.count_nonzero(used), fallback * rms)
-        )
+        weight = np.sqrt(2) / (sigma[used] if sigma_known else np.full(np.count_nonzero(used), fallback * rms))
         return cls(model, measured, parameters, gradient, used, weight, sigma_known, [0], progress)
 
     def values(self, place: FloatArray) -> dict[str, float]:
@@ -190,9 +177,7 @@ class _Problem:
         computed = self.model({n: v for n, v in values.items() if n not in (SCALE, DELAY)})
         array = computed.values if isinstance(computed, TransferMatrix) else np.asarray(computed)
         if array.shape != self.measured.values.shape:
-            raise DataError(
-                f"the model gives shape {array.shape}, the measurement has {self.measured.values.shape}"
-            )
+            raise DataError(f"the model gives shape {array.shape}, the measurement has {self.measured.values.shape}")
         return array
 
     def _scaled(self, array: ComplexArray, values: Values) -> ComplexArray:
@@ -212,9 +197,7 @@ class _Problem:
     def _difference(self, place: FloatArray, k: int, central: bool) -> FloatArray:
         step = np.zeros(len(place))
         step[k] = _STEP if place[k] <= 0.5 else -_STEP
-        near = (
-            self.residual(place - step) if central and 0 <= place[k] - step[k] <= 1 else self.residual(place)
-        )
+        near = self.residual(place - step) if central and 0 <= place[k] - step[k] <= 1 else self.residual(place)
         width = 2 * step[k] if central and 0 <= place[k] - step[k] <= 1 else step[k]
         return np.asarray((self.residual(place + step) - near) / width)
 
@@ -300,9 +283,7 @@ def _result(problem: _Problem, place: FloatArray, converged: bool, message: str)
     )
 
 
-def _unknown(
-    parameters: tuple[Parameter, ...], directions: FloatArray, size: FloatArray
-) -> tuple[Direction, ...]:
+def _unknown(parameters: tuple[Parameter, ...], directions: FloatArray, size: FloatArray) -> tuple[Direction, ...]:
     """Combinations whose standard deviation exceeds a quarter of the range."""
     return tuple(
         Direction({p.name: float(w) for p, w in zip(parameters, row, strict=True)}, float(d))
@@ -322,9 +303,7 @@ def _interval(p: Parameter, x: float, d: float) -> tuple[float, float]:
     return p.from_unit(x - far), p.from_unit(x + far)
 
 
-def scale_and_delay(
-    reference: TransferMatrix, measured: TransferMatrix, longest: float = 0.02
-) -> tuple[float, float]:
+def scale_and_delay(reference: TransferMatrix, measured: TransferMatrix, longest: float = 0.02) -> tuple[float, float]:
     """The real factor and the delay [s], |delay| <= ``longest``, that bring ``reference`` closest to
     ``measured``.
 
@@ -332,17 +311,9 @@ def scale_and_delay(
     highest frequency's period, then by a parabola: a start for :func:`fit`, whose phase is ambiguous for
     large delays.
     """
-    if reference.values.shape != measured.values.shape or not np.allclose(
-        reference.frequency, measured.frequency
-    ):
-        raise DataError(
-            "scale and delay need both on the same frequencies and ports; use common_ground first"
-        )
-    known = (
-        np.isfinite(measured.values)
-        if measured.valid is None
-        else measured.valid & np.isfinite(measured.values)
-    )
+    if reference.values.shape != measured.values.shape or not np.allclose(reference.frequency, measured.frequency):
+        raise DataError("scale and delay need both on the same frequencies and ports; use common_ground first")
+    known = np.isfinite(measured.values) if measured.valid is None else measured.valid & np.isfinite(measured.values)
     a, b = np.where(known, reference.values, 0), np.where(known, measured.values, 0)
     cross = (a.conj() * b).sum(axis=(1, 2))
     tau = np.linspace(-longest, longest, 2 * math.ceil(20 * longest * float(measured.frequency[-1])) + 1)

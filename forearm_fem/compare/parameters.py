@@ -31,8 +31,7 @@ class Parameter:
     def __post_init__(self) -> None:
         if not self.lower < self.upper or not self.lower <= self.start <= self.upper:
             raise ScenarioError(
-                f"{self.name}: expected lower <= start <= upper, got "
-                f"{self.lower:g}, {self.start:g}, {self.upper:g}"
+                f"{self.name}: expected lower <= start <= upper, got {self.lower:g}, {self.start:g}, {self.upper:g}"
             )
         if self.log and self.lower <= 0:
             raise ScenarioError(f"{self.name}: a logarithm needs a positive lower bound, got {self.lower:g}")

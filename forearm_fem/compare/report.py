@@ -31,9 +31,7 @@ def as_csv(c: Comparison) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(_COLUMNS)
-    writer.writerows(
-        [row[k] if row[k] is not None else "" for k in _COLUMNS] for row in summary(c)["entries"]
-    )
+    writer.writerows([row[k] if row[k] is not None else "" for k in _COLUMNS] for row in summary(c)["entries"])
     return stream.getvalue()
 
 
@@ -145,9 +143,7 @@ def plot_fdac(ground: CommonGround, *, ax: Axes | None = None) -> Axes:
     step = max(1, len(ground.frequency) // 200)
     matrix = fdac_matrix(ground)[::step, ::step]
     f = ground.frequency
-    image = ax.imshow(
-        matrix, origin="lower", vmin=0, vmax=1, extent=(f[0], f[-1], f[0], f[-1]), aspect="auto"
-    )
+    image = ax.imshow(matrix, origin="lower", vmin=0, vmax=1, extent=(f[0], f[-1], f[0], f[-1]), aspect="auto")
     ax.set(xlabel="frequency of B [Hz]", ylabel="frequency of A [Hz]", title="FDAC")
     ax.figure.colorbar(image, ax=ax)
     return ax

@@ -30,9 +30,7 @@ def propagate_errors(
     return tuple(_carried(e, compliance.frequency, peak_gain, band_gain) for e in compliance.errors)
 
 
-def _carried(
-    estimate: ErrorEstimate, frequency: FloatArray, peak_gain: FloatArray, band_gain: float
-) -> ErrorEstimate:
+def _carried(estimate: ErrorEstimate, frequency: FloatArray, peak_gain: FloatArray, band_gain: float) -> ErrorEstimate:
     """``estimate`` times the gains; between its own frequencies e(f) is interpolated linearly."""
     method = _METHOD.format(source=estimate.source, original=estimate.method)
     band = estimate.band * band_gain

@@ -24,7 +24,8 @@ _DROPPED = {"incompressibility"}  # its energy is the one of "compression" on th
 class ReducedModel:
     """Compliance of all ports at any frequency from small real matrices.
 
-    ``matrices`` (n_term, r, r) with ``coefficients``; ``functionals`` (r, n_port). ``basis`` (n, r) reconstructs displacements and scaled pressures.
+    ``matrices`` (n_term, r, r) with ``coefficients``; ``functionals`` (r, n_port).
+    ``basis`` (n, r) reconstructs displacements and scaled pressures.
     """
 
     coefficients: tuple[Coefficient, ...]

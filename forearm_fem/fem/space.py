@@ -19,7 +19,7 @@ class MixedSpace:
 
     The pressure of the exact solution jumps where the shear modulus jumps, so it is not tied across tissues.
     Displacement unknown ``3 * node + component``. ``nodes`` (n_tet, nb) and ``pressures`` (n_tet, npb) number the
-    basis functions of each tetrahedron; ``vertices`` (n_tet, 4) are its corners in the ascending order that scikit-fem uses.
+    basis functions of each tetrahedron; ``vertices`` (n_tet, 4) are its corners, ascending as scikit-fem wants them.
     """
 
     mesh: TissueMesh

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -151,8 +151,9 @@ def reduced_sweep(
     planned = expansion_frequencies(frequency, options)
     reduced, used = empty_model(model), list[Expansion]()
     for i, f in enumerate(planned):
-        used.append(work.expand(f))
-        reduced = extend(reduced, model, used[-1].series)
+        expansion = work.expand(f)
+        reduced = extend(reduced, model, expansion.series)
+        used.append(replace(expansion, series=()))
         _tell(progress, "expansion frequencies", i + 1, len(planned) + 1)
     certificates = list[Certificate]()
     while tolerance is not None and (chosen := widest_gap(frequency, [e.frequency for e in used])) is not None:
@@ -161,8 +162,9 @@ def reduced_sweep(
         _tell(progress, "expansion frequencies", len(used) + 1, len(used) + 1)
         if certificates[-1].error <= tolerance or len(used) >= options.max_expansions:
             break
-        used.append(work.expand(chosen, truth))
-        reduced = extend(reduced, model, used[-1].series)
+        expansion = work.expand(chosen, truth)
+        reduced = extend(reduced, model, expansion.series)
+        used.append(replace(expansion, series=()))
     work.release()
     return _swept(reduced, frequency, used, certificates)
 

@@ -38,8 +38,7 @@ def with_boundaries(mesh: TissueMesh, tolerance: float) -> TissueMesh:
     rest = faces[~end]
     if not len(rest):
         raise MeshError(
-            "the mesh has no skin: all its boundary lies on its two ends in x; turn it so that x runs "
-            "along it"
+            "the mesh has no skin: all its boundary lies on its two ends in x; turn it so that x runs along it"
         )
     outer = _outermost(mesh.points, rest)
     named = {"skin": rest[outer], "bone": rest[~outer], "end": faces[end]}

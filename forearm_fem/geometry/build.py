@@ -122,9 +122,7 @@ def limb_volume(scenario: Scenario) -> float | None:
     return None
 
 
-def _nested_mesh(
-    limb: SurfacesLimb, base: Path, size: SizeField, say: Progress, *, keep_bone: bool
-) -> TissueMesh:
+def _nested_mesh(limb: SurfacesLimb, base: Path, size: SizeField, say: Progress, *, keep_bone: bool) -> TissueMesh:
     surfaces = read_surfaces(limb, base)
     outer = FacetSkin(surfaces[0].vertices, surfaces[0].faces)
     say("meshing the outer surface")
@@ -141,6 +139,4 @@ def _tube_mesh(tube: Tube, size: SizeField, say: Progress, *, keep_bone: bool) -
 def _core_surface(tube: Tube, xy: FloatArray) -> FloatArray:
     """Points (n, 3) of the core's surface under the skin at ``xy`` (n, 2)."""
     skin, _ = tube.volar(xy)
-    return tube.place(
-        skin[:, 0], np.where(np.isfinite(skin[:, 1]), tube.angle_of(skin), np.nan), tube.thickness
-    )
+    return tube.place(skin[:, 0], np.where(np.isfinite(skin[:, 1]), tube.angle_of(skin), np.nan), tube.thickness)

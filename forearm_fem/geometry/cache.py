@@ -130,9 +130,7 @@ def _try_store(mesh: TissueMesh, path: Path, key: str) -> None:
     try:
         store_mesh(mesh, path, key)
     except OSError as problem:
-        _log.warning(
-            "the mesh could not be kept in the cache %s (%s); it will be built again", path.parent, problem
-        )
+        _log.warning("the mesh could not be kept in the cache %s (%s); it will be built again", path.parent, problem)
 
 
 def _look_up(folder: Path, key: str) -> TissueMesh | None:
@@ -160,8 +158,6 @@ def _read(file: Path, key: str) -> TissueMesh | None:
         _log.warning("cached mesh passed over, it will be built again: %s", problem)
         return None
     if note.get("key") != key or note.get("digest") != mesh.digest:
-        _log.warning(
-            "cached mesh %s does not match its note; it will be built again", file.with_suffix(".vtu")
-        )
+        _log.warning("cached mesh %s does not match its note; it will be built again", file.with_suffix(".vtu"))
         return None
     return mesh

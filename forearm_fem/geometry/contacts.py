@@ -30,12 +30,9 @@ def check_contact_areas(mesh: TissueMesh, ports: tuple[Port, ...]) -> None:
     planes)."""
     for port in (p for p in ports if p.kind == "contact"):
         cuts = sum(
-            name.startswith("symmetry") and abs(port.position["xy".index(name[-1])]) < 1e-12
-            for name in mesh.facets
+            name.startswith("symmetry") and abs(port.position["xy".index(name[-1])]) < 1e-12 for name in mesh.facets
         )
-        part = facet_area(mesh.points, mesh.facets[f"contact {port.name}"]) / (
-            np.pi * port.radius**2 / 2**cuts
-        )
+        part = facet_area(mesh.points, mesh.facets[f"contact {port.name}"]) / (np.pi * port.radius**2 / 2**cuts)
         if not _LEAST_AREA < part < 1.1:
             raise MeshError(
                 f"the facets of contact {port.name} cover {100 * part:.0f} % of its disc, need "

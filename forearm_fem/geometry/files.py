@@ -129,9 +129,7 @@ def _from_msh(read: Any) -> TissueMesh:
     flat = [i for i, kind in enumerate(kinds) if kind == "triangle"]
     triangles = np.vstack([read.cells[i].data for i in flat]).astype(np.int64)
     owner = np.concatenate([tags[i] for i in flat])
-    facets = {
-        name.removeprefix("boundary "): triangles[owner == tag] for tag, dim, name in groups if dim == 2
-    }
+    facets = {name.removeprefix("boundary "): triangles[owner == tag] for tag, dim, name in groups if dim == 2}
     tetrahedra = np.vstack([read.cells[i].data for i in tetra]).astype(np.int64)
     region = np.concatenate([tags[i] for i in tetra]).astype(np.int64) - 1
     return TissueMesh(np.asarray(read.points, float), tetrahedra, region, names, facets)

@@ -53,9 +53,7 @@ def _assembled(
     return TissueMesh(points, tetrahedra, region, names, facets)
 
 
-def boundaries(
-    points: FloatArray, tetrahedra: IntArray, on_skin: BoolArray, on_bone: BoolArray
-) -> dict[str, IntArray]:
+def boundaries(points: FloatArray, tetrahedra: IntArray, on_skin: BoolArray, on_bone: BoolArray) -> dict[str, IntArray]:
     """Skin, underside, bone and end from flags per vertex (n_point,); ends are what remains."""
     faces, _ = boundary_faces(tetrahedra)
     skin = on_skin[faces].all(axis=1)

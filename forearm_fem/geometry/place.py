@@ -50,8 +50,7 @@ def ports_on(scenario: Scenario, skin: Skin) -> tuple[Port, ...]:
         for name, xy in zip(layout.names, layout.contacts, strict=True)
     ]
     points = [
-        Port(str(i + 1), "point", *_landed(f"grid point {i + 1}", xy, skin))
-        for i, xy in enumerate(layout.points)
+        Port(str(i + 1), "point", *_landed(f"grid point {i + 1}", xy, skin)) for i, xy in enumerate(layout.points)
     ]
     return (*contacts, *points)
 

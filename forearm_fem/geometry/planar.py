@@ -122,9 +122,7 @@ def _in_rings(xy: FloatArray, circles: FloatArray, radius: float, size: Size) ->
     inside = np.zeros(len(xy), dtype=bool)
     for c in circles:
         h = float(size(c[None])[0])
-        inside |= (
-            np.linalg.norm(xy - c, axis=1) < radius * (1 + 1 / max(2, round(radius / (0.9 * h)))) + 0.3 * h
-        )
+        inside |= np.linalg.norm(xy - c, axis=1) < radius * (1 + 1 / max(2, round(radius / (0.9 * h)))) + 0.3 * h
     return inside
 
 

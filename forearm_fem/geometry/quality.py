@@ -84,21 +84,16 @@ def _check_arrays(mesh: TissueMesh) -> None:
     if not len(mesh.tetrahedra) or mesh.tetrahedra.shape[1] != 4:
         raise MeshError("the mesh has no tetrahedra; give a volume mesh of 4-node tetrahedra, not a surface")
     if not np.isfinite(mesh.points).all():
-        raise MeshError(
-            f"{int((~np.isfinite(mesh.points)).any(axis=1).sum())} points are not finite; repair the file"
-        )
+        raise MeshError(f"{int((~np.isfinite(mesh.points)).any(axis=1).sum())} points are not finite; repair the file")
     if mesh.tetrahedra.min() < 0 or mesh.tetrahedra.max() >= len(mesh.points):
         raise MeshError(
-            f"tetrahedra refer to point {int(mesh.tetrahedra.max())}, but there are {len(mesh.points)}; "
-            "repair the file"
+            f"tetrahedra refer to point {int(mesh.tetrahedra.max())}, but there are {len(mesh.points)}; repair the file"
         )
 
 
 def _check_regions(mesh: TissueMesh) -> None:
     if len(mesh.region) != len(mesh.tetrahedra):
-        raise MeshError(
-            f"{len(mesh.region)} region numbers for {len(mesh.tetrahedra)} tetrahedra; need one for each"
-        )
+        raise MeshError(f"{len(mesh.region)} region numbers for {len(mesh.tetrahedra)} tetrahedra; need one for each")
     if mesh.region.min() < 0 or mesh.region.max() >= len(mesh.region_names):
         raise MeshError(
             f"region numbers reach from {mesh.region.min()} to {mesh.region.max()}, but only "
@@ -133,8 +128,7 @@ def _check_duplicates(mesh: TissueMesh) -> None:
     pairs = cKDTree(mesh.points[used]).query_pairs(1e-9 * size)
     if pairs:
         raise MeshError(
-            f"{len(pairs)} pairs of points coincide, so that neighbours are not joined; merge duplicate "
-            "points"
+            f"{len(pairs)} pairs of points coincide, so that neighbours are not joined; merge duplicate points"
         )
 
 
@@ -143,13 +137,9 @@ def _check_faces(mesh: TissueMesh) -> None:
     faces = mesh.tetrahedra[:, FACES].reshape(-1, 3)
     _, first, count = np.unique(keys(faces, n), return_index=True, return_counts=True)
     if count.max() > 2:
-        raise MeshError(
-            f"{int((count > 2).sum())} faces belong to more than two tetrahedra; remove overlapping cells"
-        )
+        raise MeshError(f"{int((count > 2).sum())} faces belong to more than two tetrahedra; remove overlapping cells")
     if not len(mesh.facets.get("skin", ())):
-        raise MeshError(
-            "the mesh has no skin: no boundary facet could be named so; check the surface's classification"
-        )
+        raise MeshError("the mesh has no skin: no boundary facet could be named so; check the surface's classification")
     boundary = faces[first[count == 1]]
     _check_named(mesh, boundary)
     edges = np.sort(boundary[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -168,9 +158,7 @@ def _check_named(mesh: TissueMesh, boundary: IntArray) -> None:
     named = np.vstack(whole)
     unnamed = int((~is_member(boundary, named, n)).sum())
     if unnamed:
-        raise MeshError(
-            f"{unnamed} boundary facets are neither skin, bone, end nor symmetry; the mesh is open inside"
-        )
+        raise MeshError(f"{unnamed} boundary facets are neither skin, bone, end nor symmetry; the mesh is open inside")
     for name, facets in mesh.facets.items():
         if not is_member(facets, boundary, n).all():
             raise MeshError(f"facets '{name}' do not all lie on the boundary of the mesh; rebuild them")
@@ -187,10 +175,7 @@ def _check_hanging(mesh: TissueMesh) -> None:
     hits = cKDTree(mesh.points[vertices]).query_ball_point((start + end) / 2, 0.499 * length)
     edge = np.repeat(np.arange(len(edges)), [len(h) for h in hits])
     vertex = vertices[np.concatenate([np.asarray(h, dtype=np.int64) for h in hits])] if len(edge) else edge
-    away = (
-        np.linalg.norm(np.cross(mesh.points[vertex] - start[edge], end[edge] - start[edge]), axis=1)
-        / length[edge]
-    )
+    away = np.linalg.norm(np.cross(mesh.points[vertex] - start[edge], end[edge] - start[edge]), axis=1) / length[edge]
     hanging = np.unique(vertex[away < 1e-7 * length[edge]])
     if len(hanging):
         x, y, z = mesh.points[hanging[0]] * 1e3

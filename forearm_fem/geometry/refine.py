@@ -40,9 +40,7 @@ def refine(mesh: TissueMesh, marked: BoolArray, *, middle: Middle = midpoints) -
     return mesh
 
 
-def split_edges(
-    mesh: TissueMesh, edges: IntArray, middles: FloatArray
-) -> tuple[TissueMesh, IntArray, BoolArray]:
+def split_edges(mesh: TissueMesh, edges: IntArray, middles: FloatArray) -> tuple[TissueMesh, IntArray, BoolArray]:
     """Bisect ``edges`` (k, 2), no two of one tetrahedron, at ``middles`` (k, 3).
 
     Returns the mesh, the parent (n_new_tet,) of each tetrahedron, and which old ones (n_tet,) were split.

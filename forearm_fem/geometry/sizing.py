@@ -33,9 +33,7 @@ class Sizes:
     sublayers: tuple[int, ...] = ()
 
 
-def element_sizes(
-    scenario: Scenario, shear_speed: Mapping[str, float] | None = None, *, scale: float = 1.0
-) -> Sizes:
+def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = None, *, scale: float = 1.0) -> Sizes:
     """Sizes for ``scenario``; explicit mesh options win, ``scale`` multiplies every size.
 
     ``shear_speed`` maps tissues to their shear wave speed at ``f_max`` [m/s]. Outputs of P2 elements converge
@@ -44,9 +42,7 @@ def element_sizes(
     options, radius = scenario.mesh, scenario.device.cone.radius
     frequencies = scenario.sweep.frequencies
     f_max = frequencies[-1] if frequencies else scenario.sweep.f_max
-    wavelength = (
-        min(shear_speed.values(), default=DEFAULT_SHEAR_SPEED) if shear_speed else DEFAULT_SHEAR_SPEED
-    )
+    wavelength = min(shear_speed.values(), default=DEFAULT_SHEAR_SPEED) if shear_speed else DEFAULT_SHEAR_SPEED
     grid = float(np.clip(_PER_WAVELENGTH * wavelength / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
     grid = scale * (options.size_grid or grid)
     contact = scale * options.size_contact if options.size_contact else min(_CONTACT * grid, 0.6 * radius)

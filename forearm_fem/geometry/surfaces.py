@@ -61,9 +61,7 @@ class Surface:
 def read_surfaces(limb: SurfacesLimb, base: Path) -> tuple[Surface, ...]:
     """Checked surfaces, the outermost first; raises :class:`GeometryError` naming the file at fault."""
     if not limb.surfaces:
-        raise GeometryError(
-            "limb.surfaces is empty; give at least one closed surface, e.g. {skin = 'skin.stl'}"
-        )
+        raise GeometryError("limb.surfaces is empty; give at least one closed surface, e.g. {skin = 'skin.stl'}")
     found = [_read(tissue, base / file, limb.unit) for tissue, file in limb.surfaces.items()]
     found.sort(key=lambda s: -s.volume)
     if found[0].tissue == "bone":
@@ -175,9 +173,7 @@ def _stretched(inner: Surface, low: float, high: float) -> Surface:
 def _with_region(mesh: TissueMesh, inner: Surface) -> TissueMesh:
     mesh, inside = cut_along(mesh, inner.distance, name=inner.tissue)
     if not inside.any():
-        raise GeometryError(
-            f"no element lies inside the surface of '{inner.tissue}'; set mesh.size_grid smaller"
-        )
+        raise GeometryError(f"no element lies inside the surface of '{inner.tissue}'; set mesh.size_grid smaller")
     names = tuple(dict.fromkeys([*mesh.region_names, inner.tissue]))
     region = np.where(inside, names.index(inner.tissue), mesh.region)
     return replace(mesh, region=region, region_names=names)

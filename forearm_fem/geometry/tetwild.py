@@ -50,9 +50,7 @@ def tetrahedralise(
         with np.load(Path(folder, "out.npz")) as made:
             points, tetrahedra = np.asarray(made["points"], float), np.asarray(made["tetrahedra"], np.int64)
     if not len(tetrahedra):
-        raise MeshError(
-            "fTetWild returned no tetrahedra: the surface encloses nothing; check that it is closed"
-        )
+        raise MeshError("fTetWild returned no tetrahedra: the surface encloses nothing; check that it is closed")
     used, renumbered = np.unique(tetrahedra, return_inverse=True)
     return points[used], oriented(points[used], renumbered.reshape(tetrahedra.shape))
 
@@ -73,9 +71,7 @@ def _run(folder: str) -> None:
         ) from None
     if done.returncode != 0 or not Path(folder, "out.npz").exists():
         last = (done.stderr.strip().splitlines() or ["no message, likely out of memory"])[-1]
-        raise MeshError(
-            f"fTetWild failed (exit status {done.returncode}: {last}); enlarge mesh sizes, check the unit of the geometry"
-        )
+        raise MeshError(f"fTetWild failed (exit status {done.returncode}: {last}); enlarge mesh sizes, check the unit")
 
 
 def background_grid(low: FloatArray, high: FloatArray, step: float) -> tuple[FloatArray, IntArray]:

@@ -23,9 +23,7 @@ def keys(rows: IntArray, n_point: int) -> IntArray:
 def boundary_faces(tetrahedra: IntArray) -> tuple[IntArray, IntArray]:
     """Faces (m, 3) that belong to one tetrahedron only, normals outwards, and that tetrahedron (m,)."""
     faces = tetrahedra[:, FACES].reshape(-1, 3)
-    _, inverse, count = np.unique(
-        keys(faces, int(tetrahedra.max()) + 1), return_inverse=True, return_counts=True
-    )
+    _, inverse, count = np.unique(keys(faces, int(tetrahedra.max()) + 1), return_inverse=True, return_counts=True)
     single = np.flatnonzero(count[inverse] == 1)
     return faces[single], single // 4
 

@@ -114,8 +114,7 @@ class Tube:
         at, weight = np.polynomial.legendre.leggauss(40)
         inside = [
             sum(
-                w * self.length / 2 * self.section_area(self.length / 2 * t, d)
-                for t, w in zip(at, weight, strict=True)
+                w * self.length / 2 * self.section_area(self.length / 2 * t, d) for t, w in zip(at, weight, strict=True)
             )
             for d in depths
         ]
@@ -205,9 +204,7 @@ def _check_apart(tube: Tube, first: BoneAxis, second: BoneAxis, x: FloatArray) -
     apart = np.linalg.norm(tube.bone_centre(first, x) - tube.bone_centre(second, x), axis=1).min()
     gap = float(apart) - first.radius - second.radius
     if gap < _CLEARANCE:
-        how = (
-            f"overlap by {-gap * 1e3:.3g} mm" if gap < 0 else f"come within {gap * 1e3:.3g} mm of each other"
-        )
+        how = f"overlap by {-gap * 1e3:.3g} mm" if gap < 0 else f"come within {gap * 1e3:.3g} mm of each other"
         raise GeometryError(
             f"bones '{first.name}' and '{second.name}' {how}, expected {_CLEARANCE * 1e3:g} mm "
             f"of {tube.core} between them; move them apart or make them thinner"
@@ -218,6 +215,4 @@ def lattice(n: int, m: int) -> IntArray:
     """Triangles (2 n m, 3) of a tube of n rings spacings and m points around: vertex (i, j) is i m + j."""
     i, j = (each.ravel() for each in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
     here, right = i * m + j, i * m + (j + 1) % m
-    return np.vstack(
-        [np.column_stack([here, here + m, right]), np.column_stack([right, here + m, right + m])]
-    )
+    return np.vstack([np.column_stack([here, here + m, right]), np.column_stack([right, here + m, right + m])])

@@ -59,9 +59,7 @@ def _labels(file: Path, read: Any, count: int) -> list[str]:
     chosen = [i for i, c in enumerate(read.cells) if c.type in ("tetra", "tetra10")]
     key = next((k for k in _NUMBERED if k in read.cell_data), None)
     if key is not None:
-        numbers = np.concatenate([np.asarray(read.cell_data[key][i]).ravel() for i in chosen]).astype(
-            np.int64
-        )
+        numbers = np.concatenate([np.asarray(read.cell_data[key][i]).ravel() for i in chosen]).astype(np.int64)
         named = {int(tag[0]): name for name, tag in read.field_data.items() if int(tag[1]) == 3}
         return [named.get(int(k), str(k)) for k in numbers]
     return _from_sets(file, read, chosen, count)

@@ -73,9 +73,7 @@ def read_csv(path: str | Path) -> RawMatrix:
     try:
         return _read(file)
     except (KeyError, TypeError, ValueError, AttributeError) as problem:
-        raise DataError(
-            f"{file}: its first line does not fit the rest or is damaged; export it again"
-        ) from problem
+        raise DataError(f"{file}: its first line does not fit the rest or is damaged; export it again") from problem
 
 
 def _read(file: Path) -> RawMatrix:
@@ -107,9 +105,7 @@ def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]
     head = _ours(file, lines[0]) if lines and lines[0].startswith(_MARK) else {}
     rows = list(csv.reader(lines[skipped:]))
     if len(rows) < 2:
-        raise DataError(
-            f"{file}: has no lines of data; expected a header and one line per frequency and entry"
-        )
+        raise DataError(f"{file}: has no lines of data; expected a header and one line per frequency and entry")
     return head, [c.strip() for c in rows[0]], rows[1:], skipped + 1
 
 
@@ -139,9 +135,7 @@ def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -
                 f"{len(header)}; the file is cut short or damaged"
             )
         for column, cell in zip(header, line, strict=True):
-            table[column].append(
-                cell if column in ("output", "input") else _number(file, number, column, cell)
-            )
+            table[column].append(cell if column in ("output", "input") else _number(file, number, column, cell))
     return {**{c: np.array(v) for c, v in table.items()}, "pair": pair}
 
 
@@ -168,9 +162,7 @@ def _complex(table: dict[str, Any]) -> ComplexArray:
         values = np.empty(len(first), dtype=complex)
         values.real, values.imag = first, second
         return values
-    return np.asarray(
-        first * np.exp(1j * (np.deg2rad(second) if table["pair"][1] == "phase_deg" else second))
-    )
+    return np.asarray(first * np.exp(1j * (np.deg2rad(second) if table["pair"][1] == "phase_deg" else second)))
 
 
 def _raw(

@@ -134,9 +134,7 @@ def ports_of(dataset: xr.Dataset, dim: str) -> tuple[Port, ...]:
     return tuple(_port(*row) for row in rows)
 
 
-def _port(
-    name: str, kind: Any, position: list[float], axis: list[float], radius: float, contact: Any
-) -> Port:
+def _port(name: str, kind: Any, position: list[float], axis: list[float], radius: float, contact: Any) -> Port:
     if kind not in ("contact", "point") or contact not in ("pressure", "bonded", "frictionless"):
         raise ValueError(f"port {name} has kind '{kind}' and contact '{contact}'")
     (x, y, z), (a, b, c) = position, axis

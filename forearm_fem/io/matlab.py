@@ -73,9 +73,7 @@ def _bins(frequency: FloatArray, n: int, duration: float) -> IntArray:
     return bins
 
 
-def _content(
-    transfer: TransferMatrix, bins: IntArray, n: int, sample_rate: float, duration: float
-) -> dict[str, Any]:
+def _content(transfer: TransferMatrix, bins: IntArray, n: int, sample_rate: float, duration: float) -> dict[str, Any]:
     valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
     return {
         "G": two_sided(np.where(valid, transfer.values, 0), bins, n),

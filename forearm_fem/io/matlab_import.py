@@ -39,15 +39,11 @@ def read_mat(path: str | Path, declaration: Declaration) -> RawMatrix:
     return RawMatrix(f"{file}:{name}", values, frequency, valid=valid, provenance=provenance)
 
 
-def _mask(
-    file: Path, variables: Mapping[str, Any], name: str | None, shape: tuple[int, ...]
-) -> BoolArray | None:
+def _mask(file: Path, variables: Mapping[str, Any], name: str | None, shape: tuple[int, ...]) -> BoolArray | None:
     if name is None:
         return None
     if name not in variables or variables[name].shape != shape:
-        raise DataError(
-            f"{file}: has no mask '{name}' of G's shape {shape}; leave valid_variable out, or correct it"
-        )
+        raise DataError(f"{file}: has no mask '{name}' of G's shape {shape}; leave valid_variable out, or correct it")
     return np.asarray(variables[name] != 0)
 
 
@@ -60,13 +56,9 @@ def read_variables(file: Path) -> dict[str, Any]:
             warnings.simplefilter("error")
             found = _hdf5(file) if h5py.is_hdf5(file) else _version5(file)
     except Exception as problem:  # scipy and h5py list no errors for damage
-        raise DataError(
-            f"{file}: damaged, cut short or not a MATLAB file; save or copy it again"
-        ) from problem
+        raise DataError(f"{file}: damaged, cut short or not a MATLAB file; save or copy it again") from problem
     if not found:
-        raise DataError(
-            f"{file}: holds no numeric arrays; save G as a plain array, not inside a structure or object"
-        )
+        raise DataError(f"{file}: holds no numeric arrays; save G as a plain array, not inside a structure or object")
     return found
 
 
@@ -99,8 +91,7 @@ def _matrix(file: Path, variables: Mapping[str, Any], wanted: str | None) -> str
     if len(cubes) != 1:
         described = ", ".join(f"{k} {v.shape}" for k, v in variables.items())
         raise DataError(
-            f"{file}: {len(cubes)} arrays with three axes, so declare which is G "
-            f"(variable); found {described[:160]}"
+            f"{file}: {len(cubes)} arrays with three axes, so declare which is G (variable); found {described[:160]}"
         )
     warnings.warn(RecognitionWarning(str(file), "G", f"variable '{cubes[0]}'"), stacklevel=4)
     return cubes[0]
@@ -111,17 +102,11 @@ def _frequency(
 ) -> FloatArray | None:
     if (name := declaration.frequency_variable) is not None:
         if name not in variables:
-            raise DataError(
-                f"{file}: has no frequency vector '{name}'; it has {', '.join(sorted(variables))[:120]}"
-            )
+            raise DataError(f"{file}: has no frequency vector '{name}'; it has {', '.join(sorted(variables))[:120]}")
         return np.asarray(variables[name], dtype=float).ravel()
     if declaration.sample_rate is not None:
         return None
-    fitting = [
-        k
-        for k, v in variables.items()
-        if k != matrix and v.size == max(v.shape, default=0) and v.size in shape
-    ]
+    fitting = [k for k, v in variables.items() if k != matrix and v.size == max(v.shape, default=0) and v.size in shape]
     named = [k for k in fitting if k in _NAMES]
     if len(named) != 1:
         return None
@@ -177,10 +162,6 @@ def _store(content: Any, name: str, array: Any) -> None:
 
 def _stamp(file: Path) -> None:
     """The text and version bytes by which MATLAB knows a 7.3 file."""
-    text = (
-        b"MATLAB 7.3 MAT-file, Platform: forearm_fem, HDF5 schema 1.00 .".ljust(116)
-        + b"\0" * 8
-        + b"\x00\x02IM"
-    )
+    text = b"MATLAB 7.3 MAT-file, Platform: forearm_fem, HDF5 schema 1.00 .".ljust(116) + b"\0" * 8 + b"\x00\x02IM"
     with file.open("rb+") as stream:
         stream.write(text)

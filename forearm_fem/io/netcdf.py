@@ -115,9 +115,7 @@ def _errors_of(dataset: xr.Dataset, of: str) -> tuple[ErrorEstimate, ...]:
     return tuple(_estimate(*row) for row in zip(*names, *numbers, strict=True))
 
 
-def _estimate(
-    source: Any, method: str, band: float, frequency: FloatArray, size: FloatArray
-) -> ErrorEstimate:
+def _estimate(source: Any, method: str, band: float, frequency: FloatArray, size: FloatArray) -> ErrorEstimate:
     if source not in get_args(ErrorSource):
         raise ValueError(f"unknown error source '{source}'")
     used = ~np.isnan(frequency)

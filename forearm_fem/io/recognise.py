@@ -36,8 +36,7 @@ def read_measured(
     kind = file.suffix.lower()
     if kind not in _READERS:
         raise DataError(
-            f"{file}: '{kind}' is none of the known kinds "
-            f"{', '.join(_READERS)}; convert it, or write a recipe"
+            f"{file}: '{kind}' is none of the known kinds {', '.join(_READERS)}; convert it, or write a recipe"
         )
     return _READERS[kind](file, declaration or Declaration(), ports)
 

@@ -25,9 +25,7 @@ class StrengthRow(NamedTuple):
     S: float
 
 
-def strength_rows(
-    methods: Sequence[str], targets: Sequence[str], strengths: FloatArray
-) -> tuple[StrengthRow, ...]:
+def strength_rows(methods: Sequence[str], targets: Sequence[str], strengths: FloatArray) -> tuple[StrengthRow, ...]:
     """Lines for ``strengths`` (n_method, n_target), target by target; groups are those of a 3x3 grid."""
     groups = {t: label.split()[0].lower() for label, members in GROUPS for t in members}
     return tuple(

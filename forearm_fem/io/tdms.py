@@ -198,9 +198,7 @@ def read_sweep_tdms(
             )
         repeats = len(x) // period if period > 0 else 0
         if repeats < 1:
-            raise DataError(
-                f"{file}: {len(x)} samples hold no whole period of {period}; declare the sweep's length"
-            )
+            raise DataError(f"{file}: {len(x)} samples hold no whole period of {period}; declare the sweep's length")
         rows = [a[: repeats * period].reshape(repeats, period) for a in (x, y)]
         loopback = rows[0] if drive_is_measured else None
         return Recording(
@@ -243,8 +241,7 @@ def write_sweep_tdms(path: str | Path, recording: Recording) -> None:
     if recording.loopback is not None:
         pairs["loopback"] = recording.loopback.ravel()
     channels = [
-        tdms.ChannelObject("sweep", name, np.ascontiguousarray(a), properties=properties)
-        for name, a in pairs.items()
+        tdms.ChannelObject("sweep", name, np.ascontiguousarray(a), properties=properties) for name, a in pairs.items()
     ]
     with atomic_path(path) as beside, tdms.TdmsWriter(str(beside)) as writer:
         writer.write_segment(channels)

@@ -118,8 +118,7 @@ def _dataset58(title: str, kind: int, place: tuple[int, int], x: FloatArray, dat
         _END,
         f"{58:6d}b{1:6d}{2:6d}{11:12d}{len(body):12d}{0:6d}{0:6d}{0:12d}{0:12d}",
         *(f"{line:<80s}" for line in (title, _MARK, "NONE", "NONE", "NONE")),
-        f"{kind:5d}{0:10d}{0:5d}{0:10d} {'NONE':>10s}{place[0] + 1:10d}{3:4d} "
-        f"{'NONE':>10s}{place[1] + 1:10d}{3:4d}",
+        f"{kind:5d}{0:10d}{0:5d}{0:10d} {'NONE':>10s}{place[0] + 1:10d}{3:4d} {'NONE':>10s}{place[1] + 1:10d}{3:4d}",
         f"{6 if len(parts) == 2 else 4:10d}{len(x):10d}{0:10d}{0.0:13.5e}{0.0:13.5e}{0.0:13.5e}",
         row.format(18, 0, 0, 0, "frequency", "Hz"),
         row.format(8, 0, 0, 0, "displacement", "m"),
@@ -134,8 +133,7 @@ def _read(file: Path) -> RawMatrix:
     responses = [s for s in sets if s.get("type") == 58 and s.get("func_type") == 4]
     if not responses:
         raise DataError(
-            f"{file}: holds no frequency response functions (dataset 58, type "
-            f"4); export those from the analyser"
+            f"{file}: holds no frequency response functions (dataset 58, type 4); export those from the analyser"
         )
     for s in responses:
         _check_count(file, s)
@@ -167,8 +165,7 @@ def _check_count(file: Path, s: dict[str, Any]) -> None:
         )
     if not np.all(np.isfinite(s["x"])) or np.any(np.diff(s["x"]) <= 0):
         raise DataError(
-            f"{file}: the frequencies of {s['rsp_node']} <- {s['ref_node']} do "
-            f"not increase; the file is damaged"
+            f"{file}: the frequencies of {s['rsp_node']} <- {s['ref_node']} do not increase; the file is damaged"
         )
 
 
@@ -182,8 +179,7 @@ def _cube(
         o, i = nodes[0].index(int(s["rsp_node"])), nodes[1].index(int(s["ref_node"]))
         if valid[rows, o, i].any():
             raise DataError(
-                f"{file}: the function {s['rsp_node']} <- {s['ref_node']} occurs "
-                f"twice; keep one direction per node"
+                f"{file}: the function {s['rsp_node']} <- {s['ref_node']} occurs twice; keep one direction per node"
             )
         values[rows, o, i], valid[rows, o, i] = s["data"], np.isfinite(s["data"])
     return values, valid

@@ -24,9 +24,7 @@ def rayleigh_wavenumber(omega: FloatArray, mu: ComplexArray, rho: float) -> Comp
     return np.asarray(omega / (_RAYLEIGH_RATIO * np.sqrt(np.asarray(mu, dtype=complex) / rho)))
 
 
-def kelvin_voigt_shear_wave(
-    omega: FloatArray, mu: float, eta: float, rho: float
-) -> tuple[FloatArray, FloatArray]:
+def kelvin_voigt_shear_wave(omega: FloatArray, mu: float, eta: float, rho: float) -> tuple[FloatArray, FloatArray]:
     """Phase speed [m/s] and attenuation [1/m] of a plane shear wave for mu* = mu + i w eta.
 
     c = sqrt(2 |mu*|^2/(rho (mu + |mu*|))), alpha = sqrt(rho w^2 (|mu*| - mu)/(2 |mu*|^2)).

@@ -131,9 +131,7 @@ def surface_kernel(
     return _normal_compliance(below, k, omega, surface or Surface())
 
 
-def _normal_compliance(
-    Y: Matrix, k: FloatArray | ComplexArray, omega: FloatArray, surface: Surface
-) -> ComplexArray:
+def _normal_compliance(Y: Matrix, k: FloatArray | ComplexArray, omega: FloatArray, surface: Surface) -> ComplexArray:
     """1/(Y22 - Y12 Y21/Y11): normal compliance with no tangential stress."""
     inertia = surface.mass * omega**2
     a = Y.a + (surface.membrane * k**2 - inertia)

@@ -130,9 +130,7 @@ def layered_compliance(
     _check_omega(omega, tolerance)
     medium = Medium(tuple(layers), base, surface or Surface())
     if np.any(medium.loss(omega) < 0):
-        raise ValueError(
-            "expected Im(modulus) >= 0 (convention e^{+i omega t}), got a layer that feeds energy in"
-        )
+        raise ValueError("expected Im(modulus) >= 0 (convention e^{+i omega t}), got a layer that feeds energy in")
     pairs, index = _unique_pairs(discs_in, discs_out)
     out = np.full((omega.size, pairs.a.size + 1), np.nan + 0j)  # last column: coincident points
     error, n_kernel = np.zeros(omega.size), 0

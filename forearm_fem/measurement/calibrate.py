@@ -51,8 +51,7 @@ class Plan:
         wired = self.options.daq.outputs
         if len(wired) != len(self.inputs):
             raise DataError(
-                f"measurement.daq.outputs names {len(wired)} channels for "
-                f"{len(self.inputs)} actuators; name one each"
+                f"measurement.daq.outputs names {len(wired)} channels for {len(self.inputs)} actuators; name one each"
             )
 
     @property
@@ -181,12 +180,8 @@ def _kept(store: Folder, output: str, source: str) -> Recording | None:
 
 def _aim(daq: Daq, port: Port, operator: Callable[[str], bool] | None) -> None:
     x, y = (1e3 * c for c in port.position[:2])
-    if operator is not None and not operator(
-        f"aim the laser at point {port.name} (x = {x:.1f} mm, y = {y:.1f} mm)"
-    ):
-        raise HardwareError(
-            f"stopped by the operator before point {port.name}; run the same command to go on"
-        )
+    if operator is not None and not operator(f"aim the laser at point {port.name} (x = {x:.1f} mm, y = {y:.1f} mm)"):
+        raise HardwareError(f"stopped by the operator before point {port.name}; run the same command to go on")
     daq.aim(port.name)
 
 
@@ -202,9 +197,7 @@ def _measure(
     return result
 
 
-def record(
-    plan: Plan, daq: Daq, place: tuple[int, int], *, stop: Callable[[], bool] | None = None
-) -> Recording:
+def record(plan: Plan, daq: Daq, place: tuple[int, int], *, stop: Callable[[], bool] | None = None) -> Recording:
     """Play the sweeps on one actuator and keep the periods after the lead-in; ``place`` is (output,
     input).
     """
@@ -220,9 +213,7 @@ def record(
         raise HardwareError(
             "emergency stop: the drive was faded out; entries already measured are saved, run again to go on"
         )
-    kept = capture.inputs[:, options.lead_in * sweep.n :].reshape(
-        len(capture.inputs), options.repeats, sweep.n
-    )
+    kept = capture.inputs[:, options.lead_in * sweep.n :].reshape(len(capture.inputs), options.repeats, sweep.n)
     return Recording(
         plan.outputs[place[0]].name,
         plan.inputs[place[1]].name,

@@ -126,9 +126,7 @@ def planform_ports(scenario: Scenario) -> tuple[tuple[Port, ...], tuple[Port, ..
     surface.
     """
     layout = layout_of(scenario)
-    outputs = tuple(
-        Port(str(k + 1), "point", (float(x), float(y), 0.0)) for k, (x, y) in enumerate(layout.points)
-    )
+    outputs = tuple(Port(str(k + 1), "point", (float(x), float(y), 0.0)) for k, (x, y) in enumerate(layout.points))
     contact = scenario.device.cone.contact
     inputs = tuple(
         Port(name, "contact", (float(x), float(y), 0.0), radius=layout.radius, contact=contact)
@@ -143,9 +141,7 @@ def _device(kind: str, plan: Plan, virtual: VirtualSetup | None) -> Daq:
     if kind != "virtual":
         raise ScenarioError(f"--daq expects virtual or ni, got '{kind}'")
     if virtual is None:
-        raise ScenarioError(
-            "a virtual calibration needs a G to play through: simulate first, or name a transfer file"
-        )
+        raise ScenarioError("a virtual calibration needs a G to play through: simulate first, or name a transfer file")
     return virtual_device(plan, virtual)
 
 
@@ -228,9 +224,7 @@ def _choice(file: Path, what: str, wanted: str | None, known: tuple[str, ...]) -
     if wanted is None and len(known) == 1:
         return 0
     if wanted not in known:
-        raise DataError(
-            f"{file}: choose a {what} among {', '.join(known)}" + (f", not '{wanted}'" if wanted else "")
-        )
+        raise DataError(f"{file}: choose a {what} among {', '.join(known)}" + (f", not '{wanted}'" if wanted else ""))
     return known.index(wanted)
 
 

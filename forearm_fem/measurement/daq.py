@@ -166,8 +166,6 @@ def faded(signals: FloatArray, fade: int) -> FloatArray:
     """
     n = signals.shape[1]
     if 2 * fade > n:
-        raise HardwareError(
-            f"a fade of {fade} samples at either end does not fit into {n} samples; shorten daq.fade"
-        )
+        raise HardwareError(f"a fade of {fade} samples at either end does not fit into {n} samples; shorten daq.fade")
     ramp = (1 - np.cos(np.pi * (np.arange(fade) + 0.5) / max(fade, 1))) / 2
     return np.asarray(signals * np.concatenate([ramp, np.ones(n - 2 * fade), ramp[::-1]]))

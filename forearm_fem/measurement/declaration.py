@@ -51,9 +51,7 @@ class Declaration(Part):
     quantity: Quantity | None = Field(
         default=None, description="what the numerator is; not needed where the unit says it"
     )
-    unit: str | None = Field(
-        default=None, description="motion over drive as stored, e.g. mm/V, (mm/s)/V, m/s^2/N"
-    )
+    unit: str | None = Field(default=None, description="motion over drive as stored, e.g. mm/V, (mm/s)/V, m/s^2/N")
     arbitrary_gain: bool = Field(
         default=False, description="the scale is unknown: shapes and S are meaningful, microns are not"
     )
@@ -66,15 +64,11 @@ class Declaration(Part):
     frequency_variable: str | None = Field(
         default=None, description="name of the frequency vector in a MATLAB file [Hz]"
     )
-    valid_variable: str | None = Field(
-        default=None, description="name of a mask of G's shape in a MATLAB file"
-    )
+    valid_variable: str | None = Field(default=None, description="name of a mask of G's shape in a MATLAB file")
     sample_rate: Positive | None = Field(
         default=None, description="[Hz]; bin k lies at k sample_rate / bins (two-sided)"
     )
-    band: tuple[Positive, Positive] | None = Field(
-        default=None, description="keep these frequencies only [Hz]"
-    )
+    band: tuple[Positive, Positive] | None = Field(default=None, description="keep these frequencies only [Hz]")
     outputs: tuple[PortDeclaration, ...] | None = None
     inputs: tuple[PortDeclaration, ...] | None = None
 
@@ -113,9 +107,7 @@ def port_from(fields: Mapping[str, Any]) -> Port:
 
 def _rows(result: Any, rows: Any) -> dict[str, Any]:
     """The arrays over frequency of ``result`` at ``rows``."""
-    return {
-        k: None if (a := getattr(result, k)) is None else a[rows] for k in ("values", "valid", "deviation")
-    }
+    return {k: None if (a := getattr(result, k)) is None else a[rows] for k in ("values", "valid", "deviation")}
 
 
 def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = None) -> TransferMatrix:
@@ -145,9 +137,7 @@ def _agreed(raw: RawMatrix, declaration: Declaration, key: str, needed: bool = T
         raise DataError(f"{raw.name}: does not say its {key}; declare {key} = {_CHOICES[key]}")
     value = said if said is not None else declared
     if value is not None and value not in _ALLOWED.get(key, (value,)):
-        raise DataError(
-            f"{raw.name}: says {key} = {value!r}, which is unknown; correct the file to {_CHOICES[key]}"
-        )
+        raise DataError(f"{raw.name}: says {key} = {value!r}, which is unknown; correct the file to {_CHOICES[key]}")
     return value
 
 
@@ -175,9 +165,7 @@ def _ports(raw: RawMatrix, declaration: Declaration, ports: Ports | None) -> Por
     return outputs, inputs
 
 
-def _declared(
-    ports: tuple[PortDeclaration, ...] | None, kind: Literal["point", "contact"]
-) -> tuple[Port, ...] | None:
+def _declared(ports: tuple[PortDeclaration, ...] | None, kind: Literal["point", "contact"]) -> tuple[Port, ...] | None:
     if ports is None:
         return None
     return tuple(Port(p.name, kind, p.position, radius=p.radius) for p in ports)
@@ -228,16 +216,13 @@ def _frequency(raw: RawMatrix, declaration: Declaration) -> FloatArray:
         frequency = np.asarray(raw.frequency, dtype=float).ravel()
         if len(frequency) != n:
             raise DataError(
-                f"{raw.name}: {len(frequency)} frequencies for {n} matrices; "
-                f"the file is cut short or mixed up"
+                f"{raw.name}: {len(frequency)} frequencies for {n} matrices; the file is cut short or mixed up"
             )
         if not np.all(np.isfinite(frequency)):
             raise DataError(f"{raw.name}: some frequencies are not finite; repair the frequency vector")
         return frequency
     if declaration.sample_rate is None:
-        raise DataError(
-            f"{raw.name}: has no frequency vector; declare sample_rate in Hz, or frequency_variable"
-        )
+        raise DataError(f"{raw.name}: has no frequency vector; declare sample_rate in Hz, or frequency_variable")
     if _agreed(raw, declaration, "spectrum") == "two-sided":
         return np.arange(n) * declaration.sample_rate / n
     return np.arange(n) * declaration.sample_rate / (2 * (n - 1))
@@ -286,8 +271,7 @@ def _metres(
     quantity = _agreed(raw, declaration, "quantity", needed=False) or unit.quantity
     if quantity != unit.quantity:
         raise DataError(
-            f"{raw.name}: a {quantity} cannot have the unit "
-            f"'{raw.unit or declaration.unit}'; correct one of them"
+            f"{raw.name}: a {quantity} cannot have the unit '{raw.unit or declaration.unit}'; correct one of them"
         )
     sign = _agreed(raw, declaration, "sign")
     factor = unit.factor * to_displacement(raw.frequency, quantity)[:, None, None]

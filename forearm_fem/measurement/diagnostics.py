@@ -48,9 +48,7 @@ def diagnose(recording: Recording, band: BoolArray, *, max_drift: float = 0.05) 
 
 def _not_finite(r: Recording) -> Iterator[Finding]:
     if bad := int(np.count_nonzero(~np.isfinite(r.response))):
-        yield Finding(
-            "not finite", f"{r.label}: {bad} of {r.response.size} samples are not numbers; record it again"
-        )
+        yield Finding("not finite", f"{r.label}: {bad} of {r.response.size} samples are not numbers; record it again")
 
 
 def _no_drive(r: Recording) -> Iterator[Finding]:
@@ -79,9 +77,7 @@ def _clipped(r: Recording) -> Iterator[Finding]:
     """Samples at the rails; without a known full scale, three equal ones in a row at the extremes."""
     y = r.response
     if np.isfinite(r.full_scale):
-        count = int(
-            np.count_nonzero(np.abs(y) >= min(r.full_scale - 1.5 * r.resolution, 0.9999 * r.full_scale))
-        )
+        count = int(np.count_nonzero(np.abs(y) >= min(r.full_scale - 1.5 * r.resolution, 0.9999 * r.full_scale)))
     else:
         flat = (np.diff(y, n=1) == 0)[:, 1:] & (np.diff(y, n=1) == 0)[:, :-1]
         count = int(np.count_nonzero(flat & (np.abs(y[:, 1:-1]) >= 0.999 * np.abs(y).max())))
@@ -103,9 +99,7 @@ def _loopback(r: Recording, band: BoolArray) -> Iterator[Finding]:
         )
         return
     x, y = rfft(r.sent)[band], rfft(r.loopback.mean(axis=0))[band]
-    alike = (
-        abs(np.vdot(np.abs(x), np.abs(y))) / (np.linalg.norm(x) * np.linalg.norm(y)) if band.any() else 0.0
-    )
+    alike = abs(np.vdot(np.abs(x), np.abs(y))) / (np.linalg.norm(x) * np.linalg.norm(y)) if band.any() else 0.0
     if alike < 0.99:
         yield Finding(
             "wrong loopback",

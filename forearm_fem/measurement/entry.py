@@ -66,10 +66,7 @@ def entry(recording: Recording, band: tuple[float, float], options: MeasurementO
     deviation = raw.deviation[inside] * np.abs(factor)
     spoiled = any(f.severity == "error" for f in findings)
     valid = (
-        carried[inside]
-        & raw.usable[inside]
-        & ~_below(value, deviation, raw.coherence[inside], options)
-        & (not spoiled)
+        carried[inside] & raw.usable[inside] & ~_below(value, deviation, raw.coherence[inside], options) & (not spoiled)
     )
     return Entry(
         recording.output,
@@ -94,9 +91,7 @@ def _inside(r: Recording, band: tuple[float, float]) -> BoolArray:
 def _nothing(r: Recording, inside: BoolArray, findings: tuple[Finding, ...]) -> Entry:
     frequency = rfftfreq(r.n, 1 / r.sample_rate)[inside]
     empty = np.full(len(frequency), np.nan)
-    return Entry(
-        r.output, r.input, frequency, empty + 0j, empty, empty, np.zeros(len(frequency), dtype=bool), findings
-    )
+    return Entry(r.output, r.input, frequency, empty + 0j, empty, empty, np.zeros(len(frequency), dtype=bool), findings)
 
 
 def _estimate(r: Recording, carried: BoolArray, options: MeasurementOptions) -> Estimate:
@@ -106,9 +101,7 @@ def _estimate(r: Recording, carried: BoolArray, options: MeasurementOptions) -> 
     return estimate(options.estimator, spectra(drive, r.response, carried), carried, options, r.sample_rate)
 
 
-def _below(
-    value: ComplexArray, deviation: FloatArray, coherence: FloatArray, options: MeasurementOptions
-) -> BoolArray:
+def _below(value: ComplexArray, deviation: FloatArray, coherence: FloatArray, options: MeasurementOptions) -> BoolArray:
     """Under the floor, or incoherent; unknown deviation or coherence condemns nothing."""
     with np.errstate(invalid="ignore"):
         faint = np.abs(value) < options.signal_floor * deviation
@@ -137,9 +130,7 @@ def _conversion(r: Recording, options: MeasurementOptions) -> _Conversion:
             "and measurement.sensor.sensitivity in V per m, m/s or m/s^2"
         )
     latency = options.daq.latency if r.loopback is None else 0.0
-    return _Conversion(
-        sensor.quantity, sensor.sensitivity, -1.0 if sensor.inverted else 1.0, sensor.delay + latency
-    )
+    return _Conversion(sensor.quantity, sensor.sensitivity, -1.0 if sensor.inverted else 1.0, sensor.delay + latency)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,19 +160,13 @@ def assemble(
     by_name = {(e.output, e.input): e for e in entries}
     for e in entries:
         if not np.array_equal(e.frequency, frequency):
-            raise DataError(
-                f"{e.output} <- {e.input} was measured on other bins than the rest; measure it again"
-            )
+            raise DataError(f"{e.output} <- {e.input} was measured on other bins than the rest; measure it again")
     names = [(o.name, i.name) for o in outputs for i in inputs]
     shape = (len(outputs), len(inputs), len(frequency))
 
     def cube(pick: Any, empty: Any) -> Any:
         blank = np.full(len(frequency), empty)
-        return (
-            np.array([pick(by_name[n]) if n in by_name else blank for n in names])
-            .reshape(shape)
-            .transpose(2, 0, 1)
-        )
+        return np.array([pick(by_name[n]) if n in by_name else blank for n in names]).reshape(shape).transpose(2, 0, 1)
 
     values, valid = cube(lambda e: e.value, np.nan + 0j), cube(lambda e: e.valid, False)
     deviation = cube(lambda e: e.deviation, np.nan)
@@ -239,8 +224,7 @@ def noise_estimate(
         ErrorEstimate(
             "measurement",
             band,
-            "scatter between repeated sweeps, one standard deviation; noise "
-            "only, not the sensor's calibration",
+            "scatter between repeated sweeps, one standard deviation; noise only, not the sensor's calibration",
             tuple(frequency[rows].tolist()),
             tuple(per_frequency.tolist()),
         ),

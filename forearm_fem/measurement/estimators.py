@@ -102,9 +102,7 @@ def _noise(xx: FloatArray, yy: FloatArray, xy: ComplexArray, repeats: int, band:
     return np.where(band, np.mean(quiet) if quiet.size >= 10 else np.nan, np.nan)
 
 
-def estimate(
-    kind: Estimator, s: Spectra, band: BoolArray, options: MeasurementOptions, rate: float
-) -> Estimate:
+def estimate(kind: Estimator, s: Spectra, band: BoolArray, options: MeasurementOptions, rate: float) -> Estimate:
     """The estimate ``kind`` asks for, zero outside ``band``; ``rate`` is the sample rate [Hz]."""
     if kind == "deconvolution":
         return _deconvolution(s, band, options, rate)

@@ -37,9 +37,7 @@ def plot_coherence(frequency: FloatArray, coherence: FloatArray, *, ax: Axes | N
     return ax
 
 
-def plot_done(
-    valid: FloatArray, outputs: tuple[str, ...], inputs: tuple[str, ...], *, ax: Axes | None = None
-) -> Axes:
+def plot_done(valid: FloatArray, outputs: tuple[str, ...], inputs: tuple[str, ...], *, ax: Axes | None = None) -> Axes:
     """Share (n_out, n_in) [-] of usable bins per entry; white where nothing was measured yet (NaN)."""
     ax = _axes(ax)
     image = ax.imshow(valid, vmin=0, vmax=1, aspect="auto")
@@ -63,9 +61,7 @@ def save_live(path: str | Path, transfer: TransferMatrix, coherence: FloatArray)
         plot_coherence(transfer.frequency, coherence, ax=middle)
     valid = finite if transfer.valid is None else transfer.valid
     share = np.where(finite.any(axis=0), valid.mean(axis=0), np.nan)
-    plot_done(
-        share, tuple(p.name for p in transfer.outputs), tuple(p.name for p in transfer.inputs), ax=right
-    )
+    plot_done(share, tuple(p.name for p in transfer.outputs), tuple(p.name for p in transfer.inputs), ax=right)
     with atomic_path(path) as beside:
         figure.savefig(beside, dpi=90)
 

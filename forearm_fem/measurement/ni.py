@@ -72,12 +72,8 @@ class NiDaq:
         if self._output is None or self._wiring is None:
             raise HardwareError("the NI device is not open; open it before playing")
         m, wait = block.shape[1], 10.0 + 4 * block.shape[1] / self._wiring.sample_rate
-        _named(
-            "writing the outputs", lambda: self._output.write(_rows(block), auto_start=False, timeout=wait)
-        )
-        got = _named(
-            "reading the inputs", lambda: self._input.read(number_of_samples_per_channel=m, timeout=wait)
-        )
+        _named("writing the outputs", lambda: self._output.write(_rows(block), auto_start=False, timeout=wait))
+        got = _named("reading the inputs", lambda: self._input.read(number_of_samples_per_channel=m, timeout=wait))
         return np.asarray(got, dtype=float).reshape(len(self._wiring.inputs), -1)
 
     def close(self) -> None:
@@ -107,9 +103,7 @@ class NiDaq:
             self._input.ai_channels.add_ai_voltage_chan(
                 channel, min_val=-wiring.input_range, max_val=wiring.input_range
             )
-        self._output.timing.cfg_samp_clk_timing(
-            wiring.sample_rate, sample_mode=continuous, samps_per_chan=buffer
-        )
+        self._output.timing.cfg_samp_clk_timing(wiring.sample_rate, sample_mode=continuous, samps_per_chan=buffer)
         self._input.timing.cfg_samp_clk_timing(
             wiring.sample_rate, source=wiring.clock, sample_mode=continuous, samps_per_chan=10 * buffer
         )
@@ -132,9 +126,7 @@ class NiDaq:
         task = self._module.Task()
         try:
             for channel in wiring.outputs:
-                task.ao_channels.add_ao_voltage_chan(
-                    channel, min_val=-wiring.output_range, max_val=wiring.output_range
-                )
+                task.ao_channels.add_ao_voltage_chan(channel, min_val=-wiring.output_range, max_val=wiring.output_range)
             task.write([0.0] * len(wiring.outputs) if len(wiring.outputs) > 1 else 0.0, auto_start=True)
         finally:
             task.close()

@@ -45,8 +45,7 @@ def play(
     """
     if signals.ndim != 2 or len(signals) != len(options.outputs):
         raise HardwareError(
-            f"expected {len(options.outputs)} drive signals, one per entry of "
-            f"daq.outputs, got shape {signals.shape}"
+            f"expected {len(options.outputs)} drive signals, one per entry of daq.outputs, got shape {signals.shape}"
         )
     check_limit(signals, options.max_voltage)
     fade = round(options.fade * sample_rate)

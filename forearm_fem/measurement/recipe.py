@@ -28,16 +28,12 @@ class ArrayRecipe(Part):
     format: Literal["raw", "npy"] = "raw"
     dtype: str = Field(default="<f4", description="numpy's name of the number format, with byte order")
     shape: Annotated[tuple[int, ...], Field(min_length=1)]
-    order: Literal["C", "F"] = Field(
-        default="C", description="F: the first index runs fastest (MATLAB, Fortran)"
-    )
+    order: Literal["C", "F"] = Field(default="C", description="F: the first index runs fastest (MATLAB, Fortran)")
     skip: Annotated[int, Field(ge=0)] = Field(default=0, description="bytes before the numbers")
     axes: tuple[AxisName, ...] = Field(
         description="names of the array's axes; 'time' or 'frequency', 'output', 'input'"
     )
-    stack: AxisName | None = Field(
-        default=None, description="axis along which the files are stacked, e.g. 'input'"
-    )
+    stack: AxisName | None = Field(default=None, description="axis along which the files are stacked, e.g. 'input'")
     select: dict[str, tuple[int, ...]] = Field(
         default_factory=dict, description="indices to take along an axis, counted from 1, in the order wanted"
     )
@@ -73,9 +69,7 @@ class ImportRecipe(Part):
     name: str
     source: str = Field(default="", description="citation; ends up in the provenance")
     array: ArrayRecipe
-    time: TimeRecipe | None = Field(
-        default=None, description="given: the array is in time and is transformed"
-    )
+    time: TimeRecipe | None = Field(default=None, description="given: the array is in time and is transformed")
     declaration: Declaration
 
 
@@ -108,9 +102,7 @@ def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix
             "select one index along every other axis"
         )
     ordered = np.transpose(array, [axes.index(a) for a in (domain, "output", "input")])
-    values, frequency = (
-        (ordered.astype(complex), None) if recipe.time is None else _spectrum(ordered, recipe.time)
-    )
+    values, frequency = (ordered.astype(complex), None) if recipe.time is None else _spectrum(ordered, recipe.time)
     raw = RawMatrix(
         recipe.name,
         values,
@@ -161,15 +153,10 @@ def _selected(recipe: ImportRecipe, array: FloatArray, axes: list[str]) -> tuple
         at = axes.index(name)
         if min(wanted) < 1 or max(wanted) > array.shape[at]:
             raise DataError(
-                f"recipe '{recipe.name}': select.{name} counts from 1 to "
-                f"{array.shape[at]}, got {list(wanted)}"
+                f"recipe '{recipe.name}': select.{name} counts from 1 to {array.shape[at]}, got {list(wanted)}"
             )
         array = np.take(array, np.array(wanted) - 1, axis=at)
-    extra = [
-        k
-        for k, a in enumerate(axes)
-        if a not in ("time", "frequency", "output", "input") and array.shape[k] == 1
-    ]
+    extra = [k for k, a in enumerate(axes) if a not in ("time", "frequency", "output", "input") and array.shape[k] == 1]
     return np.squeeze(array, axis=tuple(extra)), [a for k, a in enumerate(axes) if k not in extra]
 
 

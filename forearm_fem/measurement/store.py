@@ -63,9 +63,7 @@ def read_recording(path: Path, setup: str | None = None) -> Recording:
         raise DataError(f"{path}: its checksum does not fit its content; this entry is to be measured again")
     head = json.loads(text)
     if setup is not None and head["setup"] != setup:
-        raise DataError(
-            f"{path}: was taken with another sweep or wiring; use a new folder for a new calibration"
-        )
+        raise DataError(f"{path}: was taken with another sweep or wiring; use a new folder for a new calibration")
     return _recording(head, arrays)
 
 
@@ -103,9 +101,7 @@ class Folder:
         """Create the folder, or check that it belongs to the same ``setup``."""
         session = self.path / "session.json"
         if not session.exists():
-            write_text(
-                session, json.dumps({"version": _VERSION, "setup": self.setup, **description}, indent=1)
-            )
+            write_text(session, json.dumps({"version": _VERSION, "setup": self.setup, **description}, indent=1))
             return
         try:
             found = json.loads(session.read_text(encoding="utf-8"))["setup"]
@@ -115,8 +111,7 @@ class Folder:
             ) from None
         if found != self.setup:
             raise DataError(
-                f"{session}: belongs to a calibration with another sweep, grid "
-                f"or wiring; choose an empty folder"
+                f"{session}: belongs to a calibration with another sweep, grid or wiring; choose an empty folder"
             )
 
     def file(self, output: str, source: str) -> Path:
@@ -132,9 +127,7 @@ class Folder:
             return None
         recording = read_recording(file, self.setup)
         if (recording.output, recording.input) != (output, source):
-            raise DataError(
-                f"{file}: holds {recording.label}, expected {output} <- {source}; it was renamed by hand"
-            )
+            raise DataError(f"{file}: holds {recording.label}, expected {output} <- {source}; it was renamed by hand")
         return recording
 
     def put(self, recording: Recording) -> None:

@@ -13,9 +13,7 @@ from ..scenario.measurement import Quantity
 _PREFIX: Mapping[str, float] = MappingProxyType(
     {"": 1.0, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3}
 )
-_PER_TIME: Mapping[str, Quantity] = MappingProxyType(
-    {"": "displacement", "/s": "velocity", "/s^2": "acceleration"}
-)
+_PER_TIME: Mapping[str, Quantity] = MappingProxyType({"": "displacement", "/s": "velocity", "/s^2": "acceleration"})
 _G = 9.80665  # standard gravity [m/s^2]
 _SHAPE = re.compile(r"^(?:([nuµμmck]?)m((?:/s(?:\^2)?)?)|([mu]?)g)/([numkµμ]?)([VN]|m)$")
 
@@ -37,9 +35,7 @@ def parse_unit(text: str) -> Unit:
     plain = plain.replace("um", "um").replace("*", "")
     match = _SHAPE.match(plain)
     if match is None:
-        raise DataError(
-            f"unit '{text}' is not a motion over a drive; write e.g. m/V, mm/V, (mm/s)/V, m/s^2/N or g/N"
-        )
+        raise DataError(f"unit '{text}' is not a motion over a drive; write e.g. m/V, mm/V, (mm/s)/V, m/s^2/N or g/N")
     prefix, per_time, gravity, drive_prefix, drive = match.groups()
     below = _PREFIX[drive_prefix or ""]
     if prefix is None:

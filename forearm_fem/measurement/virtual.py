@@ -70,13 +70,9 @@ class VirtualDaq:
     two are wired, is a loopback of the driven output. Seeded per point watched: the same calls give the
     same samples."""
 
-    def __init__(
-        self, transfer: TransferMatrix, sample_rate: float, duration: float, options: VirtualOptions
-    ) -> None:
+    def __init__(self, transfer: TransferMatrix, sample_rate: float, duration: float, options: VirtualOptions) -> None:
         if transfer.unit != "m/V":
-            raise DataError(
-                f"a virtual device needs a G in m/V, got {transfer.unit}; use device.drive = 'voltage'"
-            )
+            raise DataError(f"a virtual device needs a G in m/V, got {transfer.unit}; use device.drive = 'voltage'")
         self._options = options
         self._record = Record.of(sample_rate, duration)
         self._outputs = tuple(p.name for p in transfer.outputs)
@@ -108,9 +104,7 @@ class VirtualDaq:
     def aim(self, output: str) -> None:
         """Watch the point called ``output``."""
         if output not in self._outputs:
-            raise HardwareError(
-                f"the virtual device has no point '{output}'; it has {', '.join(self._outputs)}"
-            )
+            raise HardwareError(f"the virtual device has no point '{output}'; it has {', '.join(self._outputs)}")
         self._point = self._outputs.index(output)
 
     def open(self, wiring: Wiring) -> None:

@@ -45,9 +45,7 @@ def signal_strength(
     DataError for fewer than two outputs or an empty window.
     """
     if displacement.ndim != 2 or not 0 <= target < len(displacement) or len(displacement) < 2:
-        raise DataError(
-            f"S needs at least two outputs and one of them as target, got {displacement.shape}, {target}"
-        )
+        raise DataError(f"S needs at least two outputs and one of them as target, got {displacement.shape}, {target}")
     areas = area(displacement, time=time, window=window)
     others = np.delete(areas, target)
     known = np.isfinite(others)
@@ -93,14 +91,10 @@ class StrengthTable:
         ]
         rows = [["", *self.methods], *([g, *row] for g, row in zip(self.groups, cells, strict=True))]
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-        return "\n".join(
-            "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows
-        )
+        return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
 
-def signal_strength_table(
-    methods: Sequence[str], targets: Sequence[str], strengths: FloatArray
-) -> StrengthTable:
+def signal_strength_table(methods: Sequence[str], targets: Sequence[str], strengths: FloatArray) -> StrengthTable:
     """Middle, edges and corners of ``strengths`` (n_method, n_target) [-]: mean and standard deviation (N -
     1).
 

@@ -64,11 +64,7 @@ def signal_strength_uncertainty(
 def _perturbed(
     transfer: TransferMatrix, sources: tuple[ErrorEstimate, ...], rng: np.random.Generator, correlation: float
 ) -> TransferMatrix:
-    usable = (
-        np.isfinite(transfer.values)
-        if transfer.valid is None
-        else transfer.valid & np.isfinite(transfer.values)
-    )
+    usable = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid & np.isfinite(transfer.values)
     scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
     change = np.zeros(transfer.values.shape, dtype=complex)
     for source in sources:
@@ -96,6 +92,4 @@ def smooth_noise(
     """
     tau = rng.normal(0, 1 / correlation, _WAVES)
     amplitude = rng.normal(size=(_WAVES, *shape)) + 1j * rng.normal(size=(_WAVES, *shape))
-    return np.asarray(
-        np.tensordot(np.exp(1j * np.outer(frequency, tau)), amplitude / np.sqrt(2 * _WAVES), axes=1)
-    )
+    return np.asarray(np.tensordot(np.exp(1j * np.outer(frequency, tau)), amplitude / np.sqrt(2 * _WAVES), axes=1))

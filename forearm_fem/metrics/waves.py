@@ -61,9 +61,7 @@ def fit_waves(
     columns[:2, usable] = _decay(x, size / size.max(axis=1, keepdims=True, initial=0), decay)
     columns[2:5, usable] = _phase(x, response[usable])
     k = columns[2]
-    columns[5] = np.divide(
-        2 * np.pi * frequency, k, out=np.full(len(k), np.nan), where=np.isfinite(k) & (k != 0)
-    )
+    columns[5] = np.divide(2 * np.pi * frequency, k, out=np.full(len(k), np.nan), where=np.isfinite(k) & (k != 0))
     return WaveFit(np.asarray(frequency), columns[0], k, columns[5], columns[1], columns[3], columns[4])
 
 

@@ -33,11 +33,11 @@ from ..scenario import Scenario
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import ComplexArray
 from ..wavefield import Wavefield, save_wavefield
+from .fem_engine import COARSER
 from .forecast import forecast, refuse_if_too_large
 from .frequencies import frequencies
 from .resources import Ledger
 from .simulation import ASSUMED_ORDER, Simulation, closed, render_transfer, simulate
-from .fem_engine import COARSER
 from .solved import solve
 from .wave_report import write_wave_report
 

@@ -19,7 +19,7 @@ from .frequencies import frequencies
 
 NODES_NEEDED = 6.0  # per shear wavelength near the ports; below it the error of far entries passes 10 %
 
-# Fitted to factorisations of limbs and slabs with 22 761-199 233 unknowns on 2 cores (docs/decisions.md): double precision.
+# Fitted to factorisations of limbs and slabs with 23 000 to 199 000 unknowns on 2 cores, double precision.
 _BYTES = 0.26e9, 22_700.0, 1.25
 _SECONDS = 7.0, 131_000.0, 1.8
 
@@ -68,8 +68,8 @@ def refuse_if_too_large(forecast: Forecast, scenario: Scenario) -> None:
     if forecast.memory_bytes > scenario.solver.memory_limit:
         raise SolverError(
             f"the solve of {forecast.unknowns} unknowns needs about {forecast.memory_bytes / 1e9:.1f} GB, more than "
-            f"solver.memory_limit = {scenario.solver.memory_limit / 1e9:.1f} GB; raise the limit, set solver.precision = "
-            "'single' or a larger accuracy"
+            f"solver.memory_limit = {scenario.solver.memory_limit / 1e9:.1f} GB; raise the limit, "
+            "set solver.precision = 'single', or ask for a larger accuracy"
         )
 
 

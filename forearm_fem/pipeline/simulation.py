@@ -30,8 +30,8 @@ ASSUMED_ORDER = 2.0  # P2 outputs converge like h^3 to h^4; rims and gradings co
 class Simulation:
     """A simulated calibration.
 
-    ``coarse`` is G on the second, coarser mesh (None where no estimate was asked): ``transfer.errors`` and the error of S
-    follow from it. ``notes`` are sentences that belong in the report.
+    ``coarse`` is G on the second, coarser mesh (None where no estimate was asked): ``transfer.errors`` and the error
+    of S follow from it. ``notes`` are sentences that belong in the report.
     """
 
     scenario: Scenario
@@ -52,8 +52,8 @@ def simulate(
 ) -> Simulation:
     """G of ``scenario`` in m per volt (or per newton, per metre) with an error estimate per source.
 
-    ``base`` is the folder that user files in the scenario refer to. Raises a :class:`ForearmError` for whatever cannot be
-    built or solved.
+    ``base`` is the folder that user files in the scenario refer to. Raises a :class:`ForearmError` for whatever cannot
+    be built or solved.
     """
     frequency = frequencies(scenario.sweep)
     if scenario.engine == "layered":
@@ -105,7 +105,7 @@ def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstima
     return ErrorEstimate(
         "discretisation",
         band_error(coarse.values, fine.values) / gain,
-        f"G on a mesh with {COARSER:g} times larger elements differs by {gain:g} times this; order {ASSUMED_ORDER:g} assumed",
+        f"G on a mesh with {COARSER:g} times larger elements differs by {gain:g} times this",
         tuple(fine.frequency.tolist()),
         tuple(error.tolist()),
     )
@@ -125,7 +125,7 @@ def _truncation(transfer: TransferMatrix, coarse: TransferMatrix, other: Transfe
     return ErrorEstimate(
         "truncation",
         float(np.sqrt(np.sum(weight * spread**2) / np.sum(weight))),
-        f"{OTHER_ENDS:g} of the change of G when absorbing ends are clamped (or clamped ones absorb), on the coarser mesh",
+        f"{OTHER_ENDS:g} of the change of G when absorbing ends are clamped (or the reverse), on the coarser mesh",
         tuple(other.frequency.tolist()),
         tuple(np.asarray(error).tolist()),
     )

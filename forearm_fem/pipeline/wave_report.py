@@ -21,7 +21,7 @@ from .layered_engine import solve_layered
 
 
 def write_wave_report(scenario: Scenario, transfer: TransferMatrix, out: Path) -> Path:
-    """``report.md`` and, where a line of points allows it, ``waves.csv`` with attenuation and speed; returns the report."""
+    """``report.md`` and, where a line of points allows it, ``waves.csv`` with attenuation and speed."""
     parts = [
         f"# Run of scene {scenario.name}\n",
         scenario.description + "\n",

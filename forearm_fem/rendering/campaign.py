@@ -99,9 +99,7 @@ def render_all(
     results: dict[tuple[str, str], Rendered] = {}
     for method in methods:
         for target in targets:
-            results[method.name, target] = _render(
-                method, placed, target, wavelet, limits or Limits(), window
-            )
+            results[method.name, target] = _render(method, placed, target, wavelet, limits or Limits(), window)
             if progress is not None:
                 progress(len(results), len(methods) * len(targets), f"{method.name} towards {target}")
     _warn_lost(results)

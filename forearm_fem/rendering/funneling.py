@@ -34,9 +34,7 @@ def _shares(at: float, lines: FloatArray, slack: float, name: str) -> FloatArray
     """Linear share of each line: 1 on it, 0 on its neighbours."""
     if not lines[0] - slack <= at <= lines[-1] + slack:
         outside = max(lines[0] - at, at - lines[-1])
-        raise GeometryError(
-            f"funneling: target '{name}' lies {outside:.3g} m outside the actuators' rectangle"
-        )
+        raise GeometryError(f"funneling: target '{name}' lies {outside:.3g} m outside the actuators' rectangle")
     return np.array([np.interp(at, lines, unit) for unit in np.eye(len(lines))])
 
 
@@ -71,9 +69,7 @@ def known_bins(placed: Placed, rows: list[int]) -> BoolArray:
     used = valid[:, :, ~absent_inputs(placed, rows)].all(axis=(1, 2))
     if not used.any() or absent_inputs(placed, rows).all():
         names = ", ".join(placed.outputs[r].name for r in rows)
-        raise DataError(
-            f"G is marked invalid on every bin for output(s) {names}; choose others or measure again"
-        )
+        raise DataError(f"G is marked invalid on every bin for output(s) {names}; choose others or measure again")
     return np.asarray(used)
 
 

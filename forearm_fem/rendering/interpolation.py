@@ -75,9 +75,7 @@ def _runs(place: FloatArray, valid: BoolArray, gap: float) -> list[tuple[IntArra
     return runs
 
 
-def _spline(
-    place: FloatArray, values: ComplexArray, bins: IntArray, df: float, tolerance: float
-) -> ComplexArray:
+def _spline(place: FloatArray, values: ComplexArray, bins: IntArray, df: float, tolerance: float) -> ComplexArray:
     if len(bins) == 0:
         return np.zeros((0, values.shape[1]), dtype=complex)
     _judge(place, values, bins, df, tolerance)

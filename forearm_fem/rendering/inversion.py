@@ -100,9 +100,7 @@ def _weights(s: FloatArray, parameter: FloatArray, kind: RegularisationKind) -> 
     return np.divide(1, damped, out=np.zeros_like(s), where=(s > floor) & (s > 0))
 
 
-def _parameter(
-    s: FloatArray, beta: ComplexArray, wanted: ComplexArray, regularisation: Regularisation
-) -> FloatArray:
+def _parameter(s: FloatArray, beta: ComplexArray, wanted: ComplexArray, regularisation: Regularisation) -> FloatArray:
     if regularisation.kind == "discrepancy":
         return _discrepancy(s, beta, regularisation.value * np.linalg.norm(wanted, axis=1))
     if regularisation.kind == "lcurve":
@@ -137,9 +135,7 @@ def _lcurve(s: FloatArray, beta: ComplexArray, wanted: ComplexArray, smallest: f
     misfit = np.sum((open_part * np.abs(beta)) ** 2, axis=2) + rest
     inverse = np.divide(1, s, out=np.zeros_like(s), where=s > _ROUNDING * s[:, :1])
     norm = np.sum(((1 - open_part) * inverse * np.abs(beta)) ** 2, axis=2)
-    curvature = _curvature(
-        np.log(np.maximum(misfit, tiny)) / 2, np.log(np.maximum(norm, tiny)) / 2, np.log(ratio)
-    )
+    curvature = _curvature(np.log(np.maximum(misfit, tiny)) / 2, np.log(np.maximum(norm, tiny)) / 2, np.log(ratio))
     return np.asarray(parameter[np.argmax(curvature, axis=0), np.arange(len(s))])
 
 

@@ -54,9 +54,7 @@ def lattice(ports: tuple[Port, ...], what: str) -> Lattice:
     columns, c = _lines(turned[:, 1], _SLACK * reach)
     place = np.stack([r, c], axis=1)
     filled = (
-        len(rows) >= 2
-        and len(columns) >= 2
-        and len(rows) * len(columns) == len(ports) == len(np.unique(place, axis=0))
+        len(rows) >= 2 and len(columns) >= 2 and len(rows) * len(columns) == len(ports) == len(np.unique(place, axis=0))
     )
     if not filled:
         raise GeometryError(

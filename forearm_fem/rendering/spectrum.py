@@ -124,9 +124,7 @@ def place_on_bins(
     valid = _checked(np.asarray(frequency, dtype=float), values, valid)
     place = np.asarray(frequency, dtype=float) / record.df
     flat, known = values.reshape(len(values), -1), valid.reshape(len(values), -1)
-    index = np.arange(
-        max(1, int(np.ceil(place[0] - 1e-3))), min((record.n - 1) // 2, int(place[-1] + 1e-3)) + 1
-    )
+    index = np.arange(max(1, int(np.ceil(place[0] - 1e-3))), min((record.n - 1) // 2, int(place[-1] + 1e-3)) + 1)
     out, on = fill(place, np.where(known, flat, 0), known, index, record.df, interpolation or Interpolation())
     kept = on.any(axis=1)
     if not kept.any():
@@ -147,12 +145,8 @@ def _checked(frequency: FloatArray, values: ComplexArray, valid: BoolArray | Non
     if usable.shape != values.shape:
         raise DataError(f"the mask of G has shape {usable.shape}, expected {values.shape}")
     if bad := int(np.count_nonzero(~np.isfinite(values) & usable)):
-        first = frequency[
-            np.nonzero((~np.isfinite(values) & usable).reshape(len(values), -1).any(axis=1))[0][0]
-        ]
-        raise DataError(
-            f"G has {bad} entries that are not finite, the first at {first:g} Hz; mark them in `valid`"
-        )
+        first = frequency[np.nonzero((~np.isfinite(values) & usable).reshape(len(values), -1).any(axis=1))[0][0]]
+        raise DataError(f"G has {bad} entries that are not finite, the first at {first:g} Hz; mark them in `valid`")
     return usable
 
 
@@ -183,9 +177,7 @@ def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation
     shape."""
     expected = (len(transfer.frequency), len(transfer.outputs), len(transfer.inputs))
     if transfer.values.shape != expected:
-        raise DataError(
-            f"G has shape {transfer.values.shape}, expected {expected} (frequency, output, input)"
-        )
+        raise DataError(f"G has shape {transfer.values.shape}, expected {expected} (frequency, output, input)")
     duration = record.n / record.sample_rate
     bins = place_on_bins(
         transfer.frequency,

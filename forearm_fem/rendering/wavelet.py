@@ -78,9 +78,7 @@ def from_samples_file(
     samples, rate = _read(path)
     record = Record.of(sample_rate, duration)
     if rate is not None and abs(rate / sample_rate - 1) > 1e-3:
-        raise DataError(
-            f"{path.name} is sampled at {rate:g} Hz, expected {sample_rate:g} Hz; resample it first"
-        )
+        raise DataError(f"{path.name} is sampled at {rate:g} Hz, expected {sample_rate:g} Hz; resample it first")
     _check(path, samples, record)
     peak = int(np.argmax(np.abs(samples)))
     placed = np.zeros(record.n)
@@ -91,9 +89,7 @@ def from_samples_file(
 
 def _check(path: Path, samples: FloatArray, record: Record) -> None:
     if samples.ndim != 1 or samples.size < 2:
-        raise DataError(
-            f"{path.name}: expected one row of at least 2 samples, got an array of shape {samples.shape}"
-        )
+        raise DataError(f"{path.name}: expected one row of at least 2 samples, got an array of shape {samples.shape}")
     if not np.all(np.isfinite(samples)):
         raise DataError(f"{path.name}: {np.count_nonzero(~np.isfinite(samples))} samples are not finite")
     if not np.any(samples):
@@ -120,9 +116,7 @@ def _read(path: Path) -> tuple[FloatArray, float | None]:
 
 
 def _read_csv(path: Path) -> tuple[FloatArray, float | None]:
-    lines = [
-        line for line in path.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"
-    ]
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"]
     if lines and not _is_number(lines[0].split(",")[0]):
         lines = lines[1:]
     if not lines:

@@ -80,24 +80,18 @@ class SearchedZeros:
         scored = []
         for zeros in combinations(others, self.size):
             response = respond(placed, aim(zeros).spectrum)
-            scored.append(
-                (zeros, signal_strength(response, row, time=placed.record.time, window=self.window))
-            )
+            scored.append((zeros, signal_strength(response, row, time=placed.record.time, window=self.window)))
         return tuple(sorted(scored, key=lambda pair: -pair[1] if pair[1] == pair[1] else float("inf")))
 
 
 Zeros = ZeroRule | tuple[str, ...]
 
 
-def chosen_zeros(
-    zeros: Zeros, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]
-) -> tuple[str, ...]:
+def chosen_zeros(zeros: Zeros, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
     """Names from a rule or a tuple, checked: known, distinct, not the target; raises ScenarioError."""
     names = zeros if isinstance(zeros, tuple) else zeros.choose(placed, target, aim)
     if target in names:
-        raise ScenarioError(
-            f"output '{target}' is both the target and a zero point; take it out of the zero points"
-        )
+        raise ScenarioError(f"output '{target}' is both the target and a zero point; take it out of the zero points")
     if len(set(names)) != len(names):
         raise ScenarioError(f"zero points {', '.join(names)} name an output twice")
     for name in names:

@@ -90,7 +90,9 @@ class SurfacesLimb(Part):
     """The user's closed surfaces, one per tissue, the outer ones containing the inner ones."""
 
     shape: Literal["surfaces"] = "surfaces"
-    surfaces: dict[str, str] = Field(description="tissue -> STL/OBJ/PLY file, relative to the scenario; 'bone' is a bone")
+    surfaces: dict[str, str] = Field(
+        description="tissue -> STL/OBJ/PLY file, relative to the scenario; 'bone' is a bone"
+    )
     unit: Positive = Field(1.0, description="metres per unit of the files (0.001 for millimetres)")
 
 
@@ -103,6 +105,4 @@ class MeshLimb(Part):
     unit: Positive = Field(1.0, description="metres per unit of the file")
 
 
-Limb = Annotated[
-    ForearmLimb | CylinderLimb | SlabLimb | SurfacesLimb | MeshLimb, Field(discriminator="shape")
-]
+Limb = Annotated[ForearmLimb | CylinderLimb | SlabLimb | SurfacesLimb | MeshLimb, Field(discriminator="shape")]

@@ -17,9 +17,7 @@ class SensorOptions(Part):
     used.
     """
 
-    quantity: Quantity | None = Field(
-        default=None, description="what the sensor's voltage is proportional to"
-    )
+    quantity: Quantity | None = Field(default=None, description="what the sensor's voltage is proportional to")
     sensitivity: Positive | None = Field(
         default=None, description="V per m, per m/s or per m/s^2 (OFV-5000 at 10 mm/s/V: 100 V per m/s)"
     )
@@ -48,13 +46,9 @@ class DaqOptions(Part):
     latency: float = Field(
         default=0.0, description="known delay from output to input [s], removed from G; 0 with a loopback"
     )
-    block: Annotated[int, Field(ge=16, le=1_000_000)] = Field(
-        default=1000, description="samples exchanged at a time"
-    )
+    block: Annotated[int, Field(ge=16, le=1_000_000)] = Field(default=1000, description="samples exchanged at a time")
     max_voltage: Positive = Field(default=2.5, description="at the actuator; a drive above it is refused [V]")
-    fade: NonNegative = Field(
-        default=0.005, description="ramp at the start, the end and an emergency stop [s]"
-    )
+    fade: NonNegative = Field(default=0.005, description="ramp at the start, the end and an emergency stop [s]")
 
 
 class MeasurementOptions(Part):
@@ -76,9 +70,7 @@ class MeasurementOptions(Part):
     regularisation: Annotated[float, Field(ge=0, lt=1)] = Field(
         default=1e-6, description="deconvolution: added to |X|^2, relative to its largest value"
     )
-    window: Positive | None = Field(
-        default=None, description="deconvolution: part of the impulse response kept [s]"
-    )
+    window: Positive | None = Field(default=None, description="deconvolution: part of the impulse response kept [s]")
     energy_floor: Fraction = Field(
         default=2e-2, description="bins whose drive is below this part of its largest are masked"
     )
@@ -97,9 +89,7 @@ class MeasurementOptions(Part):
     @model_validator(mode="after")
     def _possible(self) -> Self:
         if self.amplitude > self.daq.max_voltage:
-            raise ValueError(
-                f"amplitude {self.amplitude:g} V exceeds daq.max_voltage {self.daq.max_voltage:g} V"
-            )
+            raise ValueError(f"amplitude {self.amplitude:g} V exceeds daq.max_voltage {self.daq.max_voltage:g} V")
         if self.estimator != "deconvolution" and self.window is not None:
             raise ValueError("window has an effect only with estimator = 'deconvolution'")
         return self

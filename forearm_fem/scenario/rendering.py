@@ -25,6 +25,10 @@ class Rendering(Part):
     methods: tuple[Method, ...] = ("inverse filter", "funneling", "combination")
     zeros: Literal["thesis", "search"] | tuple[str, ...] = Field("thesis", description="zero points")
     regularisation: Literal["rcond", "tikhonov", "lcurve", "discrepancy"] = "rcond"
-    regularisation_value: Annotated[float, Field(ge=0, lt=1)] = Field(1e-12, description="relative to the largest singular value")
+    regularisation_value: Annotated[float, Field(ge=0, lt=1)] = Field(
+        1e-12, description="relative to the largest singular value"
+    )
     wavelet: WaveletOptions = WaveletOptions()
-    amplitude: Positive = Field(1.0, description="funneling: drive amplitude A in eq. 6 [V]; inverse filter: target peak [1e-6 m]")
+    amplitude: Positive = Field(
+        1.0, description="funneling: drive amplitude A in eq. 6 [V]; inverse filter: target peak [1e-6 m]"
+    )
