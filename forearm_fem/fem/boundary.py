@@ -42,7 +42,7 @@ def facet_gradients(space: MixedSpace, facets: IntArray) -> csr_array:
 
 
 def facet_membrane(space: MixedSpace, facets: IntArray) -> csr_array:
-    r"""Plane-stress incompressible sheet: :math:`\int 2\epsilon_s:\epsilon_s + 2\,tr\epsilon_s\,tr\epsilon_s`, per mu h.
+    r"""Incompressible sheet per mu h: :math:`\int 2\epsilon_s:\epsilon_s + 2\,tr\epsilon_s\,tr\epsilon_s`.
 
     :math:`\epsilon_s` is the strain of the tangential displacement in the facet's plane (curvature coupling left out).
     """
