@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator
 
 from ..io.atomic import atomic_path
 
 Row = Mapping[str, str]
+_TICK = FuncFormatter(lambda v, _: f"{v:g}")
 # (method, element, precision) -> label, colour, marker, line
 CURVES: Mapping[tuple[str, str, str], tuple[str, str, str, str]] = MappingProxyType(
     {
@@ -55,6 +57,8 @@ def _speed_against_error(rows: Sequence[Row]) -> Figure:
     for key, (label, colour, marker, line) in CURVES.items():
         mine = [r for r in rows if (r["method"], r["element"], r["precision"]) == key]
         mine.sort(key=lambda r: (int(r["unknowns"]), -float(r["scale"])))
+        if not mine:
+            continue
         x = [float(r["error_worst"]) for r in mine]
         style: dict[str, Any] = {
             "color": colour,
@@ -128,6 +132,12 @@ def _labelled(axes: Axes, x: str, y: str) -> None:
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.grid(visible=True, which="major", color="#dddddd", linewidth=0.6)
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_scale() == "log":
+            axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+            axis.set_minor_formatter(_TICK)
+            axis.set_major_formatter(_TICK)
+            axis.set_tick_params(which="both", labelsize=8)
     axes.spines[["top", "right"]].set_visible(False)
 
 
