@@ -36,6 +36,11 @@ def threads(count: int) -> Iterator[None]:
                 os.environ[name] = value
 
 
+def clock() -> float:
+    """Seconds: of the processor with one thread (what an idle machine would take), of the wall with more."""
+    return time.process_time() if os.environ.get(_THREADS[0]) == "1" else time.perf_counter()
+
+
 def isolated(work: Callable[[A], R], argument: A) -> R:
     """``work(argument)`` in a fresh process; SolverError where it was killed."""
     try:
