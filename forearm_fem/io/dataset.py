@@ -15,6 +15,7 @@ import xarray as xr
 from ..errors import DataError
 from ..ports import Port, positions
 from .atomic import atomic_path
+from .seal import check_seal, seal
 
 T = TypeVar("T")
 TIME_CONVENTION = "e^{+i omega t}"
@@ -23,7 +24,7 @@ Variables = Mapping[str, tuple[tuple[str, ...], Any, dict[str, str]]]
 
 
 def save(path: str | Path, variables: Variables, attributes: Mapping[str, str]) -> None:
-    """Write ``variables`` (name -> dims, values, attributes) with a checksum per chunk (fletcher32).
+    """Write ``variables`` (name -> dims, values, attributes) with a checksum per chunk (fletcher32) and one of the file.
 
     Complex values become the compound type (r, i) of h5py and nc-complex; h5netcdf 1.4 or later.
     """
@@ -33,6 +34,7 @@ def save(path: str | Path, variables: Variables, attributes: Mapping[str, str]) 
     encoding = {name: _encoding(variable) for name, variable in described.variables.items()}
     with atomic_path(path) as beside:
         described.set_coords(coordinates).to_netcdf(beside, engine="h5netcdf", encoding=encoding)
+        seal(beside)
 
 
 def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T:
@@ -41,8 +43,12 @@ def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T
     if not file.is_file():
         raise DataError(f"{file}: no such file")
     try:
+        sealed = check_seal(file)
         _probe(file)
-        return unpack(_checked(xr.load_dataset(file, engine="h5netcdf"), content))
+        result = unpack(_checked(xr.load_dataset(file, engine="h5netcdf"), content))
+        if not sealed:
+            raise DataError("truncated: the checksum at its end is missing; copy or make it again")
+        return result
     except DataError as problem:
         raise DataError(f"{file}: {problem}") from None
     except Exception as problem:  # damaged HDF5 fails in ways that h5py does not list
