@@ -24,7 +24,7 @@ Variables = Mapping[str, tuple[tuple[str, ...], Any, dict[str, str]]]
 
 
 def save(path: str | Path, variables: Variables, attributes: Mapping[str, str]) -> None:
-    """Write ``variables`` (name -> dims, values, attributes) with a checksum per chunk (fletcher32) and one of the file.
+    """Write ``variables`` (name -> dims, values, attributes) with a checksum per chunk and one of the file.
 
     Complex values become the compound type (r, i) of h5py and nc-complex; h5netcdf 1.4 or later.
     """
