@@ -16,7 +16,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from forearm_fem.verification.slabs import Effectivity, effectivities
+from forearm_fem.verification.slabs import SCENES, Effectivity, effectivities, scene_name
 
 
 def write_csv(points: list[Effectivity], file: Path) -> None:
@@ -45,15 +45,32 @@ def draw(points: list[Effectivity], file: Path) -> None:
     plt.close(figure)
 
 
+def read_csv(file: Path) -> list[Effectivity]:
+    """Points of an earlier run that was interrupted."""
+    if not file.exists():
+        return []
+    kinds = {"scene": str, "unknowns": int}
+    with file.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    return [Effectivity(**{f.name: kinds.get(f.name, float)(r[f.name]) for f in fields(Effectivity)}) for r in rows]
+
+
+def told(point: Effectivity) -> str:
+    """One line of progress."""
+    band = f"band {point.estimated_band:.4f} {point.true_band:.4f} {point.band:.2f}"
+    single = f"single {point.estimated_single:.4f} {point.true_single:.4f} {point.single:.2f}"
+    return f"{point.scene:24s} x{point.scale:<4g}{point.unknowns:7d}  {band}  {single}"
+
+
 def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    points = []
-    for point in effectivities():
-        points.append(point)
-        band = f"band {point.estimated_band:.4f} {point.true_band:.4f} {point.band:.2f}"
-        single = f"single {point.estimated_single:.4f} {point.true_single:.4f} {point.single:.2f}"
-        print(f"{point.scene:24s} x{point.scale:<4g}{point.unknowns:7d}  {band}  {single}", flush=True)
-    write_csv(points, folder / "effectivity.csv")
+    points = read_csv(folder / "effectivity.csv")
+    done = {p.scene for p in points}
+    for slab in (s for s in SCENES if scene_name(s) not in done):
+        fresh = list(effectivities([slab]))
+        print("\n".join(map(told, fresh)), flush=True)
+        points += fresh
+        write_csv(points, folder / "effectivity.csv")
     draw(points, folder / "effectivity.png")
 
 

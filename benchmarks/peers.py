@@ -31,7 +31,7 @@ from forearm_fem.tissue import resolve_tissues
 from forearm_fem.verification.scenes import DIRECT, slab_model
 
 HERE = Path(__file__).parent
-PATIENCE = 240  # s per run of a peer
+PATIENCE = 60  # s per run of a peer
 
 
 def scene_file(path: Path, scale: float, count: int) -> str:

@@ -6,13 +6,15 @@ import csv
 import io
 import os
 import platform
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from ..errors import DataError
+from ..errors import AccuracyWarning, DataError, SolverError
 from ..io.atomic import write_text
 from . import error, plots, size, text
 from . import reduced as reduction
@@ -52,8 +54,9 @@ def _error(out: Path, full: bool, progress: Progress | None) -> Path:
     cases = error.cases(full=full)
     for done, case in enumerate(cases):
         _tell(progress, "speed against error", done, len(cases))
-        rows += error.timed(case)
-        write_csv(out / "error.csv", rows)
+        with _lost(case):
+            rows += error.timed(case)
+            write_csv(out / "error.csv", rows)
     _tell(progress, "speed against error", len(cases), len(cases))
     return out / "error.csv"
 
@@ -64,8 +67,9 @@ def _size(out: Path, full: bool, progress: Progress | None) -> Path:
     rows: list[size.Sized] = []
     for done, case in enumerate(cases):
         _tell(progress, "cost against size", done, len(cases))
-        rows.append(median(repeated(size.sized, case)))
-        write_csv(out / "size.csv", rows)
+        with _lost(case):
+            rows.append(median(repeated(size.sized, case)))
+            write_csv(out / "size.csv", rows)
     _tell(progress, "cost against size", len(cases), len(cases))
     return out / "size.csv"
 
@@ -80,6 +84,15 @@ def _reduced(out: Path, full: bool, progress: Progress | None) -> Path:
         write_csv(out / "reduced.csv", rows)
     _tell(progress, "reduced against direct", len(scales), len(scales))
     return out / "reduced.csv"
+
+
+@contextmanager
+def _lost(case: object) -> Iterator[None]:
+    """One run that fails or is killed loses its row, not the rest."""
+    try:
+        yield
+    except SolverError as problem:
+        warnings.warn(f"{case} is left out: {problem}", AccuracyWarning, stacklevel=3)
 
 
 PARTS = MappingProxyType({"error": _error, "size": _size, "reduced": _reduced})

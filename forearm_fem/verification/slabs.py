@@ -157,6 +157,11 @@ SCENES = (
 )
 
 
+def scene_name(slab: Slab) -> str:
+    """Name of a scene in the effectivity table."""
+    return f"{_name(slab)} {slab.frequency:g} Hz {slab.element}"
+
+
 _SPREAD = (0.8, 1.0, 1.25)
 
 
@@ -170,8 +175,7 @@ def effectivities(slabs: Sequence[Slab] = SCENES, scales: Sequence[float] = (1.5
             unknowns, fine = _band_solve(slab, scale, band)
             pairs = [f(a, b) for f in (_band, _middle) for a, b in ((coarse, fine), (fine, truth))]
             gain = RATIO**ORDER - 1
-            name = f"{_name(slab)} {slab.frequency:g} Hz {slab.element}"
-            yield Effectivity(name, scale, unknowns, pairs[0] / gain, pairs[1], pairs[2] / gain, pairs[3])
+            yield Effectivity(scene_name(slab), scale, unknowns, pairs[0] / gain, pairs[1], pairs[2] / gain, pairs[3])
             coarse = fine
 
 
