@@ -36,7 +36,7 @@ class SolverOptions(Part):
     precision: Literal["double", "single"] = Field("double", description="of the factors; solves are refined to double")
     sweep: Literal["reduced", "direct"] = "reduced"
     expansions: Annotated[int, Field(ge=1, le=50)] = Field(4, description="expansion frequencies to start with")
-    derivatives: Annotated[int, Field(ge=1, le=12)] = Field(5, description="kept per expansion frequency")
+    derivatives: Annotated[int, Field(ge=1, le=12)] = Field(6, description="kept per expansion frequency")
     max_expansions: Annotated[int, Field(ge=1, le=50)] = Field(6, description="expansion frequencies at most")
     memory_limit: Positive = Field(8e9, description="refuse a factorisation estimated above this [bytes]")
     discretisation_estimate: bool = Field(True, description="solve a coarser mesh too, to estimate the error")
