@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from cli_runner import SMALL, cli, leftovers
 
-from forearm_fem.commands import studies
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.signals import read_drives
 
@@ -193,11 +192,11 @@ def test_unknown_bench_part_is_one_sentence(scene: Path) -> None:
 
 
 def test_verification_tables_mark_what_is_not_met() -> None:
-    from forearm_fem.verification import HardRow, Row
+    from forearm_fem.verification import HardRow, Row, report
 
     rows = [Row("disc", "closed form", "u", e, 1e-2, "why") for e in (1e-3, 1e-1)]
-    assert [line.split("|")[-2].strip() for line in studies.verification_table(rows).splitlines()[2:]] == [
+    assert [line.split("|")[-2].strip() for line in report.verification_table(rows).splitlines()[2:]] == [
         "yes",
         "NO",
     ]
-    assert "named error" in studies.hard_table([HardRow("a", "b", "c", "-", "named error")])
+    assert "named error" in report.hard_table([HardRow("a", "b", "c", "-", "named error")])

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from .common import Display, noted, print_notes
-
-if TYPE_CHECKING:
-    from ..verification import HardRow, Row
 
 Full = Annotated[bool, typer.Option("--full", help="the long version")]
 
@@ -62,30 +58,24 @@ def verify(
     hard: Annotated[
         bool, typer.Option("--hard", help="the hard cases instead: extreme scenes and their verdicts")
     ] = False,
+    out: Annotated[Path, typer.Option("--out", help="folder that the table is written to")] = Path("results/verify"),
 ) -> None:
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
     from .. import verification
+    from ..io.atomic import write_text
+    from ..verification import report
 
     with Display() as display, noted():
         if hard:
             cases = verification.run_hard_cases(progress=display)
+            good = all(c.verdict != "WRONG" for c in cases)
+            file, page, last = out / "stability.md", report.stability_page(cases), report.hard_summary(cases)
         else:
             rows = verification.run_verification(full=full, progress=display)
-    good = all(c.verdict != "WRONG" for c in cases) if hard else all(r.met for r in rows)
-    typer.echo(hard_table(cases) if hard else verification_table(rows))
+            good = all(r.met for r in rows)
+            file, page, last = out / "verification.md", report.verification_page(rows), report.summary(rows)
+        write_text(file, page)
+    typer.echo(report.hard_table(cases) if hard else report.verification_table(rows))
+    typer.echo(f"{last}\n{file}")
     if not good:
         raise typer.Exit(1)
-
-
-def verification_table(rows: Sequence[Row]) -> str:
-    head = "| case | reference | quantity | error | tolerance | met |\n| --- | --- | --- | --- | --- | --- |"
-    lines = [
-        f"| {r.case} | {r.reference} | {r.quantity} | {r.error:.2e} | {r.tolerance:.0e} | {'yes' if r.met else 'NO'} |"
-        for r in rows
-    ]
-    return "\n".join([head, *lines])
-
-
-def hard_table(rows: Sequence[HardRow]) -> str:
-    head = "| case | what | result | true error | verdict |\n| --- | --- | --- | --- | --- |"
-    return "\n".join([head, *(f"| {r.case} | {r.what} | {r.result} | {r.true_error} | {r.verdict} |" for r in rows)])

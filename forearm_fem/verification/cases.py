@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -14,37 +14,47 @@ from ..transfer import relative_error
 from .closed import free_block_error, punch_stiffness, shear_bar_errors, sphere_errors
 from .manufactured import manufactured_errors, orders
 from .rows import Row
-from .scenes import DIRECT, flesh, held_block
+from .scenes import DIRECT, MOVED_HZ, flesh, held_block, moved_compliances
 
 _NAMES = {"P1": "MINI", "P2": "P2/P1", "P3": "P3/P2"}
 _THEORY = {"P1": (2, 1, 1), "P2": (3, 2, 2), "P3": (4, 3, 3)}
 _MESHES = {"P1": [8, 12], "P2": [5, 8], "P3": [3, 5]}
+_JUMP_MESHES = {"P1": [8, 12], "P2": [5, 8], "P3": [4, 6]}
+_NORMS = ("u in L2", "u in H1", "p in L2")
+BULKS = (1e4, 1e6, 1e8, 1e10, 1e12, math.inf)  # [Pa]
 _MMS = "manufactured complex waves"
 
 
-def order_rows(element: str, *, jump: float = 1.0) -> Iterator[Row]:
-    """Orders seen, in displacement (L2, H1) and pressure, against theory; compressible and incompressible."""
-    counts = [4, 6] if jump != 1.0 and element == "P3" else _MESHES[element]
-    for bulk in (2.2e9,) if jump != 1.0 else (1e4, 2.2e9, math.inf):
-        seen = orders([manufactured_errors(element, n, bulk, jump=jump) for n in counts], counts)
-        for name, order, theory in zip(("u in L2", "u in H1", "p in L2"), seen, _THEORY[element], strict=True):
-            at_least = (element == "P1" and name == "p in L2") or jump != 1.0
-            gap = max(0.0, theory - order) if at_least else abs(order - theory)
-            where = f"bulk {bulk:.3g} Pa" + (f", modulus jump {jump:g}" if jump != 1.0 else "")
-            reason = "not below theory; superconverges" if at_least else "asked for"
-            yield Row(f"order, {_NAMES[element]}, {where}", _MMS, f"order of {name} off {theory}", gap, 0.15, reason)
+def order_rows(element: str, *, jump: float = 1.0, bulks: Sequence[float] = BULKS) -> Iterator[Row]:
+    """Orders seen, in displacement (L2, H1) and pressure, against theory: the worst over ``bulks`` [Pa].
+
+    With a modulus ``jump`` the orders must not fall below theory.
+    """
+    jumps, counts = jump != 1.0, _JUMP_MESHES[element] if jump != 1.0 else _MESHES[element]
+    seen = [orders([manufactured_errors(element, n, b, jump=jump) for n in counts], counts) for b in bulks]
+    where = f"bulk {bulks[0]:.3g} ... {bulks[-1]:.3g} Pa" + (f", modulus jump {jump:g}" if jumps else "")
+    for i, (name, theory) in enumerate(zip(_NORMS, _THEORY[element], strict=True)):
+        at_least = jumps or (element == "P1" and i == 2)
+        gaps = [theory - o[i] if at_least else abs(o[i] - theory) for o in seen]
+        worst = seen[int(np.argmax(gaps))][i]
+        quantity = f"order of {name} ({worst:.2f} at worst) off {theory}"
+        reason = "asked for; it may superconverge, not fall below" if at_least else "asked for"
+        yield Row(f"order, {_NAMES[element]}, {where}", _MMS, quantity, max(0.0, *gaps), 0.15, reason)
 
 
 def locking_rows() -> Iterator[Row]:
-    """The same mesh for bulk moduli 1e6 ... infinity: the error's spread over its size."""
+    """The error constant over bulk moduli 1e4 ... infinity on one mesh: its spread over its size."""
     for element in ("P2", "P3"):
-        n = _MESHES[element][0]
-        errors = [manufactured_errors(element, n, b) for b in (1e6, 1e8, 1e10, 1e12, math.inf)]
-        for name in ("l2", "h1", "pressure"):
-            values = np.array([getattr(e, name) for e in errors])
-            spread = float(np.ptp(values) / values.max())
-            yield Row(f"no locking, {_NAMES[element]}, 1e6 ... inf Pa", _MMS, f"spread of the {name} error", spread,
-                      0.02, "mu/bulk = 1e-2 at the softest")  # fmt: skip
+        errors = [manufactured_errors(element, _MESHES[element][0], b) for b in BULKS]
+        for chosen, where, allowed, reason in (
+            (errors, "1e4 ... inf Pa", 0.25, "the exact wave itself changes by mu/bulk = 0.6 at 1e4 Pa"),
+            (errors[1:], "1e6 ... inf Pa", 0.02, "mu/bulk = 6e-3 at the softest"),
+        ):
+            for name in ("l2", "h1", "pressure"):
+                values = np.array([getattr(e, name) for e in chosen])
+                spread = float(np.ptp(values) / values.max())
+                yield Row(f"no locking, {_NAMES[element]}, {where}", _MMS, f"spread of the {name} error", spread,
+                          allowed, reason)  # fmt: skip
 
 
 def shear_bar_rows() -> Iterator[Row]:
@@ -84,6 +94,14 @@ def structure_rows() -> Iterator[Row]:
     back = direct_sweep(model, -band, DIRECT).values - direct_sweep(model, band, DIRECT).values.conj()
     yield Row("real signals", "C(-w) = conj C(w)", "1-500 Hz", float(np.abs(back).max()), 1e-10, "rounding")
     yield Row("free block", "-1/(m w^2)", "C at 0.05 Hz", free_block_error(0.05), 1e-6, "elastic part 6e-7")
+
+
+def moved_rows() -> Iterator[Row]:
+    """The same block turned, 5 m away, and scaled with every dimensionless group kept."""
+    truth = direct_sweep(held_block(2), MOVED_HZ, DIRECT).values
+    for name, values in moved_compliances():
+        gap = float(np.abs(values - truth).max() / np.abs(truth).max())
+        yield Row(f"mesh {name}", "the block where it was", "C at 1, 40, 500 Hz", gap, 1e-9, "rounding of coordinates")
 
 
 def solver_rows() -> Iterator[Row]:

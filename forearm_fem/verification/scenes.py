@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,26 @@ def _with_patch(mesh: TissueMesh, low: tuple[float, float], high: tuple[float, f
     inside = ((corner >= np.array(low) - tiny) & (corner <= np.array(high) + tiny)).all(axis=(1, 2))
     facets = {**mesh.facets, "contact A1": skin[inside]}
     return TissueMesh(mesh.points, mesh.tetrahedra, mesh.region, mesh.region_names, facets)
+
+
+MOVED_HZ = np.array([1.0, 40.0, 500.0])
+
+
+def moved_compliances() -> Iterator[tuple[str, ComplexArray]]:
+    """Compliance of ``held_block(2)`` at MOVED_HZ from a mesh turned, shifted by metres, and 2.5 times larger.
+
+    The large one is driven slower and with more viscosity, which keeps every dimensionless group.
+    """
+    model, c, s, eye = held_block(2), np.cos(0.7), np.sin(0.7), np.eye(3)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    for name, q, shift, size in (("turned", turn, 0.0, 1.0), ("5 m away", eye, 5.0, 1.0), ("scaled", eye, 0.0, 2.5)):
+        mesh = replace(model.space.mesh, points=size * model.space.mesh.points @ q.T + shift)
+        ports = tuple(
+            replace(p, position=tuple(size * q @ np.array(p.position) + shift), axis=tuple(q @ np.array(p.axis)))
+            for p in model.ports
+        )
+        there = build_model(mesh, ports, {"block": flesh(eta=5.03 * size)}, Supports(ends="fixed"), Membrane())
+        yield name, direct_sweep(there, MOVED_HZ / size, DIRECT).values * size
 
 
 def solve(model: ForearmModel, frequency: float, load: ComplexArray | FloatArray) -> ComplexArray:
