@@ -128,6 +128,30 @@ def _reduced_against_direct(rows: Sequence[Row]) -> Figure:
     return figure
 
 
+def _asked_for(rows: Sequence[Row]) -> Figure:
+    figure = Figure(figsize=(9.5, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    mine = sorted(rows, key=lambda r: float(r["accuracy"]))
+    x = [float(r["accuracy"]) for r in mine]
+    for key, label, colour, line in (
+        ("error_band", "true, all outputs", "#0072b2", "-"),
+        ("error_points", "true, points at 10 and 20 mm", "#d55e00", "-"),
+        ("estimated_band", "estimated, all outputs", "#0072b2", ":"),
+    ):
+        left.loglog(x, [float(r[key]) for r in mine], line, marker="o", markersize=4, color=colour, label=label)
+    left.loglog(x, x, color="#999999", linewidth=0.8, label="asked")
+    right.loglog(x, [float(r["seconds_cpu"]) for r in mine], marker="o", color="#0072b2", label="to G at 161 bins")
+    right.loglog(
+        x, [float(r["seconds_estimate"]) for r in mine], ":", marker="o", color="#0072b2", label="and its estimate"
+    )
+    _labelled(left, "accuracy asked for", "e_band against the exact solution")
+    _labelled(right, "accuracy asked for", "processor time [s]")
+    for axes in (left, right):
+        axes.invert_xaxis()
+        axes.legend(fontsize=7, frameon=False)
+    return figure
+
+
 def _labelled(axes: Axes, x: str, y: str) -> None:
     axes.set_xlabel(x)
     axes.set_ylabel(y)
@@ -142,5 +166,10 @@ def _labelled(axes: Axes, x: str, y: str) -> None:
 
 
 _PLOTS: Mapping[str, Callable[[Sequence[Row]], Figure]] = MappingProxyType(
-    {"error": _speed_against_error, "size": _cost_against_size, "reduced": _reduced_against_direct}
+    {
+        "error": _speed_against_error,
+        "size": _cost_against_size,
+        "asked": _asked_for,
+        "reduced": _reduced_against_direct,
+    }
 )

@@ -12,16 +12,17 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 from ..errors import AccuracyWarning, DataError, SolverError
 from ..io.atomic import write_text
-from . import error, plots, size, text
+from . import asked, error, plots, size, text
 from . import reduced as reduction
 from .isolated import isolated, median, repeated, threads
 
 Progress = Callable[[str, int, int], None]
 Written = list[Path]
+T = TypeVar("T")
 
 
 def run_bench(
@@ -49,41 +50,82 @@ def run_bench(
     return [*written, out / "machine.csv", *plots.draw_all(out), text.write_page(out)]
 
 
+class Table:
+    """Rows of a part, each written as soon as it is there, so that an interrupted part goes on where it stopped.
+
+    Until the part is finished they lie in ``NAME.partial.csv``; a finished part starts anew.
+    """
+
+    def __init__(self, out: Path, name: str, columns: Sequence[str]) -> None:
+        self._path, self._partial, self._columns = out / f"{name}.csv", out / f"{name}.partial.csv", columns
+        self._rows: list[dict[str, Any]] = [dict(r) for r in plots.read_rows(self._partial)]
+
+    def has(self, *values: object) -> bool:
+        """Whether a row with these values in the identifying columns is there."""
+        wanted = [_text(v) for v in values]
+        return any([r[c] for c in self._columns] == wanted for r in self._rows)
+
+    def add(self, row: Any) -> None:
+        """Write a row (dataclass or dictionary)."""
+        self._rows.append(row if isinstance(row, dict) else asdict(row))
+        write_csv(self._partial, self._rows)
+
+    def finish(self) -> Path:
+        """The part is complete."""
+        if self._rows:
+            self._partial.replace(self._path)
+        return self._path
+
+
 def _error(out: Path, full: bool, progress: Progress | None) -> Path:
-    rows: list[error.Timed] = []
     cases = error.cases(full=full)
-    for done, case in enumerate(cases):
-        _tell(progress, "speed against error", done, len(cases))
-        with _lost(case):
-            rows += error.timed(case)
-            write_csv(out / "error.csv", rows)
-    _tell(progress, "speed against error", len(cases), len(cases))
-    return out / "error.csv"
+    table = Table(out, "error", ("method", "element", "precision", "scale"))
+    for case in _counted(cases, "speed against error", progress):
+        if not table.has(case.method, case.element, case.precision, case.scale):
+            with _lost(case):
+                for row in error.timed(case):
+                    table.add(row)
+    return table.finish()
 
 
 def _size(out: Path, full: bool, progress: Progress | None) -> Path:
     scales = size.SCALES + (size.MORE if full else ())
+    table = Table(out, "size", ("precision", "scale"))
     cases = [(precision, scale) for precision in ("double", "single") for scale in scales]
-    rows: list[size.Sized] = []
-    for done, case in enumerate(cases):
-        _tell(progress, "cost against size", done, len(cases))
-        with _lost(case):
-            rows.append(median(repeated(size.sized, case)))
-            write_csv(out / "size.csv", rows)
-    _tell(progress, "cost against size", len(cases), len(cases))
-    return out / "size.csv"
+    for case in _counted(cases, "cost against size", progress):
+        if not table.has(*case):
+            with _lost(case):
+                table.add(median(repeated(size.sized, case)))
+    return table.finish()
 
 
 def _reduced(out: Path, full: bool, progress: Progress | None) -> Path:
-    scales, rows = (1.7, 1.3, 1.0, 0.8) if full else (1.7, 1.3), []
-    for done, scale in enumerate(scales):
-        _tell(progress, "reduced against direct", done, len(scales))
-        result = isolated(reduction.reduced, (scale, reduction.HELD_OUT if full else reduction.TIMED))
-        extra = {"speed_ratio": result.speed_ratio, "in_factorisations": result.factorisations}
-        rows.append({**asdict(result), **extra})
-        write_csv(out / "reduced.csv", rows)
-    _tell(progress, "reduced against direct", len(scales), len(scales))
-    return out / "reduced.csv"
+    table = Table(out, "reduced", ("scale",))
+    held_out = reduction.HELD_OUT if full else reduction.TIMED
+    for scale in _counted((1.7, 1.3, 1.0, 0.8) if full else (1.7, 1.3), "reduced against direct", progress):
+        if not table.has(scale):
+            with _lost(scale):
+                result = isolated(reduction.reduced, (scale, held_out))
+                extra = {"speed_ratio": result.speed_ratio, "in_factorisations": result.factorisations}
+                table.add({"scale": scale, **asdict(result), **extra})
+    return table.finish()
+
+
+def _asked(out: Path, full: bool, progress: Progress | None) -> Path:
+    table = Table(out, "asked", ("accuracy",))
+    accuracies = sorted(asked.ACCURACIES + (asked.MORE if full else ()), reverse=True)
+    for accuracy in _counted(accuracies, "asked for", progress):
+        if not table.has(accuracy):
+            with _lost(accuracy):
+                table.add(isolated(asked.asked, accuracy))
+    return table.finish()
+
+
+def _counted(cases: Sequence[T], stage: str, progress: Progress | None) -> Iterator[T]:
+    for done, case in enumerate(cases):
+        _tell(progress, stage, done, len(cases))
+        yield case
+    _tell(progress, stage, len(cases), len(cases))
 
 
 @contextmanager
@@ -95,7 +137,7 @@ def _lost(case: object) -> Iterator[None]:
         warnings.warn(f"{case} is left out: {problem}", AccuracyWarning, stacklevel=3)
 
 
-PARTS = MappingProxyType({"error": _error, "size": _size, "reduced": _reduced})
+PARTS = MappingProxyType({"error": _error, "size": _size, "asked": _asked, "reduced": _reduced})
 
 
 def machine() -> dict[str, Any]:
@@ -129,8 +171,12 @@ def write_csv(path: Path, rows: Sequence[Any]) -> None:
     stream = io.StringIO()
     writer = csv.DictWriter(stream, list(plain[0]), lineterminator="\n")
     writer.writeheader()
-    writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in plain)
+    writer.writerows({k: _text(v) for k, v in row.items()} for row in plain)
     write_text(path, stream.getvalue())
+
+
+def _text(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:

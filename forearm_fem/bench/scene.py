@@ -25,6 +25,13 @@ def quarter(element: str = "P2") -> Scenario:
     )  # fmt: skip
 
 
+def knob(accuracy: float) -> Scenario:
+    """:func:`quarter` with mesh sizes that follow from ``accuracy`` alone."""
+    scenario = quarter()
+    free = scenario.mesh.model_copy(update=dict.fromkeys(SIZES))
+    return scenario.model_copy(update={"accuracy": accuracy, "mesh": free})
+
+
 def exact(frequency: FloatArray) -> ComplexArray:
     """Compliances of :func:`quarter` on an endless half-space (n, 4, 1) [m/N], Hankel quadrature to 1e-8."""
     return np.asarray(twin_response(quarter(), tuple(frequency.tolist()))[:, :, None])

@@ -79,15 +79,18 @@ def tissue_matrices(space: MixedSpace, region: int, reference: ReferenceTensors)
 
 
 def shear_blocks(inverse: FloatArray, volume: FloatArray, reference: FloatArray) -> FloatArray:
-    """3x3 blocks of the deviatoric stiffness (3, 3, n_tet, nb, nb) from gradients' reference tensor."""
-    metric = np.einsum("e,eai,ebj->ijeab", volume, inverse, inverse, optimize=True).reshape(9 * len(volume), 9)
-    nb = reference.shape[2]
-    d = (metric @ reference.reshape(9, nb * nb)).reshape(3, 3, len(volume), nb, nb)
-    blocks = np.swapaxes(d, 0, 1) - (2 / 3) * d
-    trace = d[0, 0] + d[1, 1] + d[2, 2]
+    """3x3 blocks of the deviatoric stiffness (3, 3, n_tet, nb, nb) from gradients' reference tensor.
+
+    The blocks are combined as 3x3 tensors of the Jacobian, before the contraction makes them nb^2 / 9 times larger.
+    """
+    metric = np.einsum("e,eai,ebj->ijeab", volume, inverse, inverse, optimize=True)
+    blocks = np.swapaxes(metric, 0, 1) - (2 / 3) * metric
+    trace = metric[0, 0] + metric[1, 1] + metric[2, 2]
     for i in range(3):
         blocks[i, i] += trace
-    return np.asarray(blocks)
+    nb = reference.shape[2]
+    whole = blocks.reshape(9 * len(volume), 9) @ reference.reshape(9, nb * nb)
+    return np.asarray(whole.reshape(3, 3, len(volume), nb, nb))
 
 
 def _divergence(

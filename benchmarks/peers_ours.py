@@ -1,0 +1,108 @@
+"""The quarter slab of `forearm-fem bench` in forearm_fem itself, in the peers' columns.
+
+    python benchmarks/peers_ours.py scene.npz [double|single|assembly]
+
+The mesh is the one in ``scene.npz`` (built again from its scale, not timed). Beside the steps
+at the scene's frequencies the whole reduced sweep is timed, from the mesh to G at the 981 bins of 10-500 Hz.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+
+import numpy as np
+
+from forearm_fem import __version__
+from forearm_fem.bench.isolated import clock
+from forearm_fem.bench.scene import options, quarter
+from forearm_fem.fem.assembly import reference_tensors, tissue_matrices
+from forearm_fem.fem.factor import make_factor, refined_solve
+from forearm_fem.fem.model import ForearmModel, build_model
+from forearm_fem.fem.space import mixed_space
+from forearm_fem.fem.sweep import reduced_sweep
+from forearm_fem.geometry.build import build_mesh
+from forearm_fem.geometry.mesh import TissueMesh
+from forearm_fem.geometry.place import place_ports
+from forearm_fem.tissue import resolve_tissues
+
+BINS = np.arange(10.0, 500.25, 0.5)  # Hz
+DISC, POINT = 0, 2  # ports: the contact, and the point at 10 mm
+
+
+def model_of(mesh: TissueMesh) -> ForearmModel:
+    """Assembled model of the scene on its mesh."""
+    scene = quarter()
+    ports, tissues = place_ports(scene, mesh), resolve_tissues(scene)
+    return build_model(mesh, ports, tissues, scene.supports, scene.tissues.membrane, element=scene.mesh.element)
+
+
+def steps(mesh: TissueMesh, frequency: np.ndarray, precision: str) -> dict:
+    """Seconds of assembly, factorisation (the first with its analysis) and solve, and the compliances."""
+    single = precision == "single"
+    start = clock()
+    model, factor, rows, values = model_of(mesh), None, [], []
+    assembled = clock() - start
+    for f in frequency:
+        marks = [clock()]
+        if factor is None:
+            factor = make_factor(model.operator, 2 * np.pi * f, options().backend, single=single)
+        data = model.operator.data(2 * np.pi * f)
+        factor.factorise(data)
+        marks.append(clock())
+        right, tolerance = model.functionals.astype(complex), 1e-9 if single else 1e-11
+        x = refined_solve(factor, model.operator.upper(data), right, tolerance=tolerance).values
+        rows.append([assembled, *np.diff([*marks, clock()])])
+        value = complex(model.functionals[:, POINT] @ x[:, DISC]) * model.shares[DISC]
+        values.append([value.real, value.imag])
+    factor.release()
+    return {"unknowns": model.operator.n, "steps": np.round(rows, 4).tolist(), "compliances": values}
+
+
+def whole(mesh: TissueMesh, frequency: np.ndarray, precision: str) -> dict:
+    """Seconds from the mesh to G at all bins by the reduced sweep; its values at ``frequency``."""
+    start = clock()
+    sweep = reduced_sweep(model_of(mesh), BINS, options(precision))
+    seconds = clock() - start
+    values = sweep.values[np.searchsorted(BINS, frequency), POINT, DISC]
+    certified = max((c.error for c in sweep.certificates), default=float("nan"))
+    return {
+        "seconds_full": seconds, "expansions": len(sweep.expansions), "certified": certified,
+        "reduced": np.column_stack([values.real, values.imag]).tolist(),
+    }  # fmt: skip
+
+
+def assembly(mesh: TissueMesh) -> dict:
+    """Seconds of K, C, M, B and the pressure's mass, all tissues; and of the whole operator with its constraints."""
+    space = mixed_space(mesh, "P2")
+    tissues = [resolve_tissues(quarter())[n] for n in mesh.region_names]
+    start = clock()
+    parts = [tissue_matrices(space, k, reference_tensors(space)) for k in range(len(tissues))]
+    slope = [t.modulus.at(np.array([0.0, 1.0])) for t in tissues]
+    _ = sum(p.shear * m[0].real for p, m in zip(parts, slope, strict=True))  # K
+    _ = sum(p.shear * m[1].imag for p, m in zip(parts, slope, strict=True))  # C
+    _ = sum(p.mass * t.density for p, t in zip(parts, tissues, strict=True))  # M
+    _ = sum(p.divergence for p in parts)  # B
+    matrices = clock() - start
+    model = model_of(mesh)
+    return {"unknowns": model.operator.n, "seconds_assembly": matrices,
+            "seconds_operator": clock() - start - matrices}  # fmt: skip
+
+
+def main() -> None:
+    """Time everything and print one JSON line."""
+    scene = dict(np.load(sys.argv[1], allow_pickle=False))
+    asked = sys.argv[2] if len(sys.argv) > 2 else "double"
+    mesh = build_mesh(quarter(), scale=float(scene["scale"]))
+    assert np.array_equal(mesh.tetrahedra, scene["tetrahedra"])
+    if asked == "assembly":
+        found = assembly(mesh)
+    else:
+        found = {**steps(mesh, scene["frequency"], asked), **whole(mesh, scene["frequency"], asked)}
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    print(json.dumps({"program": "forearm_fem", "version": __version__, "peak_bytes": peak, **found}))
+
+
+if __name__ == "__main__":
+    main()
