@@ -182,6 +182,8 @@ def run_peers(asked: argparse.Namespace, pythons: dict[str, str], scene: Path, o
     for program, python in pythons.items():
         for solver in SOLVERS[program]:
             key = (f"{asked.scale:g}", NAMES[program], solver)
+            if asked.only and solver not in asked.only:
+                continue
             if not asked.again and key in {tuple(r[k] for k in KEY) for r in rows}:
                 continue
             rows = compared(merged(rows, timed(program, solver, python, scene, asked), KEY))
@@ -215,6 +217,7 @@ def _asked() -> argparse.Namespace:
     parser.add_argument("--fenicsx", help="python that has complex DOLFINx")
     parser.add_argument("--scale", type=float, default=2.0, help="of all element sizes")
     parser.add_argument("--frequencies", type=float, nargs="+", default=[400.0, 100.0, 250.0], help="[Hz]")
+    parser.add_argument("--only", nargs="+", help="solvers, e.g. double mumps-jumps")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--patience", type=float, default=600, help="seconds a run may take")

@@ -59,7 +59,7 @@ def sized(case: tuple[str, float]) -> Sized:
 
 
 def exponents(rows: Sequence[Sized]) -> dict[str, float]:
-    """Step -> p of a fit seconds ~ n^p through the larger half of the sizes."""
+    """Step -> p of a fit seconds ~ n^p through the larger sizes: at least half of them, without the smallest."""
     ordered = sorted(rows, key=lambda r: r.unknowns)
     large = ordered[max(0, len(ordered) // 2 - 1) :]
     if len(large) < 2:

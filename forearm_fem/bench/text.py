@@ -24,6 +24,7 @@ def write_page(folder: Path) -> Path:
     for name, make in (
         ("error", _error),
         ("size", _size),
+        ("asked", _asked),
         ("reduced", _reduced),
         ("peers", _peers),
         ("assembly", _assembly),
@@ -98,9 +99,9 @@ def _asked(rows: Sequence[Row]) -> list[str]:
     return [
         *lines,
         "",
-        "`accuracy` alone chose the mesh (quarter slab, P2, 161 bins, 80-400 Hz). Errors are against the exact solution,",
-        "of all outputs and of the points at 10 and 20 mm alone; seconds leave out the coarser mesh that the",
-        f"estimate needs. {_met(rows)}",
+        "`accuracy` alone chose the mesh (quarter slab, P2, 161 bins, 80-400 Hz). Errors are against the exact",
+        "solution, of all outputs and of the points at 10 and 20 mm alone; seconds leave out the coarser mesh",
+        f"that the estimate needs. {_met(rows)}",
         "**Choose** the accuracy that the question needs, then read the estimate.",
         "",
     ]
