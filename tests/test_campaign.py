@@ -203,6 +203,7 @@ def test_dask_processes_here_and_by_address(tmp_path: Path) -> None:
     answer = cli("campaign", file, "--out", tmp_path / "out", "--workers", 1, cwd=tmp_path)
     assert answer.code == 0, answer.err
     assert "spacing-0.04" in answer.out
+    assert "cheduler" not in answer.err  # Dask's comings and goings
     with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
         there = run_campaign(load_campaign(file), tmp_path / "there", scheduler=cluster.scheduler_address)
     assert [m.problem for m in there.members] == ["", ""]

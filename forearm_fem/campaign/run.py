@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -107,10 +108,23 @@ def _client(scheduler: str | None, count: Callable[[], int]) -> Iterator[Any]:
         return
     settings = {"n_workers": count(), "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with (
+        _quiet(),
         distributed.LocalCluster(**settings, memory_limit=0, silence_logs=50) as cluster,
         distributed.Client(cluster) as client,
     ):
         yield client
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """A cluster of our own comes and goes unheard; its errors stay."""
+    log = logging.getLogger("distributed")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def _distributed() -> Any:
