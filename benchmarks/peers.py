@@ -164,7 +164,7 @@ def assembled(program: str, python: str, scene: Path, asked: argparse.Namespace)
     runs = [one_run(python, f"peers_{program}.py", scene, "assembly", asked.patience) for _ in range(asked.repeats)]
     if bad := [r for r in runs if isinstance(r, str)]:
         return {**head, "unknowns": "", "what": bad[0], "seconds": "", "seconds_operator": "", "runs": 0}
-    what = "K, C, M, B, all four" if program == "ours" else "one complex matrix"
+    what = "K, C, M and B of each tissue" if program == "ours" else "one complex matrix"
     seconds = {k: statistics.median(r[k] for r in runs) if k in runs[0] else ""
                for k in ("seconds_assembly", "seconds_operator")}  # fmt: skip
     return {**head, "unknowns": runs[0]["unknowns"], "what": what, "seconds": seconds["seconds_assembly"],

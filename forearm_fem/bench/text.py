@@ -213,5 +213,5 @@ def _assembly(rows: Sequence[Row]) -> list[str]:
         beside = f" (whole operator: {float(r['seconds_operator']):.2g} s)" if r["seconds_operator"] else ""
         seconds = float(r["seconds"] or "nan")
         lines.append(f"| {r['program']} | {r['tetrahedra']} | {r['what']}{beside} | {seconds:.3g} |")
-    end = "**Choose** ours: the four matrices serve every frequency, so nothing is assembled again in a sweep."
+    end = "**Choose** ours: its matrices serve every frequency and modulus, so nothing is assembled again in a sweep."
     return [*lines, "", f"P2/P1, numbering of the unknowns not counted. {end}", ""]
