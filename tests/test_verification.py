@@ -13,7 +13,7 @@ from forearm_fem.verification import cases, hard, slabs, twin
 from forearm_fem.verification.blocks import block_mesh, shell_mesh
 from forearm_fem.verification.hard_rows import HardCase, Outcome
 from forearm_fem.verification.mutations import BUGS, mutation_table, run_mutations
-from forearm_fem.verification.report import stability_page, verification_page
+from forearm_fem.verification.report import effectivity_section, stability_page, verification_page
 from forearm_fem.verification.rows import HardRow, Row, weakest
 from forearm_fem.verification.run import Case, run_hard_cases, run_verification
 
@@ -50,6 +50,18 @@ def test_pages_carry_every_row():
     assert all(text in page for text in ("why this tolerance", "because", "Weakest: *b*"))
     hard_page = stability_page([HardRow("c", "w", "r", "e", "WRONG")])
     assert "1 wrong" in hard_page
+
+
+def test_effectivity_section_names_what_is_outside(tmp_path):
+    file = tmp_path / "benchmarks" / "results" / "effectivity.csv"
+    assert effectivity_section(file) == ""
+    file.parent.mkdir(parents=True)
+    names = "scene,scale,unknowns,estimated_band,true_band,estimated_single,true_single,"
+    rows = ("a,1.0,9,0.02,0.01,0.02,0.01,2.0,2.0", "b,1.5,8,0.07,0.01,0.02,0.01,7.0,2.0")
+    file.write_text("\n".join([names + "effectivity_band,effectivity_single", *rows]))
+    page = effectivity_section(file)
+    assert "1 of 2 between 0.5 and 5. Outside: b x1.5 (7)." in page
+    assert "(../benchmarks/results/effectivity.png)" in page
 
 
 def test_verdicts():
