@@ -43,10 +43,10 @@ def test_operator_is_complex_symmetric_and_affine(model):
     assert np.abs(a.imag).max() > 1e-3 * np.abs(a).max()
 
 
-def test_taylor_data_is_the_derivative(model):
+def test_slopes_are_the_derivatives(model):
     operator, d = model.operator, 1e-3
-    first, second, third = operator.taylor_data(OMEGA, 3)
-    ahead, behind, here = (operator.data(OMEGA + s * d) for s in (1, -1, 0))
+    first, second, third = operator.slopes(OMEGA, 3)
+    ahead, behind, here = (operator.upper(operator.data(OMEGA + s * d)) for s in (1, -1, 0))
     # quadratic coefficients: differences are exact up to rounding of the data / d
     assert np.abs((ahead - behind) / (2 * d) - first).max() < 1e-11 * np.abs(here).max() / d
     assert np.abs((ahead + behind - 2 * here) / (2 * d**2) - second).max() < 1e-11 * np.abs(here).max() / d**2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,12 +32,20 @@ def compressed(reduced: ReducedModel, frequency: FloatArray, *, samples: int = 4
 class PoleResidue:
     """C(omega) = sum_k left_ik right_kj / (i omega - pole_k): any number of frequencies at once.
 
-    Exists where every coefficient is a polynomial of second degree in omega (Kelvin-Voigt, springs, dashpots, masses).
+    ``left`` are the ``modes`` (r, 2r) of the reduced space seen through the ports. Exists where every coefficient is a
+    polynomial of second degree in omega (Kelvin-Voigt, springs, dashpots, masses).
     """
 
     poles: ComplexArray
+    modes: ComplexArray
     left: ComplexArray
     right: ComplexArray
+
+    def states(self, frequency: FloatArray, ports: Sequence[int]) -> ComplexArray:
+        """Reduced solutions (n_frequency, r, n_chosen) for the force shares of the chosen ``ports``."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=float)
+        amplitudes = self.right[:, None, ports] / (s[None, :] - self.poles[:, None])[:, :, None]
+        return np.moveaxis(np.tensordot(self.modes, amplitudes, 1), 1, 0)
 
     def compliance(self, frequency: FloatArray) -> ComplexArray:
         """Compliance (n_frequency, n_port, n_port) [m/N]."""
@@ -57,8 +66,8 @@ def pole_residue(reduced: ReducedModel) -> PoleResidue | None:
         return None  # asked beside zero, where a springpot has no series
     taylor = np.array([c.taylor(0.0, 2) for c in reduced.coefficients])
     stiffness, damping, mass = (np.tensordot(w, reduced.matrices, 1) for w in _polynomial(taylor))
-    poles, left, right = _companion(stiffness, damping, mass, reduced.functionals)
-    result = PoleResidue(poles, left, right * reduced.shares)
+    poles, modes, right = _companion(stiffness, damping, mass, reduced.functionals)
+    result = PoleResidue(poles, modes, reduced.functionals.T @ modes, right * reduced.shares)
     return result if _agrees(result, reduced) else None
 
 
@@ -70,7 +79,7 @@ def _polynomial(taylor: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArra
 def _companion(
     stiffness: FloatArray, damping: FloatArray, mass: FloatArray, functionals: FloatArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Poles and factors of residues from the first companion form, in units of a typical rate."""
+    """Poles, modes and amplitudes from the first companion form, in units of a typical rate."""
     r = len(mass)
     rate = np.sqrt(np.linalg.norm(stiffness) / np.linalg.norm(mass))
     inverse_k = np.linalg.solve(mass, stiffness) / rate**2
@@ -78,7 +87,7 @@ def _companion(
     companion = np.block([[np.zeros((r, r)), np.eye(r)], [-inverse_k, -inverse_c]])
     values, vectors = scipy.linalg.eig(companion)
     source = np.vstack([np.zeros_like(functionals), np.linalg.solve(mass, functionals) / rate**2])
-    return values * rate, functionals.T @ vectors[:r], np.linalg.solve(vectors, source) * rate
+    return values * rate, vectors[:r], np.linalg.solve(vectors, source) * rate
 
 
 def _agrees(result: PoleResidue, reduced: ReducedModel) -> bool:

@@ -18,7 +18,13 @@ Backend = Literal["auto", "pardiso", "superlu"]
 
 
 class Factor(Protocol):
-    """What every direct solver offers; the pattern is analysed once, values change with frequency."""
+    """What every direct solver offers; the pattern is analysed once, values change with frequency.
+
+    ``single`` tells whether the factors are in single precision now.
+    """
+
+    @property
+    def single(self) -> bool: ...
 
     def factorise(self, data: ComplexArray) -> None:
         """Numerical factorisation for upper-triangle values on the analysed pattern."""
@@ -28,6 +34,10 @@ class Factor(Protocol):
         """Solutions (n, k) for right-hand sides (n, k)."""
         ...
 
+    def harden(self) -> bool:
+        """Factorise the same matrix more accurately; False where that cannot be done."""
+        ...
+
     def release(self) -> None:
         """Give memory back."""
         ...
@@ -35,6 +45,8 @@ class Factor(Protocol):
 
 class SuperLUFactor:
     """SciPy's SuperLU: a fallback for small scenes (n below about 3e4); it stores both triangles."""
+
+    single = False
 
     def __init__(self, upper: csr_array) -> None:
         self._indptr, self._indices, self._shape = upper.indptr, upper.indices, upper.shape
@@ -53,6 +65,10 @@ class SuperLUFactor:
     def solve(self, right: ComplexArray) -> ComplexArray:
         """See :class:`Factor`."""
         return np.asarray(self._lu.solve(np.ascontiguousarray(right)))
+
+    def harden(self) -> bool:
+        """See :class:`Factor`; this one is in double precision."""
+        return False
 
     def release(self) -> None:
         """See :class:`Factor`."""

@@ -17,13 +17,14 @@ from ..scenario.supports import Supports
 from ..scenario.tissues import Membrane
 from ..tissue import Tissue
 from ..typing import FloatArray, IntArray
-from .assembly import TissueMatrices, reference_tensors, tissue_matrices
+from .assembly import ReferenceTensors, TissueMatrices, reference_tensors, tissue_matrices
 from .boundary import facet_gradients, facet_mass, facet_membrane
 from .coefficients import Coefficient, Polynomial
 from .constraints import Constraints, RigidDisc, constraints
 from .loads import force_share, port_functional
 from .operator import AffineOperator, affine_operator
 from .space import MixedSpace, mixed_space
+from .sponge import SPONGE, sponge_matrix
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ def build_model(
     parts = [tissue_matrices(space, region, reference) for region in range(len(names))]
     displacement = _shear_and_mass(names, parts, tissues, rules.transform)
     displacement += _boundaries(space, tissues, supports, membrane, rules.transform)
+    displacement += _sponge(space, tissues, supports, rules.transform, reference)
     operator = _with_pressure(names, parts, tissues, rules.transform, displacement)
     functionals = np.zeros((operator.n, len(ports)))
     for i, port in enumerate(ports):
@@ -150,6 +152,20 @@ def _boundaries(
         result.append(("skin membrane", facet_membrane(space, skin), sheet))
     reduced: Matrices = [(name, _reduced(transform, matrix), coefficient) for name, matrix, coefficient in result]
     return reduced
+
+
+def _sponge(
+    space: MixedSpace,
+    tissues: Mapping[str, Tissue],
+    supports: Supports,
+    transform: csr_array,
+    reference: ReferenceTensors,
+) -> Matrices:
+    ends = space.mesh.facets.get("end", np.zeros((0, 3), dtype=np.int64))
+    if supports.ends != "absorb" or not supports.sponge or not len(ends):
+        return []
+    matrix = sponge_matrix(space, tissues, ends, supports.sponge, reference)
+    return [("sponge", _reduced(transform, matrix), SPONGE)]
 
 
 def _dashpots(space: MixedSpace, tissues: Mapping[str, Tissue], facets: IntArray) -> Matrices:

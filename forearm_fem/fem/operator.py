@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array, triu
+from scipy.sparse import csr_array, diags_array, eye_array, triu
 
 from ..typing import ComplexArray, FloatArray, IntArray
 from .coefficients import Coefficient
@@ -46,10 +46,20 @@ class AffineOperator:
         """Upper-triangle values (nnz,) of A(omega)."""
         return self.combine([complex(t.coefficient.at(np.array(omega))) for t in self.terms])
 
-    def taylor_data(self, omega0: float, order: int) -> list[ComplexArray | None]:
-        """Taylor coefficients of A about ``omega0``: data of orders 1 ... ``order``, None where zero."""
+    def slopes(self, omega0: float, order: int) -> list[csr_array | None]:
+        """Taylor coefficients of A about ``omega0``: upper triangles of orders 1 ... ``order``, None where zero.
+
+        Without the zeros of the common pattern, and real where they are.
+        """
         weights = np.array([t.coefficient.taylor(omega0, order) for t in self.terms])
-        return [self.combine(list(weights[:, k])) if weights[:, k].any() else None for k in range(1, order + 1)]
+        return [self._sparse(list(weights[:, k])) if weights[:, k].any() else None for k in range(1, order + 1)]
+
+    def _sparse(self, weights: Sequence[complex]) -> csr_array:
+        data = self.combine(weights)
+        kept = np.flatnonzero(data)
+        indptr = np.searchsorted(kept, self.indptr)
+        parts = (data[kept] if data.imag.any() else data.real[kept], self.indices[kept], indptr)
+        return csr_array(parts, shape=(self.n, self.n))
 
     def combine(self, weights: Sequence[complex]) -> ComplexArray:
         """Upper-triangle values of a weighted sum of the terms."""
@@ -77,9 +87,27 @@ class AffineOperator:
         indptr = np.searchsorted(term.positions, self.indptr)  # positions ascend, row by row
         return csr_array((term.values, self.indices[term.positions], indptr), shape=(self.n, self.n))
 
+    @cached_property
+    def compact(self) -> dict[str, tuple[IntArray, csr_array]]:
+        """Term -> rows that it touches and the whole symmetric matrix on them."""
+        return {t.name: _compact(self.term_matrix(t)) for t in self.terms}
+
+
+def _compact(upper: csr_array) -> tuple[IntArray, csr_array]:
+    """Rows that a symmetric matrix, given by its upper triangle, touches, and the whole matrix on those rows."""
+    row = np.repeat(np.arange(upper.shape[0]), np.diff(upper.indptr))
+    used = np.union1d(row, upper.indices)
+    place = np.zeros(upper.shape[0], dtype=np.int64)
+    place[used] = np.arange(len(used))
+    small = csr_array((upper.data, (place[row], place[upper.indices])), shape=(len(used), len(used)))
+    return used, csr_array(small + small.T - diags_array(small.diagonal()))
+
 
 def symmetric_product(upper: csr_array, x: ComplexArray | FloatArray) -> ComplexArray:
     """Product of a symmetric matrix, given by its upper triangle, with columns ``x`` (n, k)."""
+    if upper.dtype.kind == "f" and np.iscomplexobj(x):  # half the work of complex times complex
+        pairs = np.ascontiguousarray(x).view(np.float64).reshape(len(x), -1)
+        return np.asarray(symmetric_product(upper, pairs).view(np.complex128).reshape(x.shape))
     diagonal = upper.diagonal()
     return np.asarray(upper @ x + upper.T @ x - (diagonal[:, None] * x if x.ndim == 2 else diagonal * x))
 

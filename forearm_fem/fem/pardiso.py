@@ -64,20 +64,34 @@ class PardisoFactor:
         if mkl is None:
             raise SolverError("MKL PARDISO is not installed; python3 -m pip install mkl, or solver.backend='superlu'")
         self._mkl = mkl
-        self._single = single
-        self._dtype = np.complex64 if single else np.complex128
+        self.single = single
         self._handle = np.zeros(64, dtype=np.int64)
-        self._parameters = _parameters(single)
         self._indptr = upper.indptr.astype(np.int32)
         self._indices = upper.indices.astype(np.int32)
-        self._data = upper.data.astype(self._dtype)
         self.n = int(upper.shape[0])
+        self._analyse(upper.data)
+
+    def _analyse(self, data: ComplexArray) -> None:
+        self._dtype = np.complex64 if self.single else np.complex128
+        self._parameters = _parameters(self.single)
+        self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._run(_ANALYSE)
 
     def factorise(self, data: ComplexArray) -> None:
         """Numerical factorisation for new values ``data`` on the pattern analysed."""
+        self._values = data
         self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._run(_FACTORISE)
+
+    def harden(self) -> bool:
+        """Factorise the present matrix, and all later ones, in double precision; False where it was already."""
+        if not self.single:
+            return False
+        self.release()
+        self.single = False
+        self._analyse(self._values)
+        self._run(_FACTORISE)
+        return True
 
     def solve(self, right: ComplexArray) -> ComplexArray:
         """Solutions (n, k) of the factorised system for right-hand sides (n, k); no outer refinement."""

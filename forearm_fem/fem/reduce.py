@@ -1,33 +1,34 @@
-"""Structure-preserving reduced model on the displacements of mixed solutions and their frequency derivatives.
+"""Structure-preserving reduced model on displacements with their pressures, and their frequency derivatives.
 
-Solutions of the mixed system satisfy B u = -S p exactly, so on their span the saddle system is the condensed one,
-u^T K v + p^T S q: it is real symmetric term by term, needs no pressure unknowns, and keeps reciprocity and passivity.
-The span of the real and the imaginary parts is used, which makes every projected matrix real.
+Each basis vector is a displacement together with its own pressure, made orthonormal in the displacements: the saddle
+system projected on such pairs is as good as the condensed one, because solutions obey B u = -S p. Kept in saddle form
+it is stationary, so that what solves leave of B u + S p enters squared: single-precision factors are enough
+(docs/decisions.md). Every term stays real symmetric, which keeps reciprocity and passivity; the span of the real and
+the imaginary parts is used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..typing import ComplexArray, FloatArray
 from .coefficients import Coefficient
 from .model import ForearmModel
-from .operator import AffineOperator, Term, symmetric_product
-
-_DROPPED = {"incompressibility"}  # its energy is the one of "compression" on the span, with opposite sign
+from .operator import AffineOperator
 
 
 @dataclass(frozen=True)
 class ReducedModel:
     """Compliance of all ports at any frequency from small real matrices.
 
-    ``matrices`` (n_term, r, r) with ``coefficients``; ``functionals`` (r, n_port).
+    ``matrices`` (n_term, r, r) of the operator's terms ``names`` with ``coefficients``; ``functionals`` (r, n_port).
     ``basis`` (n, r) reconstructs displacements and scaled pressures.
     """
 
+    names: tuple[str, ...]
     coefficients: tuple[Coefficient, ...]
     matrices: FloatArray
     functionals: FloatArray
@@ -55,46 +56,36 @@ class ReducedModel:
 
     def projected(self, directions: FloatArray) -> ReducedModel:
         """The model on the span of orthonormal ``directions`` (r, s) of this space."""
-        return ReducedModel(
-            self.coefficients,
-            np.array([directions.T @ m @ directions for m in self.matrices]),
-            directions.T @ self.functionals,
-            self.shares,
-            self.basis @ directions,
+        return replace(
+            self,
+            matrices=np.array([directions.T @ m @ directions for m in self.matrices]),
+            functionals=directions.T @ self.functionals,
+            basis=self.basis @ directions,
         )
 
-    def with_coefficients(self, coefficients: Sequence[Coefficient]) -> ReducedModel:
-        """The same space for other moduli or densities; its error for them is not certified."""
-        return ReducedModel(tuple(coefficients), self.matrices, self.functionals, self.shares, self.basis)
+    def changed(self, coefficients: Mapping[str, Coefficient]) -> ReducedModel:
+        """The same space with other coefficients for some terms, such as "shear muscle".
+
+        The error for them is not certified: it grows with the change (docs/decisions.md). Raises KeyError for a name
+        that is no term.
+        """
+        if unknown := set(coefficients) - set(self.names):
+            raise KeyError(f"no term is called {sorted(unknown)[0]!r}; there are {', '.join(self.names)}")
+        own = zip(self.names, self.coefficients, strict=True)
+        return replace(self, coefficients=tuple(coefficients.get(name, c) for name, c in own))
 
 
 def empty_model(model: ForearmModel) -> ReducedModel:
     """A reduced model of dimension zero, to be extended."""
-    kept = [t for t in model.operator.terms if t.name not in _DROPPED]
+    terms = model.operator.terms
     return ReducedModel(
-        tuple(_coefficient(t) for t in kept),
-        np.zeros((len(kept), 0, 0)),
+        tuple(t.name for t in terms),
+        tuple(t.coefficient for t in terms),
+        np.zeros((len(terms), 0, 0)),
         np.zeros((0, len(model.ports))),
         model.shares,
         np.zeros((model.operator.n, 0)),
     )
-
-
-@dataclass(frozen=True)
-class _Negated:
-    """-theta: the sign change that turns the saddle's pressure block into stored energy."""
-
-    inner: Coefficient
-
-    def at(self, omega: FloatArray) -> ComplexArray:
-        return np.asarray(-self.inner.at(omega))
-
-    def taylor(self, omega0: float, n: int) -> ComplexArray:
-        return np.asarray(-self.inner.taylor(omega0, n))
-
-
-def _coefficient(term: Term) -> Coefficient:
-    return _Negated(term.coefficient) if term.name == "compression" else term.coefficient
 
 
 def extend(
@@ -102,14 +93,12 @@ def extend(
 ) -> ReducedModel:
     """Add solutions and derivatives (a list over derivative orders of (n, k) arrays) to the space."""
     operator = model.operator
-    basis = reduced.basis
-    for block in snapshots:
-        new = orthonormal_extension(basis, real_columns(block), operator.n_displacements, drop=drop)
-        basis = np.hstack([basis, new])
-    added = basis[:, reduced.size :]
+    blocks = [real_columns(block) for block in snapshots]
+    added = orthonormal_extension(reduced.basis, blocks, operator.n_displacements, drop=drop)
+    basis = np.hstack([reduced.basis, added])
     matrices = _extended_matrices(reduced, operator, basis, added)
     functionals = np.vstack([reduced.functionals, added.T @ model.functionals])
-    return ReducedModel(reduced.coefficients, matrices, functionals, reduced.shares, basis)
+    return replace(reduced, matrices=matrices, functionals=functionals, basis=basis)
 
 
 def real_columns(block: ComplexArray) -> FloatArray:
@@ -120,19 +109,36 @@ def real_columns(block: ComplexArray) -> FloatArray:
     return np.asarray(columns[:, keep] / norms[keep])
 
 
-def orthonormal_extension(basis: FloatArray, columns: FloatArray, n_u: int, *, drop: float) -> FloatArray:
+def orthonormal_extension(
+    basis: FloatArray, blocks: Sequence[FloatArray], n_u: int, *, drop: float = 1e-7
+) -> FloatArray:
     """Columns made orthonormal, in their displacements, to ``basis`` and each other; pressures follow along.
 
-    Directions whose independent part is below ``drop`` of a column's length are left out: what rounding leaves of them
-    would only add noise.
+    ``blocks`` are taken in turn, derivative order by order. Directions whose independent part is below ``drop`` of a
+    column's length are left out: what rounding leaves of them would only add noise.
     """
-    norms = np.linalg.norm(columns[:n_u], axis=0)
-    rest = columns / norms
+    widths = np.cumsum([b.shape[1] for b in blocks])[:-1]
+    columns = np.hstack(blocks)
+    columns /= np.linalg.norm(columns[:n_u], axis=0)
+    rest = without(basis, without(basis, columns, n_u), n_u)
+    added = np.zeros((len(basis), 0))
+    for block in np.split(rest, widths, axis=1):
+        added = np.hstack([added, _orthonormalised(added, block, n_u, drop)])
+    return without(basis, added, n_u)  # weak directions had rounding of the known ones left in them
+
+
+def without(basis: FloatArray, columns: FloatArray, n_u: int) -> FloatArray:
+    """Columns less their part in the span of an orthonormal ``basis``."""
+    return np.asarray(columns - basis @ (basis[:n_u].T @ columns[:n_u])) if basis.shape[1] else columns
+
+
+def _orthonormalised(basis: FloatArray, columns: FloatArray, n_u: int, drop: float) -> FloatArray:
+    """Columns (not longer than 1) made orthonormal to ``basis`` and each other, weak directions left out."""
+    rest, limit = columns, drop**2
     for _ in range(2):
-        if basis.shape[1]:
-            rest = rest - basis @ (basis[:n_u].T @ rest[:n_u])
+        rest = without(basis, rest, n_u)
         values, vectors = np.linalg.eigh(rest[:n_u].T @ rest[:n_u])
-        keep = values > drop**2
+        keep = values > limit
         rest = rest @ (vectors[:, keep] / np.sqrt(values[keep]))
     return np.asarray(rest)
 
@@ -140,13 +146,13 @@ def orthonormal_extension(basis: FloatArray, columns: FloatArray, n_u: int, *, d
 def _extended_matrices(
     reduced: ReducedModel, operator: AffineOperator, basis: FloatArray, added: FloatArray
 ) -> FloatArray:
-    """Projected matrices of all kept terms; only products with the added columns are new."""
+    """Projected matrices of all terms; only products with the added columns are new."""
     old, total = reduced.size, basis.shape[1]
-    kept = [t for t in operator.terms if t.name not in _DROPPED]
-    matrices = np.zeros((len(kept), total, total))
+    matrices = np.zeros((len(operator.terms), total, total))
     matrices[:, :old, :old] = reduced.matrices
-    for matrix, term in zip(matrices, kept, strict=True):
-        columns = basis.T @ symmetric_product(operator.term_matrix(term), added).real
+    for matrix, term in zip(matrices, operator.terms, strict=True):
+        rows, compact = operator.compact[term.name]
+        columns = basis[rows].T @ (compact @ added[rows])
         matrix[:, old:] = columns
         matrix[old:, :old] = columns[:old].T
         matrix[old:, old:] = (columns[old:] + columns[old:].T) / 2

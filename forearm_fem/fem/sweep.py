@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
+from ..errors import SolverError
 from ..scenario.sweep import SolverOptions
 from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray
-from .compress import compressed, pole_residue
+from .compress import PoleResidue, compressed, pole_residue
 from .factor import Factor, Solution, make_factor, refined_solve
 from .model import ForearmModel
+from .operator import symmetric_product
 from .reduce import ReducedModel, empty_model, extend
 
+_log = logging.getLogger("forearm_fem.fem")
 Progress = Callable[[str, int, int], None]
 
 
@@ -41,15 +45,28 @@ class SweepResult:
     reduced: ReducedModel | None = None
     expansions: tuple[float, ...] = ()
     certificates: tuple[Certificate, ...] = ()
+    poles: PoleResidue | None = None
+
+    def states(self, frequency: FloatArray, ports: Sequence[int]) -> ComplexArray:
+        """Reduced solutions (n_frequency, r, n_chosen) for a unit force on the chosen ``ports``, shares undone."""
+        if self.poles is not None:
+            return self.poles.states(frequency, ports)
+        assert self.reduced is not None
+        return np.asarray(self.reduced.states(frequency)[:, :, ports] * self.reduced.shares[ports])
 
 
 @dataclass(frozen=True)
 class DirectSolver:
-    """One analysed factorisation, reused for every frequency."""
+    """One analysed factorisation, reused for every frequency.
+
+    ``tolerance`` is the relative residual to refine to; where single-precision factors miss it and ``safe`` is set, the
+    factorisation is repeated in double precision.
+    """
 
     model: ForearmModel
     factor: Factor
     tolerance: float = 1e-11
+    safe: bool = False
 
     def at(self, frequency: float) -> Solution:
         """Solutions (n, n_port) for a unit force on each port; the factor stays for more right-hand sides."""
@@ -60,21 +77,36 @@ class DirectSolver:
     def taylor(self, frequency: float, start: ComplexArray, order: int) -> list[ComplexArray]:
         """Taylor coefficients 0 ... ``order`` in omega of the solutions about ``frequency``, unit-free columns.
 
-        A_0 x_k = - sum_j A_j x_(k-j) with the Taylor matrices A_j; each order is scaled by its own norm.
+        A_0 x_k = - sum_j A_j x_(k-j) with the Taylor matrices A_j. Refined once at most: what is left enters the
+        reduced model squared (see :mod:`.reduce`), but unrefined single precision gave it unstable poles.
         """
         operator, omega = self.model.operator, 2 * np.pi * frequency
-        data, slopes = operator.data(omega), operator.taylor_data(omega, order)
+        upper, slopes = operator.upper(operator.data(omega)), operator.slopes(omega, order)
         series = [start]
         for k in range(1, order + 1):
             right = np.zeros_like(series[0])
             for j in range(1, k + 1):
                 if (slope := slopes[j - 1]) is not None:
-                    right -= omega**j * operator.multiply(slope, series[k - j])
-            series.append(self._solve(data, right).values)
+                    right -= omega**j * symmetric_product(slope, series[k - j])
+            x = self.factor.solve(right)
+            if self.factor.single:
+                x += self.factor.solve(right - symmetric_product(upper, x))
+            series.append(x)
         return series
 
     def _solve(self, data: ComplexArray, right: ComplexArray) -> Solution:
-        return refined_solve(self.factor, self.model.operator.upper(data), right, tolerance=self.tolerance)
+        upper = self.model.operator.upper(data)
+        if not self.safe:
+            return refined_solve(self.factor, upper, right, tolerance=self.tolerance)
+        try:
+            solution = refined_solve(self.factor, upper, right, tolerance=self.tolerance)
+            if solution.residual <= self.tolerance or not self.factor.harden():
+                return solution
+        except SolverError:
+            if not self.factor.harden():
+                raise
+        _log.warning("single-precision factors were not enough at this frequency; double precision from here on")
+        return refined_solve(self.factor, upper, right, tolerance=self.tolerance)
 
     def solve_error(self, solution: Solution) -> float:
         """Error of the watched compliances caused by the residual, relative to the largest of them."""
@@ -89,9 +121,9 @@ class DirectSolver:
 
 def make_solver(model: ForearmModel, options: SolverOptions, frequency: float) -> DirectSolver:
     """Analyse the pattern once for all frequencies."""
-    single = options.precision == "single"
+    single = options.precision != "double"
     factor = make_factor(model.operator, 2 * np.pi * frequency, options.backend, single=single)
-    return DirectSolver(model, factor, 1e-9 if single else 1e-11)
+    return DirectSolver(model, factor, 1e-9 if single else 1e-11, options.precision == "auto")
 
 
 def direct_sweep(
@@ -181,6 +213,7 @@ def _swept(
         small,
         tuple(e.frequency for e in used),
         tuple(certificates),
+        fast,
     )
 
 

@@ -8,12 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from ..fem.coefficients import Polynomial
+from ..fem.compress import pole_residue
 from ..fem.model import ForearmModel, build_model
+from ..fem.sponge import SPONGE
 from ..fem.sweep import Snapshots, SweepResult, direct_sweep, reduced_sweep
 from ..geometry.cache import cached_mesh
 from ..geometry.mesh import TissueMesh
 from ..geometry.place import place_ports
 from ..scenario import Scenario
+from ..scenario.limb import CylinderLimb, ForearmLimb
 from ..scenario.supports import Supports
 from ..tissue import Tissue, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
@@ -23,6 +27,7 @@ Progress = Callable[[str, int, int], None]
 COARSER = 2.0  # size ratio of the second mesh
 REDUCTION = 1e-4  # e(f) asked of the reduced model: far below any discretisation error
 TRUNCATION_PROBES = 4
+SPONGE_SHARE = 0.2  # of a limb's length, at each end
 _ROUGHER = {"derivatives": 4}  # e(f) about 6e-4, not certified: enough for a difference of meshes
 
 
@@ -71,10 +76,18 @@ def fem_model(scenario: Scenario, mesh: TissueMesh, *, supports: Supports | None
         mesh,
         place_ports(scenario, mesh),
         fem_tissues(scenario),
-        supports or scenario.supports,
+        supports or supports_of(scenario),
         scenario.tissues.membrane,
         element=scenario.mesh.element,
     )
+
+
+def supports_of(scenario: Scenario) -> Supports:
+    """The scenario's supports, the sponge before absorbing ends filled in where it was left out."""
+    limb, supports = scenario.limb, scenario.supports
+    if supports.sponge is not None or not isinstance(limb, ForearmLimb | CylinderLimb):
+        return supports
+    return supports.model_copy(update={"sponge": SPONGE_SHARE * limb.length})
 
 
 def fem_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
@@ -100,11 +113,28 @@ def coarser_compliance(
     return solve_fem(rougher, mesh, frequency, progress=progress, tolerance=None).compliance
 
 
-def other_ends(scenario: Scenario, frequency: FloatArray, *, base: Path) -> Compliance | None:
-    """Compliance on the coarse mesh with another kind of ends, at a few of the frequencies.
+def softer_ends(solution: FemSolution) -> Compliance | None:
+    """Compliance with free ends behind half the sponge, from the reduced model: no further factorisation.
 
-    Its difference from the scenario's own ends shows how much of the answer comes back from the cut ends. None where
-    the mesh has no cut ends.
+    Its difference from the scenario's own ends shows how much of the answer comes back from them. None where nothing
+    absorbs or the sweep was direct.
+    """
+    reduced, own = solution.sweep.reduced, solution.compliance
+    names = [] if reduced is None else [n for n in reduced.names if n.startswith("dashpots")]
+    if reduced is None or not names:
+        return None
+    changes = dict.fromkeys(names, Polynomial())
+    if "sponge" in reduced.names:
+        changes["sponge"] = Polynomial(rate=SPONGE.rate / 2)
+    other = reduced.changed(changes)
+    values = (pole_residue(other) or other).compliance(own.frequency)
+    return Compliance(own.frequency, masked(values, solution.model), own.ports)
+
+
+def other_ends(scenario: Scenario, frequency: FloatArray, *, base: Path) -> Compliance | None:
+    """Compliance on the coarse mesh with another kind of ends, at a few of the frequencies, by direct solves.
+
+    For what :func:`softer_ends` cannot do. None where the mesh has no cut ends.
     """
     mesh = cached_mesh(scenario, base=base, scale=COARSER)
     if not len(mesh.facets.get("end", ())):

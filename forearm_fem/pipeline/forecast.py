@@ -52,7 +52,7 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
     factorisations = scenario.solver.expansions + 1
     if scenario.solver.sweep == "direct":
         factorisations = len(frequencies(scenario.sweep))
-    single = 0.5 if scenario.solver.precision == "single" else 1.0
+    single = 1.0 if scenario.solver.precision == "double" else 0.5
     one = _power(_SECONDS, unknowns) * single
     return Forecast(
         len(mesh.tetrahedra),

@@ -22,7 +22,9 @@ from .renderers import renderers, wavelet
 from .solved import Solved, solve
 
 Progress = Callable[[str, int, int], None]
-OTHER_ENDS = 0.5
+# Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions.md).
+OTHER_ENDS, _OTHER = 0.5, "absorbing ends are clamped (or the reverse), on the coarser mesh"
+SOFTER_ENDS, _SOFTER = 0.5, "nothing absorbs at the very ends and half as much before them (reduced model)"
 ASSUMED_ORDER = 2.0  # P2 outputs converge like h^3 to h^4; rims and gradings cost some of it (docs/decisions.md)
 
 
@@ -69,8 +71,12 @@ def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
     transfer = close_loop(solved.compliance, scenario.device)
     coarse = close_loop(solved.coarse, scenario.device) if solved.coarse else None
     errors = [_discretisation(transfer, coarse)] if coarse else []
-    if solved.other_ends and coarse:
-        errors.append(_truncation(transfer, coarse, close_loop(solved.other_ends, scenario.device)))
+    if solved.other_ends:
+        other = close_loop(solved.other_ends, scenario.device)
+        if solved.facts.get("ends_by") == "reduced model":
+            errors.append(_truncation(transfer, transfer, other, SOFTER_ENDS, _SOFTER))
+        elif coarse:
+            errors.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, solved.problems)
 
@@ -111,23 +117,20 @@ def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstima
     )
 
 
-def _truncation(transfer: TransferMatrix, coarse: TransferMatrix, other: TransferMatrix) -> ErrorEstimate:
-    """Half the change between absorbing and clamped ends.
-
-    A clamped end sends back all that an absorbing one should swallow. Against the endless twin the true error was
-    0.02-0.75 of that change over 12 slabs and frequencies (docs/decisions.md).
-    """
-    own = coarse.values[np.searchsorted(coarse.frequency, other.frequency)]
-    error = OTHER_ENDS * relative_error(other.values, own)
-    change = np.linalg.norm(other.values - own, axis=(1, 2)) / np.linalg.norm(own, axis=(1, 2))
+def _truncation(
+    transfer: TransferMatrix, own: TransferMatrix, other: TransferMatrix, share: float, method: str
+) -> ErrorEstimate:
+    """A ``share`` of the change of G when the ends are changed, tested against longer limbs and the endless twin."""
+    same = own.values[np.searchsorted(own.frequency, other.frequency)]
+    change = np.linalg.norm(other.values - same, axis=(1, 2)) / np.linalg.norm(same, axis=(1, 2))
     weight = np.linalg.norm(transfer.values, axis=(1, 2)) ** 2
-    spread = np.interp(np.sqrt(transfer.frequency), np.sqrt(other.frequency), OTHER_ENDS * change)
+    spread = np.interp(np.sqrt(transfer.frequency), np.sqrt(other.frequency), share * change)
     return ErrorEstimate(
         "truncation",
         float(np.sqrt(np.sum(weight * spread**2) / np.sum(weight))),
-        f"{OTHER_ENDS:g} of the change of G when absorbing ends are clamped (or the reverse), on the coarser mesh",
+        f"{share:g} of the change of G when {method}",
         tuple(other.frequency.tolist()),
-        tuple(np.asarray(error).tolist()),
+        tuple((share * relative_error(other.values, same)).tolist()),
     )
 
 

@@ -24,7 +24,7 @@ from ..io.netcdf import read_compliance, write_compliance
 from ..scenario import Scenario
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
-from .fem_engine import FemSolution, coarser_compliance, other_ends, reduction_tolerance, solve_fem
+from .fem_engine import FemSolution, coarser_compliance, other_ends, reduction_tolerance, softer_ends, solve_fem
 
 _log = logging.getLogger("forearm_fem.pipeline")
 Progress = Callable[[str, int, int], None]
@@ -34,9 +34,10 @@ Progress = Callable[[str, int, int], None]
 class Solved:
     """All compliances of a scenario on one mesh.
 
-    ``coarse`` is on the coarser mesh, ``other_ends`` on it too, with other ends and at a few frequencies (None where no
-    estimate was asked). ``modes`` (n_point, 3, r) and ``states`` (n_frequency, r, n_contact) rebuild the
-    wavefield at the mesh vertices per unit contact force; empty for a direct sweep. ``facts`` are for the report.
+    ``coarse`` is on the coarser mesh (None where no estimate was asked); ``other_ends`` has softer ends on the same
+    mesh, or other ends on the coarser one at a few frequencies (None where neither could be). ``modes``
+    (n_point, 3, r) and ``states`` (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit
+    contact force; empty for a direct sweep. ``facts`` are for the report.
     """
 
     compliance: Compliance
@@ -54,14 +55,14 @@ def solve(
     """Solve what is not in the cache yet; each finished part is stored at once."""
     store = _Store(default_cache_dir() / "solves" / solve_key(scenario, mesh, frequency))
     main = _main_part(store, scenario, mesh, frequency, progress)
-    coarse, ends, problems = None, None, list[str]()
+    coarse, ends, problems = None, main.other_ends, list[str]()
     if scenario.solver.discretisation_estimate:
         try:
             coarse = store.compliance(
                 "coarse",
                 lambda: coarser_compliance(scenario, frequency, base=base, progress=_named(progress, "coarser mesh")),
             )
-            ends = _ends(store, scenario, frequency, base, progress)
+            ends = ends or _ends(store, scenario, frequency, base, progress)
         except ForearmError as problem:
             problems.append(f"the error estimate on a coarser mesh failed: {problem}")
     return replace(main, coarse=coarse, other_ends=ends, problems=tuple(problems))
@@ -108,11 +109,13 @@ def _packed(solution: FemSolution, frequency: FloatArray) -> Solved:
         "reduced_size": sweep.reduced.size if sweep.reduced else 0,
     }
     modes, states = np.zeros((0, 3, 0)), np.zeros((len(frequency), 0, 0), dtype=complex)
+    softer = softer_ends(solution)
+    facts["ends_by"] = "direct solves" if softer is None else "reduced model"
     if sweep.reduced is not None:
         contacts = solution.compliance.indices("contact")
         modes = vertex_modes(solution)
-        states = sweep.reduced.states(frequency)[:, :, contacts] * model.shares[contacts]
-    return Solved(solution.compliance, None, None, modes, states, facts)
+        states = sweep.states(frequency, contacts)
+    return Solved(solution.compliance, None, softer, modes, states, facts)
 
 
 def vertex_modes(solution: FemSolution) -> FloatArray:
@@ -205,7 +208,8 @@ class _Store:
             facts = json.loads((self._folder / "facts.json").read_text(encoding="utf-8"))
         except (OSError, ValueError, KeyError, EOFError):
             return None
-        return None if compliance is None else Solved(compliance, None, None, modes, states, facts)
+        ends = self.read("other_ends") if facts.get("ends_by") == "reduced model" else None
+        return None if compliance is None else Solved(compliance, None, ends, modes, states, facts)
 
     def keep_main(self, solved: Solved) -> None:
         """Store the main part, then drop the expansions it came from."""
@@ -215,5 +219,7 @@ class _Store:
             write_text(self._folder / "facts.json", json.dumps(solved.facts))
         except (DataError, OSError) as problem:
             _log.warning("the solution could not be kept for a later run: %s", problem)
+        if solved.other_ends is not None:
+            self.write("other_ends", solved.other_ends)
         self.write("compliance", solved.compliance)
         shutil.rmtree(self._folder / "expansions", ignore_errors=True)

@@ -33,7 +33,9 @@ class SolverOptions(Part):
     """How systems are factorised and the sweep is made."""
 
     backend: Literal["auto", "pardiso", "superlu"] = "auto"
-    precision: Literal["double", "single"] = Field("double", description="of the factors; solves are refined to double")
+    precision: Literal["auto", "double", "single"] = Field(
+        "auto", description="of the factors, all solves being refined; auto: single, double where that is not enough"
+    )
     sweep: Literal["reduced", "direct"] = "reduced"
     expansions: Annotated[int, Field(ge=1, le=50)] = Field(4, description="expansion frequencies to start with")
     derivatives: Annotated[int, Field(ge=1, le=12)] = Field(6, description="kept per expansion frequency")
