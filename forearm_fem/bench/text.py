@@ -78,7 +78,10 @@ def _choice(rows: Sequence[Row]) -> str:
     found = [(e, r) for e in ASKED if (r := cheapest(rows, e)) is not None]
     if not found:
         return "None of the meshes reached 20 %; run `forearm-fem bench --full`."
-    says = "; ".join(f"{_label(r)} for {100 * e:g} %" for e, r in found)
+    errors: dict[str, list[str]] = {}
+    for e, r in found:
+        errors.setdefault(_label(r), []).append(f"{100 * e:g} %")
+    says = "; ".join(f"{label} for {', '.join(wanted)}" for label, wanted in errors.items())
     return f"**Choose** {says}. The twin costs next to nothing where a flat, endless limb will do."
 
 
