@@ -260,24 +260,23 @@ def thin_limb() -> Iterator[Outcome]:
 
 
 def curved_limb() -> Iterator[Outcome]:
-    """P2 against P3; allowed is twice what the pipeline states from a mesh twice as coarse."""
-    values = []
-    for element, scale in (("P2", COARSER), ("P2", 1.0), ("P3", 1.0)):
-        mesh = {"size_grid": 2.4e-3, "size_contact": 1.4e-3, "size_far": 5e-3, "element": element}
-        scenario = parse_scenario(
-            {
-                "limb": {"shape": "cylinder", "diameter": 0.02, "length": 0.05},
-                "supports": {"ends": "fixed"},
-                "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": "bonded", "radius": RADIUS}},
-                "grid": {"points": [[0.008, 0.0], [0.012, 0.004]]},
-                "sweep": {"frequencies": [150.0]},
-                "mesh": mesh,
-            }
-        )
-        values.append(slab_response(slab_model(scenario, scale=scale), [150.0])[0])
-    stated = _gap(values[0], values[1]) / GAIN
-    result = f"u0/F = {values[1][0]:.3g} m/N, error stated {stated:.1e}"
-    yield Outcome("", result, _gap(values[1], values[2]), 2 * stated)
+    """Against a finer mesh, its facets nearer to the round skin; allowed is twice what the pipeline states."""
+    scenario = parse_scenario(
+        {
+            "limb": {"shape": "cylinder", "diameter": 0.02, "length": 0.05},
+            "supports": {"ends": "fixed"},
+            "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": "bonded", "radius": RADIUS}},
+            "grid": {"points": [[0.008, 0.0], [0.012, 0.004]]},
+            "sweep": {"frequencies": [150.0]},
+            "mesh": {"size_grid": 2e-3, "size_contact": 1.2e-3, "size_far": 5e-3},
+        }
+    )
+    coarse, own, fine = (
+        slab_response(slab_model(scenario, scale=scale), [150.0])[0, 1:] for scale in (COARSER, 1.0, 0.6)
+    )
+    stated = _gap(coarse, own) / GAIN
+    result = f"u1/F = {own[0]:.3g} m/N, error stated {stated:.1e}"
+    yield Outcome("", result, _gap(own, fine), 2 * stated)
 
 
 def touching_contacts() -> Iterator[Outcome]:
