@@ -7,9 +7,16 @@ import pytest
 
 from forearm_fem.fem.compress import compressed, pole_residue
 from forearm_fem.fem.reduce import empty_model, extend, orthonormal_extension, real_columns
-from forearm_fem.fem.sweep import direct_sweep, expansion_frequencies, make_solver, reduced_sweep, widest_gap
+from forearm_fem.fem.sweep import (
+    direct_sweep,
+    doubt,
+    expansion_frequencies,
+    make_solver,
+    probe_frequencies,
+    reduced_sweep,
+)
 from forearm_fem.scenario.sweep import SolverOptions
-from forearm_fem.tissue import Hysteretic, SpringPot, Tissue, Zener
+from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
@@ -165,7 +172,10 @@ def test_orthonormal_extension_drops_what_is_known():
     basis, _ = np.linalg.qr(rng.normal(size=(40, 4)))
     known = basis @ rng.normal(size=(4, 2))
     fresh = rng.normal(size=(40, 1))
-    added = orthonormal_extension(basis, [known, fresh], 40)
+    added, coordinates = orthonormal_extension(basis, [known, fresh], 40)
+    whole = np.hstack([basis, added]) @ coordinates
+    columns = np.hstack([known, fresh])
+    assert np.abs(whole - columns / np.linalg.norm(columns, axis=0)).max() < 1e-12
     assert added.shape == (40, 1)
     assert np.abs(basis.T @ added).max() < 1e-12
 
@@ -183,10 +193,55 @@ def test_expansion_frequencies_are_bins_of_the_band():
     assert expansion_frequencies(np.array([100.0]), OPTIONS) == (100.0,)
 
 
-def test_the_test_frequency_is_farthest_from_the_expansions():
-    assert widest_gap(np.array([100.0]), [100.0]) is None
+def test_probes_are_bins_that_are_not_known_yet():
+    assert len(probe_frequencies(np.array([100.0]), [100.0])) == 0
     band = np.arange(10.0, 501.0)
-    assert widest_gap(band, [20.0, 163.0, 444.0]) == pytest.approx(75.0, abs=8.0)  # mid of the gap in sqrt(f): 74.3 Hz
+    probes = probe_frequencies(band, [10.0, 163.0])
+    assert set(probes) < set(band) - {10.0, 163.0}
+    assert probes[-1] == 500.0
+
+
+def test_doubt_finds_the_worst_frequency_and_bounds_its_error(model):
+    """Two expansions close together at the low end: the model is worst at the other end."""
+    solver, reduced = make_solver(model, OPTIONS, 20.0), empty_model(model)
+    for f in (20.0, 40.0):
+        reduced = extend(reduced, model, solver.taylor(f, solver.at(f).values, 2))
+    truth = direct_sweep(model, CHECK, OPTIONS).values
+    error = relative_error(reduced.compliance(CHECK), truth)
+    assert CHECK[int(np.argmax(error))] == 500.0
+    found = doubt(model, reduced, BAND, [20.0, 40.0])
+    assert found.frequency == pytest.approx(500.0, abs=40.0)
+    assert found.change > error.max()
+
+
+def test_undamped_resonances_are_never_certified_by_one_lucky_frequency():
+    """Loss factor 0.013 at 400 Hz, dozens of resonances: too few expansions must say so."""
+    model = held_block(2, tissue=flesh(eta=0.04, bulk=2.2e9))
+    band = np.linspace(10.0, 500.0, 491)
+    swept = reduced_sweep(model, band, OPTIONS, tolerance=1e-4)
+    points = np.ix_(range(71), [1, 2, 3], [0])
+    truth = direct_sweep(model, band[::7], OPTIONS).values
+    error = relative_error(swept.values[::7][points], truth[points]).max()
+    assert error > 1e-2
+    assert swept.certificates[-1].bound > 1e-2
+
+
+def test_single_precision_gives_the_same_model_as_double(model, truth):
+    """Kept in saddle form, what single-precision factors leave enters squared; 1e-6 is where directions are dropped."""
+    for precision in ("single", "double"):
+        swept = reduced_sweep(model, BAND, SolverOptions(precision=precision), tolerance=None)
+        assert relative_error(swept.reduced.compliance(CHECK), truth).max() < 1e-6
+
+
+def test_changed_terms_change_the_answer_as_a_new_model_would(model):
+    """A fifth more shear modulus in the old space; 1e-2 of room for a space made for the old modulus."""
+    swept = reduced_sweep(model, BAND, OPTIONS, tolerance=None)
+    stiffer = swept.reduced.changed({"shear block": KelvinVoigt(1.2 * 7860.0, 5.03)})
+    exact = direct_sweep(held_block(3, tissue=flesh(1.2 * 7860.0, bulk=2.2e9)), CHECK, OPTIONS).values
+    assert relative_error(swept.reduced.compliance(CHECK), exact).max() > 0.1
+    assert relative_error(stiffer.compliance(CHECK), exact).max() < 1e-2
+    with pytest.raises(KeyError, match="shear bone"):
+        swept.reduced.changed({"shear bone": KelvinVoigt(1.0, 1.0)})
 
 
 def test_single_frequency_sweep(model):

@@ -15,6 +15,7 @@ from forearm_fem.fem.operator import affine_operator, symmetric_product
 from forearm_fem.fem.pardiso import PardisoFactor, library
 from forearm_fem.fem.sweep import direct_sweep
 from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
 needs_mkl = pytest.mark.skipif(library() is None, reason="MKL is not installed")
@@ -217,3 +218,16 @@ def test_incompressible_and_stiff_bulk_meet():
         for b in (1e14, np.inf)
     )
     assert np.abs(stiff - infinite).max() < 1e-8 * np.abs(infinite).max()
+
+
+def test_auto_hardens_to_double_where_single_precision_is_not_enough(model, monkeypatch, caplog):
+    """A solver that loses the first factors' accuracy: the same solution, in double precision, and a warning."""
+    right = PardisoFactor.solve
+    monkeypatch.setattr(PardisoFactor, "solve", lambda self, b: right(self, b) * (0.5 if self.single else 1.0))
+    f = np.array([60.0])
+    hardened = direct_sweep(model, f, SolverOptions(precision="auto"))
+    assert hardened.residual < 1e-11
+    assert "double precision from here on" in caplog.text
+    monkeypatch.undo()
+    plain = direct_sweep(model, f, SolverOptions(precision="double"))
+    assert relative_error(hardened.values, plain.values).max() < 1e-9

@@ -13,6 +13,7 @@ from forearm_fem.geometry.quality import check_mesh, mesh_quality
 from forearm_fem.geometry.refine import refine
 from forearm_fem.geometry.tube import tube_of
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario.limb import ForearmLimb
 
 COARSE = {"size_grid": 5e-3, "size_contact": 3e-3, "size_far": 12e-3}
 
@@ -87,7 +88,7 @@ def test_contacts_fill_their_discs(mesh, scenario, name):
 
 
 def test_end_facets_are_plane_and_underside_faces_down(mesh):
-    assert np.abs(mesh.points[mesh.facets["end"]][:, :, 0]) == pytest.approx(0.06, abs=1e-12)
+    assert np.abs(mesh.points[mesh.facets["end"]][:, :, 0]) == pytest.approx(ForearmLimb().length / 2, abs=1e-12)
     under = mesh.points[mesh.facets["underside"]]
     normal = np.cross(under[:, 1] - under[:, 0], under[:, 2] - under[:, 0])
     assert (normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)).all()

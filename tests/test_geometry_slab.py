@@ -79,7 +79,7 @@ def _contact(mesh):
 
 
 def test_rim_edges_are_as_short_as_asked(mesh):
-    rim = 0.3 / 0.8 * 2e-3
+    rim = 0.45 * COARSE["size_grid"]
     edges = rim_edges(mesh, "A1")
     assert np.linalg.norm(np.diff(mesh.points[edges], axis=1), axis=2).max() <= rim
 
@@ -128,7 +128,8 @@ def test_default_sizes_and_explicit_ones():
     sizes = element_sizes(Scenario())
     assert 1.8e-3 < sizes.grid < 2.4e-3
     assert sizes.sublayers == (1, 2)
-    assert 0.3e-3 < sizes.rim < 0.7e-3
+    assert sizes.rim == pytest.approx(0.45 * sizes.grid)
+    assert element_sizes(Scenario(), scale=2.0).rim == pytest.approx(2 * sizes.rim)  # the estimate must see the rim
     assert element_sizes(Scenario(), scale=1.5).grid == pytest.approx(1.5 * sizes.grid)
     finer = parse_scenario({"accuracy": 0.05 / 16})
     assert element_sizes(finer).grid == pytest.approx(sizes.grid / 2)  # h ~ accuracy^(1/4)
@@ -144,7 +145,7 @@ def test_scale_makes_a_coarser_mesh(mesh):
 
 
 def test_pressure_contacts_have_coarse_rims():
-    fine = {**COARSE, "size_contact": 1e-3}
+    fine = {**COARSE, "size_contact": 1e-3, "size_grid": 0.8e-3}
     bonded, pressed = (
         build_mesh(
             parse_scenario(

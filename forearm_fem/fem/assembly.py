@@ -78,16 +78,6 @@ def tissue_matrices(space: MixedSpace, region: int, reference: ReferenceTensors)
     )
 
 
-def weighted_shear(space: MixedSpace, weight: FloatArray, reference: ReferenceTensors) -> csr_array:
-    """Shear matrix (n_u, n_u) of the whole mesh with a ``weight`` (n_tet,) per tetrahedron."""
-    chosen = np.flatnonzero(weight)
-    jacobian = space.jacobians[chosen]
-    volume = weight[chosen] * np.abs(np.asarray(np.linalg.det(jacobian), dtype=float))
-    blocks = shear_blocks(np.asarray(np.linalg.inv(jacobian), dtype=float), volume, reference.gradient)
-    nodes = space.nodes[chosen]
-    return _scatter_blocks(nodes, nodes, blocks, (space.n_nodes, space.n_nodes))
-
-
 def shear_blocks(inverse: FloatArray, volume: FloatArray, reference: FloatArray) -> FloatArray:
     """3x3 blocks of the deviatoric stiffness (3, 3, n_tet, nb, nb) from gradients' reference tensor.
 

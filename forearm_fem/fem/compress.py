@@ -12,7 +12,7 @@ from ..typing import ComplexArray, FloatArray
 from .reduce import ReducedModel
 
 
-def compressed(reduced: ReducedModel, frequency: FloatArray, *, samples: int = 48, drop: float = 1e-9) -> ReducedModel:
+def compressed(reduced: ReducedModel, frequency: FloatArray, *, samples: int = 48, drop: float = 1e-6) -> ReducedModel:
     """The reduced model on the span of its own states at ``samples`` frequencies spread over the band.
 
     Singular directions below ``drop`` of the largest (states of unit length) are left out; projection keeps the

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,14 +17,14 @@ from ..scenario.supports import Supports
 from ..scenario.tissues import Membrane
 from ..tissue import Tissue
 from ..typing import FloatArray, IntArray
-from .assembly import ReferenceTensors, TissueMatrices, reference_tensors, tissue_matrices
+from .assembly import TissueMatrices, reference_tensors, tissue_matrices
 from .boundary import facet_gradients, facet_mass, facet_membrane
-from .coefficients import Coefficient, Polynomial
+from .coefficients import Coefficient
 from .constraints import Constraints, RigidDisc, constraints
 from .loads import force_share, port_functional
 from .operator import AffineOperator, affine_operator
 from .space import MixedSpace, mixed_space
-from .sponge import SPONGE, sponge_matrix
+from .terms import term_coefficient
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class ForearmModel:
         return self.operator.n_displacements, self.operator.n - self.operator.n_displacements
 
 
-Matrices = list[tuple[str, csr_array, Coefficient]]
+Matrices = list[tuple[str, csr_array]]
 
 
 def build_model(
@@ -70,10 +70,12 @@ def build_model(
     rules = _constraints(space, ports, supports)
     names, reference = mesh.region_names, reference_tensors(space)
     parts = [tissue_matrices(space, region, reference) for region in range(len(names))]
-    displacement = _shear_and_mass(names, parts, tissues, rules.transform)
-    displacement += _boundaries(space, tissues, supports, membrane, rules.transform)
-    displacement += _sponge(space, tissues, supports, rules.transform, reference)
-    operator = _with_pressure(names, parts, tissues, rules.transform, displacement)
+    displacement = _shear_and_mass(names, parts, rules.transform)
+    displacement += _boundaries(space, supports, membrane, rules.transform)
+    operator = _with_pressure(
+        names, parts, tissues, rules.transform, displacement,
+        lambda name: term_coefficient(name, tissues, supports, membrane),
+    )  # fmt: skip
     functionals = np.zeros((operator.n, len(ports)))
     for i, port in enumerate(ports):
         functionals[: operator.n_displacements, i] = _functional(space, port, rules)
@@ -121,55 +123,33 @@ def _reduced(transform: csr_array, matrix: csr_array) -> csr_array:
     return csr_array(transform.T @ matrix @ transform)
 
 
-def _shear_and_mass(
-    names: tuple[str, ...], parts: list[TissueMatrices], tissues: Mapping[str, Tissue], transform: csr_array
-) -> Matrices:
+def _shear_and_mass(names: tuple[str, ...], parts: list[TissueMatrices], transform: csr_array) -> Matrices:
     result: Matrices = []
     for name, part in zip(names, parts, strict=True):
-        tissue = tissues[name]
-        result.append((f"shear {name}", _reduced(transform, part.shear), tissue.modulus))
-        result.append((f"mass {name}", _reduced(transform, part.mass), Polynomial(inertia=tissue.density)))
+        result.append((f"shear {name}", _reduced(transform, part.shear)))
+        result.append((f"mass {name}", _reduced(transform, part.mass)))
     return result
 
 
-def _boundaries(
-    space: MixedSpace, tissues: Mapping[str, Tissue], supports: Supports, membrane: Membrane, transform: csr_array
-) -> Matrices:
+def _boundaries(space: MixedSpace, supports: Supports, membrane: Membrane, transform: csr_array) -> Matrices:
     facets = space.mesh.facets
     result: Matrices = []
     if supports.ends == "absorb" and len(facets.get("end", ())):
-        result += _dashpots(space, tissues, facets["end"])
+        result += _dashpots(space, facets["end"])
     if supports.underside == "foam" and len(facets.get("underside", ())):
-        foam = Polynomial(supports.foam_stiffness, supports.foam_damping)
-        result.append(("foam", facet_mass(space, facets["underside"]), foam))
+        result.append(("foam", facet_mass(space, facets["underside"])))
     skin = facets["skin"]
     if membrane.mass:
-        result.append(("skin mass", facet_mass(space, skin), Polynomial(inertia=membrane.mass)))
+        result.append(("skin mass", facet_mass(space, skin)))
     if membrane.tension:
-        result.append(("skin tension", facet_gradients(space, skin), Polynomial(membrane.tension)))
+        result.append(("skin tension", facet_gradients(space, skin)))
     if membrane.stiffness or membrane.viscosity:
-        sheet = Polynomial(membrane.stiffness, membrane.viscosity)
-        result.append(("skin membrane", facet_membrane(space, skin), sheet))
-    reduced: Matrices = [(name, _reduced(transform, matrix), coefficient) for name, matrix, coefficient in result]
-    return reduced
+        result.append(("skin membrane", facet_membrane(space, skin)))
+    return [(name, _reduced(transform, matrix)) for name, matrix in result]
 
 
-def _sponge(
-    space: MixedSpace,
-    tissues: Mapping[str, Tissue],
-    supports: Supports,
-    transform: csr_array,
-    reference: ReferenceTensors,
-) -> Matrices:
-    ends = space.mesh.facets.get("end", np.zeros((0, 3), dtype=np.int64))
-    if supports.ends != "absorb" or not supports.sponge or not len(ends):
-        return []
-    matrix = sponge_matrix(space, tissues, ends, supports.sponge, reference)
-    return [("sponge", _reduced(transform, matrix), SPONGE)]
-
-
-def _dashpots(space: MixedSpace, tissues: Mapping[str, Tissue], facets: IntArray) -> Matrices:
-    """Viscous dashpots rho c_s in all directions on the cut ends, per tissue (Lysmer and Kuhlemeyer 1969).
+def _dashpots(space: MixedSpace, facets: IntArray) -> Matrices:
+    """Viscous dashpots in all directions on the cut ends, per tissue.
 
     The shear impedance is taken for the normal direction too: rho c_p would be a wall at 10-500 Hz.
     """
@@ -177,10 +157,9 @@ def _dashpots(space: MixedSpace, tissues: Mapping[str, Tissue], facets: IntArray
     regions = space.mesh.region[tets]
     result: Matrices = []
     for region, name in enumerate(space.mesh.region_names):
-        mine, tissue = facets[regions == region], tissues[name]
+        mine = facets[regions == region]
         if len(mine):
-            impedance = float(np.sqrt(tissue.density * np.abs(tissue.modulus.at(np.array([0.0]))[0])))
-            result.append((f"dashpots {name}", facet_mass(space, mine), Polynomial(rate=impedance)))
+            result.append((f"dashpots {name}", facet_mass(space, mine)))
     return result
 
 
@@ -190,22 +169,23 @@ def _with_pressure(
     tissues: Mapping[str, Tissue],
     transform: csr_array,
     displacement: Matrices,
+    coefficient: Callable[[str], Coefficient],
 ) -> AffineOperator:
     """Saddle system [[K, -B^T], [-B, -M_p/bulk]] with pressures scaled to the size of the stiffness."""
     divergence = csr_array(sum(part.divergence for part in parts) @ transform)
     storage = csr_array(sum(part.pressure_mass / tissues[name].bulk for name, part in zip(names, parts, strict=True)))
     n_u, n_p = transform.shape[1], divergence.shape[0]
-    scale = _pressure_scale(displacement, divergence)
+    scale = _pressure_scale([(m, coefficient(name)) for name, m in displacement], divergence)
     zero = csr_array((n_p, n_p))
-    whole: Matrices = [(name, csr_array(block_array([[m, None], [None, zero]])), c) for name, m, c in displacement]
+    whole: Matrices = [(name, csr_array(block_array([[m, None], [None, zero]]))) for name, m in displacement]
     coupling = csr_array(block_array([[None, -scale * divergence.T], [-scale * divergence, None]]))
-    whole.append(("incompressibility", coupling, Polynomial(1.0)))
+    whole.append(("incompressibility", coupling))
     compressed = csr_array(block_array([[csr_array((n_u, n_u)), None], [None, -(scale**2) * storage]]))
-    whole.append(("compression", compressed, Polynomial(1.0)))
-    return affine_operator(whole, n_u, scale)
+    whole.append(("compression", compressed))
+    return affine_operator([(name, m, coefficient(name)) for name, m in whole], n_u, scale)
 
 
-def _pressure_scale(displacement: Matrices, divergence: csr_array) -> float:
+def _pressure_scale(displacement: list[tuple[csr_array, Coefficient]], divergence: csr_array) -> float:
     """Pascals per pressure unknown that make the coupling as large as a typical stiffness."""
-    stiffness = sum(np.abs(complex(c.at(np.array(0.0)))) * m.diagonal() for _, m, c in displacement)
+    stiffness = sum(np.abs(complex(c.at(np.array(0.0)))) * m.diagonal() for m, c in displacement)
     return float(np.median(stiffness) / np.median(np.abs(divergence.data)))

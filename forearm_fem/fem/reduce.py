@@ -19,13 +19,16 @@ from .coefficients import Coefficient
 from .model import ForearmModel
 from .operator import AffineOperator
 
+_DROP = 1e-5  # of a snapshot's length: weaker directions carry what single-precision solves leave, and cost time
+
 
 @dataclass(frozen=True)
 class ReducedModel:
     """Compliance of all ports at any frequency from small real matrices.
 
     ``matrices`` (n_term, r, r) of the operator's terms ``names`` with ``coefficients``; ``functionals`` (r, n_port).
-    ``basis`` (n, r) reconstructs displacements and scaled pressures.
+    ``basis`` (n, r) reconstructs displacements and scaled pressures. ``low`` (r, m) are coordinates of all snapshots
+    but those of the highest derivatives: :meth:`lower` is the model without these.
     """
 
     names: tuple[str, ...]
@@ -34,6 +37,7 @@ class ReducedModel:
     functionals: FloatArray
     shares: FloatArray
     basis: FloatArray = field(repr=False)
+    low: FloatArray = field(repr=False)
 
     @property
     def size(self) -> int:
@@ -54,13 +58,19 @@ class ReducedModel:
         values = np.einsum("ri,frj->fij", self.functionals, self.states(frequency), optimize=True)
         return np.asarray(values * self.shares)
 
+    def lower(self) -> ReducedModel:
+        """The model that one derivative fewer per expansion would have given, without its basis."""
+        values, vectors = np.linalg.eigh(self.low @ self.low.T)
+        return replace(self, basis=np.zeros((0, self.size))).projected(vectors[:, values > _DROP**2 * values[-1]])
+
     def projected(self, directions: FloatArray) -> ReducedModel:
         """The model on the span of orthonormal ``directions`` (r, s) of this space."""
         return replace(
             self,
-            matrices=np.array([directions.T @ m @ directions for m in self.matrices]),
+            matrices=np.array([_symmetric(directions.T @ m @ directions) for m in self.matrices]),
             functionals=directions.T @ self.functionals,
             basis=self.basis @ directions,
+            low=directions.T @ self.low,
         )
 
     def changed(self, coefficients: Mapping[str, Coefficient]) -> ReducedModel:
@@ -75,6 +85,10 @@ class ReducedModel:
         return replace(self, coefficients=tuple(coefficients.get(name, c) for name, c in own))
 
 
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    return (matrix + matrix.T) / 2
+
+
 def empty_model(model: ForearmModel) -> ReducedModel:
     """A reduced model of dimension zero, to be extended."""
     terms = model.operator.terms
@@ -85,20 +99,23 @@ def empty_model(model: ForearmModel) -> ReducedModel:
         np.zeros((0, len(model.ports))),
         model.shares,
         np.zeros((model.operator.n, 0)),
+        np.zeros((0, 0)),
     )
 
 
 def extend(
-    reduced: ReducedModel, model: ForearmModel, snapshots: Sequence[ComplexArray], *, drop: float = 1e-7
+    reduced: ReducedModel, model: ForearmModel, snapshots: Sequence[ComplexArray], *, drop: float = _DROP
 ) -> ReducedModel:
     """Add solutions and derivatives (a list over derivative orders of (n, k) arrays) to the space."""
     operator = model.operator
     blocks = [real_columns(block) for block in snapshots]
-    added = orthonormal_extension(reduced.basis, blocks, operator.n_displacements, drop=drop)
+    added, coordinates = orthonormal_extension(reduced.basis, blocks, operator.n_displacements, drop=drop)
+    low = coordinates[:, : sum(b.shape[1] for b in blocks[:-1])]
+    old = np.vstack([reduced.low, np.zeros((added.shape[1], reduced.low.shape[1]))])
     basis = np.hstack([reduced.basis, added])
     matrices = _extended_matrices(reduced, operator, basis, added)
     functionals = np.vstack([reduced.functionals, added.T @ model.functionals])
-    return replace(reduced, matrices=matrices, functionals=functionals, basis=basis)
+    return replace(reduced, matrices=matrices, functionals=functionals, basis=basis, low=np.hstack([old, low]))
 
 
 def real_columns(block: ComplexArray) -> FloatArray:
@@ -110,21 +127,24 @@ def real_columns(block: ComplexArray) -> FloatArray:
 
 
 def orthonormal_extension(
-    basis: FloatArray, blocks: Sequence[FloatArray], n_u: int, *, drop: float = 1e-7
-) -> FloatArray:
+    basis: FloatArray, blocks: Sequence[FloatArray], n_u: int, *, drop: float = _DROP
+) -> tuple[FloatArray, FloatArray]:
     """Columns made orthonormal, in their displacements, to ``basis`` and each other; pressures follow along.
 
     ``blocks`` are taken in turn, derivative order by order. Directions whose independent part is below ``drop`` of a
-    column's length are left out: what rounding leaves of them would only add noise.
+    column's length are left out: what rounding leaves of them would only add noise. The second result are the
+    coordinates of all columns, scaled to unit length, in the basis and the new directions together.
     """
     widths = np.cumsum([b.shape[1] for b in blocks])[:-1]
     columns = np.hstack(blocks)
     columns /= np.linalg.norm(columns[:n_u], axis=0)
-    rest = without(basis, without(basis, columns, n_u), n_u)
+    known = basis[:n_u].T @ columns[:n_u]
+    rest = columns - basis @ known
     added = np.zeros((len(basis), 0))
     for block in np.split(rest, widths, axis=1):
         added = np.hstack([added, _orthonormalised(added, block, n_u, drop)])
-    return without(basis, added, n_u)  # weak directions had rounding of the known ones left in them
+    added = without(basis, added, n_u)  # weak directions had rounding of the known ones left in them
+    return added, np.vstack([known, added[:n_u].T @ rest[:n_u]])
 
 
 def without(basis: FloatArray, columns: FloatArray, n_u: int) -> FloatArray:
@@ -152,7 +172,8 @@ def _extended_matrices(
     matrices[:, :old, :old] = reduced.matrices
     for matrix, term in zip(matrices, operator.terms, strict=True):
         rows, compact = operator.compact[term.name]
-        columns = basis[rows].T @ (compact @ added[rows])
+        part = basis if len(rows) == len(basis) else basis[rows]
+        columns = part.T @ (compact @ added[rows])
         matrix[:, old:] = columns
         matrix[old:, :old] = columns[:old].T
         matrix[old:, old:] = (columns[old:] + columns[old:].T) / 2

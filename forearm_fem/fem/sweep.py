@@ -25,10 +25,19 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Certificate:
-    """Error of the reduced model at a frequency where it was compared with a direct solve it had not used."""
+    """Error of the reduced model at a frequency where it was compared with a direct solve it had not used.
+
+    ``change`` is the largest change of the model by one derivative, over the band; it was largest at ``frequency``.
+    """
 
     frequency: float
     error: float
+    change: float = 0.0
+
+    @property
+    def bound(self) -> float:
+        """The error, or the change where that says that one true error cannot speak for the band."""
+        return self.error if self.change <= _DOUBTFUL else max(self.error, self.change)
 
 
 @dataclass(frozen=True)
@@ -174,10 +183,10 @@ def reduced_sweep(
 ) -> SweepResult:
     """Sweep by a reduced model expanded about few frequencies and certified between them.
 
-    Expansion starts at :func:`expansion_frequencies`. Then the frequency farthest from all of them is solved directly:
-    that true error certifies the model, and where it exceeds ``tolerance`` the solution and
-    its derivatives extend it (at most ``max_expansions`` times in all; the certificates say what was reached). With
-    ``tolerance`` None nothing is certified and no factorisation is spent on it.
+    Expansion starts at :func:`expansion_frequencies`. Then the most doubtful frequency (:func:`doubt`) is solved
+    directly: that true error certifies the model, and where it exceeds ``tolerance`` the solution and its derivatives
+    extend it (at most ``max_expansions`` times in all; the certificates say what was reached). With ``tolerance`` None
+    nothing is certified and no factorisation is spent on it.
     """
     work = _Expander(model, options, snapshots)
     planned = expansion_frequencies(frequency, options)
@@ -187,14 +196,18 @@ def reduced_sweep(
         reduced = extend(reduced, model, expansion.series)
         used.append(replace(expansion, series=()))
         _tell(progress, "expansion frequencies", i + 1, len(planned) + 1)
-    certificates = list[Certificate]()
-    while tolerance is not None and (chosen := widest_gap(frequency, [e.frequency for e in used])) is not None:
-        truth = work.direct(chosen)
-        certificates.append(_certify(reduced, model, truth.series[0], chosen))
-        _tell(progress, "expansion frequencies", len(used) + 1, len(used) + 1)
-        if certificates[-1].error <= tolerance or len(used) >= options.max_expansions:
+    certificates, tried = list[Certificate](), list[float]()
+    while tolerance is not None:
+        worst = doubt(model, reduced, frequency, [*tried, *(e.frequency for e in used)])
+        if worst is None:
             break
-        expansion = work.expand(chosen, truth)
+        truth = work.direct(worst.frequency)
+        certificates.append(_certify(reduced, model, truth.series[0], worst))
+        tried.append(worst.frequency)
+        _tell(progress, "expansion frequencies", len(used) + 1, len(used) + 1)
+        if certificates[-1].bound <= tolerance or len(used) >= options.max_expansions:
+            break
+        expansion = work.expand(worst.frequency, truth)
         reduced = extend(reduced, model, expansion.series)
         used.append(replace(expansion, series=()))
     work.release()
@@ -255,31 +268,58 @@ class _Expander:
         return self._solver
 
 
+_SPACING = 0.1  # expansions are equally far apart in this power of the frequency (docs/decisions.md)
+
+
 def expansion_frequencies(frequency: FloatArray, options: SolverOptions) -> tuple[float, ...]:
-    """Chebyshev nodes of sqrt(f) over the band: best of four spacings tried (docs/decisions.md)."""
+    """Middles of equal parts of the band in f^0.1: denser where damping is low (docs/decisions.md)."""
     count = min(options.expansions, len(frequency))
-    nodes = (1 - np.cos((2 * np.arange(count) + 1) * np.pi / (2 * count))) / 2
-    low, high = np.sqrt(frequency[0]), np.sqrt(frequency[-1])
-    wanted = (low + (high - low) * nodes) ** 2
+    low, high = frequency[0] ** _SPACING, frequency[-1] ** _SPACING
+    wanted = (low + (high - low) * (np.arange(count) + 0.5) / count) ** (1 / _SPACING)
     return tuple(sorted({float(frequency[np.argmin(np.abs(frequency - f))]) for f in wanted}))
 
 
-def _certify(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArray, frequency: float) -> Certificate:
+def _certify(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArray, at: Doubt) -> Certificate:
     """Error at the watched ports against direct solutions (n, n_port)."""
     block = np.ix_([0], *_watched(model))
     truth = ((model.functionals.T @ solutions) * model.shares)[None]
-    estimate = reduced.compliance(np.array([frequency]))
-    return Certificate(frequency, float(relative_error(estimate[block], truth[block])[0]))
+    estimate = reduced.compliance(np.array([at.frequency]))
+    return Certificate(at.frequency, float(relative_error(estimate[block], truth[block])[0]), at.change)
 
 
-def widest_gap(frequency: FloatArray, expansions: list[float]) -> float | None:
-    """The frequency farthest, in sqrt(f), from all expansion frequencies; None if every frequency is one.
+_DOUBTFUL = 0.1  # a change by one derivative above this, anywhere, says that resonances are not resolved
+_PROBES = 60
 
-    The reduced model is worst there (docs/decisions.md); of two equal gaps the lower one is taken.
+
+@dataclass(frozen=True)
+class Doubt:
+    """Where one derivative fewer changes the reduced model most, and by how much (relative to the largest entry)."""
+
+    frequency: float
+    change: float
+
+
+def doubt(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, known: Sequence[float]) -> Doubt | None:
+    """The most doubtful of the probed frequencies that are not ``known``; None if none is left.
+
+    The change is the error of the model with one derivative fewer: an upper bound that finds the place of the largest
+    error, and says where a model is no approximation at all yet.
     """
-    away = np.abs(np.sqrt(frequency)[:, None] - np.sqrt(np.array(expansions))[None]).min(axis=1)
-    worst = int(np.argmax(np.round(away, 1)))
-    return float(frequency[worst]) if away[worst] > 0 else None
+    probes = probe_frequencies(frequency, known)
+    if not len(probes):
+        return None
+    block = np.ix_(range(len(probes)), *_watched(model))
+    change = relative_error(reduced.lower().compliance(probes)[block], reduced.compliance(probes)[block])
+    worst = int(np.argmax(change))
+    return Doubt(float(probes[worst]), float(change[worst]))
+
+
+def probe_frequencies(frequency: FloatArray, known: Sequence[float]) -> FloatArray:
+    """Bins equally far apart in f^0.1, without the known ones."""
+    low, high = frequency[0] ** _SPACING, frequency[-1] ** _SPACING
+    wanted = np.linspace(low, high, min(_PROBES, len(frequency))) ** (1 / _SPACING)
+    bins = {float(frequency[np.argmin(np.abs(frequency - f))]) for f in wanted}
+    return np.array(sorted(bins - set(known)))
 
 
 def _watched(model: ForearmModel) -> tuple[list[int], list[int]]:

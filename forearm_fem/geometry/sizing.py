@@ -13,8 +13,8 @@ from ..typing import FloatArray
 from .layout import Layout, layers_of
 
 DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics.md 6
-_PER_WAVELENGTH = 1.05  # default forearm: 1.05 * 4.4 mm * 0.05**(1/4) = 2.2 mm
-_CONTACT, _FAR, _RIM = 0.8, 6.0, 0.3  # relative to the size between contacts and grid
+_PER_WAVELENGTH = 0.9241  # default forearm: 0.9241 * 4.4 mm * 0.05**(1/4) = 1.9 mm
+_CONTACT, _FAR, _RIM = 0.8, 6.0, 0.45  # relative to the size between contacts and grid
 _INTO_CORE = 2.2  # the core lies under the layers, where fields are smooth: sizes grow faster there
 _THROUGH = 0.8  # a sublayer is at most about this much of the size between contacts and grid
 
@@ -37,7 +37,7 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     """Sizes for ``scenario``; explicit mesh options win, ``scale`` multiplies every size.
 
     ``shear_speed`` maps tissues to their shear wave speed at ``f_max`` [m/s]. Outputs of P2 elements converge
-    like h^4, hence h = 1.05 lambda_min accuracy^(1/4).
+    like h^4, hence h = 0.92 lambda_min accuracy^(1/4).
     """
     options, radius = scenario.mesh, scenario.device.cone.radius
     frequencies = scenario.sweep.frequencies
@@ -47,7 +47,7 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     grid = scale * (options.size_grid or grid)
     contact = scale * options.size_contact if options.size_contact else min(_CONTACT * grid, 0.6 * radius)
     far = scale * options.size_far if options.size_far else _FAR * grid
-    rim = min(_RIM / _CONTACT * contact, contact)
+    rim = min(_RIM * grid, contact)
     counts = tuple(
         _sublayers(layer.thickness, options.sublayers.get(layer.tissue), grid, scale)
         for layer in layers_of(scenario.limb)

@@ -38,6 +38,7 @@ from .forecast import forecast, refuse_if_too_large
 from .frequencies import frequencies
 from .resources import Ledger
 from .simulation import ASSUMED_ORDER, Simulation, closed, render_transfer, simulate
+from .skin_model import save_skin_model
 from .solved import solve
 from .wave_report import write_wave_report
 
@@ -168,6 +169,8 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
         write_thesis_mat(out / "transfer.mat", transfer, scenario.sweep.sample_rate, scenario.sweep.duration)
     if simulation.solved is not None and simulation.solved.modes.size:
         save_wavefield(wavefield_of(simulation), out / "wavefield.npz")
+    if simulation.solved is not None and simulation.solved.skin is not None:
+        save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
     facts = {"facts": simulation.solved.facts if simulation.solved else {}, "mesh": _mesh_facts(run, simulation.mesh)}
     write_text(out / "solution.json", json.dumps(facts, indent=2))
 

@@ -24,7 +24,7 @@ from .solved import Solved, solve
 Progress = Callable[[str, int, int], None]
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions.md).
 OTHER_ENDS, _OTHER = 0.5, "absorbing ends are clamped (or the reverse), on the coarser mesh"
-SOFTER_ENDS, _SOFTER = 0.5, "nothing absorbs at the very ends and half as much before them (reduced model)"
+FREED_ENDS, _FREED = 0.5, "the absorbing ends are freed (by the reduced model)"
 ASSUMED_ORDER = 2.0  # P2 outputs converge like h^3 to h^4; rims and gradings cost some of it (docs/decisions.md)
 
 
@@ -74,7 +74,7 @@ def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
     if solved.other_ends:
         other = close_loop(solved.other_ends, scenario.device)
         if solved.facts.get("ends_by") == "reduced model":
-            errors.append(_truncation(transfer, transfer, other, SOFTER_ENDS, _SOFTER))
+            errors.append(_truncation(transfer, transfer, other, FREED_ENDS, _FREED))
         elif coarse:
             errors.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
     transfer = replace(transfer, errors=(*errors, *transfer.errors))

@@ -24,7 +24,8 @@ from ..io.netcdf import read_compliance, write_compliance
 from ..scenario import Scenario
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
-from .fem_engine import FemSolution, coarser_compliance, other_ends, reduction_tolerance, softer_ends, solve_fem
+from .fem_engine import FemSolution, coarser_compliance, freed_ends, other_ends, reduction_tolerance, solve_fem
+from .skin_model import SkinModel, load_skin_model, save_skin_model
 
 _log = logging.getLogger("forearm_fem.pipeline")
 Progress = Callable[[str, int, int], None]
@@ -34,10 +35,11 @@ Progress = Callable[[str, int, int], None]
 class Solved:
     """All compliances of a scenario on one mesh.
 
-    ``coarse`` is on the coarser mesh (None where no estimate was asked); ``other_ends`` has softer ends on the same
+    ``coarse`` is on the coarser mesh (None where no estimate was asked); ``other_ends`` has free ends on the same
     mesh, or other ends on the coarser one at a few frequencies (None where neither could be). ``modes``
     (n_point, 3, r) and ``states`` (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit
-    contact force; empty for a direct sweep. ``facts`` are for the report.
+    contact force; empty for a direct sweep. ``facts`` are for the report; ``skin`` is the reduced model without its
+    modes.
     """
 
     compliance: Compliance
@@ -47,6 +49,7 @@ class Solved:
     states: ComplexArray
     facts: dict[str, Any]
     problems: tuple[str, ...] = ()
+    skin: SkinModel | None = None
 
 
 def solve(
@@ -92,12 +95,12 @@ def _main_part(
     solution = solve_fem(
         scenario, mesh, frequency, progress=progress, snapshots=store, tolerance=reduction_tolerance(scenario)
     )
-    result = _packed(solution, frequency)
+    result = _packed(scenario, solution, frequency)
     store.keep_main(result)
     return result
 
 
-def _packed(solution: FemSolution, frequency: FloatArray) -> Solved:
+def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) -> Solved:
     sweep, model = solution.sweep, solution.model
     n_u, n_p = model.degrees_of_freedom
     facts = {
@@ -109,13 +112,16 @@ def _packed(solution: FemSolution, frequency: FloatArray) -> Solved:
         "reduced_size": sweep.reduced.size if sweep.reduced else 0,
     }
     modes, states = np.zeros((0, 3, 0)), np.zeros((len(frequency), 0, 0), dtype=complex)
-    softer = softer_ends(solution)
-    facts["ends_by"] = "direct solves" if softer is None else "reduced model"
+    freed = freed_ends(solution)
+    facts["ends_by"] = "direct solves" if freed is None else "reduced model"
+    skin = None
     if sweep.reduced is not None:
+        bare = replace(sweep.reduced, basis=np.zeros((0, sweep.reduced.size)))
+        skin = SkinModel(scenario, model.ports, bare)
         contacts = solution.compliance.indices("contact")
         modes = vertex_modes(solution)
         states = sweep.states(frequency, contacts)
-    return Solved(solution.compliance, None, softer, modes, states, facts)
+    return Solved(solution.compliance, None, freed, modes, states, facts, skin=skin)
 
 
 def vertex_modes(solution: FemSolution) -> FloatArray:
@@ -209,7 +215,14 @@ class _Store:
         except (OSError, ValueError, KeyError, EOFError):
             return None
         ends = self.read("other_ends") if facts.get("ends_by") == "reduced model" else None
-        return None if compliance is None else Solved(compliance, None, ends, modes, states, facts)
+        skin = self._skin() if facts.get("reduced_size") else None
+        return None if compliance is None else Solved(compliance, None, ends, modes, states, facts, skin=skin)
+
+    def _skin(self) -> SkinModel | None:
+        try:
+            return load_skin_model(self._folder / "reduced.nc")
+        except ForearmError:
+            return None
 
     def keep_main(self, solved: Solved) -> None:
         """Store the main part, then drop the expansions it came from."""
@@ -221,5 +234,7 @@ class _Store:
             _log.warning("the solution could not be kept for a later run: %s", problem)
         if solved.other_ends is not None:
             self.write("other_ends", solved.other_ends)
+        if solved.skin is not None:
+            save_skin_model(self._folder / "reduced.nc", solved.skin)
         self.write("compliance", solved.compliance)
         shutil.rmtree(self._folder / "expansions", ignore_errors=True)

@@ -44,7 +44,7 @@ class ForearmLimb(Part):
     """Parametric segment: circumferences along the arm, elliptic sections, layers, muscle, radius and ulna."""
 
     shape: Literal["forearm"] = "forearm"
-    length: Length = Field(0.12, description="length of the segment kept, centred on the device [m]")
+    length: Length = Field(0.24, description="length of the segment kept, centred on the device [m]; the whole forearm")
     circumference: tuple[tuple[float, Positive], ...] = Field(
         DEFAULT_CIRCUMFERENCE, description="pairs (x, circumference) [m]; x = 0 under the device"
     )

@@ -17,8 +17,3 @@ class Supports(Part):
     foam_stiffness: NonNegative = Field(2.0e5, description="foam spring per area [N/m^3]")
     foam_damping: NonNegative = Field(1.0e3, description="foam dashpot per area [N s/m^3]")
     ends: Literal["absorb", "fixed", "free"] = Field("absorb", description="viscous dashpots rho c_s, clamped or free")
-    sponge: NonNegative | None = Field(
-        None,
-        description="thickness [m] of a layer of growing viscosity before absorbing ends; left out: a fifth of the "
-        "length of a forearm or cylinder, none elsewhere",
-    )

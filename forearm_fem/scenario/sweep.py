@@ -37,8 +37,8 @@ class SolverOptions(Part):
         "auto", description="of the factors, all solves being refined; auto: single, double where that is not enough"
     )
     sweep: Literal["reduced", "direct"] = "reduced"
-    expansions: Annotated[int, Field(ge=1, le=50)] = Field(4, description="expansion frequencies to start with")
-    derivatives: Annotated[int, Field(ge=1, le=12)] = Field(6, description="kept per expansion frequency")
-    max_expansions: Annotated[int, Field(ge=1, le=50)] = Field(6, description="expansion frequencies at most")
+    expansions: Annotated[int, Field(ge=1, le=50)] = Field(6, description="expansion frequencies to start with")
+    derivatives: Annotated[int, Field(ge=1, le=12)] = Field(4, description="kept per expansion frequency")
+    max_expansions: Annotated[int, Field(ge=1, le=50)] = Field(8, description="expansion frequencies at most")
     memory_limit: Positive = Field(8e9, description="refuse a factorisation estimated above this [bytes]")
     discretisation_estimate: bool = Field(True, description="solve a coarser mesh too, to estimate the error")

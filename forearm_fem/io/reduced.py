@@ -1,0 +1,62 @@
+"""``reduced.nc``: the reduced model, a few megabytes that give the compliance at any frequency, for any moduli.
+
+Variables ``matrix`` (term, row, column), real symmetric; ``functional`` (row, port) and ``share`` (port,) as in
+:class:`forearm_fem.fem.reduce.ReducedModel`. What the terms are multiplied with follows from the scenario, kept as
+JSON.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ..ports import Port
+from ..typing import FloatArray
+from .dataset import labels, load, port_variables, ports_of, save, text
+
+_CONTENT = "reduced model"
+
+
+@dataclass(frozen=True)
+class ReducedFile:
+    """Contents of the file: ``matrices`` (n_term, r, r) of terms ``names``, ``functionals`` (r, n_port)."""
+
+    names: tuple[str, ...]
+    matrices: FloatArray
+    functionals: FloatArray
+    shares: FloatArray
+    ports: tuple[Port, ...]
+    scenario: dict[str, Any]
+
+
+def write_reduced(path: str | Path, content: ReducedFile) -> None:
+    """Write ``content``, whole or not at all."""
+    variables = {
+        "term": (("term",), labels(content.names), {}),
+        **port_variables("port", content.ports),
+        "matrix": (("term", "row", "column"), content.matrices, {}),
+        "functional": (("row", "port"), content.functionals, {}),
+        "share": (("port",), content.shares, {}),
+    }
+    save(path, variables, {"content": _CONTENT, "scenario": json.dumps(content.scenario)})
+
+
+def read_reduced(path: str | Path) -> ReducedFile:
+    """What :func:`write_reduced` wrote; DataError if the file is missing, damaged or something else."""
+    return load(path, _CONTENT, _unpack)
+
+
+def _unpack(dataset: xr.Dataset) -> ReducedFile:
+    return ReducedFile(
+        tuple(text(dataset["term"].values)),
+        np.asarray(dataset["matrix"].values, dtype=float),
+        np.asarray(dataset["functional"].values, dtype=float),
+        np.asarray(dataset["share"].values, dtype=float),
+        ports_of(dataset, "port"),
+        json.loads(dataset.attrs["scenario"]),
+    )

@@ -1,0 +1,103 @@
+"""The saved reduced model: compliance and G at any frequency, also for other tissues, without mesh or solver."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..device import close_loop
+from ..errors import ScenarioError
+from ..fem.compress import pole_residue
+from ..fem.reduce import ReducedModel
+from ..fem.terms import term_coefficient
+from ..io.reduced import ReducedFile, read_reduced, write_reduced
+from ..ports import Port
+from ..scenario import Scenario, parse_scenario
+from ..scenario.load import apply_overrides
+from ..tissue import resolve_tissues
+from ..transfer import Compliance, TransferMatrix
+from ..typing import FloatArray
+
+_MAY_CHANGE = {"tissues", "device", "name", "description"}
+_NOT_AFFINE = "the bulk modulus is not a parameter of the reduced model; solve the scenario anew"
+
+
+@dataclass(frozen=True)
+class SkinModel:
+    """A limb seen through its ports: ``reduced`` matrices with the coefficients of ``scenario``.
+
+    Certified for the scenario it was made for, in its band. For other moduli the space is the old one, and the error
+    grows with the change: 20 % of one modulus costs about 1e-3 (docs/decisions.md); it is not estimated here.
+    """
+
+    scenario: Scenario
+    ports: tuple[Port, ...]
+    reduced: ReducedModel
+
+    def compliance(self, frequency: FloatArray) -> Compliance:
+        """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself."""
+        values = (pole_residue(self.reduced) or self.reduced).compliance(frequency)
+        points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
+        values[:, points, points] = np.nan
+        return Compliance(np.asarray(frequency, dtype=float), values, self.ports)
+
+    def transfer(self, frequency: FloatArray) -> TransferMatrix:
+        """G of the scenario's device at ``frequency`` (n,) [Hz]."""
+        return close_loop(self.compliance(frequency), self.scenario.device)
+
+    def changed(self, overrides: Sequence[str]) -> SkinModel:
+        """The model for ``key.path=value`` overrides of tissues (not their bulk moduli) and device (not its places).
+
+        Raises ScenarioError for a key that the reduced model cannot follow.
+        """
+        before = self.scenario.model_dump(mode="json")
+        after = parse_scenario(apply_overrides(before, overrides))
+        _check_followable(self.scenario, after, self.reduced.names)
+        return replace(self, scenario=after, reduced=with_scenario(self.reduced, after))
+
+
+def with_scenario(reduced: ReducedModel, scenario: Scenario) -> ReducedModel:
+    """The reduced matrices with the coefficients that ``scenario`` gives their terms."""
+    tissues, membrane = resolve_tissues(scenario), scenario.tissues.membrane
+    found = (term_coefficient(n, tissues, scenario.supports, membrane) for n in reduced.names)
+    return replace(reduced, coefficients=tuple(found))
+
+
+def save_skin_model(path: Path, model: SkinModel) -> None:
+    """Write ``reduced.nc``, whole or not at all."""
+    r, scenario = model.reduced, model.scenario.model_dump(mode="json")
+    write_reduced(path, ReducedFile(r.names, r.matrices, r.functionals, r.shares, model.ports, scenario))
+
+
+def load_skin_model(path: str | Path) -> SkinModel:
+    """Read ``reduced.nc``; DataError for a missing or damaged file."""
+    content = read_reduced(path)
+    size = len(content.functionals)
+    scenario = parse_scenario(content.scenario, origin=str(path))
+    none = np.zeros((0, size))
+    bare = ReducedModel(content.names, (), content.matrices, content.functionals, content.shares, none, none.T)
+    return SkinModel(scenario, content.ports, with_scenario(bare, scenario))
+
+
+def _check_followable(before: Scenario, after: Scenario, terms: Sequence[str]) -> None:
+    for key in type(before).model_fields:
+        if key not in _MAY_CHANGE and getattr(before, key) != getattr(after, key):
+            raise ScenarioError(f"{key}: the reduced model holds for the old value only; solve the scenario anew")
+    if _places(before) != _places(after):
+        raise ScenarioError("device: contacts and cones are part of the reduced model; solve the scenario anew")
+    old, new = resolve_tissues(before), resolve_tissues(after)
+    for name, tissue in old.items():
+        if name in new and new[name].bulk != tissue.bulk:
+            raise ScenarioError(f"tissues.override.{name}: {_NOT_AFFINE}")
+    sheet = after.tissues.membrane
+    wanted = {"skin mass": sheet.mass, "skin tension": sheet.tension, "skin membrane": sheet.stiffness}
+    if missing := [name for name, value in wanted.items() if value and name not in terms]:
+        raise ScenarioError(f"tissues.membrane: the reduced model has no {missing[0]}; solve the scenario anew")
+
+
+def _places(scenario: Scenario) -> tuple[object, ...]:
+    device = scenario.device
+    return device.contacts, device.spacing, device.rotation, device.cone.radius, device.cone.contact

@@ -1,0 +1,78 @@
+"""The saved reduced model: the same numbers from the file, other frequencies, other tissues."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.pipeline.folder import Run, run_solve
+from forearm_fem.pipeline.skin_model import load_skin_model
+from forearm_fem.scenario import parse_scenario
+from forearm_fem.transfer import relative_error
+
+SCENE = {
+    "name": "small",
+    "limb": {
+        "shape": "slab", "length": 0.05, "width": 0.04, "depth": 0.012,
+        "layers": [{"tissue": "skin", "thickness": 1.2e-3}],
+    },
+    "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": "pressure"}},
+    "grid": {"points": [[0.012, 0.0]]},
+    "mesh": {"size_contact": 4.5e-3, "size_grid": 8e-3, "size_far": 12e-3, "sublayers": {"skin": 1}},
+    "solver": {"discretisation_estimate": False},
+    "sweep": {"f_min": 40.0, "f_max": 400.0},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("skin")
+    scenario = parse_scenario(SCENE)
+    transfer = run_solve(Run.start(scenario, folder / "out", folder))
+    return folder / "out", transfer
+
+
+def test_file_gives_the_run_again_at_its_bins(solved):
+    folder, transfer = solved
+    found = load_skin_model(folder / "reduced.nc").transfer(transfer.frequency)
+    assert relative_error(found.values, transfer.values).max() < 1e-9  # rounding of another diagonalisation
+
+
+def test_file_is_small_and_gives_any_frequency(solved):
+    folder, _ = solved
+    assert (folder / "reduced.nc").stat().st_size < 5e6
+    between = load_skin_model(folder / "reduced.nc").transfer(np.array([100.0, 100.25, 100.5])).values
+    assert relative_error(between[1:2], between[[0, 2]].mean(axis=0)[None]).max() < 1e-4  # curvature over half a hertz
+
+
+def test_other_moduli_follow_without_a_mesh(solved, tmp_path):
+    """Against a solve made anew; 1e-2 of room because the space was made for the old modulus."""
+    folder, _ = solved
+    change = "tissues.override.muscle.mu=12000.0"
+    anew = parse_scenario({**SCENE, "tissues": {"override": {"muscle": {"mu": 12000.0}}}})
+    exact = run_solve(Run.start(anew, tmp_path / "out", tmp_path))
+    model = load_skin_model(folder / "reduced.nc")
+    assert relative_error(model.changed([change]).transfer(exact.frequency).values, exact.values).max() < 1e-2
+    assert relative_error(model.transfer(exact.frequency).values, exact.values).max() > 2e-2
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ("limb.depth=0.02", "limb"),
+        ("device.cone.radius=0.004", "device"),
+        ("tissues.override.muscle.bulk=1e8", "tissues.override.muscle"),
+        ("tissues.membrane.tension=5.0", "tissues.membrane"),
+    ],
+)
+def test_what_it_cannot_follow_is_refused(solved, change, key):
+    with pytest.raises(ScenarioError, match=f"^{key}"):
+        load_skin_model(solved[0] / "reduced.nc").changed([change])
+
+
+def test_damaged_file_is_refused(solved, tmp_path):
+    broken = tmp_path / "reduced.nc"
+    broken.write_bytes((solved[0] / "reduced.nc").read_bytes()[:2000])
+    with pytest.raises(DataError, match=r"reduced\.nc"):
+        load_skin_model(broken)
