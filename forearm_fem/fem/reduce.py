@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..typing import ComplexArray, FloatArray
+from ..typing import ComplexArray, FloatArray, IntArray
 from .coefficients import Coefficient
 from .model import ForearmModel
 from .operator import AffineOperator
@@ -83,6 +83,12 @@ class ReducedModel:
             raise KeyError(f"no term is called {sorted(unknown)[0]!r}; there are {', '.join(self.names)}")
         own = zip(self.names, self.coefficients, strict=True)
         return replace(self, coefficients=tuple(coefficients.get(name, c) for name, c in own))
+
+
+def _projected(basis: FloatArray, rows: IntArray, product: FloatArray, *, chunk: int = 30_000) -> FloatArray:
+    """basis[rows].T @ product, piece by piece: the rows' copy would be as large as the basis."""
+    pieces = (slice(i, i + chunk) for i in range(0, len(rows), chunk))
+    return np.asarray(sum(basis[rows[p]].T @ product[p] for p in pieces))
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:
@@ -172,8 +178,7 @@ def _extended_matrices(
     matrices[:, :old, :old] = reduced.matrices
     for matrix, term in zip(matrices, operator.terms, strict=True):
         rows, compact = operator.compact[term.name]
-        part = basis if len(rows) == len(basis) else basis[rows]
-        columns = part.T @ (compact @ added[rows])
+        columns = _projected(basis, rows, compact @ added[rows])
         matrix[:, old:] = columns
         matrix[old:, :old] = columns[:old].T
         matrix[old:, old:] = (columns[old:] + columns[old:].T) / 2

@@ -57,10 +57,20 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
     return Forecast(
         len(mesh.tetrahedra),
         unknowns,
-        1.5 * _power(_BYTES, unknowns) * single + 0.5e9,
+        1.5 * _power(_BYTES, unknowns) * single
+        + 0.5e9
+        + _basis_bytes(scenario, unknowns, len(place_ports(scenario, mesh))),
         one * factorisations * (3.0 if scenario.solver.sweep == "reduced" else 1.2),
         resolution(scenario, mesh),
     )
+
+
+def _basis_bytes(scenario: Scenario, unknowns: int, ports: int) -> float:
+    """Reduced basis, its copy while it grows, and the snapshots: about 2.5 times the basis."""
+    solver = scenario.solver
+    if solver.sweep == "direct":
+        return 0.0
+    return 2.5 * 8 * unknowns * 2 * ports * (solver.derivatives + 1) * solver.expansions
 
 
 def refuse_if_too_large(forecast: Forecast, scenario: Scenario) -> None:
@@ -69,7 +79,7 @@ def refuse_if_too_large(forecast: Forecast, scenario: Scenario) -> None:
         raise SolverError(
             f"the solve of {forecast.unknowns} unknowns needs about {forecast.memory_bytes / 1e9:.1f} GB, more than "
             f"solver.memory_limit = {scenario.solver.memory_limit / 1e9:.1f} GB; raise the limit, "
-            "set solver.precision = 'single', or ask for a larger accuracy"
+            "ask for a larger accuracy, or set fewer solver.expansions"
         )
 
 

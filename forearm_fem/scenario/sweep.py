@@ -40,5 +40,5 @@ class SolverOptions(Part):
     expansions: Annotated[int, Field(ge=1, le=50)] = Field(6, description="expansion frequencies to start with")
     derivatives: Annotated[int, Field(ge=1, le=12)] = Field(4, description="kept per expansion frequency")
     max_expansions: Annotated[int, Field(ge=1, le=50)] = Field(8, description="expansion frequencies at most")
-    memory_limit: Positive = Field(8e9, description="refuse a factorisation estimated above this [bytes]")
+    memory_limit: Positive = Field(12e9, description="refuse a solve estimated above this [bytes]")
     discretisation_estimate: bool = Field(True, description="solve a coarser mesh too, to estimate the error")
