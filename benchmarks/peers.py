@@ -44,7 +44,7 @@ POINT = 2  # output at 10 mm
 KEY = ("scale", "program", "solver")
 SOLVERS = {
     "ours": ("double", "single"),
-    "ngsolve": ("pardiso", "sparsecholesky"),  # umfpack: "Numeric factorization failed" on every mesh
+    "ngsolve": ("pardiso", "sparsecholesky"),  # umfpack: "Numeric factorization failed" on the mesh tried
     "fenicsx": ("mumps", "mumps-jumps"),
 }
 NAMES = {"ours": "forearm_fem", "ngsolve": "NGSolve", "fenicsx": "FEniCSx"}
