@@ -20,6 +20,7 @@ from .operator import symmetric_product
 from .reduce import ReducedModel, empty_model, extend
 
 _log = logging.getLogger("forearm_fem.fem")
+_ENOUGH = 1e-7  # relative residual: its error in G is stated as that of the linear solve
 Progress = Callable[[str, int, int], None]
 
 
@@ -68,8 +69,8 @@ class SweepResult:
 class DirectSolver:
     """One analysed factorisation, reused for every frequency.
 
-    ``tolerance`` is the relative residual to refine to; where single-precision factors miss it and ``safe`` is set, the
-    factorisation is repeated in double precision.
+    ``tolerance`` is the relative residual to refine to; where single-precision factors leave more than 1e-7 and ``safe``
+    is set, the factorisation is repeated in double precision.
     """
 
     model: ForearmModel
@@ -109,7 +110,7 @@ class DirectSolver:
             return refined_solve(self.factor, upper, right, tolerance=self.tolerance)
         try:
             solution = refined_solve(self.factor, upper, right, tolerance=self.tolerance)
-            if solution.residual <= self.tolerance or not self.factor.harden():
+            if solution.residual <= _ENOUGH or not self.factor.harden():
                 return solution
         except SolverError:
             if not self.factor.harden():
