@@ -88,7 +88,8 @@ class ReducedModel:
 def _projected(basis: FloatArray, rows: IntArray, product: FloatArray, *, chunk: int = 30_000) -> FloatArray:
     """basis[rows].T @ product, piece by piece: the rows' copy would be as large as the basis."""
     pieces = (slice(i, i + chunk) for i in range(0, len(rows), chunk))
-    return np.asarray(sum(basis[rows[p]].T @ product[p] for p in pieces))
+    start = np.zeros((basis.shape[1], product.shape[1]))
+    return np.asarray(sum((basis[rows[p]].T @ product[p] for p in pieces), start))
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

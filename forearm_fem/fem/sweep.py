@@ -69,8 +69,8 @@ class SweepResult:
 class DirectSolver:
     """One analysed factorisation, reused for every frequency.
 
-    ``tolerance`` is the relative residual to refine to; where single-precision factors leave more than 1e-7 and ``safe``
-    is set, the factorisation is repeated in double precision.
+    ``tolerance`` is the relative residual to refine to; where single-precision factors leave more than 1e-7 and
+    ``safe`` is set, the factorisation is repeated in double precision.
     """
 
     model: ForearmModel
