@@ -289,7 +289,7 @@ def _certify(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArray
 
 
 _DOUBTFUL = 0.1  # a change by one derivative above this, anywhere, says that resonances are not resolved
-_PROBES = 60
+_PROBES = 40
 
 
 @dataclass(frozen=True)
