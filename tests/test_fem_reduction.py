@@ -223,7 +223,7 @@ def test_undamped_resonances_are_never_certified_by_one_lucky_frequency():
     truth = direct_sweep(model, band[::7], OPTIONS).values
     error = relative_error(swept.values[::7][points], truth[points]).max()
     assert error > 1e-2
-    assert swept.certificates[-1].bound > 1e-2
+    assert swept.reduction_error > 0.2 * error
 
 
 def test_single_precision_gives_the_same_model_as_double(model, truth):

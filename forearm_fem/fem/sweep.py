@@ -57,6 +57,12 @@ class SweepResult:
     certificates: tuple[Certificate, ...] = ()
     poles: PoleResidue | None = None
 
+    @property
+    def reduction_error(self) -> float:
+        """Error stated for the reduced model: the last certificate's, or the largest seen where that is in doubt."""
+        last = self.certificates[-1]
+        return last.bound if last.change <= _DOUBTFUL else max(c.bound for c in self.certificates)
+
     def states(self, frequency: FloatArray, ports: Sequence[int]) -> ComplexArray:
         """Reduced solutions (n_frequency, r, n_chosen) for a unit force on the chosen ``ports``, shares undone."""
         if self.poles is not None:
@@ -199,7 +205,8 @@ def reduced_sweep(
         _tell(progress, "expansion frequencies", i + 1, len(planned) + 1)
     certificates, tried = list[Certificate](), list[float]()
     while tolerance is not None:
-        worst = doubt(model, reduced, frequency, [*tried, *(e.frequency for e in used)])
+        wary = any(c.change > _DOUBTFUL for c in certificates)
+        worst = doubt(model, reduced, frequency, [*tried, *(e.frequency for e in used)], wary=wary)
         if worst is None:
             break
         truth = work.direct(worst.frequency)
@@ -289,7 +296,7 @@ def _certify(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArray
 
 
 _DOUBTFUL = 0.1  # a change by one derivative above this, anywhere, says that resonances are not resolved
-_PROBES = 40
+_PROBES, _MANY = 40, 300
 
 
 @dataclass(frozen=True)
@@ -300,13 +307,16 @@ class Doubt:
     change: float
 
 
-def doubt(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, known: Sequence[float]) -> Doubt | None:
+def doubt(
+    model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, known: Sequence[float], *, wary: bool = False
+) -> Doubt | None:
     """The most doubtful of the probed frequencies that are not ``known``; None if none is left.
 
     The change is the error of the model with one derivative fewer: an upper bound that finds the place of the largest
-    error, and says where a model is no approximation at all yet.
+    error, and says where a model is no approximation at all yet. ``wary`` probes nearly every bin: where resonances
+    were not resolved before, they may hide between few probes.
     """
-    probes = probe_frequencies(frequency, known)
+    probes = probe_frequencies(frequency, known, wary=wary)
     if not len(probes):
         return None
     block = np.ix_(range(len(probes)), *_watched(model))
@@ -315,10 +325,11 @@ def doubt(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, kno
     return Doubt(float(probes[worst]), float(change[worst]))
 
 
-def probe_frequencies(frequency: FloatArray, known: Sequence[float]) -> FloatArray:
-    """Bins equally far apart in f^0.1, without the known ones."""
-    low, high = frequency[0] ** _SPACING, frequency[-1] ** _SPACING
-    wanted = np.linspace(low, high, min(_PROBES, len(frequency))) ** (1 / _SPACING)
+def probe_frequencies(frequency: FloatArray, known: Sequence[float], *, wary: bool = False) -> FloatArray:
+    """Bins equally far apart in f^0.1 (in f and many if ``wary``), without the known ones."""
+    power, count = (1.0, _MANY) if wary else (_SPACING, _PROBES)
+    low, high = frequency[0] ** power, frequency[-1] ** power
+    wanted = np.linspace(low, high, min(count, len(frequency))) ** (1 / power)
     bins = {float(frequency[np.argmin(np.abs(frequency - f))]) for f in wanted}
     return np.array(sorted(bins - set(known)))
 

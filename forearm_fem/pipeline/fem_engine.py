@@ -149,7 +149,7 @@ def _errors(result: SweepResult) -> tuple[ErrorEstimate, ...]:
         solve,
         ErrorEstimate(
             "reduction",
-            result.certificates[-1].bound,
+            result.reduction_error,
             f"true error where one derivative changes the model most, against direct solves not used before: {text}",
         ),
     )

@@ -47,7 +47,7 @@ def _swept(model: ForearmModel, band: FloatArray, options: SolverOptions, what: 
     where = np.unique(np.clip([*shares, peak - 1, peak, peak + 1], 0, len(band) - 1))
     truth = direct_sweep(model, band[where], DIRECT).values
     error = float(relative_error(swept.values[where][:, 1:, :1], truth[:, 1:, :1]).max())
-    stated = swept.certificates[-1].error if swept.certificates else 0.0
+    stated = swept.reduction_error if swept.certificates else 0.0
     met = "met" if stated <= 1e-4 else "not met, and says so" if stated < 0.5 else "no use, and says so"
     result = f"stated {stated:.1e} after {len(swept.expansions)} expansions: 1e-4 {met}"
     result = result if swept.certificates else f"{len(swept.expansions)} expansions, nothing stated"
