@@ -30,7 +30,7 @@ class SkinModel:
     """A limb seen through its ports: ``reduced`` matrices with the coefficients of ``scenario``.
 
     Certified for the scenario it was made for, in its band. For other moduli the space is the old one, and the error
-    grows with the change: 20 % of one modulus costs about 1e-3 (docs/decisions.md); it is not estimated here.
+    grows with the change: below 1e-2 for 20 % of one modulus in the tests' scenes; it is not estimated here.
     """
 
     scenario: Scenario
