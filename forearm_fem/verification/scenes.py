@@ -106,6 +106,7 @@ def quarter_slab(
     ends: str = "absorb",
     contact: str = "pressure",
     override: Mapping[str, Any] | None = None,
+    membrane: Mapping[str, float] | None = None,
 ) -> Scenario:
     """Scenario of one disc in the middle of a square slab, a quarter of it modelled, points at ``radii`` along x."""
     limb = {
@@ -115,7 +116,7 @@ def quarter_slab(
     return parse_scenario(
         {
             "limb": limb,
-            "tissues": {"preset": preset, "override": dict(override or {})},
+            "tissues": {"preset": preset, "override": dict(override or {}), "membrane": dict(membrane or {})},
             "supports": {"ends": ends},
             "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": contact, "radius": RADIUS}},
             "grid": {"points": [[r, 0.0] for r in radii]},
