@@ -14,7 +14,7 @@ from ..ports import Port
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, SurfacesLimb
 from ..typing import FloatArray, IntArray
-from .contacts import check_contact_areas, with_contacts
+from .contacts import check_contact_areas, with_contacts, with_disc_areas
 from .imprint import imprint
 from .landing import FacetSkin
 from .layout import RIGID, layout_of
@@ -79,7 +79,7 @@ def _marked(scenario: Scenario, mesh: TissueMesh, sizes: Sizes, say: Progress) -
     say("following and refining the contact rims")
     mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, sizes)
     mesh = with_contacts(mesh, ports)
-    mesh = refine_rims(mesh, ports, _rim_size(scenario, sizes))
+    mesh = with_disc_areas(refine_rims(mesh, ports, _rim_size(scenario, sizes)), ports)
     if len(mesh.tetrahedra) > scenario.mesh.max_elements:
         raise MeshError(
             f"the mesh has {len(mesh.tetrahedra)} tetrahedra, mesh.max_elements allows "

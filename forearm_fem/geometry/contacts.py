@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..errors import MeshError
 from ..ports import Port
 from ..typing import BoolArray, FloatArray, IntArray
 from .mesh import TissueMesh
+from .refine import rim_edges
 
 _LEAST_AREA = 0.9
 _ON_RIM = 1e-7  # relative to the radius
@@ -29,16 +32,39 @@ def check_contact_areas(mesh: TissueMesh, ports: tuple[Port, ...]) -> None:
     """Raise :class:`MeshError` when a contact's facets do not fill its disc (cut in half by symmetry
     planes)."""
     for port in (p for p in ports if p.kind == "contact"):
-        cuts = sum(
-            name.startswith("symmetry") and abs(port.position["xy".index(name[-1])]) < 1e-12 for name in mesh.facets
-        )
-        part = facet_area(mesh.points, mesh.facets[f"contact {port.name}"]) / (np.pi * port.radius**2 / 2**cuts)
+        part = facet_area(mesh.points, mesh.facets[f"contact {port.name}"]) / _disc_area(mesh, port)
         if not _LEAST_AREA < part < 1.1:
             raise MeshError(
                 f"the facets of contact {port.name} cover {100 * part:.0f} % of its disc, need "
                 f"{100 * _LEAST_AREA:g} % "
                 "or more; set mesh.size_contact smaller"
             )
+
+
+def with_disc_areas(mesh: TissueMesh, ports: tuple[Port, ...]) -> TissueMesh:
+    """The mesh with each rim moved outwards until its polygon, seen along the axis, has the disc's area.
+
+    A polygon on the circle lacks 1 % of the area at 25 edges, and the contact half of that in stiffness. Contacts
+    that :func:`check_contact_areas` would refuse are left as they are.
+    """
+    points = mesh.points.copy()
+    for port in (p for p in ports if p.kind == "contact"):
+        centre, axis = np.asarray(port.position), np.asarray(port.axis)
+        a, b, c = mesh.points[mesh.facets[f"contact {port.name}"]].transpose(1, 0, 2)
+        part = float(np.abs(np.cross(b - a, c - a) @ axis).sum() / 2) / _disc_area(mesh, port)
+        if part > _LEAST_AREA:
+            rim = np.unique(rim_edges(mesh, port.name))
+            away = mesh.points[rim] - centre
+            across = away - np.outer(away @ axis, axis)
+            points[rim] += (part**-0.5 - 1) * across
+    return replace(mesh, points=points)
+
+
+def _disc_area(mesh: TissueMesh, port: Port) -> float:
+    """Area [m^2] of the part of the disc that is modelled."""
+    planes = [name for name in mesh.facets if name.startswith("symmetry")]
+    cuts = sum(abs(port.position["xy".index(name[-1])]) < 1e-12 for name in planes)
+    return float(np.pi * port.radius**2 / 2**cuts)
 
 
 def facet_area(points: FloatArray, facets: IntArray) -> float:

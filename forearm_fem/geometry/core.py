@@ -13,11 +13,9 @@ from .tetwild import ENVELOPE, background_grid, tetrahedralise
 from .topology import boundary_faces
 from .tube import BoneAxis, Tube, lattice
 
+# Facets of the surfaces handed to fTetWild: they, not the wanted sizes, limit elements far from the ports.
 _WIDEST_FACET = 0.25  # [rad]: flat facets take 0.5 % of the area away where all are that wide
-_ALONG, _AROUND_BONE = (
-    24,
-    12,
-)  # facets of the surfaces handed to fTetWild; its vertices move onto the true ones
+_ALONG, _AROUND_BONE = 12, 8
 Size3 = Callable[[FloatArray], FloatArray]
 
 
@@ -107,7 +105,9 @@ def _fitted(tube: Tube, points: FloatArray, tetrahedra: IntArray, elastic: bool)
     moved = points.copy()
     ends = np.unique(faces[ended])
     moved[ends, 0] = np.sign(points[ends, 0]) * tube.length / 2
-    moved[bony_vertices] = _onto_bones(tube, moved[bony_vertices])
+    walls = boundary_faces(tetrahedra[bone >= 0])[0] if elastic and tube.bones else faces[bony]
+    moved[bony_vertices] = _onto_bones(tube, moved[bony_vertices], _radii(tube))
+    moved[bony_vertices] = _onto_bones(tube, moved[bony_vertices], _faceted_radii(tube, moved, walls))
     lateral = np.unique(wall)
     angle = np.zeros(len(points))
     angle[lateral] = tube.angle_of(moved[lateral])
@@ -143,24 +143,51 @@ def _from_bones(tube: Tube, points: FloatArray) -> FloatArray:
 
 
 def _near_bone(tube: Tube, points: FloatArray, faces: IntArray) -> BoolArray:
-    radii = np.array([b.radius for b in tube.bones] or [0.0])
+    radii = _radii(tube)
     near = _from_bones(tube, points) < radii + _slack(tube)
     per_bone = np.asarray(near)[faces].all(axis=1)
-    return np.asarray(np.any(per_bone, axis=1))
+    inwards = [_flux(points[faces], tube.bone_centre(bone, points[:, 0])[faces]) < 0 for bone in tube.bones]
+    return np.asarray(np.any(per_bone & np.column_stack(inwards or [np.zeros(len(faces), bool)]), axis=1))
 
 
 def _bone_of(tube: Tube, places: FloatArray) -> IntArray:
-    radii = np.array([b.radius for b in tube.bones] or [0.0])
+    radii = _radii(tube)
     inside = _from_bones(tube, places) < radii
     return np.where(inside.any(axis=1), inside.argmax(axis=1), -1)
 
 
-def _onto_bones(tube: Tube, points: FloatArray) -> FloatArray:
-    """Each point moved within its section onto the nearest bone's circle."""
+def _radii(tube: Tube) -> FloatArray:
+    return np.array([b.radius for b in tube.bones] or [0.0])
+
+
+def _flux(corners: FloatArray, centres: FloatArray | float = 0.0) -> FloatArray:
+    """Half the flux (n,) of (0, y, z), measured from ``centres`` (n, 3, 2), through triangles (n, 3, 3).
+
+    Summed over a tube with flat ends this is its volume.
+    """
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    arms = (corners[:, :, 1:] - centres).mean(axis=1)
+    return np.asarray((normal[:, 1:] * arms).sum(axis=1) / 2)
+
+
+def _faceted_radii(tube: Tube, points: FloatArray, walls: IntArray) -> FloatArray:
+    """Radii (n_bone,) of the vertices that give each bone's flat ``walls`` (n, 3) the volume of its cylinder.
+
+    ``points`` lie on the cylinders now, so that facets cut some of it off.
+    """
+    if not len(walls):
+        return _radii(tube)
+    nearest = (_from_bones(tube, points[walls].mean(axis=1)) - _radii(tube)).argmin(axis=1)
+    held = np.abs(np.bincount(nearest, _flux(points[walls]), len(tube.bones)))
+    exact = np.pi * _radii(tube) ** 2 * tube.length
+    return np.asarray(_radii(tube) * np.sqrt(np.where(held > 0, exact / np.where(held > 0, held, 1.0), 1.0)))
+
+
+def _onto_bones(tube: Tube, points: FloatArray, radii: FloatArray) -> FloatArray:
+    """Each point moved within its section onto the nearest bone's circle with one of the ``radii`` (n_bone,)."""
     if not len(points):
         return points
-    radii = np.array([b.radius for b in tube.bones])
-    which = (_from_bones(tube, points) - radii).argmin(axis=1)
+    which = (_from_bones(tube, points) - _radii(tube)).argmin(axis=1)
     centres = np.stack([tube.bone_centre(b, points[:, 0]) for b in tube.bones], axis=1)
     centre = centres[np.arange(len(points)), which]
     away = points[:, 1:] - centre
