@@ -23,6 +23,7 @@ from forearm_fem.verification.scenes import flesh, held_block
 BAND = np.linspace(10.0, 500.0, 197)
 CHECK = np.array([10.0, 33.0, 80.0, 140.0, 210.0, 333.0, 470.0, 500.0])
 OPTIONS = SolverOptions()
+ALL = np.ones(4, dtype=int)  # contact and three points of held_block
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def truth(model):
 def one_expansion(model):
     """Uncompressed space of one frequency with five derivatives, solved in double precision."""
     solver = make_solver(model, SolverOptions(precision="double"), 100.0)
-    return extend(empty_model(model), model, solver.taylor(100.0, solver.at(100.0).values, 5))
+    return extend(empty_model(model), model, solver.taylor(100.0, solver.at(100.0).values, ALL * 5))
 
 
 def test_reduced_sweep_equals_direct_solves(sweep, truth):
@@ -113,7 +114,7 @@ def test_expansion_is_exact_at_its_frequency(model, one_expansion):
 def test_derivatives_raise_the_order_of_contact(model):
     """Two-sided by symmetry: with derivatives 0..q the error grows like d^(2q+2) or better away from the expansion."""
     solver = make_solver(model, OPTIONS, 100.0)
-    series = solver.taylor(100.0, solver.at(100.0).values, 2)
+    series = solver.taylor(100.0, solver.at(100.0).values, ALL * 2)
     exact = direct_sweep(model, np.array([104.0, 108.0]), OPTIONS).values
     for q in (0, 1):
         space = extend(empty_model(model), model, series[: q + 1])
@@ -121,10 +122,33 @@ def test_derivatives_raise_the_order_of_contact(model):
         assert np.log2(error[1] / error[0]) > 2 * q + 1.5
 
 
+def test_contacts_may_keep_more_derivatives_than_points(model):
+    """The error of a point's receptance falls with the sum of both counts: 4 + 0 is at least as good as 2 + 2 - 1."""
+    solver, near = make_solver(model, SolverOptions(precision="double"), 100.0), np.array([120.0])
+    exact = direct_sweep(model, near, OPTIONS).values[:, 1:, :1]
+    error = {}
+    for orders in ((2, 1, 1, 1), (4, 0, 0, 0), (2, 2, 2, 2)):
+        series = solver.taylor(100.0, solver.at(100.0).values, np.array(orders))
+        assert [x.shape[1] for x in series] == [sum(o >= k for o in orders) for k in range(len(series))]
+        space = extend(empty_model(model), model, series, np.array(orders))
+        error[orders] = float(relative_error(space.compliance(near)[:, 1:, :1], exact).max())
+    assert error[2, 2, 2, 2] < error[2, 1, 1, 1]
+    assert error[4, 0, 0, 0] < error[2, 1, 1, 1]
+
+
+def test_lower_model_lacks_the_highest_derivative_of_each_port(model):
+    solver, f = make_solver(model, SolverOptions(precision="double"), 100.0), np.array([110.0])
+    spaces = []
+    for orders in ((3, 1, 1, 1), (2, 0, 0, 0)):
+        series = solver.taylor(100.0, solver.at(100.0).values, np.array(orders))
+        spaces.append(extend(empty_model(model), model, series, np.array(orders)))
+    assert relative_error(spaces[0].lower().compliance(f), spaces[1].compliance(f)).max() < 1e-6
+
+
 def test_taylor_series_reproduces_the_neighbourhood(model):
     """Sum of scaled Taylor coefficients at 2 % of detuning; the remainder is (0.02 / radius)^6."""
     solver = make_solver(model, SolverOptions(precision="double"), 100.0)
-    series = solver.taylor(100.0, solver.at(100.0).values, 5)
+    series = solver.taylor(100.0, solver.at(100.0).values, ALL * 5)
     near = sum(x * 0.02**k for k, x in enumerate(series))
     exact = solver.at(102.0).values
     assert np.abs(near - exact).max() < 1e-6 * np.abs(exact).max()
@@ -132,7 +156,7 @@ def test_taylor_series_reproduces_the_neighbourhood(model):
 
 def test_repeated_expansion_adds_nothing(model, one_expansion):
     solver = make_solver(model, SolverOptions(precision="double"), 100.0)
-    again = extend(one_expansion, model, solver.taylor(100.0, solver.at(100.0).values, 5))
+    again = extend(one_expansion, model, solver.taylor(100.0, solver.at(100.0).values, ALL * 5))
     added = again.size - one_expansion.size
     assert added <= 0.15 * one_expansion.size  # directions that the drop tolerance of 1e-7 had left out
     assert np.isfinite(again.compliance(BAND[:3])).all()
@@ -180,9 +204,9 @@ def test_orthonormal_extension_drops_what_is_known():
     assert np.abs(basis.T @ added).max() < 1e-12
 
 
-def test_real_columns_leaves_zero_columns_out():
-    block = np.array([[1 + 0j, 2j], [0, 1j]])
-    assert real_columns(block).shape == (2, 2)
+def test_real_columns_have_unit_length_or_none():
+    block = np.array([[1 + 0j, 2j], [0, 1j]])  # imaginary part of the first, real part of the second: zero
+    assert np.linalg.norm(real_columns(block), axis=0) == pytest.approx([1.0, 0.0, 0.0, 1.0])
 
 
 def test_expansion_frequencies_are_bins_of_the_band():
@@ -205,7 +229,7 @@ def test_doubt_finds_the_worst_frequency_and_bounds_its_error(model):
     """Two expansions close together at the low end: the model is worst at the other end."""
     solver, reduced = make_solver(model, OPTIONS, 20.0), empty_model(model)
     for f in (20.0, 40.0):
-        reduced = extend(reduced, model, solver.taylor(f, solver.at(f).values, 2))
+        reduced = extend(reduced, model, solver.taylor(f, solver.at(f).values, ALL * 2))
     truth = direct_sweep(model, CHECK, OPTIONS).values
     error = relative_error(reduced.compliance(CHECK), truth)
     assert CHECK[int(np.argmax(error))] == 500.0

@@ -94,12 +94,14 @@ def choose_backend(backend: Backend, n: int) -> str:
     return chosen
 
 
-def make_factor(operator: AffineOperator, omega: float, backend: Backend, *, single: bool) -> Factor:
-    """Analysed, not yet factorised, solver for the operator's pattern."""
+def make_factor(
+    operator: AffineOperator, omega: float, backend: Backend, *, single: bool, matching: bool = True
+) -> Factor:
+    """Analysed, not yet factorised, solver for the operator's pattern; see :class:`.pardiso.PardisoFactor`."""
     upper = operator.upper(operator.data(omega))
     chosen = choose_backend(backend, operator.n)
     if chosen == "pardiso":
-        return pardiso.PardisoFactor(upper, single=single)
+        return pardiso.PardisoFactor(upper, single=single, matching=matching)
     return SuperLUFactor(upper)
 
 

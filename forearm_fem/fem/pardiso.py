@@ -1,7 +1,7 @@
 """MKL PARDISO for complex symmetric matrices (mtype 6), called through the C interface of ``mkl_rt``.
 
-Only the upper triangle is stored and factorised. Matching and scaling are on: without them the saddle
-systems of mixed elasticity lose pivots (residual 5e-9 instead of 1e-14, see docs/decisions.md).
+Only the upper triangle is stored and factorised. Matching lets zero pivots on the diagonal pass, as incompressible
+tissue has them; nearly incompressible limbs are factorised a quarter faster without (docs/decisions.md).
 """
 
 from __future__ import annotations
@@ -56,15 +56,16 @@ class PardisoFactor:
     """One analysis, any number of numerical factorisations of matrices with the same pattern.
 
     ``upper`` holds the upper triangle in CSR with sorted indices and every diagonal entry stored.
-    With ``single`` the factors are kept in single precision: half the memory, residual about 3e-6.
+    With ``single`` the factors are kept in single precision: half the memory, residual about 5e-5.
     """
 
-    def __init__(self, upper: csr_array, *, single: bool = False) -> None:
+    def __init__(self, upper: csr_array, *, single: bool = False, matching: bool = True) -> None:
         mkl = library()
         if mkl is None:
             raise SolverError("MKL PARDISO is not installed; python3 -m pip install mkl, or solver.backend='superlu'")
         self._mkl = mkl
         self.single = single
+        self._matching = matching
         self._handle = np.zeros(64, dtype=np.int64)
         self._indptr = upper.indptr.astype(np.int32)
         self._indices = upper.indices.astype(np.int32)
@@ -73,7 +74,7 @@ class PardisoFactor:
 
     def _analyse(self, data: ComplexArray) -> None:
         self._dtype = np.complex64 if self.single else np.complex128
-        self._parameters = _parameters(self.single)
+        self._parameters = _parameters(self.single, self._matching)
         self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._run(_ANALYSE)
 
@@ -84,11 +85,12 @@ class PardisoFactor:
         self._run(_FACTORISE)
 
     def harden(self) -> bool:
-        """Factorise the present matrix, and all later ones, in double precision; False where it was already."""
-        if not self.single:
+        """Factorise this matrix and all later ones with matching, at the next call in double precision, then False."""
+        if self._matching and not self.single:
             return False
         self.release()
-        self.single = False
+        self.single = self.single and not self._matching
+        self._matching = True
         self._analyse(self._values)
         self._run(_FACTORISE)
         return True
@@ -136,13 +138,13 @@ class PardisoFactor:
             raise SolverError(f"PARDISO: {_MESSAGES.get(error.value, f'error {error.value}')} (n = {self.n})")
 
 
-def _parameters(single: bool) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
+def _parameters(single: bool, matching: bool) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
     parameters = np.zeros(64, dtype=np.int32)
     parameters[0] = 1  # own values below, not the defaults
     parameters[1] = 2  # nested dissection (METIS)
     parameters[9] = 8  # perturb pivots below 1e-8 |A|
     parameters[10] = 1  # scaling
-    parameters[12] = 1  # symmetric weighted matching
+    parameters[12] = int(matching)  # symmetric weighted matching
     parameters[20] = 1  # Bunch-Kaufman pivoting
     parameters[27] = int(single)
     parameters[34] = 1  # zero-based indices

@@ -28,7 +28,7 @@ class ReducedModel:
 
     ``matrices`` (n_term, r, r) of the operator's terms ``names`` with ``coefficients``; ``functionals`` (r, n_port).
     ``basis`` (n, r) reconstructs displacements and scaled pressures. ``low`` (r, m) are coordinates of all snapshots
-    but those of the highest derivatives: :meth:`lower` is the model without these.
+    but the highest derivative of each port: :meth:`lower` is the model without these.
     """
 
     names: tuple[str, ...]
@@ -111,13 +111,23 @@ def empty_model(model: ForearmModel) -> ReducedModel:
 
 
 def extend(
-    reduced: ReducedModel, model: ForearmModel, snapshots: Sequence[ComplexArray], *, drop: float = _DROP
+    reduced: ReducedModel,
+    model: ForearmModel,
+    snapshots: Sequence[ComplexArray],
+    orders: IntArray | None = None,
+    *,
+    drop: float = _DROP,
 ) -> ReducedModel:
-    """Add solutions and derivatives (a list over derivative orders of (n, k) arrays) to the space."""
+    """Add solutions and derivatives to the space: ``snapshots[k]`` (n, k_column) of derivative order k.
+
+    ``orders`` (n_port,) are the highest orders of each port's solution, the same for all where left out.
+    """
     operator = model.operator
+    orders = np.full(snapshots[0].shape[1], len(snapshots) - 1) if orders is None else orders
     blocks = [real_columns(block) for block in snapshots]
+    highest = [np.tile(orders[orders >= k] == k, 2) for k in range(len(blocks))]
     added, coordinates = orthonormal_extension(reduced.basis, blocks, operator.n_displacements, drop=drop)
-    low = coordinates[:, : sum(b.shape[1] for b in blocks[:-1])]
+    low = coordinates[:, ~np.concatenate(highest)]
     old = np.vstack([reduced.low, np.zeros((added.shape[1], reduced.low.shape[1]))])
     basis = np.hstack([reduced.basis, added])
     matrices = _extended_matrices(reduced, operator, basis, added)
@@ -126,11 +136,11 @@ def extend(
 
 
 def real_columns(block: ComplexArray) -> FloatArray:
-    """Real and imaginary parts side by side, columns of unit length (zero columns left out)."""
+    """Real and imaginary parts (n, 2 k) side by side, columns of unit length, negligible ones zero."""
     columns = np.hstack([block.real, block.imag])
     norms = np.linalg.norm(columns, axis=0)
-    keep = norms > 1e-14 * norms.max()
-    return np.asarray(columns[:, keep] / norms[keep])
+    kept = norms > 1e-14 * norms.max()
+    return np.asarray(columns * np.where(kept, 1 / np.where(kept, norms, 1.0), 0.0))
 
 
 def orthonormal_extension(
@@ -144,7 +154,8 @@ def orthonormal_extension(
     """
     widths = np.cumsum([b.shape[1] for b in blocks])[:-1]
     columns = np.hstack(blocks)
-    columns /= np.linalg.norm(columns[:n_u], axis=0)
+    norms = np.linalg.norm(columns[:n_u], axis=0)
+    columns /= np.where(norms > 0, norms, 1.0)
     known = basis[:n_u].T @ columns[:n_u]
     rest = columns - basis @ known
     added = np.zeros((len(basis), 0))

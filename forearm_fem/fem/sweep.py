@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import SolverError
 from ..scenario.sweep import SolverOptions
 from ..transfer import relative_error
-from ..typing import ComplexArray, FloatArray
+from ..typing import ComplexArray, FloatArray, IntArray
 from .compress import PoleResidue, compressed, pole_residue
 from .factor import Factor, Solution, make_factor, refined_solve
 from .model import ForearmModel
@@ -80,8 +80,8 @@ class SweepResult:
 class DirectSolver:
     """One analysed factorisation, reused for every frequency.
 
-    ``tolerance`` is the relative residual to refine to; where single-precision factors leave more than 1e-7 and
-    ``safe`` is set, the factorisation is repeated in double precision.
+    ``tolerance`` is the relative residual to refine to; where factors leave more than 1e-7 and ``safe`` is set, the
+    factorisation is repeated with matching, and then in double precision.
     """
 
     model: ForearmModel
@@ -95,38 +95,44 @@ class DirectSolver:
         self.factor.factorise(data)
         return self._solve(data, self.model.functionals.astype(complex))
 
-    def taylor(self, frequency: float, start: ComplexArray, order: int) -> list[ComplexArray]:
-        """Taylor coefficients 0 ... ``order`` in omega of the solutions about ``frequency``, unit-free columns.
+    def taylor(self, frequency: float, start: ComplexArray, orders: IntArray) -> list[ComplexArray]:
+        """Taylor coefficients in omega of the solutions about ``frequency``; column i to order ``orders[i]``.
 
-        A_0 x_k = - sum_j A_j x_(k-j) with the Taylor matrices A_j. Refined once at most: what is left enters the
-        reduced model squared (see :mod:`.reduce`), but unrefined single precision gave it unstable poles.
+        Coefficient k has the columns with order k or more. A_0 x_k = - sum_j A_j x_(k-j) with the Taylor matrices A_j.
+        Refined once at most: what is left enters the reduced model squared (see :mod:`.reduce`), but unrefined single
+        precision gave it unstable poles.
         """
         operator, omega = self.model.operator, 2 * np.pi * frequency
-        upper, slopes = operator.upper(operator.data(omega)), operator.slopes(omega, order)
-        series = [start]
-        for k in range(1, order + 1):
-            right = np.zeros_like(series[0])
-            for j in range(1, k + 1):
-                if (slope := slopes[j - 1]) is not None:
-                    right -= omega**j * symmetric_product(slope, series[k - j])
+        upper, slopes = operator.upper(operator.data(omega)), operator.slopes(omega, int(orders.max()))
+        recent, series = [start], [start]
+        for k in range(1, int(orders.max()) + 1):
+            going_on = orders[orders >= k - 1] >= k
+            if not going_on.all():
+                recent = [np.ascontiguousarray(x[:, going_on]) for x in recent]
+            right = np.zeros_like(recent[0])
+            for j, slope in enumerate(slopes[:k], start=1):
+                if slope is not None:
+                    right -= omega**j * symmetric_product(slope, recent[-j])
             x = self.factor.solve(right)
             if self.factor.single:
                 x += self.factor.solve(right - symmetric_product(upper, x))
+            recent.append(x)
             series.append(x)
         return series
 
     def _solve(self, data: ComplexArray, right: ComplexArray) -> Solution:
         upper = self.model.operator.upper(data)
-        if not self.safe:
-            return refined_solve(self.factor, upper, right, tolerance=self.tolerance)
-        try:
-            solution = refined_solve(self.factor, upper, right, tolerance=self.tolerance)
-            if solution.residual <= _ENOUGH or not self.factor.harden():
-                return solution
-        except SolverError:
+        while self.safe:
+            try:
+                solution = refined_solve(self.factor, upper, right, tolerance=self.tolerance)
+                if solution.residual <= _ENOUGH:
+                    return solution
+            except SolverError as problem:
+                _log.info("%s", problem)
             if not self.factor.harden():
-                raise
-        _log.warning("single-precision factors were not enough at this frequency; double precision from here on")
+                break
+            how = "single precision with matching" if self.factor.single else "double precision"
+            _log.warning("the factors were not accurate enough at this frequency; %s from here on", how)
         return refined_solve(self.factor, upper, right, tolerance=self.tolerance)
 
     def solve_error(self, solution: Solution) -> float:
@@ -143,8 +149,10 @@ class DirectSolver:
 def make_solver(model: ForearmModel, options: SolverOptions, frequency: float) -> DirectSolver:
     """Analyse the pattern once for all frequencies."""
     single = options.precision != "double"
-    factor = make_factor(model.operator, 2 * np.pi * frequency, options.backend, single=single)
-    return DirectSolver(model, factor, 1e-9 if single else 1e-11, options.precision == "auto")
+    safe, omega = options.precision == "auto", 2 * np.pi * frequency
+    zeros = (model.operator.data(omega)[model.operator.diagonal_positions] == 0).any()  # incompressible tissue
+    factor = make_factor(model.operator, omega, options.backend, single=single, matching=bool(zeros) or not safe)
+    return DirectSolver(model, factor, 1e-9 if single else 1e-11, safe)
 
 
 def direct_sweep(
@@ -164,7 +172,7 @@ def direct_sweep(
 
 @dataclass(frozen=True)
 class Expansion:
-    """Direct solutions at ``frequency`` with Taylor coefficients: ``series[k]`` (n, n_port) for order k."""
+    """Direct solutions at ``frequency`` with Taylor coefficients: ``series[k]`` (n, n_port or fewer) for order k."""
 
     frequency: float
     series: tuple[ComplexArray, ...]
@@ -205,7 +213,7 @@ def reduced_sweep(
     reduced, used = empty_model(model), list[Expansion]()
     for i, f in enumerate(planned):
         expansion = work.expand(f)
-        reduced = extend(reduced, model, expansion.series)
+        reduced = extend(reduced, model, expansion.series, work.orders)
         used.append(replace(expansion, series=()))
         _tell(progress, "expansion frequencies", i + 1, len(planned) + 1)
     certificates, tried = list[Certificate](), list[float]()
@@ -221,7 +229,7 @@ def reduced_sweep(
         if certificates[-1].bound <= tolerance or len(used) >= options.max_expansions:
             break
         expansion = work.expand(worst.frequency, truth)
-        reduced = extend(reduced, model, expansion.series)
+        reduced = extend(reduced, model, expansion.series, work.orders)
         used.append(replace(expansion, series=()))
     work.release()
     return _swept(model, reduced, frequency, used, certificates)
@@ -260,6 +268,7 @@ class _Expander:
 
     def __init__(self, model: ForearmModel, options: SolverOptions, store: Snapshots | None) -> None:
         self._model, self._options, self._store = model, options, store
+        self.orders = derivative_orders(model, options)
         self._solver: DirectSolver | None = None
 
     def direct(self, frequency: float) -> Expansion:
@@ -273,10 +282,10 @@ class _Expander:
     def expand(self, frequency: float, start: Expansion | None = None) -> Expansion:
         """Solutions and derivatives; ``start`` are direct solutions whose factorisation is still held."""
         start = start or self.direct(frequency)
-        if len(start.series) > self._options.derivatives:
+        if len(start.series) > self.orders.max():
             return start
         solver = self._ready(frequency)
-        series = solver.taylor(frequency, start.series[0], self._options.derivatives)
+        series = solver.taylor(frequency, start.series[0], self.orders)
         result = Expansion(frequency, tuple(series), start.residual, start.solve_error)
         if self._store is not None:
             self._store.put(result)
@@ -291,6 +300,13 @@ class _Expander:
         if self._solver is None:
             self._solver = make_solver(self._model, self._options, frequency)
         return self._solver
+
+
+def derivative_orders(model: ForearmModel, options: SolverOptions) -> IntArray:
+    """How many derivatives (n_port,) are kept of each port's solution: the watched forces' more than the others'."""
+    orders = np.full(len(model.ports), min(options.point_derivatives, options.derivatives))
+    orders[_watched(model)[1]] = options.derivatives
+    return orders
 
 
 _SPACING = 0.1  # expansions are equally far apart in this power of the frequency (docs/decisions.md)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from ..geometry.cache import cached_mesh
 from ..geometry.mesh import TissueMesh
 from ..geometry.place import place_ports
 from ..geometry.quality import Resolution, nodes_per_wavelength
+from ..ports import Port
 from ..scenario import Scenario
 from ..tissue import resolve_tissues
 from .frequencies import frequencies
@@ -57,20 +59,20 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
     return Forecast(
         len(mesh.tetrahedra),
         unknowns,
-        1.5 * _power(_BYTES, unknowns) * single
-        + 0.5e9
-        + _basis_bytes(scenario, unknowns, len(place_ports(scenario, mesh))),
+        1.5 * _power(_BYTES, unknowns) * single + 0.5e9 + _basis_bytes(scenario, unknowns, place_ports(scenario, mesh)),
         one * factorisations * (3.0 if scenario.solver.sweep == "reduced" else 1.2),
         resolution(scenario, mesh),
     )
 
 
-def _basis_bytes(scenario: Scenario, unknowns: int, ports: int) -> float:
+def _basis_bytes(scenario: Scenario, unknowns: int, ports: Sequence[Port]) -> float:
     """Reduced basis, its copy while it grows, and the snapshots: about 2.5 times the basis."""
     solver = scenario.solver
     if solver.sweep == "direct":
         return 0.0
-    return 2.5 * 8 * unknowns * 2 * ports * (solver.derivatives + 1) * solver.expansions
+    contacts = sum(p.kind == "contact" for p in ports)
+    columns = contacts * (solver.derivatives + 1) + (len(ports) - contacts) * (solver.point_derivatives + 1)
+    return 2.5 * 8 * unknowns * 2 * columns * solver.expansions
 
 
 def refuse_if_too_large(forecast: Forecast, scenario: Scenario) -> None:

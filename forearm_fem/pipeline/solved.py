@@ -165,7 +165,8 @@ class _Store:
         """An expansion of an interrupted sweep; see :class:`forearm_fem.fem.sweep.Snapshots`."""
         try:
             with np.load(self._snapshot(frequency)) as data:
-                return Expansion(frequency, tuple(data["series"]), float(data["residual"]), float(data["solve_error"]))
+                series = tuple(data[f"order{k}"] for k in range(int(data["count"])))
+                return Expansion(frequency, series, float(data["residual"]), float(data["solve_error"]))
         except (OSError, ValueError, KeyError, EOFError):
             return None
 
@@ -173,10 +174,9 @@ class _Store:
         """Keep an expansion until the sweep is finished."""
         try:
             with atomic_path(self._snapshot(expansion.frequency)) as target, open(target, "wb") as stream:
-                np.savez(
-                    stream, series=np.array(expansion.series), residual=expansion.residual,
-                    solve_error=expansion.solve_error,
-                )  # fmt: skip
+                parts: dict[str, Any] = {f"order{k}": x for k, x in enumerate(expansion.series)}
+                parts |= {"count": len(parts), "residual": expansion.residual, "solve_error": expansion.solve_error}
+                np.savez(stream, **parts)
         except (DataError, OSError) as problem:
             _log.warning("an expansion could not be kept for a later run: %s", problem)
 

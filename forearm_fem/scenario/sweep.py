@@ -37,8 +37,11 @@ class SolverOptions(Part):
         "auto", description="of the factors, all solves being refined; auto: single, double where that is not enough"
     )
     sweep: Literal["reduced", "direct"] = "reduced"
-    expansions: Annotated[int, Field(ge=1, le=50)] = Field(6, description="expansion frequencies to start with")
-    derivatives: Annotated[int, Field(ge=1, le=12)] = Field(4, description="kept per expansion frequency")
+    expansions: Annotated[int, Field(ge=1, le=50)] = Field(5, description="expansion frequencies to start with")
+    derivatives: Annotated[int, Field(ge=1, le=12)] = Field(8, description="kept per expansion frequency, for contacts")
+    point_derivatives: Annotated[int, Field(ge=0, le=12)] = Field(
+        3, description="kept for grid points, at most as many as for contacts: the error falls with the sum of both"
+    )
     max_expansions: Annotated[int, Field(ge=1, le=50)] = Field(8, description="expansion frequencies at most")
     memory_limit: Positive = Field(12e9, description="refuse a solve estimated above this [bytes]")
     discretisation_estimate: bool = Field(True, description="solve a coarser mesh too, to estimate the error")
