@@ -48,24 +48,25 @@ def test_forearm_is_sound(mesh):
 
 
 def test_volumes_are_close_to_the_analytic_ones(mesh, scenario):
-    """Flat facets of 0.25 rad miss 1 %; the default mesh's 0.5 % is recorded with the shipped meshes."""
+    """Flat facets alone would miss 2 % here: vertices stand out a little for them (_bulges, _faceted_radii)."""
     quality = mesh_quality(mesh, expected_volume=limb_volume(scenario))
-    assert abs(quality.volume_error) < 0.012
+    assert abs(quality.volume_error) < 0.005  # bulges are exact for small angles; facets are up to 0.5 rad wide
     exact = tube_of(scenario.limb).volumes(bones_kept=False)
     for tissue, volume in quality.volumes.items():
         assert volume == pytest.approx(exact[tissue], rel=0.015)
 
 
 def test_interfaces_lie_at_their_depths(mesh, scenario):
-    """Every interface vertex the mesher placed lies on the analytic surface; split ones on chords of it."""
+    """Near the device within a few micrometres; elsewhere out by what their flat facets cut off (_bulges)."""
     tube = tube_of(scenario.limb)
     for outer, inner, depth in (("skin", "fat", 1.2e-3), ("fat", "muscle", 4.2e-3)):
         shared = np.intersect1d(_of(mesh, outer), _of(mesh, inner))
         points = mesh.points[shared]
         exact = tube.place(points[:, 0], tube.angle_of(points), depth)
         away = np.linalg.norm(points - exact, axis=1)
-        assert np.median(away) < 1e-9
-        assert away.max() < 5e-4  # chords of 0.25 rad on a radius of 30 mm: 0.23 mm, of their chords a little more
+        device = (np.abs(points[:, :2]).max(axis=1) < 0.03) & (points[:, 2] > 0)
+        assert np.median(away[device]) < 1e-4  # h^2 / 12 R is 65 um with h = 5 mm
+        assert away.max() < 1.2e-3  # 36 mm * 0.5^2 / 12 = 0.75 mm, splits on chords a little more
 
 
 def test_thickness_is_measured_along_the_normal(scenario):

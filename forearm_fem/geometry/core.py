@@ -9,20 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..typing import BoolArray, FloatArray, IntArray
+from .sizing import Sizes
 from .tetwild import ENVELOPE, background_grid, tetrahedralise
 from .topology import boundary_faces
 from .tube import BoneAxis, Tube, lattice
 
 # Facets of the surfaces handed to fTetWild: they, not the wanted sizes, limit elements far from the ports.
-_WIDEST_FACET = 0.25  # [rad]: flat facets take 0.5 % of the area away where all are that wide
-_ALONG, _AROUND_BONE = 12, 8
+_ALONG = 12
+_BONE_FACET = 2.0  # relative to those of the skin, which bends less
 Size3 = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
 class Core:
     """Core mesh; ``lateral`` (m, 3) are the triangles on which layers grow, ``angle`` (n_point,) their
-    columns.
+    columns, ``bulge`` (n_point,) how far [m] these stand out of the analytic surfaces (:func:`_bulges`).
 
     ``bone`` (n_tet,) numbers the bone each tetrahedron lies in, -1 for muscle.
     """
@@ -32,53 +33,55 @@ class Core:
     bone: IntArray
     lateral: IntArray
     angle: FloatArray
+    bulge: FloatArray
     on_bone: BoolArray
 
 
-def core_mesh(tube: Tube, size: Size3, far: float, *, elastic: bool) -> Core:
+def core_mesh(tube: Tube, size: Size3, sizes: Sizes, *, elastic: bool) -> Core:
     """Mesh of everything inside the layers; bones are left out unless ``elastic``."""
-    vertices, faces = _surfaces(tube, size, elastic)
+    around = max(6, round(2 * np.pi / (_BONE_FACET * sizes.facet)))
+    vertices, faces = _surfaces(tube, size, sizes.facet, around, elastic)
     grid, cells = background_grid(vertices.min(axis=0), vertices.max(axis=0), 3e-3)
-    points, tetrahedra = tetrahedralise(vertices, faces, grid, cells, size(grid), far)
-    return _fitted(tube, points, tetrahedra, elastic)
+    points, tetrahedra = tetrahedralise(vertices, faces, grid, cells, size(grid), sizes.far)
+    return _fitted(tube, points, tetrahedra, around, elastic)
 
 
-def _surfaces(tube: Tube, size: Size3, elastic: bool) -> tuple[FloatArray, IntArray]:
+def _surfaces(tube: Tube, size: Size3, facet: float, around: int, elastic: bool) -> tuple[FloatArray, IntArray]:
     """Closed triangulated surfaces: the core outwards; bones inwards and longer (holes), or outwards
     (kept)."""
     half = tube.length / 2
-    angle = _facet_angles(tube, size)
+    angle = _facet_angles(tube, size, facet)
     x = np.linspace(-half, half, _ALONG + 1)
     wall = tube.place(np.repeat(x, len(angle)), np.tile(angle, len(x)), tube.thickness)
     parts = [_capped(wall, _ALONG, len(angle))]
     for bone in tube.bones:
         reach = half if elastic else half * 1.02
-        wall = _bone_wall(tube, bone, np.linspace(-reach, reach, _ALONG + 1))
-        points, faces = _capped(wall, _ALONG, _AROUND_BONE)
+        wall = _bone_wall(tube, bone, np.linspace(-reach, reach, _ALONG + 1), around)
+        points, faces = _capped(wall, _ALONG, around)
         parts.append((points, faces if elastic else faces[:, ::-1]))
     starts = np.cumsum([0, *(len(p) for p, _ in parts)])
     faces = np.vstack([f + start for (_, f), start in zip(parts, starts[:-1], strict=True)])
     return np.vstack([p for p, _ in parts]), faces
 
 
-def _facet_angles(tube: Tube, size: Size3) -> FloatArray:
+def _facet_angles(tube: Tube, size: Size3, widest: float) -> FloatArray:
     """Angles around the section at x = 0, a fine element apart: facets much finer would force small
     elements."""
     angle = np.linspace(0, 2 * np.pi, 1001)
     ring = tube.place(np.zeros(1001), angle, tube.thickness)
     step = np.linalg.norm(np.diff(ring, axis=0), axis=1)
-    wanted = np.minimum(size((ring[1:] + ring[:-1]) / 2), _WIDEST_FACET * np.linalg.norm(ring[1:], axis=1))
+    wanted = np.minimum(size((ring[1:] + ring[:-1]) / 2), widest * np.linalg.norm(ring[1:], axis=1))
     total = np.concatenate([[0], np.cumsum(step / wanted)])
     count = max(12, round(total[-1]))
     return np.asarray(np.interp(np.arange(count) / count * total[-1], total, angle))
 
 
-def _bone_wall(tube: Tube, bone: BoneAxis, x: FloatArray) -> FloatArray:
-    angle = 2 * np.pi * np.arange(_AROUND_BONE) / _AROUND_BONE
+def _bone_wall(tube: Tube, bone: BoneAxis, x: FloatArray, around: int) -> FloatArray:
+    angle = 2 * np.pi * np.arange(around) / around
     ring = bone.radius * np.column_stack([np.sin(angle), np.cos(angle)])
     centres = tube.bone_centre(bone, x)
     section = (centres[:, None] + ring).reshape(-1, 2)
-    return np.column_stack([np.repeat(x, _AROUND_BONE), section])
+    return np.column_stack([np.repeat(x, around), section])
 
 
 def _capped(wall: FloatArray, n: int, m: int) -> tuple[FloatArray, IntArray]:
@@ -91,12 +94,13 @@ def _capped(wall: FloatArray, n: int, m: int) -> tuple[FloatArray, IntArray]:
     return np.vstack([wall, ends]), np.vstack([lattice(n, m), low, high])
 
 
-def _fitted(tube: Tube, points: FloatArray, tetrahedra: IntArray, elastic: bool) -> Core:
+def _fitted(tube: Tube, points: FloatArray, tetrahedra: IntArray, around: int, elastic: bool) -> Core:
     """Boundary vertices moved onto the analytic surfaces and end planes."""
     bone = _bone_of(tube, points[tetrahedra].mean(axis=1)) if elastic else np.full(len(tetrahedra), -1)
     faces, _ = boundary_faces(tetrahedra)
-    ended = _is_end(tube, points, faces)
-    bony = ~ended & _near_bone(tube, points, faces)
+    slack = _slack(tube, around)
+    ended = _is_end(tube, points, faces, slack)
+    bony = ~ended & _near_bone(tube, points, faces, slack)
     wall = faces[~ended & ~bony]
     if elastic:
         bony_vertices = np.intersect1d(tetrahedra[bone >= 0], tetrahedra[bone < 0])
@@ -111,28 +115,39 @@ def _fitted(tube: Tube, points: FloatArray, tetrahedra: IntArray, elastic: bool)
     lateral = np.unique(wall)
     angle = np.zeros(len(points))
     angle[lateral] = tube.angle_of(moved[lateral])
-    moved[lateral] = tube.place(moved[lateral, 0], angle[lateral], tube.thickness)
+    bulge = _bulges(tube, moved, wall, angle)
+    moved[lateral] = tube.place(moved[lateral, 0], angle[lateral], tube.thickness - bulge[lateral])
     on_bone = np.zeros(len(points), dtype=bool)
     on_bone[bony_vertices] = not elastic
-    return Core(moved, tetrahedra, bone, wall, angle, on_bone)
+    return Core(moved, tetrahedra, bone, wall, angle, bulge, on_bone)
 
 
-def _slack(tube: Tube) -> float:
-    """How far fTetWild's boundary may lie off the analytic surfaces [m]."""
-    return 2 * ENVELOPE * (tube.length + 2 * float(tube.heights.max())) + _flatness(tube)
+def _bulges(tube: Tube, points: FloatArray, wall: IntArray, angle: FloatArray) -> FloatArray:
+    """Outward shift (n_point,) [m] that gives the flat triangles ``wall`` (m, 3) the volume under the true surface.
+
+    A chord lies below y^2/2R by sum (y_i - y_j)^2 / 24R on average over a triangle, y = R angle; each vertex takes the
+    mean of its triangles.
+    """
+    turn = angle[wall]
+    apart = np.angle(np.exp(1j * (turn - np.roll(turn, 1, axis=1))))
+    radius = np.linalg.norm(points[wall][:, :, 1:], axis=2).mean(axis=1)
+    below = radius * (apart**2).sum(axis=1) / 24
+    total = np.bincount(wall.ravel(), np.repeat(below, 3), len(points))
+    return np.asarray(total / np.maximum(np.bincount(wall.ravel(), minlength=len(points)), 1))
 
 
-def _flatness(tube: Tube) -> float:
-    """Height of the bones' arcs over their facets [m]."""
+def _slack(tube: Tube, around: int) -> float:
+    """How far fTetWild's boundary may lie off the analytic surfaces [m]; bones have ``around`` facets."""
     widest = max((bone.radius for bone in tube.bones), default=0.0)
-    return float(widest * (1 - np.cos(np.pi / _AROUND_BONE)))
+    arc = float(widest * (1 - np.cos(np.pi / around)))
+    return 2 * ENVELOPE * (tube.length + 2 * float(tube.heights.max())) + arc
 
 
-def _is_end(tube: Tube, points: FloatArray, faces: IntArray) -> BoolArray:
+def _is_end(tube: Tube, points: FloatArray, faces: IntArray, slack: float) -> BoolArray:
     a, b, c = points[faces].transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     along = np.abs(normal[:, 0]) > 0.7 * np.linalg.norm(normal, axis=1)
-    near = (np.abs(points[faces][:, :, 0]) > tube.length / 2 - _slack(tube)).all(axis=1)
+    near = (np.abs(points[faces][:, :, 0]) > tube.length / 2 - slack).all(axis=1)
     return np.asarray(along & near)
 
 
@@ -142,9 +157,9 @@ def _from_bones(tube: Tube, points: FloatArray) -> FloatArray:
     return np.column_stack(away) if away else np.full((len(points), 1), np.inf)
 
 
-def _near_bone(tube: Tube, points: FloatArray, faces: IntArray) -> BoolArray:
+def _near_bone(tube: Tube, points: FloatArray, faces: IntArray, slack: float) -> BoolArray:
     radii = _radii(tube)
-    near = _from_bones(tube, points) < radii + _slack(tube)
+    near = _from_bones(tube, points) < radii + slack
     per_bone = np.asarray(near)[faces].all(axis=1)
     inwards = [_flux(points[faces], tube.bone_centre(bone, points[:, 0])[faces]) < 0 for bone in tube.bones]
     return np.asarray(np.any(per_bone & np.column_stack(inwards or [np.zeros(len(faces), bool)]), axis=1))

@@ -15,7 +15,7 @@ from .tube import Tube
 
 def limb_mesh(tube: Tube, size: Size3, sizes: Sizes, *, elastic_bones: bool) -> TissueMesh:
     """Core by fTetWild, layers by prisms cut into tetrahedra; contacts are imprinted afterwards."""
-    core = core_mesh(tube, size, sizes.far, elastic=elastic_bones)
+    core = core_mesh(tube, size, sizes, elastic=elastic_bones)
     depths, tissues = _depths(tube, sizes)
     column = np.unique(core.lateral)
     points = [core.points]
@@ -23,7 +23,7 @@ def limb_mesh(tube: Tube, size: Size3, sizes: Sizes, *, elastic_bones: bool) -> 
     levels[0] = np.arange(len(core.points))
     for k, depth in enumerate(depths[1:], start=1):
         levels[k, column] = len(core.points) + (k - 1) * len(column) + np.arange(len(column))
-        points.append(tube.place(core.points[column, 0], core.angle[column], depth))
+        points.append(tube.place(core.points[column, 0], core.angle[column], depth - core.bulge[column]))
     stacked, under = stack_prisms(core.lateral, levels)
     return _assembled(tube, core, np.vstack(points), stacked, [tissues[u] for u in under], levels[-1, column])
 
