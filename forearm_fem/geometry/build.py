@@ -22,7 +22,7 @@ from .limb import limb_mesh, underside
 from .mesh import TissueMesh
 from .place import place_ports, ports_on, true_skin
 from .quality import check_mesh
-from .refine import refine_near, refine_rims
+from .refine import refine_near, refine_rims, refine_skin
 from .sizing import SizeField, Sizes, SpaceField, element_sizes
 from .slab import slab_mesh
 from .surfaces import read_surfaces, surfaces_mesh
@@ -48,7 +48,7 @@ def build_mesh(
     for attempt in range(1, _ATTEMPTS + 1):
         mesh = _unmarked(scenario, base, size, progress or _silent)
         try:
-            return _marked(scenario, mesh, sizes, progress or _silent)
+            return _marked(scenario, mesh, size, progress or _silent)
         except MeshError as problem:
             if attempt == _ATTEMPTS or isinstance(scenario.limb, SlabLimb | MeshLimb):
                 raise
@@ -73,13 +73,13 @@ def _unmarked(scenario: Scenario, base: Path, size: SizeField, say: Progress) ->
     return _nested_mesh(limb, base, size, say, keep_bone=keep_bone)
 
 
-def _marked(scenario: Scenario, mesh: TissueMesh, sizes: Sizes, say: Progress) -> TissueMesh:
+def _marked(scenario: Scenario, mesh: TissueMesh, size: SizeField, say: Progress) -> TissueMesh:
     """With rims followed by edges, refined where the cone is rigid, and contacts named; checked."""
     ports = tuple(p for p in place_ports(scenario, mesh) if p.kind == "contact")
     say("following and refining the contact rims")
-    mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, sizes)
+    mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, size)
     mesh = with_contacts(mesh, ports)
-    mesh = with_disc_areas(refine_rims(mesh, ports, _rim_size(scenario, sizes)), ports)
+    mesh = with_disc_areas(refine_rims(mesh, ports, _rim_size(scenario, size.sizes)), ports)
     if len(mesh.tetrahedra) > scenario.mesh.max_elements:
         raise MeshError(
             f"the mesh has {len(mesh.tetrahedra)} tetrahedra, mesh.max_elements allows "
@@ -97,12 +97,15 @@ def _rim_size(scenario: Scenario, sizes: Sizes) -> float:
     return sizes.rim if cone.contact in RIGID else max(0.5 * sizes.contact, 0.25 * cone.radius)
 
 
-def _imprinted(scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], sizes: Sizes) -> TissueMesh:
-    mesh = refine_near(mesh, ports, min(sizes.contact, 0.6 * scenario.device.cone.radius))
+def _imprinted(scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], size: SizeField) -> TissueMesh:
     limb = scenario.limb
-    exact = true_skin(tube_of(limb)) if isinstance(limb, ForearmLimb | CylinderLimb) else None
+    tube = tube_of(limb) if isinstance(limb, ForearmLimb | CylinderLimb) else None
+    skin = tube.volar if tube else FacetSkin.of(mesh)
+    if not isinstance(limb, MeshLimb):
+        mesh = refine_skin(mesh, SpaceField.on(size, lambda xy: skin(xy)[0]))
+    mesh = refine_near(mesh, ports, min(size.sizes.contact, 0.6 * scenario.device.cone.radius))
     for port in ports:
-        mesh = imprint(mesh, port, exact or FacetSkin.of(mesh).lift)
+        mesh = imprint(mesh, port, true_skin(tube) if tube else FacetSkin.of(mesh).lift)
     return replace(mesh, facets={**mesh.facets, **_underside(mesh)})
 
 

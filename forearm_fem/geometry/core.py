@@ -15,7 +15,8 @@ from .topology import boundary_faces
 from .tube import BoneAxis, Tube, lattice
 
 # Facets of the surfaces handed to fTetWild: they, not the wanted sizes, limit elements far from the ports.
-_ALONG = 12
+_ALONG = 12  # at least, along the limb
+_STRETCH = 2.0  # length over width near the ports
 _BONE_FACET = 2.0  # relative to those of the skin, which bends less
 Size3 = Callable[[FloatArray], FloatArray]
 
@@ -50,10 +51,9 @@ def _surfaces(tube: Tube, size: Size3, facet: float, around: int, elastic: bool)
     """Closed triangulated surfaces: the core outwards; bones inwards and longer (holes), or outwards
     (kept)."""
     half = tube.length / 2
-    angle = _facet_angles(tube, size, facet)
-    x = np.linspace(-half, half, _ALONG + 1)
+    angle, x = _facet_angles(tube, size, facet), _stations(tube, size)
     wall = tube.place(np.repeat(x, len(angle)), np.tile(angle, len(x)), tube.thickness)
-    parts = [_capped(wall, _ALONG, len(angle))]
+    parts = [_capped(wall, len(x) - 1, len(angle))]
     for bone in tube.bones:
         reach = half if elastic else half * 1.02
         wall = _bone_wall(tube, bone, np.linspace(-reach, reach, _ALONG + 1), around)
@@ -74,6 +74,15 @@ def _facet_angles(tube: Tube, size: Size3, widest: float) -> FloatArray:
     total = np.concatenate([[0], np.cumsum(step / wanted)])
     count = max(12, round(total[-1]))
     return np.asarray(np.interp(np.arange(count) / count * total[-1], total, angle))
+
+
+def _stations(tube: Tube, size: Size3) -> FloatArray:
+    """Where the skin's facets begin and end along the limb: long facets near the ports would spoil the mesh there."""
+    x = np.linspace(-tube.length / 2, tube.length / 2, 1001)
+    middle = (x[1:] + x[:-1]) / 2
+    wanted = np.minimum(_STRETCH * size(tube.place(middle, np.zeros(1000), tube.thickness)), tube.length / _ALONG)
+    total = np.concatenate([[0], np.cumsum(np.diff(x) / wanted)])
+    return np.asarray(np.interp(np.linspace(0, total[-1], round(total[-1]) + 1), total, x))
 
 
 def _bone_wall(tube: Tube, bone: BoneAxis, x: FloatArray, around: int) -> FloatArray:

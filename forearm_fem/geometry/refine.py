@@ -18,6 +18,7 @@ Middle = Callable[[TissueMesh, IntArray], FloatArray]
 _RIM_GRADING = 1.0  # size grows by this per metre away from a rim
 _LONGEST = 2.5  # longest edge of a tetrahedron over the size asked for
 _REACH = 10.0  # rim sizes: nothing is refined further away, but for keeping neighbours conforming
+_LONG = 1.6  # longest edge on the skin near ports over the size asked for
 _MAX_ROUNDS = 200
 
 
@@ -156,11 +157,32 @@ def refine_near(mesh: TissueMesh, ports: tuple[Port, ...], size: float) -> Tissu
             close |= np.linalg.norm(mesh.points - np.asarray(port.position), axis=1) < 1.3 * port.radius
         edges = mesh.tetrahedra[:, EDGES]
         length = np.linalg.norm(mesh.points[edges[:, :, 0]] - mesh.points[edges[:, :, 1]], axis=2)
-        long = (length > 1.6 * size) & on_skin[edges].all(axis=2) & close[edges].any(axis=2)
+        long = (length > _LONG * size) & on_skin[edges].all(axis=2) & close[edges].any(axis=2)
         if not long.any():
             return mesh
         mesh = refine(mesh, long.any(axis=1))
     return mesh
+
+
+def refine_skin(mesh: TissueMesh, size: Callable[[FloatArray], FloatArray]) -> TissueMesh:
+    """Bisect until no skin edge is longer than 1.6 times what ``size`` (places (n, 3) -> lengths (n,) [m]) asks for.
+
+    fTetWild keeps sizes on average; here and there an edge is 2.4 times as long, and one such place next to a grid
+    point made that point's receptance 30 % wrong at 400 Hz.
+    """
+    n_round = 0
+    while n_round < _MAX_ROUNDS and len(long := _long_skin_edges(mesh, size)):
+        edges = np.sort(mesh.tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
+        marked = is_member(edges, long, len(mesh.points)).reshape(-1, len(EDGES)).any(axis=1)
+        mesh, n_round = refine(mesh, np.asarray(marked)), n_round + 1
+    return mesh
+
+
+def _long_skin_edges(mesh: TissueMesh, size: Callable[[FloatArray], FloatArray]) -> IntArray:
+    pairs = np.sort(mesh.facets["skin"][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edges = np.unique(pairs, axis=0)
+    length = np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
+    return np.asarray(edges[length > _LONG * size(midpoints(mesh, edges))])
 
 
 def _unspoilt(mesh: TissueMesh, middles: FloatArray) -> TissueMesh:
