@@ -69,6 +69,14 @@ def test_interfaces_lie_at_their_depths(mesh, scenario):
         assert away.max() < 1.2e-3  # 36 mm * 0.5^2 / 12 = 0.75 mm, splits on chords a little more
 
 
+def test_accuracy_sets_the_length_of_a_forearm_that_leaves_it_out():
+    lengths = [parse_scenario({"accuracy": a}).limb.length for a in (0.01, 0.05, 0.3)]
+    assert lengths[0] == lengths[1] == ForearmLimb().length > lengths[2]
+    assert parse_scenario({"accuracy": 0.3, "limb": {"shape": "forearm", "length": 0.2}}).limb.length == 0.2
+    wider = parse_scenario({"accuracy": 0.3, "limb": {"shape": "forearm", "aspect": 1.2}}).limb
+    assert (wider.length, wider.aspect) == (lengths[2], 1.2)
+
+
 def test_thickness_is_measured_along_the_normal(scenario):
     tube = tube_of(scenario.limb)
     x, angle = np.array([-0.03, 0.0, 0.04]), np.array([0.2, 1.0, 2.5])

@@ -13,7 +13,7 @@ from ..typing import FloatArray
 from .layout import Layout, layers_of
 
 DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics.md 6
-_PER_WAVELENGTH = 0.9241  # default forearm: 0.9241 * 4.4 mm * 0.05**(1/4) = 1.9 mm
+_PER_WAVELENGTH = 0.885  # default forearm: 0.885 * 4.4 mm * 0.05**(1/4) = 1.84 mm
 _CONTACT, _FAR, _RIM = 0.8, 6.0, 0.45  # relative to the size between contacts and grid
 _FACET = 0.25  # [rad] at accuracy 0.05: chords of an equal-volume polygon cost 1-2 % of G below 100 Hz, quadratically
 _INTO_CORE = 2.2  # the core lies under the layers, where fields are smooth: sizes grow faster there
@@ -40,7 +40,7 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     """Sizes for ``scenario``; explicit mesh options win, ``scale`` multiplies every size.
 
     ``shear_speed`` maps tissues to their shear wave speed at ``f_max`` [m/s]. Outputs of P2 elements converge
-    like h^4, hence h = 0.92 lambda_min accuracy^(1/4).
+    like h^4, hence h = 0.885 lambda_min accuracy^(1/4).
     """
     options, radius = scenario.mesh, scenario.device.cone.radius
     frequencies = scenario.sweep.frequencies

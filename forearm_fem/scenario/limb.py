@@ -44,7 +44,11 @@ class ForearmLimb(Part):
     """Parametric segment: circumferences along the arm, elliptic sections, layers, muscle, radius and ulna."""
 
     shape: Literal["forearm"] = "forearm"
-    length: Length = Field(0.24, description="length of the segment kept, centred on the device [m]; the whole forearm")
+    length: Length = Field(
+        0.24,
+        description="length of the segment kept, centred on the device [m]; where a scenario leaves it out, as long as "
+        "its accuracy needs: 0.12 to 0.24, the whole forearm",
+    )
     circumference: tuple[tuple[float, Positive], ...] = Field(
         DEFAULT_CIRCUMFERENCE, description="pairs (x, circumference) [m]; x = 0 under the device"
     )
@@ -59,6 +63,16 @@ class ForearmLimb(Part):
         if len(xs) < 1 or sorted(set(xs)) != xs:
             raise ValueError("circumference needs at least one (x, circumference) pair, x increasing")
         return self
+
+
+# Estimated truncation error (e_band of G) of the default forearm cut to a length [m] (docs/decisions.md).
+TRUNCATION = ((0.12, 0.07), (0.16, 0.05), (0.20, 0.03))
+WHOLE_FOREARM = 0.24
+
+
+def forearm_length(accuracy: float) -> float:
+    """Shortest segment [m] whose truncation takes at most half of ``accuracy``; the whole forearm where none does."""
+    return next((length for length, error in TRUNCATION if error <= accuracy / 2), WHOLE_FOREARM)
 
 
 class CylinderLimb(Part):

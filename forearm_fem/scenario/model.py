@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from .base import Part
 from .device import Device, Grid
-from .limb import ForearmLimb, Limb
+from .limb import ForearmLimb, Limb, forearm_length
 from .measurement import MeasurementOptions
 from .mesh import MeshOptions
 from .rendering import Rendering
@@ -37,6 +38,18 @@ class Scenario(Part):
     solver: SolverOptions = SolverOptions()
     rendering: Rendering = Rendering()
     measurement: MeasurementOptions = MeasurementOptions()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _forearm_as_long_as_needed(cls, data: Any) -> Any:
+        """``accuracy`` sets the length of a forearm that leaves it out."""
+        limb = data.get("limb", {}) if isinstance(data, Mapping) else None
+        if not isinstance(limb, Mapping) or limb.get("shape", "forearm") != "forearm" or "length" in limb:
+            return data
+        accuracy = data.get("accuracy", cls.model_fields["accuracy"].default)
+        if not isinstance(accuracy, int | float):
+            return data  # refused below, with its own sentence
+        return {**data, "limb": {"shape": "forearm", **limb, "length": forearm_length(accuracy)}}
 
     @model_validator(mode="after")
     def _targets_exist(self) -> Self:
