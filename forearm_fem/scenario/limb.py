@@ -66,13 +66,13 @@ class ForearmLimb(Part):
 
 
 # Estimated truncation error (e_band of G) of the default forearm cut to a length [m] (docs/decisions.md).
-TRUNCATION = ((0.12, 0.07), (0.16, 0.05), (0.20, 0.03))
+TRUNCATION = ((0.12, 0.040), (0.16, 0.022), (0.20, 0.014))
 WHOLE_FOREARM = 0.24
 
 
 def forearm_length(accuracy: float) -> float:
-    """Shortest segment [m] whose truncation takes at most half of ``accuracy``; the whole forearm where none does."""
-    return next((length for length, error in TRUNCATION if error <= accuracy / 2), WHOLE_FOREARM)
+    """Shortest segment [m] whose truncation takes at most a quarter of ``accuracy``, else the whole forearm."""
+    return next((length for length, error in TRUNCATION if error <= accuracy / 4), WHOLE_FOREARM)
 
 
 class CylinderLimb(Part):
