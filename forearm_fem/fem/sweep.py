@@ -219,7 +219,10 @@ def reduced_sweep(
     certificates, tried = list[Certificate](), list[float]()
     while tolerance is not None:
         wary = any(c.change > _DOUBTFUL for c in certificates)
-        worst = doubt(model, reduced, frequency, [*tried, *(e.frequency for e in used)], wary=wary)
+        known = [*tried, *(e.frequency for e in used)]
+        worst = doubt(model, reduced, frequency, known, wary=wary)
+        if worst is not None and worst.change > _DOUBTFUL and not wary:
+            worst = doubt(model, reduced, frequency, known, wary=True)
         if worst is None:
             break
         truth = work.direct(worst.frequency)
