@@ -10,7 +10,7 @@ from forearm_fem.geometry.build import build_mesh, limb_volume
 from forearm_fem.geometry.contacts import facet_area, from_axis
 from forearm_fem.geometry.place import place_ports
 from forearm_fem.geometry.quality import check_mesh, mesh_quality
-from forearm_fem.geometry.refine import refine, rim_edges
+from forearm_fem.geometry.refine import refine, refine_skin, rim_edges
 from forearm_fem.geometry.tube import tube_of
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.limb import ForearmLimb
@@ -200,3 +200,19 @@ def test_impossible_limbs_are_refused_at_once(changes, message):
 def test_default_scenario_is_possible():
     tube = tube_of(Scenario().limb)
     assert len(tube.bones) == 2
+
+
+def test_skin_is_bisected_where_it_is_coarser_than_asked(mesh):
+    """Within 1.6 times the size asked for around one place; bisection keeps the volume."""
+    place = mesh.points[mesh.facets["skin"][0, 0]]
+
+    def size(points):
+        return np.where(np.linalg.norm(points - place, axis=1) < 0.01, 2e-3, 1.0)
+
+    def longest(tissue_mesh):
+        ends = tissue_mesh.points[tissue_mesh.facets["skin"][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)]
+        return (np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / size(ends.mean(axis=1))).max()
+
+    finer = refine_skin(mesh, size)
+    assert longest(mesh) > 1.6 >= longest(finer)
+    assert finer.volumes.sum() == pytest.approx(mesh.volumes.sum(), rel=1e-12)
