@@ -52,7 +52,7 @@ def steps(mesh: TissueMesh, frequency: np.ndarray, precision: str) -> dict:
         factor.factorise(data)
         marks.append(clock())
         right, tolerance = model.functionals.astype(complex), 1e-9 if single else 1e-11
-        x = refined_solve(factor, model.operator.upper(data), right, tolerance=tolerance).values
+        x = refined_solve(factor, model.operator.matrix(data), right, tolerance=tolerance).values
         rows.append([assembled, *np.diff([*marks, clock()])])
         value = complex(model.functionals[:, POINT] @ x[:, DISC]) * model.shares[DISC]
         values.append([value.real, value.imag])

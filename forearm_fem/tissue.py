@@ -250,6 +250,7 @@ class _Spec:
     values: Mapping[str, float] = field(default_factory=dict)
 
     def tissue(self) -> Tissue:
+        """The tissue these numbers (SI) describe; they must be complete for the model."""
         return Tissue(self.name, self.values["density"], self._modulus(), self.values["bulk"])
 
     def _modulus(self) -> Modulus:

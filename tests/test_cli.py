@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from cli_runner import SMALL, cli, leftovers
 
+from forearm_fem import __version__
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.signals import read_drives
 
@@ -44,6 +45,12 @@ def test_the_installed_program_ends_with_its_code() -> None:
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "error: nowhere.toml: no such file; name a scenario such as scenarios/thesis.toml\n"
     assert subprocess.run([*program, "--version"], capture_output=True, check=False).returncode == 0
+
+
+def test_the_package_runs_as_the_program() -> None:
+    program = [sys.executable, "-m", "forearm_fem"]
+    done = subprocess.run([*program, "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"forearm-fem {__version__}\n", "")
 
 
 def test_help_names_every_command() -> None:

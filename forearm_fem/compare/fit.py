@@ -141,6 +141,9 @@ class _Problem:
         fallback: float,
         progress: Callable[[int, float], None] | None,
     ) -> _Problem:
+        """The data used and their weights sqrt(2) / sigma [1/unit of G]; sigma is ``fallback`` times the rms of G
+        where no deviation is known. Raises DataError for repeated or no names and for too few data.
+        """
         names = [p.name for p in parameters]
         if not names or len(set(names)) != len(names):
             raise DataError(f"a fit needs parameters with distinct names, got {names}")

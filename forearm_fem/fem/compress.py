@@ -11,6 +11,8 @@ import scipy.linalg
 from ..typing import ComplexArray, FloatArray
 from .reduce import ReducedModel
 
+_AT_ONCE = 2000  # frequencies: their weights are as many times all poles
+
 
 def compressed(reduced: ReducedModel, frequency: FloatArray, *, samples: int = 48, drop: float = 1e-6) -> ReducedModel:
     """The reduced model on the span of its own states at ``samples`` frequencies spread over the band.
@@ -30,9 +32,10 @@ def compressed(reduced: ReducedModel, frequency: FloatArray, *, samples: int = 4
 
 @dataclass(frozen=True)
 class PoleResidue:
-    """C(omega) = sum_k left_ik right_kj / (i omega - pole_k): any number of frequencies at once.
+    """C(omega) = sum_k left_ik right_kj share_j / (i omega - pole_k): any number of frequencies at once.
 
-    ``left`` are the ``modes`` (r, 2r) of the reduced space seen through the ports. Exists where every coefficient is a
+    ``left`` are the ``modes`` (r, 2r) of the reduced space seen through the ports, ``right`` the modes' amplitudes.
+    Exists where every coefficient is a
     polynomial of second degree in omega (Kelvin-Voigt, springs, dashpots, masses).
     """
 
@@ -40,20 +43,24 @@ class PoleResidue:
     modes: ComplexArray
     left: ComplexArray
     right: ComplexArray
+    shares: FloatArray
 
     def states(self, frequency: FloatArray, ports: Sequence[int]) -> ComplexArray:
         """Reduced solutions (n_frequency, r, n_chosen) for the force shares of the chosen ``ports``."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
-        amplitudes = self.right[:, None, ports] / (s[None, :] - self.poles[:, None])[:, :, None]
+        amplitudes = (self.right * self.shares)[:, None, ports] / (s[None, :] - self.poles[:, None])[:, :, None]
         return np.moveaxis(np.tensordot(self.modes, amplitudes, 1), 1, 0)
 
     def compliance(self, frequency: FloatArray) -> ComplexArray:
         """Compliance (n_frequency, n_port, n_port) [m/N]."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
-        weights = 1 / (s[:, None] - self.poles)
-        n = self.left.shape[0]
-        pairs = (self.left[:, None, :] * self.right.T[None, :, :]).reshape(n * n, -1)
-        return np.asarray((weights @ pairs.T).reshape(len(s), n, n))
+        i, j = np.triu_indices(len(self.left))
+        pairs = (self.left[i] * self.right.T[j] + self.left[j] * self.right.T[i]) / 2  # reciprocal to the last digit
+        values = np.empty((len(s), len(self.left), len(self.left)), dtype=complex)
+        for piece in (slice(k, k + _AT_ONCE) for k in range(0, len(s), _AT_ONCE)):
+            values[piece, i, j] = (1 / (s[piece, None] - self.poles)) @ pairs.T
+        values[:, j, i] = values[:, i, j]
+        return np.asarray(values * self.shares)
 
 
 def pole_residue(reduced: ReducedModel) -> PoleResidue | None:
@@ -67,7 +74,7 @@ def pole_residue(reduced: ReducedModel) -> PoleResidue | None:
     taylor = np.array([c.taylor(0.0, 2) for c in reduced.coefficients])
     stiffness, damping, mass = (np.tensordot(w, reduced.matrices, 1) for w in _polynomial(taylor))
     poles, modes, right = _companion(stiffness, damping, mass, reduced.functionals)
-    result = PoleResidue(poles, modes, reduced.functionals.T @ modes, right * reduced.shares)
+    result = PoleResidue(poles, modes, reduced.functionals.T @ modes, right, reduced.shares)
     return result if _agrees(result, reduced) else None
 
 

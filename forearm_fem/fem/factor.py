@@ -12,7 +12,8 @@ from scipy.sparse.linalg import splu
 from ..errors import SolverError
 from ..typing import ComplexArray
 from . import pardiso
-from .operator import AffineOperator, symmetric_product
+from .operator import AffineOperator
+from .symmetric import SymmetricMatrix
 
 Backend = Literal["auto", "pardiso", "superlu"]
 
@@ -115,7 +116,7 @@ class Solution:
 
 
 def refined_solve(
-    factor: Factor, upper: csr_array, right: ComplexArray, *, tolerance: float = 1e-12, rounds: int = 6
+    factor: Factor, matrix: SymmetricMatrix, right: ComplexArray, *, tolerance: float = 1e-12, rounds: int = 6
 ) -> Solution:
     """Solve with iterative refinement in double precision until the relative residual is below ``tolerance``.
 
@@ -125,13 +126,13 @@ def refined_solve(
     scale = np.linalg.norm(right, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     x = factor.solve(right)
-    rest = right - symmetric_product(upper, x)
+    rest = right - matrix.product(x)
     residual = float((np.linalg.norm(rest, axis=0) / scale).max())
     for _ in range(rounds):
         if residual <= tolerance:
             break
         candidate = x + factor.solve(rest)
-        rest_new = right - symmetric_product(upper, candidate)
+        rest_new = right - matrix.product(candidate)
         residual_new = float((np.linalg.norm(rest_new, axis=0) / scale).max())
         if not residual_new < residual:
             break

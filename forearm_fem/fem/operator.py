@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array, eye_array, triu
+from scipy.sparse import csr_array, eye_array, triu
 
 from ..typing import ComplexArray, FloatArray, IntArray
 from .coefficients import Coefficient
+from .symmetric import SymmetricMatrix
 
 
 @dataclass(frozen=True)
@@ -46,20 +47,20 @@ class AffineOperator:
         """Upper-triangle values (nnz,) of A(omega)."""
         return self.combine([complex(t.coefficient.at(np.array(omega))) for t in self.terms])
 
-    def slopes(self, omega0: float, order: int) -> list[csr_array | None]:
-        """Taylor coefficients of A about ``omega0``: upper triangles of orders 1 ... ``order``, None where zero.
+    def slopes(self, omega0: float, order: int) -> list[SymmetricMatrix | None]:
+        """Taylor coefficients of A about ``omega0`` of orders 1 ... ``order``, None where zero.
 
         Without the zeros of the common pattern, and real where they are.
         """
         weights = np.array([t.coefficient.taylor(omega0, order) for t in self.terms])
         return [self._sparse(list(weights[:, k])) if weights[:, k].any() else None for k in range(1, order + 1)]
 
-    def _sparse(self, weights: Sequence[complex]) -> csr_array:
+    def _sparse(self, weights: Sequence[complex]) -> SymmetricMatrix:
         data = self.combine(weights)
         kept = np.flatnonzero(data)
         indptr = np.searchsorted(kept, self.indptr)
         parts = (data[kept] if data.imag.any() else data.real[kept], self.indices[kept], indptr)
-        return csr_array(parts, shape=(self.n, self.n))
+        return SymmetricMatrix.from_upper(csr_array(parts, shape=(self.n, self.n)))
 
     def combine(self, weights: Sequence[complex]) -> ComplexArray:
         """Upper-triangle values of a weighted sum of the terms."""
@@ -73,14 +74,18 @@ class AffineOperator:
         """Upper triangle with given values as a sparse matrix."""
         return csr_array((data, self.indices, self.indptr), shape=(self.n, self.n))
 
+    def matrix(self, data: ComplexArray) -> SymmetricMatrix:
+        """The whole matrix with these upper-triangle values, for products."""
+        return SymmetricMatrix.from_upper(self.upper(data))
+
     @cached_property
     def diagonal_positions(self) -> IntArray:
         """Where the diagonal stands in the data: the first entry of each row."""
         return self.indptr[:-1]
 
-    def multiply(self, data: ComplexArray, x: ComplexArray) -> ComplexArray:
+    def multiply(self, data: ComplexArray, x: ComplexArray | FloatArray) -> ComplexArray:
         """Product of the symmetric matrix with upper-triangle ``data`` and columns ``x`` (n, k)."""
-        return symmetric_product(self.upper(data), x)
+        return np.asarray(self.matrix(data).product(x))
 
     def term_matrix(self, term: Term) -> csr_array:
         """Upper triangle of one term, without the zeros of the common pattern."""
@@ -88,28 +93,19 @@ class AffineOperator:
         return csr_array((term.values, self.indices[term.positions], indptr), shape=(self.n, self.n))
 
     @cached_property
-    def compact(self) -> dict[str, tuple[IntArray, csr_array]]:
-        """Term -> rows that it touches and the whole symmetric matrix on them."""
+    def compact(self) -> dict[str, tuple[IntArray, SymmetricMatrix]]:
+        """Term -> rows that it touches and the matrix on those rows."""
         return {t.name: _compact(self.term_matrix(t)) for t in self.terms}
 
 
-def _compact(upper: csr_array) -> tuple[IntArray, csr_array]:
-    """Rows that a symmetric matrix, given by its upper triangle, touches, and the whole matrix on those rows."""
-    row = np.repeat(np.arange(upper.shape[0]), np.diff(upper.indptr))
-    used = np.union1d(row, upper.indices)
-    place = np.zeros(upper.shape[0], dtype=np.int64)
-    place[used] = np.arange(len(used))
-    small = csr_array((upper.data, (place[row], place[upper.indices])), shape=(len(used), len(used)))
-    return used, csr_array(small + small.T - diags_array(small.diagonal()))
-
-
-def symmetric_product(upper: csr_array, x: ComplexArray | FloatArray) -> ComplexArray:
-    """Product of a symmetric matrix, given by its upper triangle, with columns ``x`` (n, k)."""
-    if upper.dtype.kind == "f" and np.iscomplexobj(x):  # half the work of complex times complex
-        pairs = np.ascontiguousarray(x).view(np.float64).reshape(len(x), -1)
-        return np.asarray(symmetric_product(upper, pairs).view(np.complex128).reshape(x.shape))
-    diagonal = upper.diagonal()
-    return np.asarray(upper @ x + upper.T @ x - (diagonal[:, None] * x if x.ndim == 2 else diagonal * x))
+def _compact(upper: csr_array) -> tuple[IntArray, SymmetricMatrix]:
+    """Rows that a symmetric matrix, given by its upper triangle, touches, and the matrix on those rows."""
+    touched = np.diff(upper.indptr) > 0
+    touched[upper.indices] = True
+    used, place = np.flatnonzero(touched), np.cumsum(touched) - 1
+    indptr = upper.indptr[np.append(used, len(touched))]
+    small = csr_array((upper.data, place[upper.indices], indptr), shape=(len(used), len(used)))
+    return used, SymmetricMatrix.from_upper(small)
 
 
 def affine_operator(

@@ -152,17 +152,16 @@ def orthonormal_extension(
     column's length are left out: what rounding leaves of them would only add noise. The second result are the
     coordinates of all columns, scaled to unit length, in the basis and the new directions together.
     """
-    widths = np.cumsum([b.shape[1] for b in blocks])[:-1]
     columns = np.hstack(blocks)
     norms = np.linalg.norm(columns[:n_u], axis=0)
     columns /= np.where(norms > 0, norms, 1.0)
     known = basis[:n_u].T @ columns[:n_u]
-    rest = columns - basis @ known
-    added = np.zeros((len(basis), 0))
-    for block in np.split(rest, widths, axis=1):
-        added = np.hstack([added, _orthonormalised(added, block, n_u, drop)])
-    added = without(basis, added, n_u)  # weak directions had rounding of the known ones left in them
-    return added, np.vstack([known, added[:n_u].T @ rest[:n_u]])
+    columns -= basis @ known
+    gram = columns[:n_u].T @ columns[:n_u]
+    directions = _directions(gram, [b.shape[1] for b in blocks], drop)
+    added = without(basis, columns @ directions, n_u)  # weak directions had rounding of the known ones left in them
+    half = np.linalg.inv(np.linalg.cholesky(added[:n_u].T @ added[:n_u])).T
+    return added @ half, np.vstack([known, (directions @ half).T @ gram])
 
 
 def without(basis: FloatArray, columns: FloatArray, n_u: int) -> FloatArray:
@@ -170,15 +169,22 @@ def without(basis: FloatArray, columns: FloatArray, n_u: int) -> FloatArray:
     return np.asarray(columns - basis @ (basis[:n_u].T @ columns[:n_u])) if basis.shape[1] else columns
 
 
-def _orthonormalised(basis: FloatArray, columns: FloatArray, n_u: int, drop: float) -> FloatArray:
-    """Columns (not longer than 1) made orthonormal to ``basis`` and each other, weak directions left out."""
-    rest, limit = columns, drop**2
-    for _ in range(2):
-        rest = without(basis, rest, n_u)
-        values, vectors = np.linalg.eigh(rest[:n_u].T @ rest[:n_u])
-        keep = values > limit
-        rest = rest @ (vectors[:, keep] / np.sqrt(values[keep]))
-    return np.asarray(rest)
+def _directions(gram: FloatArray, widths: Sequence[int], drop: float) -> FloatArray:
+    """Combinations (k, m) of columns, none longer than 1, that are orthonormal by their products ``gram`` (k, k).
+
+    Column blocks of the given ``widths`` in turn, directions weaker than ``drop`` left out. Their products are known
+    to 1e-16, so the weakest directions kept come out orthonormal to 1e-16 / drop^2 only: see the caller.
+    """
+    chosen, starts = np.zeros((len(gram), 0)), np.cumsum([0, *widths[:-1]])
+    for start, width in zip(starts, widths, strict=True):
+        rest = np.eye(len(gram))[:, start : start + width]
+        for _ in range(2):
+            rest = rest - chosen @ (chosen.T @ (gram @ rest))
+            values, vectors = np.linalg.eigh(rest.T @ gram @ rest)
+            keep = values > drop**2
+            rest = rest @ (vectors[:, keep] / np.sqrt(values[keep]))
+        chosen = np.hstack([chosen, rest])
+    return chosen
 
 
 def _extended_matrices(
@@ -189,8 +195,8 @@ def _extended_matrices(
     matrices = np.zeros((len(operator.terms), total, total))
     matrices[:, :old, :old] = reduced.matrices
     for matrix, term in zip(matrices, operator.terms, strict=True):
-        rows, compact = operator.compact[term.name]
-        columns = _projected(basis, rows, compact @ added[rows])
+        rows, matrix_there = operator.compact[term.name]
+        columns = _projected(basis, rows, matrix_there.product(added[rows]))
         matrix[:, old:] = columns
         matrix[old:, :old] = columns[:old].T
         matrix[old:, old:] = (columns[old:] + columns[old:].T) / 2

@@ -1,8 +1,8 @@
 """``reduced.nc``: the reduced model, a few megabytes that give the compliance at any frequency, for any moduli.
 
-Variables ``matrix`` (term, row, column), real symmetric; ``functional`` (row, port) and ``share`` (port,) as in
-:class:`forearm_fem.fem.reduce.ReducedModel`. What the terms are multiplied with follows from the scenario, kept as
-JSON.
+Variables ``upper`` (term, entry), the upper triangles of real symmetric matrices row by row; ``functional``
+(row, port) and ``share`` (port,) as in :class:`forearm_fem.fem.reduce.ReducedModel`. What the terms are multiplied
+with follows from the scenario, kept as JSON.
 """
 
 from __future__ import annotations
@@ -36,10 +36,11 @@ class ReducedFile:
 
 def write_reduced(path: str | Path, content: ReducedFile) -> None:
     """Write ``content``, whole or not at all."""
+    rows, columns = np.triu_indices(len(content.functionals))
     variables = {
         "term": (("term",), labels(content.names), {}),
         **port_variables("port", content.ports),
-        "matrix": (("term", "row", "column"), content.matrices, {}),
+        "upper": (("term", "entry"), content.matrices[:, rows, columns], {}),
         "functional": (("row", "port"), content.functionals, {}),
         "share": (("port",), content.shares, {}),
     }
@@ -54,9 +55,20 @@ def read_reduced(path: str | Path) -> ReducedFile:
 def _unpack(dataset: xr.Dataset) -> ReducedFile:
     return ReducedFile(
         tuple(text(dataset["term"].values)),
-        np.asarray(dataset["matrix"].values, dtype=float),
+        _matrices(dataset),
         np.asarray(dataset["functional"].values, dtype=float),
         np.asarray(dataset["share"].values, dtype=float),
         ports_of(dataset, "port"),
         json.loads(dataset.attrs["scenario"]),
     )
+
+
+def _matrices(dataset: xr.Dataset) -> FloatArray:
+    """Whole matrices; files before version 0.4 held them whole."""
+    if "matrix" in dataset:
+        return np.asarray(dataset["matrix"].values, dtype=float)
+    upper, size = np.asarray(dataset["upper"].values, dtype=float), dataset.sizes["row"]
+    rows, columns = np.triu_indices(size)
+    matrices = np.empty((len(upper), size, size))
+    matrices[:, rows, columns] = matrices[:, columns, rows] = upper
+    return matrices

@@ -54,6 +54,7 @@ def out_of_contact() -> Iterator[Outcome]:
 
 
 def target_is_zero() -> Iterator[Outcome]:
+    """The target is one of the points to be kept still: to be refused."""
     drives(InverseFilter(zeros=("5", "1")), _transfer(), "5", ricker(duration=0.2))
     yield Outcome("", "rendered", np.inf, 0.0)
 

@@ -89,7 +89,7 @@ def solve(model: ForearmModel, frequency: float, load: ComplexArray | FloatArray
     factor = make_factor(model.operator, omega, "auto", single=False)
     data = model.operator.data(omega)
     factor.factorise(data)
-    x = refined_solve(factor, model.operator.upper(data), load.astype(complex)).values
+    x = refined_solve(factor, model.operator.matrix(data), load.astype(complex)).values
     factor.release()
     return x
 
