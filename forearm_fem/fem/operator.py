@@ -57,10 +57,11 @@ class AffineOperator:
 
     def _sparse(self, weights: Sequence[complex]) -> SymmetricMatrix:
         data = self.combine(weights)
-        kept = np.flatnonzero(data)
-        indptr = np.searchsorted(kept, self.indptr)
-        parts = (data[kept] if data.imag.any() else data.real[kept], self.indices[kept], indptr)
-        return SymmetricMatrix.from_upper(csr_array(parts, shape=(self.n, self.n)))
+        data[self.diagonal_positions] /= 2
+        there = data != 0
+        indptr = np.concatenate([[0], np.cumsum(there)])[self.indptr]
+        values = data if data.imag.any() else data.real
+        return SymmetricMatrix(csr_array((values[there], self.indices[there], indptr), shape=(self.n, self.n)))
 
     def combine(self, weights: Sequence[complex]) -> ComplexArray:
         """Upper-triangle values of a weighted sum of the terms."""
@@ -76,7 +77,9 @@ class AffineOperator:
 
     def matrix(self, data: ComplexArray) -> SymmetricMatrix:
         """The whole matrix with these upper-triangle values, for products."""
-        return SymmetricMatrix.from_upper(self.upper(data))
+        halved = data.copy()
+        halved[self.diagonal_positions] /= 2
+        return SymmetricMatrix(self.upper(halved))
 
     @cached_property
     def diagonal_positions(self) -> IntArray:
