@@ -8,8 +8,9 @@ from time import process_time
 from ..fem.model import ForearmModel
 from ..fem.sweep import reduced_sweep
 from ..geometry.sizing import element_sizes
-from ..pipeline.fem_engine import COARSER, reduction_tolerance
+from ..pipeline.fem_engine import reduction_tolerance
 from ..pipeline.resources import Ledger
+from ..pipeline.two_meshes import COARSER, estimated_errors
 from ..transfer import band_error, relative_error
 from ..typing import ComplexArray
 from ..verification.scenes import slab_model
@@ -18,7 +19,6 @@ from .scene import exact as exact_solution
 
 ACCURACIES = (0.1, 0.01)
 MORE = (0.3, 0.03, 0.003, 0.001)  # the last: about 180 000 unknowns, 5 GB
-ORDER = 2.0  # the estimate's: |fine - coarse| / (COARSER^ORDER - 1)
 _POINTS = 2  # outputs from here on are 10 and 20 mm away
 
 
@@ -56,7 +56,7 @@ def asked(accuracy: float) -> Asked:
     truth, stage = exact_solution(BAND), ledger.stages["all"]
     return Asked(
         accuracy, element_sizes(scenario).grid, model.operator.n, stage["seconds"], spent, more,
-        stage["peak_memory_bytes"], band_error(coarse, values) / (COARSER**ORDER - 1), band_error(values, truth),
+        stage["peak_memory_bytes"], estimated_errors(coarse, values)[0], band_error(values, truth),
         band_error(values[:, _POINTS:], truth[:, _POINTS:]), float(relative_error(values, truth).max()),
     )  # fmt: skip
 

@@ -107,7 +107,7 @@ def _slope(n: Sequence[int], y: Sequence[float]) -> str:
 
 
 def _reduced_against_direct(rows: Sequence[Row]) -> Figure:
-    figure = Figure(figsize=(9.5, 3.8), layout="constrained")
+    figure = Figure(figsize=(9.5, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     n = [int(r["unknowns"]) for r in rows]
     for key, label, colour in (
@@ -124,7 +124,7 @@ def _reduced_against_direct(rows: Sequence[Row]) -> Figure:
     _labelled(left, "unknowns", "seconds")
     _labelled(right, "unknowns", "e(f) against direct solves")
     for axes in (left, right):
-        axes.legend(fontsize=7, frameon=False)
+        axes.legend(fontsize=7, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
     return figure
 
 

@@ -19,9 +19,9 @@ from ..scenario.supports import Supports
 from ..tissue import Tissue, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
+from .two_meshes import COARSER
 
 Progress = Callable[[str, int, int], None]
-COARSER = 2.0  # size ratio of the second mesh
 REDUCTION = 1e-4  # e(f) asked of the reduced model: far below any discretisation error
 TRUNCATION_PROBES, FREED_PROBES = 4, 80  # by direct solves, by the reduced model
 _ROUGHER = {"expansions": 4, "derivatives": 5, "point_derivatives": 1}  # not certified: wrong by 1-3 % at single bins

@@ -33,13 +33,13 @@ from ..scenario import Scenario
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import ComplexArray
 from ..wavefield import Wavefield, save_wavefield
-from .fem_engine import COARSER
 from .forecast import forecast, refuse_if_too_large
 from .frequencies import frequencies
 from .resources import Ledger
-from .simulation import ASSUMED_ORDER, Simulation, closed, render_transfer, simulate
+from .simulation import Simulation, closed, render_transfer, simulate
 from .skin_model import save_skin_model
 from .solved import solve
+from .two_meshes import remaining_error
 from .wave_report import write_wave_report
 
 Progress = Callable[[str, int, int], None]
@@ -211,12 +211,12 @@ def _write_rendering(run: Run, rendering: Rendering, transfer: TransferMatrix) -
 
 
 def _strength_error(run: Run, rendering: Rendering, coarse: TransferMatrix | None) -> dict[str, Any]:
-    """Estimated error of each S: its change on the coarser mesh over (s^p - 1), renderers designed anew."""
+    """Estimated error of each S: from its change on the coarser mesh, renderers designed anew."""
     if coarse is None:
         return {}
     other = render_transfer(run.scenario, coarse, base=run.base)
-    gain = COARSER**ASSUMED_ORDER - 1
-    change = np.abs(other.strengths - rendering.strengths) / gain
+    own = np.abs(rendering.strengths)
+    change = remaining_error(np.abs(other.strengths - rendering.strengths) / own) * own
     return {
         m: dict(zip(rendering.targets, row.tolist(), strict=True))
         for m, row in zip(rendering.methods, change, strict=True)

@@ -13,19 +13,17 @@ from ..geometry.cache import cached_mesh
 from ..geometry.mesh import TissueMesh
 from ..rendering import Limits, Rendering, render_all
 from ..scenario import Scenario
-from ..transfer import Compliance, ErrorEstimate, TransferMatrix, band_error, relative_error
-from ..typing import FloatArray
-from .fem_engine import COARSER
+from ..transfer import Compliance, ErrorEstimate, TransferMatrix, relative_error
 from .frequencies import frequencies
 from .layered_engine import solve_layered
 from .renderers import renderers, wavelet
 from .solved import Solved, solve
+from .two_meshes import COARSER, estimated_errors
 
 Progress = Callable[[str, int, int], None]
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions.md).
 OTHER_ENDS, _OTHER = 0.5, "absorbing ends are clamped (or the reverse), on the coarser mesh"
 FREED_ENDS, _FREED = 0.5, "the absorbing ends are freed (by the reduced model)"
-ASSUMED_ORDER = 2.0  # P2 outputs converge like h^3 to h^4; rims and gradings cost some of it (docs/decisions.md)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,13 +103,11 @@ def render_transfer(
 
 
 def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstimate:
-    """|G_coarse - G_fine| / (s^p - 1): the error of the fine mesh if it falls like h^p with size ratio s."""
-    gain = COARSER**ASSUMED_ORDER - 1
-    error: FloatArray = relative_error(coarse.values, fine.values) / gain
+    band, error = estimated_errors(coarse.values, fine.values)
     return ErrorEstimate(
         "discretisation",
-        band_error(coarse.values, fine.values) / gain,
-        f"G on a mesh with {COARSER:g} times larger elements differs by {gain:g} times this",
+        band,
+        f"change of G on a mesh with {COARSER:g} times larger elements over 3, over 7 where it is above 0.5",
         tuple(fine.frequency.tolist()),
         tuple(error.tolist()),
     )

@@ -15,7 +15,6 @@ from pathlib import Path
 from .mutations import mutation_table, run_mutations
 from .rows import HardRow, Row, weakest
 from .run import run_hard_cases, run_verification
-from .slabs import GAIN
 
 
 def verification_table(rows: Sequence[Row]) -> str:
@@ -71,8 +70,8 @@ def effectivity_section(file: Path) -> str:
     outside = [f"{name} ({ratio:.2g})" for ratio, name in ratios if not 0.5 <= ratio <= 5]
     told = f" Outside: {'; '.join(outside)}." if outside else ""
     head = (
-        "\n## Estimated against true error\n\n`benchmarks/effectivity.py`: the pipeline's estimate (change of G on a "
-        f"mesh twice as coarse, over {GAIN:g}) against exact or twin, {len(points)} meshes of "
+        "\n## Estimated against true error\n\n`benchmarks/effectivity.py`: the pipeline's estimate (from the change of "
+        f"G on a mesh twice as coarse) against exact or twin, {len(points)} meshes of "
         f"{len({p['scene'] for p in points})} scenes. e_band, estimated over true: {min(ratios)[0]:.2g} to "
         f"{max(ratios)[0]:.2g}; {len(points) - len(outside)} of {len(points)} between 0.5 and 5.{told}\n\n"
         f"![estimated against true error](../{file.parent.parent.name}/{file.parent.name}/effectivity.png)\n\n"
