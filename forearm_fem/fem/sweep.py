@@ -254,7 +254,7 @@ def _enough(certificates: Sequence[Certificate]) -> bool:
 def _usable(result: SweepResult) -> SweepResult:
     if result.certificates and result.reduction_error > _USELESS:
         raise SolverError(
-            f"after {len(result.expansions)} expansions the reduced model may still be wrong by "
+            f"the reduced model of {len(result.expansions)} expansion frequencies may be wrong by "
             f"{result.reduction_error:.2g} times G: it does not resolve the resonances of this band; raise "
             "solver.max_expansions, narrow the band, or set solver.sweep = 'direct'"
         )
