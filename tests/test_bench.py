@@ -16,7 +16,8 @@ from cli_runner import cli
 from forearm_fem.bench import asked, error, isolated, plots, reduced, run, scene, size, text
 from forearm_fem.bench.run import Table, run_bench, write_csv
 from forearm_fem.errors import AccuracyWarning, DataError, SolverError
-from forearm_fem.fem.sweep import Certificate, SweepResult
+from forearm_fem.fem.certify import Certificate
+from forearm_fem.fem.sweep import SweepResult
 from forearm_fem.scenario.sweep import SolverOptions
 
 

@@ -6,16 +6,11 @@ import numpy as np
 import pytest
 
 from forearm_fem.errors import SolverError
+from forearm_fem.fem.certify import doubt, probe_frequencies
 from forearm_fem.fem.compress import compressed, pole_residue
+from forearm_fem.fem.direct import make_solver
 from forearm_fem.fem.reduce import empty_model, extend, orthonormal_extension, real_columns
-from forearm_fem.fem.sweep import (
-    direct_sweep,
-    doubt,
-    expansion_frequencies,
-    make_solver,
-    probe_frequencies,
-    reduced_sweep,
-)
+from forearm_fem.fem.sweep import direct_sweep, expansion_frequencies, reduced_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
 from forearm_fem.transfer import relative_error

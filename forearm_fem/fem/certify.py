@@ -1,0 +1,103 @@
+"""Where a reduced model is doubted, what it is certified with, and when that is enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..transfer import relative_error
+from ..typing import ComplexArray, FloatArray
+from .direct import watched
+from .model import ForearmModel
+from .reduce import ReducedModel
+
+DOUBTFUL = 0.1  # a change by one derivative above this, anywhere, says that resonances are not resolved
+_WARY = 4  # one of dozens of resonances may be met by luck: 3e-8 was stated where the truth was 3e-3
+_PROBES, _MANY = 40, 1000
+SPACING = 0.1  # expansions and probes are equally far apart in this power of the frequency (docs/decisions.md)
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Error of the reduced model at a frequency where it was compared with a direct solve it had not used.
+
+    ``change`` is the largest change of the model by one derivative, over the band; it was largest at ``frequency``,
+    or next to largest where the model, of so many ``expansions``, had been compared there before.
+    """
+
+    frequency: float
+    error: float
+    change: float = 0.0
+    expansions: int = 0
+
+    @property
+    def bound(self) -> float:
+        """The error, or the change where that says that one true error cannot speak for the band."""
+        return self.error if self.change <= DOUBTFUL else max(self.error, self.change)
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Where one derivative fewer changes the reduced model most, and by how much (relative to the largest entry)."""
+
+    frequency: float
+    change: float
+
+
+def doubt(
+    model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, known: Sequence[float], *, wary: bool = False
+) -> Doubt | None:
+    """The most doubtful of the probed frequencies that are not ``known``; None if none is left.
+
+    The change is the error of the model with one derivative fewer: an upper bound that finds the place of the largest
+    error, and says where a model is no approximation at all yet. ``wary`` probes nearly every bin: where resonances
+    were not resolved before, they may hide between few probes.
+    """
+    probes = probe_frequencies(frequency, known, wary=wary)
+    if not len(probes):
+        return None
+    block = np.ix_(range(len(probes)), *watched(model))
+    change = relative_error(reduced.lower().compliance(probes)[block], reduced.compliance(probes)[block])
+    worst = int(np.argmax(change))
+    return Doubt(float(probes[worst]), float(change[worst]))
+
+
+def probe_frequencies(frequency: FloatArray, known: Sequence[float], *, wary: bool = False) -> FloatArray:
+    """Bins equally far apart in f^0.1 (in f and many if ``wary``), without the known ones."""
+    power, count = (1.0, _MANY) if wary else (SPACING, _PROBES)
+    low, high = frequency[0] ** power, frequency[-1] ** power
+    wanted = np.linspace(low, high, min(count, len(frequency))) ** (1 / power)
+    bins = {float(frequency[np.argmin(np.abs(frequency - f))]) for f in wanted}
+    return np.array(sorted(bins - set(known)))
+
+
+def certified(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArray, at: Doubt, used: int) -> Certificate:
+    """Error at the watched ports against direct solutions (n, n_port)."""
+    block = np.ix_([0], *watched(model))
+    truth = ((model.functionals.T @ solutions) * model.shares)[None]
+    estimate = reduced.compliance(np.array([at.frequency]))
+    return Certificate(at.frequency, float(relative_error(estimate[block], truth[block])[0]), at.change, used)
+
+
+def enough(certificates: Sequence[Certificate]) -> bool:
+    """Whether the model as it is now was compared at enough frequencies."""
+    wary = any(c.change > DOUBTFUL for c in certificates)
+    return sum(c.expansions == certificates[-1].expansions for c in certificates) >= (_WARY if wary else 1)
+
+
+def most_doubtful(
+    model: ForearmModel,
+    reduced: ReducedModel,
+    frequency: FloatArray,
+    used: Sequence[float],
+    certificates: Sequence[Certificate],
+) -> Doubt | None:
+    """Where to certify next; probed at every bin once resonances were seen to be unresolved."""
+    known = [*(c.frequency for c in certificates), *used]
+    wary = any(c.change > DOUBTFUL for c in certificates)
+    worst = doubt(model, reduced, frequency, known, wary=wary)
+    if worst is not None and worst.change > DOUBTFUL and not wary:
+        return doubt(model, reduced, frequency, known, wary=True)
+    return worst

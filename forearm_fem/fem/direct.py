@@ -1,0 +1,112 @@
+"""Direct solves at single frequencies, and their derivatives there, from one factorisation each."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import SolverError
+from ..scenario.sweep import SolverOptions
+from ..typing import BoolArray, ComplexArray, IntArray
+from .factor import Factor, Solution, make_factor, refined_solve
+from .model import ForearmModel
+
+_log = logging.getLogger("forearm_fem.fem")
+_ENOUGH = 1e-7  # relative residual: its error in G is stated as that of the linear solve
+
+
+@dataclass(frozen=True)
+class DirectSolver:
+    """One analysed factorisation, reused for every frequency.
+
+    ``tolerance`` is the relative residual to refine to; where factors leave more than 1e-7 and ``safe`` is set, the
+    factorisation is repeated with matching, and then in double precision.
+    """
+
+    model: ForearmModel
+    factor: Factor
+    tolerance: float = 1e-11
+    safe: bool = False
+
+    def at(self, frequency: float) -> Solution:
+        """Solutions (n, n_port) for a unit force on each port; the factor stays for more right-hand sides."""
+        data = self.model.operator.data(2 * np.pi * frequency)
+        self.factor.factorise(data)
+        return self._solve(data, self.model.functionals.astype(complex))
+
+    def taylor(self, frequency: float, start: ComplexArray, orders: IntArray) -> list[ComplexArray]:
+        """Taylor coefficients in omega of the solutions about ``frequency``; column i to order ``orders[i]``.
+
+        Coefficient k has the columns with order k or more. A_0 x_k = - sum_j A_j x_(k-j) with the Taylor matrices A_j.
+        Refined once: what is left enters the reduced model squared (see :mod:`.reduce`), but unrefined single
+        precision gave it unstable poles. The refinement of one coefficient is solved together with the next one,
+        because reading the factors is what a solve costs.
+        """
+        operator, omega = self.model.operator, 2 * np.pi * frequency
+        matrix, slopes = operator.matrix(operator.data(omega)), operator.slopes(omega, int(orders.max()))
+        terms = {j: (omega**j, slope) for j, slope in enumerate(slopes, start=1) if slope is not None}
+        series, pending = [start], np.zeros((len(start), 0), dtype=complex)
+        for k in range(1, int(orders.max()) + 1):
+            right = np.zeros((len(start), int((orders >= k).sum())), dtype=complex)
+            for j, (power, slope) in terms.items():
+                if j <= k:
+                    right -= power * slope.product(series[k - j][:, _going_on(orders, k - j, k)])
+            x, correction = np.split(self.factor.solve(np.hstack([right, pending])), [right.shape[1]], axis=1)
+            if pending.shape[1]:
+                series[-1] = series[-1] + correction
+            if pending.shape[1] and 1 in terms:  # x lacks what this changes: left to its own refinement
+                right -= terms[1][0] * terms[1][1].product(correction[:, _going_on(orders, k - 1, k)])
+            if self.factor.single:
+                pending = right - matrix.product(x)
+            series.append(x)
+        if pending.shape[1]:
+            series[-1] = series[-1] + self.factor.solve(pending)
+        return series
+
+    def _solve(self, data: ComplexArray, right: ComplexArray) -> Solution:
+        matrix = self.model.operator.matrix(data)
+        while self.safe:
+            try:
+                solution = refined_solve(self.factor, matrix, right, tolerance=self.tolerance)
+                if solution.residual <= _ENOUGH:
+                    return solution
+            except SolverError as problem:
+                _log.info("%s", problem)
+            if not self.factor.harden():
+                break
+            how = "single precision with matching" if self.factor.single else "double precision"
+            _log.warning("the factors were not accurate enough at this frequency; %s from here on", how)
+        return refined_solve(self.factor, matrix, right, tolerance=self.tolerance)
+
+    def solve_error(self, solution: Solution) -> float:
+        """Error of the watched compliances caused by the residual, relative to the largest of them."""
+        block = np.ix_(*watched(self.model))
+        change = np.abs(solution.values.T @ solution.rest)[block]
+        return float(change.max() / np.abs(self.model.functionals.T @ solution.values)[block].max())
+
+    def compliance(self, solution: Solution) -> ComplexArray:
+        """Compliance (n_port, n_port) [m/N] from solutions."""
+        return np.asarray((self.model.functionals.T @ solution.values) * self.model.shares)
+
+
+def _going_on(orders: IntArray, before: int, k: int) -> BoolArray:
+    """Which columns of coefficient ``before`` coefficient ``k`` has as well."""
+    return np.asarray(orders[orders >= before] >= k)
+
+
+def make_solver(model: ForearmModel, options: SolverOptions, frequency: float) -> DirectSolver:
+    """Analyse the pattern once for all frequencies."""
+    single = options.precision != "double"
+    safe, omega = options.precision == "auto", 2 * np.pi * frequency
+    zeros = (model.operator.data(omega)[model.operator.diagonal_positions] == 0).any()  # incompressible tissue
+    factor = make_factor(model.operator, omega, options.backend, single=single, matching=bool(zeros) or not safe)
+    return DirectSolver(model, factor, 1e-9 if single else 1e-11, safe)
+
+
+def watched(model: ForearmModel) -> tuple[list[int], list[int]]:
+    """Rows and columns whose error counts: grid points (else contacts) for forces on contacts (else points)."""
+    contacts = [i for i, p in enumerate(model.ports) if p.kind == "contact"]
+    points = [i for i, p in enumerate(model.ports) if p.kind == "point"]
+    return points or contacts, contacts or points
