@@ -127,6 +127,15 @@ def test_ports_turn_with_the_device(mesh):
     assert turned[0].axis == (0, 0, 1)
 
 
+def test_pressure_discs_are_coarser_on_the_coarser_mesh():
+    """Large elements are held at 0.6 radii; under a pressure not on both meshes, or no change shows their error."""
+    for contact, ratio in (("pressure", 2.0), ("bonded", 1.0)):
+        scenario = parse_scenario({"accuracy": 0.3, "device": {"cone": {"contact": contact}}})
+        fine, coarse = element_sizes(scenario), element_sizes(scenario, scale=2.0)
+        assert fine.contact == pytest.approx(0.6 * scenario.device.cone.radius)
+        assert coarse.contact == pytest.approx(ratio * fine.contact)
+
+
 def test_default_sizes_and_explicit_ones():
     sizes = element_sizes(Scenario())
     assert 1.8e-3 < sizes.grid < 2.4e-3
