@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from forearm_fem.fem import sweep
+from forearm_fem.fem import direct, sweep
 from forearm_fem.io.matlab import read_thesis_mat
 from forearm_fem.io.netcdf import read_compliance, read_transfer
 from forearm_fem.pipeline import folder
@@ -94,12 +94,12 @@ def test_a_second_run_solves_nothing(finished, home, monkeypatch):
     def forbidden(*_args, **_kwargs):
         raise AssertionError("a factorisation was made again")
 
-    monkeypatch.setattr(sweep, "make_factor", forbidden)
+    monkeypatch.setattr(direct, "make_factor", forbidden)
     run_render(Run.start(parse_scenario(TINY), finished, Path()))
 
 
 def test_a_new_coil_needs_no_new_solve(finished, home, monkeypatch, tmp_path):
-    monkeypatch.setattr(sweep, "make_factor", lambda *_a, **_k: pytest.fail("a factorisation was made"))
+    monkeypatch.setattr(direct, "make_factor", lambda *_a, **_k: pytest.fail("a factorisation was made"))
     heavier = parse_scenario({**TINY, "device": {"cone": {"contact": "pressure", "mass": 0.002}}})
     other = run_solve(Run.start(heavier, tmp_path / "heavier", Path()))
     before = read_transfer(finished / "transfer.nc")
@@ -118,8 +118,8 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(monkeypatch, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run_solve(Run.start(scenario, tmp_path / "out", Path(), stop_after_one))
     assert not (tmp_path / "out" / "transfer.nc").exists()
-    original = sweep.DirectSolver.at
-    monkeypatch.setattr(sweep.DirectSolver, "at", lambda self, f: (seen.append(f), original(self, f))[1])
+    original = direct.DirectSolver.at
+    monkeypatch.setattr(direct.DirectSolver, "at", lambda self, f: (seen.append(f), original(self, f))[1])
     resumed = run_solve(Run.start(scenario, tmp_path / "out", Path()))
     planned = sweep.expansion_frequencies(resumed.frequency, scenario.solver)
     assert planned[0] not in seen  # stored by the first run
