@@ -9,6 +9,7 @@ from forearm_fem.errors import SolverError
 from forearm_fem.fem.certify import doubt, probe_frequencies
 from forearm_fem.fem.compress import compressed, pole_residue
 from forearm_fem.fem.direct import make_solver
+from forearm_fem.fem.pardiso import library
 from forearm_fem.fem.reduce import empty_model, extend, orthonormal_extension, real_columns
 from forearm_fem.fem.sweep import direct_sweep, expansion_frequencies, reduced_sweep
 from forearm_fem.scenario.sweep import SolverOptions
@@ -16,6 +17,7 @@ from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
+needs_mkl = pytest.mark.skipif(library() is None, reason="MKL is not installed")
 BAND = np.linspace(10.0, 500.0, 197)
 CHECK = np.array([10.0, 33.0, 80.0, 140.0, 210.0, 333.0, 470.0, 500.0])
 OPTIONS = SolverOptions()
@@ -121,6 +123,17 @@ def test_derivatives_raise_the_order_of_contact(model):
         space = extend(empty_model(model), model, series[: q + 1])
         error = relative_error(space.compliance(np.array([104.0, 108.0])), exact)
         assert np.log2(error[1] / error[0]) > 2 * q + 1.5
+
+
+@needs_mkl
+def test_derivatives_in_single_precision_are_refined(model):
+    """Each is corrected together with the next one, which must see the correction; refined 5e-7, else 1e-4."""
+    series = []
+    for precision in ("single", "double"):
+        solver = make_solver(model, SolverOptions(precision=precision), 100.0)
+        series.append(solver.taylor(100.0, solver.at(100.0).values, np.array([5, 3, 3, 2])))
+    for single, double in zip(*series, strict=True):
+        assert np.linalg.norm(single - double) < 5e-6 * np.linalg.norm(double)
 
 
 def test_contacts_may_keep_more_derivatives_than_points(model):

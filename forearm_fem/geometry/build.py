@@ -23,7 +23,7 @@ from .mesh import TissueMesh
 from .place import place_ports, ports_on, true_skin
 from .quality import check_mesh
 from .refine import refine_near, refine_rims, refine_skin
-from .sizing import SizeField, Sizes, SpaceField, element_sizes
+from .sizing import WIDEST, SizeField, Sizes, SpaceField, element_sizes
 from .slab import slab_mesh
 from .surfaces import read_surfaces, surfaces_mesh
 from .tube import Tube, tube_of
@@ -103,7 +103,7 @@ def _imprinted(scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], si
     skin = tube.volar if tube else FacetSkin.of(mesh)
     if not isinstance(limb, MeshLimb):
         mesh = refine_skin(mesh, SpaceField.on(size, lambda xy: skin(xy)[0]))
-    mesh = refine_near(mesh, ports, min(size.sizes.contact, 0.6 * scenario.device.cone.radius))
+    mesh = refine_near(mesh, ports, min(size.sizes.contact, WIDEST * scenario.device.cone.radius))
     for port in ports:
         mesh = imprint(mesh, port, true_skin(tube) if tube else FacetSkin.of(mesh).lift)
     return replace(mesh, facets={**mesh.facets, **_underside(mesh)})

@@ -16,7 +16,7 @@ DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 
 _PER_WAVELENGTH = 0.885  # default forearm: 0.885 * 4.4 mm * 0.05**(1/4) = 1.84 mm
 _CONTACT, _FAR, _RIM = 0.8, 6.0, 0.45  # relative to the size between contacts and grid
 _FACET = 0.25  # [rad] at accuracy 0.05: 0.25 and 0.17 differ by 0.7 % of G over 20-120 Hz (docs/decisions.md)
-_WIDEST = 0.6  # elements under a contact are at most this many radii
+WIDEST = 0.6  # elements under a contact are at most this many radii
 _INTO_CORE = 2.2  # the core lies under the layers, where fields are smooth: sizes grow faster there
 _THROUGH = 0.8  # a sublayer is at most about this much of the size between contacts and grid
 
@@ -50,7 +50,7 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     grid = float(np.clip(_PER_WAVELENGTH * wavelength / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
     grid = scale * (options.size_grid or grid)
     # under a pressure the estimate's coarser mesh must be coarser too; a rigid disc moves as a whole, its rim counts
-    widest = _WIDEST * radius * (1.0 if scenario.device.cone.contact in RIGID else max(scale, 1.0))
+    widest = WIDEST * radius * (1.0 if scenario.device.cone.contact in RIGID else max(scale, 1.0))
     contact = scale * options.size_contact if options.size_contact else min(_CONTACT * grid, widest)
     far = scale * options.size_far if options.size_far else _FAR * grid
     rim = min(_RIM * grid, contact)
