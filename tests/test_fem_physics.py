@@ -11,6 +11,8 @@ from forearm_fem.errors import GeometryError
 from forearm_fem.fem.boundary import facet_load
 from forearm_fem.fem.model import build_model
 from forearm_fem.fem.sweep import direct_sweep
+from forearm_fem.geometry import contacts, sizing
+from forearm_fem.geometry.contacts import RIM_LEAD
 from forearm_fem.geometry.mesh import TissueMesh
 from forearm_fem.ports import Port
 from forearm_fem.scenario.supports import Supports
@@ -19,6 +21,7 @@ from forearm_fem.tissue import Hysteretic, SpringPot, Tissue, Zener
 from forearm_fem.verification.blocks import block_mesh
 from forearm_fem.verification.closed import punch_stiffness, shear_bar_errors, sphere_errors
 from forearm_fem.verification.scenes import DIRECT, flesh, held_block, quarter_slab, slab_model, slab_response
+from forearm_fem.verification.slabs import LAYERS_O
 
 BAND = np.array([1.0, 40.0, 200.0, 500.0])
 STILL = np.eye(3)
@@ -72,6 +75,22 @@ def test_rigid_punch(contact):
     assert near > far > exact
     # left: rim singularity of the mesh (1 %) and the walls' second order (a/R)^3
     assert 2 * far - near == pytest.approx(exact, rel=0.02)
+
+
+def test_rims_of_rigid_discs_are_drawn_in_by_what_elements_miss(monkeypatch):
+    """Receptance under a bonded disc with rim edges of 0.69 mm and of 0.17 mm: 0.7 % apart on the circle itself."""
+    fine, coarse, circle = 0.2e-3, 0.83e-3, 0.0
+    found = {}
+    for rim, lead in ((coarse, circle), (coarse, RIM_LEAD), (fine, RIM_LEAD)):
+        monkeypatch.setattr(sizing, "_RIM", rim / 1.8e-3)
+        monkeypatch.setattr(contacts, "RIM_LEAD", lead)
+        scenario = quarter_slab((0.0133,), side=0.05, depth=0.025, preset="default",
+                                mesh={"size_grid": 1.8e-3, "size_contact": 1.47e-3, "size_far": 6e-3},
+                                layers=LAYERS_O, frequencies=(125.0,), contact="bonded")  # fmt: skip
+        found[rim, lead] = slab_response(slab_model(scenario), [125.0])[0, 0]
+    exact = found[fine, RIM_LEAD]
+    assert abs(found[coarse, circle] / exact - 1) > 6e-3
+    assert abs(found[coarse, RIM_LEAD] / exact - 1) < 3e-3
 
 
 def test_oscillating_sphere():

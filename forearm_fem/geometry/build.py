@@ -14,7 +14,7 @@ from ..ports import Port
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, SurfacesLimb
 from ..typing import FloatArray, IntArray
-from .contacts import check_contact_areas, with_contacts, with_disc_areas
+from .contacts import check_contact_areas, with_contacts, with_true_rims
 from .imprint import imprint
 from .landing import FacetSkin
 from .layout import RIGID, layout_of
@@ -30,7 +30,7 @@ from .tube import Tube, tube_of
 from .usermesh import user_mesh
 
 Progress = Callable[[str], None]
-_ATTEMPTS = 3  # fTetWild draws random numbers, so that another run may succeed where one did not
+_ATTEMPTS = 3  # meshes of curved limbs begin with random numbers: others may succeed where some did not
 _log = logging.getLogger("forearm_fem.geometry")
 
 
@@ -46,13 +46,13 @@ def build_mesh(
     sizes = element_sizes(scenario, shear_speed, scale=scale)
     size = SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading)
     for attempt in range(1, _ATTEMPTS + 1):
-        mesh = _unmarked(scenario, base, size, progress or _silent)
+        mesh = _unmarked(scenario, base, size, progress or _silent, attempt)
         try:
             return _marked(scenario, mesh, size, progress or _silent)
         except MeshError as problem:
             if attempt == _ATTEMPTS or isinstance(scenario.limb, SlabLimb | MeshLimb):
                 raise
-            _log.info("attempt %d at the mesh failed (%s); fTetWild's next one will differ", attempt, problem)
+            _log.info("attempt %d at the mesh failed (%s); the next one will differ", attempt, problem)
     raise AssertionError("unreachable")
 
 
@@ -60,14 +60,14 @@ def _silent(text: str) -> None:
     """No progress wanted."""
 
 
-def _unmarked(scenario: Scenario, base: Path, size: SizeField, say: Progress) -> TissueMesh:
+def _unmarked(scenario: Scenario, base: Path, size: SizeField, say: Progress, attempt: int) -> TissueMesh:
     """The limb's mesh before contacts are pressed into it."""
     limb, keep_bone = scenario.limb, scenario.supports.bone == "elastic"
     if isinstance(limb, SlabLimb):
         return slab_mesh(limb, size.layout, size)
     if isinstance(limb, ForearmLimb | CylinderLimb):
         ports_on(scenario, tube_of(limb).volar)  # complain about misplaced ports before the long work
-        return _tube_mesh(tube_of(limb), size, say, keep_bone=keep_bone)
+        return _tube_mesh(tube_of(limb), size, say, keep_bone=keep_bone, seed=attempt)
     if isinstance(limb, MeshLimb):
         return user_mesh(limb, base, keep_bone=keep_bone)
     return _nested_mesh(limb, base, size, say, keep_bone=keep_bone)
@@ -79,7 +79,9 @@ def _marked(scenario: Scenario, mesh: TissueMesh, size: SizeField, say: Progress
     say("following and refining the contact rims")
     mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, size)
     mesh = with_contacts(mesh, ports)
-    mesh = with_disc_areas(refine_rims(mesh, ports, _rim_size(scenario, size.sizes)), ports)
+    mesh = with_true_rims(
+        refine_rims(mesh, ports, _rim_size(scenario, size.sizes)), ports, rigid=scenario.device.cone.contact in RIGID
+    )
     if len(mesh.tetrahedra) > scenario.mesh.max_elements:
         raise MeshError(
             f"the mesh has {len(mesh.tetrahedra)} tetrahedra, mesh.max_elements allows "
@@ -133,10 +135,10 @@ def _nested_mesh(limb: SurfacesLimb, base: Path, size: SizeField, say: Progress,
     return surfaces_mesh(surfaces, field, size.sizes.far, keep_bone=keep_bone)
 
 
-def _tube_mesh(tube: Tube, size: SizeField, say: Progress, *, keep_bone: bool) -> TissueMesh:
+def _tube_mesh(tube: Tube, size: SizeField, say: Progress, *, keep_bone: bool, seed: int) -> TissueMesh:
     say("meshing the core (half a minute)")
     field = SpaceField.on(size, lambda xy: _core_surface(tube, xy))
-    return limb_mesh(tube, field, size.sizes, elastic_bones=keep_bone)
+    return limb_mesh(tube, field, size.sizes, size.layout, elastic_bones=keep_bone, seed=seed)
 
 
 def _core_surface(tube: Tube, xy: FloatArray) -> FloatArray:

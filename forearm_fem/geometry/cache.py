@@ -20,7 +20,7 @@ from .layout import RIGID, layout_of
 from .mesh import TissueMesh
 from .sizing import element_sizes
 
-GENERATOR = 2  # raise when the same scenario would give another mesh
+GENERATOR = 3  # raise when the same scenario would give another mesh
 _log = logging.getLogger("forearm_fem.geometry")
 
 
@@ -37,7 +37,7 @@ def cached_mesh(
     """The scenario's mesh from ``shipped_dir``, else from ``cache_dir``, else built and kept there.
 
     ``base`` is the scenario file's folder. A file that cannot be read or whose contents changed is logged and
-    passed over. fTetWild is not repeatable: deleting the cache changes forearm meshes (not slabs) slightly.
+    passed over. Meshes come out the same each time, but for the user's surfaces: fTetWild is not repeatable.
     """
     key = mesh_key(scenario, base=base, scale=scale, shear_speed=shear_speed)
     for folder in shipped_folders(base, shipped_dir):

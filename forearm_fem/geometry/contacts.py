@@ -14,6 +14,7 @@ from .refine import rim_edges
 
 _LEAST_AREA = 0.9
 _ON_RIM = 1e-7  # relative to the radius
+RIM_LEAD = 0.03  # P2 under a bonded disc: 0.026-0.036 by edges of 0.14-0.69 mm, 60-300 Hz (docs/decisions.md)
 
 
 def from_axis(points: FloatArray, port: Port) -> FloatArray:
@@ -41,11 +42,13 @@ def check_contact_areas(mesh: TissueMesh, ports: tuple[Port, ...]) -> None:
             )
 
 
-def with_disc_areas(mesh: TissueMesh, ports: tuple[Port, ...]) -> TissueMesh:
-    """The mesh with each rim moved outwards until its polygon, seen along the axis, has the disc's area.
+def with_true_rims(mesh: TissueMesh, ports: tuple[Port, ...], *, rigid: bool) -> TissueMesh:
+    """The mesh with each rim moved until its polygon acts as the disc does.
 
-    A polygon on the circle lacks 1 % of the area at 25 edges, and the contact half of that in stiffness. Contacts
-    that :func:`check_contact_areas` would refuse are left as they are.
+    Seen along the axis the polygon gets the disc's area: on the circle it lacks 1 % of it at 25 edges, and the contact
+    half of that in stiffness. A ``rigid`` disc is stiffer still by what elements cannot follow of the r^(-1/2) stress
+    at its rim, as if its radius were larger by :data:`RIM_LEAD` rim edges: it is drawn in by as much. Contacts that
+    :func:`check_contact_areas` would refuse are left as they are.
     """
     points = mesh.points.copy()
     for port in (p for p in ports if p.kind == "contact"):
@@ -53,10 +56,13 @@ def with_disc_areas(mesh: TissueMesh, ports: tuple[Port, ...]) -> TissueMesh:
         a, b, c = mesh.points[mesh.facets[f"contact {port.name}"]].transpose(1, 0, 2)
         part = float(np.abs(np.cross(b - a, c - a) @ axis).sum() / 2) / _disc_area(mesh, port)
         if part > _LEAST_AREA:
-            rim = np.unique(rim_edges(mesh, port.name))
+            edges = rim_edges(mesh, port.name)
+            length = float(np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1).mean())
+            wanted = 1 - (RIM_LEAD * length / port.radius if rigid else 0.0)
+            rim = np.unique(edges)
             away = mesh.points[rim] - centre
             across = away - np.outer(away @ axis, axis)
-            points[rim] += (part**-0.5 - 1) * across
+            points[rim] += (wanted * part**-0.5 - 1) * across
     return replace(mesh, points=points)
 
 

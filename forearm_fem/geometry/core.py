@@ -1,5 +1,4 @@
-"""Tetrahedra of the muscle core by fTetWild, fine under the device, its boundary moved onto the exact
-surface."""
+"""Tetrahedra of the muscle core: even triangles on its surface, graded tetrahedra inside, true volumes."""
 
 from __future__ import annotations
 
@@ -8,16 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import MeshError
 from ..typing import BoolArray, FloatArray, IntArray
+from .chart import Chart, Place, spread
+from .filling import Shell, fill
+from .layout import Layout
 from .sizing import Sizes
-from .tetwild import ENVELOPE, background_grid, tetrahedralise
-from .topology import boundary_faces
-from .tube import BoneAxis, Tube, lattice
+from .topology import boundary_faces, keys
+from .tube import BoneAxis, Tube
 
-# Facets of the surfaces handed to fTetWild: they, not the wanted sizes, limit elements far from the ports.
-_ALONG = 12  # at least, along the limb
-_STRETCH = 2.0  # length over width near the ports
-_BONE_FACET = 2.0  # relative to those of the skin, which bends less
+_WIDEST = 2 * np.pi / 12  # [rad] of the limb that one facet may span
+_BONE_FACET = 3.0  # at most, relative to those of the skin, which bends less; eight facets at accuracy 0.05
+_BONE_SHARE = 0.5  # of the size around: a contact over 4 mm of muscle felt the octagon by 2 % at 60 Hz
+_BONE_WIDEST = 2 * np.pi / 6
+_PER_GAP = 1.6  # edges on two surfaces near one another, relative to the gap: longer ones would reach across
+_INSET = 0.5  # grid of points on the cut ends: how many spacings they keep from walls
 Size3 = Callable[[FloatArray], FloatArray]
 
 
@@ -38,97 +42,163 @@ class Core:
     on_bone: BoolArray
 
 
-def core_mesh(tube: Tube, size: Size3, sizes: Sizes, *, elastic: bool) -> Core:
-    """Mesh of everything inside the layers; bones are left out unless ``elastic``."""
-    around = max(6, round(2 * np.pi / (_BONE_FACET * sizes.facet)))
-    vertices, faces = _surfaces(tube, size, sizes.facet, around, elastic)
-    grid, cells = background_grid(vertices.min(axis=0), vertices.max(axis=0), 3e-3)
-    points, tetrahedra = tetrahedralise(vertices, faces, grid, cells, size(grid), sizes.far)
-    return _fitted(tube, points, tetrahedra, around, elastic)
+def core_mesh(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, *, elastic: bool, seed: int = 1) -> Core:
+    """Mesh of everything inside the layers; bones are left out unless ``elastic``. The same at every call.
+
+    Columns of the layers stand on the core's surface, so its triangles are what the skin gets: they are spread evenly,
+    with rings under the contacts of ``layout`` and a column through each of its points.
+    """
+    shell = _shell(tube, size, sizes, layout, elastic)
+    points, tetrahedra = fill(shell, size, lambda p, gap: _inside(tube, p, gap), seed=seed)
+    return _fitted(tube, shell, points, tetrahedra, elastic)
 
 
-def _surfaces(tube: Tube, size: Size3, facet: float, around: int, elastic: bool) -> tuple[FloatArray, IntArray]:
-    """Closed triangulated surfaces: the core outwards; bones inwards and longer (holes), or outwards
-    (kept)."""
-    half = tube.length / 2
-    angle, x = _facet_angles(tube, size, facet), _stations(tube, size)
-    wall = tube.place(np.repeat(x, len(angle)), np.tile(angle, len(x)), tube.thickness)
-    parts = [_capped(wall, len(x) - 1, len(angle))]
-    for bone in tube.bones:
-        reach = half if elastic else half * 1.02
-        wall = _bone_wall(tube, bone, np.linspace(-reach, reach, _ALONG + 1), around)
-        points, faces = _capped(wall, _ALONG, around)
-        parts.append((points, faces if elastic else faces[:, ::-1]))
-    starts = np.cumsum([0, *(len(p) for p, _ in parts)])
-    faces = np.vstack([f + start for (_, f), start in zip(parts, starts[:-1], strict=True)])
-    return np.vstack([p for p, _ in parts]), faces
+def _shell(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, elastic: bool) -> Shell:
+    """Points on the core's wall, the bones' walls, the cut ends and, where they are ``elastic``, inside the bones.
 
-
-def _facet_angles(tube: Tube, size: Size3, widest: float) -> FloatArray:
-    """Angles around the section at x = 0, a fine element apart: facets much finer would force small
-    elements."""
-    angle = np.linspace(0, 2 * np.pi, 1001)
-    ring = tube.place(np.zeros(1001), angle, tube.thickness)
-    step = np.linalg.norm(np.diff(ring, axis=0), axis=1)
-    wanted = np.minimum(size((ring[1:] + ring[:-1]) / 2), widest * np.linalg.norm(ring[1:], axis=1))
-    total = np.concatenate([[0], np.cumsum(step / wanted)])
-    count = max(12, round(total[-1]))
-    return np.asarray(np.interp(np.arange(count) / count * total[-1], total, angle))
-
-
-def _stations(tube: Tube, size: Size3) -> FloatArray:
-    """Where the skin's facets begin and end along the limb: long facets near the ports would spoil the mesh there."""
-    x = np.linspace(-tube.length / 2, tube.length / 2, 1001)
-    middle = (x[1:] + x[:-1]) / 2
-    wanted = np.minimum(_STRETCH * size(tube.place(middle, np.zeros(1000), tube.thickness)), tube.length / _ALONG)
-    total = np.concatenate([[0], np.cumsum(np.diff(x) / wanted)])
-    return np.asarray(np.interp(np.linspace(0, total[-1], round(total[-1]) + 1), total, x))
-
-
-def _bone_wall(tube: Tube, bone: BoneAxis, x: FloatArray, around: int) -> FloatArray:
-    angle = 2 * np.pi * np.arange(around) / around
-    ring = bone.radius * np.column_stack([np.sin(angle), np.cos(angle)])
-    centres = tube.bone_centre(bone, x)
-    section = (centres[:, None] + ring).reshape(-1, 2)
-    return np.column_stack([np.repeat(x, around), section])
-
-
-def _capped(wall: FloatArray, n: int, m: int) -> tuple[FloatArray, IntArray]:
-    """A tube of n spacings and m points around, closed by fans at both ends, normals outwards."""
-    ends = np.vstack([wall[:m].mean(axis=0), wall[-m:].mean(axis=0)])
-    j = np.arange(m)
-    k = (j + 1) % m
-    low = np.column_stack([np.full(m, len(wall)), j, k])
-    high = np.column_stack([np.full(m, len(wall) + 1), n * m + k, n * m + j])
-    return np.vstack([wall, ends]), np.vstack([lattice(n, m), low, high])
-
-
-def _fitted(tube: Tube, points: FloatArray, tetrahedra: IntArray, around: int, elastic: bool) -> Core:
-    """Boundary vertices moved onto the analytic surfaces and end planes."""
-    bone = _bone_of(tube, points[tetrahedra].mean(axis=1)) if elastic else np.full(len(tetrahedra), -1)
-    faces, _ = boundary_faces(tetrahedra)
-    slack = _slack(tube, around)
-    ended = _is_end(tube, points, faces, slack)
-    bony = ~ended & _near_bone(tube, points, faces, slack)
-    wall = faces[~ended & ~bony]
+    Surfaces are the wall, each bone (with what is inside it) and the two ends.
+    """
+    x, angle = _wall(tube, size, sizes.facet, layout)
+    parts = [tube.place(x, angle, tube.thickness)]
+    parts += [_bone_wall(tube, bone, size, sizes.facet) for bone in tube.bones]
+    parts += [_end(tube, parts[0], side) for side in (-1, 1)]
+    surface = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
     if elastic:
-        bony_vertices = np.intersect1d(tetrahedra[bone >= 0], tetrahedra[bone < 0])
-    else:
-        bony_vertices = np.unique(faces[bony])
-    moved = points.copy()
-    ends = np.unique(faces[ended])
-    moved[ends, 0] = np.sign(points[ends, 0]) * tube.length / 2
-    walls = boundary_faces(tetrahedra[bone >= 0])[0] if elastic and tube.bones else faces[bony]
-    moved[bony_vertices] = _onto_bones(tube, moved[bony_vertices], _radii(tube))
-    moved[bony_vertices] = _onto_bones(tube, moved[bony_vertices], _faceted_radii(tube, moved, walls))
-    lateral = np.unique(wall)
-    angle = np.zeros(len(points))
-    angle[lateral] = tube.angle_of(moved[lateral])
-    bulge = _bulges(tube, moved, wall, angle)
-    moved[lateral] = tube.place(moved[lateral, 0], angle[lateral], tube.thickness - bulge[lateral])
-    on_bone = np.zeros(len(points), dtype=bool)
-    on_bone[bony_vertices] = not elastic
-    return Core(moved, tetrahedra, bone, wall, angle, bulge, on_bone)
+        marrow = [_marrow(tube, bone) for bone in tube.bones]
+        surface = np.concatenate([surface, np.repeat(1 + np.arange(len(marrow)), [len(p) for p in marrow])])
+        parts += marrow
+    points, n_bone = np.vstack(parts), len(tube.bones)
+    on = surface[:, None] == np.arange(n_bone + 3)
+    on[:, n_bone + 1] |= points[:, 0] == -tube.length / 2
+    on[:, n_bone + 2] |= points[:, 0] == tube.length / 2
+    closed = np.array([True] + [not elastic] * n_bone + [True, True])
+    return Shell(points, on, closed)
+
+
+def _wall(tube: Tube, size: Size3, facet: float, layout: Layout) -> Place:
+    """Columns' x and angle on the core's wall: sizes are those of the skin above, where the device presses."""
+    widest = min(facet, _WIDEST)
+
+    def wanted(x: FloatArray, angle: FloatArray) -> FloatArray:
+        under = tube.place(x, angle, tube.thickness)
+        arc = widest * np.linalg.norm(under[:, 1:], axis=1)
+        gap = (_from_bones(tube, under) - _radii(tube)).min(axis=1)
+        return np.asarray(np.minimum.reduce([size(under), arc, _PER_GAP * gap]))
+
+    return spread(
+        Chart.of_skin(tube),
+        wanted,
+        circles=_on_skin(tube, layout.contacts),
+        radius=layout.radius,
+        fixed=_on_skin(tube, layout.points),
+    )
+
+
+def _on_skin(tube: Tube, xy: FloatArray) -> Place | None:
+    if not len(xy):
+        return None
+    skin, _ = tube.volar(xy)
+    return xy[:, 0], tube.angle_of(skin)
+
+
+def _bone_wall(tube: Tube, bone: BoneAxis, size: Size3, facet: float) -> FloatArray:
+    """Points (n, 3) on a bone's wall, closer together where the limb's wall or another bone is near."""
+    narrow, wide = (min(factor * facet, _BONE_WIDEST) * bone.radius for factor in (1.0, _BONE_FACET))
+    others = [k for k, each in enumerate(tube.bones) if each is not bone]
+
+    def place(x: FloatArray, angle: FloatArray) -> FloatArray:
+        ring = bone.radius * np.column_stack([np.sin(angle), np.cos(angle)])
+        return np.column_stack([x, tube.bone_centre(bone, x) + ring])
+
+    def wanted(x: FloatArray, angle: FloatArray) -> FloatArray:
+        at = place(x, angle)
+        gaps = np.column_stack([_below(tube, at), (_from_bones(tube, at) - _radii(tube))[:, others]])
+        arc = np.clip(_BONE_SHARE * size(at), narrow, wide)
+        return np.asarray(np.minimum(arc, _PER_GAP * gaps.min(axis=1)))
+
+    return place(*spread(Chart.of_bone(tube, bone), wanted))
+
+
+def _below(tube: Tube, points: FloatArray) -> FloatArray:
+    """Depth (n,) [m] of points (n, 3) below the core's wall, negative outside."""
+    skin = tube.place(points[:, 0], tube.angle_of(points), 0.0)
+    inward = skin[:, 1:] - points[:, 1:]
+    sign = np.sign((skin[:, 1:] * inward).sum(axis=1))
+    return np.asarray(sign * np.linalg.norm(inward, axis=1) - tube.thickness)
+
+
+def _inside(tube: Tube, points: FloatArray, gap: FloatArray) -> BoolArray:
+    """Points (n, 3) in the muscle and at least ``gap`` (n,) from its walls, bones and ends."""
+    clear = (np.abs(points[:, 0]) < tube.length / 2 - gap) & (_below(tube, points) > gap)
+    return np.asarray(clear & (_from_bones(tube, points) > _radii(tube) + gap[:, None]).all(axis=1))
+
+
+def _end(tube: Tube, wall: FloatArray, side: int) -> FloatArray:
+    """Points (n, 3) of a triangular grid on a cut end, as far apart as the wall's points around it."""
+    rim = wall[wall[:, 0] == side * tube.length / 2]
+    h = float(np.median(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1)))
+    reach = float(np.abs(rim[:, 1:]).max())
+    rows = np.arange(-reach, reach, h)
+    grid = np.stack(np.meshgrid(rows, rows * np.sqrt(3) / 2 * 1.2), axis=-1)
+    grid[1::2, :, 0] += h / 2
+    plane = np.column_stack([np.full(rows.size**2, side * tube.length / 2), grid.reshape(-1, 2)])
+    clear = _below(tube, plane) > _INSET * h
+    clear &= (_from_bones(tube, plane) > _radii(tube) + _INSET * h).all(axis=1)
+    return np.asarray(plane[clear])
+
+
+def _marrow(tube: Tube, bone: BoneAxis) -> FloatArray:
+    """Points (n, 3) along a bone's axis, ends included, no closer than its radius: bone hardly deforms."""
+    x = np.linspace(-tube.length / 2, tube.length / 2, max(2, round(tube.length / bone.radius)) + 1)
+    return np.column_stack([x, tube.bone_centre(bone, x)])
+
+
+def _fitted(tube: Tube, shell: Shell, points: FloatArray, tetrahedra: IntArray, elastic: bool) -> Core:
+    """Surface points moved out until flat facets hold the volumes of the analytic limb and its bones."""
+    n_bone, points = len(tube.bones), points.copy()
+    on = shell.on_of(len(points))
+    in_bone = on[:, 1 : n_bone + 1]
+    bone = _which(in_bone[tetrahedra])
+    faces, _ = boundary_faces(tetrahedra)
+    lateral = faces[on[faces, 0].all(axis=1) & (_which(on[faces][:, :, n_bone + 1 :]) < 0)]
+    walls = _bone_walls(tetrahedra, bone, in_bone, on[:, n_bone + 1 :])
+    _check_tubes([lateral, *walls])
+    bony = np.unique(np.vstack([*walls, np.zeros((0, 3), dtype=np.int64)]))
+    points[bony] = _onto_bones(tube, points[bony], _faceted_radii(tube, points, walls))
+    column = np.unique(lateral)
+    angle, on_bone = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
+    angle[column] = tube.angle_of(points[column])
+    bulge = _bulges(tube, points, lateral, angle)
+    points[column] = tube.place(points[column, 0], angle[column], tube.thickness - bulge[column])
+    on_bone[bony] = not elastic
+    return Core(points, tetrahedra, bone, lateral, angle, bulge, on_bone)
+
+
+def _which(corners_on: BoolArray) -> IntArray:
+    """The first surface (m,) that all corners of a cell lie on, from flags (m, n_corner, n_surface); -1 for none."""
+    whole = np.asarray(corners_on.all(axis=1))
+    return np.asarray(
+        np.where(whole.any(axis=1), whole.argmax(axis=1), -1) if whole.shape[1] else np.full(len(whole), -1)
+    )
+
+
+def _bone_walls(tetrahedra: IntArray, bone: IntArray, in_bone: BoolArray, on_end: BoolArray) -> list[IntArray]:
+    """Faces (m, 3) of each bone's wall, towards the muscle's outside; ``on_end`` (n_point, 2) marks the cut ends."""
+    faces, _ = boundary_faces(tetrahedra[bone < 0])
+    faces = faces[_which(on_end[faces]) < 0]
+    return [faces[of[faces].all(axis=1)] for of in in_bone.T]
+
+
+def _check_tubes(walls: list[IntArray]) -> None:
+    """Raise :class:`MeshError` unless each set of faces (m, 3) is one unbroken tube: V - E + F = 0."""
+    for faces in walls:
+        n = int(faces.max(initial=0)) + 1
+        edges = np.unique(keys(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), n))
+        if not len(faces) or len(np.unique(faces)) - len(edges) + len(faces) != 0:
+            raise MeshError(
+                "points on the limb's wall or on a bone are too far apart to be joined; set mesh.size_far smaller, or "
+                "leave more muscle between bones and wall"
+            )
 
 
 def _bulges(tube: Tube, points: FloatArray, wall: IntArray, angle: FloatArray) -> FloatArray:
@@ -145,39 +215,10 @@ def _bulges(tube: Tube, points: FloatArray, wall: IntArray, angle: FloatArray) -
     return np.asarray(total / np.maximum(np.bincount(wall.ravel(), minlength=len(points)), 1))
 
 
-def _slack(tube: Tube, around: int) -> float:
-    """How far fTetWild's boundary may lie off the analytic surfaces [m]; bones have ``around`` facets."""
-    widest = max((bone.radius for bone in tube.bones), default=0.0)
-    arc = float(widest * (1 - np.cos(np.pi / around)))
-    return 2 * ENVELOPE * (tube.length + 2 * float(tube.heights.max())) + arc
-
-
-def _is_end(tube: Tube, points: FloatArray, faces: IntArray, slack: float) -> BoolArray:
-    a, b, c = points[faces].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a)
-    along = np.abs(normal[:, 0]) > 0.7 * np.linalg.norm(normal, axis=1)
-    near = (np.abs(points[faces][:, :, 0]) > tube.length / 2 - slack).all(axis=1)
-    return np.asarray(along & near)
-
-
 def _from_bones(tube: Tube, points: FloatArray) -> FloatArray:
     """Distance (n, n_bone) [m] from each bone's axis within the section."""
     away = [np.linalg.norm(points[:, 1:] - tube.bone_centre(b, points[:, 0]), axis=1) for b in tube.bones]
     return np.column_stack(away) if away else np.full((len(points), 1), np.inf)
-
-
-def _near_bone(tube: Tube, points: FloatArray, faces: IntArray, slack: float) -> BoolArray:
-    radii = _radii(tube)
-    near = _from_bones(tube, points) < radii + slack
-    per_bone = np.asarray(near)[faces].all(axis=1)
-    inwards = [_flux(points[faces], tube.bone_centre(bone, points[:, 0])[faces]) < 0 for bone in tube.bones]
-    return np.asarray(np.any(per_bone & np.column_stack(inwards or [np.zeros(len(faces), bool)]), axis=1))
-
-
-def _bone_of(tube: Tube, places: FloatArray) -> IntArray:
-    radii = _radii(tube)
-    inside = _from_bones(tube, places) < radii
-    return np.where(inside.any(axis=1), inside.argmax(axis=1), -1)
 
 
 def _radii(tube: Tube) -> FloatArray:
@@ -194,17 +235,14 @@ def _flux(corners: FloatArray, centres: FloatArray | float = 0.0) -> FloatArray:
     return np.asarray((normal[:, 1:] * arms).sum(axis=1) / 2)
 
 
-def _faceted_radii(tube: Tube, points: FloatArray, walls: IntArray) -> FloatArray:
-    """Radii (n_bone,) of the vertices that give each bone's flat ``walls`` (n, 3) the volume of its cylinder.
+def _faceted_radii(tube: Tube, points: FloatArray, walls: list[IntArray]) -> FloatArray:
+    """Radii (n_bone,) of the vertices that give each bone's flat ``walls`` the volume of its cylinder.
 
     ``points`` lie on the cylinders now, so that facets cut some of it off.
     """
-    if not len(walls):
-        return _radii(tube)
-    nearest = (_from_bones(tube, points[walls].mean(axis=1)) - _radii(tube)).argmin(axis=1)
-    held = np.abs(np.bincount(nearest, _flux(points[walls]), len(tube.bones)))
-    exact = np.pi * _radii(tube) ** 2 * tube.length
-    return np.asarray(_radii(tube) * np.sqrt(np.where(held > 0, exact / np.where(held > 0, held, 1.0), 1.0)))
+    held = np.array([abs(_flux(points[faces], tube.bone_centre(bone, points[:, 0])[faces]).sum())
+                     for faces, bone in zip(walls, tube.bones, strict=True)])  # fmt: skip
+    return np.asarray(_radii(tube)[: len(held)] * np.sqrt(np.pi * _radii(tube)[: len(held)] ** 2 * tube.length / held))
 
 
 def _onto_bones(tube: Tube, points: FloatArray, radii: FloatArray) -> FloatArray:

@@ -6,16 +6,24 @@ import numpy as np
 
 from ..typing import BoolArray, FloatArray, IntArray
 from .core import Core, Size3, core_mesh
+from .layout import Layout
 from .mesh import TissueMesh
 from .prisms import oriented, stack_prisms
 from .sizing import Sizes
 from .topology import boundary_faces
 from .tube import Tube
 
+_COARSE = 2.0  # where columns are further apart than this many sizes between the ports, layers are not divided
 
-def limb_mesh(tube: Tube, size: Size3, sizes: Sizes, *, elastic_bones: bool) -> TissueMesh:
-    """Core by fTetWild, layers by prisms cut into tetrahedra; contacts are imprinted afterwards."""
-    core = core_mesh(tube, size, sizes, elastic=elastic_bones)
+
+def limb_mesh(
+    tube: Tube, size: Size3, sizes: Sizes, layout: Layout, *, elastic_bones: bool, seed: int = 1
+) -> TissueMesh:
+    """Core, and on it layers of prisms cut into tetrahedra; contacts are imprinted afterwards.
+
+    Away from the device each tissue layer is one prism thick: there the levels inside a layer fall together.
+    """
+    core = core_mesh(tube, size, sizes, layout, elastic=elastic_bones, seed=seed)
     depths, tissues = _depths(tube, sizes)
     column = np.unique(core.lateral)
     points = [core.points]
@@ -24,8 +32,19 @@ def limb_mesh(tube: Tube, size: Size3, sizes: Sizes, *, elastic_bones: bool) -> 
     for k, depth in enumerate(depths[1:], start=1):
         levels[k, column] = len(core.points) + (k - 1) * len(column) + np.arange(len(column))
         points.append(tube.place(core.points[column, 0], core.angle[column], depth - core.bulge[column]))
-    stacked, under = stack_prisms(core.lateral, levels)
+    coarse = column[size(core.points[column]) > _COARSE * sizes.grid]
+    merged = _merged(levels, tissues, coarse)
+    stacked, under = stack_prisms(core.lateral, merged)
     return _assembled(tube, core, np.vstack(points), stacked, [tissues[u] for u in under], levels[-1, column])
+
+
+def _merged(levels: IntArray, tissues: list[str], columns: IntArray) -> IntArray:
+    """``levels`` (k + 1, n_column) with those between two sublayers of one tissue put on the layer's lower face."""
+    merged = levels.copy()
+    for k in range(1, len(tissues)):
+        if tissues[k] == tissues[k - 1]:
+            merged[k, columns] = merged[k - 1, columns]
+    return merged
 
 
 def _depths(tube: Tube, sizes: Sizes) -> tuple[FloatArray, list[str]]:
@@ -49,7 +68,9 @@ def _assembled(
     skin = np.zeros(len(points), dtype=bool)
     skin[top] = True
     on_bone = np.concatenate([core.on_bone, np.zeros(len(points) - len(core.points), dtype=bool)])
-    facets = boundaries(points, tetrahedra, skin, on_bone)
+    used, tetrahedra = np.unique(tetrahedra, return_inverse=True)
+    points, tetrahedra = points[used], tetrahedra.reshape(-1, 4)
+    facets = boundaries(points, tetrahedra, skin[used], on_bone[used])
     return TissueMesh(points, tetrahedra, region, names, facets)
 
 

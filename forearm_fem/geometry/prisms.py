@@ -10,15 +10,16 @@ from ..typing import FloatArray, IntArray
 
 
 def stack_prisms(triangles: IntArray, levels: IntArray) -> tuple[IntArray, IntArray]:
-    """Tetrahedra (3 m k, 4) of prisms between successive levels, and the level (3 m k,) each lies under.
+    """Tetrahedra (at most 3 m k, 4) of prisms between successive levels, and the level each lies under.
 
     ``triangles`` (m, 3) index the columns, ``levels`` (k + 1, n_column) the vertex of each column at each
     level.
     Every quadrilateral is cut from its lower column on one level to its higher column on the next (Kuhn), so
-    prisms side by side share their diagonals. Orientation is left to :func:`oriented`.
+    prisms side by side share their diagonals. Where levels of a column fall together, what has no volume is left out.
+    Orientation is left to :func:`oriented`.
     """
     a, b, c = np.sort(triangles, axis=1).T
-    blocks = []
+    blocks = [np.zeros((0, 4), dtype=np.int64)]
     for low, high in pairwise(levels):
         blocks.append(
             np.vstack(
@@ -29,8 +30,11 @@ def stack_prisms(triangles: IntArray, levels: IntArray) -> tuple[IntArray, IntAr
                 ]
             )
         )
-    which = np.repeat(np.arange(len(blocks)), 3 * len(triangles))
-    return np.vstack(blocks), which
+    which = np.repeat(np.arange(len(blocks) - 1), 3 * len(triangles))
+    tetrahedra = np.vstack(blocks)
+    ordered = np.sort(tetrahedra, axis=1)
+    solid = (ordered[:, 1:] != ordered[:, :-1]).all(axis=1)
+    return tetrahedra[solid], which[solid]
 
 
 def oriented(points: FloatArray, tetrahedra: IntArray) -> IntArray:

@@ -14,7 +14,7 @@ from ..errors import MeshError
 from ..ports import Port, positions
 from ..typing import FloatArray, IntArray
 from .mesh import TissueMesh
-from .topology import EDGES, FACES, is_member, keys
+from .topology import EDGES, FACES, is_member, keys, mean_ratios
 
 _ORDER = {"P1": 1, "P2": 2, "P3": 3}
 
@@ -44,11 +44,8 @@ class Quality:
 
 
 def mean_ratio(mesh: TissueMesh) -> FloatArray:
-    """Mean-ratio quality (n_tet,): 12 (3 V)^(2/3) / sum of squared edges; 1 regular, 0 flat, negative
-    inverted."""
-    corner = mesh.points[mesh.tetrahedra]
-    squared = ((corner[:, EDGES[:, 0]] - corner[:, EDGES[:, 1]]) ** 2).sum(axis=(1, 2))
-    return np.asarray(12 * np.sign(mesh.volumes) * np.abs(3 * mesh.volumes) ** (2 / 3) / squared)
+    """Mean-ratio quality (n_tet,) of a mesh's tetrahedra, see :func:`.topology.mean_ratios`."""
+    return mean_ratios(mesh.points, mesh.tetrahedra)
 
 
 def mesh_quality(mesh: TissueMesh, *, expected_volume: float | None = None) -> Quality:

@@ -54,9 +54,10 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     contact = scale * options.size_contact if options.size_contact else min(_CONTACT * grid, widest)
     far = scale * options.size_far if options.size_far else _FAR * grid
     rim = min(_RIM * grid, contact)
+    finer = 0.5 if scenario.device.cone.contact in RIGID else 1.0  # a rigid rim needs two elements through the skin
     counts = tuple(
-        _sublayers(layer.thickness, options.sublayers.get(layer.tissue), grid, scale)
-        for layer in layers_of(scenario.limb)
+        _sublayers(layer.thickness, options.sublayers.get(layer.tissue), grid * (finer if i == 0 else 1.0), scale)
+        for i, layer in enumerate(layers_of(scenario.limb))
     )
     facet = scale * float(np.clip(_FACET * (scenario.accuracy / 0.05) ** 0.5, 0.1, 0.5))
     return Sizes(contact=contact, grid=grid, far=max(far, grid), rim=rim, facet=facet, sublayers=counts)

@@ -1,10 +1,10 @@
-"""Faces and edges of tetrahedra as integer tables."""
+"""Faces and edges of tetrahedra as integer tables, and their shape."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..typing import BoolArray, IntArray
+from ..typing import BoolArray, FloatArray, IntArray
 
 # Faces of a positive tetrahedron, normals outwards; edges in lexicographic order.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
@@ -31,3 +31,12 @@ def boundary_faces(tetrahedra: IntArray) -> tuple[IntArray, IntArray]:
 def is_member(rows: IntArray, of: IntArray, n_point: int) -> BoolArray:
     """Which ``rows`` (n, k) occur among ``of`` (m, k), whatever the order within a row."""
     return np.asarray(np.isin(keys(rows, n_point), keys(of, n_point)))
+
+
+def mean_ratios(points: FloatArray, tetrahedra: IntArray) -> FloatArray:
+    """Mean-ratio quality (n_tet,): 12 (3 V)^(2/3) / sum of squared edges; 1 regular, 0 flat, negative inverted."""
+    corner = points[tetrahedra]
+    a, b, c = (corner[:, 1:] - corner[:, :1]).transpose(1, 0, 2)
+    half_volume = np.einsum("ij,ij->i", np.cross(a, b), c) / 2  # 3 V
+    squared = ((corner[:, EDGES[:, 0]] - corner[:, EDGES[:, 1]]) ** 2).sum(axis=(1, 2))
+    return np.asarray(12 * np.sign(half_volume) * np.abs(half_volume) ** (2 / 3) / squared)
