@@ -98,9 +98,7 @@ def test_contacts_fill_their_discs(mesh, scenario, name):
     seen = np.abs(np.cross(b - a, c - a) @ np.array(port.axis)).sum() / 2
     edges = mesh.points[rim_edges(mesh, name)]
     chord = np.linalg.norm(edges[:, 0] - edges[:, 1], axis=1).mean()
-    drawn_in = (
-        port.radius - RIM_LEAD * chord
-    )  # seen along the axis; acts like the disc
+    drawn_in = port.radius - RIM_LEAD * chord  # seen along the axis; acts like the disc
     assert seen == pytest.approx(np.pi * drawn_in**2, rel=2e-3)
     assert facet_area(mesh.points, facets) == pytest.approx(seen, rel=0.02)  # the skin's slopes under the disc
 

@@ -163,14 +163,15 @@ def _fitted(tube: Tube, shell: Shell, points: FloatArray, tetrahedra: IntArray, 
     lateral = faces[on[faces, 0].all(axis=1) & (_which(on[faces][:, :, n_bone + 1 :]) < 0)]
     walls = _bone_walls(tetrahedra, bone, in_bone, on[:, n_bone + 1 :])
     _check_tubes([lateral, *walls])
-    bony = np.unique(np.vstack([*walls, np.zeros((0, 3), dtype=np.int64)]))
-    points[bony] = _onto_bones(tube, points[bony], _faceted_radii(tube, points, walls))
+    for bone_axis, faces in zip(tube.bones, walls, strict=True):
+        points = _with_volume(tube, bone_axis, points, faces)
     column = np.unique(lateral)
     angle, on_bone = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
     angle[column] = tube.angle_of(points[column])
-    bulge = _bulges(tube, points, lateral, angle)
+    bulge = _bulges(np.linalg.norm(points[:, 1:], axis=1), angle, lateral)
     points[column] = tube.place(points[column, 0], angle[column], tube.thickness - bulge[column])
-    on_bone[bony] = not elastic
+    for faces in walls:
+        on_bone[faces] = not elastic
     return Core(points, tetrahedra, bone, lateral, angle, bulge, on_bone)
 
 
@@ -201,18 +202,17 @@ def _check_tubes(walls: list[IntArray]) -> None:
             )
 
 
-def _bulges(tube: Tube, points: FloatArray, wall: IntArray, angle: FloatArray) -> FloatArray:
-    """Outward shift (n_point,) [m] that gives the flat triangles ``wall`` (m, 3) the volume under the true surface.
+def _bulges(radius: FloatArray, angle: FloatArray, faces: IntArray) -> FloatArray:
+    """Outward shift (n_point,) [m] that gives flat ``faces`` (m, 3) on a tube the volume under its true surface.
 
-    A chord lies below y^2/2R by sum (y_i - y_j)^2 / 24R on average over a triangle, y = R angle; each vertex takes the
-    mean of its triangles.
+    ``radius`` and ``angle`` (n_point,) are those about the tube's axis. A chord lies below y^2/2R by
+    sum (y_i - y_j)^2 / 24R on average over a triangle, y = R angle; each vertex takes the mean of its triangles.
     """
-    turn = angle[wall]
+    turn = angle[faces]
     apart = np.angle(np.exp(1j * (turn - np.roll(turn, 1, axis=1))))
-    radius = np.linalg.norm(points[wall][:, :, 1:], axis=2).mean(axis=1)
-    below = radius * (apart**2).sum(axis=1) / 24
-    total = np.bincount(wall.ravel(), np.repeat(below, 3), len(points))
-    return np.asarray(total / np.maximum(np.bincount(wall.ravel(), minlength=len(points)), 1))
+    below = radius[faces].mean(axis=1) * (apart**2).sum(axis=1) / 24
+    total = np.bincount(faces.ravel(), np.repeat(below, 3), len(radius))
+    return np.asarray(total / np.maximum(np.bincount(faces.ravel(), minlength=len(radius)), 1))
 
 
 def _from_bones(tube: Tube, points: FloatArray) -> FloatArray:
@@ -235,23 +235,20 @@ def _flux(corners: FloatArray, centres: FloatArray | float = 0.0) -> FloatArray:
     return np.asarray((normal[:, 1:] * arms).sum(axis=1) / 2)
 
 
-def _faceted_radii(tube: Tube, points: FloatArray, walls: list[IntArray]) -> FloatArray:
-    """Radii (n_bone,) of the vertices that give each bone's flat ``walls`` the volume of its cylinder.
+def _with_volume(tube: Tube, bone: BoneAxis, points: FloatArray, faces: IntArray) -> FloatArray:
+    """Points (n, 3) with those of a bone's flat ``faces`` (m, 3) moved out until these hold its cylinder's volume.
 
-    ``points`` lie on the cylinders now, so that facets cut some of it off.
+    Each by what the facets around it cut off, and all by what is left of it: facets are wider away from the device.
     """
-    held = np.array([abs(_flux(points[faces], tube.bone_centre(bone, points[:, 0])[faces]).sum())
-                     for faces, bone in zip(walls, tube.bones, strict=True)])  # fmt: skip
-    return np.asarray(_radii(tube)[: len(held)] * np.sqrt(np.pi * _radii(tube)[: len(held)] ** 2 * tube.length / held))
-
-
-def _onto_bones(tube: Tube, points: FloatArray, radii: FloatArray) -> FloatArray:
-    """Each point moved within its section onto the nearest bone's circle with one of the ``radii`` (n_bone,)."""
-    if not len(points):
-        return points
-    which = (_from_bones(tube, points) - _radii(tube)).argmin(axis=1)
-    centres = np.stack([tube.bone_centre(b, points[:, 0]) for b in tube.bones], axis=1)
-    centre = centres[np.arange(len(points)), which]
+    moved, wall = points.copy(), np.unique(faces)
+    centre = tube.bone_centre(bone, points[:, 0])
     away = points[:, 1:] - centre
-    away = away * (radii[which] / np.linalg.norm(away, axis=1))[:, None]
-    return np.column_stack([points[:, 0], centre + away])
+    radius = np.full(len(points), bone.radius) + _bulges(
+        np.full(len(points), bone.radius), np.arctan2(away[:, 0], away[:, 1]), faces
+    )
+    outward = away[wall] / np.linalg.norm(away[wall], axis=1)[:, None]
+    moved[wall, 1:] = centre[wall] + outward * radius[wall, None]
+    held = abs(float(_flux(moved[faces], centre[faces]).sum()))
+    left = float(np.sqrt(np.pi * bone.radius**2 * tube.length / held))
+    moved[wall, 1:] = centre[wall] + outward * radius[wall, None] * left
+    return moved

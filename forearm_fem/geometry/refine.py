@@ -167,8 +167,8 @@ def refine_near(mesh: TissueMesh, ports: tuple[Port, ...], size: float) -> Tissu
 def refine_skin(mesh: TissueMesh, size: Callable[[FloatArray], FloatArray]) -> TissueMesh:
     """Bisect until no skin edge is longer than 1.6 times what ``size`` (places (n, 3) -> lengths (n,) [m]) asks for.
 
-    On the user's own surfaces fTetWild keeps sizes on average; here and there an edge is 2.4 times as long, and one such
-    place next to a grid point made that point's receptance 30 % wrong at 400 Hz.
+    On the user's own surfaces fTetWild keeps sizes on average; here and there an edge is 2.4 times as long, and one
+    such place next to a grid point made that point's receptance 30 % wrong at 400 Hz.
     """
     n_round = 0
     while n_round < _MAX_ROUNDS and len(long := _long_skin_edges(mesh, size)):
