@@ -38,7 +38,7 @@ class SolverOptions(Part):
     )
     sweep: Literal["reduced", "direct"] = "reduced"
     expansions: Annotated[int, Field(ge=1, le=50)] = Field(5, description="expansion frequencies to start with")
-    derivatives: Annotated[int, Field(ge=1, le=12)] = Field(7, description="kept per expansion frequency, for contacts")
+    derivatives: Annotated[int, Field(ge=1, le=12)] = Field(8, description="kept per expansion frequency, for contacts")
     point_derivatives: Annotated[int, Field(ge=0, le=12)] = Field(
         5, description="kept for grid points, at most as many as for contacts: the error falls with the sum of both"
     )
