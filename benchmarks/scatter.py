@@ -32,7 +32,7 @@ def round_limb() -> Scenario:
     """The default section without taper, its bones at equal depths."""
     bones = [{"name": n, "y": y, "depth": 0.025, "diameter": 0.014} for n, y in (("radius", -0.014), ("ulna", 0.014))]
     limb = {"shape": "cylinder", "length": 0.14, "diameter": 0.0723, "bones": bones}
-    return parse_scenario({"name": "round limb", "accuracy": 0.05, "limb": limb})
+    return parse_scenario({"name": "round-limb", "accuracy": 0.05, "limb": limb})
 
 
 def images(ports: tuple[Port, ...]) -> list[tuple[list[int], list[int], str]]:
