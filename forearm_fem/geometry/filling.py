@@ -12,11 +12,12 @@ from ..errors import MeshError
 from ..typing import BoolArray, FloatArray, IntArray
 from .prisms import oriented
 from .slivers import without_slivers
+from .springs import spring_forces
 from .topology import EDGES, boundary_faces, keys
 
 Size = Callable[[FloatArray], FloatArray]
 Allowed = Callable[[FloatArray, FloatArray], BoolArray]
-_ROUNDS, _STEP, _STRETCH = 40, 0.2, 1.15  # as in planar.py
+_ROUNDS, _STEP, _STRETCH = 40, 0.2, 1.15  # of the springs, see planar.py
 _GROWTH = 0.5  # of the sizes inside, per metre away from the boundary's own spacing
 _CLOSE = 0.6  # of its size: how near to a boundary point an inner one may start; below it faces would be lost
 _PER_CELL = 0.72  # points per size^3 and lattice that the springs spread about a size apart
@@ -93,23 +94,12 @@ def _relaxed(shell: Shell, inner: FloatArray, size: Size, allowed: Allowed) -> F
     """Shell and inner points, these moved by the forces of springs along the edges."""
     points, n = np.vstack([shell.points, inner]), len(shell.points)
     for _ in range(_ROUNDS):
-        moved = inner + _STEP * _spring_forces(points, _edges(_joined(shell, points)), size)[n:]
+        edges = _edges(_joined(shell, points))
+        moved = inner + _STEP * spring_forces(points, edges, size(points[edges].mean(axis=1)), _STRETCH)[n:]
         legal = allowed(moved, 0.45 * size(moved))
         inner = np.where(legal[:, None], moved, inner)
         points = np.vstack([shell.points, inner])
     return points
-
-
-def _spring_forces(points: FloatArray, edges: IntArray, size: Size) -> FloatArray:
-    along = points[edges[:, 0]] - points[edges[:, 1]]
-    length = np.linalg.norm(along, axis=1)
-    wanted = size(points[edges].mean(axis=1))
-    wanted = wanted * _STRETCH * np.cbrt((length**3).sum() / (wanted**3).sum())
-    push = (np.maximum(wanted - length, 0) / length)[:, None] * along
-    total = np.zeros_like(points)
-    np.add.at(total, edges[:, 0], push)
-    np.add.at(total, edges[:, 1], -push)
-    return total
 
 
 def _edges(tetrahedra: IntArray) -> IntArray:

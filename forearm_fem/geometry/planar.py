@@ -10,6 +10,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ..errors import MeshError
 from ..typing import BoolArray, FloatArray, IntArray
+from .springs import spring_forces
 
 _RELAXATIONS = 60
 _STEP = 0.2
@@ -138,25 +139,13 @@ def _relax(
     xy = np.vstack([held, free])
     movable = np.arange(len(xy)) >= len(held)
     for _ in range(_RELAXATIONS):
-        step = _STEP * _spring_forces(xy, size)
+        edges = _edges(_delaunay(xy))
+        step = _STEP * spring_forces(xy, edges, size(xy[edges].mean(axis=1)), _STRETCH)
         moved = xy + np.where(movable[:, None], step, 0)
         h = size(moved)
         legal = box.inside(moved, 0.4 * h) & ~_in_rings(moved, circles, radius, size)
         xy = np.where((movable & legal)[:, None], moved, xy)
     return np.asarray(xy)
-
-
-def _spring_forces(xy: FloatArray, size: Size) -> FloatArray:
-    edges = _edges(_delaunay(xy))
-    along = xy[edges[:, 0]] - xy[edges[:, 1]]
-    length = np.linalg.norm(along, axis=1)
-    wanted = size(xy[edges].mean(axis=1))
-    wanted = wanted * _STRETCH * np.sqrt((length**2).sum() / (wanted**2).sum())
-    push = (np.maximum(wanted - length, 0) / length)[:, None] * along
-    total = np.zeros_like(xy)
-    np.add.at(total, edges[:, 0], push)
-    np.add.at(total, edges[:, 1], -push)
-    return total
 
 
 def _edges(triangles: IntArray) -> IntArray:
