@@ -29,6 +29,7 @@ def write_csv(points: list[Effectivity], file: Path) -> None:
 
 def draw(points: list[Effectivity], file: Path) -> None:
     figure, axes = plt.subplots(figsize=(5.5, 5), layout="constrained")
+    axes.set_prop_cycle(color=plt.colormaps["tab20"](np.linspace(0, 1, 20)))  # more scenes than the ten usual colours
     for scene in dict.fromkeys(p.scene for p in points):
         mine = [p for p in points if p.scene == scene]
         (line,) = axes.loglog([p.true_band for p in mine], [p.estimated_band for p in mine], "o-", label=scene, ms=5)

@@ -35,7 +35,7 @@ def model_of(mesh: TissueMesh) -> ForearmModel:
     """Assembled model of the scene on its mesh."""
     scene = quarter()
     ports, tissues = place_ports(scene, mesh), resolve_tissues(scene)
-    return build_model(mesh, ports, tissues, scene.supports, scene.tissues.membrane, element=scene.mesh.element)
+    return build_model(mesh, ports, tissues, scene.supports, scene.tissues.membrane, element=scene.element)
 
 
 def steps(mesh: TissueMesh, frequency: np.ndarray, precision: str) -> dict:

@@ -14,10 +14,10 @@ from .typing import ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Wavefield:
-    """Modes at the mesh vertices and their amplitudes per drive.
+    """Modes at the mesh vertices and in the middles of the skin's edges, and their amplitudes per drive.
 
     ``modes`` (n_point, 3, r) [-]; ``amplitudes`` (n_frequency, r, n_input) [m per unit drive], device included;
-    ``frequency`` (n_frequency,) [Hz]. Vertices only: quadratic variation inside elements is not kept.
+    ``frequency`` (n_frequency,) [Hz]. Between these points nothing is kept.
     """
 
     frequency: FloatArray

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,7 @@ from forearm_fem.errors import GeometryError
 from forearm_fem.fem.boundary import facet_load
 from forearm_fem.fem.model import build_model
 from forearm_fem.fem.sweep import direct_sweep
-from forearm_fem.geometry import contacts, sizing
-from forearm_fem.geometry.contacts import RIM_LEAD
+from forearm_fem.geometry import sizing
 from forearm_fem.geometry.mesh import TissueMesh
 from forearm_fem.ports import Port
 from forearm_fem.scenario.supports import Supports
@@ -81,16 +81,16 @@ def test_rims_of_rigid_discs_are_drawn_in_by_what_elements_miss(monkeypatch):
     """Receptance under a bonded disc with rim edges of 0.69 mm and of 0.17 mm: 0.7 % apart on the circle itself."""
     fine, coarse, circle = 0.2e-3, 0.83e-3, 0.0
     found = {}
-    for rim, lead in ((coarse, circle), (coarse, RIM_LEAD), (fine, RIM_LEAD)):
+    for rim, lead in ((coarse, circle), (coarse, sizing.SECOND.rim_lead), (fine, sizing.SECOND.rim_lead)):
         monkeypatch.setattr(sizing, "_RIM", rim / 1.8e-3)
-        monkeypatch.setattr(contacts, "RIM_LEAD", lead)
+        monkeypatch.setattr(sizing, "SECOND", replace(sizing.SECOND, rim_lead=lead))
         scenario = quarter_slab((0.0133,), side=0.05, depth=0.025, preset="default",
                                 mesh={"size_grid": 1.8e-3, "size_contact": 1.47e-3, "size_far": 6e-3},
                                 layers=LAYERS_O, frequencies=(125.0,), contact="bonded")  # fmt: skip
         found[rim, lead] = slab_response(slab_model(scenario), [125.0])[0, 0]
-    exact = found[fine, RIM_LEAD]
+    exact = found[fine, sizing.SECOND.rim_lead]
     assert abs(found[coarse, circle] / exact - 1) > 6e-3
-    assert abs(found[coarse, RIM_LEAD] / exact - 1) < 3e-3
+    assert abs(found[coarse, sizing.SECOND.rim_lead] / exact - 1) < 3e-3
 
 
 def test_oscillating_sphere():

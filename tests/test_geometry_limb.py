@@ -7,10 +7,11 @@ import pytest
 
 from forearm_fem.errors import GeometryError
 from forearm_fem.geometry.build import build_mesh, limb_volume
-from forearm_fem.geometry.contacts import RIM_LEAD, facet_area, from_axis
+from forearm_fem.geometry.contacts import facet_area, from_axis
 from forearm_fem.geometry.place import place_ports
 from forearm_fem.geometry.quality import check_mesh, mesh_quality
 from forearm_fem.geometry.refine import refine, refine_skin, rim_edges
+from forearm_fem.geometry.sizing import element_sizes
 from forearm_fem.geometry.tube import tube_of
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.limb import ForearmLimb
@@ -98,7 +99,7 @@ def test_contacts_fill_their_discs(mesh, scenario, name):
     seen = np.abs(np.cross(b - a, c - a) @ np.array(port.axis)).sum() / 2
     edges = mesh.points[rim_edges(mesh, name)]
     chord = np.linalg.norm(edges[:, 0] - edges[:, 1], axis=1).mean()
-    drawn_in = port.radius - RIM_LEAD * chord  # seen along the axis; acts like the disc
+    drawn_in = port.radius - element_sizes(scenario).rim_lead * chord  # seen along the axis; acts like the disc
     assert seen == pytest.approx(np.pi * drawn_in**2, rel=2e-3)
     assert facet_area(mesh.points, facets) == pytest.approx(seen, rel=0.02)  # the skin's slopes under the disc
 

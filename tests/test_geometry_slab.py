@@ -9,11 +9,11 @@ import pytest
 
 from forearm_fem.errors import GeometryError, MeshError
 from forearm_fem.geometry.build import build_mesh, limb_volume
-from forearm_fem.geometry.contacts import RIM_LEAD, facet_area, from_axis
+from forearm_fem.geometry.contacts import facet_area, from_axis
 from forearm_fem.geometry.place import place_ports
 from forearm_fem.geometry.quality import check_mesh, mean_ratio, mesh_quality, nodes_per_wavelength
 from forearm_fem.geometry.refine import onto_circle, refine, refine_rims, rim_edges
-from forearm_fem.geometry.sizing import element_sizes
+from forearm_fem.geometry.sizing import SECOND, element_sizes
 from forearm_fem.geometry.topology import FACES, keys
 from forearm_fem.scenario import Scenario, parse_scenario
 
@@ -64,7 +64,7 @@ def test_rim_is_followed(mesh, name):
     assert rim == pytest.approx(rim.max(), rel=1e-9)
     edges = mesh.points[rim_edges(mesh, name)]
     chord = np.linalg.norm(edges[:, 0] - edges[:, 1], axis=1).mean()
-    drawn_in = port.radius - RIM_LEAD * chord  # acts like the disc, see with_true_rims
+    drawn_in = port.radius - SECOND.rim_lead * chord  # acts like the disc, see with_true_rims
     assert facet_area(mesh.points, facets) == pytest.approx(np.pi * drawn_in**2, rel=2e-3)
 
 
@@ -130,26 +130,41 @@ def test_ports_turn_with_the_device(mesh):
     assert turned[0].axis == (0, 0, 1)
 
 
-def test_pressure_discs_are_coarser_on_the_coarser_mesh():
-    """Large elements are held at 0.6 radii; under a pressure not on both meshes, or no change shows their error."""
-    for contact, ratio in (("pressure", 2.0), ("bonded", 1.0)):
-        scenario = parse_scenario({"accuracy": 0.3, "device": {"cone": {"contact": contact}}})
-        fine, coarse = element_sizes(scenario), element_sizes(scenario, scale=2.0)
-        assert fine.contact == pytest.approx(0.6 * scenario.device.cone.radius)
-        assert coarse.contact == pytest.approx(ratio * fine.contact)
+@pytest.mark.parametrize(
+    ("element", "contact", "widest", "ratio"),
+    [
+        ("P2", "pressure", 0.6, 2.0),
+        ("P2", "bonded", 0.6, 1.0),
+        ("P2/P3", "pressure", 0.43, 2.0),
+        ("P2/P3", "bonded", 0.43, 2.0),
+    ],
+)
+def test_elements_under_contacts_are_coarser_on_the_coarser_mesh(element, contact, widest, ratio):
+    """They are held at a share of the radius; not on both meshes, or no change shows their error.
+
+    Under a rigid cone of P2 elements the rim alone counts.
+    """
+    cone = {"cone": {"contact": contact}}
+    scenario = parse_scenario({"accuracy": 0.3, "device": cone, "mesh": {"element": element}})
+    fine, coarse = element_sizes(scenario), element_sizes(scenario, scale=2.0)
+    assert fine.contact == pytest.approx(widest * scenario.device.cone.radius)
+    assert coarse.contact == pytest.approx(ratio * fine.contact)
 
 
 def test_default_sizes_and_explicit_ones():
+    second = element_sizes(parse_scenario({"mesh": {"element": "P2"}}))
+    assert 1.8e-3 < second.grid < 2.4e-3
+    assert second.sublayers == (2, 2)  # a rigid rim: two through the skin
+    assert second.rim == pytest.approx(0.45 * second.grid)
     sizes = element_sizes(Scenario())
-    assert 1.8e-3 < sizes.grid < 2.4e-3
-    assert sizes.sublayers == (2, 2)  # a rigid rim: two through the skin
-    assert sizes.rim == pytest.approx(0.45 * sizes.grid)
+    assert 3.6e-3 < sizes.grid < 4.8e-3
+    assert sizes.sublayers == (1, 1)
     assert element_sizes(Scenario(), scale=2.0).rim == pytest.approx(2 * sizes.rim)  # the estimate must see the rim
     assert element_sizes(Scenario(), scale=1.5).grid == pytest.approx(1.5 * sizes.grid)
     finer = parse_scenario({"accuracy": 0.05 / 16})
     assert element_sizes(finer).grid == pytest.approx(sizes.grid / 2)  # h ~ accuracy^(1/4)
-    faster = element_sizes(Scenario(), {"skin": 4.4, "fat": 4.4})
-    assert faster.grid == pytest.approx(2 * sizes.grid)
+    faster = element_sizes(Scenario(), {"skin": 3.0, "fat": 3.0})
+    assert faster.grid == pytest.approx(3.0 / 2.2 * sizes.grid)
     own = parse_scenario({"mesh": {"size_grid": 3e-3, "sublayers": {"fat": 4}}})
     assert element_sizes(own).grid == 3e-3
     assert element_sizes(own).sublayers == (1, 4)

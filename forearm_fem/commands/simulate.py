@@ -81,7 +81,7 @@ def _print_forecast(asked: Scenario, base: Path) -> None:
         return
     expected = forecast(asked, base=base)
     typer.echo(f"tetrahedra       {expected.tetrahedra}")
-    typer.echo(f"unknowns         {expected.unknowns} ({asked.mesh.element}, displacement and pressure)")
+    typer.echo(f"unknowns         {expected.unknowns} ({asked.element}, displacement and pressure)")
     typer.echo(f"memory           about {expected.memory_bytes / 1e9:.1f} GB")
     typer.echo(f"time             about {expected.seconds / 60:.1f} min on 2 cores, for {len(band)} frequencies")
     for r in expected.resolution:

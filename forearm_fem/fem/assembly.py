@@ -7,15 +7,16 @@ Equality with scikit-fem's own forms is tested to 1e-13.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, kron
+from scipy.sparse import bsr_array, csr_array, eye_array, kron
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
-from ..typing import FloatArray, IntArray
+from ..typing import BoolArray, FloatArray, IntArray
 from .elements import tabulate
+from .orders import Orders
 from .space import MixedSpace
 
 
@@ -44,7 +45,7 @@ def reference_tensors(space: MixedSpace) -> ReferenceTensors:
 
 @dataclass(frozen=True)
 class TissueMatrices:
-    """Real matrices of one tissue, over all unknowns before constraints.
+    """Real matrices of one tissue, over all unknowns of a space before constraints, or over those solved for.
 
     ``shear`` per unit shear modulus, ``mass`` per unit density (both n_u x n_u), ``divergence`` (n_p x n_u) and
     ``pressure_mass`` (n_p x n_p).
@@ -56,13 +57,15 @@ class TissueMatrices:
     pressure_mass: csr_array
 
 
-def tissue_matrices(space: MixedSpace, region: int, reference: ReferenceTensors) -> TissueMatrices:
-    r"""Matrices of one tissue.
+def tissue_matrices(
+    space: MixedSpace, region: int, reference: ReferenceTensors, *, only: BoolArray | None = None
+) -> TissueMatrices:
+    r"""Matrices of one tissue, from its tetrahedra among ``only`` (n_tet,).
 
     shear: :math:`\int 2\,\epsilon(u):\epsilon(v) - \tfrac23 \nabla\cdot u\,\nabla\cdot v`; mass: :math:`\int u\cdot v`;
     divergence: :math:`\int q\,\nabla\cdot u`; pressure mass: :math:`\int p q` (scaled by -1/bulk in the operator).
     """
-    chosen = np.flatnonzero(space.mesh.region == region)
+    chosen = np.flatnonzero(space.mesh.region == region if only is None else only & (space.mesh.region == region))
     jacobian = space.jacobians[chosen]
     inverse = np.asarray(np.linalg.inv(jacobian), dtype=float)
     volume = np.abs(np.asarray(np.linalg.det(jacobian), dtype=float))
@@ -75,6 +78,27 @@ def tissue_matrices(space: MixedSpace, region: int, reference: ReferenceTensors)
         csr_array(kron(scalar_mass, np.eye(3), format="csr")),
         _divergence(space, chosen, inverse, volume, reference.divergence),
         _scatter(pressures, pressures, pressure_mass, (space.n_pressures, space.n_pressures)),
+    )
+
+
+def constrained_matrices(orders: Orders, region: int, transform: csr_array) -> TissueMatrices:
+    """Matrices of one tissue over the unknowns that are solved for: ``transform`` (3 n_kept, n_free) of those kept."""
+    pressures = csr_array(eye_array(orders.spread_pressures.shape[1], format="csr"))
+    plain = _projected(orders.low, region, ~orders.raised, transform, pressures)
+    if not orders.raised.any():
+        return plain
+    raised = _projected(orders.high, region, orders.raised, orders.carried(transform), orders.spread_pressures)
+    return TissueMatrices(*(csr_array(getattr(plain, f.name) + getattr(raised, f.name)) for f in fields(plain)))
+
+
+def _projected(space: MixedSpace, region: int, only: BoolArray, u: csr_array, p: csr_array) -> TissueMatrices:
+    """Matrices of a tissue's tetrahedra among ``only``; ``u`` and ``p`` give this space's unknowns from those kept."""
+    part = tissue_matrices(space, region, reference_tensors(space), only=only)
+    return TissueMatrices(
+        csr_array(u.T @ part.shear @ u),
+        csr_array(u.T @ part.mass @ u),
+        csr_array(p.T @ part.divergence @ u),
+        csr_array(p.T @ part.pressure_mass @ p),
     )
 
 
@@ -125,7 +149,7 @@ def element_pattern(rows: IntArray, columns: IntArray, width: int) -> tuple[IntA
     keys = (rows[:, :, None].astype(np.int64) * width + columns[:, None, :]).reshape(-1)
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
-    start = np.flatnonzero(np.concatenate(([True], ordered[1:] != ordered[:-1])))
+    start = np.flatnonzero(np.diff(ordered, prepend=-1))
     return order, start, ordered[start] // width, ordered[start] % width
 
 

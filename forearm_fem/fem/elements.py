@@ -36,8 +36,8 @@ class ElementTetP3(ElementH1):  # type: ignore[misc]
         return value, np.einsum("k...,kd->d...", by_bary, slope)
 
 
-_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # scikit-fem's edge order
-_FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))  # scikit-fem's facet order
+CUBIC_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # scikit-fem's edge order
+CUBIC_FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))  # scikit-fem's facet order
 
 
 def _cubic(L: FloatArray, i: int) -> tuple[FloatArray, FloatArray]:
@@ -48,12 +48,12 @@ def _cubic(L: FloatArray, i: int) -> tuple[FloatArray, FloatArray]:
         d[i] = (27 * a**2 - 18 * a + 2) / 2
         return a * (3 * a - 1) * (3 * a - 2) / 2, d
     if i < 16:
-        p, q = _EDGES[(i - 4) // 2]
+        p, q = CUBIC_EDGES[(i - 4) // 2]
         near, far = (p, q) if (i - 4) % 2 == 0 else (q, p)
         a, b = L[near], L[far]
         d[near], d[far] = 4.5 * b * (6 * a - 1), 4.5 * a * (3 * a - 1)
         return 4.5 * a * b * (3 * a - 1), d
-    p, q, r = _FACES[i - 16]
+    p, q, r = CUBIC_FACES[i - 16]
     d[p], d[q], d[r] = 27 * L[q] * L[r], 27 * L[p] * L[r], 27 * L[p] * L[q]
     return 27 * L[p] * L[q] * L[r], d
 
@@ -103,5 +103,5 @@ def _basis_count(element: ElementH1) -> int:
 
 def _orders_agree() -> bool:
     """The cubic functions assume scikit-fem's local edge and facet order; checked once by a test."""
-    edges = tuple(tuple(e) for e in RefTet.edges) == _EDGES
-    return edges and set(combinations(range(4), 3)) == set(_FACES)
+    edges = tuple(tuple(e) for e in RefTet.edges) == CUBIC_EDGES
+    return edges and set(combinations(range(4), 3)) == set(CUBIC_FACES)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
+from scipy.sparse import coo_array, csr_array
 
 from ..errors import GeometryError
+from ..geometry.topology import keys
 from ..ports import Port
 from ..typing import FloatArray, IntArray
 from .boundary import facet_load, facet_normals
@@ -50,6 +54,26 @@ def _point_value(space: MixedSpace, position: FloatArray, axis: FloatArray) -> F
     result = np.zeros((space.n_nodes, 3))
     result[space.nodes[tet]] = values * axis
     return result.ravel()
+
+
+def edge_middles(space: MixedSpace, edges: IntArray) -> csr_array:
+    """Matrix (n_edge, n_nodes) that interpolates displacements in the middles of edges (n_edge, 2) of the mesh."""
+    wanted, n = keys(edges, len(space.mesh.points)), len(space.mesh.points)
+    rows, columns, weights = [], [], []
+    left = np.arange(len(edges))
+    for ends in combinations(range(4), 2):
+        here = keys(space.vertices[:, ends], n)
+        order = np.argsort(here)
+        place = order[np.minimum(np.searchsorted(here, wanted[left], sorter=order), len(order) - 1)]
+        found = here[place] == wanted[left]
+        middle = np.eye(4)[list(ends)].mean(axis=0)[1:, None]  # reference coordinates are those of corners 1 to 3
+        values, _ = tabulate(space.pair.displacement, middle)
+        rows.append(np.repeat(left[found], len(values)))
+        columns.append(space.nodes[place[found]].ravel())
+        weights.append(np.tile(values[:, 0], int(found.sum())))
+        left = left[~found]
+    entries = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
+    return csr_array(coo_array(entries, shape=(len(edges), space.n_nodes)))
 
 
 def _nearest_facet(points: FloatArray, facets: IntArray, position: FloatArray) -> tuple[int, FloatArray]:

@@ -17,13 +17,14 @@ from ..scenario.supports import Supports
 from ..scenario.tissues import Membrane
 from ..tissue import Tissue
 from ..typing import FloatArray, IntArray
-from .assembly import TissueMatrices, reference_tensors, tissue_matrices
+from .assembly import TissueMatrices, constrained_matrices
 from .boundary import facet_gradients, facet_mass, facet_membrane
 from .coefficients import Coefficient
 from .constraints import Constraints, RigidDisc, constraints
 from .loads import force_share, port_functional
 from .operator import AffineOperator, affine_operator
-from .space import MixedSpace, mixed_space
+from .orders import Orders, element_orders
+from .space import MixedSpace
 from .terms import term_coefficient
 
 
@@ -66,16 +67,15 @@ def build_model(
     element: str = "P2",
 ) -> ForearmModel:
     """Assemble everything; raises GeometryError for contacts that the mesh cannot carry."""
-    space = mixed_space(mesh, element)
-    rules = _constraints(space, ports, supports)
-    names, reference = mesh.region_names, reference_tensors(space)
-    parts = [tissue_matrices(space, region, reference) for region in range(len(names))]
-    displacement = _shear_and_mass(names, parts, rules.transform)
-    displacement += _boundaries(space, supports, membrane, rules.transform)
+    orders = element_orders(mesh, ports, element)
+    kept = _constraints(orders, ports, supports)
+    space, rules = orders.high, Constraints(orders.carried(kept.transform), kept.masters)
+    names = mesh.region_names
+    parts = [constrained_matrices(orders, region, kept.transform) for region in range(len(names))]
+    displacement = _shear_and_mass(names, parts) + _boundaries(space, supports, membrane, rules.transform)
     operator = _with_pressure(
-        names, parts, tissues, rules.transform, displacement,
-        lambda name: term_coefficient(name, tissues, supports, membrane),
-    )  # fmt: skip
+        names, parts, tissues, displacement, lambda name: term_coefficient(name, tissues, supports, membrane)
+    )
     functionals = np.zeros((operator.n, len(ports)))
     for i, port in enumerate(ports):
         functionals[: operator.n_displacements, i] = _functional(space, port, rules)
@@ -89,14 +89,16 @@ def _functional(space: MixedSpace, port: Port, rules: Constraints) -> FloatArray
     return np.asarray(rules.transform.T @ port_functional(space, port))
 
 
-def _constraints(space: MixedSpace, ports: tuple[Port, ...], supports: Supports) -> Constraints:
-    facets = space.mesh.facets
+def _constraints(orders: Orders, ports: tuple[Port, ...], supports: Supports) -> Constraints:
+    """Rules for the kept nodes."""
+    facets = orders.high.mesh.facets
     held = [facets[name] for name in _held(supports) if name in facets and len(facets[name])]
-    nodes = [space.facet_nodes(f) for f in held]
+    nodes = [orders.kept_on(f) for f in held]
     planes = {
-        axis: space.facet_nodes(facets[name]) for name, axis in (("symmetry x", 0), ("symmetry y", 1)) if name in facets
+        axis: orders.kept_on(facets[name]) for name, axis in (("symmetry x", 0), ("symmetry y", 1)) if name in facets
     }
-    return constraints(space.n_nodes, _unique(nodes), planes, tuple(_disc(space, p) for p in ports if _is_rigid(p)))
+    discs = tuple(_disc(orders, p) for p in ports if _is_rigid(p))
+    return constraints(orders.spread.shape[1], _unique(nodes), planes, discs)
 
 
 def _held(supports: Supports) -> list[str]:
@@ -113,9 +115,9 @@ def _is_rigid(port: Port) -> bool:
     return port.kind == "contact" and port.contact != "pressure"
 
 
-def _disc(space: MixedSpace, port: Port) -> RigidDisc:
-    facets = space.mesh.facets.get(f"contact {port.name}", np.zeros((0, 3), dtype=np.int64))
-    nodes = space.facet_nodes(facets) if len(facets) else np.zeros(0, dtype=np.int64)
+def _disc(orders: Orders, port: Port) -> RigidDisc:
+    facets = orders.high.mesh.facets.get(f"contact {port.name}", np.zeros((0, 3), dtype=np.int64))
+    nodes = orders.kept_on(facets) if len(facets) else np.zeros(0, dtype=np.int64)
     return RigidDisc(port.name, nodes, np.array(port.axis), port.contact == "bonded")
 
 
@@ -123,11 +125,10 @@ def _reduced(transform: csr_array, matrix: csr_array) -> csr_array:
     return csr_array(transform.T @ matrix @ transform)
 
 
-def _shear_and_mass(names: tuple[str, ...], parts: list[TissueMatrices], transform: csr_array) -> Matrices:
+def _shear_and_mass(names: tuple[str, ...], parts: list[TissueMatrices]) -> Matrices:
     result: Matrices = []
     for name, part in zip(names, parts, strict=True):
-        result.append((f"shear {name}", _reduced(transform, part.shear)))
-        result.append((f"mass {name}", _reduced(transform, part.mass)))
+        result += [(f"shear {name}", part.shear), (f"mass {name}", part.mass)]
     return result
 
 
@@ -167,14 +168,13 @@ def _with_pressure(
     names: tuple[str, ...],
     parts: list[TissueMatrices],
     tissues: Mapping[str, Tissue],
-    transform: csr_array,
     displacement: Matrices,
     coefficient: Callable[[str], Coefficient],
 ) -> AffineOperator:
     """Saddle system [[K, -B^T], [-B, -M_p/bulk]] with pressures scaled to the size of the stiffness."""
-    divergence = csr_array(sum(part.divergence for part in parts) @ transform)
+    divergence = csr_array(sum(part.divergence for part in parts))
     storage = csr_array(sum(part.pressure_mass / tissues[name].bulk for name, part in zip(names, parts, strict=True)))
-    n_u, n_p = transform.shape[1], divergence.shape[0]
+    n_p, n_u = divergence.shape
     scale = _pressure_scale([(m, coefficient(name)) for name, m in displacement], divergence)
     zero = csr_array((n_p, n_p))
     whole: Matrices = [(name, csr_array(block_array([[m, None], [None, zero]]))) for name, m in displacement]

@@ -14,6 +14,7 @@ from typing import Any
 from ..errors import DataError
 from ..geometry.files import read_mesh
 from ..geometry.mesh import TissueMesh
+from ..geometry.skin import with_finer_skin
 from ..io import (
     Signals,
     StrengthRow,
@@ -131,13 +132,21 @@ class Results:
         return read_mesh(self.path("mesh.vtu"))
 
     @cached_property
+    def field_mesh(self) -> TissueMesh:
+        """The mesh with the points where the wavefield is known; the mesh itself in folders written before 0.6.0."""
+        older = len(load_wavefield(self.path("wavefield.npz")).modes) == len(self.mesh.points)
+        return self.mesh if older else with_finer_skin(self.mesh)
+
+    @cached_property
     def wavefield(self) -> Wavefield:
-        """Displacement of every mesh vertex for any drive; DataError if it belongs to another mesh."""
+        """Displacement of every point of :attr:`field_mesh`, the mesh's vertices first, for any drive; DataError if it
+        belongs to another mesh."""
         field = load_wavefield(self.path("wavefield.npz"))
-        if len(field.modes) != len(self.mesh.points):
+        if len(field.modes) != len(self.field_mesh.points):
             raise DataError(
-                f"{self.folder}: wavefield.npz has {len(field.modes)} vertices, mesh.vtu "
-                f"{len(self.mesh.points)}; they are of different runs, {self.remedy('wavefield.npz')} anew"
+                f"{self.folder}: wavefield.npz has {len(field.modes)} points, mesh.vtu "
+                f"{len(self.field_mesh.points)} with its skin's middles; they are of different runs, "
+                f"{self.remedy('wavefield.npz')} anew"
             )
         return field
 

@@ -15,6 +15,7 @@ from matplotlib.figure import FigureBase
 from matplotlib.patches import Patch
 
 from ..geometry.mesh import TissueMesh
+from ..geometry.neighbourhood import tetrahedron_orders
 from ..ports import Port, positions
 from ..tissue import resolve_tissues
 from ..typing import FloatArray
@@ -24,7 +25,6 @@ from .style import ACTUATORS, GREY, INK, TISSUES, letter, panels, single, styled
 from .tables import Table
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-_ORDER = {"P1": 1, "P2": 2, "P3": 3}
 
 
 def tissue_colours(names: Sequence[str]) -> list[str]:
@@ -155,7 +155,9 @@ def nodes_per_wavelength(results: Results, frequency: float) -> FloatArray:
     mesh, tissues = results.mesh, resolve_tissues(results.scenario)
     corner = mesh.points[mesh.tetrahedra]
     edges = np.array([corner[:, a] - corner[:, b] for a, b in _EDGES])
-    spacing = np.sqrt((edges**2).sum(axis=2).mean(axis=0)) / _ORDER[results.scenario.mesh.element]
+    ports = (*results.transfer.inputs, *results.transfer.outputs)
+    order = tetrahedron_orders(mesh, ports, results.scenario.element)
+    spacing = np.sqrt((edges**2).sum(axis=2).mean(axis=0)) / order
     length = [float(tissues[n].wavelength(2 * np.pi * frequency)) for n in mesh.region_names]
     return np.asarray(np.array(length)[mesh.region] / spacing)
 

@@ -79,7 +79,7 @@ def body_of(results: Results, cut: str, target: str) -> Body:
 
 
 def _skin(results: Results) -> Body:
-    surface = surface_grid(results.mesh, results.mesh.facets["skin"])
+    surface = surface_grid(results.field_mesh, results.field_mesh.facets["skin"])
     vertices: IntArray = np.asarray(surface.point_data["vertex"])
     return _body(surface, results.wavefield.modes[vertices], None)
 
@@ -96,7 +96,8 @@ def _body(surface: Any, modes: FloatArray, normals: FloatArray | None) -> Body:
 
 def _opened(results: Results, cut: str, target: str) -> Body:
     """Cut once: the modes travel through the clip as point data, so that each step is one product."""
-    mesh, modes = results.mesh, results.wavefield.modes
+    mesh = results.mesh
+    modes = results.wavefield.modes[: len(mesh.points)]
     place = MM * np.array(_port(results.transfer.outputs, target).position)
     grid = volume_grid(mesh)
     grid.point_data["modes"] = modes.reshape(len(modes), -1).astype(np.float32)
@@ -133,7 +134,7 @@ def colour_limit(results: Results, moved: Motion, look: Look) -> float:
     if look.limit is not None:
         return look.limit
     places = np.array([p.position for p in results.transfer.outputs])
-    near = [int(np.argmin(np.linalg.norm(results.mesh.points - p, axis=1))) for p in places]
+    near = [int(np.argmin(np.linalg.norm(results.field_mesh.points - p, axis=1))) for p in places]
     modes = results.wavefield.modes[near]
     most = max(float(np.linalg.norm(moved.displacement(modes, k), axis=1).max()) for k in range(len(moved.steps)))
     return most or 1e-9
@@ -340,7 +341,7 @@ def write_pvd(
     grid.points = found.mesh.points.copy()
     lines = []
     for k, at in enumerate(moved.steps):
-        grid.point_data["displacement"] = moved.displacement(found.wavefield.modes, k)
+        grid.point_data["displacement"] = moved.displacement(found.wavefield.modes[: len(found.mesh.points)], k)
         name = f"{target.stem}/{k:04d}.vtu"
         with atomic_path(target.parent / name) as beside:
             grid.save(beside)

@@ -70,7 +70,7 @@ def target_waves(results: Results, target: str) -> Target:
     if target not in moved.targets:
         raise DataError(f"{results.folder}: nothing was rendered at target '{target}', only at "
                         f"{', '.join(moved.targets)}; `forearm-fem render` can")  # fmt: skip
-    patch = volar_patch(results.mesh, (*g.inputs, *g.outputs)) if results.has_field else None
+    patch = volar_patch(results.field_mesh, (*g.inputs, *g.outputs)) if results.has_field else None
     places = positions(g.outputs)[:, :2]
     x, y = (np.linspace(places[:, c].min(), places[:, c].max(), _MESH) for c in (0, 1))
     shown = tuple(_shown(results, m, target, patch, x, y) for m in moved.methods)

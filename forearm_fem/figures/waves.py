@@ -61,7 +61,7 @@ def _field_line(results: Results, places: tuple[float, ...]) -> Line:
     start = positions(g.inputs)[0]
     toward = positions(g.outputs)[:, :2].mean(axis=0) - start[:2]
     along = toward / np.linalg.norm(toward)
-    patch = volar_patch(results.mesh, (*g.inputs, *g.outputs))
+    patch = volar_patch(results.field_mesh, (*g.inputs, *g.outputs))
     fine = np.linspace(0, 1.05 * places[-1], 60)
     gaps = np.linalg.norm(patch.lift(start[:2] + np.outer(fine, along)) - start, axis=1)
     corners, weights = patch.weights(start[:2] + np.outer(np.interp(places, gaps, fine), along))

@@ -79,9 +79,8 @@ def _marked(scenario: Scenario, mesh: TissueMesh, size: SizeField, say: Progress
     say("following and refining the contact rims")
     mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, size)
     mesh = with_contacts(mesh, ports)
-    mesh = with_true_rims(
-        refine_rims(mesh, ports, _rim_size(scenario, size.sizes)), ports, rigid=scenario.device.cone.contact in RIGID
-    )
+    lead = size.sizes.rim_lead if scenario.device.cone.contact in RIGID else 0.0
+    mesh = with_true_rims(refine_rims(mesh, ports, _rim_size(scenario, size.sizes)), ports, lead)
     if len(mesh.tetrahedra) > scenario.mesh.max_elements:
         raise MeshError(
             f"the mesh has {len(mesh.tetrahedra)} tetrahedra, mesh.max_elements allows "
@@ -105,7 +104,8 @@ def _imprinted(scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], si
     skin = tube.volar if tube else FacetSkin.of(mesh)
     if not isinstance(limb, MeshLimb):
         mesh = refine_skin(mesh, SpaceField.on(size, lambda xy: skin(xy)[0]))
-    mesh = refine_near(mesh, ports, min(size.sizes.contact, WIDEST * scenario.device.cone.radius))
+    if tube is None:  # tubes have rings of vertices under the contacts already
+        mesh = refine_near(mesh, ports, min(size.sizes.contact, WIDEST * scenario.device.cone.radius))
     for port in ports:
         mesh = imprint(mesh, port, true_skin(tube) if tube else FacetSkin.of(mesh).lift)
     return replace(mesh, facets={**mesh.facets, **_underside(mesh)})

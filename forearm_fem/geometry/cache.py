@@ -20,7 +20,7 @@ from .layout import RIGID, layout_of
 from .mesh import TissueMesh
 from .sizing import element_sizes
 
-GENERATOR = 3  # raise when the same scenario would give another mesh
+GENERATOR = 4  # raise when the same scenario would give another mesh
 _log = logging.getLogger("forearm_fem.geometry")
 
 

@@ -14,7 +14,6 @@ from .refine import rim_edges
 
 _LEAST_AREA = 0.9
 _ON_RIM = 1e-7  # relative to the radius
-RIM_LEAD = 0.03  # P2 under a bonded disc: 0.026-0.036 by edges of 0.14-0.69 mm, 60-300 Hz (docs/decisions.md)
 
 
 def from_axis(points: FloatArray, port: Port) -> FloatArray:
@@ -42,12 +41,12 @@ def check_contact_areas(mesh: TissueMesh, ports: tuple[Port, ...]) -> None:
             )
 
 
-def with_true_rims(mesh: TissueMesh, ports: tuple[Port, ...], *, rigid: bool) -> TissueMesh:
+def with_true_rims(mesh: TissueMesh, ports: tuple[Port, ...], lead: float) -> TissueMesh:
     """The mesh with each rim moved until its polygon acts as the disc does.
 
     Seen along the axis the polygon gets the disc's area: on the circle it lacks 1 % of it at 25 edges, and the contact
-    half of that in stiffness. A ``rigid`` disc is stiffer still by what elements cannot follow of the r^(-1/2) stress
-    at its rim, as if its radius were larger by :data:`RIM_LEAD` rim edges: it is drawn in by as much. Contacts that
+    half of that in stiffness. A rigid disc is stiffer still by what elements cannot follow of the r^(-1/2) stress at
+    its rim, as if its radius were larger by ``lead`` rim edges: it is drawn in by as much. Contacts that
     :func:`check_contact_areas` would refuse are left as they are.
     """
     points = mesh.points.copy()
@@ -58,7 +57,7 @@ def with_true_rims(mesh: TissueMesh, ports: tuple[Port, ...], *, rigid: bool) ->
         if part > _LEAST_AREA:
             edges = rim_edges(mesh, port.name)
             length = float(np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1).mean())
-            wanted = 1 - (RIM_LEAD * length / port.radius if rigid else 0.0)
+            wanted = 1 - lead * length / port.radius
             rim = np.unique(edges)
             away = mesh.points[rim] - centre
             across = away - np.outer(away @ axis, axis)

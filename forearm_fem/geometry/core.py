@@ -16,11 +16,10 @@ from .sizing import Sizes
 from .topology import boundary_faces, keys
 from .tube import BoneAxis, Tube
 
-_WIDEST = 2 * np.pi / 12  # [rad] of the limb that one facet may span
 _BONE_FACET = 3.0  # at most, relative to those of the skin, which bends less; eight facets at accuracy 0.05
 _BONE_SHARE = 0.5  # of the size around: a contact over 4 mm of muscle felt the octagon by 2 % at 60 Hz
 _BONE_WIDEST = 2 * np.pi / 6
-_PER_GAP = 1.6  # edges on two surfaces near one another, relative to the gap: longer ones would reach across
+_PER_GAP = 2.2  # edges on two surfaces near one another, relative to the gap: longer ones would reach across
 _INSET = 0.5  # grid of points on the cut ends: how many spacings they keep from walls
 Size3 = Callable[[FloatArray], FloatArray]
 
@@ -58,7 +57,7 @@ def _shell(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, elastic: bool)
 
     Surfaces are the wall, each bone (with what is inside it) and the two ends.
     """
-    x, angle = _wall(tube, size, sizes.facet, layout)
+    x, angle = _wall(tube, size, sizes.wall, layout)
     parts = [tube.place(x, angle, tube.thickness)]
     parts += [_bone_wall(tube, bone, size, sizes.facet) for bone in tube.bones]
     parts += [_end(tube, parts[0], side) for side in (-1, 1)]
@@ -75,9 +74,8 @@ def _shell(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, elastic: bool)
     return Shell(points, on, closed)
 
 
-def _wall(tube: Tube, size: Size3, facet: float, layout: Layout) -> Place:
+def _wall(tube: Tube, size: Size3, widest: float, layout: Layout) -> Place:
     """Columns' x and angle on the core's wall: sizes are those of the skin above, where the device presses."""
-    widest = min(facet, _WIDEST)
 
     def wanted(x: FloatArray, angle: FloatArray) -> FloatArray:
         under = tube.place(x, angle, tube.thickness)

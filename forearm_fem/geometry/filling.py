@@ -18,7 +18,7 @@ from .topology import EDGES, boundary_faces, keys
 Size = Callable[[FloatArray], FloatArray]
 Allowed = Callable[[FloatArray, FloatArray], BoolArray]
 _ROUNDS, _STEP, _STRETCH = 40, 0.2, 1.15  # of the springs, see planar.py
-_GROWTH = 0.5  # of the sizes inside, per metre away from the boundary's own spacing
+_GROWTH = 0.66  # of the sizes inside, per metre away from the boundary's own spacing
 _CLOSE = 0.6  # of its size: how near to a boundary point an inner one may start; below it faces would be lost
 _PER_CELL = 0.72  # points per size^3 and lattice that the springs spread about a size apart
 _REPAIRS = 4

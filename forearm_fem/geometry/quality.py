@@ -14,9 +14,8 @@ from ..errors import MeshError
 from ..ports import Port, positions
 from ..typing import FloatArray, IntArray
 from .mesh import TissueMesh
+from .neighbourhood import tetrahedron_orders
 from .topology import EDGES, FACES, is_member, keys, mean_ratios
-
-_ORDER = {"P1": 1, "P2": 2, "P3": 3}
 
 
 @dataclass(frozen=True)
@@ -219,12 +218,12 @@ def nodes_per_wavelength(
     of each element.
 
     ``speeds`` maps tissues to shear wave speeds [m/s], ``decay`` to 1/e decay lengths [m], both at ``f_max``;
-    ``element`` is P1, P2 or P3. "Near" is within ``reach`` [m] of a port, or of a contact
+    ``element`` is P1, P2, P2/P3 or P3. "Near" is within ``reach`` [m] of a port, or of a contact
     where none are given.
     """
     corner = mesh.points[mesh.tetrahedra]
     squared = ((corner[:, EDGES[:, 0]] - corner[:, EDGES[:, 1]]) ** 2).sum(axis=2)
-    spacing = np.sqrt(squared.mean(axis=1)) / _ORDER[element]
+    spacing = np.sqrt(squared.mean(axis=1)) / tetrahedron_orders(mesh, ports, element)
     near = cKDTree(_places(mesh, ports)).query(corner.mean(axis=1))[0] < reach
     found = []
     for i, tissue in enumerate(mesh.region_names):

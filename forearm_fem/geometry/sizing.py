@@ -13,12 +13,27 @@ from ..typing import FloatArray
 from .layout import RIGID, Layout, layers_of
 
 DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics.md 6
-_PER_WAVELENGTH = 0.885  # default forearm: 0.885 * 4.4 mm * 0.05**(1/4) = 1.84 mm
 _CONTACT, _FAR, _RIM = 0.8, 6.0, 0.45  # relative to the size between contacts and grid
 _FACET = 0.25  # [rad] at accuracy 0.05: 0.25 and 0.17 differ by 0.7 % of G over 20-120 Hz (docs/decisions.md)
 WIDEST = 0.6  # elements under a contact are at most this many radii
+_WIDEST_FACET = 2 * np.pi / 9  # [rad] of the limb's wall
 _INTO_CORE = 2.2  # the core lies under the layers, where fields are smooth: sizes grow faster there
 _THROUGH = 0.8  # a sublayer is at most about this much of the size between contacts and grid
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """What the element pair changes: elements per shear wavelength, under contacts (in radii), on the limb's wall
+    (facets relative to a bone's), and :attr:`Sizes.rim_lead`."""
+
+    per_wavelength: float
+    widest: float
+    wall: float
+    rim_lead: float
+
+
+SECOND = _Rule(0.885, WIDEST, 1.0, 0.03)  # default forearm: 0.885 * 4.4 mm * 0.05**(1/4) = 1.84 mm
+GRADED = _Rule(2.03, 0.43, 1.6, 0.025)  # third order around the ports: elements 2.3 times as large
 
 
 @dataclass(frozen=True)
@@ -26,7 +41,8 @@ class Sizes:
     """Edge lengths [m] under contacts, between contacts and grid, far away and at rigid rims.
 
     ``sublayers`` counts the element layers through each tissue layer, from the skin inwards; ``facet`` is the angle
-    [rad] that one flat facet of a curved surface spans at most.
+    [rad] that one flat facet of a bone spans at most where it is near, ``wall`` one of the limb's wall. A rigid disc is
+    drawn in by ``rim_lead`` times its rim's edges.
     """
 
     contact: float
@@ -34,6 +50,8 @@ class Sizes:
     far: float
     rim: float
     facet: float = _FACET
+    wall: float = _FACET
+    rim_lead: float = SECOND.rim_lead
     sublayers: tuple[int, ...] = ()
 
 
@@ -41,16 +59,18 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     """Sizes for ``scenario``; explicit mesh options win, ``scale`` multiplies every size.
 
     ``shear_speed`` maps tissues to their shear wave speed at ``f_max`` [m/s]. Outputs of P2 elements converge
-    like h^4, hence h = 0.885 lambda_min accuracy^(1/4).
+    like h^4, hence h = 0.885 lambda_min accuracy^(1/4), and 2.3 times that with third order around the ports.
     """
     options, radius = scenario.mesh, scenario.device.cone.radius
+    rule = GRADED if scenario.element == "P2/P3" else SECOND
     frequencies = scenario.sweep.frequencies
     f_max = frequencies[-1] if frequencies else scenario.sweep.f_max
     wavelength = min(shear_speed.values(), default=DEFAULT_SHEAR_SPEED) if shear_speed else DEFAULT_SHEAR_SPEED
-    grid = float(np.clip(_PER_WAVELENGTH * wavelength / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
+    grid = float(np.clip(rule.per_wavelength * wavelength / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
     grid = scale * (options.size_grid or grid)
-    # under a pressure the estimate's coarser mesh must be coarser too; a rigid disc moves as a whole, its rim counts
-    widest = WIDEST * radius * (1.0 if scenario.device.cone.contact in RIGID else max(scale, 1.0))
+    # the estimate's coarser mesh must be coarser under contacts too; of P2 under a rigid disc only the rim counts
+    fixed = scenario.device.cone.contact in RIGID and rule is SECOND
+    widest = rule.widest * radius * (1.0 if fixed else max(scale, 1.0))
     contact = scale * options.size_contact if options.size_contact else min(_CONTACT * grid, widest)
     far = scale * options.size_far if options.size_far else _FAR * grid
     rim = min(_RIM * grid, contact)
@@ -60,7 +80,9 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
         for i, layer in enumerate(layers_of(scenario.limb))
     )
     facet = scale * float(np.clip(_FACET * (scenario.accuracy / 0.05) ** 0.5, 0.1, 0.5))
-    return Sizes(contact=contact, grid=grid, far=max(far, grid), rim=rim, facet=facet, sublayers=counts)
+    return Sizes(
+        contact, grid, max(far, grid), rim, facet, min(rule.wall * facet, _WIDEST_FACET), rule.rim_lead, counts
+    )
 
 
 def _sublayers(thickness: float, asked: int | None, grid: float, scale: float) -> int:

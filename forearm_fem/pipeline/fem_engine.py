@@ -74,7 +74,7 @@ def fem_model(scenario: Scenario, mesh: TissueMesh, *, supports: Supports | None
         fem_tissues(scenario),
         supports or scenario.supports,
         scenario.tissues.membrane,
-        element=scenario.mesh.element,
+        element=scenario.element,
     )
 
 

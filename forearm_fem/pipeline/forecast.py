@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SolverError
-from ..fem.space import mixed_space
+from ..fem.orders import element_orders
 from ..geometry.cache import cached_mesh
 from ..geometry.mesh import TissueMesh
 from ..geometry.place import place_ports
@@ -49,8 +49,9 @@ class Forecast:
 def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | None = None) -> Forecast:
     """Count unknowns on the scenario's mesh (made if need be) and estimate memory and time of the solve."""
     mesh = mesh or cached_mesh(scenario, base=base)
-    space = mixed_space(mesh, scenario.mesh.element)
-    unknowns = space.n_displacements + space.n_pressures
+    ports = place_ports(scenario, mesh)
+    orders = element_orders(mesh, ports, scenario.element)
+    unknowns = 3 * orders.spread.shape[1] + orders.spread_pressures.shape[1]
     factorisations = scenario.solver.expansions + 1
     if scenario.solver.sweep == "direct":
         factorisations = len(frequencies(scenario.sweep))
@@ -59,7 +60,7 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
     return Forecast(
         len(mesh.tetrahedra),
         unknowns,
-        1.5 * _power(_BYTES, unknowns) * single + 0.5e9 + _basis_bytes(scenario, unknowns, place_ports(scenario, mesh)),
+        1.5 * _power(_BYTES, unknowns) * single + 0.5e9 + _basis_bytes(scenario, unknowns, ports),
         one * factorisations * (3.0 if scenario.solver.sweep == "reduced" else 1.2),
         resolution(scenario, mesh),
     )
@@ -93,7 +94,7 @@ def resolution(scenario: Scenario, mesh: TissueMesh) -> tuple[Resolution, ...]:
     speeds = {name: float(t.wave_speed(omega)[0]) for name, t in tissues.items()}
     decay = {name: 1 / max(float(t.attenuation(omega)[0]), 1e-9) for name, t in tissues.items()}
     ports = place_ports(scenario, mesh)
-    return nodes_per_wavelength(mesh, scenario.mesh.element, speeds, decay, f_max, ports=ports)
+    return nodes_per_wavelength(mesh, scenario.element, speeds, decay, f_max, ports=ports)
 
 
 def _power(fit: tuple[float, float, float], n: float) -> float:

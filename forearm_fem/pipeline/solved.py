@@ -15,10 +15,12 @@ import numpy as np
 
 from .. import __version__
 from ..errors import DataError, ForearmError
+from ..fem.loads import edge_middles
 from ..fem.sweep import Expansion
 from ..geometry.cache import default_cache_dir
 from ..geometry.mesh import TissueMesh
 from ..geometry.place import place_ports
+from ..geometry.skin import skin_edges
 from ..io.atomic import atomic_path, write_text
 from ..io.netcdf import read_compliance, write_compliance
 from ..scenario import Scenario
@@ -80,7 +82,7 @@ def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> st
         "tissues": scenario.tissues.model_dump(mode="json"),
         "supports": scenario.supports.model_dump(mode="json"),
         "solver": scenario.solver.model_dump(mode="json", exclude={"memory_limit", "discretisation_estimate"}),
-        "element": scenario.mesh.element,
+        "element": scenario.element,
         "tolerance": reduction_tolerance(scenario),
         "frequency": hashlib.sha256(frequency.tobytes()).hexdigest(),
     }
@@ -119,18 +121,24 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
         bare = replace(sweep.reduced, basis=np.zeros((0, sweep.reduced.size)))
         skin = SkinModel(scenario, model.ports, bare)
         contacts = solution.compliance.indices("contact")
-        modes = vertex_modes(solution)
+        modes = field_modes(solution)
         states = sweep.states(frequency, contacts)
     return Solved(solution.compliance, None, freed, modes, states, facts, skin=skin)
 
 
-def vertex_modes(solution: FemSolution) -> FloatArray:
-    """Displacements of the reduced basis at the mesh vertices (n_point, 3, r)."""
+def field_modes(solution: FemSolution) -> FloatArray:
+    """Displacements of the reduced basis (n_point, 3, r) at the mesh vertices, then in the middles of the skin's edges.
+
+    These are the points of :func:`.with_finer_skin`.
+    """
     reduced, model = solution.sweep.reduced, solution.model
     assert reduced is not None
+    places = edge_middles(model.space, skin_edges(model.space.mesh))
     vertices = np.zeros(len(model.space.mesh.points), dtype=np.int64)
     vertices[model.space.vertices.ravel()] = model.space.nodes[:, :4].ravel()
-    return np.asarray(model.displacements(reduced.basis)[vertices])
+    nodes = model.displacements(reduced.basis)
+    flat = nodes.reshape(len(nodes), -1)
+    return np.concatenate([nodes[vertices], (places @ flat).reshape(-1, *nodes.shape[1:])])
 
 
 def _ends(

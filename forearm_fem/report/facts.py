@@ -78,7 +78,7 @@ def mesh_block(results: Results) -> Block | None:
     mesh = results.mesh
     rows = [
         ["vertices", f"{len(mesh.points):,}"],
-        ["tetrahedra", f"{len(mesh.tetrahedra):,} ({results.scenario.mesh.element} elements)"],
+        ["tetrahedra", f"{len(mesh.tetrahedra):,} ({results.scenario.element} elements)"],
         ["SHA-256", results.mesh_hash[:16]],
     ]
     if quality:

@@ -8,6 +8,8 @@ from pydantic import Field
 
 from .base import Length, Part, Positive
 
+Element = Literal["P1", "P2", "P2/P3", "P3"]
+
 
 class MeshOptions(Part):
     """Element sizes [m]; ``None`` means: chosen from the scenario's ``accuracy``."""
@@ -19,7 +21,11 @@ class MeshOptions(Part):
     sublayers: dict[str, Annotated[int, Field(ge=1, le=20)]] = Field(
         default_factory=dict, description="element layers through each tissue layer, e.g. {skin = 1, fat = 2}"
     )
-    element: Literal["P1", "P2", "P3"] = Field("P2", description="displacement order; pressure is one lower")
+    element: Element | Literal["auto"] = Field(
+        "auto",
+        description="displacement order, pressure is one lower; P2/P3 is third order around the ports and second "
+        "elsewhere; auto: P2/P3 on forearm and cylinder, P2 on other limbs",
+    )
     min_quality: Annotated[float, Field(gt=0, lt=1)] = Field(
         0.02, description="smallest mean-ratio quality accepted (1 = regular tetrahedron)"
     )

@@ -9,9 +9,9 @@ from pydantic import Field, model_validator
 
 from .base import Part
 from .device import Device, Grid
-from .limb import ForearmLimb, Limb, forearm_length
+from .limb import CylinderLimb, ForearmLimb, Limb, forearm_length
 from .measurement import MeasurementOptions
-from .mesh import MeshOptions
+from .mesh import Element, MeshOptions
 from .rendering import Rendering
 from .supports import Supports
 from .sweep import SolverOptions, Sweep
@@ -50,6 +50,13 @@ class Scenario(Part):
         if not isinstance(accuracy, int | float):
             return data  # refused below, with its own sentence
         return {**data, "limb": {"shape": "forearm", **limb, "length": forearm_length(accuracy)}}
+
+    @property
+    def element(self) -> Element:
+        """The element pair: that of ``mesh``, or what suits the limb."""
+        if self.mesh.element != "auto":
+            return self.mesh.element
+        return "P2/P3" if isinstance(self.limb, ForearmLimb | CylinderLimb) else "P2"
 
     @model_validator(mode="after")
     def _targets_exist(self) -> Self:

@@ -130,9 +130,7 @@ def slab_model(scenario: Scenario, *, scale: float = 1.0) -> ForearmModel:
     """Mesh and assemble a slab scenario; ``scale`` multiplies every element size."""
     mesh = build_mesh(scenario, scale=scale)
     tissues, ports = resolve_tissues(scenario), place_ports(scenario, mesh)
-    return build_model(
-        mesh, ports, tissues, scenario.supports, scenario.tissues.membrane, element=scenario.mesh.element
-    )
+    return build_model(mesh, ports, tissues, scenario.supports, scenario.tissues.membrane, element=scenario.element)
 
 
 def slab_response(model: ForearmModel, frequencies: Sequence[float]) -> ComplexArray:

@@ -192,6 +192,9 @@ SCENES = (
     Slab("default", 400.0, 0.08, 0.03, 1.6e-3, 5e-3),
     Slab("default", 500.0, 0.07, 0.025, 1.6e-3, 5e-3, radii=(0.010, 0.020)),
     Slab("default", 300.0, 0.08, 0.03, 2.4e-3, 6e-3, element="P3"),
+    Slab("default", 100.0, 0.24, 0.1, 9e-3, 14e-3, element="P2/P3"),
+    Slab("zhang", 200.0, 0.14, 0.05, 6e-3, 8e-3, element="P2/P3"),
+    Slab("default", 300.0, 0.08, 0.03, 3.6e-3, 8e-3, element="P2/P3"),
 )
 
 
