@@ -26,14 +26,15 @@ def near_ports(mesh: TissueMesh, ports: tuple[Port, ...], reach: float, depth: f
     centre = mesh.points[mesh.tetrahedra].mean(axis=1)
     if not ports:
         return np.zeros(len(centre), dtype=bool)
-    planes = _hull(ports, reach)
+    places = np.array([p.position[:2] for p in ports])
+    planes = half_planes(places, np.array([p.radius for p in ports]) + reach)
     around = (centre[:, :2] @ planes[:, :2].T + planes[:, 2] <= 0).all(axis=1)
     return np.asarray(around & (centre[:, 2] >= min(p.position[2] for p in ports) - depth))
 
 
-def _hull(ports: tuple[Port, ...], reach: float) -> FloatArray:
-    """Half planes (k, 3) a x + b y + c <= 0 around all ports and a margin, seen along z."""
+def half_planes(places: FloatArray, radii: FloatArray) -> FloatArray:
+    """Half planes (k, 3) a x + b y + c <= 0 around the hull of circles of ``radii`` (n,) about ``places`` (n, 2)."""
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
-    around = [np.asarray(p.position)[:2] + (p.radius + reach) * circle for p in ports]
-    return np.asarray(ConvexHull(np.vstack(around)).equations)
+    around = [p + r * circle for p, r in zip(places, radii, strict=True)]
+    return np.asarray(ConvexHull(np.vstack(around)).equations) if around else np.zeros((0, 3))

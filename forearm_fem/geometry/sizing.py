@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import cKDTree
 
 from ..scenario import Scenario
 from ..typing import FloatArray
 from .layout import RIGID, Layout, layers_of
+from .neighbourhood import half_planes
 
 DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics.md 6
 _CONTACT, _FAR, _RIM = 0.8, 6.0, 0.45  # relative to the size between contacts and grid
@@ -164,9 +165,6 @@ def _covering(field: SizeField) -> FloatArray:
 
 
 def _hull(layout: Layout, margin: float) -> FloatArray:
-    """Half planes (k, 3) a x + b y + c <= 0 around all contacts and points, padded so that it has an area."""
-    turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    circle = np.column_stack([np.cos(turn), np.sin(turn)])
-    around = [c + (layout.radius + margin) * circle for c in layout.contacts]
-    around += [p + margin * circle for p in layout.points]
-    return np.asarray(ConvexHull(np.vstack(around)).equations) if around else np.zeros((0, 3))
+    """Half planes (k, 3) around all contacts and points, padded so that there is an area."""
+    radii = [layout.radius + margin] * len(layout.contacts) + [margin] * len(layout.points)
+    return half_planes(np.vstack([layout.contacts, layout.points]), np.array(radii))
