@@ -16,7 +16,7 @@ from unittest import mock
 import numpy as np
 
 from ..errors import ForearmError
-from ..fem import assembly, loads, model
+from ..fem import assembly, loads
 from ..fem.coefficients import Polynomial
 from ..fem.operator import AffineOperator
 from ..fem.space import MixedSpace
@@ -44,11 +44,11 @@ def _wrong_inertia() -> AbstractContextManager[Any]:
 def _heavy_pressure_mass() -> AbstractContextManager[Any]:
     right = assembly.tissue_matrices
 
-    def wrong(*arguments: Any) -> Any:
-        parts = right(*arguments)
+    def wrong(*arguments: Any, **options: Any) -> Any:
+        parts = right(*arguments, **options)
         return replace(parts, pressure_mass=1e3 * parts.pressure_mass)
 
-    return mock.patch.object(model, "tissue_matrices", wrong)
+    return mock.patch.object(assembly, "tissue_matrices", wrong)
 
 
 def _transposed_jacobian() -> AbstractContextManager[Any]:
