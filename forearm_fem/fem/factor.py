@@ -143,7 +143,6 @@ def refined_solve(
     if not residual < 1e-6:
         raise SolverError(
             f"linear solve left a relative residual of {residual:.1e}; the system is singular or badly scaled here: "
-            "hold the limb (supports), leave out the frequency of an undamped resonance, mend slivers in the mesh, "
-            "or set mesh.element = 'P2'"
+            "hold the limb (supports), leave out the frequency of an undamped resonance, or mend slivers in the mesh"
         )
     return Solution(x, rest, residual)

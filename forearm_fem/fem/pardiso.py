@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 
 from ..errors import SolverError
 from ..typing import ComplexArray
+from .ordering import nested_dissection
 
 _COMPLEX_SYMMETRIC = 6
 _ANALYSE, _FACTORISE, _SOLVE, _RELEASE = 11, 22, 33, -1
@@ -70,11 +71,13 @@ class PardisoFactor:
         self._indptr = upper.indptr.astype(np.int32)
         self._indices = upper.indices.astype(np.int32)
         self.n = int(upper.shape[0])
+        order = None if matching else nested_dissection(upper)  # matching needs PARDISO's own
+        self._order = None if order is None else order.astype(np.int32)
         self._analyse(upper.data)
 
     def _analyse(self, data: ComplexArray) -> None:
         self._dtype = np.complex64 if self.single else np.complex128
-        self._parameters = _parameters(self.single, self._matching)
+        self._parameters = _parameters(self.single, self._matching, ordered=self._order is not None)
         self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._run(_ANALYSE)
 
@@ -90,7 +93,7 @@ class PardisoFactor:
             return False
         self.release()
         self.single = self.single and not self._matching
-        self._matching = True
+        self._matching, self._order = True, None
         self._analyse(self._values)
         self._run(_FACTORISE)
         return True
@@ -106,6 +109,11 @@ class PardisoFactor:
     def factor_bytes(self) -> float:
         """Peak memory of the factorisation as PARDISO states it after the analysis [bytes]."""
         return 1024.0 * max(int(self._parameters[14]), int(self._parameters[15]) + int(self._parameters[16]))
+
+    @property
+    def entries(self) -> int:
+        """Entries of the factors, by the analysis."""
+        return int(self._parameters[17])
 
     @property
     def perturbed_pivots(self) -> int:
@@ -127,24 +135,27 @@ class PardisoFactor:
     def _run(self, phase: int, b: ComplexArray | None = None, x: ComplexArray | None = None) -> None:
         columns = 1 if b is None else b.shape[1]
         empty = np.zeros(1, dtype=self._dtype)
+        order = np.zeros(1, dtype=np.int32) if self._order is None else self._order
         error = ctypes.c_int(0)
         self._mkl.pardiso(
             _pointer(self._handle), _integer(1), _integer(1), _integer(_COMPLEX_SYMMETRIC), _integer(phase),
             _integer(self.n), _pointer(self._data), _pointer(self._indptr), _pointer(self._indices),
-            _pointer(np.zeros(1, dtype=np.int32)), _integer(columns), _pointer(self._parameters), _integer(0),
+            _pointer(order), _integer(columns), _pointer(self._parameters), _integer(0),
             _pointer(empty if b is None else b), _pointer(empty if x is None else x), ctypes.byref(error),
         )  # fmt: skip
         if error.value:
             raise SolverError(f"PARDISO: {_MESSAGES.get(error.value, f'error {error.value}')} (n = {self.n})")
 
 
-def _parameters(single: bool, matching: bool) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
+def _parameters(single: bool, matching: bool, *, ordered: bool) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
     parameters = np.zeros(64, dtype=np.int32)
     parameters[0] = 1  # own values below, not the defaults
-    parameters[1] = 2  # nested dissection (METIS)
+    parameters[1] = 2  # nested dissection (METIS), where it is not given
+    parameters[4] = int(ordered)
     parameters[9] = 8  # perturb pivots below 1e-8 |A|
     parameters[10] = 1  # scaling
     parameters[12] = int(matching)  # symmetric weighted matching
+    parameters[17] = -1  # count the factors' entries
     parameters[20] = 1  # Bunch-Kaufman pivoting
     parameters[27] = int(single)
     parameters[34] = 1  # zero-based indices

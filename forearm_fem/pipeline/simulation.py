@@ -103,11 +103,11 @@ def render_transfer(
 
 
 def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstimate:
-    band, error = estimated_errors(coarse.values, fine.values)
+    band, error = estimated_errors(coarse.values, fine.values, fine.frequency)
     return ErrorEstimate(
         "discretisation",
         band,
-        f"change of G on a mesh with {COARSER:g} times larger elements over 3, over 7 where it is above 0.5",
+        f"change of G on a mesh with {COARSER:g} times larger elements over 2.6, over 7 where it is above 0.5",
         tuple(fine.frequency.tolist()),
         tuple(error.tolist()),
     )

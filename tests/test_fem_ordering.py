@@ -1,0 +1,90 @@
+"""Order of elimination: a permutation by nodes, no more fill than PARDISO's own, the same solutions."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from forearm_fem.fem import ordering
+from forearm_fem.fem.ordering import alike, nested_dissection
+from forearm_fem.fem.pardiso import PardisoFactor, library
+from forearm_fem.verification.scenes import flesh, held_block
+
+pytestmark = [
+    pytest.mark.skipif(library() is None, reason="MKL is not installed"),
+    pytest.mark.skipif(importlib.util.find_spec("pymetis") is None, reason="pymetis is not installed"),
+]
+OMEGA = 2 * np.pi * 150.0
+
+
+@pytest.fixture(scope="module", params=["P2", "P3"])
+def model(request):
+    return held_block(3, element=request.param, tissue=flesh(bulk=2.2e9))
+
+
+@pytest.fixture(scope="module")
+def upper(model):
+    return model.operator.upper(model.operator.data(OMEGA))
+
+
+def test_unknowns_of_one_node_are_those_with_the_same_neighbours(upper):
+    """Against sets of neighbours; on regular blocks some entries are zero and split nodes."""
+    ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)  # sums would drop zeros
+    node, full = alike(upper), (ones + ones.T).tocsr()
+    full.sort_indices()
+    names = {}
+    for row in range(0, upper.shape[0], 7):
+        neighbours = full.indices[full.indptr[row] : full.indptr[row + 1]].tobytes()
+        assert names.setdefault(neighbours, node[row]) == node[row]
+    assert len(set(names.values())) == len(names)
+    assert node.max() + 1 < 0.7 * len(node)
+
+
+def test_every_unknown_once_and_nodes_together(model, upper):
+    order, node = nested_dissection(upper), alike(upper)
+    assert np.array_equal(np.sort(order), np.arange(model.operator.n))
+    changes = np.count_nonzero(np.diff(node[order]))
+    assert changes == node.max()  # each node is one run
+    same = np.diff(node[order]) == 0
+    assert (np.diff(order)[same] > 0).all()  # displacements before their pressure
+
+
+def test_the_same_order_each_time(upper):
+    assert np.array_equal(nested_dissection(upper), nested_dissection(upper))
+
+
+def test_no_more_fill_than_the_solvers_own_and_the_same_solutions(model, upper, monkeypatch):
+    """Both in double precision, without matching: they differ by rounding alone."""
+    ours = PardisoFactor(upper, matching=False)
+    monkeypatch.setattr(ordering, "_SMALL", 10**9)
+    own = PardisoFactor(upper, matching=False)
+    solutions = []
+    for factor in (ours, own):
+        factor.factorise(upper.data)
+        solutions.append(factor.solve(model.functionals.astype(complex)))
+    assert ours.entries < 1.02 * own.entries
+    assert np.abs(solutions[0] - solutions[1]).max() < 1e-8 * np.abs(solutions[1]).max()
+
+
+def test_hardening_gives_the_order_up_for_matching(model, upper):
+    factor = PardisoFactor(upper, single=True, matching=False)
+    load = model.functionals.astype(complex)
+    factor.factorise(upper.data)
+    first = factor.solve(load)
+    assert factor.harden()
+    assert factor.harden()
+    assert not factor.single
+    # single precision leaves 1e-2 of a point force's local field at most
+    assert np.abs(factor.solve(load) - first).max() < 0.05 * np.abs(first).max()
+
+
+def test_without_metis_the_solver_orders_itself(model, upper, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert nested_dissection(upper) is None
+    factor = PardisoFactor(upper, matching=False)
+    factor.factorise(upper.data)
+    x = factor.solve(model.functionals.astype(complex))
+    assert np.abs(model.operator.matrix(upper.data).product(x) - model.functionals).max() < 1e-6
