@@ -28,7 +28,7 @@ def write_csv(points: list[Effectivity], file: Path) -> None:
 
 
 def draw(points: list[Effectivity], file: Path) -> None:
-    figure, axes = plt.subplots(figsize=(5.5, 5), layout="constrained")
+    figure, axes = plt.subplots(figsize=(7.5, 5), layout="constrained")
     axes.set_prop_cycle(color=plt.colormaps["tab20"](np.linspace(0, 1, 20)))  # more scenes than the ten usual colours
     for scene in dict.fromkeys(p.scene for p in points):
         mine = [p for p in points if p.scene == scene]
@@ -41,7 +41,7 @@ def draw(points: list[Effectivity], file: Path) -> None:
     axes.loglog(ends, ends, "k-", lw=0.8)
     axes.fill_between(ends, 0.5 * ends, 5 * ends, color="0.9", zorder=0, label="effectivity 0.5 ... 5")
     axes.set(xlabel="true error against the layered twin", ylabel="estimated (o band, x one frequency)", xlim=ends)
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1))
     figure.savefig(file, dpi=150)
     plt.close(figure)
 

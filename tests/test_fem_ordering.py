@@ -44,47 +44,66 @@ def test_unknowns_of_one_node_are_those_with_the_same_neighbours(upper):
 
 
 def test_every_unknown_once_and_nodes_together(model, upper):
-    order, node = nested_dissection(upper), alike(upper)
+    n = model.operator.n_displacements
+    order, node = nested_dissection(upper, n), alike(upper)
     assert np.array_equal(np.sort(order), np.arange(model.operator.n))
-    changes = np.count_nonzero(np.diff(node[order]))
-    assert changes == node.max()  # each node is one run
-    same = np.diff(node[order]) == 0
-    assert (np.diff(order)[same] > 0).all()  # displacements before their pressure
+    displacements = order[order < n]
+    assert np.count_nonzero(np.diff(node[displacements])) + 1 == len(np.unique(node[:n]))  # each node is one run
 
 
-def test_the_same_order_each_time(upper):
-    assert np.array_equal(nested_dissection(upper), nested_dissection(upper))
+def test_pressures_wait_for_a_quarter_of_their_displacements(model, upper):
+    n = model.operator.n_displacements
+    place = np.argsort(nested_dissection(upper, n))
+    coupling = upper[:n, n:].tocsc()
+    for p in range(0, coupling.shape[1], 5):
+        coupled = place[coupling.indices[coupling.indptr[p] : coupling.indptr[p + 1]]]
+        assert np.mean(coupled < place[n + p]) > 0.25 - 1 / len(coupled)
+
+
+def test_single_precision_keeps_four_digits(model, upper):
+    """Residual 1e-2 where pressures were left where nested dissection puts them (third-order forearm)."""
+    load = model.functionals.astype(complex)
+    factor = PardisoFactor(upper, model.operator.n_displacements, single=True, matching=False)
+    factor.factorise(upper.data)
+    rest = model.operator.matrix(upper.data).product(factor.solve(load)) - load
+    assert (np.linalg.norm(rest, axis=0) < 3e-4 * np.linalg.norm(load, axis=0)).all()
+
+
+def test_the_same_order_each_time(model, upper):
+    first, second = (nested_dissection(upper, model.operator.n_displacements) for _ in range(2))
+    assert np.array_equal(first, second)
 
 
 def test_no_more_fill_than_the_solvers_own_and_the_same_solutions(model, upper, monkeypatch):
-    """Both in double precision, without matching: they differ by rounding alone."""
-    ours = PardisoFactor(upper, matching=False)
+    """Both in double precision, without matching: they differ by rounding alone. On small blocks METIS gains nothing
+    over PARDISO's, and pressures that wait cost 4 %; on a forearm entries are 3 % fewer (docs/decisions.md)."""
+    ours = PardisoFactor(upper, model.operator.n_displacements, matching=False)
     monkeypatch.setattr(ordering, "_SMALL", 10**9)
-    own = PardisoFactor(upper, matching=False)
+    own = PardisoFactor(upper, model.operator.n_displacements, matching=False)
     solutions = []
     for factor in (ours, own):
         factor.factorise(upper.data)
         solutions.append(factor.solve(model.functionals.astype(complex)))
-    assert ours.entries < 1.02 * own.entries
+    assert ours.entries < 1.05 * own.entries
     assert np.abs(solutions[0] - solutions[1]).max() < 1e-8 * np.abs(solutions[1]).max()
 
 
 def test_hardening_gives_the_order_up_for_matching(model, upper):
-    factor = PardisoFactor(upper, single=True, matching=False)
+    factor = PardisoFactor(upper, model.operator.n_displacements, single=True, matching=False)
     load = model.functionals.astype(complex)
     factor.factorise(upper.data)
     first = factor.solve(load)
     assert factor.harden()
     assert factor.harden()
     assert not factor.single
-    # single precision leaves 1e-2 of a point force's local field at most
-    assert np.abs(factor.solve(load) - first).max() < 0.05 * np.abs(first).max()
+    # single precision against double
+    assert np.abs(factor.solve(load) - first).max() < 1e-3 * np.abs(first).max()
 
 
 def test_without_metis_the_solver_orders_itself(model, upper, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert nested_dissection(upper) is None
-    factor = PardisoFactor(upper, matching=False)
+    assert nested_dissection(upper, model.operator.n_displacements) is None
+    factor = PardisoFactor(upper, model.operator.n_displacements, matching=False)
     factor.factorise(upper.data)
     x = factor.solve(model.functionals.astype(complex))
     assert np.abs(model.operator.matrix(upper.data).product(x) - model.functionals).max() < 1e-6

@@ -151,6 +151,23 @@ def test_elements_under_contacts_are_coarser_on_the_coarser_mesh(element, contac
     assert coarse.contact == pytest.approx(ratio * fine.contact)
 
 
+@pytest.mark.parametrize("accuracy", [0.005, 0.05])
+@pytest.mark.parametrize("highest", [100.0, 500.0])
+def test_slabs_that_accuracy_sizes_are_meshed_with_third_order(accuracy, highest):
+    """A narrow disc on a deep slab: uncapped, elements of 36 mm below its columns were slivers of quality 0.0199."""
+    limb = {"length": 0.16, "width": 0.16, "depth": 0.08, "symmetry": ["x", "y"]}
+    device = {"contacts": [[0, 0]], "cone": {"contact": "pressure", "radius": 3.5e-3}}
+    scenario = slab(
+        limb=limb, device=device, grid={"points": [[0.01, 0], [0.02, 0]]}, mesh={}, accuracy=accuracy,
+        sweep={"frequencies": [highest / 2, highest]},
+    )  # fmt: skip
+    assert scenario.element == "P2/P3"
+    assert element_sizes(scenario).far <= 20e-3
+    assert element_sizes(scenario, scale=2.0).far == pytest.approx(2 * element_sizes(scenario).far)
+    for scale in (1.0, 2.0):  # the estimate's mesh too
+        assert mesh_quality(build_mesh(scenario, scale=scale)).least > 0.024
+
+
 def test_default_sizes_and_explicit_ones():
     second = element_sizes(parse_scenario({"mesh": {"element": "P2"}}))
     assert 1.8e-3 < second.grid < 2.4e-3

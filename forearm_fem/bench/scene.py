@@ -27,7 +27,7 @@ def quarter(element: str = "P2") -> Scenario:
 
 def knob(accuracy: float) -> Scenario:
     """:func:`quarter` with mesh sizes that follow from ``accuracy`` alone."""
-    scenario = quarter()
+    scenario = quarter("auto")
     free = scenario.mesh.model_copy(update=dict.fromkeys(SIZES))
     return scenario.model_copy(update={"accuracy": accuracy, "mesh": free})
 

@@ -102,7 +102,8 @@ def _asked(rows: Sequence[Row]) -> list[str]:
     return [
         *lines,
         "",
-        "`accuracy` alone chose the mesh (quarter slab, P2, 161 bins, 80-400 Hz). Errors are against the exact",
+        "`accuracy` alone chose mesh and elements (P2 above 0.05, P2/P3 from there on; quarter slab, 161 bins,",
+        "80-400 Hz). Errors are against the exact",
         "solution, of all outputs and of the points at 10 and 20 mm alone; seconds leave out the coarser mesh",
         f"that the estimate needs. {_met(rows)}",
         "**Choose** the accuracy that the question needs, then read the estimate.",

@@ -102,7 +102,7 @@ def make_factor(
     upper = operator.upper(operator.data(omega))
     chosen = choose_backend(backend, operator.n)
     if chosen == "pardiso":
-        return pardiso.PardisoFactor(upper, single=single, matching=matching)
+        return pardiso.PardisoFactor(upper, operator.n_displacements, single=single, matching=matching)
     return SuperLUFactor(upper)
 
 

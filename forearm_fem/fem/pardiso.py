@@ -57,10 +57,13 @@ class PardisoFactor:
     """One analysis, any number of numerical factorisations of matrices with the same pattern.
 
     ``upper`` holds the upper triangle in CSR with sorted indices and every diagonal entry stored.
+    The first ``n_displacements`` unknowns are displacements, the others pressures (:mod:`.ordering`).
     With ``single`` the factors are kept in single precision: half the memory, residual about 5e-5.
     """
 
-    def __init__(self, upper: csr_array, *, single: bool = False, matching: bool = True) -> None:
+    def __init__(
+        self, upper: csr_array, n_displacements: int | None = None, *, single: bool = False, matching: bool = True
+    ) -> None:
         mkl = library()
         if mkl is None:
             raise SolverError("MKL PARDISO is not installed; python3 -m pip install mkl, or solver.backend='superlu'")
@@ -71,7 +74,9 @@ class PardisoFactor:
         self._indptr = upper.indptr.astype(np.int32)
         self._indices = upper.indices.astype(np.int32)
         self.n = int(upper.shape[0])
-        order = None if matching else nested_dissection(upper)  # matching needs PARDISO's own
+        order = None
+        if n_displacements is not None and not matching:  # matching needs PARDISO's own
+            order = nested_dissection(upper, n_displacements)
         self._order = None if order is None else order.astype(np.int32)
         self._analyse(upper.data)
 

@@ -9,13 +9,15 @@ from pydantic import Field, model_validator
 
 from .base import Part
 from .device import Device, Grid
-from .limb import CylinderLimb, ForearmLimb, Limb, forearm_length
+from .limb import CylinderLimb, ForearmLimb, Limb, SlabLimb, forearm_length
 from .measurement import MeasurementOptions
 from .mesh import Element, MeshOptions
 from .rendering import Rendering
 from .supports import Supports
 from .sweep import SolverOptions, Sweep
 from .tissues import Tissues
+
+_THIRD_ORDER_PAYS = 0.05  # accuracy of a slab; at 0.1 second order does in half the time (docs/decisions.md)
 
 
 class Scenario(Part):
@@ -56,6 +58,8 @@ class Scenario(Part):
         """The element pair: that of ``mesh``, or what suits the limb."""
         if self.mesh.element != "auto":
             return self.mesh.element
+        if isinstance(self.limb, SlabLimb):  # sizes given were given for P2
+            return "P2/P3" if self.mesh.size_grid is None and self.accuracy <= _THIRD_ORDER_PAYS else "P2"
         return "P2/P3" if isinstance(self.limb, ForearmLimb | CylinderLimb) else "P2"
 
     @model_validator(mode="after")
