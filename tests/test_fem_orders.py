@@ -1,5 +1,7 @@
 """Third order in some tetrahedra, second in the others: continuity, exactness, limits and stability."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +14,8 @@ from forearm_fem.fem.loads import edge_middles
 from forearm_fem.fem.orders import Orders, graded_orders, uniform_orders
 from forearm_fem.geometry.contacts import facet_area
 from forearm_fem.geometry.mesh import TissueMesh
-from forearm_fem.geometry.neighbourhood import DEPTH, REACH, tetrahedron_orders
+from forearm_fem.geometry.neighbourhood import DEPTH, REACH, tetrahedron_orders, tissue_depths, usual_edge
+from forearm_fem.geometry.refine import refine
 from forearm_fem.geometry.sizing import element_sizes
 from forearm_fem.geometry.skin import skin_edges, with_finer_skin
 from forearm_fem.ports import Port
@@ -143,6 +146,39 @@ def test_third_order_is_around_the_ports_only() -> None:
     assert (found[beside] == 2).all()
     assert (found[centre[:, 2] < 0.08 - DEPTH] == 2).all()
     assert (tetrahedron_orders(mesh, (contact,), "P3") == 3).all()
+
+
+def layered_block(contact: str) -> tuple[TissueMesh, tuple[Port, ...]]:
+    """Three tissues of 4 mm each with elements of 4 mm, halved around one of two contacts at the top."""
+    mesh = block_mesh((12, 12, 3), (0.048, 0.048, 0.012), facets={})
+    height = mesh.points[mesh.tetrahedra].mean(axis=1)[:, 2]
+    region = (2 - np.floor(height / 0.004)).astype(np.int64)
+    top = np.flatnonzero(mesh.points[:, 2] > 0.012 - 1e-9)
+    faces = mesh.tetrahedra[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]].reshape(-1, 3)
+    skin = faces[np.isin(faces, top).all(axis=1)]
+    layered = replace(mesh, region=region, region_names=("skin", "fat", "muscle"), facets={"skin": skin})
+    ports = tuple(
+        Port(f"A{i}", "contact", (x, 0.024, 0.012), radius=2e-3, contact=contact) for i, x in enumerate((0.006, 0.042))
+    )
+    for _ in range(5):  # bisections
+        centre = layered.points[layered.tetrahedra].mean(axis=1)
+        layered = refine(layered, np.linalg.norm(centre - ports[0].position, axis=1) < 0.006)
+    return layered, ports
+
+
+def test_second_order_is_enough_where_rigid_contacts_made_deep_elements_small() -> None:
+    mesh, ports = layered_block("bonded")
+    assert list(tissue_depths(mesh)) == [0, 1, 2]
+    edges = mesh.points[mesh.tetrahedra]
+    longest = np.linalg.norm(edges[:, :, None] - edges[:, None], axis=3).max(axis=(1, 2))
+    usual, order = usual_edge(mesh, ports), tetrahedron_orders(mesh, ports, "P2/P3")
+    assert 0.0039 < usual < 0.0057  # the block's edges and their diagonals
+    assert (order[mesh.region == 0] == 3).all()
+    for tissue, share in ((1, 0.95), (2, 1.42)):
+        here = mesh.region == tissue
+        assert np.array_equal(order[here] == 2, longest[here] < share * usual)
+        assert len(set(order[here])) == 2
+    assert (tetrahedron_orders(mesh, layered_block("pressure")[1], "P2/P3") == 3).all()
 
 
 def test_limbs_have_third_order_around_the_ports_unless_told_otherwise() -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import alternatives as slow
 import numpy as np
 import pytest
-from scipy.sparse import csr_array, triu
+from scipy.sparse import csr_array
 
 from forearm_fem.errors import SolverError
 from forearm_fem.fem import factor as factors
 from forearm_fem.fem.coefficients import Polynomial
+from forearm_fem.fem.direct import make_solver
 from forearm_fem.fem.factor import SuperLUFactor, make_factor, refined_solve
 from forearm_fem.fem.operator import affine_operator
 from forearm_fem.fem.pardiso import PardisoFactor, library
@@ -45,15 +46,29 @@ def test_operator_is_complex_symmetric_and_affine(model):
     assert np.abs(a.imag).max() > 1e-3 * np.abs(a).max()
 
 
-def test_slopes_are_the_derivatives(model):
-    operator, d = model.operator, 1e-3
-    first, second, third = operator.slopes(OMEGA, 3)
-    ahead, behind, here = (operator.upper(operator.data(OMEGA + s * d)) for s in (1, -1, 0))
-    # quadratic coefficients: differences are exact up to rounding of the data / d
-    first, second = (triu(slope.half + slope.half.T, format="csr") for slope in (first, second))
-    assert np.abs((ahead - behind) / (2 * d) - first).max() < 1e-11 * np.abs(here).max() / d
-    assert np.abs((ahead + behind - 2 * here) / (2 * d**2) - second).max() < 1e-11 * np.abs(here).max() / d**2
-    assert third is None
+def test_parts_add_up_to_the_operator(model):
+    """Constant, damping and inertia, each real, weighted by their own coefficients: A at any frequency."""
+    operator = model.operator
+    assert len(operator.parts) == 3
+    for omega in (0.3, OMEGA, 20 * OMEGA):
+        whole = sum(complex(c.at(omega)) * (m.half + m.half.T).toarray() for m, c in operator.parts)
+        exact = slow.dense(operator, omega)
+        assert np.abs(whole - exact).max() < 1e-14 * np.abs(exact).max()
+
+
+def test_taylor_coefficients_continue_the_solution(model):
+    """The series about one frequency, summed beside it, is the direct solution there; columns of lower order too."""
+    solver = make_solver(model, SolverOptions(precision="double"), 150.0)
+    start = solver.at(150.0).values
+    orders = np.arange(len(model.ports)) % 3 + 6
+    series = solver.taylor(150.0, start, orders)
+    step = 0.01
+    summed = np.array(start)
+    for k, coefficient in enumerate(series[1:], start=1):
+        summed[:, orders >= k] += step**k * coefficient
+    direct = solver.at(150.0 * (1 + step)).values
+    gap = np.linalg.norm(summed - direct, axis=0) / np.linalg.norm(direct, axis=0)
+    assert gap.max() < 1e-9  # the next term: 0.01^7 times (distance to the nearest pole over 150 Hz)^-7, about 5
 
 
 def test_diagonal_stands_first_in_each_row(model):

@@ -16,7 +16,9 @@ from .reduce import ReducedModel
 DOUBTFUL = 0.1  # a change by one derivative above this, anywhere, says that resonances are not resolved
 _WARY = 4  # one of dozens of resonances may be met by luck: 3e-8 was stated where the truth was 3e-3
 _PROBES, _MANY = 40, 1000
-SPACING = 0.1  # expansions and probes are equally far apart in this power of the frequency (docs/decisions.md)
+_ROUNDING = 1e-10  # weaker directions are none
+_APART = 1.03  # ratio of frequencies: four neighbouring bins tell no more than one of them
+_SPACING = 0.1  # probes are equally far apart in this power of the frequency
 
 
 @dataclass(frozen=True)
@@ -47,26 +49,43 @@ class Doubt:
 
 
 def doubt(
-    model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, known: Sequence[float], *, wary: bool = False
+    model: ForearmModel,
+    reduced: ReducedModel,
+    frequency: FloatArray,
+    known: Sequence[float],
+    *,
+    wary: bool = False,
+    compared: Sequence[float] = (),
 ) -> Doubt | None:
     """The most doubtful of the probed frequencies that are not ``known``; None if none is left.
 
-    The change is the error of the model with one derivative fewer: an upper bound that finds the place of the largest
-    error, and says where a model is no approximation at all yet. ``wary`` probes nearly every bin: where resonances
-    were not resolved before, they may hide between few probes.
+    Nor is it one next to where this model was ``compared`` with direct solves already.
+
+    The change is the error of the model with one derivative fewer, and without its weak directions: an upper bound
+    that says where a model is no approximation at all yet. ``wary`` probes nearly every bin: where resonances were not
+    resolved before, they may hide between few probes. Where the change is small everywhere, the largest error is where
+    the derivatives alone change most (docs/decisions.md).
     """
     probes = probe_frequencies(frequency, known, wary=wary)
+    for f in compared:
+        probes = probes[(probes > f * _APART) | (probes < f / _APART)]
     if not len(probes):
         return None
+    change = place = _changes(model, reduced, reduced.lower(), probes)
+    if not wary and change.max() <= DOUBTFUL:
+        place = _changes(model, reduced, reduced.lower(_ROUNDING), probes)
+    return Doubt(float(probes[int(np.argmax(place))]), float(change.max()))
+
+
+def _changes(model: ForearmModel, reduced: ReducedModel, lower: ReducedModel, probes: FloatArray) -> FloatArray:
+    """Relative change (n_probe,) of the watched compliances between the two."""
     block = np.ix_(range(len(probes)), *watched(model))
-    change = relative_error(reduced.lower().compliance(probes)[block], reduced.compliance(probes)[block])
-    worst = int(np.argmax(change))
-    return Doubt(float(probes[worst]), float(change[worst]))
+    return relative_error(lower.compliance(probes)[block], reduced.compliance(probes)[block])
 
 
 def probe_frequencies(frequency: FloatArray, known: Sequence[float], *, wary: bool = False) -> FloatArray:
     """Bins equally far apart in f^0.1 (in f and many if ``wary``), without the known ones."""
-    power, count = (1.0, _MANY) if wary else (SPACING, _PROBES)
+    power, count = (1.0, _MANY) if wary else (_SPACING, _PROBES)
     low, high = frequency[0] ** power, frequency[-1] ** power
     wanted = np.linspace(low, high, min(count, len(frequency))) ** (1 / power)
     bins = {float(frequency[np.argmin(np.abs(frequency - f))]) for f in wanted}
@@ -94,10 +113,12 @@ def most_doubtful(
     used: Sequence[float],
     certificates: Sequence[Certificate],
 ) -> Doubt | None:
-    """Where to certify next; probed at every bin once resonances were seen to be unresolved."""
+    """Where to certify next; probed at every bin once resonances were seen to be unresolved, away from where the
+    model as it is now was compared already."""
     known = [*(c.frequency for c in certificates), *used]
     wary = any(c.change > DOUBTFUL for c in certificates)
-    worst = doubt(model, reduced, frequency, known, wary=wary)
+    compared = [c.frequency for c in certificates if c.expansions == len(used)]
+    worst = doubt(model, reduced, frequency, known, wary=wary, compared=compared)
     if worst is not None and worst.change > DOUBTFUL and not wary:
-        return doubt(model, reduced, frequency, known, wary=True)
+        return doubt(model, reduced, frequency, known, wary=True, compared=compared)
     return worst

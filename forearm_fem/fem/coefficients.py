@@ -39,3 +39,13 @@ class Polynomial:
         """See :class:`Coefficient`."""
         terms = [complex(self.at(np.array(omega0))), 1j * self.rate - 2 * omega0 * self.inertia, -self.inertia]
         return np.array((terms + [0.0] * n)[: n + 1], dtype=complex)
+
+
+def is_polynomial(coefficient: Coefficient) -> bool:
+    """Whether it is of second degree in omega at most; asked beside zero, where a springpot has no series."""
+    return not coefficient.taylor(1.0, 3)[3]
+
+
+def polynomial_weights(taylor: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weights (n,) of 1, i omega and -omega^2 from Taylor coefficients (n, 3) about zero."""
+    return taylor[:, 0].real, (taylor[:, 1] / 1j).real, (-taylor[:, 2]).real

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from ..typing import ComplexArray, FloatArray
+from .coefficients import is_polynomial, polynomial_weights
 from .reduce import ReducedModel
 
 _AT_ONCE = 2000  # frequencies: their weights are as many times all poles
@@ -69,18 +70,13 @@ def pole_residue(reduced: ReducedModel) -> PoleResidue | None:
     With s = i omega: (K + s C + s^2 M) q = f, companion form s [q, s q]; the result is checked against direct
     reduced solves and refused above 1e-8.
     """
-    if any(c.taylor(1.0, 3)[3] for c in reduced.coefficients):
-        return None  # asked beside zero, where a springpot has no series
+    if not all(is_polynomial(c) for c in reduced.coefficients):
+        return None
     taylor = np.array([c.taylor(0.0, 2) for c in reduced.coefficients])
-    stiffness, damping, mass = (np.tensordot(w, reduced.matrices, 1) for w in _polynomial(taylor))
+    stiffness, damping, mass = (np.tensordot(w, reduced.matrices, 1) for w in polynomial_weights(taylor))
     poles, modes, right = _companion(stiffness, damping, mass, reduced.functionals)
     result = PoleResidue(poles, modes, reduced.functionals.T @ modes, right, reduced.shares)
     return result if _agrees(result, reduced) else None
-
-
-def _polynomial(taylor: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Weights of s^0, s^1, s^2 from Taylor coefficients in omega about zero."""
-    return taylor[:, 0].real, (taylor[:, 1] / 1j).real, (-taylor[:, 2]).real
 
 
 def _companion(

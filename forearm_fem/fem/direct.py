@@ -9,9 +9,10 @@ import numpy as np
 
 from ..errors import SolverError
 from ..scenario.sweep import SolverOptions
-from ..typing import BoolArray, ComplexArray, IntArray
+from ..typing import ComplexArray, IntArray
 from .factor import Factor, Solution, make_factor, refined_solve
 from .model import ForearmModel
+from .taylor import TaylorRecursion
 
 _log = logging.getLogger("forearm_fem.fem")
 _ENOUGH = 1e-7  # relative residual: its error in G is stated as that of the linear solve
@@ -39,27 +40,24 @@ class DirectSolver:
     def taylor(self, frequency: float, start: ComplexArray, orders: IntArray) -> list[ComplexArray]:
         """Taylor coefficients in omega of the solutions about ``frequency``; column i to order ``orders[i]``.
 
-        Coefficient k has the columns with order k or more. A_0 x_k = - sum_j A_j x_(k-j) with the Taylor matrices A_j.
-        Refined once: what is left enters the reduced model squared (see :mod:`.reduce`), but unrefined single
-        precision gave it unstable poles. The refinement of one coefficient is solved together with the next one,
-        because reading the factors is what a solve costs.
+        Coefficient k has the columns with order k or more (:mod:`.taylor`). Refined once: what is left enters the
+        reduced model squared (see :mod:`.reduce`), but unrefined single precision gave it unstable poles. The
+        refinement of one coefficient is solved together with the next one, because reading the factors is what a
+        solve costs; the next one lacks what this changes, which is left to its own refinement.
         """
-        operator, omega = self.model.operator, 2 * np.pi * frequency
-        matrix, slopes = operator.matrix(operator.data(omega)), operator.slopes(omega, int(orders.max()))
-        terms = {j: (omega**j, slope) for j, slope in enumerate(slopes, start=1) if slope is not None}
+        recursion = TaylorRecursion(self.model.operator.parts, 2 * np.pi * frequency, orders)
+        recursion.add(start, 0)
         series, pending = [start], np.zeros((len(start), 0), dtype=complex)
         for k in range(1, int(orders.max()) + 1):
-            right = np.zeros((len(start), int((orders >= k).sum())), dtype=complex)
-            for j, (power, slope) in terms.items():
-                if j <= k:
-                    right -= power * slope.product(series[k - j][:, _going_on(orders, k - j, k)])
-            x, correction = np.split(self.factor.solve(np.hstack([right, pending])), [right.shape[1]], axis=1)
-            if pending.shape[1]:
+            right = recursion.right(k)
+            both = self.factor.solve(np.hstack([right, pending]))
+            x, correction = (np.ascontiguousarray(part) for part in np.split(both, [right.shape[1]], axis=1))
+            if correction.shape[1]:
                 series[-1] = series[-1] + correction
-            if pending.shape[1] and 1 in terms:  # x lacks what this changes: left to its own refinement
-                right -= terms[1][0] * terms[1][1].product(correction[:, _going_on(orders, k - 1, k)])
-            if self.factor.single:
-                pending = right - matrix.product(x)
+                recursion.add(correction, k - 1)
+            product = recursion.add(x, k, product=self.factor.single)
+            if product is not None:
+                pending = recursion.right(k) - product
             series.append(x)
         if pending.shape[1]:
             series[-1] = series[-1] + self.factor.solve(pending)
@@ -89,11 +87,6 @@ class DirectSolver:
     def compliance(self, solution: Solution) -> ComplexArray:
         """Compliance (n_port, n_port) [m/N] from solutions."""
         return np.asarray((self.model.functionals.T @ solution.values) * self.model.shares)
-
-
-def _going_on(orders: IntArray, before: int, k: int) -> BoolArray:
-    """Which columns of coefficient ``before`` coefficient ``k`` has as well."""
-    return np.asarray(orders[orders >= before] >= k)
 
 
 def make_solver(model: ForearmModel, options: SolverOptions, frequency: float) -> DirectSolver:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array, triu
 
 from ..typing import ComplexArray, FloatArray, IntArray
-from .coefficients import Coefficient
+from .coefficients import Coefficient, Polynomial, is_polynomial, polynomial_weights
 from .symmetric import SymmetricMatrix
 
 
@@ -47,21 +47,31 @@ class AffineOperator:
         """Upper-triangle values (nnz,) of A(omega)."""
         return self.combine([complex(t.coefficient.at(np.array(omega))) for t in self.terms])
 
-    def slopes(self, omega0: float, order: int) -> list[SymmetricMatrix | None]:
-        """Taylor coefficients of A about ``omega0`` of orders 1 ... ``order``, None where zero.
+    @cached_property
+    def parts(self) -> tuple[tuple[SymmetricMatrix, Coefficient], ...]:
+        """A(omega) as a sum of real matrices, as few as can be: constant, i omega, -omega^2, and each other term.
 
-        Without the zeros of the common pattern, and real where they are.
+        They are without the zeros of the common pattern.
         """
-        weights = np.array([t.coefficient.taylor(omega0, order) for t in self.terms])
-        return [self._sparse(list(weights[:, k])) if weights[:, k].any() else None for k in range(1, order + 1)]
+        others = [(t.name, t.coefficient) for t in self.terms if not is_polynomial(t.coefficient)]
+        names = {name for name, _ in others}
+        about_zero = [np.zeros(3) if t.name in names else t.coefficient.taylor(0.0, 2) for t in self.terms]
+        weights = polynomial_weights(np.array(about_zero))
+        units = (Polynomial(constant=1.0), Polynomial(rate=1.0), Polynomial(inertia=1.0))
+        common = [(self._sparse(w), unit) for w, unit in zip(weights, units, strict=True) if w.any()]
+        alone = [(self._sparse([float(t.name == name) for t in self.terms]), c) for name, c in others]
+        return (*common, *alone)
 
-    def _sparse(self, weights: Sequence[complex]) -> SymmetricMatrix:
-        data = self.combine(weights)
+    def _sparse(self, weights: Sequence[float] | FloatArray) -> SymmetricMatrix:
+        """The weighted sum of the terms where it is not zero."""
+        data = np.zeros(len(self.indices))
+        for term, weight in zip(self.terms, weights, strict=True):
+            if weight != 0:
+                data[term.positions] += weight * term.values
         data[self.diagonal_positions] /= 2
         there = data != 0
         indptr = np.concatenate([[0], np.cumsum(there)])[self.indptr]
-        values = data if data.imag.any() else data.real
-        return SymmetricMatrix(csr_array((values[there], self.indices[there], indptr), shape=(self.n, self.n)))
+        return SymmetricMatrix(csr_array((data[there], self.indices[there], indptr), shape=(self.n, self.n)))
 
     def combine(self, weights: Sequence[complex]) -> ComplexArray:
         """Upper-triangle values of a weighted sum of the terms."""

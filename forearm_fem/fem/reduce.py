@@ -9,7 +9,7 @@ the imaginary parts is used.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from .coefficients import Coefficient
 from .model import ForearmModel
 from .operator import AffineOperator
 
+_PIECE = 16 * 2**20  # bytes
 _DROP = 1e-5  # of a snapshot's length: weaker directions carry what single-precision solves leave, and cost time
 
 
@@ -58,10 +59,14 @@ class ReducedModel:
         values = np.einsum("ri,frj->fij", self.functionals, self.states(frequency), optimize=True)
         return np.asarray(values * self.shares)
 
-    def lower(self) -> ReducedModel:
-        """The model that one derivative fewer per expansion would have given, without its basis."""
+    def lower(self, drop: float = _DROP) -> ReducedModel:
+        """The model that one derivative fewer per expansion would have given, without its basis.
+
+        Directions weaker than ``drop`` of the strongest are left out: much more than the derivatives alone where
+        expansions lie close together or reach far.
+        """
         values, vectors = np.linalg.eigh(self.low @ self.low.T)
-        return replace(self, basis=np.zeros((0, self.size))).projected(vectors[:, values > _DROP**2 * values[-1]])
+        return replace(self, basis=np.zeros((0, self.size))).projected(vectors[:, values > drop**2 * values[-1]])
 
     def projected(self, directions: FloatArray) -> ReducedModel:
         """The model on the span of orthonormal ``directions`` (r, s) of this space."""
@@ -85,11 +90,27 @@ class ReducedModel:
         return replace(self, coefficients=tuple(coefficients.get(name, c) for name, c in own))
 
 
-def _projected(basis: FloatArray, rows: IntArray, product: FloatArray, *, chunk: int = 30_000) -> FloatArray:
+def _pieces(n: int, width: int) -> Iterator[slice]:
+    """Rows 0 ... n in pieces of about 16 MB: what is that small is allocated again and again without new pages, which
+    cost as much as the arithmetic."""
+    step = max(256, _PIECE // (8 * max(width, 1)))
+    return (slice(i, min(i + step, n)) for i in range(0, n, step))
+
+
+def _projected(basis: FloatArray, rows: IntArray, product: FloatArray) -> FloatArray:
     """basis[rows].T @ product, piece by piece: the rows' copy would be as large as the basis."""
-    pieces = (slice(i, i + chunk) for i in range(0, len(rows), chunk))
-    start = np.zeros((basis.shape[1], product.shape[1]))
-    return np.asarray(sum((basis[rows[p]].T @ product[p] for p in pieces), start))
+    total = np.zeros((basis.shape[1], product.shape[1]))
+    for p in _pieces(len(rows), basis.shape[1]):
+        total += basis[rows[p]].T @ product[p]
+    return total
+
+
+def _subtract_in_place(columns: FloatArray, basis: FloatArray, coordinates: FloatArray) -> None:
+    """columns -= basis @ coordinates."""
+    if not basis.shape[1]:
+        return
+    for p in _pieces(len(columns), columns.shape[1]):
+        columns[p] -= basis[p] @ coordinates
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:
@@ -138,9 +159,15 @@ def extend(
 def real_columns(block: ComplexArray) -> FloatArray:
     """Real and imaginary parts (n, 2 k) side by side, columns of unit length, negligible ones zero."""
     columns = np.hstack([block.real, block.imag])
-    norms = np.linalg.norm(columns, axis=0)
+    norms = _lengths(columns)
     kept = norms > 1e-14 * norms.max()
-    return np.asarray(columns * np.where(kept, 1 / np.where(kept, norms, 1.0), 0.0))
+    columns *= np.where(kept, 1 / np.where(kept, norms, 1.0), 0.0)
+    return columns
+
+
+def _lengths(columns: FloatArray) -> FloatArray:
+    """Euclidean lengths (k,) of columns (n, k), without a copy of them."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->j", columns, columns)))
 
 
 def orthonormal_extension(
@@ -153,20 +180,18 @@ def orthonormal_extension(
     coordinates of all columns, scaled to unit length, in the basis and the new directions together.
     """
     columns = np.hstack(blocks)
-    norms = np.linalg.norm(columns[:n_u], axis=0)
+    norms = _lengths(columns[:n_u])
     columns /= np.where(norms > 0, norms, 1.0)
     known = basis[:n_u].T @ columns[:n_u]
-    columns -= basis @ known
+    _subtract_in_place(columns, basis, known)
     gram = columns[:n_u].T @ columns[:n_u]
     directions = _directions(gram, [b.shape[1] for b in blocks], drop)
-    added = without(basis, columns @ directions, n_u)  # weak directions had rounding of the known ones left in them
+    added = columns @ directions
+    _subtract_in_place(added, basis, basis[:n_u].T @ added[:n_u])  # what rounding left in weak directions
     half = np.linalg.inv(np.linalg.cholesky(added[:n_u].T @ added[:n_u])).T
-    return added @ half, np.vstack([known, (directions @ half).T @ gram])
-
-
-def without(basis: FloatArray, columns: FloatArray, n_u: int) -> FloatArray:
-    """Columns less their part in the span of an orthonormal ``basis``."""
-    return np.asarray(columns - basis @ (basis[:n_u].T @ columns[:n_u])) if basis.shape[1] else columns
+    for p in _pieces(len(added), added.shape[1]):
+        added[p] = added[p] @ half
+    return added, np.vstack([known, (directions @ half).T @ gram])
 
 
 def _directions(gram: FloatArray, widths: Sequence[int], drop: float) -> FloatArray:

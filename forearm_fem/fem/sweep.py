@@ -12,7 +12,7 @@ from ..errors import SolverError
 from ..scenario.sweep import SolverOptions
 from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray, IntArray
-from .certify import DOUBTFUL, SPACING, Certificate, certified, enough, most_doubtful, probe_frequencies
+from .certify import DOUBTFUL, Certificate, certified, enough, most_doubtful, probe_frequencies
 from .compress import PoleResidue, compressed, pole_residue
 from .direct import DirectSolver, make_solver, watched
 from .model import ForearmModel
@@ -21,6 +21,7 @@ from .reduce import ReducedModel, empty_model, extend
 Progress = Callable[[str, int, int], None]
 _UNCERTIFIED = 1e-5  # what the second stage may cost where nothing else is known
 _USELESS = 0.5  # a stated error above this says that the model tells nothing
+_QUIET, _SPREAD = 30.0, -0.2  # [Hz] flesh on bone hardly resonates below; expansions are even in f^-0.2 above it
 
 
 @dataclass(frozen=True)
@@ -238,10 +239,15 @@ def derivative_orders(model: ForearmModel, options: SolverOptions) -> IntArray:
 
 
 def expansion_frequencies(frequency: FloatArray, options: SolverOptions) -> tuple[float, ...]:
-    """Middles of equal parts of the band in f^0.1: denser where damping is low (docs/decisions.md)."""
+    """Middles of equal parts of the band in f^-0.2, from 30 Hz on where the band goes well beyond.
+
+    Below, an expansion from above holds; far above, resonances are damped and one expansion reaches far
+    (docs/decisions.md).
+    """
     count = min(options.expansions, len(frequency))
-    low, high = frequency[0] ** SPACING, frequency[-1] ** SPACING
-    wanted = (low + (high - low) * (np.arange(count) + 0.5) / count) ** (1 / SPACING)
+    low = max(frequency[0], min(_QUIET, frequency[-1] / 8)) ** _SPREAD
+    high = frequency[-1] ** _SPREAD
+    wanted = (low + (high - low) * (np.arange(count) + 0.5) / count) ** (1 / _SPREAD)
     return tuple(sorted({float(frequency[np.argmin(np.abs(frequency - f))]) for f in wanted}))
 
 

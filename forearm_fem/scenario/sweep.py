@@ -37,8 +37,8 @@ class SolverOptions(Part):
         "auto", description="of the factors, all solves being refined; auto: single, double where that is not enough"
     )
     sweep: Literal["reduced", "direct"] = "reduced"
-    expansions: Annotated[int, Field(ge=1, le=50)] = Field(5, description="expansion frequencies to start with")
-    derivatives: Annotated[int, Field(ge=1, le=12)] = Field(8, description="kept per expansion frequency, for contacts")
+    expansions: Annotated[int, Field(ge=1, le=50)] = Field(4, description="expansion frequencies to start with")
+    derivatives: Annotated[int, Field(ge=1, le=12)] = Field(9, description="kept per expansion frequency, for contacts")
     point_derivatives: Annotated[int, Field(ge=0, le=12)] = Field(
         5, description="kept for grid points, at most as many as for contacts: the error falls with the sum of both"
     )
