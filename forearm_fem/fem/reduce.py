@@ -9,7 +9,7 @@ the imaginary parts is used.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +19,6 @@ from .coefficients import Coefficient
 from .model import ForearmModel
 from .operator import AffineOperator
 
-_PIECE = 16 * 2**20  # bytes
 _DROP = 1e-5  # of a snapshot's length: weaker directions carry what single-precision solves leave, and cost time
 
 
@@ -90,27 +89,11 @@ class ReducedModel:
         return replace(self, coefficients=tuple(coefficients.get(name, c) for name, c in own))
 
 
-def _pieces(n: int, width: int) -> Iterator[slice]:
-    """Rows 0 ... n in pieces of about 16 MB: what is that small is allocated again and again without new pages, which
-    cost as much as the arithmetic."""
-    step = max(256, _PIECE // (8 * max(width, 1)))
-    return (slice(i, min(i + step, n)) for i in range(0, n, step))
-
-
-def _projected(basis: FloatArray, rows: IntArray, product: FloatArray) -> FloatArray:
+def _projected(basis: FloatArray, rows: IntArray, product: FloatArray, *, chunk: int = 30_000) -> FloatArray:
     """basis[rows].T @ product, piece by piece: the rows' copy would be as large as the basis."""
-    total = np.zeros((basis.shape[1], product.shape[1]))
-    for p in _pieces(len(rows), basis.shape[1]):
-        total += basis[rows[p]].T @ product[p]
-    return total
-
-
-def _subtract_in_place(columns: FloatArray, basis: FloatArray, coordinates: FloatArray) -> None:
-    """columns -= basis @ coordinates."""
-    if not basis.shape[1]:
-        return
-    for p in _pieces(len(columns), columns.shape[1]):
-        columns[p] -= basis[p] @ coordinates
+    pieces = (slice(i, i + chunk) for i in range(0, len(rows), chunk))
+    start = np.zeros((basis.shape[1], product.shape[1]))
+    return np.asarray(sum((basis[rows[p]].T @ product[p] for p in pieces), start))
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:
@@ -159,15 +142,9 @@ def extend(
 def real_columns(block: ComplexArray) -> FloatArray:
     """Real and imaginary parts (n, 2 k) side by side, columns of unit length, negligible ones zero."""
     columns = np.hstack([block.real, block.imag])
-    norms = _lengths(columns)
+    norms = np.linalg.norm(columns, axis=0)
     kept = norms > 1e-14 * norms.max()
-    columns *= np.where(kept, 1 / np.where(kept, norms, 1.0), 0.0)
-    return columns
-
-
-def _lengths(columns: FloatArray) -> FloatArray:
-    """Euclidean lengths (k,) of columns (n, k), without a copy of them."""
-    return np.asarray(np.sqrt(np.einsum("ij,ij->j", columns, columns)))
+    return np.asarray(columns * np.where(kept, 1 / np.where(kept, norms, 1.0), 0.0))
 
 
 def orthonormal_extension(
@@ -180,18 +157,20 @@ def orthonormal_extension(
     coordinates of all columns, scaled to unit length, in the basis and the new directions together.
     """
     columns = np.hstack(blocks)
-    norms = _lengths(columns[:n_u])
+    norms = np.linalg.norm(columns[:n_u], axis=0)
     columns /= np.where(norms > 0, norms, 1.0)
     known = basis[:n_u].T @ columns[:n_u]
-    _subtract_in_place(columns, basis, known)
+    columns -= basis @ known
     gram = columns[:n_u].T @ columns[:n_u]
     directions = _directions(gram, [b.shape[1] for b in blocks], drop)
-    added = columns @ directions
-    _subtract_in_place(added, basis, basis[:n_u].T @ added[:n_u])  # what rounding left in weak directions
+    added = without(basis, columns @ directions, n_u)  # weak directions had rounding of the known ones left in them
     half = np.linalg.inv(np.linalg.cholesky(added[:n_u].T @ added[:n_u])).T
-    for p in _pieces(len(added), added.shape[1]):
-        added[p] = added[p] @ half
-    return added, np.vstack([known, (directions @ half).T @ gram])
+    return added @ half, np.vstack([known, (directions @ half).T @ gram])
+
+
+def without(basis: FloatArray, columns: FloatArray, n_u: int) -> FloatArray:
+    """Columns less their part in the span of an orthonormal ``basis``."""
+    return np.asarray(columns - basis @ (basis[:n_u].T @ columns[:n_u])) if basis.shape[1] else columns
 
 
 def _directions(gram: FloatArray, widths: Sequence[int], drop: float) -> FloatArray:
