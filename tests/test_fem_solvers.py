@@ -5,7 +5,7 @@ from __future__ import annotations
 import alternatives as slow
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, random_array, triu
 
 from forearm_fem.errors import SolverError
 from forearm_fem.fem import factor as factors
@@ -87,6 +87,17 @@ def test_symmetric_product_with_vectors_and_columns(kind):
     x = np.array([[1.0, 2], [3, 4], [5, 6], [7, 8]])
     for columns in (x, x[:, 0], x + 1j * x[::-1], x[:, ::-1]):
         assert np.array_equal(matrix.product(columns), full @ columns)
+
+
+@needs_mkl
+@pytest.mark.parametrize("width", [1, 5, 32])
+def test_products_by_mkl_are_those_by_halves(width):
+    """Real matrices of more than 300 000 entries; sums in another order: rounding of 80 terms."""
+    rng = np.random.default_rng(0)
+    matrix = SymmetricMatrix.from_upper(csr_array(triu(random_array((20_000, 20_000), density=2e-3, rng=rng))))
+    assert matrix.half.nnz > 300_000
+    for x in (rng.normal(size=(20_000, width)), rng.normal(size=(20_000, 2 * width))[:, ::2]):
+        assert np.abs(matrix.product(x) - matrix.by_halves(x)).max() < 1e-13 * np.abs(x).max() * 80
 
 
 @needs_mkl

@@ -25,8 +25,8 @@ _SPACING = 0.1  # probes are equally far apart in this power of the frequency
 class Certificate:
     """Error of the reduced model at a frequency where it was compared with a direct solve it had not used.
 
-    ``change`` is the largest change of the model by one derivative, over the band; it was largest at ``frequency``,
-    or next to largest where the model, of so many ``expansions``, had been compared there before.
+    ``change`` is the largest change of the model, of so many ``expansions``, by one derivative and its weak directions,
+    over the band; ``frequency`` is where the model was doubted most (:func:`doubt`), away from earlier comparisons.
     """
 
     frequency: float
@@ -42,7 +42,7 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Doubt:
-    """Where one derivative fewer changes the reduced model most, and by how much (relative to the largest entry)."""
+    """Where the reduced model is doubted most, and its largest ``change`` anywhere (relative to the largest entry)."""
 
     frequency: float
     change: float
@@ -71,16 +71,16 @@ def doubt(
         probes = probes[(probes > f * _APART) | (probes < f / _APART)]
     if not len(probes):
         return None
-    change = place = _changes(model, reduced, reduced.lower(), probes)
+    values = _watched(model, reduced, probes)
+    change = place = relative_error(_watched(model, reduced.lower(), probes), values)
     if not wary and change.max() <= DOUBTFUL:
-        place = _changes(model, reduced, reduced.lower(_ROUNDING), probes)
+        place = relative_error(_watched(model, reduced.lower(_ROUNDING), probes), values)
     return Doubt(float(probes[int(np.argmax(place))]), float(change.max()))
 
 
-def _changes(model: ForearmModel, reduced: ReducedModel, lower: ReducedModel, probes: FloatArray) -> FloatArray:
-    """Relative change (n_probe,) of the watched compliances between the two."""
-    block = np.ix_(range(len(probes)), *watched(model))
-    return relative_error(lower.compliance(probes)[block], reduced.compliance(probes)[block])
+def _watched(model: ForearmModel, reduced: ReducedModel, probes: FloatArray) -> ComplexArray:
+    """Compliances (n_probe, n_output, n_input) whose error counts."""
+    return reduced.compliance(probes)[np.ix_(range(len(probes)), *watched(model))]
 
 
 def probe_frequencies(frequency: FloatArray, known: Sequence[float], *, wary: bool = False) -> FloatArray:

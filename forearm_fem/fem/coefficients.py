@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -42,10 +43,28 @@ class Polynomial:
 
 
 def is_polynomial(coefficient: Coefficient) -> bool:
-    """Whether it is of second degree in omega at most; asked beside zero, where a springpot has no series."""
-    return not coefficient.taylor(1.0, 3)[3]
+    """Whether it is a real polynomial in i omega of second degree at most (a hysteretic modulus is a complex one).
+
+    Asked at 1 rad/s: at zero a springpot has no series, and a hysteretic modulus is real.
+    """
+    value, slope, curvature, rest = coefficient.taylor(1.0, 3)
+    odd = (value - slope + curvature).imag, (slope - 2 * curvature).real, curvature.imag
+    return not rest and bool(np.abs(odd).max() <= 1e-12 * abs(value))
 
 
 def polynomial_weights(taylor: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Weights (n,) of 1, i omega and -omega^2 from Taylor coefficients (n, 3) about zero."""
     return taylor[:, 0].real, (taylor[:, 1] / 1j).real, (-taylor[:, 2]).real
+
+
+def grouped(coefficients: Sequence[Coefficient]) -> list[tuple[FloatArray, Coefficient]]:
+    """As few sums of terms as A(omega) can be made of: weights (n_term,), and what each sum is multiplied with.
+
+    All polynomial terms together are a constant, i omega and -omega^2; each other term stays alone.
+    """
+    alone = [not is_polynomial(c) for c in coefficients]
+    about_zero = [np.zeros(3) if out else c.taylor(0.0, 2) for c, out in zip(coefficients, alone, strict=True)]
+    units = (Polynomial(constant=1.0), Polynomial(rate=1.0), Polynomial(inertia=1.0))
+    common = zip(polynomial_weights(np.array(about_zero)), units, strict=True)
+    others = zip(np.eye(len(alone))[alone], [c for c, out in zip(coefficients, alone, strict=True) if out], strict=True)
+    return [(weights, c) for weights, c in common if weights.any()] + list(others)

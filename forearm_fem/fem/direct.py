@@ -12,6 +12,7 @@ from ..scenario.sweep import SolverOptions
 from ..typing import ComplexArray, IntArray
 from .factor import Factor, Solution, make_factor, refined_solve
 from .model import ForearmModel
+from .operator import WeightedSum
 from .taylor import TaylorRecursion
 
 _log = logging.getLogger("forearm_fem.fem")
@@ -33,9 +34,9 @@ class DirectSolver:
 
     def at(self, frequency: float) -> Solution:
         """Solutions (n, n_port) for a unit force on each port; the factor stays for more right-hand sides."""
-        data = self.model.operator.data(2 * np.pi * frequency)
-        self.factor.factorise(data)
-        return self._solve(data, self.model.functionals.astype(complex))
+        omega = 2 * np.pi * frequency
+        self.factor.factorise(self.model.operator.data(omega))
+        return self._solve(self.model.operator.at(omega), self.model.functionals.astype(complex))
 
     def taylor(self, frequency: float, start: ComplexArray, orders: IntArray) -> list[ComplexArray]:
         """Taylor coefficients in omega of the solutions about ``frequency``; column i to order ``orders[i]``.
@@ -63,8 +64,7 @@ class DirectSolver:
             series[-1] = series[-1] + self.factor.solve(pending)
         return series
 
-    def _solve(self, data: ComplexArray, right: ComplexArray) -> Solution:
-        matrix = self.model.operator.matrix(data)
+    def _solve(self, matrix: WeightedSum, right: ComplexArray) -> Solution:
         while self.safe:
             try:
                 solution = refined_solve(self.factor, matrix, right, tolerance=self.tolerance)

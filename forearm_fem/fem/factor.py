@@ -13,9 +13,16 @@ from ..errors import SolverError
 from ..typing import ComplexArray
 from . import pardiso
 from .operator import AffineOperator
-from .symmetric import SymmetricMatrix
 
 Backend = Literal["auto", "pardiso", "superlu"]
+
+
+class Multiplied(Protocol):
+    """A matrix that residuals are worked out with."""
+
+    def product(self, x: ComplexArray) -> ComplexArray:
+        """The matrix times columns (n, k)."""
+        ...
 
 
 class Factor(Protocol):
@@ -116,7 +123,7 @@ class Solution:
 
 
 def refined_solve(
-    factor: Factor, matrix: SymmetricMatrix, right: ComplexArray, *, tolerance: float = 1e-12, rounds: int = 6
+    factor: Factor, matrix: Multiplied, right: ComplexArray, *, tolerance: float = 1e-12, rounds: int = 6
 ) -> Solution:
     """Solve with iterative refinement in double precision until the relative residual is below ``tolerance``.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -26,6 +27,8 @@ from .operator import AffineOperator, affine_operator
 from .orders import Orders, element_orders
 from .space import MixedSpace
 from .terms import term_coefficient
+
+_AT_A_TIME = 2  # tissues: each needs room for its matrices before constraints
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,8 @@ def build_model(
     kept = _constraints(orders, ports, supports)
     space, rules = orders.high, Constraints(orders.carried(kept.transform), kept.masters)
     names = mesh.region_names
-    parts = [constrained_matrices(orders, region, kept.transform) for region in range(len(names))]
+    with ThreadPoolExecutor(_AT_A_TIME) as pool:  # sparse products and sums run without Python's lock
+        parts = list(pool.map(lambda region: constrained_matrices(orders, region, kept.transform), range(len(names))))
     displacement = _shear_and_mass(names, parts) + _boundaries(space, supports, membrane, rules.transform)
     operator = _with_pressure(
         names, parts, tissues, displacement, lambda name: term_coefficient(name, tissues, supports, membrane)

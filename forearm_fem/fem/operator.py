@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array, triu
 
 from ..typing import ComplexArray, FloatArray, IntArray
-from .coefficients import Coefficient, Polynomial, is_polynomial, polynomial_weights
+from .coefficients import Coefficient, grouped
 from .symmetric import SymmetricMatrix
 
 
@@ -53,14 +53,11 @@ class AffineOperator:
 
         They are without the zeros of the common pattern.
         """
-        others = [(t.name, t.coefficient) for t in self.terms if not is_polynomial(t.coefficient)]
-        names = {name for name, _ in others}
-        about_zero = [np.zeros(3) if t.name in names else t.coefficient.taylor(0.0, 2) for t in self.terms]
-        weights = polynomial_weights(np.array(about_zero))
-        units = (Polynomial(constant=1.0), Polynomial(rate=1.0), Polynomial(inertia=1.0))
-        common = [(self._sparse(w), unit) for w, unit in zip(weights, units, strict=True) if w.any()]
-        alone = [(self._sparse([float(t.name == name) for t in self.terms]), c) for name, c in others]
-        return (*common, *alone)
+        return tuple((self._sparse(weights), c) for weights, c in grouped([t.coefficient for t in self.terms]))
+
+    def at(self, omega: float) -> WeightedSum:
+        """A(omega) for products with few columns."""
+        return WeightedSum(tuple((complex(c.at(np.array(omega))), matrix) for matrix, c in self.parts))
 
     def _sparse(self, weights: Sequence[float] | FloatArray) -> SymmetricMatrix:
         """The weighted sum of the terms where it is not zero."""
@@ -109,6 +106,20 @@ class AffineOperator:
     def compact(self) -> dict[str, tuple[IntArray, SymmetricMatrix]]:
         """Term -> rows that it touches and the matrix on those rows."""
         return {t.name: _compact(self.term_matrix(t)) for t in self.terms}
+
+
+@dataclass(frozen=True)
+class WeightedSum:
+    """A sum of real symmetric matrices with complex weights, each multiplied by itself: half the work of their sum."""
+
+    parts: tuple[tuple[complex, SymmetricMatrix], ...]
+
+    def product(self, x: ComplexArray) -> ComplexArray:
+        """The sum times columns ``x`` (n, k)."""
+        total = np.zeros(x.shape, dtype=complex)
+        for weight, matrix in self.parts:
+            total += weight * matrix.product(x)
+        return total
 
 
 def _compact(upper: csr_array) -> tuple[IntArray, SymmetricMatrix]:

@@ -15,7 +15,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..typing import ComplexArray, FloatArray, IntArray
-from .coefficients import Coefficient
+from .basis import Basis, orthonormal_extension, real_columns
+from .coefficients import Coefficient, grouped
 from .model import ForearmModel
 from .operator import AffineOperator
 
@@ -27,8 +28,8 @@ class ReducedModel:
     """Compliance of all ports at any frequency from small real matrices.
 
     ``matrices`` (n_term, r, r) of the operator's terms ``names`` with ``coefficients``; ``functionals`` (r, n_port).
-    ``basis`` (n, r) reconstructs displacements and scaled pressures. ``low`` (r, m) are coordinates of all snapshots
-    but the highest derivative of each port: :meth:`lower` is the model without these.
+    ``basis`` holds the columns (n, r) that give displacements and scaled pressures. ``low`` (r, m) are coordinates of
+    all snapshots but the highest derivative of each port: :meth:`lower` is the model without these.
     """
 
     names: tuple[str, ...]
@@ -36,7 +37,7 @@ class ReducedModel:
     matrices: FloatArray
     functionals: FloatArray
     shares: FloatArray
-    basis: FloatArray = field(repr=False)
+    basis: Basis = field(repr=False)
     low: FloatArray = field(repr=False)
 
     @property
@@ -47,10 +48,11 @@ class ReducedModel:
     def states(self, frequency: FloatArray) -> ComplexArray:
         """Reduced solutions (n_frequency, r, n_port) for a unit force on each port."""
         omega = 2 * np.pi * np.asarray(frequency, dtype=float)
-        weights = np.array([np.broadcast_to(c.at(omega), omega.shape) for c in self.coefficients])
-        flat = self.matrices.reshape(len(self.matrices), -1)
+        sums = grouped(self.coefficients)
+        flat = np.array([np.tensordot(weights, self.matrices, 1).ravel() for weights, _ in sums])
+        theta = np.array([np.broadcast_to(c.at(omega), omega.shape) for _, c in sums])
         right = self.functionals.astype(complex)
-        rows = [np.linalg.solve((w @ flat).reshape(self.size, self.size), right) for w in weights.T]
+        rows = [np.linalg.solve(_combined(w, flat).reshape(self.size, self.size), right) for w in theta.T]
         return np.array(rows)
 
     def compliance(self, frequency: FloatArray) -> ComplexArray:
@@ -59,13 +61,13 @@ class ReducedModel:
         return np.asarray(values * self.shares)
 
     def lower(self, drop: float = _DROP) -> ReducedModel:
-        """The model that one derivative fewer per expansion would have given, without its basis.
+        """The model that one derivative fewer per expansion would have given.
 
         Directions weaker than ``drop`` of the strongest are left out: much more than the derivatives alone where
         expansions lie close together or reach far.
         """
         values, vectors = np.linalg.eigh(self.low @ self.low.T)
-        return replace(self, basis=np.zeros((0, self.size))).projected(vectors[:, values > drop**2 * values[-1]])
+        return self.projected(vectors[:, values > drop**2 * values[-1]])
 
     def projected(self, directions: FloatArray) -> ReducedModel:
         """The model on the span of orthonormal ``directions`` (r, s) of this space."""
@@ -73,7 +75,7 @@ class ReducedModel:
             self,
             matrices=np.array([_symmetric(directions.T @ m @ directions) for m in self.matrices]),
             functionals=directions.T @ self.functionals,
-            basis=self.basis @ directions,
+            basis=self.basis.combined(directions),
             low=directions.T @ self.low,
         )
 
@@ -89,11 +91,11 @@ class ReducedModel:
         return replace(self, coefficients=tuple(coefficients.get(name, c) for name, c in own))
 
 
-def _projected(basis: FloatArray, rows: IntArray, product: FloatArray, *, chunk: int = 30_000) -> FloatArray:
-    """basis[rows].T @ product, piece by piece: the rows' copy would be as large as the basis."""
-    pieces = (slice(i, i + chunk) for i in range(0, len(rows), chunk))
-    start = np.zeros((basis.shape[1], product.shape[1]))
-    return np.asarray(sum((basis[rows[p]].T @ product[p] for p in pieces), start))
+def _combined(weights: ComplexArray, parts: FloatArray) -> ComplexArray:
+    """weights @ parts, without a complex copy of the ``parts`` (k, m)."""
+    total = np.empty(parts.shape[1], dtype=complex)
+    total.real, total.imag = weights.real @ parts, weights.imag @ parts
+    return total
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:
@@ -109,7 +111,7 @@ def empty_model(model: ForearmModel) -> ReducedModel:
         np.zeros((len(terms), 0, 0)),
         np.zeros((0, len(model.ports))),
         model.shares,
-        np.zeros((model.operator.n, 0)),
+        Basis(),
         np.zeros((0, 0)),
     )
 
@@ -128,80 +130,32 @@ def extend(
     """
     operator = model.operator
     orders = np.full(snapshots[0].shape[1], len(snapshots) - 1) if orders is None else orders
-    blocks = [real_columns(block) for block in snapshots]
-    highest = [np.tile(orders[orders >= k] == k, 2) for k in range(len(blocks))]
-    added, coordinates = orthonormal_extension(reduced.basis, blocks, operator.n_displacements, drop=drop)
+    widths = [2 * block.shape[1] for block in snapshots]
+    highest = [np.tile(orders[orders >= k] == k, 2) for k in range(len(snapshots))]
+    added, coordinates = orthonormal_extension(
+        reduced.basis, real_columns(snapshots), widths, operator.n_displacements, drop=drop
+    )
     low = coordinates[:, ~np.concatenate(highest)]
     old = np.vstack([reduced.low, np.zeros((added.shape[1], reduced.low.shape[1]))])
-    basis = np.hstack([reduced.basis, added])
-    matrices = _extended_matrices(reduced, operator, basis, added)
-    functionals = np.vstack([reduced.functionals, added.T @ model.functionals])
-    return replace(reduced, matrices=matrices, functionals=functionals, basis=basis, low=np.hstack([old, low]))
+    return replace(
+        reduced,
+        matrices=_extended_matrices(reduced, operator, added),
+        functionals=np.vstack([reduced.functionals, added.T @ model.functionals]),
+        basis=reduced.basis.with_block(added),
+        low=np.hstack([old, low]),
+    )
 
 
-def real_columns(block: ComplexArray) -> FloatArray:
-    """Real and imaginary parts (n, 2 k) side by side, columns of unit length, negligible ones zero."""
-    columns = np.hstack([block.real, block.imag])
-    norms = np.linalg.norm(columns, axis=0)
-    kept = norms > 1e-14 * norms.max()
-    return np.asarray(columns * np.where(kept, 1 / np.where(kept, norms, 1.0), 0.0))
-
-
-def orthonormal_extension(
-    basis: FloatArray, blocks: Sequence[FloatArray], n_u: int, *, drop: float = _DROP
-) -> tuple[FloatArray, FloatArray]:
-    """Columns made orthonormal, in their displacements, to ``basis`` and each other; pressures follow along.
-
-    ``blocks`` are taken in turn, derivative order by order. Directions whose independent part is below ``drop`` of a
-    column's length are left out: what rounding leaves of them would only add noise. The second result are the
-    coordinates of all columns, scaled to unit length, in the basis and the new directions together.
-    """
-    columns = np.hstack(blocks)
-    norms = np.linalg.norm(columns[:n_u], axis=0)
-    columns /= np.where(norms > 0, norms, 1.0)
-    known = basis[:n_u].T @ columns[:n_u]
-    columns -= basis @ known
-    gram = columns[:n_u].T @ columns[:n_u]
-    directions = _directions(gram, [b.shape[1] for b in blocks], drop)
-    added = without(basis, columns @ directions, n_u)  # weak directions had rounding of the known ones left in them
-    half = np.linalg.inv(np.linalg.cholesky(added[:n_u].T @ added[:n_u])).T
-    return added @ half, np.vstack([known, (directions @ half).T @ gram])
-
-
-def without(basis: FloatArray, columns: FloatArray, n_u: int) -> FloatArray:
-    """Columns less their part in the span of an orthonormal ``basis``."""
-    return np.asarray(columns - basis @ (basis[:n_u].T @ columns[:n_u])) if basis.shape[1] else columns
-
-
-def _directions(gram: FloatArray, widths: Sequence[int], drop: float) -> FloatArray:
-    """Combinations (k, m) of columns, none longer than 1, that are orthonormal by their products ``gram`` (k, k).
-
-    Column blocks of the given ``widths`` in turn, directions weaker than ``drop`` left out. Their products are known
-    to 1e-16, so the weakest directions kept come out orthonormal to 1e-16 / drop^2 only: see the caller.
-    """
-    chosen, starts = np.zeros((len(gram), 0)), np.cumsum([0, *widths[:-1]])
-    for start, width in zip(starts, widths, strict=True):
-        rest = np.eye(len(gram))[:, start : start + width]
-        for _ in range(2):
-            rest = rest - chosen @ (chosen.T @ (gram @ rest))
-            values, vectors = np.linalg.eigh(rest.T @ gram @ rest)
-            keep = values > drop**2
-            rest = rest @ (vectors[:, keep] / np.sqrt(values[keep]))
-        chosen = np.hstack([chosen, rest])
-    return chosen
-
-
-def _extended_matrices(
-    reduced: ReducedModel, operator: AffineOperator, basis: FloatArray, added: FloatArray
-) -> FloatArray:
+def _extended_matrices(reduced: ReducedModel, operator: AffineOperator, added: FloatArray) -> FloatArray:
     """Projected matrices of all terms; only products with the added columns are new."""
-    old, total = reduced.size, basis.shape[1]
+    old, basis = reduced.size, reduced.basis.with_block(added)
+    total = old + added.shape[1]
     matrices = np.zeros((len(operator.terms), total, total))
     matrices[:, :old, :old] = reduced.matrices
     for matrix, term in zip(matrices, operator.terms, strict=True):
         rows, matrix_there = operator.compact[term.name]
-        columns = _projected(basis, rows, matrix_there.product(added[rows]))
+        columns = basis.inner(matrix_there.product(added[rows]), rows)
         matrix[:, old:] = columns
         matrix[old:, :old] = columns[:old].T
-        matrix[old:, old:] = (columns[old:] + columns[old:].T) / 2
+        matrix[old:, old:] = _symmetric(columns[old:])
     return matrices

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..device import close_loop
 from ..errors import ScenarioError
+from ..fem.basis import Basis
 from ..fem.compress import pole_residue
 from ..fem.reduce import ReducedModel
 from ..fem.terms import term_coefficient
@@ -75,10 +76,9 @@ def save_skin_model(path: Path, model: SkinModel) -> None:
 def load_skin_model(path: str | Path) -> SkinModel:
     """Read ``reduced.nc``; DataError for a missing or damaged file."""
     content = read_reduced(path)
-    size = len(content.functionals)
     scenario = parse_scenario(content.scenario, origin=str(path))
-    none = np.zeros((0, size))
-    bare = ReducedModel(content.names, (), content.matrices, content.functionals, content.shares, none, none.T)
+    low = np.zeros((len(content.functionals), 0))
+    bare = ReducedModel(content.names, (), content.matrices, content.functionals, content.shares, Basis(), low)
     return SkinModel(scenario, content.ports, with_scenario(bare, scenario))
 
 

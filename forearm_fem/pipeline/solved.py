@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array, eye_array, kron, vstack
 
 from .. import __version__
 from ..errors import DataError, ForearmError
+from ..fem.basis import Basis
 from ..fem.loads import edge_middles
 from ..fem.sweep import Expansion
 from ..geometry.cache import default_cache_dir
@@ -118,7 +120,7 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
     facts["ends_by"] = "direct solves" if freed is None else "reduced model"
     skin = None
     if sweep.reduced is not None:
-        bare = replace(sweep.reduced, basis=np.zeros((0, sweep.reduced.size)))
+        bare = replace(sweep.reduced, basis=Basis())
         skin = SkinModel(scenario, model.ports, bare)
         contacts = solution.compliance.indices("contact")
         modes = field_modes(solution)
@@ -136,9 +138,9 @@ def field_modes(solution: FemSolution) -> FloatArray:
     places = edge_middles(model.space, skin_edges(model.space.mesh))
     vertices = np.zeros(len(model.space.mesh.points), dtype=np.int64)
     vertices[model.space.vertices.ravel()] = model.space.nodes[:, :4].ravel()
-    nodes = model.displacements(reduced.basis)
-    flat = nodes.reshape(len(nodes), -1)
-    return np.concatenate([nodes[vertices], (places @ flat).reshape(-1, *nodes.shape[1:])])
+    chosen = csr_array(eye_array(model.space.n_nodes, format="csr"))[vertices]
+    shown = kron(vstack([chosen, places]), eye_array(3), format="csr") @ model.constraints.transform
+    return reduced.basis.seen_by(csr_array(shown)).reshape(-1, 3, reduced.size)
 
 
 def _ends(
