@@ -29,6 +29,7 @@ from ..scenario import Scenario
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import FemSolution, coarser_compliance, freed_ends, other_ends, reduction_tolerance, solve_fem
+from .heap import freed_memory_kept
 from .skin_model import SkinModel, load_skin_model, save_skin_model
 
 _log = logging.getLogger("forearm_fem.pipeline")
@@ -60,6 +61,13 @@ def solve(
     scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, *, base: Path, progress: Progress | None = None
 ) -> Solved:
     """Solve what is not in the cache yet; each finished part is stored at once."""
+    with freed_memory_kept():
+        return _solve(scenario, mesh, frequency, base, progress)
+
+
+def _solve(
+    scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, base: Path, progress: Progress | None
+) -> Solved:
     store = _Store(default_cache_dir() / "solves" / solve_key(scenario, mesh, frequency))
     main = _main_part(store, scenario, mesh, frequency, progress)
     coarse, ends, problems = None, main.other_ends, list[str]()
