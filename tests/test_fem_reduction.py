@@ -111,6 +111,15 @@ def test_basis_is_orthonormal_and_divergence_free(model, one_expansion):
     assert np.abs(rest).max() < 1e-8 * size
 
 
+def test_blocks_of_the_basis_are_orthonormal_to_each_other(model, one_expansion):
+    """Weak directions of a near expansion are magnified 1e5 times, with what rounding left in them of the first."""
+    solver = make_solver(model, SolverOptions(precision="double"), 110.0)
+    both = extend(one_expansion, model, solver.taylor(110.0, solver.at(110.0).values, ALL * 5))
+    first, second = (block[: model.operator.n_displacements] for block in both.basis.blocks)
+    assert np.abs(first.T @ second).max() < 1e-13
+    assert np.abs(second.T @ second - np.eye(second.shape[1])).max() < 1e-13
+
+
 def test_expansion_is_exact_at_its_frequency(model, one_expansion):
     exact = direct_sweep(model, np.array([100.0]), OPTIONS).values
     assert relative_error(one_expansion.compliance(np.array([100.0])), exact).max() < 1e-8
@@ -230,11 +239,11 @@ def test_orthonormal_extension_drops_what_is_known():
 
 def test_negligible_columns_are_no_directions():
     """Imaginary part of the first and real part of the second column are rounding: not scaled up to unit length."""
-    block = np.array([[1 + 0j, 1e-16 + 2j], [1e-16j, 1j], [0, 0]])
+    block = np.array([[1 + 0j, 1e-16 + 2j], [0, 1j], [1e-16j, 0]])
     columns = real_columns([block])
-    assert columns == pytest.approx(np.array([[1, 1e-16, 0, 2], [0, 0, 1e-16, 1], [0, 0, 0, 0]]), abs=0)
+    assert columns == pytest.approx(np.array([[1, 1e-16, 0, 2], [0, 0, 0, 1], [0, 0, 1e-16, 0]]), abs=0)
     added, _ = orthonormal_extension(Basis(), columns, [4], 3, drop=1e-5)
-    assert added.shape == (3, 2)
+    assert np.abs(added @ added.T - np.diag([1, 1, 0])).max() < 1e-14
 
 
 @pytest.mark.parametrize("rows", [slice(0, 4500), np.arange(1, 5000, 3)])
@@ -247,9 +256,9 @@ def test_basis_works_in_pieces_as_if_it_were_whole(rows):
     less = columns.copy()
     basis.subtract_in_place(less, known)
     assert less == pytest.approx(columns - whole @ known, abs=1e-12)
-    matrix = csr_array(rng.normal(size=(2, 4900)))
-    assert basis.combined(directions).seen_by(matrix) == pytest.approx(
-        matrix @ whole[:4900] @ directions, rel=1e-12, abs=1e-9
+    matrix, again = csr_array(rng.normal(size=(2, 4900))), rng.normal(size=(2, 2))
+    assert basis.combined(directions).combined(again).seen_by(matrix) == pytest.approx(
+        matrix @ whole[:4900] @ directions @ again, rel=1e-12, abs=1e-9
     )
 
 
@@ -287,6 +296,17 @@ def test_doubt_finds_the_worst_frequency_and_bounds_its_error(model):
     found = doubt(model, reduced, BAND, [20.0, 90.0])
     assert found.frequency == pytest.approx(500.0, abs=40.0)
     assert found.change > error.max()
+
+
+def test_doubt_of_a_good_model_is_where_it_errs(model):
+    """Leaving out weak directions too would point at 10 Hz, where a series reaches far and errs a hundredth as much."""
+    solver, reduced = make_solver(model, OPTIONS, 100.0), empty_model(model)
+    for f in (40.0, 140.0, 320.0):
+        reduced = extend(reduced, model, solver.taylor(f, solver.at(f).values, ALL * 4))
+    error = relative_error(reduced.compliance(CHECK), direct_sweep(model, CHECK, OPTIONS).values)
+    found = doubt(model, reduced, BAND, [40.0, 140.0, 320.0])
+    assert CHECK[int(np.argmax(error))] == 500.0
+    assert found.frequency == pytest.approx(500.0, abs=40.0)
 
 
 def test_undamped_resonances_are_never_certified_by_one_lucky_frequency():

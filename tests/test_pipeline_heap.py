@@ -1,0 +1,28 @@
+"""Freed memory is kept inside, and goes back to the system afterwards."""
+
+from __future__ import annotations
+
+import gc
+import platform
+
+import numpy as np
+import psutil
+import pytest
+
+from forearm_fem.pipeline.heap import freed_memory_kept
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library than glibc")
+def test_freed_memory_is_kept_until_the_end():
+    gc.collect()
+    process = psutil.Process()
+    with freed_memory_kept():
+        before = process.memory_info().rss
+        block = np.ones(40_000_000)
+        held = process.memory_info().rss
+        del block
+        kept = process.memory_info().rss
+    after = process.memory_info().rss
+    assert held - before > 0.9 * 320e6
+    assert kept - before > 0.9 * 320e6
+    assert after - before < 0.1 * 320e6
