@@ -98,6 +98,8 @@ def test_products_by_mkl_are_those_by_halves(width):
     assert matrix.half.nnz > 300_000
     for x in (rng.normal(size=(20_000, width)), rng.normal(size=(20_000, 2 * width))[:, ::2]):
         assert np.abs(matrix.product(x) - matrix.by_halves(x)).max() < 1e-13 * np.abs(x).max() * 80
+    with pytest.raises(ValueError, match="20000 columns was given 19999 rows"):
+        matrix.product(rng.normal(size=(19_999, width)))
 
 
 @needs_mkl

@@ -39,7 +39,9 @@ class MklMatrix:
         _check(state)
 
     def product(self, x: FloatArray) -> FloatArray:
-        """A x for real columns ``x`` (n, k)."""
+        """A x for real columns ``x`` (n, k); raises ValueError for another n, beyond which MKL would read."""
+        if len(x) != self._shape[1]:
+            raise ValueError(f"a matrix of {self._shape[1]} columns was given {len(x)} rows")
         x = np.ascontiguousarray(x, dtype=np.float64)
         y = np.empty((self._shape[0], x.shape[1]))
         _check(
