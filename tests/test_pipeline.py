@@ -5,13 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from forearm_fem.fem import direct, sweep
+from forearm_fem.geometry.skin import with_finer_skin
 from forearm_fem.io.matlab import read_thesis_mat
 from forearm_fem.io.netcdf import read_compliance, read_transfer
 from forearm_fem.pipeline import folder
+from forearm_fem.pipeline.fem_engine import FemSolution
 from forearm_fem.pipeline.folder import Run, run_all, run_render, run_solve
+from forearm_fem.pipeline.solved import field_modes
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.transfer import Compliance
+from forearm_fem.verification.scenes import held_block
 
 TINY = {
     "name": "tiny",
@@ -130,3 +137,16 @@ def test_too_little_memory_is_refused_beforehand(home, tmp_path):
     scenario = parse_scenario({**TINY, "solver": {**TINY["solver"], "memory_limit": 1e6}})
     with pytest.raises(folder.refuse_if_too_large.__globals__["SolverError"], match="memory_limit"):
         run_solve(Run.start(scenario, tmp_path / "out", Path()))
+
+
+def test_modes_times_states_are_displacements_at_vertices_and_edges():
+    """Against a direct solve, each place's node found by where it lies: all of them are nodes of P2."""
+    model, band, options = held_block(2), np.linspace(20.0, 300.0, 57), SolverOptions()
+    result = sweep.reduced_sweep(model, band, options, tolerance=1e-6)
+    modes = field_modes(FemSolution(Compliance(band, result.values, model.ports), result, model))
+    found = modes @ result.states(np.array([150.0]), [0])[0, :, 0]
+    nodes = model.displacements(direct.make_solver(model, options, 150.0).at(150.0).values[:, 0])
+    distance, there = cKDTree(model.space.node_points).query(with_finer_skin(model.space.mesh).points)
+    assert distance.max() < 1e-12
+    # G is certified to 1e-6; fields away from the ports are not, and err a few times more
+    assert np.abs(found - nodes[there]).max() < 1e-5 * np.abs(nodes).max()

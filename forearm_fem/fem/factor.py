@@ -26,13 +26,12 @@ class Multiplied(Protocol):
 
 
 class Factor(Protocol):
-    """What every direct solver offers; the pattern is analysed once, values change with frequency.
-
-    ``single`` tells whether the factors are in single precision now.
-    """
+    """What every direct solver offers; the pattern is analysed once, values change with frequency."""
 
     @property
-    def single(self) -> bool: ...
+    def single(self) -> bool:
+        """Whether the factors are in single precision now."""
+        ...
 
     def factorise(self, data: ComplexArray) -> None:
         """Numerical factorisation for upper-triangle values on the analysed pattern."""

@@ -110,7 +110,10 @@ class AffineOperator:
 
 @dataclass(frozen=True)
 class WeightedSum:
-    """A sum of real symmetric matrices with complex weights, each multiplied by itself: half the work of their sum."""
+    """A sum of real symmetric matrices with complex weights, each multiplied on its own.
+
+    Half the work of products with their complex sum.
+    """
 
     parts: tuple[tuple[complex, SymmetricMatrix], ...]
 

@@ -71,7 +71,7 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
 
 
 def _basis_bytes(scenario: Scenario, unknowns: int, ports: Sequence[Port]) -> float:
-    """Reduced basis, its copy while it grows, and the snapshots: about 2.5 times the basis."""
+    """Reduced basis, the columns that are added to it, and their snapshots: about 2.5 times the basis."""
     solver = scenario.solver
     if solver.sweep == "direct":
         return 0.0
