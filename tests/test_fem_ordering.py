@@ -63,7 +63,7 @@ def test_pressures_wait_for_a_quarter_of_their_displacements(model, upper):
 def test_single_precision_keeps_four_digits(model, upper):
     """Residual 1e-2 where pressures were left where nested dissection puts them (third-order forearm)."""
     load = model.functionals.astype(complex)
-    factor = PardisoFactor(upper, model.operator.n_displacements, single=True, matching=False)
+    factor = PardisoFactor(upper, nested_dissection(upper, model.operator.n_displacements), single=True, matching=False)
     factor.factorise(upper.data)
     rest = model.operator.matrix(upper.data).product(factor.solve(load)) - load
     assert (np.linalg.norm(rest, axis=0) < 3e-4 * np.linalg.norm(load, axis=0)).all()
@@ -77,9 +77,9 @@ def test_the_same_order_each_time(model, upper):
 def test_no_more_fill_than_the_solvers_own_and_the_same_solutions(model, upper, monkeypatch):
     """Both in double precision, without matching: they differ by rounding alone. On small blocks METIS gains nothing
     over PARDISO's, and pressures that wait cost 4 %; on a forearm entries are 3 % fewer (docs/decisions.md)."""
-    ours = PardisoFactor(upper, model.operator.n_displacements, matching=False)
+    ours = PardisoFactor(upper, nested_dissection(upper, model.operator.n_displacements), matching=False)
     monkeypatch.setattr(ordering, "_SMALL", 10**9)
-    own = PardisoFactor(upper, model.operator.n_displacements, matching=False)
+    own = PardisoFactor(upper, nested_dissection(upper, model.operator.n_displacements), matching=False)
     solutions = []
     for factor in (ours, own):
         factor.factorise(upper.data)
@@ -89,7 +89,7 @@ def test_no_more_fill_than_the_solvers_own_and_the_same_solutions(model, upper, 
 
 
 def test_hardening_gives_the_order_up_for_matching(model, upper):
-    factor = PardisoFactor(upper, model.operator.n_displacements, single=True, matching=False)
+    factor = PardisoFactor(upper, nested_dissection(upper, model.operator.n_displacements), single=True, matching=False)
     load = model.functionals.astype(complex)
     factor.factorise(upper.data)
     first = factor.solve(load)
@@ -103,7 +103,7 @@ def test_hardening_gives_the_order_up_for_matching(model, upper):
 def test_without_metis_the_solver_orders_itself(model, upper, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert nested_dissection(upper, model.operator.n_displacements) is None
-    factor = PardisoFactor(upper, model.operator.n_displacements, matching=False)
+    factor = PardisoFactor(upper, nested_dissection(upper, model.operator.n_displacements), matching=False)
     factor.factorise(upper.data)
     x = factor.solve(model.functionals.astype(complex))
     assert np.abs(model.operator.matrix(upper.data).product(x) - model.functionals).max() < 1e-6

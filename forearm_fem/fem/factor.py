@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import logging
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, Protocol
 
 import numpy as np
@@ -10,11 +13,13 @@ from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from ..errors import SolverError
-from ..typing import ComplexArray
+from ..typing import ComplexArray, IntArray
 from . import pardiso
 from .operator import AffineOperator
+from .ordering import nested_dissection
 
-Backend = Literal["auto", "pardiso", "superlu"]
+_log = logging.getLogger("forearm_fem.fem")
+Backend = Literal["auto", "multifrontal", "pardiso", "superlu"]
 
 
 class Multiplied(Protocol):
@@ -82,17 +87,79 @@ class SuperLUFactor:
         self._lu = None
 
 
+class CautiousFactor:
+    """The multifrontal factorisation, replaced by PARDISO with matching once it was not accurate enough."""
+
+    def __init__(self, upper: csr_array, n_displacements: int, order: IntArray) -> None:
+        from .frontal.factor import MultifrontalFactor
+
+        self._upper = upper
+        self.now: Factor = MultifrontalFactor(upper, n_displacements, order)
+
+    @property
+    def single(self) -> bool:
+        """See :class:`Factor`."""
+        return self.now.single
+
+    def factorise(self, data: ComplexArray) -> None:
+        """See :class:`Factor`."""
+        self._data = data
+        self.now.factorise(data)
+
+    def solve(self, right: ComplexArray) -> ComplexArray:
+        """See :class:`Factor`."""
+        return self.now.solve(right)
+
+    def harden(self) -> bool:
+        """See :class:`Factor`; False where PARDISO is not installed or has done all it can."""
+        if isinstance(self.now, pardiso.PardisoFactor):
+            return self.now.harden()
+        if pardiso.library() is None:
+            return False
+        self.now.release()
+        self.now = pardiso.PardisoFactor(self._upper, single=True)
+        self.now.factorise(self._data)
+        return True
+
+    def release(self) -> None:
+        """See :class:`Factor`."""
+        self.now.release()
+
+
+@lru_cache(maxsize=1)
+def _compiles() -> bool:
+    """Whether METIS and numba are there, and a place for what numba compiles."""
+    try:
+        importlib.import_module("pymetis")
+        importlib.import_module("forearm_fem.fem.frontal.factor")
+    except (ImportError, RuntimeError) as problem:
+        _log.info("no multifrontal solver: %s", problem)
+        return False
+    return True
+
+
 def available_backends() -> tuple[str, ...]:
     """Direct solvers found on this machine, the preferred one first."""
-    return ("pardiso", "superlu") if pardiso.library() is not None else ("superlu",)
+    found = (("multifrontal", _compiles()), ("pardiso", pardiso.library() is not None), ("superlu", True))
+    return tuple(name for name, there in found if there)
 
 
 SUPERLU_LIMIT = 40_000
 
 
-def choose_backend(backend: Backend, n: int) -> str:
-    """The solver to use for ``n`` unknowns; refuses SuperLU where it would not finish."""
-    chosen = available_backends()[0] if backend == "auto" else backend
+def choose_backend(backend: Backend, n: int, *, single: bool = True) -> str:
+    """The solver to use for ``n`` unknowns; refuses SuperLU where it would not finish.
+
+    ``single`` says that factors in single precision and without matching will do, the only ones that the multifrontal
+    solver makes.
+    """
+    if backend == "multifrontal" and not (single and _compiles()):
+        raise SolverError(
+            "solver.backend = 'multifrontal' needs numba and pymetis, and factorises in single precision what needs no "
+            "matching (solver.precision = 'auto', no exactly incompressible tissue); set solver.backend = 'auto'"
+        )
+    able = [name for name in available_backends() if single or name != "multifrontal"]
+    chosen = able[0] if backend == "auto" else backend
     if chosen == "superlu" and n > SUPERLU_LIMIT:
         raise SolverError(
             f"SuperLU does not finish in reasonable time for {n} unknowns (limit {SUPERLU_LIMIT}); "
@@ -106,10 +173,14 @@ def make_factor(
 ) -> Factor:
     """Analysed, not yet factorised, solver for the operator's pattern; see :class:`.pardiso.PardisoFactor`."""
     upper = operator.upper(operator.data(omega))
-    chosen = choose_backend(backend, operator.n)
-    if chosen == "pardiso":
-        return pardiso.PardisoFactor(upper, operator.n_displacements, single=single, matching=matching)
-    return SuperLUFactor(upper)
+    chosen = choose_backend(backend, operator.n, single=single and not matching)
+    if chosen == "superlu":
+        return SuperLUFactor(upper)
+    order = None if matching else nested_dissection(upper, operator.n_displacements)
+    small = order is None and backend == "auto" and pardiso.library() is not None
+    if chosen == "multifrontal" and not small:
+        return CautiousFactor(upper, operator.n_displacements, np.arange(operator.n) if order is None else order)
+    return pardiso.PardisoFactor(upper, order, single=single, matching=matching)
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ..errors import SolverError
-from ..typing import ComplexArray
-from .ordering import nested_dissection
+from ..typing import ComplexArray, IntArray
 
 _COMPLEX_SYMMETRIC = 6
 _ANALYSE, _FACTORISE, _SOLVE, _RELEASE = 11, 22, 33, -1
@@ -57,12 +56,12 @@ class PardisoFactor:
     """One analysis, any number of numerical factorisations of matrices with the same pattern.
 
     ``upper`` holds the upper triangle in CSR with sorted indices and every diagonal entry stored.
-    The first ``n_displacements`` unknowns are displacements, the others pressures (:mod:`.ordering`).
+    ``order`` (n,) is that of elimination (:mod:`.ordering`), PARDISO's own where it is None or with matching.
     With ``single`` the factors are kept in single precision: half the memory, residual about 5e-5.
     """
 
     def __init__(
-        self, upper: csr_array, n_displacements: int | None = None, *, single: bool = False, matching: bool = True
+        self, upper: csr_array, order: IntArray | None = None, *, single: bool = False, matching: bool = True
     ) -> None:
         mkl = library()
         if mkl is None:
@@ -74,10 +73,7 @@ class PardisoFactor:
         self._indptr = upper.indptr.astype(np.int32)
         self._indices = upper.indices.astype(np.int32)
         self.n = int(upper.shape[0])
-        order = None
-        if n_displacements is not None and not matching:  # matching needs PARDISO's own
-            order = nested_dissection(upper, n_displacements)
-        self._order = None if order is None else order.astype(np.int32)
+        self._order = None if order is None or matching else order.astype(np.int32)  # matching needs its own
         self._analyse(upper.data)
 
     def _analyse(self, data: ComplexArray) -> None:

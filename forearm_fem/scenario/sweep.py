@@ -32,7 +32,7 @@ class Sweep(Part):
 class SolverOptions(Part):
     """How systems are factorised and the sweep is made."""
 
-    backend: Literal["auto", "pardiso", "superlu"] = "auto"
+    backend: Literal["auto", "multifrontal", "pardiso", "superlu"] = "auto"
     precision: Literal["auto", "double", "single"] = Field(
         "auto", description="of the factors, all solves being refined; auto: single, double where that is not enough"
     )

@@ -1,0 +1,86 @@
+"""SciPy's single-precision complex BLAS and LAPACK, called from compiled code by address."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import llvmlite.binding as llvm
+import numpy as np
+from numba import njit, types
+from numba.extending import get_cython_function_address
+from numpy.typing import NDArray
+
+for _library, _name in (("blas", "cgemm"), ("lapack", "cgetrf"), ("lapack", "cgetri")):
+    llvm.add_symbol(f"forearm_fem_{_name}", get_cython_function_address(f"scipy.linalg.cython_{_library}", _name))
+_cgemm: Any = types.ExternalFunction("forearm_fem_cgemm", types.void(*[types.intp] * 13))
+_cgetrf: Any = types.ExternalFunction("forearm_fem_cgetrf", types.void(*[types.intp] * 6))
+_cgetri: Any = types.ExternalFunction("forearm_fem_cgetri", types.void(*[types.intp] * 7))
+
+BLOCK = 64  # unknowns that pivots are exchanged among
+BYTES = 8  # of a complex64
+
+
+class Arguments(NamedTuple):
+    """Memory for what BLAS takes by reference, and for one block; every thread has its own."""
+
+    integers: NDArray[np.int32]
+    scalars: NDArray[np.complex64]
+    letters: NDArray[np.uint8]
+    block: NDArray[np.complex64]
+    pivots: NDArray[np.int32]
+    work: NDArray[np.complex64]
+
+
+def arguments() -> Arguments:
+    """Fresh memory for one thread's calls."""
+    return Arguments(
+        np.zeros(16, np.int32),
+        np.array([1, 0, -1], np.complex64),
+        np.frombuffer(b"NT", np.uint8).copy(),
+        np.empty(BLOCK * BLOCK, np.complex64),
+        np.empty(BLOCK, np.int32),
+        np.empty(BLOCK * BLOCK, np.complex64),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _gemm(call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, how: Any) -> None:
+    if size[0] == 0 or size[1] == 0 or size[2] == 0:
+        return
+    integers = call.integers
+    for i in range(3):
+        integers[i] = size[i]
+    integers[3], integers[4], integers[5] = lda, ldb, ldc
+    letter, scalar, integer = call.letters.ctypes.data, call.scalars.ctypes.data, integers.ctypes.data
+    transposed, factor, kept = how
+    _cgemm(
+        letter, letter + transposed, integer, integer + 4, integer + 8, scalar + BYTES * factor, a, integer + 12,
+        b, integer + 16, scalar + BYTES * kept, c, integer + 20,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def set_product(call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, transposed: int) -> None:
+    """C = A B, or A B^T: ``size`` (rows of C, columns of C, columns of A), addresses and leading dimensions."""
+    _gemm(call, size, a, lda, b, ldb, c, ldc, (transposed, 0, 1))
+
+
+@njit(cache=True, nogil=True)
+def subtract_product(
+    call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, transposed: int
+) -> None:
+    """C -= A B, or A B^T; see :func:`set_product`."""
+    _gemm(call, size, a, lda, b, ldb, c, ldc, (transposed, 2, 0))
+
+
+@njit(cache=True, nogil=True)
+def invert_block(call: Any, size: int) -> bool:
+    """Invert the dense matrix (size, size) in ``call.block`` where it lies; False where it is singular."""
+    integers = call.integers
+    integers[8], integers[9], integers[10] = size, call.work.size, 0
+    n, length, info = integers.ctypes.data + 32, integers.ctypes.data + 36, integers.ctypes.data + 40
+    block, pivots = call.block.ctypes.data, call.pivots.ctypes.data
+    _cgetrf(n, n, block, n, pivots, info)
+    if integers[10] == 0:
+        _cgetri(n, block, n, pivots, call.work.ctypes.data, length, info)
+    return bool(integers[10] == 0)

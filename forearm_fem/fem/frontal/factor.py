@@ -1,0 +1,161 @@
+"""The multifrontal factorisation behind the interface of direct solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from threadpoolctl import ThreadpoolController
+
+from ...errors import SolverError
+from ...typing import ComplexArray, FloatArray, IntArray
+from .blas import BLOCK, arguments
+from .fronts import Scratch, Store, block_entries, factorise_part, scratch_entries
+from .parts import Part, Parts, divided
+from .substitution import backward, forward, gathered, scattered
+from .supernodes import Symbolic, analyse
+
+T = TypeVar("T")
+PRESSURES = 0.3  # entries that couple pressures are scaled to this at most; 0.1 and 1 leave more of point forces
+
+
+class MultifrontalFactor:
+    """One analysis, any number of factorisations in single precision of matrices with the same pattern.
+
+    ``upper`` is the upper triangle in CSR, every diagonal entry stored; its first ``n_displacements`` unknowns are
+    displacements, the others pressures, and ``order`` (n,) is that of elimination (:mod:`..ordering`). Every matrix is
+    scaled: displacements by their diagonal, pressures by what couples them to displacements. Solving
+    raises :class:`SolverError` where a block of pivots was singular. Not thread-safe.
+    """
+
+    single = True
+
+    def __init__(self, upper: csr_array, n_displacements: int, order: IntArray) -> None:
+        self.n = int(upper.shape[0])
+        self.symbolic = analyse(upper, order)
+        self._upper, self._n_displacements = upper, n_displacements
+        self._blas = ThreadpoolController().select(user_api="blas")
+        self._parts = divided(self.symbolic, max([pool["num_threads"] for pool in self._blas.info()], default=1))
+        self._memory: _Memory | None = None
+
+    def factorise(self, data: ComplexArray) -> None:
+        """See :class:`..factor.Factor`."""
+        indptr, indices = self._upper.indptr, self._upper.indices
+        self._scale = scales(indptr, indices, data, self._n_displacements)[self.symbolic.order]
+        memory = self._memory = self._memory or _Memory.of(self.symbolic, self._parts)
+        fronts, entries, remainder = self.symbolic.fronts, self.symbolic.entries, self._parts.remainder
+
+        def work(part: Part) -> int:
+            scratch = memory.scratch[part.number]
+            return int(
+                factorise_part(part, fronts, entries, data, self._scale, memory.store, remainder, memory.stack, scratch)
+            )
+
+        self._singular = sum(self._in_threads(work)) + work(self._parts.top)
+
+    def solve(self, right: ComplexArray) -> ComplexArray:
+        """See :class:`..factor.Factor`."""
+        if self._memory is None or self._singular:
+            raise SolverError(f"blocks of pivots are singular in single precision (n = {self.n})")
+        columns = np.ascontiguousarray(right.reshape(self.n, -1), dtype=complex)
+        x = gathered(columns, self.symbolic.order, self._scale)
+        fronts, owner, memory = self.symbolic.fronts, self._parts.owner, self._memory
+        buffers = [np.empty(self._widest * x.shape[1], np.complex64) for _ in memory.scratch]
+
+        def down(part: Part) -> NDArray[np.complex64]:
+            others, call = np.zeros_like(x), memory.scratch[part.number].call
+            forward(part, fronts, memory.store, owner, x, others, buffers[part.number], call)
+            return others
+
+        def up(part: Part) -> None:
+            backward(part, fronts, memory.store, x, buffers[part.number], memory.scratch[part.number].call)
+
+        above = owner == self._parts.top.number
+        for others in self._in_threads(down):
+            x[above] += others[above]
+        down(self._parts.top)
+        up(self._parts.top)
+        self._in_threads(up)
+        return np.asarray(scattered(x, self.symbolic.order, self._scale).reshape(right.shape))
+
+    def harden(self) -> bool:
+        """See :class:`..factor.Factor`; this one cannot."""
+        return False
+
+    def release(self) -> None:
+        """See :class:`..factor.Factor`."""
+        self._memory = None
+
+    @property
+    def entries(self) -> int:
+        """Entries of the factors as they are stored, a supernode's own square included."""
+        return int(panel_entries(self.symbolic).sum())
+
+    @property
+    def _widest(self) -> int:
+        return int(max(self.symbolic.remaining.max(), BLOCK))
+
+    def _in_threads(self, work: Callable[[Part], T]) -> list[T]:
+        """Results of ``work`` on the subtrees, a thread for each and no more of BLAS's own."""
+        with self._blas.limit(limits=1), ThreadPoolExecutor(len(self._parts.subtrees)) as pool:
+            return list(pool.map(work, self._parts.subtrees))
+
+
+@dataclass(frozen=True)
+class _Memory:
+    """What is kept between factorisations: the factors, the stack of remainders, and each part's scratch."""
+
+    store: Store
+    stack: NDArray[np.complex64]
+    scratch: tuple[Scratch, ...]
+
+    @classmethod
+    def of(cls, symbolic: Symbolic, parts: Parts) -> _Memory:
+        panels, blocks = panel_entries(symbolic), block_entries(symbolic.columns)
+        store = Store(
+            np.empty(panels.sum(), np.complex64),
+            np.concatenate([[0], np.cumsum(panels)]),
+            np.empty(blocks.sum(), np.complex64),
+            np.concatenate([[0], np.cumsum(blocks)]),
+        )
+        scratch = tuple(_scratch(symbolic, part) for part in (*parts.subtrees, parts.top))
+        return cls(store, np.empty(parts.stack, np.complex64), scratch)
+
+
+def panel_entries(symbolic: Symbolic) -> IntArray:
+    """Entries (n_supernode,) of each supernode's panel."""
+    return np.asarray(symbolic.columns * (symbolic.columns + symbolic.remaining))
+
+
+def _scratch(symbolic: Symbolic, part: Part) -> Scratch:
+    some = part.supernodes
+    outer, under = scratch_entries(symbolic.columns[some], symbolic.remaining[some])
+    place = np.empty(len(symbolic.order), np.int32)
+    return Scratch(arguments(), place, np.empty(outer, np.complex64), np.empty(under, np.complex64))
+
+
+@njit(cache=True)
+def scales(indptr: IntArray, indices: IntArray, data: ComplexArray, n_displacements: int) -> FloatArray:
+    """Factors (n,) for rows and columns: displacements have a diagonal of 1 then, pressures a largest coupling of 0.3.
+
+    Unknowns that have neither keep their scale.
+    """
+    n = len(indptr) - 1
+    scale, largest = np.ones(n), np.zeros(n)
+    for i in range(n_displacements):
+        diagonal = abs(data[indptr[i]])
+        scale[i] = 1 / np.sqrt(diagonal) if diagonal > 0 else 1.0
+    for i in range(n_displacements):
+        for p in range(indptr[i], indptr[i + 1]):
+            j = indices[p]
+            if j >= n_displacements:
+                largest[j] = max(largest[j], abs(data[p]) * scale[i])
+    for j in range(n_displacements, n):
+        scale[j] = PRESSURES / largest[j] if largest[j] > 0 else 1.0
+    return scale

@@ -1,0 +1,196 @@
+"""Numerical factorisation of fronts: assembly, elimination block by block, and what is left for the parent.
+
+Fronts are stored by columns. A supernode's ``panel`` holds its k columns of a front with k + m rows; the remainder,
+m by m, lies on a stack. Only lower triangles are worked out.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ...typing import FloatArray, IntArray
+from .blas import BLOCK, BYTES, Arguments, invert_block, set_product, subtract_product
+from .parts import Part, lowest_child
+from .supernodes import Fronts
+from .tree import Entries
+
+_OUTER = 512  # columns that are eliminated before the panel's others hear of them
+_STRIP, _NARROW = 256, 64  # a triangle is worked out in strips of columns: at most so many, at least so many
+
+
+class Store(NamedTuple):
+    """Factors: each supernode's panel from ``panels[start[s]]`` on, its inverted blocks from ``inverses[block[s]]``."""
+
+    panels: NDArray[np.complex64]
+    start: IntArray
+    inverses: NDArray[np.complex64]
+    block: IntArray
+
+
+class Scratch(NamedTuple):
+    """What one thread needs: the ``place`` (n,) of unknowns in its front, D L^T of a panel's current ``outer`` columns
+    and of all columns ``under`` the panel."""
+
+    call: Arguments
+    place: NDArray[np.int32]
+    outer: NDArray[np.complex64]
+    under: NDArray[np.complex64]
+
+
+def block_entries(columns: IntArray) -> IntArray:
+    """Entries of the inverted blocks (n_supernode,) of supernodes with so many columns."""
+    return np.asarray(columns // BLOCK * BLOCK**2 + (columns % BLOCK) ** 2)
+
+
+def scratch_entries(columns: IntArray, remaining: IntArray) -> tuple[int, int]:
+    """Sizes of ``outer`` and ``under`` in :class:`Scratch` for these fronts."""
+    outer = (columns + remaining) * np.minimum(columns, _OUTER)
+    return int(outer.max(initial=1)), int((columns * remaining).max(initial=1))
+
+
+@njit(cache=True, nogil=True)
+def factorise_part(
+    part: Part, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: Store, remainder: IntArray,
+    stack: NDArray[np.complex64], scratch: Scratch,
+) -> int:  # fmt: skip
+    """Factorise a part's fronts of the matrix with values ``data`` (nnz,), rows and columns multiplied by ``scale``.
+
+    Returns how many blocks were singular.
+    """
+    singular, free = 0, part.begin
+    for s in part.supernodes:
+        k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
+        _placed(s, fronts, scratch.place)
+        _start_panel(s, fronts, entries, data, scale, store, scratch.place)
+        for c in range(m):
+            stack[free + c * m + c : free + (c + 1) * m] = 0
+        child = fronts.child[s]
+        while child != -1:
+            _add_child(s, child, remainder[child], free, fronts, store, stack, scratch.place)
+            child = fronts.following[child]
+        singular += _eliminate(k, m, store, s, stack.ctypes.data + BYTES * free, scratch)
+        lowest = lowest_child(s, fronts, remainder, part.begin, free)
+        _moved(stack, free, lowest, m)
+        remainder[s] = lowest
+        free = lowest + m * m
+    return singular
+
+
+@njit(cache=True, nogil=True)
+def _placed(s: int, fronts: Fronts, place: NDArray[np.int32]) -> None:
+    k = 0
+    for i in range(fronts.first[s], fronts.first[s + 1]):
+        place[i] = k
+        k += 1
+    for p in range(fronts.below[s], fronts.below[s + 1]):
+        place[fronts.rows[p]] = k
+        k += 1
+
+
+@njit(cache=True, nogil=True)
+def _start_panel(
+    s: int, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: Store, place: NDArray[np.int32]
+) -> None:
+    """The panel with A's own entries."""
+    size = fronts.first[s + 1] - fronts.first[s] + fronts.below[s + 1] - fronts.below[s]
+    store.panels[store.start[s] : store.start[s + 1]] = 0
+    column = store.start[s]
+    for j in range(fronts.first[s], fronts.first[s + 1]):
+        for p in range(entries.start[j], entries.start[j + 1]):
+            i = entries.row[p]
+            store.panels[column + place[i]] = data[entries.source[p]] * (scale[i] * scale[j])
+        column += size
+
+
+@njit(cache=True, nogil=True)
+def _add_child(
+    s: int, child: int, source: int, target: int, fronts: Fronts, store: Store, stack: NDArray[np.complex64],
+    place: NDArray[np.int32],
+) -> None:  # fmt: skip
+    """Add a child's remainder to the panel and the remainder of its parent ``s``."""
+    k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
+    rows = fronts.rows[fronts.below[child] : fronts.below[child + 1]]
+    for c in range(len(rows)):
+        column = place[rows[c]]
+        if column < k:
+            to, base = store.panels, store.start[s] + column * (k + m)
+        else:
+            to, base = stack, target + (column - k) * m - k
+        for r in range(c, len(rows)):
+            to[base + place[rows[r]]] += stack[source + r]
+        source += len(rows)
+
+
+@njit(cache=True, nogil=True)
+def _moved(stack: NDArray[np.complex64], source: int, target: int, m: int) -> None:
+    """Move a lower triangle down the stack."""
+    if source == target:
+        return
+    for c in range(m):
+        for r in range(c * m + c, (c + 1) * m):
+            stack[target + r] = stack[source + r]
+
+
+@njit(cache=True, nogil=True)
+def _eliminate(k: int, m: int, store: Store, s: int, remainder: int, scratch: Scratch) -> int:
+    """Eliminate a front's first k unknowns; its panel becomes L, with D's inverted blocks beside it.
+
+    ``remainder`` is the address of the other m by m, which becomes the Schur complement.
+    """
+    size, call, singular = k + m, scratch.call, 0
+    panel = store.panels.ctypes.data + BYTES * store.start[s]
+    outer, under = scratch.outer.ctypes.data, scratch.under.ctypes.data
+    inverse = store.block[s]
+    for o in range(0, k, _OUTER):
+        end = min(o + _OUTER, k)
+        for j in range(o, end, BLOCK):
+            width = min(BLOCK, end - j)
+            singular += not _block(store, store.start[s] + j * (size + 1), size, width, inverse, call)
+            inverse += width * width
+            _kept(store.panels, store.start[s] + j * size, j + width, size, width, (j - o) * size, k, m, j, scratch)
+            rest, at = size - j - width, outer + BYTES * ((j - o) * size + j + width)
+            below = panel + BYTES * (j * size + j + width)
+            set_product(call, (rest, width, width), at, size, call.block.ctypes.data, width, below, size, 0)
+            right = panel + BYTES * (j + width) * (size + 1)
+            subtract_product(call, (rest, end - j - width, width), below, size, at, size, right, size, 1)
+        for c in range(end, k, _STRIP):
+            left, at = panel + BYTES * (o * size + c), outer + BYTES * c
+            shape = (size - c, min(_STRIP, k - c), end - o)
+            subtract_product(call, shape, left, size, at, size, panel + BYTES * c * (size + 1), size, 1)
+    strip = min(_STRIP, max(_NARROW, m // 128 * 16))
+    for c in range(0, m, strip):
+        shape = (m - c, min(strip, m - c), k)
+        left = panel + BYTES * (k + c)
+        subtract_product(call, shape, left, size, under + BYTES * c, m, remainder + BYTES * c * (m + 1), m, 1)
+    return singular
+
+
+@njit(cache=True, nogil=True)
+def _block(store: Store, corner: int, size: int, width: int, inverse: int, call: Arguments) -> bool:
+    """Invert the diagonal block at ``corner`` of the panels into ``call.block`` and the store."""
+    for c in range(width):
+        for r in range(c, width):
+            value = store.panels[corner + c * size + r]
+            call.block[c * width + r] = value
+            call.block[r * width + c] = value
+    regular = invert_block(call, width)
+    for q in range(width * width):
+        store.inverses[inverse + q] = call.block[q]
+    return regular
+
+
+@njit(cache=True, nogil=True)
+def _kept(
+    panels: NDArray[np.complex64], source: int, low: int, size: int, width: int, target: int, k: int, m: int, j: int,
+    scratch: Scratch,
+) -> None:  # fmt: skip
+    """Copy what is below a block before L takes its place: L D, by which other columns change."""
+    for c in range(width):
+        for r in range(low, size):
+            scratch.outer[target + c * size + r] = panels[source + c * size + r]
+        for r in range(k, size):
+            scratch.under[(j + c) * m + r - k] = panels[source + c * size + r]
