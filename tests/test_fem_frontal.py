@@ -159,7 +159,7 @@ def test_parts_hold_every_front_once(factor, threads):
     assert sorted(every) == list(range(len(factor.symbolic.parent)))
     for part in parts.subtrees:  # parents are in the same part or in the top
         above = factor.symbolic.parent[part.supernodes]
-        assert np.isin(above, np.concatenate([part.supernodes, parts.top.supernodes])).all()
+        assert np.isin(above, np.concatenate([part.supernodes, parts.top.supernodes, [-1]])).all()
         assert part.end <= parts.top.begin
     work = factor.symbolic.arithmetic
     loads = [work[p.supernodes].sum() for p in parts.subtrees]

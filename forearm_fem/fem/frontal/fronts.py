@@ -19,7 +19,7 @@ from .supernodes import Fronts
 from .tree import Entries
 
 _OUTER = 512  # columns that are eliminated before the panel's others hear of them
-_STRIP, _NARROW = 256, 64  # a triangle is worked out in strips of columns: at most so many, at least so many
+_TILE, _NARROW = 256, 64  # a triangle is worked out in tiles of so many columns, those on its diagonal in narrow strips
 
 
 class Store(NamedTuple):
@@ -157,16 +157,27 @@ def _eliminate(k: int, m: int, store: Store, s: int, remainder: int, scratch: Sc
             set_product(call, (rest, width, width), at, size, call.block.ctypes.data, width, below, size, 0)
             right = panel + BYTES * (j + width) * (size + 1)
             subtract_product(call, (rest, end - j - width, width), below, size, at, size, right, size, 1)
-        for c in range(end, k, _STRIP):
-            left, at = panel + BYTES * (o * size + c), outer + BYTES * c
-            shape = (size - c, min(_STRIP, k - c), end - o)
-            subtract_product(call, shape, left, size, at, size, panel + BYTES * c * (size + 1), size, 1)
-    strip = min(_STRIP, max(_NARROW, m // 128 * 16))
-    for c in range(0, m, strip):
-        shape = (m - c, min(strip, m - c), k)
-        left = panel + BYTES * (k + c)
-        subtract_product(call, shape, left, size, under + BYTES * c, m, remainder + BYTES * c * (m + 1), m, 1)
+        left, at = panel + BYTES * (o * size + end), outer + BYTES * end
+        right = panel + BYTES * end * (size + 1)
+        _subtract_lower(call, size - end, k - end, end - o, left, size, at, size, right, size)
+    left = panel + BYTES * k
+    _subtract_lower(call, m, m, k, left, size, under, m, remainder, m)
     return singular
+
+
+@njit(cache=True, nogil=True)
+def _subtract_lower(
+    call: Arguments, rows: int, columns: int, inner: int, a: int, lda: int, b: int, ldb: int, c: int, ldc: int
+) -> None:
+    """C -= A B^T where C (rows, columns) lies on or below its diagonal, and a little above."""
+    for t in range(0, columns, _TILE):
+        end = min(t + _TILE, columns)
+        for j in range(t, end, _NARROW):
+            shape = (end - j, min(_NARROW, end - j), inner)
+            target = c + BYTES * j * (ldc + 1)
+            subtract_product(call, shape, a + BYTES * j, lda, b + BYTES * j, ldb, target, ldc, 1)
+        target = c + BYTES * (t * ldc + end)
+        subtract_product(call, (rows - end, end - t, inner), a + BYTES * end, lda, b + BYTES * t, ldb, target, ldc, 1)
 
 
 @njit(cache=True, nogil=True)

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ...typing import FloatArray, IntArray
 from .supernodes import Fronts, Symbolic
 
-_SHARE = 0.04  # of all arithmetic, over the threads: subtrees above it are split
+_SPLITS = 20  # divisions tried, times the number of threads
+_SLOWER = 1.25  # what fronts take longer with all threads of BLAS on one, assembly and short products not shared
 
 
 class Part(NamedTuple):
@@ -60,25 +61,39 @@ def divided(symbolic: Symbolic, threads: int) -> Parts:
 
 
 def _subtrees(symbolic: Symbolic, threads: int) -> tuple[list[IntArray], IntArray]:
-    """Supernodes of each thread, and those above all subtrees."""
-    work, size = _whole(symbolic.arithmetic, symbolic.parent), _whole(np.ones(len(symbolic.parent)), symbolic.parent)
-    limit = work[symbolic.parent < 0].sum() * _SHARE / threads
-    roots = [(-work[s], int(s)) for s in np.flatnonzero(symbolic.parent < 0)]
+    """Supernodes of each thread, and those above all subtrees.
+
+    The largest subtree is split again and again; what is kept is the division that should take the least time.
+    """
+    fronts, parent, own = symbolic.fronts, symbolic.parent, symbolic.arithmetic
+    work, size = _whole(own, parent), _whole(np.ones(len(parent)), parent)
+    roots = [(-work[s], int(s)) for s in np.flatnonzero(parent < 0)]
     heapq.heapify(roots)
-    top = list[int]()
-    while roots and -roots[0][0] > limit:
+    top, best, found = list[int](), np.inf, (list[list[int]](), list[int]())
+    for _ in range(_SPLITS * threads):
+        shares, load = _shared(roots, threads)
+        seconds = _SLOWER * own[top].sum() / threads + load.max()
+        if seconds < best:
+            best, found = seconds, (shares, sorted(top))
+        if not roots:
+            break
         s = heapq.heappop(roots)[1]
         top.append(s)
-        c = int(symbolic.fronts.child[s])
+        c = int(fronts.child[s])
         while c != -1:
             heapq.heappush(roots, (-work[c], c))
-            c = int(symbolic.fronts.following[c])
+            c = int(fronts.following[c])
+    return [_descendants(sorted(some), size) for some in found[0]], np.array(found[1], np.int64)
+
+
+def _shared(roots: list[tuple[float, int]], threads: int) -> tuple[list[list[int]], FloatArray]:
+    """Roots of each thread's subtrees, the largest first to whom has least, and the threads' loads (threads,)."""
     mine, load = [list[int]() for _ in range(threads)], np.zeros(threads)
     for negative, s in sorted(roots):
         least = int(np.argmin(load))
         mine[least].append(s)
         load[least] -= negative
-    return [_descendants(sorted(some), size) for some in mine], np.array(sorted(top), np.int64)
+    return mine, load
 
 
 def _whole(own: FloatArray, parent: IntArray) -> FloatArray:
