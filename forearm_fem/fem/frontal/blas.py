@@ -18,6 +18,7 @@ _cgetri: Any = types.ExternalFunction("forearm_fem_cgetri", types.void(*[types.i
 
 BLOCK = 64  # unknowns that pivots are exchanged among
 BYTES = 8  # of a complex64
+NEITHER, FIRST, SECOND = (0, 0), (1, 0), (0, 1)  # which factor of a product is transposed
 
 
 class Arguments(NamedTuple):
@@ -44,7 +45,9 @@ def arguments() -> Arguments:
 
 
 @njit(cache=True, nogil=True)
-def _gemm(call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, how: Any) -> None:
+def _gemm(
+    call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, transposed: Any, scaled: Any
+) -> None:
     if size[0] == 0 or size[1] == 0 or size[2] == 0:
         return
     integers = call.integers
@@ -52,25 +55,24 @@ def _gemm(call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc:
         integers[i] = size[i]
     integers[3], integers[4], integers[5] = lda, ldb, ldc
     letter, scalar, integer = call.letters.ctypes.data, call.scalars.ctypes.data, integers.ctypes.data
-    transposed, factor, kept = how
     _cgemm(
-        letter, letter + transposed, integer, integer + 4, integer + 8, scalar + BYTES * factor, a, integer + 12,
-        b, integer + 16, scalar + BYTES * kept, c, integer + 20,
+        letter + transposed[0], letter + transposed[1], integer, integer + 4, integer + 8, scalar + BYTES * scaled[0],
+        a, integer + 12, b, integer + 16, scalar + BYTES * scaled[1], c, integer + 20,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def set_product(call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, transposed: int) -> None:
-    """C = A B, or A B^T: ``size`` (rows of C, columns of C, columns of A), addresses and leading dimensions."""
-    _gemm(call, size, a, lda, b, ldb, c, ldc, (transposed, 0, 1))
+def set_product(call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int) -> None:
+    """C = A B: ``size`` (rows of C, columns of C, columns of A), addresses and leading dimensions."""
+    _gemm(call, size, a, lda, b, ldb, c, ldc, NEITHER, (0, 1))
 
 
 @njit(cache=True, nogil=True)
 def subtract_product(
-    call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, transposed: int
+    call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, transposed: Any
 ) -> None:
-    """C -= A B, or A B^T; see :func:`set_product`."""
-    _gemm(call, size, a, lda, b, ldb, c, ldc, (transposed, 2, 0))
+    """C -= A B, one of which may be ``transposed``; see :func:`set_product`."""
+    _gemm(call, size, a, lda, b, ldb, c, ldc, transposed, (2, 0))
 
 
 @njit(cache=True, nogil=True)

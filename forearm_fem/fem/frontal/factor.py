@@ -15,10 +15,10 @@ from threadpoolctl import ThreadpoolController
 
 from ...errors import SolverError
 from ...typing import ComplexArray, FloatArray, IntArray
-from .blas import BLOCK, arguments
+from .blas import arguments
 from .fronts import Scratch, Store, block_entries, factorise_part, scratch_entries
 from .parts import Part, Parts, divided
-from .substitution import backward, forward, gathered, scattered
+from .substitution import Local, backward, forward, gathered, scattered
 from .supernodes import Symbolic, analyse
 
 T = TypeVar("T")
@@ -66,15 +66,15 @@ class MultifrontalFactor:
         columns = np.ascontiguousarray(right.reshape(self.n, -1), dtype=complex)
         x = gathered(columns, self.symbolic.order, self._scale)
         fronts, owner, memory = self.symbolic.fronts, self._parts.owner, self._memory
-        buffers = [np.empty(self._widest * x.shape[1], np.complex64) for _ in memory.scratch]
+        locals_ = [self._local(part, x.shape[1]) for part in (*self._parts.subtrees, self._parts.top)]
 
         def down(part: Part) -> NDArray[np.complex64]:
             others, call = np.zeros_like(x), memory.scratch[part.number].call
-            forward(part, fronts, memory.store, owner, x, others, buffers[part.number], call)
+            forward(part, fronts, memory.store, owner, x, others, locals_[part.number], call)
             return others
 
         def up(part: Part) -> None:
-            backward(part, fronts, memory.store, x, buffers[part.number], memory.scratch[part.number].call)
+            backward(part, fronts, memory.store, x, locals_[part.number], memory.scratch[part.number].call)
 
         above = owner == self._parts.top.number
         for others in self._in_threads(down):
@@ -97,9 +97,10 @@ class MultifrontalFactor:
         """Entries of the factors as they are stored, a supernode's own square included."""
         return int(panel_entries(self.symbolic).sum())
 
-    @property
-    def _widest(self) -> int:
-        return int(max(self.symbolic.remaining.max(), BLOCK))
+    def _local(self, part: Part, count: int) -> Local:
+        columns = self.symbolic.columns[part.supernodes]
+        size = (columns + self.symbolic.remaining[part.supernodes]).max(initial=0)
+        return Local(np.empty(size * count, np.complex64), np.empty(columns.max(initial=0) * count, np.complex64))
 
     def _in_threads(self, work: Callable[[Part], T]) -> list[T]:
         """Results of ``work`` on the subtrees, a thread for each and no more of BLAS's own."""

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ...typing import FloatArray, IntArray
-from .blas import BLOCK, BYTES, Arguments, invert_block, set_product, subtract_product
+from .blas import BLOCK, BYTES, SECOND, Arguments, invert_block, set_product, subtract_product
 from .parts import Part, lowest_child
 from .supernodes import Fronts
 from .tree import Entries
@@ -154,9 +154,9 @@ def _eliminate(k: int, m: int, store: Store, s: int, remainder: int, scratch: Sc
             _kept(store.panels, store.start[s] + j * size, j + width, size, width, (j - o) * size, k, m, j, scratch)
             rest, at = size - j - width, outer + BYTES * ((j - o) * size + j + width)
             below = panel + BYTES * (j * size + j + width)
-            set_product(call, (rest, width, width), at, size, call.block.ctypes.data, width, below, size, 0)
+            set_product(call, (rest, width, width), at, size, call.block.ctypes.data, width, below, size)
             right = panel + BYTES * (j + width) * (size + 1)
-            subtract_product(call, (rest, end - j - width, width), below, size, at, size, right, size, 1)
+            subtract_product(call, (rest, end - j - width, width), below, size, at, size, right, size, SECOND)
         left, at = panel + BYTES * (o * size + end), outer + BYTES * end
         right = panel + BYTES * end * (size + 1)
         _subtract_lower(call, size - end, k - end, end - o, left, size, at, size, right, size)
@@ -175,9 +175,11 @@ def _subtract_lower(
         for j in range(t, end, _NARROW):
             shape = (end - j, min(_NARROW, end - j), inner)
             target = c + BYTES * j * (ldc + 1)
-            subtract_product(call, shape, a + BYTES * j, lda, b + BYTES * j, ldb, target, ldc, 1)
+            subtract_product(call, shape, a + BYTES * j, lda, b + BYTES * j, ldb, target, ldc, SECOND)
         target = c + BYTES * (t * ldc + end)
-        subtract_product(call, (rows - end, end - t, inner), a + BYTES * end, lda, b + BYTES * t, ldb, target, ldc, 1)
+        subtract_product(
+            call, (rows - end, end - t, inner), a + BYTES * end, lda, b + BYTES * t, ldb, target, ldc, SECOND
+        )
 
 
 @njit(cache=True, nogil=True)
