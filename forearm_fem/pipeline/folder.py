@@ -153,7 +153,7 @@ def provenance(scenario: Scenario, mesh: TissueMesh | None) -> dict[str, Any]:
 def versions() -> dict[str, str]:
     """Versions of Python and of the libraries that make the numbers."""
     found = {"python": platform.python_version(), "solver": available_backends()[0]}
-    for name in ("numpy", "scipy", "scikit-fem", "pytetwild", "meshio", "trimesh", "pyvista", "mkl"):
+    for name in ("numpy", "scipy", "scikit-fem", "pytetwild", "meshio", "trimesh", "pyvista", "numba", "mkl"):
         try:
             found[name] = version(name)
         except PackageNotFoundError:

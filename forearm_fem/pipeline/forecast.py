@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SolverError
+from ..fem.factor import choose_backend
 from ..fem.orders import element_orders
 from ..geometry.cache import cached_mesh
 from ..geometry.mesh import TissueMesh
@@ -24,7 +25,8 @@ NODES_NEEDED = 6.0  # per shear wavelength near the ports; below it the error of
 # Fitted to factorisations of limbs and slabs with 23 000 to 199 000 unknowns on 2 cores, double precision.
 _BYTES = 0.26e9, 22_700.0, 1.25
 _SECONDS = 7.0, 131_000.0, 1.8
-_GRADED = 1.6  # third order around the ports: as many unknowns lie closer together (forearm, 207 000 unknowns)
+_GRADED = 1.4  # third order around the ports: as many unknowns lie closer together (forearm, 207 000 unknowns)
+_FRONTS = 1.3  # the multifrontal solver stores zeros of its panels, and what fronts leave to others
 _HEAP = 1.15  # freed memory that is kept lies in pieces
 _ESTIMATE = 1.2  # with the coarser mesh's solve
 
@@ -64,10 +66,18 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
     return Forecast(
         len(mesh.tetrahedra),
         unknowns,
-        _HEAP * (1.5 * _power(_BYTES, unknowns) * single + 0.5e9 + _basis_bytes(scenario, unknowns, ports)),
+        _HEAP * (_factor_bytes(scenario, unknowns) + 0.5e9 + _basis_bytes(scenario, unknowns, ports)),
         one * factorisations * (3.0 if scenario.solver.sweep == "reduced" else 1.2),
         resolution(scenario, mesh),
     )
+
+
+def _factor_bytes(scenario: Scenario, unknowns: int) -> float:
+    """Factors and what their making needs."""
+    double = 1.5 * _power(_BYTES, unknowns)
+    if scenario.solver.precision == "double":
+        return double
+    return double / 2 * (_FRONTS if choose_backend(scenario.solver.backend, unknowns) == "multifrontal" else 1.0)
 
 
 def _basis_bytes(scenario: Scenario, unknowns: int, ports: Sequence[Port]) -> float:
