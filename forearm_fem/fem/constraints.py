@@ -18,6 +18,11 @@ class Constraints:
     transform: csr_array
     masters: dict[str, int]
 
+    def renumbered(self, order: IntArray) -> Constraints:
+        """The same rules with unknown ``order[i]`` as number i."""
+        place = np.argsort(order)
+        return Constraints(self.transform[:, order], {name: int(place[i]) for name, i in self.masters.items()})
+
 
 @dataclass(frozen=True)
 class RigidDisc:
