@@ -206,7 +206,7 @@ def test_singular_blocks_are_a_named_error():
 
 def test_nothing_is_solved_before_factorising_or_after_release(upper):
     factor = MultifrontalFactor(upper, upper.shape[0], np.arange(upper.shape[0]))
-    with pytest.raises(SolverError):
+    with pytest.raises(SolverError, match="factorise before"):
         factor.solve(np.ones(upper.shape[0]) + 0j)
     assert not factor.harden()
 

@@ -93,7 +93,7 @@ class CautiousFactor:
     def __init__(self, upper: csr_array, n_displacements: int, order: IntArray) -> None:
         from .frontal.factor import MultifrontalFactor
 
-        self._upper = upper
+        self._indptr, self._indices, self._shape = upper.indptr, upper.indices, upper.shape
         self.now: Factor = MultifrontalFactor(upper, n_displacements, order)
 
     @property
@@ -117,7 +117,8 @@ class CautiousFactor:
         if pardiso.library() is None:
             return False
         self.now.release()
-        self.now = pardiso.PardisoFactor(self._upper, single=True)
+        upper = csr_array((self._data, self._indices, self._indptr), shape=self._shape)
+        self.now = pardiso.PardisoFactor(upper, single=True)
         self.now.factorise(self._data)
         return True
 

@@ -39,15 +39,15 @@ class MultifrontalFactor:
     def __init__(self, upper: csr_array, n_displacements: int, order: IntArray) -> None:
         self.n = int(upper.shape[0])
         self.symbolic = analyse(upper, order)
-        self._upper, self._n_displacements = upper, n_displacements
+        self._indptr, self._indices, self._n_displacements = upper.indptr, upper.indices, n_displacements
         self._blas = ThreadpoolController().select(user_api="blas")
         self._parts = divided(self.symbolic, max([pool["num_threads"] for pool in self._blas.info()], default=1))
         self._memory: _Memory | None = None
 
     def factorise(self, data: ComplexArray) -> None:
         """See :class:`..factor.Factor`."""
-        indptr, indices = self._upper.indptr, self._upper.indices
-        self._scale = scales(indptr, indices, data, self._n_displacements)[self.symbolic.order]
+        scale = scales(self._indptr, self._indices, data, self._n_displacements)
+        self._scale = scale[self.symbolic.order]
         memory = self._memory = self._memory or _Memory.of(self.symbolic, self._parts)
         fronts, entries, remainder = self.symbolic.fronts, self.symbolic.entries, self._parts.remainder
 
@@ -61,7 +61,9 @@ class MultifrontalFactor:
 
     def solve(self, right: ComplexArray) -> ComplexArray:
         """See :class:`..factor.Factor`."""
-        if self._memory is None or self._singular:
+        if self._memory is None:
+            raise SolverError("there are no factors: factorise before solving")
+        if self._singular:
             raise SolverError(f"blocks of pivots are singular in single precision (n = {self.n})")
         columns = np.ascontiguousarray(right.reshape(self.n, -1), dtype=complex)
         x = gathered(columns, self.symbolic.order, self._scale)
