@@ -34,6 +34,11 @@ class Factor(Protocol):
     """What every direct solver offers; the pattern is analysed once, values change with frequency."""
 
     @property
+    def name(self) -> str:
+        """The solver that is at work now, as ``solver.backend`` calls it."""
+        ...
+
+    @property
     def single(self) -> bool:
         """Whether the factors are in single precision now."""
         ...
@@ -58,6 +63,7 @@ class Factor(Protocol):
 class SuperLUFactor:
     """SciPy's SuperLU: a fallback for small scenes (n below about 3e4); it stores both triangles."""
 
+    name = "superlu"
     single = False
 
     def __init__(self, upper: csr_array) -> None:
@@ -95,6 +101,11 @@ class CautiousFactor:
 
         self._indptr, self._indices, self._shape = upper.indptr, upper.indices, upper.shape
         self.now: Factor = MultifrontalFactor(upper, n_displacements, order)
+
+    @property
+    def name(self) -> str:
+        """See :class:`Factor`."""
+        return self.now.name
 
     @property
     def single(self) -> bool:

@@ -104,25 +104,21 @@ def _functional(space: MixedSpace, port: Port, rules: Constraints) -> FloatArray
 
 
 def _constraints(orders: Orders, ports: tuple[Port, ...], supports: Supports) -> Constraints:
-    """Rules for the kept nodes."""
+    """Rules for the kept nodes; those that no tetrahedron has are held, because nothing else does."""
     facets = orders.high.mesh.facets
     held = [facets[name] for name in _held(supports) if name in facets and len(facets[name])]
-    nodes = [orders.kept_on(f) for f in held]
+    nodes = [orders.unused(), *(orders.kept_on(f) for f in held)]
     planes = {
         axis: orders.kept_on(facets[name]) for name, axis in (("symmetry x", 0), ("symmetry y", 1)) if name in facets
     }
     discs = tuple(_disc(orders, p) for p in ports if _is_rigid(p))
-    return constraints(orders.spread.shape[1], _unique(nodes), planes, discs)
+    return constraints(orders.spread.shape[1], np.unique(np.concatenate(nodes)), planes, discs)
 
 
 def _held(supports: Supports) -> list[str]:
     names = ["bone"] if supports.bone == "rigid" else []
     names += ["end"] if supports.ends == "fixed" else []
     return names + (["underside"] if supports.underside == "fixed" else [])
-
-
-def _unique(parts: list[IntArray]) -> IntArray:
-    return np.unique(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.int64)
 
 
 def _is_rigid(port: Port) -> bool:

@@ -49,6 +49,13 @@ class Orders:
         found = self.kept[self.high.facet_nodes(facets)]
         return np.asarray(found[found >= 0])
 
+    def unused(self) -> IntArray:
+        """Numbers of the kept nodes that no tetrahedron has: points of the mesh that belong to none."""
+        is_used = np.zeros(self.spread.shape[1], dtype=bool)
+        found = self.kept[self.high.nodes]
+        is_used[found[found >= 0]] = True
+        return np.flatnonzero(~is_used)
+
     def carried(self, transform: csr_array) -> csr_array:
         """``transform`` (3 n_kept, n_free) carried on to all displacement unknowns of ``high``."""
         return csr_array(csr_array(kron(self.spread, eye_array(3), format="csr")) @ transform)

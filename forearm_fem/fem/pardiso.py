@@ -60,6 +60,8 @@ class PardisoFactor:
     With ``single`` the factors are kept in single precision: half the memory, residual about 5e-5.
     """
 
+    name = "pardiso"
+
     def __init__(
         self, upper: csr_array, order: IntArray | None = None, *, single: bool = False, matching: bool = True
     ) -> None:

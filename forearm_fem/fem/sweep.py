@@ -41,6 +41,7 @@ class SweepResult:
     poles: PoleResidue | None = None
     compression: float = 0.0
     least: float = 0.0
+    solver: str = ""
 
     @property
     def reduction_error(self) -> float:
@@ -74,7 +75,7 @@ def direct_sweep(
         residual, error = max(residual, solution.residual), max(error, solver.solve_error(solution))
         _tell(progress, "direct solves", i + 1, len(frequency))
     solver.factor.release()
-    return SweepResult(np.array(values), residual, error)
+    return SweepResult(np.array(values), residual, error, solver=solver.factor.name)
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,7 @@ def reduced_sweep(
         elif enough(certificates):
             break
     work.release()
-    result = _swept(model, reduced, frequency, used, certificates, tolerance)
+    result = replace(_swept(model, reduced, frequency, used, certificates, tolerance), solver=work.solver)
     return result if tolerance is None else _usable(result)
 
 
@@ -219,6 +220,11 @@ class _Expander:
         expansion = self.expand(frequency, start)
         used.append(replace(expansion, series=()))
         return extend(reduced, self._model, expansion.series, self.orders)
+
+    @property
+    def solver(self) -> str:
+        """The direct solver at work, empty where none was needed."""
+        return "" if self._solver is None else self._solver.factor.name
 
     def release(self) -> None:
         """Give the factor's memory back."""

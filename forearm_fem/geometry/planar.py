@@ -53,7 +53,8 @@ def _held(box: Rectangle, size: Size, circles: FloatArray, radius: float, fixed:
     ringed = np.vstack(rings) if rings else np.zeros((0, 2))
     ringed = ringed[box.inside(ringed, -1e-12)]
     border = _border(box, size)
-    border = border[_clear_of(border, ringed, 0.6 * size(border)) | _is_corner(box, border)]
+    gap = np.where(_is_corner(box, border), 1e-9, 0.6) * size(border)  # a corner stays unless a ring is centred on it
+    border = border[_clear_of(border, ringed, gap)]
     wanted = fixed[box.inside(fixed, -1e-12)]
     taken = np.vstack([ringed, border])
     wanted = wanted[_clear_of(wanted, taken, 0.6 * size(wanted))]

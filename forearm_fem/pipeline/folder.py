@@ -17,7 +17,6 @@ import numpy as np
 from .. import __version__
 from ..device import close_loop, contact_state, respond
 from ..errors import AccuracyWarning, DataError, ScenarioError
-from ..fem.factor import available_backends
 from ..geometry.build import limb_volume
 from ..geometry.cache import cached_mesh
 from ..geometry.files import write_mesh
@@ -137,22 +136,24 @@ def _simulated(run: Run, mesh: TissueMesh | None) -> Simulation:
         solved = solve(scenario, mesh, frequencies(scenario.sweep), base=run.base, progress=run.progress)
         result = closed(scenario, mesh, solved)
     run.notes += result.notes
-    return replace(result, transfer=replace(result.transfer, provenance=provenance(scenario, mesh)))
+    solver = result.solved.facts.get("solver") if result.solved is not None else None
+    return replace(result, transfer=replace(result.transfer, provenance=provenance(scenario, mesh, solver)))
 
 
-def provenance(scenario: Scenario, mesh: TissueMesh | None) -> dict[str, Any]:
-    """What a result came from: scenario, versions, solver, mesh hash."""
+def provenance(scenario: Scenario, mesh: TissueMesh | None, solver: str | None) -> dict[str, Any]:
+    """What a result came from: scenario, versions, direct ``solver``, mesh hash."""
     return {
         "program": f"forearm_fem {__version__}",
         "scenario": scenario.model_dump(mode="json"),
         "mesh_sha256": mesh.digest if mesh else None,
+        "solver": solver,
         "versions": versions(),
     }
 
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the libraries that make the numbers."""
-    found = {"python": platform.python_version(), "solver": available_backends()[0]}
+    found = {"python": platform.python_version()}
     for name in ("numpy", "scipy", "scikit-fem", "pytetwild", "meshio", "trimesh", "pyvista", "numba", "mkl"):
         try:
             found[name] = version(name)

@@ -118,6 +118,7 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
     facts = {
         "displacement_unknowns": n_u,
         "pressure_unknowns": n_p,
+        "solver": sweep.solver,
         "residual": sweep.residual,
         "expansion_frequencies": list(sweep.expansions),
         "certificates": [asdict(c) for c in sweep.certificates],

@@ -250,7 +250,8 @@ def provenance_block(results: Results) -> Block:
     """What made these results."""
     versions: Mapping[str, str] = results.account.get("versions") or {}
     rows = [["forearm_fem", results.version], ["scene", results.scenario.name], ["mesh SHA-256", results.mesh_hash]]
-    rows += [[k, str(v)] for k, v in versions.items()]
+    solution: Mapping[str, Any] = results.account.get("solution") or {}
+    rows += [["direct solver", str(solution.get("solver") or "")], *([k, str(v)] for k, v in versions.items())]
     return Block(["", ""], [r for r in rows if r[1]])
 
 

@@ -34,6 +34,7 @@ class MultifrontalFactor:
     raises :class:`SolverError` where a block of pivots was singular. Not thread-safe.
     """
 
+    name = "multifrontal"
     single = True
 
     def __init__(self, upper: csr_array, n_displacements: int, order: IntArray) -> None:
