@@ -5,7 +5,7 @@ from __future__ import annotations
 import alternatives as slow
 import numpy as np
 import pytest
-from scipy.sparse import csr_array, random_array, triu
+from scipy.sparse import csr_array
 
 from forearm_fem.errors import SolverError
 from forearm_fem.fem import factor as factors
@@ -46,16 +46,6 @@ def test_operator_is_complex_symmetric_and_affine(model):
     assert np.abs(a.imag).max() > 1e-3 * np.abs(a).max()
 
 
-def test_parts_add_up_to_the_operator(model):
-    """Constant, damping and inertia, each real, weighted by their own coefficients: A at any frequency."""
-    operator = model.operator
-    assert len(operator.parts) == 3
-    for omega in (0.3, OMEGA, 20 * OMEGA):
-        whole = sum(complex(c.at(omega)) * (m.half + m.half.T).toarray() for m, c in operator.parts)
-        exact = slow.dense(operator, omega)
-        assert np.abs(whole - exact).max() < 1e-14 * np.abs(exact).max()
-
-
 def test_taylor_coefficients_continue_the_solution(model):
     """The series about one frequency, summed beside it, is the direct solution there; columns of lower order too."""
     solver = make_solver(model, SolverOptions(precision="double"), 150.0)
@@ -78,7 +68,7 @@ def test_diagonal_stands_first_in_each_row(model):
 
 @pytest.mark.parametrize("kind", [float, complex])
 def test_symmetric_product_with_vectors_and_columns(kind):
-    """Also of real matrices with complex columns, which go as pairs of real ones; small integers: exact."""
+    """Small integers: exact."""
     upper = np.array([[1, 2, 0, 1], [0, 3, 4, 0], [0, 0, 0, 6], [0, 0, 0, 5]], dtype=kind) * (
         1 if kind is float else 1j
     )
@@ -87,19 +77,6 @@ def test_symmetric_product_with_vectors_and_columns(kind):
     x = np.array([[1.0, 2], [3, 4], [5, 6], [7, 8]])
     for columns in (x, x[:, 0], x + 1j * x[::-1], x[:, ::-1]):
         assert np.array_equal(matrix.product(columns), full @ columns)
-
-
-@needs_mkl
-@pytest.mark.parametrize("width", [1, 5, 32])
-def test_products_by_mkl_are_those_by_halves(width):
-    """Real matrices of more than 300 000 entries; sums in another order: rounding of 80 terms."""
-    rng = np.random.default_rng(0)
-    matrix = SymmetricMatrix.from_upper(csr_array(triu(random_array((20_000, 20_000), density=2e-3, rng=rng))))
-    assert matrix.half.nnz > 300_000
-    for x in (rng.normal(size=(20_000, width)), rng.normal(size=(20_000, 2 * width))[:, ::2]):
-        assert np.abs(matrix.product(x) - matrix.by_halves(x)).max() < 1e-13 * np.abs(x).max() * 80
-    with pytest.raises(ValueError, match="20000 columns was given 19999 rows"):
-        matrix.product(rng.normal(size=(19_999, width)))
 
 
 @needs_mkl

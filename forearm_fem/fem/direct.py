@@ -46,7 +46,7 @@ class DirectSolver:
         refinement of one coefficient is solved together with the next one, because reading the factors is what a
         solve costs; the next one lacks what this changes, which is left to its own refinement.
         """
-        recursion = TaylorRecursion(self.model.operator.parts, 2 * np.pi * frequency, orders)
+        recursion = TaylorRecursion(self.model.operator, 2 * np.pi * frequency, orders)
         recursion.add(start, 0)
         series, pending = [start], np.zeros((len(start), 0), dtype=complex)
         for k in range(1, int(orders.max()) + 1):

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array, triu
 
 from ..typing import ComplexArray, FloatArray, IntArray
-from .coefficients import Coefficient, grouped
+from .coefficients import Coefficient
+from .matrices import SymmetricMatrices
 from .symmetric import SymmetricMatrix
 
 
@@ -48,27 +49,13 @@ class AffineOperator:
         return self.combine([complex(t.coefficient.at(np.array(omega))) for t in self.terms])
 
     @cached_property
-    def parts(self) -> tuple[tuple[SymmetricMatrix, Coefficient], ...]:
-        """A(omega) as a sum of real matrices, as few as can be: constant, i omega, -omega^2, and each other term.
-
-        They are without the zeros of the common pattern.
-        """
-        return tuple((self._sparse(weights), c) for weights, c in grouped([t.coefficient for t in self.terms]))
+    def matrices(self) -> SymmetricMatrices:
+        """The terms' matrices, whole and without the zeros of the common pattern, for products."""
+        return SymmetricMatrices.from_uppers([self.term_matrix(t) for t in self.terms])
 
     def at(self, omega: float) -> WeightedSum:
         """A(omega) for products with few columns."""
-        return WeightedSum(tuple((complex(c.at(np.array(omega))), matrix) for matrix, c in self.parts))
-
-    def _sparse(self, weights: Sequence[float] | FloatArray) -> SymmetricMatrix:
-        """The weighted sum of the terms where it is not zero."""
-        data = np.zeros(len(self.indices))
-        for term, weight in zip(self.terms, weights, strict=True):
-            if weight != 0:
-                data[term.positions] += weight * term.values
-        data[self.diagonal_positions] /= 2
-        there = data != 0
-        indptr = np.concatenate([[0], np.cumsum(there)])[self.indptr]
-        return SymmetricMatrix(csr_array((data[there], self.indices[there], indptr), shape=(self.n, self.n)))
+        return WeightedSum(self.matrices, np.array([complex(t.coefficient.at(np.array(omega))) for t in self.terms]))
 
     def combine(self, weights: Sequence[complex]) -> ComplexArray:
         """Upper-triangle values of a weighted sum of the terms."""
@@ -102,37 +89,19 @@ class AffineOperator:
         indptr = np.searchsorted(term.positions, self.indptr)  # positions ascend, row by row
         return csr_array((term.values, self.indices[term.positions], indptr), shape=(self.n, self.n))
 
-    @cached_property
-    def compact(self) -> dict[str, tuple[IntArray, SymmetricMatrix]]:
-        """Term -> rows that it touches and the matrix on those rows."""
-        return {t.name: _compact(self.term_matrix(t)) for t in self.terms}
-
 
 @dataclass(frozen=True)
 class WeightedSum:
-    """A sum of real symmetric matrices with complex weights, each multiplied on its own.
+    """A sum of real symmetric matrices with complex ``weights`` (n_matrix,)."""
 
-    Half the work of products with their complex sum.
-    """
-
-    parts: tuple[tuple[complex, SymmetricMatrix], ...]
+    matrices: SymmetricMatrices
+    weights: ComplexArray
 
     def product(self, x: ComplexArray) -> ComplexArray:
         """The sum times columns ``x`` (n, k)."""
         total = np.zeros(x.shape, dtype=complex)
-        for weight, matrix in self.parts:
-            total += weight * matrix.product(x)
+        self.matrices.add_products_in_place([total], self.weights[None], x)
         return total
-
-
-def _compact(upper: csr_array) -> tuple[IntArray, SymmetricMatrix]:
-    """Rows that a symmetric matrix, given by its upper triangle, touches, and the matrix on those rows."""
-    touched = np.diff(upper.indptr) > 0
-    touched[upper.indices] = True
-    used, place = np.flatnonzero(touched), np.cumsum(touched) - 1
-    indptr = upper.indptr[np.append(used, len(touched))]
-    small = csr_array((upper.data, place[upper.indices], indptr), shape=(len(used), len(used)))
-    return used, SymmetricMatrix.from_upper(small)
 
 
 def affine_operator(

@@ -152,9 +152,8 @@ def _extended_matrices(reduced: ReducedModel, operator: AffineOperator, added: F
     total = old + added.shape[1]
     matrices = np.zeros((len(operator.terms), total, total))
     matrices[:, :old, :old] = reduced.matrices
-    for matrix, term in zip(matrices, operator.terms, strict=True):
-        rows, matrix_there = operator.compact[term.name]
-        columns = basis.inner(matrix_there.product(added[rows]), rows)
+    for t, matrix in enumerate(matrices):
+        columns = basis.inner(operator.matrices.product(t, added), operator.matrices.touched[t])
         matrix[:, old:] = columns
         matrix[old:, :old] = columns[:old].T
         matrix[old:, old:] = _symmetric(columns[old:])

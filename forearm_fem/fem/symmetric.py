@@ -11,12 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 
-from .multiply import MklMatrix
-from .pardiso import library
-
-_FEW = 32  # real columns: with more of them the two halves are as fast and need no whole matrix
-_LARGE = 300_000  # entries of a half below which nothing is gained
-
 
 @dataclass(frozen=True)
 class SymmetricMatrix:
@@ -35,22 +29,8 @@ class SymmetricMatrix:
     def _transposed(self) -> csc_array:
         return csc_array(self.half.T)
 
-    @cached_property
-    def _whole(self) -> MklMatrix:
-        return MklMatrix(csr_array(self.half + self.half.T))
-
     def product(self, x: NDArray[Any]) -> NDArray[Any]:
-        """A x for columns ``x`` (n, k): a large real matrix with few columns by MKL, else by :meth:`by_halves`."""
-        if self.half.dtype.kind == "f" and np.iscomplexobj(x):  # half the work of complex times complex
-            pairs = np.ascontiguousarray(x).view(np.float64).reshape(len(x), -1)
-            return self.product(pairs).view(np.complex128).reshape(x.shape)
-        few = x.ndim == 2 and x.shape[1] <= _FEW and self.half.dtype.kind == "f"
-        if few and self.half.nnz > _LARGE and library() is not None:
-            return self._whole.product(x)
-        return self.by_halves(x)
-
-    def by_halves(self, x: NDArray[Any]) -> NDArray[Any]:
-        """A x with scipy, the two halves in a thread each, as the sums run without Python's lock."""
+        """A x for columns ``x`` (n, k), the two halves in a thread each, as scipy's sums run without Python's lock."""
         with ThreadPoolExecutor(1) as pool:
             below = pool.submit(self._transposed.__matmul__, x)
             total = self.half @ x

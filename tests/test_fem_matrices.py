@@ -1,0 +1,104 @@
+"""Products of the operator's matrices with columns in compiled code, against scipy and dense sums."""
+
+import alternatives as slow
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import csr_array, random_array, triu
+
+from forearm_fem.fem import matrices as kept
+from forearm_fem.fem.matrices import SymmetricMatrices
+from forearm_fem.verification.scenes import held_block
+
+COMPILED = kept.compiled() is not None
+needs_numba = pytest.mark.skipif(not COMPILED, reason="numba is not installed")
+
+
+def uppers(n: int, count: int, density: float, seed: int = 0) -> list[csr_array]:
+    """Upper triangles in CSR, columns ascending; the last is empty but for one entry."""
+    random = np.random.default_rng(seed)
+    parts = [csr_array(triu(random_array((n, n), density=density, rng=random))) for _ in range(count)]
+    parts.append(csr_array(([2.0], ([n // 3], [n // 2])), shape=(n, n)))
+    for part in parts:
+        part.sort_indices()
+    return parts
+
+
+def whole(upper: csr_array) -> np.ndarray:
+    dense = upper.toarray()
+    return dense + dense.T - np.diag(np.diag(dense))
+
+
+def random_columns(n: int, k: int) -> np.ndarray:
+    random = np.random.default_rng(k)
+    return random.normal(size=(n, k)) + 1j * random.normal(size=(n, k))
+
+
+@needs_numba
+@settings(max_examples=60, deadline=None)
+@given(n=st.integers(1, 40), k=st.integers(1, 40), density=st.floats(0, 0.4), outputs=st.integers(1, 3))
+def test_weighted_sums_are_those_of_dense_matrices(n, k, density, outputs):
+    """Any width: four vectors of eight doubles at a time, single ones, and a last one that overlaps them."""
+    given_, x = uppers(n, 2, density), random_columns(n, k)
+    weights = random_columns(outputs, len(given_))
+    weights[0, 1] = 0
+    totals = [random_columns(n, k) for _ in range(outputs)]
+    exact = [
+        total + np.tensordot(row, [whole(u) @ x for u in given_], 1) for total, row in zip(totals, weights, strict=True)
+    ]
+    SymmetricMatrices.from_uppers(given_).add_products_in_place(totals, weights, x)
+    for found, right in zip(totals, exact, strict=True):
+        assert np.abs(found - right).max() < 1e-13 * max(np.abs(right).max(), 1)  # rounding of 40 terms
+
+
+@needs_numba
+@settings(max_examples=30, deadline=None)
+@given(n=st.integers(1, 40), k=st.integers(1, 70), density=st.floats(0, 0.4))
+def test_real_products_are_the_rows_that_are_touched(n, k, density):
+    given_, x = uppers(n, 1, density), random_columns(n, k).real
+    matrices = SymmetricMatrices.from_uppers(given_)
+    for t, upper in enumerate(given_):
+        rows = np.flatnonzero(np.any(whole(upper), axis=1))
+        assert np.array_equal(matrices.touched[t], rows)
+        found = matrices.product(t, x)
+        assert found.shape == (len(rows), k)
+        assert np.abs(found - (whole(upper) @ x)[rows]).max(initial=0) < 1e-13 * np.abs(x).max() * 40
+
+
+@pytest.mark.parametrize("width", [1, 5, 13])
+def test_threads_and_scipy_give_the_same(width, monkeypatch):
+    """More than 100 000 entries are shared by threads; without numba scipy serves."""
+    given_ = uppers(20_000, 2, 5e-4)
+    weights, x = random_columns(2, 3), random_columns(20_000, width)
+
+    def found():
+        matrices, totals = SymmetricMatrices.from_uppers(given_), [np.zeros((20_000, width), complex) for _ in range(2)]
+        matrices.add_products_in_place(totals, weights, x)
+        return np.array(totals), matrices.product(0, x.real)
+
+    threaded, real = found()
+    monkeypatch.setattr(kept, "_LARGE", 10**9)
+    alone, real_alone = found()
+    assert np.array_equal(threaded, alone)
+    assert np.array_equal(real, real_alone)
+    monkeypatch.setattr(kept, "compiled", lambda: None)
+    by_scipy, real_by_scipy = found()
+    assert np.abs(by_scipy - alone).max() < 1e-13 * np.abs(alone).max()
+    assert np.abs(real_by_scipy - real).max() < 1e-13 * np.abs(real).max()
+
+
+def test_terms_add_up_to_the_operator():
+    operator = held_block(2).operator
+    x = random_columns(operator.n, 3)
+    for omega in (0.3, 300.0, 20_000.0):
+        exact = slow.dense(operator, omega) @ x
+        assert np.abs(operator.at(omega).product(x) - exact).max() < 1e-13 * np.abs(exact).max()
+
+
+def test_matrices_are_given_back_to_scipy_as_they_came():
+    given_ = uppers(30, 2, 0.2)
+    matrices = SymmetricMatrices.from_uppers(given_)
+    for t, upper in enumerate(given_):
+        assert np.array_equal(matrices.one(t).toarray(), whole(upper))
+        assert matrices.one(t).has_sorted_indices
