@@ -39,11 +39,11 @@ class Basis:
         return whole if self.directions is None else np.asarray(whole @ self.directions)
 
     def inner(self, columns: FloatArray, rows: slice | IntArray = slice(None)) -> FloatArray:
-        """Products (r, k) of ``rows`` of the blocks with as many rows of ``columns`` (len(rows), k)."""
+        """Products (r, k) of ``rows``, ascending, of the blocks with as many rows of ``columns`` (len(rows), k)."""
         if isinstance(rows, slice):
             parts = [block[rows].T @ columns for block in self.blocks]
         else:
-            parts = [_gathered_inner(block, rows, columns) for block in self.blocks]
+            parts = [_inner(block, rows, columns) for block in self.blocks]
         return np.vstack([*parts, np.zeros((0, columns.shape[1]))])
 
     def subtract_in_place(self, columns: FloatArray, known: FloatArray) -> None:
@@ -54,10 +54,19 @@ class Basis:
                 columns[rows] -= block[rows] @ known[start : start + block.shape[1]]
 
 
-def _gathered_inner(block: FloatArray, rows: IntArray, columns: FloatArray) -> FloatArray:
-    """block[rows].T @ columns, piece by piece: the rows' copy would be as large as the block."""
-    start = np.zeros((block.shape[1], columns.shape[1]))
-    return np.asarray(sum((block[rows[p]].T @ columns[p] for p in _pieces(len(rows))), start))
+def _inner(block: FloatArray, rows: IntArray, columns: FloatArray) -> FloatArray:
+    """block[rows].T @ columns; ``rows`` ascend, and long runs of them need no copy of the block."""
+    ends = np.flatnonzero(np.diff(rows, append=-1) != 1) + 1
+    starts = np.concatenate([[0], ends[:-1]])
+    is_long = ends - starts > _PIECE
+    runs = [slice(s, e) for s, e in zip(starts[is_long].tolist(), ends[is_long].tolist(), strict=True)]
+    total = np.zeros((block.shape[1], columns.shape[1]))
+    for run in runs:
+        total += block[rows[run.start] : rows[run.stop - 1] + 1].T @ columns[run]
+    short = np.flatnonzero(np.repeat(~is_long, ends - starts))
+    for piece in _pieces(len(short)):
+        total += block[rows[short[piece]]].T @ columns[short[piece]]
+    return total
 
 
 def _pieces(count: int) -> Iterator[slice]:

@@ -12,10 +12,11 @@ from ..errors import DataError
 
 
 @contextmanager
-def atomic_path(path: str | Path) -> Iterator[Path]:
+def atomic_path(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
     """A path beside ``path`` to write to; it takes ``path``'s place when the block ends without failure.
 
-    Folders are made as needed. The data are on the disk before the old file is replaced; after a failure
+    Folders are made as needed. The data are on the disk before the old file is replaced, unless it need not be
+    ``durable`` (a cache that is checked when it is read, and of which a power cut may take a part); after a failure
     the old file stands untouched and nothing is left beside it. The suffix is kept, for writers that look
     at it. Raises DataError where the file cannot be written.
     """
@@ -24,9 +25,11 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         yield beside
-        _flush(beside)
+        if durable:
+            _flush(beside)
         os.replace(beside, target)
-        _flush_folder(target.parent)
+        if durable:
+            _flush_folder(target.parent)
     except OSError as problem:
         raise DataError(f"{target}: cannot be written ({problem.strerror or problem})") from problem
     finally:

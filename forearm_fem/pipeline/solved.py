@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array, kron, vstack
@@ -33,6 +34,7 @@ from .heap import freed_memory_kept
 from .skin_model import SkinModel, load_skin_model, save_skin_model
 
 _log = logging.getLogger("forearm_fem.pipeline")
+_DAMAGED = OSError, ValueError, KeyError, EOFError, BadZipFile
 Progress = Callable[[str, int, int], None]
 
 
@@ -186,13 +188,13 @@ class _Store:
             with np.load(self._snapshot(frequency)) as data:
                 series = tuple(data[f"order{k}"] for k in range(int(data["count"])))
                 return Expansion(frequency, series, float(data["residual"]), float(data["solve_error"]))
-        except (OSError, ValueError, KeyError, EOFError):
+        except _DAMAGED:
             return None
 
     def put(self, expansion: Expansion) -> None:
         """Keep an expansion until the sweep is finished."""
         try:
-            with atomic_path(self._snapshot(expansion.frequency)) as target, open(target, "wb") as stream:
+            with atomic_path(self._snapshot(expansion.frequency), durable=False) as target, open(target, "wb") as stream:
                 parts: dict[str, Any] = {f"order{k}": x for k, x in enumerate(expansion.series)}
                 parts |= {"count": len(parts), "residual": expansion.residual, "solve_error": expansion.solve_error}
                 np.savez(stream, **parts)
@@ -231,7 +233,7 @@ class _Store:
             with np.load(self._folder / "field.npz") as field:
                 modes, states = field["modes"].astype(float), field["states"].astype(complex)
             facts = json.loads((self._folder / "facts.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError, KeyError, EOFError):
+        except _DAMAGED:
             return None
         ends = self.read("other_ends") if facts.get("ends_by") == "reduced model" else None
         skin = self._skin() if facts.get("reduced_size") else None
@@ -246,7 +248,7 @@ class _Store:
     def keep_main(self, solved: Solved) -> None:
         """Store the main part, then drop the expansions it came from."""
         try:
-            with atomic_path(self._folder / "field.npz") as target, open(target, "wb") as stream:
+            with atomic_path(self._folder / "field.npz", durable=False) as target, open(target, "wb") as stream:
                 np.savez(stream, modes=solved.modes.astype(np.float32), states=solved.states.astype(np.complex64))
             write_text(self._folder / "facts.json", json.dumps(solved.facts))
         except (DataError, OSError) as problem:
