@@ -12,60 +12,51 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
 
-DOUBLES = 8  # in a vector of them
+
+class Vector(types.Type):
+    """numba's type of a vector of ``count`` numbers."""
+
+    def __init__(self, name: str, number: Any, count: int) -> None:
+        self.lanes = ir.VectorType(number, count)
+        base: Any = super()
+        base.__init__(name=name)
 
 
-class Doubles(types.Type):
-    """numba's type of a vector of eight doubles."""
-
-    def __init__(self) -> None:
-        super().__init__(name="Doubles")
-
-
-@register_model(Doubles)
+@register_model(Vector)
 class _Model(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
         base: Any = super()
-        base.__init__(manager, kind, _VECTOR)
+        base.__init__(manager, kind, kind.lanes)
 
 
-_VECTOR = ir.VectorType(ir.DoubleType(), DOUBLES)
-_doubles = Doubles()
+_doubles, _floats = Vector("eight doubles", ir.DoubleType(), 8), Vector("sixteen floats", ir.FloatType(), 16)
 
-
-@intrinsic
-def zeros(context: Any) -> Any:
-    """A vector of zeros."""
-
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return ir.Constant(_VECTOR, [0.0] * DOUBLES)
-
-    return _doubles(), build
+_find: Any = cgutils.get_or_insert_function
+_ALIGNED = 4  # bytes: of a float
 
 
 @intrinsic
-def plus_product(context: Any, total: Any, factor: Any, address: Any) -> Any:
-    """``total`` + ``factor`` times the vector at ``address``."""
-
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        total, factor, address = arguments
-        x = builder.load(builder.inttoptr(address, _VECTOR.as_pointer()), align=8)
-        kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
-        find: Any = cgutils.get_or_insert_function
-        function = find(builder.module, kind, f"llvm.fmuladd.v{DOUBLES}f64")
-        return builder.call(function, [_spread(builder, factor), x, total])
-
-    return _doubles(_doubles, types.float64, types.intp), build
+def no_doubles(context: Any) -> Any:
+    """Eight zeros in double precision."""
+    return _doubles(), _zeros
 
 
 @intrinsic
-def load(context: Any, address: Any) -> Any:
-    """The vector at ``address``."""
+def no_floats(context: Any) -> Any:
+    """Sixteen zeros in single precision."""
+    return _floats(), _zeros
 
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.load(builder.inttoptr(arguments[0], _VECTOR.as_pointer()), align=8)
 
-    return _doubles(types.intp), build
+@intrinsic
+def doubles_at(context: Any, address: Any) -> Any:
+    """The eight doubles at ``address``."""
+    return _doubles(types.intp), _load
+
+
+@intrinsic
+def floats_at(context: Any, address: Any) -> Any:
+    """The sixteen floats at ``address``."""
+    return _floats(types.intp), _load
 
 
 @intrinsic
@@ -73,10 +64,58 @@ def store(context: Any, address: Any, vector: Any) -> Any:
     """Write ``vector`` to ``address``."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        builder.store(arguments[1], builder.inttoptr(arguments[0], _VECTOR.as_pointer()), align=8)
+        place = builder.inttoptr(arguments[0], signature.args[1].lanes.as_pointer())
+        builder.store(arguments[1], place, align=_ALIGNED)
         return context.get_dummy_value()
 
-    return types.void(types.intp, _doubles), build
+    return types.void(types.intp, vector), build
+
+
+@intrinsic
+def plus_scaled(context: Any, total: Any, vector: Any, factor: Any) -> Any:
+    """``total`` + ``factor`` times ``vector``."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _plus_scaled(builder, signature.return_type, *arguments)
+
+    return total(total, total, types.float64 if total == _doubles else types.float32), build
+
+
+@intrinsic
+def plus_scaled_by(context: Any, total: Any, vector: Any, address: Any) -> Any:
+    """``total`` + ``vector`` times the number at ``address``."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        total, vector, address = arguments
+        factor = builder.load(builder.inttoptr(address, signature.return_type.lanes.element.as_pointer()))
+        return _plus_scaled(builder, signature.return_type, total, vector, factor)
+
+    return total(total, total, types.intp), build
+
+
+@intrinsic
+def plus_turned(context: Any, total: Any, vector: Any) -> Any:
+    """``total`` + i ``vector``, for vectors of real and imaginary parts in turn."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        lanes = signature.return_type.lanes
+        index = ir.VectorType(ir.IntType(32), lanes.count)
+        exchanged = ir.Constant(index, [k ^ 1 for k in range(lanes.count)])
+        swapped = builder.shuffle_vector(arguments[1], arguments[1], exchanged)
+        signs = ir.Constant(lanes, [1.0 if k % 2 else -1.0 for k in range(lanes.count)])
+        return builder.call(_multiply_add(builder, signature.return_type), [swapped, signs, arguments[0]])
+
+    return total(total, total), build
+
+
+@intrinsic
+def minus(context: Any, total: Any, vector: Any) -> Any:
+    """``total`` - ``vector``."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fsub(*arguments)
+
+    return total(total, total), build
 
 
 @intrinsic
@@ -89,8 +128,24 @@ def pointer(context: Any, address: Any) -> Any:
     return types.voidptr(types.intp), build
 
 
-def _spread(builder: Any, value: Any) -> Any:
-    """``value`` in all places of a vector."""
-    nothing, index = ir.Constant(_VECTOR, ir.Undefined), ir.IntType(32)
-    first = builder.insert_element(nothing, value, ir.Constant(index, 0))
-    return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(index, DOUBLES), [0] * DOUBLES))
+def _zeros(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    return ir.Constant(signature.return_type.lanes, [0.0] * signature.return_type.lanes.count)
+
+
+def _load(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    lanes = signature.return_type.lanes
+    return builder.load(builder.inttoptr(arguments[0], lanes.as_pointer()), align=_ALIGNED)
+
+
+def _plus_scaled(builder: Any, kind: Any, total: Any, vector: Any, factor: Any) -> Any:
+    lanes, index = kind.lanes, ir.IntType(32)
+    nothing = ir.Constant(lanes, ir.Undefined)
+    first = builder.insert_element(nothing, factor, ir.Constant(index, 0))
+    spread = builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(index, lanes.count), [0] * lanes.count))
+    return builder.call(_multiply_add(builder, kind), [spread, vector, total])
+
+
+def _multiply_add(builder: Any, kind: Any) -> Any:
+    lanes, find = kind.lanes, _find
+    suffix = "f64" if lanes.element == ir.DoubleType() else "f32"
+    return find(builder.module, ir.FunctionType(lanes, [lanes] * 3), f"llvm.fmuladd.v{lanes.count}{suffix}")

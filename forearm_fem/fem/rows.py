@@ -40,13 +40,13 @@ def _four(
     low: int, high: int, indices: IntArray, data: FloatArray, x: int, row: int, to: int, steps: tuple[int, int, int]
 ) -> None:
     """Four vectors of a row of the product, ``steps`` bytes after the first."""
-    a, b, c, d = lanes.zeros(), lanes.zeros(), lanes.zeros(), lanes.zeros()
+    a, b, c, d = lanes.no_doubles(), lanes.no_doubles(), lanes.no_doubles(), lanes.no_doubles()
     for p in range(low, high):
         at = x + row * indices[p]
-        a = lanes.plus_product(a, data[p], at)
-        b = lanes.plus_product(b, data[p], at + steps[0])
-        c = lanes.plus_product(c, data[p], at + steps[1])
-        d = lanes.plus_product(d, data[p], at + steps[2])
+        a = lanes.plus_scaled(a, lanes.doubles_at(at), data[p])
+        b = lanes.plus_scaled(b, lanes.doubles_at(at + steps[0]), data[p])
+        c = lanes.plus_scaled(c, lanes.doubles_at(at + steps[1]), data[p])
+        d = lanes.plus_scaled(d, lanes.doubles_at(at + steps[2]), data[p])
     lanes.store(to, a)
     lanes.store(to + steps[0], b)
     lanes.store(to + steps[1], c)
@@ -55,9 +55,9 @@ def _four(
 
 @njit(cache=True, nogil=True)
 def _one(low: int, high: int, indices: IntArray, data: FloatArray, x: int, row: int, to: int) -> None:
-    total = lanes.zeros()
+    total = lanes.no_doubles()
     for p in range(low, high):
-        total = lanes.plus_product(total, data[p], x + row * indices[p])
+        total = lanes.plus_scaled(total, lanes.doubles_at(x + row * indices[p]), data[p])
     lanes.store(to, total)
 
 
@@ -94,8 +94,9 @@ def _add_combined(weight: complex, row: FloatArray, turned: FloatArray, total: F
     if weight == 0:
         return
     for c in range(0, 8 * len(total), _BYTES):
-        part = lanes.plus_product(lanes.load(total.ctypes.data + c), weight.real, row.ctypes.data + c)
-        lanes.store(total.ctypes.data + c, lanes.plus_product(part, weight.imag, turned.ctypes.data + c))
+        at = total.ctypes.data + c
+        part = lanes.plus_scaled(lanes.doubles_at(at), lanes.doubles_at(row.ctypes.data + c), weight.real)
+        lanes.store(at, lanes.plus_scaled(part, lanes.doubles_at(turned.ctypes.data + c), weight.imag))
 
 
 @njit(cache=True, nogil=True)

@@ -194,7 +194,10 @@ class _Store:
     def put(self, expansion: Expansion) -> None:
         """Keep an expansion until the sweep is finished."""
         try:
-            with atomic_path(self._snapshot(expansion.frequency), durable=False) as target, open(target, "wb") as stream:
+            with (
+                atomic_path(self._snapshot(expansion.frequency), durable=False) as target,
+                open(target, "wb") as stream,
+            ):
                 parts: dict[str, Any] = {f"order{k}": x for k, x in enumerate(expansion.series)}
                 parts |= {"count": len(parts), "residual": expansion.residual, "solve_error": expansion.solve_error}
                 np.savez(stream, **parts)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -15,13 +16,14 @@ from threadpoolctl import ThreadpoolController
 
 from ...errors import SolverError
 from ...typing import ComplexArray, FloatArray, IntArray
-from .blas import arguments
+from .blas import BLOCK, arguments
 from .fronts import Scratch, Store, block_entries, factorise_part, scratch_entries
 from .parts import Part, Parts, divided
-from .substitution import Local, backward, forward, gathered, scattered
+from .substitution import LANES, Local, backward, forward, gathered, scattered
 from .supernodes import Symbolic, analyse
 
-T = TypeVar("T")
+Thing = TypeVar("Thing")
+Result = TypeVar("Result")
 PRESSURES = 0.3  # entries that couple pressures are scaled to this at most; 0.1 and 1 leave more of point forces
 
 
@@ -58,7 +60,7 @@ class MultifrontalFactor:
                 factorise_part(part, fronts, entries, data, self._scale, memory.store, remainder, memory.stack, scratch)
             )
 
-        self._singular = sum(self._in_threads(work)) + work(self._parts.top)
+        self._singular = sum(self._in_threads(work, self._parts.subtrees)) + work(self._parts.top)
 
     def solve(self, right: ComplexArray) -> ComplexArray:
         """See :class:`..factor.Factor`."""
@@ -70,22 +72,26 @@ class MultifrontalFactor:
         x = gathered(columns, self.symbolic.order, self._scale)
         fronts, owner, memory = self.symbolic.fronts, self._parts.owner, self._memory
         locals_ = [self._local(part, x.shape[1]) for part in (*self._parts.subtrees, self._parts.top)]
+        whole, top = (0, x.shape[1]), self._parts.top
 
         def down(part: Part) -> NDArray[np.complex64]:
-            others, call = np.zeros_like(x), memory.scratch[part.number].call
-            forward(part, fronts, memory.store, owner, x, others, locals_[part.number], call)
+            others = np.zeros_like(x)
+            forward(part, fronts, memory.store, owner, x, others, locals_[part.number], whole)
             return others
 
-        def up(part: Part) -> None:
-            backward(part, fronts, memory.store, x, locals_[part.number], memory.scratch[part.number].call)
+        def over_the_top(some: tuple[int, int]) -> None:
+            forward(top, fronts, memory.store, owner, x, x, locals_[top.number], some)
+            backward(top, fronts, memory.store, x, locals_[top.number], some)
 
-        above = owner == self._parts.top.number
-        for others in self._in_threads(down):
+        def up(part: Part) -> None:
+            backward(part, fronts, memory.store, x, locals_[part.number], whole)
+
+        subtrees, above = self._parts.subtrees, owner == top.number
+        for others in self._in_threads(down, subtrees):
             x[above] += others[above]
-        down(self._parts.top)
-        up(self._parts.top)
-        self._in_threads(up)
-        return np.asarray(scattered(x, self.symbolic.order, self._scale).reshape(right.shape))
+        self._in_threads(over_the_top, _shared(x.shape[1], len(subtrees)))
+        self._in_threads(up, subtrees)
+        return np.asarray(scattered(x, self.symbolic.order, self._scale, columns.shape[1]).reshape(right.shape))
 
     def harden(self) -> bool:
         """See :class:`..factor.Factor`; this one cannot."""
@@ -101,14 +107,13 @@ class MultifrontalFactor:
         return int(panel_entries(self.symbolic).sum())
 
     def _local(self, part: Part, count: int) -> Local:
-        columns = self.symbolic.columns[part.supernodes]
-        size = (columns + self.symbolic.remaining[part.supernodes]).max(initial=0)
-        return Local(np.empty(size * count, np.complex64), np.empty(columns.max(initial=0) * count, np.complex64))
+        rows = self.symbolic.remaining[part.supernodes].max(initial=0)
+        return Local(np.empty((rows, count), np.complex64), np.empty((BLOCK, count), np.complex64))
 
-    def _in_threads(self, work: Callable[[Part], T]) -> list[T]:
-        """Results of ``work`` on the subtrees, a thread for each and no more of BLAS's own."""
-        with self._blas.limit(limits=1), ThreadPoolExecutor(len(self._parts.subtrees)) as pool:
-            return list(pool.map(work, self._parts.subtrees))
+    def _in_threads(self, work: Callable[[Thing], Result], things: Sequence[Thing]) -> list[Result]:
+        """Results of ``work`` on each of the ``things``, in a thread each and no more of BLAS's own."""
+        with self._blas.limit(limits=1), ThreadPoolExecutor(len(things)) as pool:
+            return list(pool.map(work, things))
 
 
 @dataclass(frozen=True)
@@ -142,6 +147,12 @@ def _scratch(symbolic: Symbolic, part: Part) -> Scratch:
     outer, under = scratch_entries(symbolic.columns[some], symbolic.remaining[some])
     place = np.empty(len(symbolic.order), np.int32)
     return Scratch(arguments(), place, np.empty(outer, np.complex64), np.empty(under, np.complex64))
+
+
+def _shared(columns: int, threads: int) -> list[tuple[int, int]]:
+    """Right-hand sides from and up to, whole vectors, for each thread that gets any."""
+    cuts = np.linspace(0, columns // LANES, threads + 1).round().astype(int) * LANES
+    return [(int(a), int(b)) for a, b in pairwise(cuts) if a < b]
 
 
 @njit(cache=True)

@@ -1,7 +1,6 @@
 """Forward and backward substitution with the factors of :mod:`.fronts`, for many right-hand sides at once.
 
-Right-hand sides are (n, count) by rows, so that rows are added as a whole; a front's own are copied and lie by columns,
-which BLAS multiplies panels with in two thirds of the time.
+Right-hand sides are (n, count) by rows, with zeros up to a multiple of eight: a supernode's own are next to each other.
 """
 
 from __future__ import annotations
@@ -13,35 +12,40 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ...typing import ComplexArray, FloatArray, IntArray
-from .blas import BLOCK, BYTES, FIRST, NEITHER, Arguments, set_product, subtract_product
+from .blas import BLOCK, BYTES
 from .fronts import Store
+from .panels import subtract_product, subtract_transposed
 from .parts import Part
 from .supernodes import Fronts
 
+LANES = 8  # complex numbers in a vector
+
 
 class Local(NamedTuple):
-    """One front's right-hand sides, and those of its own unknowns apart."""
+    """Right-hand sides (rows, count) below one supernode, and those of one block of pivots."""
 
-    front: NDArray[np.complex64]
-    own: NDArray[np.complex64]
+    below: NDArray[np.complex64]
+    block: NDArray[np.complex64]
 
 
 @njit(cache=True, nogil=True)
 def gathered(right: ComplexArray, order: IntArray, scale: FloatArray) -> NDArray[np.complex64]:
-    """Rows of ``right`` (n, count) in the order of elimination, scaled."""
-    x = np.empty(right.shape, np.complex64)
+    """Rows of ``right`` (n, count) in the order of elimination, scaled, with zeros up to a multiple of eight."""
+    count = right.shape[1]
+    x = np.empty((len(order), -(-count // LANES) * LANES), np.complex64)
     for i in range(len(order)):
-        for c in range(right.shape[1]):
+        for c in range(count):
             x[i, c] = right[order[i], c] * scale[i]
+        x[i, count:] = 0
     return x
 
 
 @njit(cache=True, nogil=True)
-def scattered(x: NDArray[np.complex64], order: IntArray, scale: FloatArray) -> ComplexArray:
-    """Rows of ``x`` (n, count) back in the usual order, scaled."""
-    right = np.empty(x.shape, np.complex128)
+def scattered(x: NDArray[np.complex64], order: IntArray, scale: FloatArray, count: int) -> ComplexArray:
+    """The first ``count`` columns of ``x``, rows back in the usual order, scaled."""
+    right = np.empty((len(order), count), np.complex128)
     for i in range(len(order)):
-        for c in range(x.shape[1]):
+        for c in range(count):
             right[order[i], c] = x[i, c] * scale[i]
     return right
 
@@ -49,61 +53,52 @@ def scattered(x: NDArray[np.complex64], order: IntArray, scale: FloatArray) -> C
 @njit(cache=True, nogil=True)
 def forward(
     part: Part, fronts: Fronts, store: Store, owner: NDArray[np.int32], x: NDArray[np.complex64],
-    others: NDArray[np.complex64], local: Local, call: Arguments,
+    others: NDArray[np.complex64], local: Local, some: tuple[int, int],
 ) -> None:  # fmt: skip
-    """L x = b for a part's columns; what it gives to unknowns of other parts is added to ``others`` (n, count)."""
-    count, z = x.shape[1], local.front.ctypes.data
+    """L x = b for a part's columns; what it gives to unknowns of other parts is added to ``others`` (n, count).
+
+    Right-hand sides from ``some[0]`` up to ``some[1]``, multiples of eight.
+    """
+    row, skipped, width = BYTES * x.shape[1], BYTES * some[0], BYTES * (some[1] - some[0])
+    below = local.below.ctypes.data + skipped
     for s in part.supernodes:
         k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
         size, panel = k + m, store.panels.ctypes.data + BYTES * store.start[s]
-        _copy_own(x, fronts.first[s], k, local.front, size)
-        for c in range(count):
-            local.front[c * size + k : (c + 1) * size] = 0
+        own = x.ctypes.data + row * fronts.first[s] + skipped
+        local.below[:m, some[0] : some[1]] = 0
         for j in range(0, k, BLOCK):
-            e = min(j + BLOCK, k)
-            below, shape = panel + BYTES * (j * size + e), (size - e, count, e - j)
-            subtract_product(call, shape, below, size, z + BYTES * j, size, z + BYTES * e, size, NEITHER)
-        _put_back(x, fronts.first[s], k, local.front, size)
+            e, column = min(j + BLOCK, k), panel + BYTES * j * size
+            left = column + BYTES * e
+            subtract_product(k - e, e - j, left, BYTES * size, own + row * j, own + row * e, row, width)
+            subtract_product(m, e - j, column + BYTES * k, BYTES * size, own + row * j, below, row, width)
         for i in range(m):
-            row = fronts.rows[fronts.below[s] + i]
-            to = x if owner[row] == part.number else others
-            for c in range(count):
-                to[row, c] += local.front[c * size + k + i]
+            to = fronts.rows[fronts.below[s] + i]
+            target = x if owner[to] == part.number else others
+            for c in range(some[0], some[1]):
+                target[to, c] += local.below[i, c]
 
 
 @njit(cache=True, nogil=True)
-def backward(part: Part, fronts: Fronts, store: Store, x: NDArray[np.complex64], local: Local, call: Arguments) -> None:
-    """D L^T x = b for a part's columns, those above them known."""
-    count, z, own = x.shape[1], local.front.ctypes.data, local.own.ctypes.data
+def backward(
+    part: Part, fronts: Fronts, store: Store, x: NDArray[np.complex64], local: Local, some: tuple[int, int]
+) -> None:
+    """D L^T x = b for a part's columns, those above them known; see :func:`forward`."""
+    row, skipped, width = BYTES * x.shape[1], BYTES * some[0], BYTES * (some[1] - some[0])
+    below, block = local.below.ctypes.data + skipped, local.block.ctypes.data + skipped
     for s in part.supernodes[::-1]:
         k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
-        size, panel = k + m, store.panels.ctypes.data + BYTES * store.start[s]
-        _copy_own(x, fronts.first[s], k, local.own, k)
+        first, size, panel = fronts.first[s], k + m, store.panels.ctypes.data + BYTES * store.start[s]
+        own = x.ctypes.data + row * first + skipped
         for i in range(m):
-            row = fronts.rows[fronts.below[s] + i]
-            for c in range(count):
-                local.front[c * size + k + i] = x[row, c]
+            local.below[i, some[0] : some[1]] = x[fronts.rows[fronts.below[s] + i], some[0] : some[1]]
         inverse = store.inverses.ctypes.data + BYTES * store.block[s + 1]
         for j in range((k - 1) // BLOCK * BLOCK, -1, -BLOCK):
-            e = min(j + BLOCK, k)
-            width, target = e - j, z + BYTES * j
-            inverse -= BYTES * width * width
-            set_product(call, (width, count, width), inverse, width, own + BYTES * j, k, target, size)
-            below, shape = panel + BYTES * (j * size + e), (width, count, size - e)
-            subtract_product(call, shape, below, size, z + BYTES * e, size, target, size, FIRST)
-        _put_back(x, fronts.first[s], k, local.front, size)
-
-
-@njit(cache=True, nogil=True)
-def _copy_own(x: NDArray[np.complex64], first: int, k: int, to: NDArray[np.complex64], size: int) -> None:
-    """A supernode's k rows, column by column, ``size`` apart."""
-    for i in range(k):
-        for c in range(x.shape[1]):
-            to[c * size + i] = x[first + i, c]
-
-
-@njit(cache=True, nogil=True)
-def _put_back(x: NDArray[np.complex64], first: int, k: int, source: NDArray[np.complex64], size: int) -> None:
-    for i in range(k):
-        for c in range(x.shape[1]):
-            x[first + i, c] = source[c * size + i]
+            e, column = min(j + BLOCK, k), panel + BYTES * j * size
+            pivots, target = e - j, own + row * j
+            inverse -= BYTES * pivots * pivots
+            local.block[:pivots, some[0] : some[1]] = -x[first + j : first + e, some[0] : some[1]]
+            x[first + j : first + e, some[0] : some[1]] = 0
+            left = column + BYTES * e
+            subtract_product(pivots, pivots, inverse, BYTES * pivots, block, target, row, width)
+            subtract_transposed(k - e, pivots, left, BYTES * size, own + row * e, target, row, width)
+            subtract_transposed(m, pivots, column + BYTES * k, BYTES * size, below, target, row, width)
