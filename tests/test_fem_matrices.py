@@ -1,5 +1,7 @@
 """Products of the operator's matrices with columns in compiled code, against scipy and dense sums."""
 
+from itertools import pairwise
+
 import alternatives as slow
 import numpy as np
 import pytest
@@ -8,10 +10,13 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array, random_array, triu
 
 from forearm_fem.fem import matrices as kept
+from forearm_fem.fem import operator as operators
+from forearm_fem.fem.coefficients import Polynomial
 from forearm_fem.fem.matrices import SymmetricMatrices
+from forearm_fem.fem.operator import affine_operator
 from forearm_fem.verification.scenes import held_block
 
-COMPILED = kept.compiled() is not None
+COMPILED = kept.compiled("rows") is not None
 needs_numba = pytest.mark.skipif(not COMPILED, reason="numba is not installed")
 
 
@@ -82,7 +87,7 @@ def test_threads_and_scipy_give_the_same(width, monkeypatch):
     alone, real_alone = found()
     assert np.array_equal(threaded, alone)
     assert np.array_equal(real, real_alone)
-    monkeypatch.setattr(kept, "compiled", lambda: None)
+    monkeypatch.setattr(kept, "compiled", lambda _: None)
     by_scipy, real_by_scipy = found()
     assert np.abs(by_scipy - alone).max() < 1e-13 * np.abs(alone).max()
     assert np.abs(real_by_scipy - real).max() < 1e-13 * np.abs(real).max()
@@ -102,3 +107,35 @@ def test_matrices_are_given_back_to_scipy_as_they_came():
     for t, upper in enumerate(given_):
         assert np.array_equal(matrices.one(t).toarray(), whole(upper))
         assert matrices.one(t).has_sorted_indices
+
+
+@needs_numba
+@settings(max_examples=40, deadline=None)
+@given(n=st.integers(1, 30), count=st.integers(1, 4), density=st.floats(0, 0.5), seed=st.integers(0, 99))
+def test_operators_are_put_together_as_by_scipy(n, count, density, seed):
+    """Columns in any order, stored zeros, empty rows: pattern, positions and values are the same."""
+    random = np.random.default_rng(seed)
+    given_ = []
+    for part in uppers(n, count, density, seed):
+        full = csr_array(part + part.T)
+        full.data[random.random(full.nnz) < 0.1] = 0
+        given_.append(("term", shuffled(full, random), Polynomial(constant=2.0, rate=0.1)))
+    fast = affine_operator(given_, n, 1.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(operators, "compiled", lambda _: None)
+        plain = affine_operator(given_, n, 1.0)
+        values = plain.data(3.0)
+    assert np.array_equal(fast.indptr, plain.indptr)
+    assert np.array_equal(fast.indices, plain.indices)
+    assert np.abs(fast.data(3.0) - values).max() < 1e-15 * max(np.abs(values).max(), 1)  # a fused multiply-add
+    for one, other in zip(fast.terms, plain.terms, strict=True):
+        assert np.array_equal(one.positions, other.positions)
+        assert np.array_equal(one.values, other.values)
+
+
+def shuffled(matrix: csr_array, random: np.random.Generator) -> csr_array:
+    """The same matrix with the entries of each row in another order."""
+    order = np.concatenate(
+        [np.empty(0, int), *(random.permutation(np.arange(a, b)) for a, b in pairwise(matrix.indptr))]
+    )
+    return csr_array((matrix.data[order], matrix.indices[order], matrix.indptr), shape=matrix.shape)

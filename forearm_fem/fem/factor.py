@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import logging
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal, Protocol
 
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.sparse.linalg import splu
 from ..errors import SolverError
 from ..typing import ComplexArray, IntArray
 from . import pardiso
+from .compiled import compiled
 from .operator import AffineOperator
 from .ordering import nested_dissection
 
@@ -138,16 +138,9 @@ class CautiousFactor:
         self.now.release()
 
 
-@lru_cache(maxsize=1)
 def _compiles() -> bool:
     """Whether METIS and numba are there, and a place for what numba compiles."""
-    try:
-        importlib.import_module("pymetis")
-        importlib.import_module("forearm_fem.fem.frontal.factor")
-    except (ImportError, RuntimeError) as problem:
-        _log.info("no multifrontal solver: %s", problem)
-        return False
-    return True
+    return importlib.util.find_spec("pymetis") is not None and compiled("frontal.factor") is not None
 
 
 def available_backends() -> tuple[str, ...]:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
-import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from types import ModuleType
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,21 +14,11 @@ from scipy.sparse import csr_array
 from threadpoolctl import ThreadpoolController
 
 from ..typing import ComplexArray, FloatArray, IntArray
+from .compiled import compiled
 
-_log = logging.getLogger("forearm_fem.fem")
 _LANES = 8  # doubles that a row needs at least
 _PIECES = 4  # for each thread, of as much work
 _LARGE = 100_000  # entries below which threads gain nothing
-
-
-@lru_cache(maxsize=1)
-def compiled() -> ModuleType | None:
-    """The compiled kernels, or None where numba or a place for what it compiles is missing."""
-    try:
-        return importlib.import_module("forearm_fem.fem.rows")
-    except (ImportError, RuntimeError) as problem:
-        _log.info("products of sparse matrices are not compiled: %s", problem)
-        return None
 
 
 @dataclass(frozen=True)
@@ -71,7 +58,7 @@ class SymmetricMatrices:
 
     def product(self, t: int, x: FloatArray) -> FloatArray:
         """The rows ``touched[t]`` of A_t x (len(touched[t]), k) for real columns ``x`` (n, k)."""
-        kernels, rows, k = compiled(), self.touched[t], x.shape[1]
+        kernels, rows, k = compiled("rows"), self.touched[t], x.shape[1]
         if kernels is None:
             return np.asarray((self.one(t) @ x)[rows])
         x = _wide(x)
@@ -87,7 +74,7 @@ class SymmetricMatrices:
 
     def add_products_in_place(self, totals: Sequence[ComplexArray], weights: ComplexArray, x: ComplexArray) -> None:
         """Add sum_t ``weights[o, t]`` A_t x to ``totals[o]`` (n, k), for complex columns ``x`` (n, k)."""
-        kernels, k = compiled(), x.shape[1]
+        kernels, k = compiled("rows"), x.shape[1]
         if kernels is None or not all(total.flags.c_contiguous for total in totals):
             return self._added_by_scipy(totals, weights, x)
         pairs = _wide(np.ascontiguousarray(x).view(float))
@@ -141,7 +128,7 @@ def _wide(x: NDArray[Any]) -> FloatArray:
 
 def _whole(upper: csr_array) -> tuple[IntArray, IntArray, FloatArray]:
     """Row starts, columns and values of the symmetric matrix with this upper triangle."""
-    if (kernels := compiled()) is not None:
+    if (kernels := compiled("rows")) is not None:
         start, columns, values = kernels.mirrored(upper.indptr, upper.indices, upper.data)
         return start, columns, values
     diagonal = csr_array((upper.diagonal(), (np.arange(len(upper.indptr) - 1),) * 2), shape=upper.shape)

@@ -198,13 +198,18 @@ def _with_pressure(
     storage = csr_array(sum(part.pressure_mass / tissues[name].bulk for name, part in zip(names, parts, strict=True)))
     n_p, n_u = divergence.shape
     scale = _pressure_scale([(m, coefficient(name)) for name, m in displacement], divergence)
-    zero = csr_array((n_p, n_p))
-    whole: Matrices = [(name, csr_array(block_array([[m, None], [None, zero]]))) for name, m in displacement]
+    whole: Matrices = [(name, _enlarged(m, n_u + n_p)) for name, m in displacement]
     coupling = csr_array(block_array([[None, -scale * divergence.T], [-scale * divergence, None]]))
     whole.append(("incompressibility", coupling))
     compressed = csr_array(block_array([[csr_array((n_u, n_u)), None], [None, -(scale**2) * storage]]))
     whole.append(("compression", compressed))
     return affine_operator([(name, m, coefficient(name)) for name, m in whole], n_u, scale)
+
+
+def _enlarged(matrix: csr_array, n: int) -> csr_array:
+    """The matrix with empty rows and columns up to ``n``."""
+    indptr = np.concatenate([matrix.indptr, np.full(n - matrix.shape[0], matrix.indptr[-1])])
+    return csr_array((matrix.data, matrix.indices, indptr), shape=(n, n))
 
 
 def _pressure_scale(displacement: list[tuple[csr_array, Coefficient]], divergence: csr_array) -> float:

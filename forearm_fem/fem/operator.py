@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +12,7 @@ from scipy.sparse import csr_array, eye_array, triu
 
 from ..typing import ComplexArray, FloatArray, IntArray
 from .coefficients import Coefficient
+from .compiled import compiled
 from .matrices import SymmetricMatrices
 from .symmetric import SymmetricMatrix
 
@@ -59,10 +61,12 @@ class AffineOperator:
 
     def combine(self, weights: Sequence[complex]) -> ComplexArray:
         """Upper-triangle values of a weighted sum of the terms."""
-        data = np.zeros(len(self.indices), dtype=complex)
+        data, patterns = np.zeros(len(self.indices), dtype=complex), compiled("patterns")
         for term, weight in zip(self.terms, weights, strict=True):
-            if weight != 0:
+            if patterns is None:
                 data[term.positions] += weight * term.values
+            else:
+                patterns.add_at(data, term.positions, complex(weight), term.values)
         return data
 
     def upper(self, data: ComplexArray | FloatArray) -> csr_array:
@@ -108,19 +112,21 @@ def affine_operator(
     matrices: Sequence[tuple[str, csr_array, Coefficient]], n_displacements: int, pressure_scale: float
 ) -> AffineOperator:
     """Put real symmetric matrices (full, equal shape) on one upper-triangle pattern."""
-    uppers = [_sorted_upper(matrix) for _, matrix, _ in matrices]
-    pattern = _union(uppers)
-    places = csr_array((np.arange(1, pattern.nnz + 1, dtype=float), pattern.indices, pattern.indptr), pattern.shape)
-    terms = []
-    for (name, _, coefficient), upper in zip(matrices, uppers, strict=True):
-        ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
-        index = places.multiply(ones).tocsr()
-        index.sort_indices()
-        terms.append(Term(name, index.data.astype(np.int64) - 1, upper.data, coefficient))
-    return AffineOperator(pattern.indptr, pattern.indices, tuple(terms), n_displacements, pressure_scale)
+    with ThreadPoolExecutor(2) as pool:
+        uppers = list(pool.map(_sorted_upper, [matrix for _, matrix, _ in matrices]))
+        pattern = _union(uppers)
+        places = list(pool.map(lambda upper: _positions(upper, pattern), uppers))
+    terms = tuple(
+        Term(name, position, upper.data, coefficient)
+        for (name, _, coefficient), upper, position in zip(matrices, uppers, places, strict=True)
+    )
+    return AffineOperator(pattern.indptr, pattern.indices, terms, n_displacements, pressure_scale)
 
 
 def _sorted_upper(matrix: csr_array) -> csr_array:
+    if (patterns := compiled("patterns")) is not None:
+        start, columns, values = patterns.sorted_upper(matrix.indptr, matrix.indices, matrix.data)
+        return csr_array((values, columns, start), shape=matrix.shape)
     upper = csr_array(triu(matrix, format="csr"))
     upper.eliminate_zeros()
     upper.sort_indices()
@@ -128,10 +134,27 @@ def _sorted_upper(matrix: csr_array) -> csr_array:
 
 
 def _union(uppers: Sequence[csr_array]) -> csr_array:
+    """The pattern of all ``uppers`` and the diagonal, with ones for values."""
     total = csr_array(eye_array(uppers[0].shape[0], format="csr"))
+    if (patterns := compiled("patterns")) is not None:
+        start, columns = total.indptr, total.indices
+        for upper in uppers:
+            start, columns = patterns.union(start, columns, upper.indptr, upper.indices)
+        return csr_array((np.ones(len(columns)), columns, start), shape=total.shape)
     for upper in uppers:
         ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
         total = total + ones
     total = csr_array(total)
     total.sort_indices()
     return total
+
+
+def _positions(upper: csr_array, pattern: csr_array) -> IntArray:
+    """Where the entries of ``upper`` are in the ``pattern``."""
+    if (patterns := compiled("patterns")) is not None:
+        return np.asarray(patterns.positions(upper.indptr, upper.indices, pattern.indptr, pattern.indices))
+    places = csr_array((np.arange(1, pattern.nnz + 1, dtype=float), pattern.indices, pattern.indptr), pattern.shape)
+    ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
+    index = places.multiply(ones).tocsr()
+    index.sort_indices()
+    return np.asarray(index.data.astype(np.int64) - 1)
