@@ -47,7 +47,7 @@ def steps(mesh: TissueMesh, frequency: np.ndarray, precision: str) -> dict:
     for f in frequency:
         marks = [clock()]
         if factor is None:
-            factor = make_factor(model.operator, 2 * np.pi * f, options().backend, single=single)
+            factor = make_factor(model.operator, 2 * np.pi * f, options().backend, single=single, matching=not single)
         data = model.operator.data(2 * np.pi * f)
         factor.factorise(data)
         marks.append(clock())

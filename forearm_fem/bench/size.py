@@ -43,7 +43,7 @@ def sized(case: tuple[str, float]) -> Sized:
         model = slab_model(quarter(), scale=scale)
         marks.append(clock())
         omega, single = 2 * np.pi * FREQUENCY, precision == "single"
-        factor = make_factor(model.operator, omega, options().backend, single=single)
+        factor = make_factor(model.operator, omega, options().backend, single=single, matching=not single)
         data = model.operator.data(omega)
         marks.append(clock())
         factor.factorise(data)
