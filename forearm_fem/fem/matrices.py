@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from threadpoolctl import ThreadpoolController
 
 from ..typing import ComplexArray, FloatArray, IntArray
 from .compiled import compiled
+from .threads import in_threads, thread_count
 
 _LANES = 8  # doubles that a row needs at least
 _PIECES = 4  # for each thread, of as much work
@@ -35,8 +34,7 @@ class SymmetricMatrices:
     @classmethod
     def from_uppers(cls, uppers: Sequence[csr_array]) -> SymmetricMatrices:
         """The symmetric matrices with these upper triangles, columns ascending in each row."""
-        with ThreadPoolExecutor(2) as pool:
-            parts = list(pool.map(_whole, uppers))
+        parts = in_threads(_whole, uppers)
         starts = np.cumsum([0, *(len(indices) for _, indices, _ in parts)])
         indptr = np.array([own + start for (own, _, _), start in zip(parts, starts, strict=False)], dtype=np.int64)
         return cls(indptr, *(np.concatenate([part[k] for part in parts]) for k in (1, 2)))
@@ -104,19 +102,13 @@ class SymmetricMatrices:
         """Entries (n,) in all rows up to each."""
         return np.asarray((self.indptr[:, 1:] - self.indptr[:, :1]).sum(axis=0))
 
-    @cached_property
-    def _threads(self) -> int:
-        pools = ThreadpoolController().select(user_api="blas").info()
-        return max([int(pool["num_threads"]) for pool in pools], default=1)
-
     def _in_pieces(self, work: Callable[[tuple[int, int]], None], done: IntArray) -> None:
         """``work`` on ranges of rows in threads; ``done`` (m,) says how much there is to do up to each row."""
-        if not len(done) or done[-1] < _LARGE or self._threads == 1:
+        if not len(done) or done[-1] < _LARGE:
             return work((0, len(done)))
-        count = _PIECES * self._threads
+        count = _PIECES * thread_count()
         cuts = np.searchsorted(done, done[-1] * np.arange(1, count) / count).tolist()
-        with ThreadPoolExecutor(self._threads) as pool:
-            list(pool.map(work, zip([0, *cuts], [*cuts, len(done)], strict=True)))
+        in_threads(work, list(zip([0, *cuts], [*cuts, len(done)], strict=True)))
         return None
 
 

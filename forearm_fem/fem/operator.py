@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +14,7 @@ from .coefficients import Coefficient
 from .compiled import compiled
 from .matrices import SymmetricMatrices
 from .symmetric import SymmetricMatrix
+from .threads import in_threads
 
 
 @dataclass(frozen=True)
@@ -112,10 +112,9 @@ def affine_operator(
     matrices: Sequence[tuple[str, csr_array, Coefficient]], n_displacements: int, pressure_scale: float
 ) -> AffineOperator:
     """Put real symmetric matrices (full, equal shape) on one upper-triangle pattern."""
-    with ThreadPoolExecutor(2) as pool:
-        uppers = list(pool.map(_sorted_upper, [matrix for _, matrix, _ in matrices]))
-        pattern = _union(uppers)
-        places = list(pool.map(lambda upper: _positions(upper, pattern), uppers))
+    uppers = in_threads(_sorted_upper, [matrix for _, matrix, _ in matrices])
+    pattern = _union(uppers)
+    places = in_threads(lambda upper: _positions(upper, pattern), uppers)
     terms = tuple(
         Term(name, position, upper.data, coefficient)
         for (name, _, coefficient), upper, position in zip(matrices, uppers, places, strict=True)

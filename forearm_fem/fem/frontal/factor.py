@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from threadpoolctl import ThreadpoolController
 
 from ...errors import SolverError
 from ...typing import ComplexArray, FloatArray, IntArray
+from ..threads import in_threads, thread_count
 from .blas import BLOCK, arguments
 from .fronts import Scratch, Store, block_entries, factorise_part, scratch_entries
 from .parts import Part, Parts, divided
 from .substitution import LANES, Local, backward, forward, gathered, scattered
 from .supernodes import Symbolic, analyse
 
-Thing = TypeVar("Thing")
-Result = TypeVar("Result")
 PRESSURES = 0.3  # entries that couple pressures are scaled to this at most; 0.1 and 1 leave more of point forces
 
 
@@ -43,8 +38,7 @@ class MultifrontalFactor:
         self.n = int(upper.shape[0])
         self.symbolic = analyse(upper, order)
         self._indptr, self._indices, self._n_displacements = upper.indptr, upper.indices, n_displacements
-        self._blas = ThreadpoolController().select(user_api="blas")
-        self._parts = divided(self.symbolic, max([pool["num_threads"] for pool in self._blas.info()], default=1))
+        self._parts = divided(self.symbolic, thread_count())
         self._memory: _Memory | None = None
 
     def factorise(self, data: ComplexArray) -> None:
@@ -60,7 +54,7 @@ class MultifrontalFactor:
                 factorise_part(part, fronts, entries, data, self._scale, memory.store, remainder, memory.stack, scratch)
             )
 
-        self._singular = sum(self._in_threads(work, self._parts.subtrees)) + work(self._parts.top)
+        self._singular = sum(in_threads(work, self._parts.subtrees)) + work(self._parts.top)
 
     def solve(self, right: ComplexArray) -> ComplexArray:
         """See :class:`..factor.Factor`."""
@@ -87,10 +81,10 @@ class MultifrontalFactor:
             backward(part, fronts, memory.store, x, locals_[part.number], whole)
 
         subtrees, above = self._parts.subtrees, owner == top.number
-        for others in self._in_threads(down, subtrees):
+        for others in in_threads(down, subtrees):
             x[above] += others[above]
-        self._in_threads(over_the_top, _shared(x.shape[1], len(subtrees)))
-        self._in_threads(up, subtrees)
+        in_threads(over_the_top, _shared(x.shape[1], len(subtrees)))
+        in_threads(up, subtrees)
         return np.asarray(scattered(x, self.symbolic.order, self._scale, columns.shape[1]).reshape(right.shape))
 
     def harden(self) -> bool:
@@ -109,11 +103,6 @@ class MultifrontalFactor:
     def _local(self, part: Part, count: int) -> Local:
         rows = self.symbolic.remaining[part.supernodes].max(initial=0)
         return Local(np.empty((rows, count), np.complex64), np.empty((BLOCK, count), np.complex64))
-
-    def _in_threads(self, work: Callable[[Thing], Result], things: Sequence[Thing]) -> list[Result]:
-        """Results of ``work`` on each of the ``things``, in a thread each and no more of BLAS's own."""
-        with self._blas.limit(limits=1), ThreadPoolExecutor(len(things)) as pool:
-            return list(pool.map(work, things))
 
 
 @dataclass(frozen=True)
