@@ -139,3 +139,11 @@ def shuffled(matrix: csr_array, random: np.random.Generator) -> csr_array:
         [np.empty(0, int), *(random.permutation(np.arange(a, b)) for a, b in pairwise(matrix.indptr))]
     )
     return csr_array((matrix.data[order], matrix.indices[order], matrix.indptr), shape=matrix.shape)
+
+
+def test_other_shapes_are_refused():
+    matrices = SymmetricMatrices.from_uppers(uppers(30, 1, 0.2))
+    with pytest.raises(ValueError, match="30 columns were given arrays of \\(29, 2\\)"):
+        matrices.product(0, np.zeros((29, 2)))
+    with pytest.raises(ValueError, match="arrays of \\(30, 2\\) and \\(30, 1\\)"):
+        matrices.add_products_in_place([np.zeros((30, 1), complex)], np.ones((1, 2)), np.zeros((30, 2), complex))

@@ -241,6 +241,26 @@ def test_scaled_meshes_obey_similarity():
     assert np.abs(a / s - b).max() < 1e-9 * np.abs(b).max()
 
 
+@pytest.mark.parametrize("element", ["P1", "P2", "P3"])
+def test_points_in_no_tetrahedron_are_held(element):
+    """They have no equation: no unknowns and no zero on the diagonal come from them, and nothing else changes."""
+    mesh, ports = held_block(2).space.mesh, held_block(2).ports
+    beyond = replace(
+        mesh,
+        points=np.insert(mesh.points, 5, [9.0, 9.0, 9.0], axis=0),
+        tetrahedra=mesh.tetrahedra + (mesh.tetrahedra >= 5),
+        facets={name: facets + (facets >= 5) for name, facets in mesh.facets.items()},
+    )
+    one, other = (
+        build_model(m, ports, {"block": flesh(bulk=2.2e9)}, Supports(ends="fixed"), Membrane(), element=element)
+        for m in (mesh, beyond)
+    )
+    assert other.operator.n == one.operator.n
+    assert other.operator.data(500.0)[other.operator.diagonal_positions].all()
+    a, b = (direct_sweep(m, BAND[:1], DIRECT).values for m in (one, other))
+    assert np.abs(a - b).max() < 1e-9 * np.abs(a).max()
+
+
 def test_quarter_and_whole_slab_agree():
     """Symmetry planes and shares of force: the same element sizes, other triangles."""
     mesh = {"size_grid": 5e-3, "size_contact": 2e-3, "size_far": 8e-3}

@@ -52,6 +52,12 @@ def test_every_face_is_shared_by_two_or_on_a_named_boundary(mesh):
     assert set(key[count == 1]) == set(keys(named, len(mesh.points)))
 
 
+def test_every_point_belongs_to_a_tetrahedron(mesh, quarter):
+    """The centre of a contact's rings may be a corner of the slab: it was there twice."""
+    for one in (mesh, quarter):
+        assert np.array_equal(np.unique(one.tetrahedra), np.arange(len(one.points)))
+
+
 def test_slab_is_the_same_at_every_call(mesh):
     assert build_mesh(slab()).digest == mesh.digest
 

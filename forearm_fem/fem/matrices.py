@@ -55,7 +55,11 @@ class SymmetricMatrices:
         return tuple(np.flatnonzero(np.diff(own)) for own in self.indptr)
 
     def product(self, t: int, x: FloatArray) -> FloatArray:
-        """The rows ``touched[t]`` of A_t x (len(touched[t]), k) for real columns ``x`` (n, k)."""
+        """The rows ``touched[t]`` of A_t x (len(touched[t]), k) for real columns ``x`` (n, k).
+
+        Raises ValueError for another n, beyond which compiled code would read.
+        """
+        self._check(x)
         kernels, rows, k = compiled("rows"), self.touched[t], x.shape[1]
         if kernels is None:
             return np.asarray((self.one(t) @ x)[rows])
@@ -71,7 +75,11 @@ class SymmetricMatrices:
         return y[:, :k]
 
     def add_products_in_place(self, totals: Sequence[ComplexArray], weights: ComplexArray, x: ComplexArray) -> None:
-        """Add sum_t ``weights[o, t]`` A_t x to ``totals[o]`` (n, k), for complex columns ``x`` (n, k)."""
+        """Add sum_t ``weights[o, t]`` A_t x to ``totals[o]`` (n, k), for complex columns ``x`` (n, k).
+
+        Raises ValueError for other shapes, beyond which compiled code would read and write.
+        """
+        self._check(x, *(total for total in totals if total.shape != x.shape))
         kernels, k = compiled("rows"), x.shape[1]
         if kernels is None or not all(total.flags.c_contiguous for total in totals):
             return self._added_by_scipy(totals, weights, x)
@@ -90,6 +98,11 @@ class SymmetricMatrices:
             for total, found in zip(totals, sums, strict=True):
                 total += found[:, :k]
         return None
+
+    def _check(self, x: NDArray[Any], *others: NDArray[Any]) -> None:
+        if len(x) != self.n or others:
+            shapes = " and ".join(str(each.shape) for each in (x, *others))
+            raise ValueError(f"matrices of {self.n} columns were given arrays of {shapes}")
 
     def _added_by_scipy(self, totals: Sequence[ComplexArray], weights: ComplexArray, x: ComplexArray) -> None:
         for t in range(len(self.indptr)):

@@ -27,7 +27,6 @@ _BYTES = 0.26e9, 22_700.0, 1.25
 _SECONDS = 7.0, 131_000.0, 1.8
 _GRADED = 1.4  # third order around the ports: as many unknowns lie closer together (forearm, 207 000 unknowns)
 _FRONTS = 1.3  # the multifrontal solver stores zeros of its panels, and what fronts leave to others
-_HEAP = 1.15  # freed memory that is kept lies in pieces
 _ESTIMATE = 1.2  # with the coarser mesh's solve
 
 
@@ -66,8 +65,8 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
     return Forecast(
         len(mesh.tetrahedra),
         unknowns,
-        _HEAP * (_factor_bytes(scenario, unknowns) + 0.5e9 + _basis_bytes(scenario, unknowns, ports)),
-        one * factorisations * (3.0 if scenario.solver.sweep == "reduced" else 1.2),
+        _factor_bytes(scenario, unknowns) + 0.5e9 + _basis_bytes(scenario, unknowns, ports),
+        one * factorisations * (2.3 if scenario.solver.sweep == "reduced" else 1.2),
         resolution(scenario, mesh),
     )
 
