@@ -5,7 +5,8 @@
 
 Writes benchmarks/results/thesis.csv (error, seconds of each direct solve) and prints: worst e(f) of grid points and of
 contacts, seconds of one double-precision factorisation, of a direct frequency, of the direct sweep (extrapolated), and
-the run's own seconds in those. Resumable: solves in the CSV are not repeated.
+the run's own seconds in those. Resumable: solves in the CSV are not repeated, unless
+another version or mesh made them.
 """
 
 from __future__ import annotations
@@ -70,31 +71,38 @@ def measure(scenario: Scenario, base: Path, run: Path, count: int, out: Path) ->
     used = {*facts["expansion_frequencies"], *(c["frequency"] for c in facts["certificates"])}
     model = fem_model(scenario, cached_mesh(scenario, base=base))
     print(f"one double-precision factorisation: {factorisation_seconds(model, 300.0):.1f} s", flush=True)
-    rows = read_rows(out)
+    rows = read_rows(out, made_by(run))
     solver = make_solver(model, SolverOptions(), 300.0)
     for f in held_out(compliance, used, count):
         if all(row["frequency"] != f for row in rows):
             rows.append(compare(solver, compliance, f))
             print(rows[-1], flush=True)
-            write_rows(out, rows)
+            write_rows(out, rows, made_by(run))
     return rows
 
 
-def read_rows(path: Path) -> list[dict[str, float]]:
-    """What an interrupted run had measured."""
+def made_by(run: Path) -> str:
+    """Program and mesh of a run, in one word each."""
+    account = json.loads((run / "run.json").read_text())
+    return f"{account['program']} {account['mesh']['sha256'][:10]}"
+
+
+def read_rows(path: Path, maker: str) -> list[dict[str, float]]:
+    """What an interrupted run had measured of results of the same ``maker``."""
     if not path.exists():
         return []
     with path.open(newline="") as stream:
-        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(stream)]
+        rows = [row for row in csv.DictReader(stream) if row.get("maker") == maker]
+    return [{k: float(row[k]) for k in COLUMNS} for row in rows]
 
 
-def write_rows(path: Path, rows: list[dict[str, float]]) -> None:
+def write_rows(path: Path, rows: list[dict[str, float]], maker: str) -> None:
     """All rows so far."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="") as stream:
-        table = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
+        table = csv.DictWriter(stream, (*COLUMNS, "maker"), lineterminator="\n")
         table.writeheader()
-        table.writerows({k: f"{v:.6g}" for k, v in row.items()} for row in rows)
+        table.writerows({**{k: f"{v:.6g}" for k, v in row.items()}, "maker": maker} for row in rows)
 
 
 def main() -> None:

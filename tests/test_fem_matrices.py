@@ -9,12 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array, random_array, triu
 
+from forearm_fem.fem import factor as factors
 from forearm_fem.fem import matrices as kept
 from forearm_fem.fem import operator as operators
 from forearm_fem.fem.coefficients import Polynomial
 from forearm_fem.fem.matrices import SymmetricMatrices
 from forearm_fem.fem.operator import affine_operator
-from forearm_fem.verification.scenes import held_block
+from forearm_fem.fem.sweep import reduced_sweep
+from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.verification.scenes import flesh, held_block
 
 COMPILED = kept.compiled("rows") is not None
 needs_numba = pytest.mark.skipif(not COMPILED, reason="numba is not installed")
@@ -99,6 +102,20 @@ def test_terms_add_up_to_the_operator():
     for omega in (0.3, 300.0, 20_000.0):
         exact = slow.dense(operator, omega) @ x
         assert np.abs(operator.at(omega).product(x) - exact).max() < 1e-13 * np.abs(exact).max()
+
+
+def test_a_sweep_without_compiled_code_is_the_same(monkeypatch):
+    """Assembly, derivatives, projections and factors by scipy and MKL or SuperLU; solves are refined to 1e-9."""
+
+    def sweep():
+        return reduced_sweep(held_block(2, tissue=flesh(bulk=2.2e9)), np.linspace(50, 150, 11), SolverOptions()).values
+
+    fast = sweep()
+    for module in (kept, operators):
+        monkeypatch.setattr(module, "compiled", lambda _: None)
+    monkeypatch.setattr(factors, "_compiles", lambda: False)
+    plain = sweep()
+    assert np.nanmax(np.abs(plain - fast)) < 1e-7 * np.nanmax(np.abs(fast))
 
 
 def test_matrices_are_given_back_to_scipy_as_they_came():

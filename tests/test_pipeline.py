@@ -8,13 +8,15 @@ import pytest
 from scipy.spatial import cKDTree
 
 from forearm_fem.fem import direct, sweep
+from forearm_fem.fem.factor import available_backends
+from forearm_fem.fem.sweep import Expansion
 from forearm_fem.geometry.skin import with_finer_skin
 from forearm_fem.io.matlab import read_thesis_mat
 from forearm_fem.io.netcdf import read_compliance, read_transfer
 from forearm_fem.pipeline import folder
 from forearm_fem.pipeline.fem_engine import FemSolution
 from forearm_fem.pipeline.folder import Run, run_all, run_render, run_solve
-from forearm_fem.pipeline.solved import field_modes
+from forearm_fem.pipeline.solved import _Store, field_modes
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import Compliance
@@ -79,6 +81,30 @@ def test_the_account_names_every_source_of_error(finished):
     assert all(e["band"] >= 0 for e in account["errors"])
     assert account["mesh"]["sha256"]
     assert account["stages"]["solve"]["peak_memory_bytes"] > 1e6
+
+
+def test_the_solver_that_was_used_is_on_record(finished):
+    account = json.loads((finished / "run.json").read_text())
+    used = account["solution"]["solver"]
+    assert used in available_backends()
+    assert read_transfer(finished / "transfer.nc").provenance["solver"] == used
+    assert f"| direct solver | {used} |" in (finished / "report.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("left", [0, 1000, 100_000])
+def test_a_snapshot_that_was_cut_off_is_none(tmp_path, left):
+    """A power cut may take the end of what need not be on the disk at once."""
+    store = _Store(tmp_path)
+    random = np.random.default_rng(0)
+    series = tuple(random.normal(size=(20_000, 2)) + 1j for _ in range(2))
+    store.put(Expansion(50.0, series, 1e-9, 1e-10))
+    kept = store.get(50.0)
+    assert np.array_equal(kept.series[0], series[0])  # solutions in full; what follows them in single precision
+    assert np.abs(kept.series[1] - series[1]).max() < 1e-6
+    assert (kept.residual, kept.solve_error) == (1e-9, 1e-10)
+    file = next(tmp_path.rglob("*.npz"))
+    file.write_bytes(file.read_bytes()[:left])
+    assert store.get(50.0) is None
 
 
 def test_compliance_is_reciprocal_and_passive(finished):

@@ -27,6 +27,8 @@ _BYTES = 0.26e9, 22_700.0, 1.25
 _SECONDS = 7.0, 131_000.0, 1.8
 _GRADED = 1.4  # third order around the ports: as many unknowns lie closer together (forearm, 207 000 unknowns)
 _FRONTS = 1.3  # the multifrontal solver stores zeros of its panels, and what fronts leave to others
+_REST = 0.7e9  # bytes: libraries, and the operator of a scene of any size
+_SMALL = 15.0  # seconds that evaluating and certifying a reduced model takes for a mesh of any size
 _ESTIMATE = 1.2  # with the coarser mesh's solve
 
 
@@ -65,8 +67,8 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
     return Forecast(
         len(mesh.tetrahedra),
         unknowns,
-        _factor_bytes(scenario, unknowns) + 0.5e9 + _basis_bytes(scenario, unknowns, ports),
-        one * factorisations * (2.3 if scenario.solver.sweep == "reduced" else 1.2),
+        _factor_bytes(scenario, unknowns) + _REST + _basis_bytes(scenario, unknowns, ports),
+        one * factorisations * 2.2 + _SMALL if scenario.solver.sweep == "reduced" else one * factorisations * 1.2,
         resolution(scenario, mesh),
     )
 

@@ -185,7 +185,7 @@ class _Store:
     def get(self, frequency: float) -> Expansion | None:
         """An expansion of an interrupted sweep; see :class:`forearm_fem.fem.sweep.Snapshots`."""
         try:
-            with np.load(self._snapshot(frequency)) as data:
+            with self._snapshot(frequency).open("rb") as stream, np.load(stream) as data:
                 series = tuple(data[f"order{k}"] for k in range(int(data["count"])))
                 return Expansion(frequency, series, float(data["residual"]), float(data["solve_error"]))
         except _DAMAGED:
@@ -239,7 +239,7 @@ class _Store:
         """The stored main part, or None."""
         compliance = self.read("compliance")
         try:
-            with np.load(self._folder / "field.npz") as field:
+            with (self._folder / "field.npz").open("rb") as stream, np.load(stream) as field:
                 modes, states = field["modes"].astype(float), field["states"].astype(complex)
             facts = json.loads((self._folder / "facts.json").read_text(encoding="utf-8"))
         except _DAMAGED:
