@@ -18,7 +18,6 @@ from ..verification.scenes import slab_model, twin_layers
 from .isolated import isolated, median, repeated
 from .scene import BAND, RADII, exact, options, quarter
 
-_START = process_time()  # of this process, when its imports are done
 NODES = 11  # Chebyshev frequencies of the interpolated sweep
 
 
@@ -35,7 +34,7 @@ class Case:
 @dataclass(frozen=True)
 class Timed:
     """From scenario to G at all bins: ``seconds`` of wall time (``_cpu``: of processors), ``peak_bytes`` of the
-    process, error against the exact solution."""
+    process, error against the exact solution; what is imported is not timed."""
 
     method: str
     element: str
@@ -47,6 +46,7 @@ class Timed:
     peak_bytes: float
     error_worst: float
     error_band: float
+    solver: str = ""
     runs: int = 1
 
 
@@ -71,24 +71,24 @@ def timed(case: Case) -> Iterator[Timed]:
 
 
 def _reduced(case: Case) -> list[Timed]:
-    ledger = Ledger()
+    ledger, cpu = Ledger(), process_time()
     with ledger.stage("all"):
         model = slab_model(quarter(case.element), scale=case.scale)
-        values = reduced_sweep(model, BAND, options(case.precision)).values[:, :, :1]
-    return [_row(case, model.operator.n, ledger, values, BAND)]
+        sweep = reduced_sweep(model, BAND, options(case.precision))
+    return [_row(case, model.operator.n, ledger, process_time() - cpu, sweep.values[:, :, :1], BAND, sweep.solver)]
 
 
 def _direct(case: Case) -> list[Timed]:
     """NODES direct solves: interpolated in between, and extrapolated to one solve per bin."""
-    ledger = Ledger()
+    ledger, cpu = Ledger(), process_time()
     with ledger.stage("all"):
         start = perf_counter()
         model = slab_model(quarter(case.element), scale=case.scale)
         setup = perf_counter() - start
-        values = direct_sweep(model, nodes(), options(case.precision)).values[:, :, :1]
+        sweep = direct_sweep(model, nodes(), options(case.precision))
+        values = sweep.values[:, :, :1]
         between = interpolated(nodes(), values, BAND)
-    n = model.operator.n
-    direct = _row(case, n, ledger, values, nodes())
+    direct = _row(case, model.operator.n, ledger, process_time() - cpu, values, nodes(), sweep.solver)
     grown = (setup + (direct.seconds - setup) * len(BAND) / NODES) / direct.seconds
     every = replace(direct, seconds=direct.seconds * grown, seconds_cpu=direct.seconds_cpu * grown)
     truth = exact(BAND)
@@ -109,22 +109,23 @@ def interpolated(at: FloatArray, values: ComplexArray, wanted: FloatArray) -> Co
 
 def _twin(case: Case) -> list[Timed]:
     """The layered solution itself, asked for ``scale`` as tolerance, against a tighter one."""
-    ledger, discs = Ledger(), [Disc(0.0, 0.0, 3.5e-3), *(Disc(r, 0.0) for r in RADII)]
+    ledger, cpu, discs = Ledger(), process_time(), [Disc(0.0, 0.0, 3.5e-3), *(Disc(r, 0.0) for r in RADII)]
     with ledger.stage("all"):
         result = layered_compliance(twin_layers(quarter()), 2 * np.pi * BAND, discs[:1], discs, tolerance=case.scale)
-    return [_row(case, 0, ledger, result.values, BAND)]
+    return [_row(case, 0, ledger, process_time() - cpu, result.values, BAND, "Hankel quadrature")]
 
 
 _WORK = {"reduced": _reduced, "direct": _direct, "twin": _twin}
 
 
-def _row(case: Case, unknowns: int, ledger: Ledger, values: ComplexArray, at: FloatArray) -> Timed:
-    spent, cpu = ledger.stages["all"], process_time() - _START
-    truth = exact(at)
+def _row(
+    case: Case, unknowns: int, ledger: Ledger, cpu: float, values: ComplexArray, at: FloatArray, solver: str
+) -> Timed:
+    spent, truth = ledger.stages["all"], exact(at)
     return Timed(
         case.method, case.element, case.precision, case.scale, unknowns, spent["seconds"], cpu,
         spent["peak_memory_bytes"],
-        float(relative_error(values, truth).max()), band_error(values, truth),
+        float(relative_error(values, truth).max()), band_error(values, truth), solver,
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from ..errors import SolverError
+from ..fem.compiled import import_compiled
 
 A = TypeVar("A")
 R = TypeVar("R")
@@ -45,9 +46,14 @@ def isolated(work: Callable[[A], R], argument: A) -> R:
     """``work(argument)`` in a fresh process; SolverError where it was killed."""
     try:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            return pool.submit(work, argument).result()
+            return pool.submit(_worked, work, argument).result()
     except BrokenProcessPool:
         raise SolverError(f"a benchmark of {argument} was killed, most likely for memory") from None
+
+
+def _worked(work: Callable[[A], R], argument: A) -> R:
+    import_compiled()
+    return work(argument)
 
 
 def repeated(work: Callable[[A], R], argument: A) -> tuple[R, ...]:

@@ -41,6 +41,7 @@ class Reduced:
     held_out: int
     error_worst: float
     error_median: float
+    solver: str = ""
     runs: int = 1
 
     @property
@@ -71,7 +72,7 @@ def reduced(case: tuple[float, int]) -> Reduced:
         model.operator.n, len(model.ports), len(bins), len(sweep.expansions),
         sweep.reduced.size if sweep.reduced else 0,
         factorisation, seconds, whole, seconds * len(bins), _many(sweep), len(probes), float(error.max()),
-        float(np.median(error)),
+        float(np.median(error)), sweep.solver,
     )  # fmt: skip
 
 

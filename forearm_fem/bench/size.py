@@ -32,6 +32,7 @@ class Sized:
     seconds_solve: float
     peak_bytes: float
     residual: float
+    solver: str = ""
     runs: int = 1
 
 
@@ -54,7 +55,7 @@ def sized(case: tuple[str, float]) -> Sized:
     assembly, analysis, factorisation, solve = np.diff(marks).tolist()
     return Sized(
         precision, scale, model.operator.n, assembly, analysis, factorisation, solve,
-        ledger.stages["all"]["peak_memory_bytes"], solution.residual,
+        ledger.stages["all"]["peak_memory_bytes"], solution.residual, factor.name,
     )  # fmt: skip
 
 

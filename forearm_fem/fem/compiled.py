@@ -7,7 +7,10 @@ import logging
 from functools import lru_cache
 from types import ModuleType
 
+import numpy as np
+
 _log = logging.getLogger("forearm_fem.fem")
+MODULES = ("patterns", "rows", "frontal.factor")
 
 
 @lru_cache
@@ -18,3 +21,13 @@ def compiled(module: str) -> ModuleType | None:
     except (ImportError, RuntimeError) as problem:
         _log.info("%s is not compiled: %s", module, problem)
         return None
+
+
+def import_compiled() -> None:
+    """Import all of them now, so that no clock that is started later sees it; numba, too, imports half of itself with
+    the first call of a kernel."""
+    for module in MODULES:
+        compiled(module)
+    if (patterns := compiled("patterns")) is not None:
+        none = np.empty(0)
+        patterns.add_at(none.astype(complex), none.astype(np.int64), 0j, none)

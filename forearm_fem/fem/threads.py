@@ -22,5 +22,7 @@ def in_threads(work: Callable[[Thing], Result], things: Sequence[Thing]) -> list
     """Results of ``work`` on each of the ``things``, which must leave Python's lock; BLAS has one thread meanwhile."""
     blas = ThreadpoolController().select(user_api="blas")
     count = max([int(pool["num_threads"]) for pool in blas.info()], default=1)
+    if min(count, len(things)) < 2:
+        return [work(thing) for thing in things]
     with blas.limit(limits=1), ThreadPoolExecutor(count) as pool:
         return list(pool.map(work, things))
