@@ -148,7 +148,7 @@ def _reduced(rows: Sequence[Row]) -> list[str]:
         "|---|---|---|---|---|---|---|---|",
     ]
     for r in rows:
-        f = {k: float(v) for k, v in r.items()}
+        f = {k: float(v) for k, v in r.items() if k != "solver"}
         lines.append(
             f"| {r['unknowns']} | {f['seconds_factorisation']:.2g} | {f['seconds_reduced_sweep']:.3g} | "
             f"{f['in_factorisations']:.3g} | {f['seconds_direct_sweep']:.3g} | {f['speed_ratio']:.3g} x | "

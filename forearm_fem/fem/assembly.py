@@ -8,6 +8,7 @@ Equality with scikit-fem's own forms is tested to 1e-13.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from scipy.sparse import bsr_array, csr_array, eye_array, kron
@@ -15,6 +16,7 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
 from ..typing import BoolArray, FloatArray, IntArray
+from .compiled import compiled
 from .elements import tabulate
 from .orders import Orders
 from .space import MixedSpace
@@ -69,6 +71,37 @@ def tissue_matrices(
     jacobian = space.jacobians[chosen]
     inverse = np.asarray(np.linalg.inv(jacobian), dtype=float)
     volume = np.abs(np.asarray(np.linalg.det(jacobian), dtype=float))
+    build = _by_sorting if compiled("scatter") is None else _by_kernels
+    return build(space, chosen, inverse, volume, reference)
+
+
+def _by_kernels(
+    space: MixedSpace, chosen: IntArray, inverse: FloatArray, volume: FloatArray, reference: ReferenceTensors
+) -> TissueMatrices:
+    """With the compiled kernels of :mod:`.scatter`."""
+    kernels: Any = compiled("scatter")
+    nodes, pressures = space.nodes[chosen], space.pressures[chosen]
+    n, n_u, n_p = space.n_nodes, space.n_displacements, space.n_pressures
+    pairs, gradient = kernels.pattern(nodes, nodes, n, n), np.ascontiguousarray(reference.gradient)
+    starts, columns = kernels.blocks_of(pairs.indptr, pairs.indices, 3)
+    values = kernels.shear(nodes, pairs, inverse, volume, gradient.reshape(9, -1))
+    shear = csr_array((values, columns, starts), shape=(n_u, n_u))
+    masses = kernels.scalars(pairs, volume, reference.mass)
+    starts, columns, values = kernels.diagonals_of(pairs.indptr, pairs.indices, masses)
+    mass = csr_array((values, columns, starts), shape=(n_u, n_u))
+    pairs = kernels.pattern(pressures, nodes, n_p, n)
+    starts, columns = kernels.blocks_of(pairs.indptr, pairs.indices, 1)
+    values = kernels.gradients(pairs, inverse, volume, reference.divergence)
+    divergence = csr_array((values, columns, starts), shape=(n_p, n_u))
+    pairs = kernels.pattern(pressures, pressures, n_p, n_p)
+    values = kernels.scalars(pairs, volume, reference.pressure_mass)
+    return TissueMatrices(shear, mass, divergence, csr_array((values, pairs.indices, pairs.indptr), shape=(n_p, n_p)))
+
+
+def _by_sorting(
+    space: MixedSpace, chosen: IntArray, inverse: FloatArray, volume: FloatArray, reference: ReferenceTensors
+) -> TissueMatrices:
+    """With NumPy alone, element pairs sorted."""
     nodes, pressures = space.nodes[chosen], space.pressures[chosen]
     blocks = shear_blocks(inverse, volume, reference.gradient)
     scalar_mass = _scatter(nodes, nodes, volume[:, None, None] * reference.mass, (space.n_nodes, space.n_nodes))
@@ -95,11 +128,21 @@ def _projected(space: MixedSpace, region: int, only: BoolArray, u: csr_array, p:
     """Matrices of a tissue's tetrahedra among ``only``; ``u`` and ``p`` give this space's unknowns from those kept."""
     part = tissue_matrices(space, region, reference_tensors(space), only=only)
     return TissueMatrices(
-        csr_array(u.T @ part.shear @ u),
-        csr_array(u.T @ part.mass @ u),
+        congruent(part.shear, u),
+        congruent(part.mass, u),
         csr_array(p.T @ part.divergence @ u),
-        csr_array(p.T @ part.pressure_mass @ p),
+        congruent(part.pressure_mass, p),
     )
+
+
+def congruent(matrix: csr_array, transform: csr_array) -> csr_array:
+    """T' A T of a symmetric matrix."""
+    patterns: Any = compiled("patterns")
+    if patterns is None:
+        return csr_array(transform.T @ matrix @ transform)
+    parts = [patterns.Sparse(m.indptr, m.indices, m.data) for m in (csr_array(transform.T), matrix, transform)]
+    found = patterns.congruent(*parts)
+    return csr_array((found.data, found.indices, found.indptr), shape=(transform.shape[1],) * 2)
 
 
 def shear_blocks(inverse: FloatArray, volume: FloatArray, reference: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array, triu
@@ -113,8 +114,7 @@ def affine_operator(
 ) -> AffineOperator:
     """Put real symmetric matrices (full, equal shape) on one upper-triangle pattern."""
     uppers = in_threads(_sorted_upper, [matrix for _, matrix, _ in matrices])
-    pattern = _union(uppers)
-    places = in_threads(lambda upper: _positions(upper, pattern), uppers)
+    pattern, places = _together(uppers)
     terms = tuple(
         Term(name, position, upper.data, coefficient)
         for (name, _, coefficient), upper, position in zip(matrices, uppers, places, strict=True)
@@ -132,26 +132,29 @@ def _sorted_upper(matrix: csr_array) -> csr_array:
     return upper
 
 
-def _union(uppers: Sequence[csr_array]) -> csr_array:
-    """The pattern of all ``uppers`` and the diagonal, with ones for values."""
-    total = csr_array(eye_array(uppers[0].shape[0], format="csr"))
-    if (patterns := compiled("patterns")) is not None:
-        start, columns = total.indptr, total.indices
-        for upper in uppers:
-            start, columns = patterns.union(start, columns, upper.indptr, upper.indices)
-        return csr_array((np.ones(len(columns)), columns, start), shape=total.shape)
+def _together(uppers: Sequence[csr_array]) -> tuple[csr_array, list[IntArray]]:
+    """The pattern of all ``uppers`` and the diagonal, values of no meaning, and where the entries of each are in it."""
+    eye = csr_array(eye_array(uppers[0].shape[0], format="csr"))
+    if (patterns := compiled("patterns")) is None:
+        pattern = _union(eye, uppers)
+        return pattern, [_positions(upper, pattern) for upper in uppers]
+    whole = [*uppers, eye]
+    ends = np.cumsum([0, *(m.nnz for m in whole)])
+    starts = np.array([m.indptr + end for m, end in zip(whole, ends[:-1], strict=True)], dtype=np.int64)
+    indptr, indices, places = patterns.merged(starts, np.concatenate([m.indices for m in whole]))
+    pattern = csr_array((np.empty(len(indices), np.int8), indices, indptr), shape=eye.shape)
+    return pattern, [places[a:b] for a, b in pairwise(ends[:-1])]
+
+
+def _union(total: csr_array, uppers: Sequence[csr_array]) -> csr_array:
     for upper in uppers:
         ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
-        total = total + ones
-    total = csr_array(total)
+        total = csr_array(total + ones)
     total.sort_indices()
     return total
 
 
 def _positions(upper: csr_array, pattern: csr_array) -> IntArray:
-    """Where the entries of ``upper`` are in the ``pattern``."""
-    if (patterns := compiled("patterns")) is not None:
-        return np.asarray(patterns.positions(upper.indptr, upper.indices, pattern.indptr, pattern.indices))
     places = csr_array((np.arange(1, pattern.nnz + 1, dtype=float), pattern.indices, pattern.indptr), pattern.shape)
     ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
     index = places.multiply(ones).tocsr()

@@ -2,10 +2,62 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 from ..typing import ComplexArray, FloatArray, IntArray
+
+
+class Sparse(NamedTuple):
+    """A sparse matrix by rows."""
+
+    indptr: IntArray
+    indices: IntArray
+    data: FloatArray
+
+
+@njit(cache=True, nogil=True)
+def congruent(rows: Sparse, matrix: Sparse, columns: Sparse) -> Sparse:
+    """T' A T of a symmetric A from T' (``rows``) and T (``columns``), columns ascending.
+
+    Rows come one after the other and A' = A, so each entry is put at the end of the row that its column names.
+    """
+    n = len(rows.indptr) - 1
+    seen, found, total = np.full(n, -1), np.empty(n, np.int64), np.zeros(n)
+    start = np.zeros(n + 1, np.int64)
+    for i in range(n):
+        start[i + 1] = start[i] + _row(i, rows, matrix, columns, seen, found, total)
+        total[found[: start[i + 1] - start[i]]] = 0.0
+    seen[:] = -1
+    end, indices, data = start[:-1].copy(), np.empty(start[n], np.int32), np.empty(start[n])
+    for i in range(n):
+        for j in found[: _row(i, rows, matrix, columns, seen, found, total)]:
+            indices[end[j]], data[end[j]] = i, total[j]
+            end[j] += 1
+            total[j] = 0.0
+    return Sparse(start, indices, data)
+
+
+@njit(cache=True, nogil=True)
+def _row(
+    i: int, rows: Sparse, matrix: Sparse, columns: Sparse, seen: IntArray, found: IntArray, total: FloatArray
+) -> int:
+    """Add row i of the product to ``total`` (n,), where it lies to ``found``, and return how many those are."""
+    count = 0
+    for p in range(rows.indptr[i], rows.indptr[i + 1]):
+        k = rows.indices[p]
+        for q in range(matrix.indptr[k], matrix.indptr[k + 1]):
+            k2, weight = matrix.indices[q], rows.data[p] * matrix.data[q]
+            for r in range(columns.indptr[k2], columns.indptr[k2 + 1]):
+                j = columns.indices[r]
+                if seen[j] != i:
+                    seen[j] = i
+                    found[count] = j
+                    count += 1
+                total[j] += weight * columns.data[r]
+    return count
 
 
 @njit(cache=True, nogil=True)
@@ -39,36 +91,36 @@ def _sort_pairs(keys: IntArray, values: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def union(a: IntArray, left: IntArray, b: IntArray, right: IntArray) -> tuple[IntArray, IntArray]:
-    """Row starts and columns, ascending, of two patterns together: starts ``a`` with ``left``, ``b`` with ``right``."""
-    start, columns = np.zeros_like(a), np.empty(len(left) + len(right), np.int32)
+def merged(starts: IntArray, columns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Row starts and columns, ascending, of several patterns together, and the place of every entry among them.
+
+    Row i of pattern t is ``columns[starts[t, i] : starts[t, i + 1]]``, ascending.
+    """
+    count, n = starts.shape[0], starts.shape[1] - 1
+    indptr, indices = np.zeros(n + 1, np.int64), np.empty(len(columns), np.int32)
+    places, at, stop = np.empty(len(columns), np.int32), np.empty(count, np.int64), np.empty(count, np.int64)
     k = 0
-    for i in range(len(a) - 1):
-        p, q = a[i], b[i]
-        while p < a[i + 1] or q < b[i + 1]:
-            if q == b[i + 1] or (p < a[i + 1] and left[p] <= right[q]):
-                column = left[p]
-            else:
-                column = right[q]
-            p += p < a[i + 1] and left[p] == column
-            q += q < b[i + 1] and right[q] == column
-            columns[k] = column
+    for i in range(n):
+        left = 0  # patterns that have some of this row left
+        for t in range(count):
+            if starts[t, i] < starts[t, i + 1]:
+                at[left], stop[left] = starts[t, i], starts[t, i + 1]
+                left += 1
+        while left:
+            lowest = columns[at[0]]
+            for t in range(1, left):
+                lowest = min(lowest, columns[at[t]])
+            indices[k] = lowest
+            for t in range(left - 1, -1, -1):
+                if columns[at[t]] == lowest:
+                    places[at[t]] = k
+                    at[t] += 1
+                    if at[t] == stop[t]:
+                        left -= 1
+                        at[t], stop[t] = at[left], stop[left]
             k += 1
-        start[i + 1] = k
-    return start, columns[:k].copy()
-
-
-@njit(cache=True, nogil=True)
-def positions(indptr: IntArray, indices: IntArray, whole: IntArray, columns: IntArray) -> IntArray:
-    """Where the entries of one pattern (nnz,) are in another that holds it, both with ascending columns."""
-    found = np.empty(len(indices), np.int64)
-    for i in range(len(indptr) - 1):
-        q = whole[i]
-        for p in range(indptr[i], indptr[i + 1]):
-            while columns[q] != indices[p]:
-                q += 1
-            found[p] = q
-    return found
+        indptr[i + 1] = k
+    return indptr, indices[:k].copy(), places
 
 
 @njit(cache=True, nogil=True)
