@@ -16,6 +16,7 @@ from forearm_fem.fem.assembly import reference_tensors, tissue_matrices
 from forearm_fem.fem.constraints import tangents
 from forearm_fem.fem.elements import ElementTetP3, _orders_agree, tabulate
 from forearm_fem.fem.space import mixed_space
+from forearm_fem.fem.sparse import added, congruent, projected
 from forearm_fem.verification.blocks import block_mesh
 
 SAME = 1e-13  # both sum the same numbers in double precision, in another order
@@ -83,17 +84,43 @@ def test_compiled_kernels_equal_sorting(element, region, monkeypatch):
             np.testing.assert_array_equal(mine.indices, other.indices)
 
 
-@given(n=st.integers(1, 30), m=st.integers(1, 30), density=st.floats(0, 0.4), seed=st.integers(0, 99))
+shapes = given(n=st.integers(1, 30), m=st.integers(1, 30), density=st.floats(0, 0.4), seed=st.integers(0, 99))
+
+
+def sparse(shape, density, random):
+    return csr_array(random_array(shape, density=density, rng=random))
+
+
+@shapes
 @settings(max_examples=60, deadline=None)
-def test_congruence_equals_scipy(n, m, density, seed):
-    """Several unknowns in a row, empty rows and columns included."""
+def test_products_equal_scipy(n, m, density, seed):
+    """Several unknowns in a row, empty rows and columns included; columns ascend."""
     random = np.random.default_rng(seed)
-    matrix = csr_array(random_array((n, n), density=density, rng=random))
-    matrix = csr_array(matrix + matrix.T)
-    transform = csr_array(random_array((n, m), density=density, rng=random))
-    fast, obvious = assembly.congruent(matrix, transform), (transform.T @ matrix @ transform).toarray()
-    assert fast.has_canonical_format
-    np.testing.assert_allclose(fast.toarray(), obvious, rtol=0, atol=SAME * max(1.0, abs(obvious).max()))
+    part, left, right = (
+        sparse((n, n), density, random),
+        sparse((n, 7), density, random),
+        sparse((n, m), density, random),
+    )
+    symmetric = csr_array(part + part.T)
+    for fast, obvious in (
+        (congruent(symmetric, right), right.T @ symmetric @ right),
+        (projected(left, part, right), left.T @ part @ right),
+    ):
+        assert fast.has_canonical_format
+        np.testing.assert_allclose(fast.toarray(), obvious.toarray(), rtol=0, atol=SAME * max(1.0, abs(obvious).max()))
+
+
+@shapes
+@settings(max_examples=60, deadline=None)
+def test_sums_equal_scipy(n, m, density, seed):
+    random = np.random.default_rng(seed)
+    parts = [sparse((n, m), density, random) for _ in range(3)]
+    parts.append(-parts[0])
+    for part in parts:
+        part.sort_indices()
+    total = added(parts)
+    assert total.has_canonical_format
+    assert abs(total - (parts[1] + parts[2])).max() < SAME  # values up to one
 
 
 @pytest.mark.parametrize("element", ELEMENTS)

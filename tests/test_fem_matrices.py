@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array, random_array, triu
 
-from forearm_fem.fem import assembly
+from forearm_fem.fem import assembly, sparse
 from forearm_fem.fem import factor as factors
 from forearm_fem.fem import matrices as kept
 from forearm_fem.fem import operator as operators
@@ -112,7 +112,7 @@ def test_a_sweep_without_compiled_code_is_the_same(monkeypatch):
         return reduced_sweep(held_block(2, tissue=flesh(bulk=2.2e9)), np.linspace(50, 150, 11), SolverOptions()).values
 
     fast = sweep()
-    for module in (kept, operators, assembly):
+    for module in (kept, operators, assembly, sparse):
         monkeypatch.setattr(module, "compiled", lambda _: None)
     monkeypatch.setattr(factors, "_compiles", lambda: False)
     plain = sweep()

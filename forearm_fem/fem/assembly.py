@@ -20,6 +20,7 @@ from .compiled import compiled
 from .elements import tabulate
 from .orders import Orders
 from .space import MixedSpace
+from .sparse import added, congruent, projected
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def constrained_matrices(orders: Orders, region: int, transform: csr_array) -> T
     if not orders.raised.any():
         return plain
     raised = _projected(orders.high, region, orders.raised, orders.carried(transform), orders.spread_pressures)
-    return TissueMatrices(*(csr_array(getattr(plain, f.name) + getattr(raised, f.name)) for f in fields(plain)))
+    return TissueMatrices(*(added([getattr(plain, f.name), getattr(raised, f.name)]) for f in fields(plain)))
 
 
 def _projected(space: MixedSpace, region: int, only: BoolArray, u: csr_array, p: csr_array) -> TissueMatrices:
@@ -130,19 +131,9 @@ def _projected(space: MixedSpace, region: int, only: BoolArray, u: csr_array, p:
     return TissueMatrices(
         congruent(part.shear, u),
         congruent(part.mass, u),
-        csr_array(p.T @ part.divergence @ u),
+        projected(p, part.divergence, u),
         congruent(part.pressure_mass, p),
     )
-
-
-def congruent(matrix: csr_array, transform: csr_array) -> csr_array:
-    """T' A T of a symmetric matrix."""
-    patterns: Any = compiled("patterns")
-    if patterns is None:
-        return csr_array(transform.T @ matrix @ transform)
-    parts = [patterns.Sparse(m.indptr, m.indices, m.data) for m in (csr_array(transform.T), matrix, transform)]
-    found = patterns.congruent(*parts)
-    return csr_array((found.data, found.indices, found.indptr), shape=(transform.shape[1],) * 2)
 
 
 def shear_blocks(inverse: FloatArray, volume: FloatArray, reference: FloatArray) -> FloatArray:

@@ -26,6 +26,7 @@ from .loads import force_share, port_functional
 from .operator import AffineOperator, affine_operator
 from .orders import Orders, element_orders
 from .space import MixedSpace
+from .sparse import added, congruent
 from .terms import term_coefficient
 
 _AT_A_TIME = 2  # tissues: each needs room for its matrices before constraints
@@ -143,10 +144,6 @@ def _disc(orders: Orders, port: Port) -> RigidDisc:
     return RigidDisc(port.name, nodes, np.array(port.axis), port.contact == "bonded")
 
 
-def _reduced(transform: csr_array, matrix: csr_array) -> csr_array:
-    return csr_array(transform.T @ matrix @ transform)
-
-
 def _shear_and_mass(names: tuple[str, ...], parts: list[TissueMatrices]) -> Matrices:
     result: Matrices = []
     for name, part in zip(names, parts, strict=True):
@@ -168,7 +165,7 @@ def _boundaries(space: MixedSpace, supports: Supports, membrane: Membrane, trans
         result.append(("skin tension", facet_gradients(space, skin)))
     if membrane.stiffness or membrane.viscosity:
         result.append(("skin membrane", facet_membrane(space, skin)))
-    return [(name, _reduced(transform, matrix)) for name, matrix in result]
+    return [(name, congruent(matrix, transform)) for name, matrix in result]
 
 
 def _dashpots(space: MixedSpace, facets: IntArray) -> Matrices:
@@ -194,8 +191,8 @@ def _with_pressure(
     coefficient: Callable[[str], Coefficient],
 ) -> AffineOperator:
     """Saddle system [[K, -B^T], [-B, -M_p/bulk]] with pressures scaled to the size of the stiffness."""
-    divergence = csr_array(sum(part.divergence for part in parts))
-    storage = csr_array(sum(part.pressure_mass / tissues[name].bulk for name, part in zip(names, parts, strict=True)))
+    divergence = added([part.divergence for part in parts])
+    storage = added([part.pressure_mass / tissues[name].bulk for name, part in zip(names, parts, strict=True)])
     n_p, n_u = divergence.shape
     scale = _pressure_scale([(m, coefficient(name)) for name, m in displacement], divergence)
     whole: Matrices = [(name, _enlarged(m, n_u + n_p)) for name, m in displacement]

@@ -14,6 +14,7 @@ from ..typing import ComplexArray, FloatArray, IntArray
 from .coefficients import Coefficient
 from .compiled import compiled
 from .matrices import SymmetricMatrices
+from .sparse import stacked
 from .symmetric import SymmetricMatrix
 from .threads import in_threads
 
@@ -127,7 +128,6 @@ def _sorted_upper(matrix: csr_array) -> csr_array:
         start, columns, values = patterns.sorted_upper(matrix.indptr, matrix.indices, matrix.data)
         return csr_array((values, columns, start), shape=matrix.shape)
     upper = csr_array(triu(matrix, format="csr"))
-    upper.eliminate_zeros()
     upper.sort_indices()
     return upper
 
@@ -138,12 +138,10 @@ def _together(uppers: Sequence[csr_array]) -> tuple[csr_array, list[IntArray]]:
     if (patterns := compiled("patterns")) is None:
         pattern = _union(eye, uppers)
         return pattern, [_positions(upper, pattern) for upper in uppers]
-    whole = [*uppers, eye]
-    ends = np.cumsum([0, *(m.nnz for m in whole)])
-    starts = np.array([m.indptr + end for m, end in zip(whole, ends[:-1], strict=True)], dtype=np.int64)
-    indptr, indices, places = patterns.merged(starts, np.concatenate([m.indices for m in whole]))
+    indptr, indices, places = patterns.merged(*stacked([*uppers, eye]))
     pattern = csr_array((np.empty(len(indices), np.int8), indices, indptr), shape=eye.shape)
-    return pattern, [places[a:b] for a, b in pairwise(ends[:-1])]
+    ends = np.cumsum([0, *(m.nnz for m in uppers)])
+    return pattern, [places[a:b] for a, b in pairwise(ends)]
 
 
 def _union(total: csr_array, uppers: Sequence[csr_array]) -> csr_array:

@@ -15,9 +15,7 @@ from scipy.sparse import csc_array, csr_array, eye_array
 
 from ..typing import IntArray
 
-_SEPARATORS = 4  # tried on each level of a large graph
-_FEWER = 2  # below _LARGE unknowns, where METIS would take as long as a factorisation (docs/decisions.md)
-_LARGE = 60_000
+_SEPARATORS = 4  # tried on each level
 _UNEVEN = 300  # parts may differ by this many thousandths; 400 was as good, 600 worse, 1000 did not end
 _SMALL = 3000  # unknowns below which there is nothing to gain
 
@@ -41,8 +39,7 @@ def nested_dissection(upper: csr_array, n_displacements: int) -> IntArray | None
     shuffled = np.random.default_rng(2).permutation(len(chosen))  # METIS does worse on nodes numbered along a limb
     graph = csr_array(graph[shuffled][:, shuffled])
     adjacency = pymetis.CSRAdjacency(graph.indptr.astype(np.int32), graph.indices.astype(np.int32))
-    tried = _SEPARATORS if upper.shape[0] > _LARGE else _FEWER
-    options = pymetis.Options(nseps=tried, ufactor=_UNEVEN, seed=1)
+    options = pymetis.Options(nseps=_SEPARATORS, ufactor=_UNEVEN, seed=1)
     order = shuffled[np.asarray(pymetis.nested_dissection(adjacency, options=options)[0])]
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))

@@ -19,19 +19,21 @@ class Sparse(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def congruent(rows: Sparse, matrix: Sparse, columns: Sparse) -> Sparse:
-    """T' A T of a symmetric A from T' (``rows``) and T (``columns``), columns ascending.
+def transposed_product(rows: Sparse, matrix: Sparse, columns: Sparse, width: int) -> Sparse:
+    """Transpose (width, n) of the product of three matrices, columns ascending.
 
-    Rows come one after the other and A' = A, so each entry is put at the end of the row that its column names.
+    Rows (n) of the product come one after the other, so each entry is put at the end of the row that its column names.
     """
     n = len(rows.indptr) - 1
-    seen, found, total = np.full(n, -1), np.empty(n, np.int64), np.zeros(n)
-    start = np.zeros(n + 1, np.int64)
+    seen, found, total = np.full(width, -1), np.empty(width, np.int64), np.zeros(width)
+    start = np.zeros(width + 1, np.int64)
     for i in range(n):
-        start[i + 1] = start[i] + _row(i, rows, matrix, columns, seen, found, total)
-        total[found[: start[i + 1] - start[i]]] = 0.0
+        for j in found[: _row(i, rows, matrix, columns, seen, found, total)]:
+            start[j + 1] += 1
+            total[j] = 0.0
+    start = np.cumsum(start)
     seen[:] = -1
-    end, indices, data = start[:-1].copy(), np.empty(start[n], np.int32), np.empty(start[n])
+    end, indices, data = start[:-1].copy(), np.empty(start[width], np.int32), np.empty(start[width])
     for i in range(n):
         for j in found[: _row(i, rows, matrix, columns, seen, found, total)]:
             indices[end[j]], data[end[j]] = i, total[j]
@@ -62,18 +64,18 @@ def _row(
 
 @njit(cache=True, nogil=True)
 def sorted_upper(indptr: IntArray, indices: IntArray, data: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Upper triangle in CSR, columns ascending, without zeros, of a matrix whose columns are in any order."""
+    """Upper triangle in CSR, columns ascending, of a matrix whose columns are in any order."""
     n = len(indptr) - 1
     start = np.zeros(n + 1, np.int64)
     for i in range(n):
         for p in range(indptr[i], indptr[i + 1]):
-            start[i + 1] += indices[p] >= i and data[p] != 0
+            start[i + 1] += indices[p] >= i
     start = np.cumsum(start)
     columns, values = np.empty(start[n], np.int32), np.empty(start[n])
     for i in range(n):
         k = start[i]
         for p in range(indptr[i], indptr[i + 1]):
-            if indices[p] >= i and data[p] != 0:
+            if indices[p] >= i:
                 columns[k], values[k] = indices[p], data[p]
                 k += 1
         _sort_pairs(columns[start[i] : k], values[start[i] : k])
