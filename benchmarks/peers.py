@@ -143,8 +143,8 @@ def _apart(values: np.ndarray, truth: np.ndarray) -> float:
 
 
 def compared(rows: Sequence[Row]) -> list[Row]:
-    """Every row with all columns: ratios to our double-precision row of its scale, difference of compliances."""
-    ours = {r["scale"]: r for r in rows if (r["program"], r["solver"]) == (NAMES["ours"], "double")}
+    """Every row with all columns: ratios to our default's row of its scale, difference of compliances."""
+    ours = {r["scale"]: r for r in rows if (r["program"], r["solver"]) == (NAMES["ours"], "single")}
     done = []
     for row in rows:
         extra = {}

@@ -19,7 +19,10 @@ def thread_count() -> int:
 
 
 def in_threads(work: Callable[[Thing], Result], things: Sequence[Thing]) -> list[Result]:
-    """Results of ``work`` on each of the ``things``, which must leave Python's lock; BLAS has one thread meanwhile."""
+    """Results of ``work`` on each of the ``things``, which must leave Python's lock; BLAS has one thread meanwhile.
+
+    Where there is one thing or one thread the work is done here, with what BLAS has.
+    """
     blas = ThreadpoolController().select(user_api="blas")
     count = max([int(pool["num_threads"]) for pool in blas.info()], default=1)
     if min(count, len(things)) < 2:

@@ -17,6 +17,7 @@ from .neighbourhood import half_planes
 DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics.md 6
 _CONTACT, _FAR, _RIM = 0.8, 6.0, 0.45  # relative to the size between contacts and grid
 _FARTHEST = 20e-3  # [m] in slabs: larger elements left 4 % at 100 Hz, and slivers in the columns under a contact
+_FARTHEST_AT = 0.05  # accuracy; below, they shrink with its fourth root: points 20 mm away felt the far elements first
 _FACET = 0.25  # [rad] at accuracy 0.05: 0.25 and 0.17 differ by 0.7 % of G over 20-120 Hz (docs/decisions.md)
 WIDEST = 0.6  # elements under a contact are at most this many radii
 _WIDEST_FACET = 2 * np.pi / 9  # [rad] of the limb's wall
@@ -75,7 +76,8 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     fixed = scenario.device.cone.contact in RIGID and rule is SECOND
     widest = rule.widest * radius * (1.0 if fixed else max(scale, 1.0))
     contact = scale * options.size_contact if options.size_contact else min(_CONTACT * grid, widest)
-    farthest = scale * _FARTHEST if isinstance(scenario.limb, SlabLimb) else np.inf
+    coarsest = _FARTHEST * min(1.0, (scenario.accuracy / _FARTHEST_AT) ** 0.25)
+    farthest = scale * coarsest if isinstance(scenario.limb, SlabLimb) else np.inf
     far = scale * options.size_far if options.size_far else min(_FAR * grid, farthest)
     rim = min(_RIM * grid, contact)
     finer = 0.5 if scenario.device.cone.contact in RIGID else 1.0  # a rigid rim needs two elements through the skin
