@@ -81,7 +81,7 @@ def _by_kernels(
 ) -> TissueMatrices:
     """With the compiled kernels of :mod:`.scatter`."""
     kernels: Any = compiled("scatter")
-    nodes, pressures = space.nodes[chosen], space.pressures[chosen]
+    nodes, pressures = (n[chosen].astype(np.int32) for n in (space.nodes, space.pressures))
     n, n_u, n_p = space.n_nodes, space.n_displacements, space.n_pressures
     pairs, gradient = kernels.pattern(nodes, nodes, n, n), np.ascontiguousarray(reference.gradient)
     starts, columns = kernels.blocks_of(pairs.indptr, pairs.indices, 3)

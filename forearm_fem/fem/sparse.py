@@ -6,7 +6,7 @@ is zero in a sum.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,11 @@ def stacked(matrices: Sequence[csr_array]) -> tuple[IntArray, IntArray]:
     return starts, np.concatenate([m.indices for m in matrices])
 
 
+def _rows(kind: Callable[..., Any], matrix: csr_array) -> Any:
+    """Row starts, columns and values of one type each, so that kernels are compiled once."""
+    return kind(matrix.indptr.astype(np.int64, copy=False), matrix.indices.astype(np.int32, copy=False), matrix.data)
+
+
 def congruent(matrix: csr_array, transform: csr_array) -> csr_array:
     """T' A T (m, m) of a symmetric matrix (n, n) and ``transform`` (n, m)."""
     return _transposed_product(csr_array(transform.T), matrix, transform)
@@ -48,6 +53,6 @@ def _transposed_product(a: csr_array, b: csr_array, c: csr_array) -> csr_array:
     if patterns is None:
         return csr_array((a @ b @ c).T)
     shape = (c.shape[1], a.shape[0])
-    parts = [patterns.Sparse(m.indptr, m.indices, m.data) for m in (a, b, c)]
+    parts = [_rows(patterns.Sparse, m) for m in (a, b, c)]
     found = patterns.transposed_product(*parts, shape[0])
     return csr_array((found.data, found.indices, found.indptr), shape=shape)
