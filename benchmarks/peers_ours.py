@@ -64,7 +64,7 @@ def steps(mesh: TissueMesh, frequency: np.ndarray, precision: str) -> dict:
 def whole(mesh: TissueMesh, frequency: np.ndarray, precision: str) -> dict:
     """Seconds from the mesh to G at all bins by the reduced sweep; its values at ``frequency``."""
     start = clock()
-    sweep = reduced_sweep(model_of(mesh), BINS, options(precision))
+    sweep = reduced_sweep(model_of(mesh), BINS, options("auto" if precision == "single" else precision))
     seconds = clock() - start
     values = sweep.values[np.searchsorted(BINS, frequency), POINT, DISC]
     certified = max((c.error for c in sweep.certificates), default=float("nan"))

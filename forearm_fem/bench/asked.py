@@ -11,11 +11,10 @@ from ..geometry.sizing import element_sizes
 from ..pipeline.fem_engine import reduction_tolerance
 from ..pipeline.resources import Ledger
 from ..pipeline.two_meshes import COARSER, estimated_errors
-from ..scenario.sweep import SolverOptions
 from ..transfer import band_error, relative_error
 from ..typing import ComplexArray
 from ..verification.scenes import slab_model
-from .scene import BAND, knob
+from .scene import BAND, knob, options
 from .scene import exact as exact_solution
 
 ACCURACIES = (0.1, 0.01)
@@ -63,4 +62,4 @@ def asked(accuracy: float) -> Asked:
 
 
 def _swept(model: ForearmModel, tolerance: float | None) -> ComplexArray:
-    return reduced_sweep(model, BAND, SolverOptions(), tolerance=tolerance).values[:, :, :1]
+    return reduced_sweep(model, BAND, options("auto"), tolerance=tolerance).values[:, :, :1]

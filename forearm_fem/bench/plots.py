@@ -22,10 +22,10 @@ CURVES: Mapping[tuple[str, str, str], tuple[str, str, str, str]] = MappingProxyT
     {
         ("direct", "P2", "double"): ("direct solve per bin, P2", "#444444", "s", "-"),
         ("interpolated", "P2", "double"): ("11 direct solves interpolated, P2", "#8c6bb1", "D", "-"),
-        ("reduced", "P2", "double"): ("reduced, P2", "#0072b2", "o", "-"),
-        ("reduced", "P2", "single"): ("reduced, P2, single precision", "#56b4e9", "o", "--"),
-        ("reduced", "P3", "double"): ("reduced, P3", "#009e73", "^", "-"),
-        ("reduced", "P1", "double"): ("reduced, P1 (MINI)", "#d55e00", "v", "-"),
+        ("reduced", "P2", "double"): ("reduced, P2, double precision", "#56b4e9", "o", "--"),
+        ("reduced", "P2", "auto"): ("reduced, P2 (single, refined)", "#0072b2", "o", "-"),
+        ("reduced", "P3", "auto"): ("reduced, P3", "#009e73", "^", "-"),
+        ("reduced", "P1", "auto"): ("reduced, P1 (MINI)", "#d55e00", "v", "-"),
     }
 )
 
