@@ -6,9 +6,10 @@ import importlib.util
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
 
 from forearm_fem.fem import ordering
+from forearm_fem.fem.compiled import compiled
 from forearm_fem.fem.ordering import alike, nested_dissection
 from forearm_fem.fem.pardiso import PardisoFactor, library
 from forearm_fem.verification.scenes import flesh, held_block
@@ -31,7 +32,7 @@ def upper(model):
 
 
 def test_unknowns_of_one_node_are_those_with_the_same_neighbours(upper):
-    """Against sets of neighbours; on regular blocks some entries are zero and split nodes."""
+    """Against sets of neighbours."""
     ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)  # sums would drop zeros
     node, full = alike(upper), (ones + ones.T).tocsr()
     full.sort_indices()
@@ -41,6 +42,15 @@ def test_unknowns_of_one_node_are_those_with_the_same_neighbours(upper):
         assert names.setdefault(neighbours, node[row]) == node[row]
     assert len(set(names.values())) == len(names)
     assert node.max() + 1 < 0.7 * len(node)
+
+
+@pytest.mark.skipif(compiled("patterns") is None, reason="numba is not installed, and scipy drops zeros")
+def test_zeros_do_not_part_the_unknowns_of_a_node(model, upper):
+    """On a regular block many entries are exactly zero; without them METIS would have twice as many nodes to order."""
+    columns = csc_array(model.constraints.transform)
+    node = columns.indices[columns.indptr[:-1]] // 3
+    pairs = np.column_stack([node, alike(upper)[: len(node)]])
+    assert len(np.unique(pairs, axis=0)) == len(np.unique(node))
 
 
 def test_every_unknown_once_and_nodes_together(model, upper):
