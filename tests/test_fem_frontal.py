@@ -338,3 +338,16 @@ def test_panels_are_multiplied_as_by_numpy(rows, columns, width):
         rows, columns, panel.ctypes.data, 8 * (rows + 5), below.ctypes.data, own.ctypes.data, 192, 64 * width
     )
     assert np.abs(own - exact_own).max() < 1e-5 * np.abs(exact_own).max()
+
+
+@pytest.mark.parametrize(("kernel", "columns"), [(panels._gather_eight, 8), (panels._gather_two, 2)])
+def test_kernels_of_either_kind_of_processor_gather_as_numpy_does(kernel, columns):
+    """Only one of them is taken by the processor that runs this; leading dimensions are longer than what is read."""
+    random, rows = np.random.default_rng(columns), 37
+    panel, below, own = (
+        (random.normal(size=shape) + 1j * random.normal(size=shape)).astype(np.complex64)
+        for shape in ((columns, rows + 3), (rows, 8), (columns, 8))
+    )
+    exact = own - panel[:, :rows].astype(complex) @ below
+    kernel(rows, panel.ctypes.data, 8 * (rows + 3), below.ctypes.data, own.ctypes.data, 64)
+    assert np.abs(own - exact).max() < 1e-5 * np.abs(exact).max()  # roundings of 6e-8 in 37 sums

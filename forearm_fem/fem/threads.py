@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
@@ -14,8 +16,7 @@ Result = TypeVar("Result")
 
 def thread_count() -> int:
     """Threads that BLAS may use, which is how many are used here."""
-    pools = ThreadpoolController().select(user_api="blas").info()
-    return max([int(pool["num_threads"]) for pool in pools], default=1)
+    return max([library.num_threads for library in _blas(len(sys.modules)).lib_controllers], default=1)
 
 
 def in_threads(work: Callable[[Thing], Result], things: Sequence[Thing]) -> list[Result]:
@@ -23,9 +24,16 @@ def in_threads(work: Callable[[Thing], Result], things: Sequence[Thing]) -> list
 
     Where there is one thing or one thread the work is done here, with what BLAS has.
     """
-    blas = ThreadpoolController().select(user_api="blas")
-    count = max([int(pool["num_threads"]) for pool in blas.info()], default=1)
+    count = thread_count()
     if min(count, len(things)) < 2:
         return [work(thing) for thing in things]
-    with blas.limit(limits=1), ThreadPoolExecutor(count) as pool:
+    with _blas(len(sys.modules)).limit(limits=1), ThreadPoolExecutor(count) as pool:
         return list(pool.map(work, things))
+
+
+@lru_cache(maxsize=1)
+def _blas(modules: int) -> ThreadpoolController:
+    """NumPy's and SciPy's BLAS, found once for as many imported ``modules``, with which they are loaded: a search reads
+    the process' table of memory, 4-7 ms, and there would be hundreds in a sweep. MKL, which comes without an import,
+    may be missing: only PARDISO is called there, and not from these threads."""
+    return ThreadpoolController().select(user_api="blas")

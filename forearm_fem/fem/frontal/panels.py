@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import llvmlite.binding as llvm
 from numba import njit
 
 from .. import lanes as _lanes
@@ -16,6 +17,7 @@ from .blas import BYTES
 lanes: Any = _lanes  # intrinsics, which type checkers do not follow
 VECTOR = 64  # bytes: eight right-hand sides
 _TILE = 256  # rows: their right-hand sides and those of eight columns stay in the nearest cache
+_GATHERED = 8 if llvm.get_host_cpu_features().get("avx512f", False) else 2  # columns whose sums registers can hold
 
 
 @njit(cache=True, nogil=True)
@@ -42,9 +44,12 @@ def subtract_transposed(
         count, part = min(_TILE, rows - r), panel + BYTES * r
         for v in range(0, width, VECTOR):
             source, target = below + row * r + v, own + v
-            for k in range(0, columns - 7, 8):
-                _gather_eight(count, part + leading * k, leading, source, target + row * k, row)
-            for k in range(columns // 8 * 8, columns):
+            for k in range(0, columns - _GATHERED + 1, _GATHERED):
+                if _GATHERED == 8:
+                    _gather_eight(count, part + leading * k, leading, source, target + row * k, row)
+                else:
+                    _gather_two(count, part + leading * k, leading, source, target + row * k, row)
+            for k in range(columns // _GATHERED * _GATHERED, columns):
                 _gather_one(count, part + leading * k, source, target + row * k, row)
 
 
@@ -121,6 +126,21 @@ def _gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row
     _subtract_from(own + 5 * row, f, x)
     _subtract_from(own + 6 * row, g, y)
     _subtract_from(own + 7 * row, h, z)
+
+
+@njit(cache=True, nogil=True)
+def _gather_two(rows: int, panel: int, leading: int, below: int, own: int, row: int) -> None:
+    none, other = lanes.no_floats(), panel + leading
+    a, b, s, t = none, none, none, none
+    for _ in range(rows):
+        right = lanes.floats_at(below)
+        a, s = lanes.plus_scaled_by(a, right, panel), lanes.plus_scaled_by(s, right, panel + 4)
+        b, t = lanes.plus_scaled_by(b, right, other), lanes.plus_scaled_by(t, right, other + 4)
+        below += row
+        panel += BYTES
+        other += BYTES
+    _subtract_from(own, a, s)
+    _subtract_from(own + row, b, t)
 
 
 @njit(cache=True, nogil=True)
