@@ -160,8 +160,8 @@ def test_a_case_that_fails_loses_its_row_only(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(run.size, "sized", sized)
     with pytest.warns(AccuracyWarning, match="no room"):
         run_bench(tmp_path, only=["size"])
-    scales = [r["scale"] for r in plots.read_rows(tmp_path / "size.csv")]
-    assert scales == ["3", "1.5", "1.2"] * 2
+    rows = [(r["precision"], r["scale"]) for r in plots.read_rows(tmp_path / "size.csv")]
+    assert rows == [(precision, scale) for scale in ("3", "1.5", "1.2") for precision in ("double", "single")]
 
 
 PEER = {

@@ -91,7 +91,7 @@ def _error(out: Path, full: bool, progress: Progress | None) -> Path:
 def _size(out: Path, full: bool, progress: Progress | None) -> Path:
     scales = size.SCALES + (size.MORE if full else ())
     table = Table(out, "size", ("precision", "scale"))
-    cases = [(precision, scale) for precision in ("double", "single") for scale in scales]
+    cases = [(precision, scale) for scale in scales for precision in ("double", "single")]
     for case in _counted(cases, "cost against size", progress):
         if not table.has(*case):
             with _lost(case):
@@ -155,14 +155,13 @@ def machine() -> dict[str, Any]:
 
 
 def _processor() -> str:
+    """Its name, and the instructions that a factor of up to two depends on."""
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
     except OSError:
         return platform.processor()
-    return next(
-        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
-        platform.machine(),
-    )
+    names = [line.partition(":")[2].strip() for line in text.splitlines() if line.startswith("model name")]
+    return f"{names[0] if names else platform.machine()} {'with' if 'avx512f' in text else 'without'} AVX-512"
 
 
 def write_csv(path: Path, rows: Sequence[Any]) -> None:
