@@ -77,6 +77,20 @@ def test_interpolation_is_exact_for_polynomials_of_its_degree() -> None:
     assert error.interpolated(nodes, curve(nodes), band) == pytest.approx(curve(band), abs=1e-12)
 
 
+@pytest.mark.parametrize(("seconds", "runs"), [(8.0, 3), (12.0, 2), (20.0, 1)])
+def test_long_runs_are_not_repeated(seconds: float, runs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All runs together fit into the 30 s of patience, the first included, which is always made."""
+    clock = [0.0]
+
+    def run(work: Any, argument: str) -> str:
+        clock[0] += seconds
+        return argument
+
+    monkeypatch.setattr(isolated, "isolated", run)
+    monkeypatch.setattr(isolated.time, "perf_counter", lambda: clock[0])
+    assert isolated.repeated(len, "made") == ("made",) * runs
+
+
 def test_medians_per_column() -> None:
     runs = [Point("a", s, b) for s, b in ((3.0, 1.0), (1.0, 9.0), (2.0, 5.0))]
     assert isolated.median(runs) == Point("a", 2.0, 5.0, 3)

@@ -18,7 +18,7 @@ from ..fem.compiled import import_compiled
 
 A = TypeVar("A")
 R = TypeVar("R")
-PATIENCE = 6.0  # s: repeats stop after this
+PATIENCE = 30.0  # s
 REPEATS = 3
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -57,8 +57,9 @@ def _worked(work: Callable[[A], R], argument: A) -> R:
 
 
 def repeated(work: Callable[[A], R], argument: A) -> tuple[R, ...]:
-    """Up to three runs, fewer where one takes long."""
-    results, start = [isolated(work, argument)], time.perf_counter()
+    """Up to three runs, fewer where all would take longer than :data:`PATIENCE`."""
+    start = time.perf_counter()
+    results = [isolated(work, argument)]
     while len(results) < REPEATS and (time.perf_counter() - start) * (1 + 1 / len(results)) < PATIENCE:
         results.append(isolated(work, argument))
     return tuple(results)
