@@ -198,10 +198,11 @@ OTHERS = [
 
 def test_the_page_says_what_to_choose(tmp_path: Path) -> None:
     two = size.Sized("double", 1.0, 10_000, 1.0, 0.5, 8.0, 0.5, 2e9, 1e-14)
+    alone = replace(two, scale=0.5, unknowns=50_000, seconds_factorisation=400.0)  # not there in single precision
     held = reduced.Reduced(9000, 13, 981, 4, 150, 2.0, 2.5, 20.0, 2450.0, 0.5, 40, 3e-5, 1e-6)
     met = asked.Asked(0.1, 3e-3, 9000, 4.0, 4.0, 1.0, 1e9, 0.02, 0.014, 0.06, 0.03)
     tables: MappingProxyType[str, list[Any]] = MappingProxyType({
-        "error": ERRORS, "size": [two, replace(two, precision="single", seconds_factorisation=4.0)],
+        "error": ERRORS, "size": [two, replace(two, precision="single", seconds_factorisation=4.0), alone],
         "asked": [met, replace(met, accuracy=0.01)],
         "reduced": [{**held.__dict__, "speed_ratio": held.speed_ratio, "in_factorisations": held.factorisations}],
         "peers": [PEER, *OTHERS],
@@ -217,7 +218,8 @@ def test_the_page_says_what_to_choose(tmp_path: Path) -> None:
     assert page.count("**Choose**") == len(tables)
     assert "| 0.1 | reduced, P3 | 4000 | 12 | 1 | 900 | 75 |" in page
     assert "with the points alone missed at 0.01" in page
-    assert "takes 1/2 of the time" in page
+    assert "At 50000 unknowns in double precision" in page
+    assert "at 10000 unknowns its factorisation\ntakes 1/2 of the time" in page
     assert "| not done in 9 s |" in page
     assert "210 to 210 times as long" in page
 

@@ -120,21 +120,30 @@ def _met(rows: Sequence[Row]) -> str:
 
 
 def _size(rows: Sequence[Row]) -> list[str]:
-    largest = {
-        p: max((r for r in rows if r["precision"] == p), key=lambda r: int(r["unknowns"])) for p in ("double", "single")
-    }
-    two, one = largest["double"], largest["single"]
-    steps = {s: float(two[f"seconds_{s}"]) for s in ("assembly", "analysis", "factorisation", "solve")}
+    largest = max(rows, key=lambda r: int(r["unknowns"]))
+    steps = {s: float(largest[f"seconds_{s}"]) for s in ("assembly", "analysis", "factorisation", "solve")}
     shares = ", ".join(f"{s} {v:.2g} s" for s, v in steps.items())
-    ratio = float(two["seconds_factorisation"]) / float(one["seconds_factorisation"])
     return [
         "## Cost against size", "", "![cost against size](size.png)", "",
-        f"At {two['unknowns']} unknowns: {shares}, {float(two['peak_bytes']) / 1e9:.2g} GB. Exponents: see the legend.",
-        f"**Choose** single precision where memory ends: its factorisation takes 1/{ratio:.2g} of the time here, and",
-        f"{float(one['peak_bytes']) / float(two['peak_bytes']):.2g} of the peak memory; solves are refined to double "
-        f"(residual {float(one['residual']):.0e}).",
+        f"At {largest['unknowns']} unknowns in {largest['precision']} precision: {shares}, "
+        f"{float(largest['peak_bytes']) / 1e9:.2g} GB. Exponents: see the legend.",
+        *_precisions(rows),
         "",
     ]  # fmt: skip
+
+
+def _precisions(rows: Sequence[Row]) -> list[str]:
+    """Single beside double precision at the largest size that both have."""
+    double, single = ({int(r["unknowns"]): r for r in rows if r["precision"] == p} for p in ("double", "single"))
+    if not (both := double.keys() & single.keys()):
+        return []
+    two, one = double[max(both)], single[max(both)]
+    time, memory = (float(two[k]) / float(one[k]) for k in ("seconds_factorisation", "peak_bytes"))
+    return [
+        f"**Choose** single precision where memory ends: at {max(both)} unknowns its factorisation",
+        f"takes 1/{time:.2g} of the time and {1 / memory:.2g} of the peak memory; solves are refined to double",
+        f"(residual {float(one['residual']):.0e}).",
+    ]
 
 
 def _reduced(rows: Sequence[Row]) -> list[str]:
