@@ -164,7 +164,7 @@ def test_filling_a_cube_leaves_no_gap_and_no_sliver():
     assert np.linalg.det(corner[:, 1:] - corner[:, :1]).sum() / 6 == pytest.approx(1.0, rel=1e-12)
     assert mean_ratios(points, tetrahedra).min() > 0.1
     edges = corner - np.roll(corner, 1, axis=1)
-    # six shells gave 1.10 to 1.15 times what is asked for; which one a shell gives hangs on the processor's roundings
+    # six shells gave 1.10 to 1.15 times what is asked; roundings of the processor seem to choose
     assert 1.0 < np.linalg.norm(edges, axis=2).mean() / 0.125 < 1.2
 
 
