@@ -19,6 +19,7 @@ from .model import ForearmModel
 from .reduce import ReducedModel, empty_model, extend
 
 Progress = Callable[[str, int, int], None]
+_SHARE = 1e-3  # of what is asked of the reduced model, to refine solves to; their error in G is smaller than residuals
 _UNCERTIFIED = 1e-5  # what the second stage may cost where nothing else is known
 _USELESS = 0.5  # a stated error above this says that the model tells nothing
 _QUIET, _SPREAD = 30.0, -0.2  # [Hz] flesh on bone hardly resonates below; expansions are even in f^-0.2 above it
@@ -117,7 +118,7 @@ def reduced_sweep(
     seen to be unresolved several frequencies in turn must pass. With ``tolerance`` None nothing is certified and no
     factorisation is spent on it. Raises SolverError where the stated error is above 0.5.
     """
-    work = _Expander(model, options, snapshots)
+    work = _Expander(model, options, snapshots, _SHARE * (tolerance or _UNCERTIFIED))
     planned = expansion_frequencies(frequency, options)
     reduced, used = empty_model(model), list[Expansion]()
     for i, f in enumerate(planned):
@@ -188,8 +189,8 @@ def _second_stage(
 class _Expander:
     """Makes expansions, or takes them from the store; factorises only when it must."""
 
-    def __init__(self, model: ForearmModel, options: SolverOptions, store: Snapshots | None) -> None:
-        self._model, self._options, self._store = model, options, store
+    def __init__(self, model: ForearmModel, options: SolverOptions, store: Snapshots | None, residual: float) -> None:
+        self._model, self._options, self._store, self._residual = model, options, store, residual
         self.orders = derivative_orders(model, options)
         self._solver: DirectSolver | None = None
 
@@ -233,7 +234,8 @@ class _Expander:
 
     def _ready(self, frequency: float) -> DirectSolver:
         if self._solver is None:
-            self._solver = make_solver(self._model, self._options, frequency)
+            made = make_solver(self._model, self._options, frequency)
+            self._solver = replace(made, tolerance=max(made.tolerance, self._residual))
         return self._solver
 
 

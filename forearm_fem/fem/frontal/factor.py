@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,9 +17,10 @@ from ..threads import in_threads, thread_count
 from .blas import BLOCK, arguments
 from .fronts import Scratch, Store, block_entries, factorise_part, scratch_entries
 from .parts import Part, Parts, divided
-from .substitution import LANES, Local, backward, forward, gathered, scattered
+from .substitution import LANES, Local, backward, forward, gather, scatter
 from .supernodes import Symbolic, analyse
 
+_MANY_ROWS = 20_000  # below, starting threads costs what they save
 PRESSURES = 0.3  # entries that couple pressures are scaled to this at most; 0.1 and 1 leave more of point forces
 
 
@@ -63,7 +65,8 @@ class MultifrontalFactor:
         if self._singular:
             raise SolverError(f"blocks of pivots are singular in single precision (n = {self.n})")
         columns = np.ascontiguousarray(right.reshape(self.n, -1), dtype=complex)
-        x = gathered(columns, self.symbolic.order, self._scale)
+        x = np.empty((self.n, -(-columns.shape[1] // LANES) * LANES), np.complex64)
+        self._by_rows(lambda a, b: gather(columns, self.symbolic.order, self._scale, x, a, b))
         fronts, owner, memory = self.symbolic.fronts, self._parts.owner, self._memory
         locals_ = [self._local(part, x.shape[1]) for part in (*self._parts.subtrees, self._parts.top)]
         whole, top = (0, x.shape[1]), self._parts.top
@@ -85,7 +88,9 @@ class MultifrontalFactor:
             x[above] += others[above]
         in_threads(over_the_top, _shared(x.shape[1], len(subtrees)))
         in_threads(up, subtrees)
-        return np.asarray(scattered(x, self.symbolic.order, self._scale, columns.shape[1]).reshape(right.shape))
+        solution = np.empty(columns.shape, dtype=complex)
+        self._by_rows(lambda a, b: scatter(x, self.symbolic.order, self._scale, solution, a, b))
+        return solution.reshape(right.shape)
 
     def harden(self) -> bool:
         """See :class:`..factor.Factor`; this one cannot."""
@@ -99,6 +104,11 @@ class MultifrontalFactor:
     def entries(self) -> int:
         """Entries of the factors as they are stored, a supernode's own square included."""
         return int(panel_entries(self.symbolic).sum())
+
+    def _by_rows(self, work: Callable[[int, int], None]) -> None:
+        """``work`` on ranges of rows, one for each thread where there are enough."""
+        cuts = np.linspace(0, self.n, thread_count() + 1 if self.n > _MANY_ROWS else 2).astype(int).tolist()
+        in_threads(lambda rows: work(*rows), list(pairwise(cuts)))
 
     def _local(self, part: Part, count: int) -> Local:
         rows = self.symbolic.remaining[part.supernodes].max(initial=0)

@@ -29,25 +29,26 @@ class Local(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def gathered(right: ComplexArray, order: IntArray, scale: FloatArray) -> NDArray[np.complex64]:
-    """Rows of ``right`` (n, count) in the order of elimination, scaled, with zeros up to a multiple of eight."""
+def gather(
+    right: ComplexArray, order: IntArray, scale: FloatArray, x: NDArray[np.complex64], begin: int, end: int
+) -> None:
+    """Rows of ``right`` (n, count) in the order of elimination, scaled, to rows ``begin`` to ``end`` of ``x``, whose
+    further columns become zero."""
     count = right.shape[1]
-    x = np.empty((len(order), -(-count // LANES) * LANES), np.complex64)
-    for i in range(len(order)):
+    for i in range(begin, end):
         for c in range(count):
             x[i, c] = right[order[i], c] * scale[i]
         x[i, count:] = 0
-    return x
 
 
 @njit(cache=True, nogil=True)
-def scattered(x: NDArray[np.complex64], order: IntArray, scale: FloatArray, count: int) -> ComplexArray:
-    """The first ``count`` columns of ``x``, rows back in the usual order, scaled."""
-    right = np.empty((len(order), count), np.complex128)
-    for i in range(len(order)):
-        for c in range(count):
+def scatter(
+    x: NDArray[np.complex64], order: IntArray, scale: FloatArray, right: ComplexArray, begin: int, end: int
+) -> None:
+    """Rows ``begin`` to ``end`` of ``x`` back in the usual order to ``right`` (n, count), scaled."""
+    for i in range(begin, end):
+        for c in range(right.shape[1]):
             right[order[i], c] = x[i, c] * scale[i]
-    return right
 
 
 @njit(cache=True, nogil=True)
