@@ -171,6 +171,8 @@ def test_parts_hold_every_front_once(factor, threads):
 @pytest.mark.parametrize("threads", [1, 3])
 def test_any_number_of_threads_gives_the_same(model, upper, factor, threads, monkeypatch):
     monkeypatch.setattr("forearm_fem.fem.frontal.factor.divided", lambda symbolic, _: divided(symbolic, threads))
+    monkeypatch.setattr("forearm_fem.fem.frontal.factor._MANY_ROWS", 0)
+    monkeypatch.setattr("forearm_fem.fem.frontal.factor.thread_count", lambda: threads)
     order = nested_dissection(upper, model.operator.n_displacements)
     other = MultifrontalFactor(upper, model.operator.n_displacements, order)
     other.factorise(upper.data)
@@ -298,6 +300,8 @@ def dissected(rows: np.ndarray) -> list[int]:
 def test_a_deep_tree_of_fronts(threads, monkeypatch):
     """Remainders are stacked and moved many times: ten levels, where random patterns have two or three."""
     monkeypatch.setattr("forearm_fem.fem.frontal.factor.divided", lambda symbolic, _: divided(symbolic, threads))
+    monkeypatch.setattr("forearm_fem.fem.frontal.factor._MANY_ROWS", 0)
+    monkeypatch.setattr("forearm_fem.fem.frontal.factor.thread_count", lambda: threads)
     full, order = grid(48), np.array(dissected(np.arange(48**2).reshape(48, 48)))
     factor = MultifrontalFactor(upper_of(full), len(full), order)
     assert depth(factor.symbolic.parent) >= 8

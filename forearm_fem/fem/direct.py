@@ -16,7 +16,7 @@ from .operator import WeightedSum
 from .taylor import TaylorRecursion
 
 _log = logging.getLogger("forearm_fem.fem")
-_ENOUGH = 1e-7  # relative residual: its error in G is stated as that of the linear solve
+ENOUGH = 1e-7  # relative residual: its error in G is stated as that of the linear solve
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class DirectSolver:
         while self.safe:
             try:
                 solution = refined_solve(self.factor, matrix, right, tolerance=self.tolerance)
-                if solution.residual <= _ENOUGH:
+                if solution.residual <= ENOUGH:
                     return solution
             except SolverError as problem:
                 _log.info("%s", problem)

@@ -14,12 +14,12 @@ from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray, IntArray
 from .certify import DOUBTFUL, Certificate, certified, enough, most_doubtful, probe_frequencies
 from .compress import PoleResidue, compressed, pole_residue
-from .direct import DirectSolver, make_solver, watched
+from .direct import ENOUGH, DirectSolver, make_solver, watched
 from .model import ForearmModel
 from .reduce import ReducedModel, empty_model, extend
 
 Progress = Callable[[str, int, int], None]
-_SHARE = 1e-3  # of what is asked of the reduced model, to refine solves to; their error in G is smaller than residuals
+_SHARE = 1e-3  # of what is asked of the reduced model: the residual that its solves are refined to
 _UNCERTIFIED = 1e-5  # what the second stage may cost where nothing else is known
 _USELESS = 0.5  # a stated error above this says that the model tells nothing
 _QUIET, _SPREAD = 30.0, -0.2  # [Hz] flesh on bone hardly resonates below; expansions are even in f^-0.2 above it
@@ -114,11 +114,12 @@ def reduced_sweep(
 
     Expansion starts at :func:`expansion_frequencies`. Then the most doubtful frequency (:mod:`.certify`) is solved
     directly: that true error certifies the model, and where it exceeds ``tolerance`` the solution and its derivatives
-    extend it (at most ``max_expansions`` times in all; the certificates say what was reached). Where resonances were
+    extend it (at most ``max_expansions`` times in all; the certificates say what was reached). Solves are refined to a
+    thousandth of ``tolerance``, to 1e-7 at least. Where resonances were
     seen to be unresolved several frequencies in turn must pass. With ``tolerance`` None nothing is certified and no
     factorisation is spent on it. Raises SolverError where the stated error is above 0.5.
     """
-    work = _Expander(model, options, snapshots, _SHARE * (tolerance or _UNCERTIFIED))
+    work = _Expander(model, options, snapshots, min(ENOUGH, _SHARE * (tolerance or _UNCERTIFIED)))
     planned = expansion_frequencies(frequency, options)
     reduced, used = empty_model(model), list[Expansion]()
     for i, f in enumerate(planned):
