@@ -69,7 +69,7 @@ def whole(mesh: TissueMesh, frequency: np.ndarray, precision: str) -> dict:
     values = sweep.values[np.searchsorted(BINS, frequency), POINT, DISC]
     certified = max((c.error for c in sweep.certificates), default=float("nan"))
     return {
-        "seconds_full": seconds, "expansions": len(sweep.expansions), "certified": certified,
+        "seconds_full": seconds, "factorisations": sweep.factorisations, "certified": certified,
         "reduced": np.column_stack([values.real, values.imag]).tolist(),
     }  # fmt: skip
 

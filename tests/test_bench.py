@@ -204,7 +204,7 @@ def test_the_page_says_what_to_choose(tmp_path: Path) -> None:
     tables: MappingProxyType[str, list[Any]] = MappingProxyType({
         "error": ERRORS, "size": [two, replace(two, precision="single", seconds_factorisation=4.0), alone],
         "asked": [met, replace(met, accuracy=0.01)],
-        "reduced": [{**held.__dict__, "speed_ratio": held.speed_ratio, "in_factorisations": held.factorisations}],
+        "reduced": [{**held.__dict__, "speed_ratio": held.speed_ratio, "in_factorisations": held.in_factorisations}],
         "peers": [PEER, *OTHERS],
         "assembly": [{"program": "NGSolve", "tetrahedra": 5, "what": "one", "seconds": 2.0, "seconds_operator": ""}],
     })  # fmt: skip

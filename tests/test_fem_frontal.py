@@ -9,12 +9,14 @@ from scipy.sparse import csr_array, triu
 
 from forearm_fem.errors import SolverError
 from forearm_fem.fem import factor as factors
+from forearm_fem.fem.coefficients import rate_weights
 from forearm_fem.fem.direct import make_solver
 from forearm_fem.fem.factor import CautiousFactor, make_factor, refined_solve
 from forearm_fem.fem.frontal import blas, panels
 from forearm_fem.fem.frontal.factor import MultifrontalFactor, scales
 from forearm_fem.fem.frontal.parts import divided
 from forearm_fem.fem.frontal.supernodes import analyse
+from forearm_fem.fem.operator import WeightedSum
 from forearm_fem.fem.ordering import nested_dissection
 from forearm_fem.fem.pardiso import PardisoFactor, library
 from forearm_fem.scenario.sweep import SolverOptions
@@ -33,7 +35,7 @@ def upper_of(full: np.ndarray) -> csr_array:
 
 
 def random_pattern(n: int, per_row: float, seed: int) -> np.ndarray:
-    """A symmetric complex matrix (n, n) with a dominant diagonal."""
+    """A symmetric complex matrix (n, n) with a dominant diagonal, whose real part is dominant too."""
     random = np.random.default_rng(seed)
     there = random.random((n, n)) < per_row / n
     values = np.where(there, random.normal(size=(n, n)) + 1j * random.normal(size=(n, n)), 0)
@@ -78,25 +80,32 @@ def eliminated_rows(fronts, s):
 
 
 @settings(max_examples=30, deadline=None)
-@given(n=st.integers(1, 300), per_row=st.floats(0, 5), seed=st.integers(0, 1000), columns=st.integers(1, 5))
-def test_solves_like_numpy(n, per_row, seed, columns):
+@given(
+    n=st.integers(1, 300), per_row=st.floats(0, 5), seed=st.integers(0, 1000), columns=st.integers(1, 5),
+    real=st.booleans(),
+)  # fmt: skip
+def test_solves_like_numpy(n, per_row, seed, columns, real):
     """Diagonally dominant: errors are a few roundings of single precision (6e-8) in a hundred sums."""
     full = random_pattern(n, per_row, seed)
+    full = full.real.copy() if real else full
     factor = MultifrontalFactor(upper_of(full), n, np.random.default_rng(seed).permutation(n))
     factor.factorise(upper_of(full).data)
-    right = np.random.default_rng(seed).normal(size=(n, columns)) * (1 + 1j)
-    exact = np.linalg.solve(full, right)
-    assert np.abs(factor.solve(right) - exact).max() < 1e-5 * np.abs(exact).max()
+    right = np.random.default_rng(seed).normal(size=(n, columns)) * (1 if real else 1 + 1j)
+    exact, found = np.linalg.solve(full, right), factor.solve(right)
+    assert found.dtype == exact.dtype
+    assert np.abs(found - exact).max() < 1e-5 * np.abs(exact).max()
 
 
+@pytest.mark.parametrize("real", [False, True])
 @pytest.mark.parametrize("n", [64, 65, 700, 1400])
-def test_one_large_front(n):
+def test_one_large_front(n, real):
     """Blocks of 64, outer blocks of 512, strips of 256 columns, and what does not fill them."""
     full = random_pattern(n, n, 3)
+    full = full.real.copy() if real else full
     factor = MultifrontalFactor(upper_of(full), n, np.arange(n))
     assert len(factor.symbolic.parent) == 1
     factor.factorise(upper_of(full).data)
-    right = np.eye(n, 3) + 0j
+    right = np.eye(n, 3) + (0 if real else 0j)
     exact = np.linalg.solve(full, right)
     assert np.abs(factor.solve(right) - exact).max() < 1e-5 * np.abs(exact).max()
 
@@ -152,6 +161,22 @@ def test_new_values_on_the_same_pattern(model, factor):
     one = right[:, 0]
     whole = factor.solve(right)[:, 0]
     assert np.abs(factor.solve(one) - whole).max() < 1e-5 * np.abs(whole).max()  # sums in another order
+
+
+def test_real_and_complex_matrices_in_turn_share_their_memory(model, factor):
+    """At a real rate, at a frequency, and at the rate again: each right, and the real ones in real numbers."""
+    weights = rate_weights([t.coefficient for t in model.operator.terms], OMEGA)[0]
+    right = model.functionals
+    for _ in range(2):
+        factor.factorise(model.operator.combine(weights.tolist()))
+        matrix = WeightedSum(model.operator.matrices, weights)
+        solution = refined_solve(factor, matrix, right)
+        assert solution.values.dtype == float
+        assert solution.residual < 1e-12
+        data = model.operator.data(OMEGA)
+        factor.factorise(data)
+        assert refined_solve(factor, model.operator.matrix(data), right.astype(complex)).residual < 1e-12
+    assert np.shares_memory(factor._whole.store.panels, factor._memory.store.panels)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -267,7 +292,15 @@ def test_products_are_openblas_own_or_those_of_scipy(monkeypatch):
     )
     c = np.zeros((90, 40), np.complex64, order="F")
     blas.subtract_product(
-        blas.arguments(), (*c.shape, 70), a.ctypes.data, 90, b.ctypes.data, 40, c.ctypes.data, 90, blas.SECOND
+        blas.arguments(np.complex64),
+        (*c.shape, 70),
+        a.ctypes.data,
+        90,
+        b.ctypes.data,
+        40,
+        c.ctypes.data,
+        90,
+        blas.SECOND,
     )
     exact = -a.astype(complex) @ b.T
     assert np.abs(c - exact).max() < 1e-6 * np.abs(exact).max()
@@ -320,26 +353,28 @@ def depth(parent: np.ndarray) -> int:
     return int(level.max())
 
 
-@settings(max_examples=30, deadline=None)
-@given(rows=st.integers(0, 600), columns=st.integers(1, 70), width=st.integers(1, 3))
-def test_panels_are_multiplied_as_by_numpy(rows, columns, width):
-    """Tiles of 256 rows, eight columns at a time and single ones; of three vectors of right-hand sides, ``width``."""
-    random = np.random.default_rng(rows)
+@settings(max_examples=40, deadline=None)
+@given(rows=st.integers(0, 1100), columns=st.integers(1, 70), width=st.integers(1, 3), real=st.booleans())
+def test_panels_are_multiplied_as_by_numpy(rows, columns, width, real):
+    """Tiles of 256 or 512 rows, eight columns at a time and single ones; ``width`` vectors of three."""
+    random, number = np.random.default_rng(rows), np.float32 if real else np.complex64
+    size, wide = np.dtype(number).itemsize, np.float64 if real else np.complex128
 
     def values(*shape):
-        return (random.normal(size=shape) + 1j * random.normal(size=shape)).astype(np.complex64)
+        return (random.normal(size=shape) + (0 if real else 1j * random.normal(size=shape))).astype(number)
 
     panel, below, own = np.asfortranarray(values(rows + 5, columns)), values(rows + 1, 24), values(columns, 24)
-    part, some = panel[:rows].astype(complex), slice(0, 8 * width)
-    exact_below, exact_own = below.astype(complex), own.astype(complex)
+    part, some = panel[:rows].astype(wide), slice(0, 8 * width)
+    leading, row, taken = size * (rows + 5), size * 24, size * 8 * width
+    exact_below, exact_own = below.astype(wide), own.astype(wide)
     exact_below[:rows, some] -= part @ own[:, some]
     panels.subtract_product(
-        rows, columns, panel.ctypes.data, 8 * (rows + 5), own.ctypes.data, below.ctypes.data, 192, 64 * width
+        size, rows, columns, panel.ctypes.data, leading, own.ctypes.data, below.ctypes.data, row, taken
     )
     assert np.abs(below - exact_below).max() < 1e-5 * np.abs(exact_below).max()  # roundings of 6e-8 in 70 sums
     exact_own[:, some] -= part.T @ below[:rows, some]
     panels.subtract_transposed(
-        rows, columns, panel.ctypes.data, 8 * (rows + 5), below.ctypes.data, own.ctypes.data, 192, 64 * width
+        size, rows, columns, panel.ctypes.data, leading, below.ctypes.data, own.ctypes.data, row, taken
     )
     assert np.abs(own - exact_own).max() < 1e-5 * np.abs(exact_own).max()
 

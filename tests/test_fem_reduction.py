@@ -1,4 +1,4 @@
-"""The reduced sweep against direct solves; what projection must keep; poles and residues."""
+"""The reduced sweep from expansion frequencies against direct solves; what projection must keep; poles and residues."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from forearm_fem.fem.basis import Basis, orthonormal_extension, real_columns
 from forearm_fem.fem.certify import doubt, probe_frequencies
 from forearm_fem.fem.compress import compressed, pole_residue
 from forearm_fem.fem.direct import make_solver
+from forearm_fem.fem.expand import expansion_frequencies
 from forearm_fem.fem.pardiso import library
 from forearm_fem.fem.reduce import empty_model, extend
-from forearm_fem.fem.sweep import direct_sweep, expansion_frequencies, reduced_sweep
+from forearm_fem.fem.sweep import direct_sweep, reduced_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
 from forearm_fem.transfer import relative_error
@@ -22,7 +23,7 @@ from forearm_fem.verification.scenes import flesh, held_block
 needs_mkl = pytest.mark.skipif(library() is None, reason="MKL is not installed")
 BAND = np.linspace(10.0, 500.0, 197)
 CHECK = np.array([10.0, 33.0, 80.0, 140.0, 210.0, 333.0, 470.0, 500.0])
-OPTIONS = SolverOptions()
+OPTIONS = SolverOptions(start="frequencies")
 ALL = np.ones(4, dtype=int)  # contact and three points of held_block
 
 
@@ -72,7 +73,7 @@ def test_values_of_the_sweep_are_those_of_its_model(sweep):
 
 def test_certificate_is_a_true_error(model):
     """Certified on a solve that the model had not used: repeat it by hand."""
-    few = SolverOptions(expansions=2, derivatives=2, max_expansions=2)
+    few = SolverOptions(start="frequencies", expansions=2, derivatives=2, max_expansions=2)
     result = reduced_sweep(model, BAND, few, tolerance=1e-12)
     stated = result.certificates[-1]
     exact = direct_sweep(model, np.array([stated.frequency]), OPTIONS).values
@@ -86,11 +87,16 @@ def test_certificate_is_a_true_error(model):
 
 def test_a_model_that_tells_nothing_is_refused(model):
     with pytest.raises(SolverError, match="max_expansions"):
-        reduced_sweep(model, BAND, SolverOptions(expansions=1, derivatives=2, max_expansions=1), tolerance=1e-4)
+        reduced_sweep(
+            model,
+            BAND,
+            SolverOptions(start="frequencies", expansions=1, derivatives=2, max_expansions=1),
+            tolerance=1e-4,
+        )
 
 
 def test_more_expansions_are_taken_until_certified(model):
-    few = SolverOptions(expansions=1, derivatives=2, max_expansions=8)
+    few = SolverOptions(start="frequencies", expansions=1, derivatives=2, max_expansions=8)
     result = reduced_sweep(model, BAND, few, tolerance=1e-5)
     assert 1 < len(result.expansions) <= 8
     assert result.certificates[-1].error < 1e-5
@@ -339,7 +345,7 @@ def test_undamped_resonances_are_never_certified_by_one_lucky_frequency():
 def test_single_precision_gives_the_same_model_as_double(model, truth):
     """Kept in saddle form, what single-precision factors leave enters squared; 1e-6 is where directions are dropped."""
     for precision in ("single", "double"):
-        swept = reduced_sweep(model, BAND, SolverOptions(precision=precision), tolerance=None)
+        swept = reduced_sweep(model, BAND, SolverOptions(start="frequencies", precision=precision), tolerance=None)
         assert relative_error(swept.reduced.compliance(CHECK), truth).max() < 1e-6
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from forearm_fem.fem import direct, sweep
+from forearm_fem.fem import direct, expand, krylov, sweep
+from forearm_fem.fem.expand import Expansion
 from forearm_fem.fem.factor import available_backends
-from forearm_fem.fem.sweep import Expansion
 from forearm_fem.geometry.skin import with_finer_skin
 from forearm_fem.io.matlab import read_thesis_mat
 from forearm_fem.io.netcdf import read_compliance, read_transfer
@@ -139,24 +139,42 @@ def test_a_new_coil_needs_no_new_solve(finished, home, monkeypatch, tmp_path):
     assert np.abs(other.values - before.values).max() > 0.01 * np.abs(before.values).max()
 
 
-def test_an_interrupted_sweep_goes_on_where_it_stopped(monkeypatch, tmp_path):
+def interrupted_then_resumed(monkeypatch, tmp_path, stage, done, **solver):
+    """A run that is stopped at ``done`` of a ``stage``, then the whole one."""
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "cache"))
-    scenario = parse_scenario({**TINY, "solver": {**TINY["solver"], "discretisation_estimate": False}})
-    seen = []
+    options = {**TINY["solver"], "discretisation_estimate": False, **solver}
+    scenario = parse_scenario({**TINY, "solver": options})
 
-    def stop_after_one(stage, done, total):
-        if stage == "expansion frequencies" and done == 1:
+    def stop_there(*reported):
+        if reported[:2] == (stage, done):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_solve(Run.start(scenario, tmp_path / "out", Path(), stop_after_one))
+        run_solve(Run.start(scenario, tmp_path / "out", Path(), stop_there))
     assert not (tmp_path / "out" / "transfer.nc").exists()
-    original = direct.DirectSolver.at
+    seen, original = [], direct.DirectSolver.at
     monkeypatch.setattr(direct.DirectSolver, "at", lambda self, f: (seen.append(f), original(self, f))[1])
-    resumed = run_solve(Run.start(scenario, tmp_path / "out", Path()))
-    planned = sweep.expansion_frequencies(resumed.frequency, scenario.solver)
+    return scenario, seen, run_solve(Run.start(scenario, tmp_path / "out", Path()))
+
+
+def test_an_interrupted_sweep_goes_on_where_it_stopped(monkeypatch, tmp_path):
+    how = ("expansion frequencies", 1)
+    scenario, seen, resumed = interrupted_then_resumed(monkeypatch, tmp_path, *how, start="frequencies")
+    planned = expand.expansion_frequencies(resumed.frequency, scenario.solver)
     assert planned[0] not in seen  # stored by the first run
     assert planned[1] in seen
+
+
+def test_an_interrupted_space_about_a_rate_goes_on_where_it_stopped(monkeypatch, tmp_path, finished):
+    """The same G as without the interruption, and only what was missing is solved again."""
+    counted, original = [], krylov.RateSpace.more
+    monkeypatch.setattr(krylov.RateSpace, "more", lambda self, n: (counted.append(n), original(self, n))[1])
+    resumed = interrupted_then_resumed(monkeypatch, tmp_path, "derivatives", 10)[2]
+    whole = read_transfer(finished / "transfer.nc")
+    derivatives = json.loads((finished / "run.json").read_text())["solution"]["derivatives"]
+    assert sum(counted) == derivatives > 10
+    # the space is kept in single precision; what is left of its differences is far below the 1e-4 asked for
+    assert np.abs(resumed.values - whole.values).max() < 1e-5 * np.abs(whole.values).max()
 
 
 def test_too_little_memory_is_refused_beforehand(home, tmp_path):
@@ -174,5 +192,5 @@ def test_modes_times_states_are_displacements_at_vertices_and_edges():
     nodes = model.displacements(direct.make_solver(model, options, 150.0).at(150.0).values[:, 0])
     distance, there = cKDTree(model.space.node_points).query(with_finer_skin(model.space.mesh).points)
     assert distance.max() < 1e-12
-    # G is certified to 1e-6; fields away from the ports are not, and err a few times more
-    assert np.abs(found - nodes[there]).max() < 1e-5 * np.abs(nodes).max()
+    # G is certified to 1e-6; its error is the product of two solutions' errors, so one of these may be 1e-3
+    assert np.abs(found - nodes[there]).max() < 3e-4 * np.abs(nodes).max()

@@ -31,7 +31,7 @@ class Reduced:
     unknowns: int
     ports: int
     bins: int
-    expansions: int
+    factorisations: int
     reduced_size: int
     seconds_factorisation: float
     seconds_direct_frequency: float
@@ -50,7 +50,7 @@ class Reduced:
         return self.seconds_direct_sweep / self.seconds_reduced_sweep
 
     @property
-    def factorisations(self) -> float:
+    def in_factorisations(self) -> float:
         """Wall time of the whole reduced sweep in factorisations."""
         return self.seconds_reduced_sweep / self.seconds_factorisation
 
@@ -69,7 +69,7 @@ def reduced(case: tuple[float, int]) -> Reduced:
     truth, seconds, factorisation = _direct(solver, probes)
     error = relative_error(_watched(model, sweep.values[np.searchsorted(bins, probes)]), _watched(model, truth))
     return Reduced(
-        model.operator.n, len(model.ports), len(bins), len(sweep.expansions),
+        model.operator.n, len(model.ports), len(bins), sweep.factorisations,
         sweep.reduced.size if sweep.reduced else 0,
         factorisation, seconds, whole, seconds * len(bins), _many(sweep), len(probes), float(error.max()),
         float(np.median(error)), sweep.solver,

@@ -106,7 +106,7 @@ def _reduced(out: Path, full: bool, progress: Progress | None) -> Path:
         if not table.has(scale):
             with _lost(scale):
                 result = isolated(reduction.reduced, (scale, held_out))
-                extra = {"speed_ratio": result.speed_ratio, "in_factorisations": result.factorisations}
+                extra = {"speed_ratio": result.speed_ratio, "in_factorisations": result.in_factorisations}
                 table.add({"scale": scale, **asdict(result), **extra})
     return table.finish()
 

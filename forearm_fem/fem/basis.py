@@ -13,6 +13,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..typing import ComplexArray, FloatArray, IntArray
+from .threads import in_threads
 
 _PIECE = 2000  # rows at a time: as many of all columns stay in the cache
 
@@ -49,9 +50,18 @@ class Basis:
     def subtract_in_place(self, columns: FloatArray, known: FloatArray) -> None:
         """``columns`` (n, k) less the combination ``known`` (r, k) of the blocks."""
         starts = np.cumsum([0, *(block.shape[1] for block in self.blocks)])
-        for rows in _pieces(len(columns)):
+
+        def work(rows: slice) -> None:
             for block, start in zip(self.blocks, starts, strict=False):
                 columns[rows] -= block[rows] @ known[start : start + block.shape[1]]
+
+        in_threads(work, list(_pieces(len(columns))))
+
+    def combination(self, known: FloatArray) -> FloatArray:
+        """The combination ``known`` (r, k) of the blocks' columns, (n, k)."""
+        total = np.zeros((len(self.blocks[0]), known.shape[1]))
+        self.subtract_in_place(total, -known)
+        return total
 
 
 def _inner(block: FloatArray, rows: IntArray, columns: FloatArray) -> FloatArray:

@@ -78,6 +78,13 @@ def doubt(
     return Doubt(float(probes[int(np.argmax(place))]), float(change.max()))
 
 
+def largest_change(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray) -> float:
+    """Largest change of G over the band by what the lower model lacks."""
+    probes = probe_frequencies(frequency, ())[::2]
+    change = relative_error(_watched(model, reduced.lower(), probes), _watched(model, reduced, probes))
+    return float(change.max())
+
+
 def _watched(model: ForearmModel, reduced: ReducedModel, probes: FloatArray) -> ComplexArray:
     """Compliances (n_probe, n_output, n_input) whose error counts."""
     return reduced.compliance(probes)[np.ix_(range(len(probes)), *watched(model))]

@@ -57,6 +57,16 @@ def polynomial_weights(taylor: ComplexArray) -> tuple[FloatArray, FloatArray, Fl
     return taylor[:, 0].real, (taylor[:, 1] / 1j).real, (-taylor[:, 2]).real
 
 
+def rate_weights(coefficients: Sequence[Coefficient], rate: float) -> FloatArray:
+    """Weights (3, n_term) of A_0, A_1 and A_2 in A(s) = A_0 + A_1 d + A_2 d^2 with s = ``rate`` (1 + d) for i omega.
+
+    For Kelvin-Voigt moduli; at a real rate [1/s] all are real.
+    """
+    constant, slope, inertia = polynomial_weights(np.array([c.taylor(0.0, 2) for c in coefficients]))
+    first, second = rate * slope, rate**2 * inertia
+    return np.array([constant + first + second, first + 2 * second, second])
+
+
 def grouped(coefficients: Sequence[Coefficient]) -> list[tuple[FloatArray, Coefficient]]:
     """As few sums of terms as A(omega) can be made of: weights (n_term,), and what each sum is multiplied with.
 

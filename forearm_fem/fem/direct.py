@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SolverError
 from ..scenario.sweep import SolverOptions
-from ..typing import ComplexArray, IntArray
+from ..typing import ComplexArray, FloatArray, IntArray
 from .factor import Factor, Solution, make_factor, refined_solve
 from .model import ForearmModel
 from .operator import WeightedSum
@@ -38,6 +40,12 @@ class DirectSolver:
         self.factor.factorise(self.model.operator.data(omega))
         return self._solve(self.model.operator.at(omega), self.model.functionals.astype(complex))
 
+    def about_rate(self, weights: FloatArray, forces: FloatArray) -> Solution:
+        """Real solutions (n, b) for ``forces`` (n, b) where the terms have real ``weights``; the factor stays."""
+        operator = self.model.operator
+        self.factor.factorise(operator.combine(weights.tolist()))
+        return self._solve(WeightedSum(operator.matrices, weights), forces)
+
     def taylor(self, frequency: float, start: ComplexArray, orders: IntArray) -> list[ComplexArray]:
         """Taylor coefficients in omega of the solutions about ``frequency``; column i to order ``orders[i]``.
 
@@ -64,7 +72,7 @@ class DirectSolver:
             series[-1] = series[-1] + self.factor.solve(pending)
         return series
 
-    def _solve(self, matrix: WeightedSum, right: ComplexArray) -> Solution:
+    def _solve(self, matrix: WeightedSum, right: NDArray[Any]) -> Solution:
         while self.safe:
             try:
                 solution = refined_solve(self.factor, matrix, right, tolerance=self.tolerance)

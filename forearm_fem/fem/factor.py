@@ -5,14 +5,15 @@ from __future__ import annotations
 import importlib.util
 import logging
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from ..errors import SolverError
-from ..typing import ComplexArray, IntArray
+from ..typing import ComplexArray, FloatArray, IntArray
 from . import pardiso
 from .compiled import compiled
 from .operator import AffineOperator
@@ -20,12 +21,13 @@ from .ordering import nested_dissection
 
 _log = logging.getLogger("forearm_fem.fem")
 Backend = Literal["auto", "multifrontal", "pardiso", "superlu"]
+Columns = NDArray[Any]  # complex, or real where the matrix is
 
 
 class Multiplied(Protocol):
     """A matrix that residuals are worked out with."""
 
-    def product(self, x: ComplexArray) -> ComplexArray:
+    def product(self, x: Columns) -> Columns:
         """The matrix times columns (n, k)."""
         ...
 
@@ -43,12 +45,12 @@ class Factor(Protocol):
         """Whether the factors are in single precision now."""
         ...
 
-    def factorise(self, data: ComplexArray) -> None:
-        """Numerical factorisation for upper-triangle values on the analysed pattern."""
+    def factorise(self, data: ComplexArray | FloatArray) -> None:
+        """Numerical factorisation for upper-triangle values on the analysed pattern, complex or real."""
         ...
 
-    def solve(self, right: ComplexArray) -> ComplexArray:
-        """Solutions (n, k) for right-hand sides (n, k)."""
+    def solve(self, right: Columns) -> Columns:
+        """Solutions (n, k) for right-hand sides (n, k), all real where the matrix is."""
         ...
 
     def harden(self) -> bool:
@@ -70,9 +72,10 @@ class SuperLUFactor:
         self._indptr, self._indices, self._shape = upper.indptr, upper.indices, upper.shape
         self.n = int(upper.shape[0])
 
-    def factorise(self, data: ComplexArray) -> None:
+    def factorise(self, data: ComplexArray | FloatArray) -> None:
         """See :class:`Factor`."""
-        upper = csr_array((data, self._indices, self._indptr), shape=self._shape)
+        upper = csr_array((data.astype(complex), self._indices, self._indptr), shape=self._shape)
+        self._real = not np.iscomplexobj(data)
         full = csc_array(upper + upper.T)
         full.setdiag(upper.diagonal())
         try:
@@ -80,9 +83,10 @@ class SuperLUFactor:
         except RuntimeError as problem:
             raise SolverError(f"SuperLU: {problem}: the system is singular at this frequency") from None
 
-    def solve(self, right: ComplexArray) -> ComplexArray:
+    def solve(self, right: Columns) -> Columns:
         """See :class:`Factor`."""
-        return np.asarray(self._lu.solve(np.ascontiguousarray(right)))
+        x = self._lu.solve(np.ascontiguousarray(right, dtype=complex))
+        return np.asarray(x.real if self._real else x)
 
     def harden(self) -> bool:
         """See :class:`Factor`; this one is in double precision."""
@@ -112,12 +116,12 @@ class CautiousFactor:
         """See :class:`Factor`."""
         return self.now.single
 
-    def factorise(self, data: ComplexArray) -> None:
+    def factorise(self, data: ComplexArray | FloatArray) -> None:
         """See :class:`Factor`."""
         self._data = data
         self.now.factorise(data)
 
-    def solve(self, right: ComplexArray) -> ComplexArray:
+    def solve(self, right: Columns) -> Columns:
         """See :class:`Factor`."""
         return self.now.solve(right)
 
@@ -192,13 +196,13 @@ def make_factor(
 class Solution:
     """Solutions (n, k), what is left of the right-hand sides (n, k), and the largest relative residual."""
 
-    values: ComplexArray
-    rest: ComplexArray
+    values: Columns
+    rest: Columns
     residual: float
 
 
 def refined_solve(
-    factor: Factor, matrix: Multiplied, right: ComplexArray, *, tolerance: float = 1e-12, rounds: int = 6
+    factor: Factor, matrix: Multiplied, right: Columns, *, tolerance: float = 1e-12, rounds: int = 6
 ) -> Solution:
     """Solve with iterative refinement in double precision until the relative residual is below ``tolerance``.
 

@@ -30,6 +30,7 @@ class _Model(models.PrimitiveModel):
 
 
 _doubles, _floats = Vector("eight doubles", ir.DoubleType(), 8), Vector("sixteen floats", ir.FloatType(), 16)
+_eight_floats = Vector("eight floats", ir.FloatType(), 8)
 
 _find: Any = cgutils.get_or_insert_function
 _ALIGNED = 4  # bytes: of a float
@@ -57,6 +58,18 @@ def doubles_at(context: Any, address: Any) -> Any:
 def floats_at(context: Any, address: Any) -> Any:
     """The sixteen floats at ``address``."""
     return _floats(types.intp), _load
+
+
+@intrinsic
+def no_eight_floats(context: Any) -> Any:
+    """Eight zeros in single precision."""
+    return _eight_floats(), _zeros
+
+
+@intrinsic
+def eight_floats_at(context: Any, address: Any) -> Any:
+    """The eight floats at ``address``."""
+    return _eight_floats(types.intp), _load
 
 
 @intrinsic
@@ -114,6 +127,16 @@ def minus(context: Any, total: Any, vector: Any) -> Any:
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.fsub(*arguments)
+
+    return total(total, total), build
+
+
+@intrinsic
+def plus(context: Any, total: Any, vector: Any) -> Any:
+    """``total`` + ``vector``."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fadd(*arguments)
 
     return total(total, total), build
 

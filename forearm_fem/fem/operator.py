@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array, triu
 
 from ..typing import ComplexArray, FloatArray, IntArray
@@ -61,14 +63,15 @@ class AffineOperator:
         """A(omega) for products with few columns."""
         return WeightedSum(self.matrices, np.array([complex(t.coefficient.at(np.array(omega))) for t in self.terms]))
 
-    def combine(self, weights: Sequence[complex]) -> ComplexArray:
-        """Upper-triangle values of a weighted sum of the terms."""
-        data, patterns = np.zeros(len(self.indices), dtype=complex), compiled("patterns")
-        for term, weight in zip(self.terms, weights, strict=True):
+    def combine(self, weights: Sequence[complex]) -> NDArray[Any]:
+        """Upper-triangle values of a weighted sum of the terms, real where all weights are."""
+        factors = np.array(weights)
+        data, patterns = np.zeros(len(self.indices), dtype=factors.dtype), compiled("patterns")
+        for term, weight in zip(self.terms, factors, strict=True):
             if patterns is None:
                 data[term.positions] += weight * term.values
             else:
-                patterns.add_at(data, term.positions, complex(weight), term.values)
+                patterns.add_at(data, term.positions, weight, term.values)
         return data
 
     def upper(self, data: ComplexArray | FloatArray) -> csr_array:
@@ -98,16 +101,16 @@ class AffineOperator:
 
 @dataclass(frozen=True)
 class WeightedSum:
-    """A sum of real symmetric matrices with complex ``weights`` (n_matrix,)."""
+    """A sum of real symmetric matrices with ``weights`` (n_matrix,)."""
 
     matrices: SymmetricMatrices
-    weights: ComplexArray
+    weights: ComplexArray | FloatArray
 
-    def product(self, x: ComplexArray) -> ComplexArray:
-        """The sum times columns ``x`` (n, k)."""
+    def product(self, x: NDArray[Any]) -> NDArray[Any]:
+        """The sum times columns ``x`` (n, k), real where both are."""
         total = np.zeros(x.shape, dtype=complex)
-        self.matrices.add_products_in_place([total], self.weights[None], x)
-        return total
+        self.matrices.add_products_in_place([total], self.weights[None].astype(complex), x.astype(complex, copy=False))
+        return total if np.iscomplexobj(x) or np.iscomplexobj(self.weights) else total.real
 
 
 def affine_operator(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ..errors import SolverError
-from ..typing import ComplexArray, IntArray
+from ..typing import ComplexArray, FloatArray, IntArray
 
 _COMPLEX_SYMMETRIC = 6
 _ANALYSE, _FACTORISE, _SOLVE, _RELEASE = 11, 22, 33, -1
@@ -78,15 +78,15 @@ class PardisoFactor:
         self._order = None if order is None or matching else order.astype(np.int32)  # matching needs its own
         self._analyse(upper.data)
 
-    def _analyse(self, data: ComplexArray) -> None:
+    def _analyse(self, data: ComplexArray | FloatArray) -> None:
         self._dtype = np.complex64 if self.single else np.complex128
         self._parameters = _parameters(self.single, self._matching, ordered=self._order is not None)
         self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._run(_ANALYSE)
 
-    def factorise(self, data: ComplexArray) -> None:
-        """Numerical factorisation for new values ``data`` on the pattern analysed."""
-        self._values = data
+    def factorise(self, data: ComplexArray | FloatArray) -> None:
+        """Numerical factorisation for new values ``data`` on the pattern analysed; real ones become complex."""
+        self._values, self._real = data, not np.iscomplexobj(data)
         self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._run(_FACTORISE)
 
@@ -101,12 +101,13 @@ class PardisoFactor:
         self._run(_FACTORISE)
         return True
 
-    def solve(self, right: ComplexArray) -> ComplexArray:
+    def solve(self, right: NDArray[Any]) -> NDArray[Any]:
         """Solutions (n, k) of the factorised system for right-hand sides (n, k); no outer refinement."""
         b: Any = np.asfortranarray(right.reshape(self.n, -1), dtype=self._dtype)
         x: Any = np.zeros_like(b, order="F")
         self._run(_SOLVE, b, x)
-        return np.asarray(x.astype(np.complex128).reshape(right.shape))
+        x = x.astype(np.complex128).reshape(right.shape)
+        return np.asarray(x.real if self._real else x)
 
     @property
     def factor_bytes(self) -> float:

@@ -135,15 +135,25 @@ def extend(
     added, coordinates = orthonormal_extension(
         reduced.basis, real_columns(snapshots), widths, operator.n_displacements, drop=drop
     )
-    low = coordinates[:, ~np.concatenate(highest)]
+    return with_columns(reduced, model, added, coordinates[:, ~np.concatenate(highest)])
+
+
+def with_columns(reduced: ReducedModel, model: ForearmModel, added: FloatArray, low: FloatArray) -> ReducedModel:
+    """The space with orthonormal ``added`` columns (n, k); ``low`` (r + k, m) are the lower model's snapshots in it."""
     old = np.vstack([reduced.low, np.zeros((added.shape[1], reduced.low.shape[1]))])
     return replace(
         reduced,
-        matrices=_extended_matrices(reduced, operator, added),
+        matrices=_extended_matrices(reduced, model.operator, added),
         functionals=np.vstack([reduced.functionals, added.T @ model.functionals]),
         basis=reduced.basis.with_block(added),
         low=np.hstack([old, low]),
     )
+
+
+def with_last_columns(reduced: ReducedModel, model: ForearmModel, added: FloatArray) -> ReducedModel:
+    """The space with orthonormal columns ``added`` (n, k), without which the lower model is all there was."""
+    nothing = np.zeros((reduced.size + added.shape[1], 0))
+    return with_columns(replace(reduced, low=np.eye(reduced.size)), model, added, nothing)
 
 
 def _extended_matrices(reduced: ReducedModel, operator: AffineOperator, added: FloatArray) -> FloatArray:

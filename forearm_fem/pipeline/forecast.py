@@ -29,6 +29,8 @@ _GRADED = 1.4  # third order around the ports: as many unknowns lie closer toget
 _FRONTS = 1.3  # the multifrontal solver stores zeros of its panels, and what fronts leave to others
 _REST = 0.7e9  # bytes: libraries, and the operator of a scene of any size
 _SMALL = 15.0  # seconds that evaluating and certifying a reduced model takes for a mesh of any size
+_DERIVATIVES = 45  # about a rate, where 1e-4 is asked in 10-500 Hz
+_FROM_RATE = 3.0  # a sweep from a rate costs as much as so many expansions and certificates
 _ESTIMATE = 1.2  # with the coarser mesh's solve
 
 
@@ -58,7 +60,7 @@ def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | N
     ports = place_ports(scenario, mesh)
     orders = element_orders(mesh, ports, scenario.element)
     unknowns = 3 * orders.spread.shape[1] + orders.spread_pressures.shape[1]
-    factorisations = scenario.solver.expansions + 1
+    factorisations = _FROM_RATE if scenario.solver.start != "frequencies" else scenario.solver.expansions + 1.0
     if scenario.solver.sweep == "direct":
         factorisations = len(frequencies(scenario.sweep))
     single = 1.0 if scenario.solver.precision == "double" else 0.5
@@ -82,11 +84,13 @@ def _factor_bytes(scenario: Scenario, unknowns: int) -> float:
 
 
 def _basis_bytes(scenario: Scenario, unknowns: int, ports: Sequence[Port]) -> float:
-    """Reduced basis, the columns that are added to it, and their snapshots: about 2.5 times the basis."""
+    """Reduced basis, the columns that are added to it, and their snapshots: about 2.5 times an expansion's."""
     solver = scenario.solver
     if solver.sweep == "direct":
         return 0.0
     contacts = sum(p.kind == "contact" for p in ports)
+    if solver.start != "frequencies":
+        return 1.3 * 8 * unknowns * _DERIVATIVES * len(ports)
     columns = contacts * (solver.derivatives + 1) + (len(ports) - contacts) * (solver.point_derivatives + 1)
     return 2.5 * 8 * unknowns * 2 * columns * solver.expansions
 
@@ -96,8 +100,8 @@ def refuse_if_too_large(forecast: Forecast, scenario: Scenario) -> None:
     if forecast.memory_bytes > scenario.solver.memory_limit:
         raise SolverError(
             f"the solve of {forecast.unknowns} unknowns needs about {forecast.memory_bytes / 1e9:.1f} GB, more than "
-            f"solver.memory_limit = {scenario.solver.memory_limit / 1e9:.1f} GB; raise the limit, "
-            "ask for a larger accuracy, or set fewer solver.expansions"
+            f"solver.memory_limit = {scenario.solver.memory_limit / 1e9:.1f} GB; raise the limit "
+            "or ask for a larger accuracy"
         )
 
 

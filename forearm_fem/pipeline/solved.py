@@ -18,8 +18,9 @@ from scipy.sparse import csr_array, eye_array, kron, vstack
 from .. import __version__
 from ..errors import DataError, ForearmError
 from ..fem.basis import Basis
+from ..fem.expand import Expansion
+from ..fem.krylov import Chunk, Pairs
 from ..fem.loads import edge_middles
-from ..fem.sweep import Expansion
 from ..geometry.cache import default_cache_dir
 from ..geometry.mesh import TissueMesh
 from ..geometry.place import place_ports
@@ -122,6 +123,8 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
         "pressure_unknowns": n_p,
         "solver": sweep.solver,
         "residual": sweep.residual,
+        "expansion_rate": sweep.rate,
+        "derivatives": sweep.derivatives,
         "expansion_frequencies": list(sweep.expansions),
         "certificates": [asdict(c) for c in sweep.certificates],
         "reduced_size": sweep.reduced.size if sweep.reduced else 0,
@@ -185,7 +188,7 @@ class _Store:
     def get(self, frequency: float) -> Expansion | None:
         """An expansion of an interrupted sweep; see :class:`forearm_fem.fem.sweep.Snapshots`."""
         try:
-            with self._snapshot(frequency).open("rb") as stream, np.load(stream) as data:
+            with self._snapshot(f"{frequency:g}").open("rb") as stream, np.load(stream) as data:
                 series = tuple(data[f"order{k}"] for k in range(int(data["count"])))
                 return Expansion(frequency, series, float(data["residual"]), float(data["solve_error"]))
         except _DAMAGED:
@@ -193,25 +196,42 @@ class _Store:
 
     def put(self, expansion: Expansion) -> None:
         """Keep an expansion until the sweep is finished."""
+        # what follows the solutions spans a space and is certified there: half the digits are half the time
+        parts: dict[str, Any] = {f"order{k}": x.astype(np.complex64) for k, x in enumerate(expansion.series)}
+        parts |= {"order0": expansion.series[0], "count": len(expansion.series)}
+        parts |= {"residual": expansion.residual, "solve_error": expansion.solve_error}
+        self._keep(f"{expansion.frequency:g}", parts)
+
+    def chunks(self) -> tuple[Chunk, ...]:
+        """What an interrupted sweep left of the space about a rate, up to the first part that is missing or damaged."""
+        found = list[Chunk]()
+        while (chunk := self._chunk(len(found))) is not None:
+            found.append(chunk)
+        return tuple(found)
+
+    def put_chunk(self, number: int, chunk: Chunk) -> None:
+        """Keep a part of the space about a rate until the sweep is finished."""
+        parts = {"columns": chunk.columns.astype(np.float32), "upper": chunk.pairs.upper, "lower": chunk.pairs.lower}
+        parts |= {name: getattr(chunk, name) for name in ("last", "derivatives", "residual")}
+        self._keep(f"rate-{number}", parts)
+
+    def _chunk(self, number: int) -> Chunk | None:
         try:
-            with (
-                atomic_path(self._snapshot(expansion.frequency), durable=False) as target,
-                open(target, "wb") as stream,
-            ):
-                # what follows the solutions spans a space and is certified there: half the digits are half the time
-                parts: dict[str, Any] = {f"order{k}": x.astype(np.complex64) for k, x in enumerate(expansion.series)}
-                parts |= {"order0": expansion.series[0]}
-                parts |= {
-                    "count": len(expansion.series),
-                    "residual": expansion.residual,
-                    "solve_error": expansion.solve_error,
-                }
+            with self._snapshot(f"rate-{number}").open("rb") as stream, np.load(stream) as data:
+                columns, counts = data["columns"].astype(float), (int(data["last"]), int(data["derivatives"]))
+                return Chunk(columns, Pairs(data["upper"], data["lower"]), *counts, float(data["residual"]))
+        except _DAMAGED:
+            return None
+
+    def _keep(self, name: str, parts: dict[str, Any]) -> None:
+        try:
+            with atomic_path(self._snapshot(name), durable=False) as target, open(target, "wb") as stream:
                 np.savez(stream, **parts)
         except (DataError, OSError) as problem:
             _log.warning("an expansion could not be kept for a later run: %s", problem)
 
-    def _snapshot(self, frequency: float) -> Path:
-        return self._folder / "expansions" / f"{frequency:g}.npz"
+    def _snapshot(self, name: str) -> Path:
+        return self._folder / "expansions" / f"{name}.npz"
 
     def compliance(self, name: str, make: Callable[[], Compliance]) -> Compliance:
         """The stored compliance of a name, or a new one, stored."""

@@ -37,7 +37,17 @@ class SolverOptions(Part):
         "auto", description="of the factors, all solves being refined; auto: single, double where that is not enough"
     )
     sweep: Literal["reduced", "direct"] = "reduced"
-    expansions: Annotated[int, Field(ge=1, le=50)] = Field(4, description="expansion frequencies to start with")
+    start: Literal["auto", "rate", "frequencies"] = Field(
+        "auto",
+        description="what the reduced model starts from; auto: derivatives about one real rate, expansion frequencies "
+        "where a modulus is not Kelvin-Voigt",
+    )
+    rate_derivatives: Annotated[int, Field(ge=10, le=400)] = Field(
+        80, description="about the rate at most; as many are made as the model needs"
+    )
+    expansions: Annotated[int, Field(ge=1, le=50)] = Field(
+        4, description="expansion frequencies to start with, where it does not start from a rate"
+    )
     derivatives: Annotated[int, Field(ge=1, le=12)] = Field(9, description="kept per expansion frequency, for contacts")
     point_derivatives: Annotated[int, Field(ge=0, le=12)] = Field(
         5, description="kept for grid points, at most as many as for contacts: the error falls with the sum of both"

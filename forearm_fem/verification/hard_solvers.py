@@ -33,7 +33,12 @@ def resonances(options: SolverOptions) -> Iterator[Outcome]:
 def repeated_expansions() -> Iterator[Outcome]:
     """Twelve expansions within 2 Hz, 0.2 Hz apart: their solutions and derivatives span nearly the same space."""
     model, band = held_block(2, tissue=flesh(eta=0.04, bulk=2.2e9)), np.linspace(99.0, 101.0, 41)
-    yield _swept(model, band, SolverOptions(expansions=12, max_expansions=13), "reduced sweep, 12 expansions in 2 Hz")
+    yield _swept(
+        model,
+        band,
+        SolverOptions(start="frequencies", expansions=12, max_expansions=13),
+        "reduced sweep, 12 expansions in 2 Hz",
+    )
 
 
 def _swept(model: ForearmModel, band: FloatArray, options: SolverOptions, what: str) -> Outcome:

@@ -110,7 +110,7 @@ def manufactured_errors(element: str, n: int, bulk: float, *, jump: float = 1.0,
     factor = make_factor(model.operator, OMEGA, "auto", single=False)
     data = model.operator.data(OMEGA)
     factor.factorise(data)
-    x = refined_solve(factor, model.operator.matrix(data), right[:, None]).values[:, 0]
+    x: ComplexArray = refined_solve(factor, model.operator.matrix(data), right[:, None]).values[:, 0]
     factor.release()
     u = model.displacements(x)
     p = x[model.operator.n_displacements :] * model.operator.pressure_scale

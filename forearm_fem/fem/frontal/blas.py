@@ -1,4 +1,4 @@
-"""SciPy's single-precision complex BLAS and LAPACK, called from compiled code by address."""
+"""SciPy's single-precision BLAS and LAPACK, complex and real, called from compiled code by address."""
 
 from __future__ import annotations
 
@@ -31,37 +31,47 @@ def product_address() -> int:
 
 
 llvm.add_symbol("forearm_fem_product", product_address())
-llvm.add_symbol("forearm_fem_cgetrf", get_cython_function_address("scipy.linalg.cython_lapack", "cgetrf"))
-llvm.add_symbol("forearm_fem_cgetri", get_cython_function_address("scipy.linalg.cython_lapack", "cgetri"))
-_product: Any = types.ExternalFunction("forearm_fem_product", types.void(*[types.intp] * 13))
-_cgetrf: Any = types.ExternalFunction("forearm_fem_cgetrf", types.void(*[types.intp] * 6))
-_cgetri: Any = types.ExternalFunction("forearm_fem_cgetri", types.void(*[types.intp] * 7))
+llvm.add_symbol("forearm_fem_sgemm", get_cython_function_address("scipy.linalg.cython_blas", "sgemm"))
+for _name in ("cgetrf", "cgetri", "sgetrf", "sgetri"):
+    llvm.add_symbol(f"forearm_fem_{_name}", get_cython_function_address("scipy.linalg.cython_lapack", _name))
+
+
+def _external(name: str, count: int) -> Any:
+    return types.ExternalFunction(f"forearm_fem_{name}", types.void(*[types.intp] * count))
+
+
+_product, _sgemm = _external("product", 13), _external("sgemm", 13)
+_cgetrf, _cgetri = _external("cgetrf", 6), _external("cgetri", 7)
+_sgetrf, _sgetri = _external("sgetrf", 6), _external("sgetri", 7)
 
 BLOCK = 64  # unknowns that pivots are exchanged among
-BYTES = 8  # of a complex64
+REAL = 4  # bytes of a float, complex numbers have eight
 NEITHER, SECOND = (0, 0), (0, 1)  # which factor of a product is transposed
 
 
 class Arguments(NamedTuple):
-    """Memory for what BLAS takes by reference, and for one block; every thread has its own."""
+    """Memory for what BLAS takes by reference, and for one block; every thread has its own.
+
+    Its numbers are complex64, or float32 for real matrices.
+    """
 
     integers: NDArray[np.int32]
-    scalars: NDArray[np.complex64]
+    scalars: NDArray[Any]
     letters: NDArray[np.uint8]
-    block: NDArray[np.complex64]
+    block: NDArray[Any]
     pivots: NDArray[np.int32]
-    work: NDArray[np.complex64]
+    work: NDArray[Any]
 
 
-def arguments() -> Arguments:
-    """Fresh memory for one thread's calls."""
+def arguments(number: type[np.complex64] | type[np.float32]) -> Arguments:
+    """Fresh memory for one thread's calls with such numbers."""
     return Arguments(
         np.zeros(16, np.int32),
-        np.array([1, 0, -1], np.complex64),
+        np.array([1, 0, -1], number),
         np.frombuffer(b"NT", np.uint8).copy(),
-        np.empty(BLOCK * BLOCK, np.complex64),
+        np.empty(BLOCK * BLOCK, number),
         np.empty(BLOCK, np.int32),
-        np.empty(BLOCK * BLOCK, np.complex64),
+        np.empty(BLOCK * BLOCK, number),
     )
 
 
@@ -76,10 +86,13 @@ def _gemm(
         integers[i] = size[i]
     integers[3], integers[4], integers[5] = lda, ldb, ldc
     letter, scalar, integer = call.letters.ctypes.data, call.scalars.ctypes.data, integers.ctypes.data
-    _product(
-        letter + transposed[0], letter + transposed[1], integer, integer + 4, integer + 8, scalar + BYTES * scaled[0],
-        a, integer + 12, b, integer + 16, scalar + BYTES * scaled[1], c, integer + 20,
-    )  # fmt: skip
+    first, second, bytes_ = letter + transposed[0], letter + transposed[1], call.scalars.itemsize
+    alpha, beta = scalar + bytes_ * scaled[0], scalar + bytes_ * scaled[1]
+    m, n, k, d, e, f = integer, integer + 4, integer + 8, integer + 12, integer + 16, integer + 20
+    if bytes_ == REAL:
+        _sgemm(first, second, m, n, k, alpha, a, d, b, e, beta, c, f)
+    else:
+        _product(first, second, m, n, k, alpha, a, d, b, e, beta, c, f)
 
 
 @njit(cache=True, nogil=True)
@@ -103,7 +116,12 @@ def invert_block(call: Any, size: int) -> bool:
     integers[8], integers[9], integers[10] = size, call.work.size, 0
     n, length, info = integers.ctypes.data + 32, integers.ctypes.data + 36, integers.ctypes.data + 40
     block, pivots = call.block.ctypes.data, call.pivots.ctypes.data
-    _cgetrf(n, n, block, n, pivots, info)
-    if integers[10] == 0:
-        _cgetri(n, block, n, pivots, call.work.ctypes.data, length, info)
+    if call.block.itemsize == REAL:
+        _sgetrf(n, n, block, n, pivots, info)
+        if integers[10] == 0:
+            _sgetri(n, block, n, pivots, call.work.ctypes.data, length, info)
+    else:
+        _cgetrf(n, n, block, n, pivots, info)
+        if integers[10] == 0:
+            _cgetri(n, block, n, pivots, call.work.ctypes.data, length, info)
     return bool(integers[10] == 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -29,7 +30,8 @@ class MultifrontalFactor:
 
     ``upper`` is the upper triangle in CSR, every diagonal entry stored; its first ``n_displacements`` unknowns are
     displacements, the others pressures, and ``order`` (n,) is that of elimination (:mod:`..ordering`). Every matrix is
-    scaled: displacements by their diagonal, pressures by what couples them to displacements. Solving
+    scaled: displacements by their diagonal, pressures by what couples them to displacements. Real matrices are
+    factorised in real numbers, half the memory, and right-hand sides must be real then. Solving
     raises :class:`SolverError` where a block of pivots was singular. Not thread-safe.
     """
 
@@ -41,13 +43,16 @@ class MultifrontalFactor:
         self.symbolic = analyse(upper, order)
         self._indptr, self._indices, self._n_displacements = upper.indptr, upper.indices, n_displacements
         self._parts = divided(self.symbolic, thread_count())
+        self._whole: _Memory | None = None
         self._memory: _Memory | None = None
 
-    def factorise(self, data: ComplexArray) -> None:
+    def factorise(self, data: ComplexArray | FloatArray) -> None:
         """See :class:`..factor.Factor`."""
+        number = np.complex64 if np.iscomplexobj(data) else np.float32
         scale = scales(self._indptr, self._indices, data, self._n_displacements)
         self._scale = scale[self.symbolic.order]
-        memory = self._memory = self._memory or _Memory.of(self.symbolic, self._parts)
+        self._whole = self._whole or _Memory.of(self.symbolic, self._parts)
+        memory = self._memory = self._whole.of_numbers(number)
         fronts, entries, remainder = self.symbolic.fronts, self.symbolic.entries, self._parts.remainder
 
         def work(part: Part) -> int:
@@ -58,20 +63,22 @@ class MultifrontalFactor:
 
         self._singular = sum(in_threads(work, self._parts.subtrees)) + work(self._parts.top)
 
-    def solve(self, right: ComplexArray) -> ComplexArray:
+    def solve(self, right: NDArray[Any]) -> NDArray[Any]:
         """See :class:`..factor.Factor`."""
         if self._memory is None:
             raise SolverError("there are no factors: factorise before solving")
         if self._singular:
             raise SolverError(f"blocks of pivots are singular in single precision (n = {self.n})")
-        columns = np.ascontiguousarray(right.reshape(self.n, -1), dtype=complex)
-        x = np.empty((self.n, -(-columns.shape[1] // LANES) * LANES), np.complex64)
+        number = self._memory.store.panels.dtype.type
+        kind = float if number is np.float32 else complex
+        columns = np.ascontiguousarray(right.reshape(self.n, -1), dtype=kind)
+        x = np.empty((self.n, -(-columns.shape[1] // LANES) * LANES), number)
         self._by_rows(lambda a, b: gather(columns, self.symbolic.order, self._scale, x, a, b))
         fronts, owner, memory = self.symbolic.fronts, self._parts.owner, self._memory
         locals_ = [self._local(part, x.shape[1]) for part in (*self._parts.subtrees, self._parts.top)]
         whole, top = (0, x.shape[1]), self._parts.top
 
-        def down(part: Part) -> NDArray[np.complex64]:
+        def down(part: Part) -> NDArray[Any]:
             others = np.zeros_like(x)
             forward(part, fronts, memory.store, owner, x, others, locals_[part.number], whole)
             return others
@@ -88,7 +95,7 @@ class MultifrontalFactor:
             x[above] += others[above]
         in_threads(over_the_top, _shared(x.shape[1], len(subtrees)))
         in_threads(up, subtrees)
-        solution = np.empty(columns.shape, dtype=complex)
+        solution = np.empty_like(columns)
         self._by_rows(lambda a, b: scatter(x, self.symbolic.order, self._scale, solution, a, b))
         return solution.reshape(right.shape)
 
@@ -98,7 +105,7 @@ class MultifrontalFactor:
 
     def release(self) -> None:
         """See :class:`..factor.Factor`."""
-        self._memory = None
+        self._memory = self._whole = None
 
     @property
     def entries(self) -> int:
@@ -112,7 +119,9 @@ class MultifrontalFactor:
 
     def _local(self, part: Part, count: int) -> Local:
         rows = self.symbolic.remaining[part.supernodes].max(initial=0)
-        return Local(np.empty((rows, count), np.complex64), np.empty((BLOCK, count), np.complex64))
+        assert self._memory is not None
+        number = self._memory.store.panels.dtype
+        return Local(np.empty((rows, count), number), np.empty((BLOCK, count), number))
 
 
 @dataclass(frozen=True)
@@ -120,8 +129,18 @@ class _Memory:
     """What is kept between factorisations: the factors, the stack of remainders, and each part's scratch."""
 
     store: Store
-    stack: NDArray[np.complex64]
+    stack: NDArray[Any]
     scratch: tuple[Scratch, ...]
+
+    def of_numbers(self, number: type[np.complex64] | type[np.float32]) -> _Memory:
+        """The same memory for such numbers; of real ones it takes half."""
+        store, stack = self.store, self.stack
+        kept = Store(_seen_as(store.panels, number), store.start, _seen_as(store.inverses, number), store.block)
+        scratch = tuple(
+            Scratch(arguments(number), each.place, _seen_as(each.outer, number), _seen_as(each.under, number))
+            for each in self.scratch
+        )
+        return _Memory(kept, _seen_as(stack, number), scratch)
 
     @classmethod
     def of(cls, symbolic: Symbolic, parts: Parts) -> _Memory:
@@ -136,6 +155,10 @@ class _Memory:
         return cls(store, np.empty(parts.stack, np.complex64), scratch)
 
 
+def _seen_as(memory: NDArray[Any], number: type[np.complex64] | type[np.float32]) -> NDArray[Any]:
+    return memory.view(number)[: len(memory)]
+
+
 def panel_entries(symbolic: Symbolic) -> IntArray:
     """Entries (n_supernode,) of each supernode's panel."""
     return np.asarray(symbolic.columns * (symbolic.columns + symbolic.remaining))
@@ -145,7 +168,7 @@ def _scratch(symbolic: Symbolic, part: Part) -> Scratch:
     some = part.supernodes
     outer, under = scratch_entries(symbolic.columns[some], symbolic.remaining[some])
     place = np.empty(len(symbolic.order), np.int32)
-    return Scratch(arguments(), place, np.empty(outer, np.complex64), np.empty(under, np.complex64))
+    return Scratch(arguments(np.complex64), place, np.empty(outer, np.complex64), np.empty(under, np.complex64))
 
 
 def _shared(columns: int, threads: int) -> list[tuple[int, int]]:
@@ -155,7 +178,7 @@ def _shared(columns: int, threads: int) -> list[tuple[int, int]]:
 
 
 @njit(cache=True)
-def scales(indptr: IntArray, indices: IntArray, data: ComplexArray, n_displacements: int) -> FloatArray:
+def scales(indptr: IntArray, indices: IntArray, data: ComplexArray | FloatArray, n_displacements: int) -> FloatArray:
     """Factors (n,) for rows and columns: displacements have a diagonal of 1 then, pressures a largest coupling of 0.3.
 
     Unknowns that have neither keep their scale.

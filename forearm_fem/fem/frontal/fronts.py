@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ...typing import FloatArray, IntArray
-from .blas import BLOCK, BYTES, SECOND, Arguments, invert_block, set_product, subtract_product
+from .blas import BLOCK, SECOND, Arguments, invert_block, set_product, subtract_product
 from .parts import Part, lowest_child
 from .supernodes import Fronts
 from .tree import Entries
@@ -23,11 +23,14 @@ _TILE, _NARROW = 256, 64  # a triangle is worked out in tiles of so many columns
 
 
 class Store(NamedTuple):
-    """Factors: each supernode's panel from ``panels[start[s]]`` on, its inverted blocks from ``inverses[block[s]]``."""
+    """Factors: each supernode's panel from ``panels[start[s]]`` on, its inverted blocks from ``inverses[block[s]]``.
 
-    panels: NDArray[np.complex64]
+    complex64, or float32 for real matrices.
+    """
+
+    panels: NDArray[Any]
     start: IntArray
-    inverses: NDArray[np.complex64]
+    inverses: NDArray[Any]
     block: IntArray
 
 
@@ -37,8 +40,8 @@ class Scratch(NamedTuple):
 
     call: Arguments
     place: NDArray[np.int32]
-    outer: NDArray[np.complex64]
-    under: NDArray[np.complex64]
+    outer: NDArray[Any]
+    under: NDArray[Any]
 
 
 def block_entries(columns: IntArray) -> IntArray:
@@ -55,7 +58,7 @@ def scratch_entries(columns: IntArray, remaining: IntArray) -> tuple[int, int]:
 @njit(cache=True, nogil=True)
 def factorise_part(
     part: Part, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: Store, remainder: IntArray,
-    stack: NDArray[np.complex64], scratch: Scratch,
+    stack: NDArray[Any], scratch: Scratch,
 ) -> int:  # fmt: skip
     """Factorise a part's fronts of the matrix with values ``data`` (nnz,), rows and columns multiplied by ``scale``.
 
@@ -72,7 +75,7 @@ def factorise_part(
         while child != -1:
             _add_child(s, child, remainder[child], free, fronts, store, stack, scratch.place)
             child = fronts.following[child]
-        singular += _eliminate(k, m, store, s, stack.ctypes.data + BYTES * free, scratch)
+        singular += _eliminate(k, m, store, s, stack.ctypes.data + stack.itemsize * free, scratch)
         lowest = lowest_child(s, fronts, remainder, part.begin, free)
         _moved(stack, free, lowest, m)
         remainder[s] = lowest
@@ -108,7 +111,7 @@ def _start_panel(
 
 @njit(cache=True, nogil=True)
 def _add_child(
-    s: int, child: int, source: int, target: int, fronts: Fronts, store: Store, stack: NDArray[np.complex64],
+    s: int, child: int, source: int, target: int, fronts: Fronts, store: Store, stack: NDArray[Any],
     place: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Add a child's remainder to the panel and the remainder of its parent ``s``."""
@@ -126,7 +129,7 @@ def _add_child(
 
 
 @njit(cache=True, nogil=True)
-def _moved(stack: NDArray[np.complex64], source: int, target: int, m: int) -> None:
+def _moved(stack: NDArray[Any], source: int, target: int, m: int) -> None:
     """Move a lower triangle down the stack."""
     if source == target:
         return
@@ -141,8 +144,8 @@ def _eliminate(k: int, m: int, store: Store, s: int, remainder: int, scratch: Sc
 
     ``remainder`` is the address of the other m by m, which becomes the Schur complement.
     """
-    size, call, singular = k + m, scratch.call, 0
-    panel = store.panels.ctypes.data + BYTES * store.start[s]
+    size, call, singular, bytes_ = k + m, scratch.call, 0, store.panels.itemsize
+    panel = store.panels.ctypes.data + bytes_ * store.start[s]
     outer, under = scratch.outer.ctypes.data, scratch.under.ctypes.data
     inverse = store.block[s]
     for o in range(0, k, _OUTER):
@@ -152,15 +155,15 @@ def _eliminate(k: int, m: int, store: Store, s: int, remainder: int, scratch: Sc
             singular += not _block(store, store.start[s] + j * (size + 1), size, width, inverse, call)
             inverse += width * width
             _kept(store.panels, store.start[s] + j * size, j + width, size, width, (j - o) * size, k, m, j, scratch)
-            rest, at = size - j - width, outer + BYTES * ((j - o) * size + j + width)
-            below = panel + BYTES * (j * size + j + width)
+            rest, at = size - j - width, outer + bytes_ * ((j - o) * size + j + width)
+            below = panel + bytes_ * (j * size + j + width)
             set_product(call, (rest, width, width), at, size, call.block.ctypes.data, width, below, size)
-            right = panel + BYTES * (j + width) * (size + 1)
+            right = panel + bytes_ * (j + width) * (size + 1)
             subtract_product(call, (rest, end - j - width, width), below, size, at, size, right, size, SECOND)
-        left, at = panel + BYTES * (o * size + end), outer + BYTES * end
-        right = panel + BYTES * end * (size + 1)
+        left, at = panel + bytes_ * (o * size + end), outer + bytes_ * end
+        right = panel + bytes_ * end * (size + 1)
         _subtract_lower(call, size - end, k - end, end - o, left, size, at, size, right, size)
-    left = panel + BYTES * k
+    left = panel + bytes_ * k
     _subtract_lower(call, m, m, k, left, size, under, m, remainder, m)
     return singular
 
@@ -170,15 +173,16 @@ def _subtract_lower(
     call: Arguments, rows: int, columns: int, inner: int, a: int, lda: int, b: int, ldb: int, c: int, ldc: int
 ) -> None:
     """C -= A B^T where C (rows, columns) lies on or below its diagonal, and a little above."""
+    bytes_ = call.scalars.itemsize
     for t in range(0, columns, _TILE):
         end = min(t + _TILE, columns)
         for j in range(t, end, _NARROW):
             shape = (end - j, min(_NARROW, end - j), inner)
-            target = c + BYTES * j * (ldc + 1)
-            subtract_product(call, shape, a + BYTES * j, lda, b + BYTES * j, ldb, target, ldc, SECOND)
-        target = c + BYTES * (t * ldc + end)
+            target = c + bytes_ * j * (ldc + 1)
+            subtract_product(call, shape, a + bytes_ * j, lda, b + bytes_ * j, ldb, target, ldc, SECOND)
+        target = c + bytes_ * (t * ldc + end)
         subtract_product(
-            call, (rows - end, end - t, inner), a + BYTES * end, lda, b + BYTES * t, ldb, target, ldc, SECOND
+            call, (rows - end, end - t, inner), a + bytes_ * end, lda, b + bytes_ * t, ldb, target, ldc, SECOND
         )
 
 
@@ -198,7 +202,7 @@ def _block(store: Store, corner: int, size: int, width: int, inverse: int, call:
 
 @njit(cache=True, nogil=True)
 def _kept(
-    panels: NDArray[np.complex64], source: int, low: int, size: int, width: int, target: int, k: int, m: int, j: int,
+    panels: NDArray[Any], source: int, low: int, size: int, width: int, target: int, k: int, m: int, j: int,
     scratch: Scratch,
 ) -> None:  # fmt: skip
     """Copy what is below a block before L takes its place: L D, by which other columns change."""

@@ -1,7 +1,8 @@
 """Products of panels with few right-hand sides in compiled code, which BLAS would pack each panel for.
 
-Panels (rows, columns) are complex64 by columns, ``leading`` bytes apart. Right-hand sides lie by rows ``row``
-bytes apart; ``width`` bytes of each take part, a multiple of eight complex numbers. All is given by its address.
+Panels (rows, columns) are complex64, or float32, by columns, ``leading`` bytes apart. Right-hand sides lie by rows
+``row`` bytes apart; ``width`` bytes of each take part, a multiple of eight numbers of ``bytes_``. All is given by its
+address.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ import llvmlite.binding as llvm
 from numba import njit
 
 from .. import lanes as _lanes
-from .blas import BYTES
+from .blas import REAL
+from .panels_real import subtract_real_product, subtract_real_transposed
 
 lanes: Any = _lanes  # intrinsics, which type checkers do not follow
+BYTES = 8  # of a complex64
 VECTOR = 64  # bytes: eight right-hand sides
 _TILE = 256  # rows: their right-hand sides and those of eight columns stay in the nearest cache
 _GATHERED = 8 if llvm.get_host_cpu_features().get("avx512f", False) else 2  # columns whose sums registers can hold
@@ -22,9 +25,11 @@ _GATHERED = 8 if llvm.get_host_cpu_features().get("avx512f", False) else 2  # co
 
 @njit(cache=True, nogil=True)
 def subtract_product(
-    rows: int, columns: int, panel: int, leading: int, own: int, below: int, row: int, width: int
+    bytes_: int, rows: int, columns: int, panel: int, leading: int, own: int, below: int, row: int, width: int
 ) -> None:
     """below (rows) -= panel own (columns)."""
+    if bytes_ == REAL:
+        return subtract_real_product(rows, columns, panel, leading, own, below, row, width)
     for r in range(0, rows, _TILE):
         count, part = min(_TILE, rows - r), panel + BYTES * r
         for v in range(0, width, VECTOR):
@@ -37,9 +42,11 @@ def subtract_product(
 
 @njit(cache=True, nogil=True)
 def subtract_transposed(
-    rows: int, columns: int, panel: int, leading: int, below: int, own: int, row: int, width: int
+    bytes_: int, rows: int, columns: int, panel: int, leading: int, below: int, own: int, row: int, width: int
 ) -> None:
     """own (columns) -= panel^T below (rows)."""
+    if bytes_ == REAL:
+        return subtract_real_transposed(rows, columns, panel, leading, below, own, row, width)
     for r in range(0, rows, _TILE):
         count, part = min(_TILE, rows - r), panel + BYTES * r
         for v in range(0, width, VECTOR):

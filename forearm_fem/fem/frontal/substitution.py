@@ -5,33 +5,31 @@ Right-hand sides are (n, count) by rows, with zeros up to a multiple of eight: a
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ...typing import ComplexArray, FloatArray, IntArray
-from .blas import BLOCK, BYTES
+from ...typing import FloatArray, IntArray
+from .blas import BLOCK
 from .fronts import Store
 from .panels import subtract_product, subtract_transposed
 from .parts import Part
 from .supernodes import Fronts
 
-LANES = 8  # complex numbers in a vector
+LANES = 8  # numbers in a vector
 
 
 class Local(NamedTuple):
     """Right-hand sides (rows, count) below one supernode, and those of one block of pivots."""
 
-    below: NDArray[np.complex64]
-    block: NDArray[np.complex64]
+    below: NDArray[Any]
+    block: NDArray[Any]
 
 
 @njit(cache=True, nogil=True)
-def gather(
-    right: ComplexArray, order: IntArray, scale: FloatArray, x: NDArray[np.complex64], begin: int, end: int
-) -> None:
+def gather(right: NDArray[Any], order: IntArray, scale: FloatArray, x: NDArray[Any], begin: int, end: int) -> None:
     """Rows of ``right`` (n, count) in the order of elimination, scaled, to rows ``begin`` to ``end`` of ``x``, whose
     further columns become zero."""
     count = right.shape[1]
@@ -42,9 +40,7 @@ def gather(
 
 
 @njit(cache=True, nogil=True)
-def scatter(
-    x: NDArray[np.complex64], order: IntArray, scale: FloatArray, right: ComplexArray, begin: int, end: int
-) -> None:
+def scatter(x: NDArray[Any], order: IntArray, scale: FloatArray, right: NDArray[Any], begin: int, end: int) -> None:
     """Rows ``begin`` to ``end`` of ``x`` back in the usual order to ``right`` (n, count), scaled."""
     for i in range(begin, end):
         for c in range(right.shape[1]):
@@ -53,25 +49,26 @@ def scatter(
 
 @njit(cache=True, nogil=True)
 def forward(
-    part: Part, fronts: Fronts, store: Store, owner: NDArray[np.int32], x: NDArray[np.complex64],
-    others: NDArray[np.complex64], local: Local, some: tuple[int, int],
+    part: Part, fronts: Fronts, store: Store, owner: NDArray[np.int32], x: NDArray[Any],
+    others: NDArray[Any], local: Local, some: tuple[int, int],
 ) -> None:  # fmt: skip
     """L x = b for a part's columns; what it gives to unknowns of other parts is added to ``others`` (n, count).
 
     Right-hand sides from ``some[0]`` up to ``some[1]``, multiples of eight.
     """
-    row, skipped, width = BYTES * x.shape[1], BYTES * some[0], BYTES * (some[1] - some[0])
+    bytes_ = x.itemsize
+    row, skipped, width = bytes_ * x.shape[1], bytes_ * some[0], bytes_ * (some[1] - some[0])
     below = local.below.ctypes.data + skipped
     for s in part.supernodes:
         k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
-        size, panel = k + m, store.panels.ctypes.data + BYTES * store.start[s]
+        size, panel = k + m, store.panels.ctypes.data + bytes_ * store.start[s]
         own = x.ctypes.data + row * fronts.first[s] + skipped
         local.below[:m, some[0] : some[1]] = 0
         for j in range(0, k, BLOCK):
-            e, column = min(j + BLOCK, k), panel + BYTES * j * size
-            left = column + BYTES * e
-            subtract_product(k - e, e - j, left, BYTES * size, own + row * j, own + row * e, row, width)
-            subtract_product(m, e - j, column + BYTES * k, BYTES * size, own + row * j, below, row, width)
+            e, column = min(j + BLOCK, k), panel + bytes_ * j * size
+            left = column + bytes_ * e
+            subtract_product(bytes_, k - e, e - j, left, bytes_ * size, own + row * j, own + row * e, row, width)
+            subtract_product(bytes_, m, e - j, column + bytes_ * k, bytes_ * size, own + row * j, below, row, width)
         for i in range(m):
             to = fronts.rows[fronts.below[s] + i]
             target = x if owner[to] == part.number else others
@@ -80,26 +77,25 @@ def forward(
 
 
 @njit(cache=True, nogil=True)
-def backward(
-    part: Part, fronts: Fronts, store: Store, x: NDArray[np.complex64], local: Local, some: tuple[int, int]
-) -> None:
+def backward(part: Part, fronts: Fronts, store: Store, x: NDArray[Any], local: Local, some: tuple[int, int]) -> None:
     """D L^T x = b for a part's columns, those above them known; see :func:`forward`."""
-    row, skipped, width = BYTES * x.shape[1], BYTES * some[0], BYTES * (some[1] - some[0])
+    bytes_ = x.itemsize
+    row, skipped, width = bytes_ * x.shape[1], bytes_ * some[0], bytes_ * (some[1] - some[0])
     below, block = local.below.ctypes.data + skipped, local.block.ctypes.data + skipped
     for s in part.supernodes[::-1]:
         k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
-        first, size, panel = fronts.first[s], k + m, store.panels.ctypes.data + BYTES * store.start[s]
+        first, size, panel = fronts.first[s], k + m, store.panels.ctypes.data + bytes_ * store.start[s]
         own = x.ctypes.data + row * first + skipped
         for i in range(m):
             local.below[i, some[0] : some[1]] = x[fronts.rows[fronts.below[s] + i], some[0] : some[1]]
-        inverse = store.inverses.ctypes.data + BYTES * store.block[s + 1]
+        inverse = store.inverses.ctypes.data + bytes_ * store.block[s + 1]
         for j in range((k - 1) // BLOCK * BLOCK, -1, -BLOCK):
-            e, column = min(j + BLOCK, k), panel + BYTES * j * size
+            e, column = min(j + BLOCK, k), panel + bytes_ * j * size
             pivots, target = e - j, own + row * j
-            inverse -= BYTES * pivots * pivots
+            inverse -= bytes_ * pivots * pivots
             local.block[:pivots, some[0] : some[1]] = -x[first + j : first + e, some[0] : some[1]]
             x[first + j : first + e, some[0] : some[1]] = 0
-            left = column + BYTES * e
-            subtract_product(pivots, pivots, inverse, BYTES * pivots, block, target, row, width)
-            subtract_transposed(k - e, pivots, left, BYTES * size, own + row * e, target, row, width)
-            subtract_transposed(m, pivots, column + BYTES * k, BYTES * size, below, target, row, width)
+            left = column + bytes_ * e
+            subtract_product(bytes_, pivots, pivots, inverse, bytes_ * pivots, block, target, row, width)
+            subtract_transposed(bytes_, k - e, pivots, left, bytes_ * size, own + row * e, target, row, width)
+            subtract_transposed(bytes_, m, pivots, column + bytes_ * k, bytes_ * size, below, target, row, width)
