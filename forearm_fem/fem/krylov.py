@@ -21,9 +21,7 @@ from .direct import ENOUGH, DirectSolver
 _REFINED = 8  # first derivatives, which are refined once: what solves leave in them reaches all others
 _CAREFUL = 1e-5  # of a solution: all are refined where refinement changes more
 _EXACT = 1e-9  # of a solution: none is where refinement changes less
-_BEFORE = (
-    1e-3  # what x_(k-1) counts in a pair: with 1 new columns are what solves leave, with 0 pairs grow without loss
-)
+_BEFORE = 1e-3  # what x_(k-1) counts in a pair; 1 leaves columns that are errors of solves, 0 breaks down without loss
 _NOTHING = 1e-7  # of a derivative's length: a remainder below is what solves leave
 _ROUNDING = 1e-12  # of a pair's length: a remainder below is rounding
 _AGAIN = 0.03  # of a derivative's length: known columns are subtracted twice from remainders below
@@ -154,11 +152,11 @@ class RateSpace:
             known = self._basis.inner(rest[:n_u], slice(n_u))
             self._basis.subtract_in_place(rest, known)
             coordinates += known
-            gram = _products(rest[:n_u])
+            gram = _gram(rest[:n_u])
             if (np.sqrt(gram.diagonal()) >= _AGAIN * lengths).all():
                 break
         directions = _directions(gram, lengths, _NOTHING)
-        directions = directions @ np.linalg.inv(np.linalg.cholesky(_products(rest[:n_u] @ directions))).T
+        directions = directions @ np.linalg.inv(np.linalg.cholesky(_gram(rest[:n_u] @ directions))).T
         upper = np.vstack([coordinates, directions.T @ gram])
         before = self._pairs.last(self._last).upper if self.derivatives else np.zeros((0, x.shape[1]))
         lower = np.pad(before, ((0, len(upper) - len(before)), (0, 0)))
@@ -177,7 +175,7 @@ class RateSpace:
         return np.asarray(self._solver.factor.solve(right))
 
 
-def _products(x: FloatArray) -> FloatArray:
+def _gram(x: FloatArray) -> FloatArray:
     return np.asarray(x.T @ x)
 
 
