@@ -104,7 +104,8 @@ def reduced_sweep(
     seen to be unresolved several frequencies in turn must pass. With ``tolerance`` None nothing is certified and no
     factorisation is spent on it. Raises SolverError where the stated error is above 0.5.
     """
-    work = Expander(model, options, snapshots, min(ENOUGH, _SHARE * (tolerance or _UNCERTIFIED)))
+    residual = ENOUGH if tolerance is None else min(ENOUGH, _SHARE * tolerance)
+    work = Expander(model, options, snapshots, residual)
     begun = work.about_rate(frequency, tolerance, progress) if starts_from_rate(model, options) else None
     if begun is None:
         begun = work.about_frequencies(expansion_frequencies(frequency, options), progress)
