@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import meshio
 import numpy as np
@@ -20,7 +21,7 @@ from forearm_fem.figures.interact import Room, interact
 from forearm_fem.figures.motion import View, motion, nice
 from forearm_fem.figures.page import export_html
 from forearm_fem.figures.scene import plotter_for
-from forearm_fem.figures.show import Look, amplification, animate, body_of, render_still, write_pvd
+from forearm_fem.figures.show import Look, Stage, amplification, animate, body_of, render_still, write_pvd
 
 SMALL = (320, 240)
 
@@ -72,6 +73,19 @@ def test_a_still_shows_the_wave(run: Results, tmp_path: Path) -> None:
     assert np.array_equal(np.asarray(Image.open(path)), picture)
     flat = render_still(run, view=View("funneling", "5"), look=Look(size=SMALL, camera="top"), at=-0.09)
     assert np.abs(picture.astype(int) - flat).max(axis=2).mean() > 5  # before the wavelet nothing moves
+
+
+@pytest.mark.parametrize("cut", ["", "xy"])
+def test_the_body_is_lit_from_outside_and_as_it_bends(run: Results, cut: str) -> None:
+    """Until 0.12.0 normals pointed inwards, so that white was drawn grey, and stayed as they were at rest."""
+    moved, body = motion(run, View("funneling", "5")), body_of(run, cut, "5")
+    top = int(np.argmax(body.rest[:, 2]))
+    at_rest, bent = (Stage(MagicMock(), body, moved, factor, 1e-6) for factor in (0.0, 2e3))
+    at_rest.show(0)
+    flat = np.array(body.dataset.point_data["Normals"])
+    assert flat[top, 2] > 0.9
+    bent.show(int(np.argmin(np.abs(moved.steps - 2e-3))))
+    assert np.abs(body.dataset.point_data["Normals"] - flat).max() > 0.05
 
 
 @pytest.mark.parametrize("cut", ["y", "xy"])

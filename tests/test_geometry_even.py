@@ -106,7 +106,7 @@ def test_grid_points_are_vertices(limb):
     ],
     ids=["elliptic", "thin", "bare", "elastic bones", "bone 1 mm under the fat"],
 )  # fmt: skip
-@pytest.mark.parametrize("size", [3e-3, 6e-3])
+@pytest.mark.parametrize("size", [pytest.param(3e-3, marks=pytest.mark.slow), 6e-3])
 def test_unusual_limbs_are_meshed(changes, size):
     scenario = parse_scenario({**changes, "mesh": {"size_grid": size, "size_contact": 2e-3}})
     mesh = build_mesh(scenario)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,7 +39,17 @@ def solved(tmp_path_factory):
 def test_file_gives_the_run_again_at_its_bins(solved):
     folder, transfer = solved
     found = load_skin_model(folder / "reduced.nc").transfer(transfer.frequency)
-    assert relative_error(found.values, transfer.values).max() < 1e-9  # rounding of another diagonalisation
+    assert relative_error(found.values, transfer.values).max() < 1e-12  # the same poles and residues
+
+
+def test_poles_of_the_file_are_those_of_its_matrices(solved):
+    """Files of before 0.12.1 hold none: each evaluation then diagonalises anew, and so it is for other tissues."""
+    folder, transfer = solved
+    model = load_skin_model(folder / "reduced.nc")
+    assert model.poles is not None
+    anew = replace(model, poles=None).transfer(transfer.frequency)
+    assert relative_error(anew.values, transfer.values).max() < 1e-9  # rounding of another diagonalisation
+    assert model.changed(["tissues.override.muscle.mu=12000.0"]).poles is None
 
 
 def test_file_is_small_and_gives_any_frequency(solved):
@@ -53,12 +65,14 @@ def test_files_of_before_triangles_are_read(solved, tmp_path, monkeypatch):
     model, kept = load_skin_model(folder / "reduced.nc"), reduced_io.save
 
     def whole(path, variables, attributes):
-        others = {k: v for k, v in variables.items() if k != "upper"}
+        others = {k: v for k, v in variables.items() if k not in {"upper", *reduced_io.POLES}}
         kept(path, {**others, "matrix": (("term", "row", "column"), model.reduced.matrices, {})}, attributes)
 
     monkeypatch.setattr(reduced_io, "save", whole)
     save_skin_model(tmp_path / "old.nc", model)
-    assert np.array_equal(load_skin_model(tmp_path / "old.nc").reduced.matrices, model.reduced.matrices)
+    old = load_skin_model(tmp_path / "old.nc")
+    assert np.array_equal(old.reduced.matrices, model.reduced.matrices)
+    assert old.poles is None
 
 
 def test_other_moduli_follow_without_a_mesh(solved, tmp_path):

@@ -35,22 +35,13 @@ def compressed(reduced: ReducedModel, frequency: FloatArray, *, samples: int = 4
 class PoleResidue:
     """C(omega) = sum_k left_ik right_kj share_j / (i omega - pole_k): any number of frequencies at once.
 
-    ``left`` are the ``modes`` (r, 2r) of the reduced space seen through the ports, ``right`` the modes' amplitudes.
-    Exists where every coefficient is a
-    polynomial of second degree in omega (Kelvin-Voigt, springs, dashpots, masses).
+    ``left`` (n_port, n_pole) are the modes seen through the ports, ``right`` (n_pole, n_port) their amplitudes.
     """
 
     poles: ComplexArray
-    modes: ComplexArray
     left: ComplexArray
     right: ComplexArray
     shares: FloatArray
-
-    def states(self, frequency: FloatArray, ports: Sequence[int]) -> ComplexArray:
-        """Reduced solutions (n_frequency, r, n_chosen) for the force shares of the chosen ``ports``."""
-        s = 2j * np.pi * np.asarray(frequency, dtype=float)
-        amplitudes = (self.right * self.shares)[:, None, ports] / (s[None, :] - self.poles[:, None])[:, :, None]
-        return np.moveaxis(np.tensordot(self.modes, amplitudes, 1), 1, 0)
 
     def compliance(self, frequency: FloatArray) -> ComplexArray:
         """Compliance (n_frequency, n_port, n_port) [m/N]."""
@@ -64,25 +55,39 @@ class PoleResidue:
         return np.asarray(values * self.shares)
 
 
-def pole_residue(reduced: ReducedModel) -> PoleResidue | None:
+@dataclass(frozen=True)
+class Modes(PoleResidue):
+    """Poles and residues with the ``shapes`` (r, n_pole) of the modes in the reduced space."""
+
+    shapes: ComplexArray
+
+    def states(self, frequency: FloatArray, ports: Sequence[int]) -> ComplexArray:
+        """Reduced solutions (n_frequency, r, n_chosen) for the force shares of the chosen ``ports``."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=float)
+        amplitudes = (self.right * self.shares)[:, None, ports] / (s[None, :] - self.poles[:, None])[:, :, None]
+        return np.moveaxis(np.tensordot(self.shapes, amplitudes, 1), 1, 0)
+
+
+def pole_residue(reduced: ReducedModel) -> Modes | None:
     """Diagonalised reduced pencil, or None where a modulus is not Kelvin-Voigt or the diagonalisation is inaccurate.
 
-    With s = i omega: (K + s C + s^2 M) q = f, companion form s [q, s q]; the result is checked against direct
-    reduced solves and refused above 1e-8.
+    Every coefficient must be a polynomial of second degree in omega (Kelvin-Voigt, springs, dashpots, masses). With
+    s = i omega: (K + s C + s^2 M) q = f, companion form s [q, s q]; the result is checked against direct reduced
+    solves and refused above 1e-8.
     """
     if not all(is_polynomial(c) for c in reduced.coefficients):
         return None
     taylor = np.array([c.taylor(0.0, 2) for c in reduced.coefficients])
     stiffness, damping, mass = (np.tensordot(w, reduced.matrices, 1) for w in polynomial_weights(taylor))
-    poles, modes, right = _companion(stiffness, damping, mass, reduced.functionals)
-    result = PoleResidue(poles, modes, reduced.functionals.T @ modes, right, reduced.shares)
+    poles, shapes, right = _companion(stiffness, damping, mass, reduced.functionals)
+    result = Modes(poles, reduced.functionals.T @ shapes, right, reduced.shares, shapes)
     return result if _agrees(result, reduced) else None
 
 
 def _companion(
     stiffness: FloatArray, damping: FloatArray, mass: FloatArray, functionals: FloatArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Poles, modes and amplitudes from the first companion form, in units of a typical rate."""
+    """Poles, shapes and amplitudes from the first companion form, in units of a typical rate."""
     r = len(mass)
     rate = np.sqrt(np.linalg.norm(stiffness) / np.linalg.norm(mass))
     inverse_k = np.linalg.solve(mass, stiffness) / rate**2

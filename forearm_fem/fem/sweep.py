@@ -12,7 +12,7 @@ from ..scenario.sweep import SolverOptions
 from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray
 from .certify import DOUBTFUL, Certificate, certified, enough, most_doubtful, probe_frequencies
-from .compress import PoleResidue, compressed, pole_residue
+from .compress import Modes, compressed, pole_residue
 from .direct import ENOUGH, make_solver, watched
 from .expand import Expander, Made, Progress, Snapshots, expansion_frequencies, starts_from_rate, tell
 from .model import ForearmModel
@@ -38,7 +38,7 @@ class SweepResult:
     reduced: ReducedModel | None = None
     expansions: tuple[float, ...] = ()
     certificates: tuple[Certificate, ...] = ()
-    poles: PoleResidue | None = None
+    poles: Modes | None = None
     compression: float = 0.0
     least: float = 0.0
     solver: str = ""

@@ -91,6 +91,7 @@ def _body(surface: Any, modes: FloatArray, normals: FloatArray | None) -> Body:
     if found[int(np.argmax(surface.points[:, 2])), 2] < 0:
         surface.flip_faces(inplace=True)
         found = -found
+    surface.point_data["Normals"] = found  # flipped faces keep their normals
     return Body(surface, np.array(surface.points, dtype=float), modes, found if normals is None else normals)
 
 
@@ -155,6 +156,7 @@ class Stage:
         u = self.moved.displacement(self.body.modes, step)
         self.body.dataset.points = self.body.rest + MM * self.factor * u
         self.body.dataset.point_data["shown"] = self._values(u)
+        del self.body.dataset.point_data["Normals"]  # VTK leaves those it finds
         self.body.dataset.compute_normals(
             cell_normals=False, split_vertices=False, consistent_normals=False, inplace=True
         )

@@ -1,8 +1,9 @@
 """``reduced.nc``: the reduced model, a few megabytes that give the compliance at any frequency, for any moduli.
 
 Variables ``upper`` (term, entry), the upper triangles of real symmetric matrices row by row; ``functional``
-(row, port) and ``share`` (port,) as in :class:`forearm_fem.fem.reduce.ReducedModel`. What the terms are multiplied
-with follows from the scenario, kept as JSON.
+(row, port) and ``share`` (port,) as in :class:`forearm_fem.fem.reduce.ReducedModel`; ``poles`` (mode,), ``left``
+(port, mode) and ``right`` (mode, port) of :class:`forearm_fem.fem.compress.PoleResidue` where there are any. What the
+terms are multiplied with follows from the scenario, kept as JSON.
 """
 
 from __future__ import annotations
@@ -16,15 +17,19 @@ import numpy as np
 import xarray as xr
 
 from ..ports import Port
-from ..typing import FloatArray
+from ..typing import ComplexArray, FloatArray
 from .dataset import labels, load, port_variables, ports_of, save, text
 
 _CONTENT = "reduced model"
+POLES = {"poles": ("mode",), "left": ("port", "mode"), "right": ("mode", "port")}
 
 
 @dataclass(frozen=True)
 class ReducedFile:
-    """Contents of the file: ``matrices`` (n_term, r, r) of terms ``names``, ``functionals`` (r, n_port)."""
+    """Contents of the file: ``matrices`` (n_term, r, r) of terms ``names``, ``functionals`` (r, n_port).
+
+    ``poles`` holds the arrays that ``POLES`` names, or nothing.
+    """
 
     names: tuple[str, ...]
     matrices: FloatArray
@@ -32,6 +37,7 @@ class ReducedFile:
     shares: FloatArray
     ports: tuple[Port, ...]
     scenario: dict[str, Any]
+    poles: dict[str, ComplexArray]
 
 
 def write_reduced(path: str | Path, content: ReducedFile) -> None:
@@ -43,6 +49,7 @@ def write_reduced(path: str | Path, content: ReducedFile) -> None:
         "upper": (("term", "entry"), content.matrices[:, rows, columns], {}),
         "functional": (("row", "port"), content.functionals, {}),
         "share": (("port",), content.shares, {}),
+        **{name: (POLES[name], values, {}) for name, values in content.poles.items()},
     }
     save(path, variables, {"content": _CONTENT, "scenario": json.dumps(content.scenario)})
 
@@ -60,6 +67,7 @@ def _unpack(dataset: xr.Dataset) -> ReducedFile:
         np.asarray(dataset["share"].values, dtype=float),
         ports_of(dataset, "port"),
         json.loads(dataset.attrs["scenario"]),
+        {name: np.asarray(dataset[name].values, dtype=complex) for name in POLES if name in dataset},
     )
 
 

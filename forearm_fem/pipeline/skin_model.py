@@ -11,10 +11,10 @@ import numpy as np
 from ..device import close_loop
 from ..errors import ScenarioError
 from ..fem.basis import Basis
-from ..fem.compress import pole_residue
+from ..fem.compress import PoleResidue, pole_residue
 from ..fem.reduce import ReducedModel
 from ..fem.terms import term_coefficient
-from ..io.reduced import ReducedFile, read_reduced, write_reduced
+from ..io.reduced import POLES, ReducedFile, read_reduced, write_reduced
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..scenario.load import apply_overrides
@@ -32,15 +32,17 @@ class SkinModel:
 
     Certified for the scenario it was made for, in its band. For other moduli the space is the old one, and the error
     grows with the change: below 1e-2 for 20 % of one modulus in the tests' scenes; it is not estimated here.
+    ``poles`` are what the sweep found for these coefficients; without them each evaluation finds its own.
     """
 
     scenario: Scenario
     ports: tuple[Port, ...]
     reduced: ReducedModel
+    poles: PoleResidue | None = None
 
     def compliance(self, frequency: FloatArray) -> Compliance:
         """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself."""
-        values = (pole_residue(self.reduced) or self.reduced).compliance(frequency)
+        values = (self.poles or pole_residue(self.reduced) or self.reduced).compliance(frequency)
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         values[:, points, points] = np.nan
         return Compliance(np.asarray(frequency, dtype=float), values, self.ports)
@@ -57,7 +59,7 @@ class SkinModel:
         before = self.scenario.model_dump(mode="json")
         after = parse_scenario(apply_overrides(before, overrides))
         _check_followable(self.scenario, after, self.reduced.names)
-        return replace(self, scenario=after, reduced=with_scenario(self.reduced, after))
+        return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=None)
 
 
 def with_scenario(reduced: ReducedModel, scenario: Scenario) -> ReducedModel:
@@ -70,7 +72,8 @@ def with_scenario(reduced: ReducedModel, scenario: Scenario) -> ReducedModel:
 def save_skin_model(path: Path, model: SkinModel) -> None:
     """Write ``reduced.nc``, whole or not at all."""
     r, scenario = model.reduced, model.scenario.model_dump(mode="json")
-    write_reduced(path, ReducedFile(r.names, r.matrices, r.functionals, r.shares, model.ports, scenario))
+    seen = {} if model.poles is None else {name: getattr(model.poles, name) for name in POLES}
+    write_reduced(path, ReducedFile(r.names, r.matrices, r.functionals, r.shares, model.ports, scenario, seen))
 
 
 def load_skin_model(path: str | Path) -> SkinModel:
@@ -79,7 +82,8 @@ def load_skin_model(path: str | Path) -> SkinModel:
     scenario = parse_scenario(content.scenario, origin=str(path))
     low = np.zeros((len(content.functionals), 0))
     bare = ReducedModel(content.names, (), content.matrices, content.functionals, content.shares, Basis(), low)
-    return SkinModel(scenario, content.ports, with_scenario(bare, scenario))
+    poles = PoleResidue(**content.poles, shares=content.shares) if content.poles else None
+    return SkinModel(scenario, content.ports, with_scenario(bare, scenario), poles)
 
 
 def _check_followable(before: Scenario, after: Scenario, terms: Sequence[str]) -> None:

@@ -135,7 +135,7 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
     skin = None
     if sweep.reduced is not None:
         bare = replace(sweep.reduced, basis=Basis())
-        skin = SkinModel(scenario, model.ports, bare)
+        skin = SkinModel(scenario, model.ports, bare, sweep.poles)
         contacts = solution.compliance.indices("contact")
         modes = field_modes(solution)
         states = sweep.states(frequency, contacts)
