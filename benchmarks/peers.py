@@ -30,9 +30,8 @@ from typing import Any
 import numpy as np
 
 from forearm_fem.bench.isolated import threads
-from forearm_fem.bench.plots import read_rows
-from forearm_fem.bench.run import write_csv
 from forearm_fem.bench.scene import exact, quarter
+from forearm_fem.bench.tables import read_rows, record_machine, write_csv
 from forearm_fem.bench.text import write_page
 from forearm_fem.fem.space import mixed_space
 from forearm_fem.geometry.build import build_mesh
@@ -178,6 +177,7 @@ def merged(rows: Sequence[Row], fresh: Row, keys: Sequence[str]) -> list[Row]:
 
 def run_peers(asked: argparse.Namespace, pythons: dict[str, str], scene: Path, out: Path) -> None:
     """All programs and solvers at one scale, each row written as soon as it is there."""
+    record_machine(out, "peers")
     rows: list[Row] = [dict(r) for r in read_rows(out / "peers.csv")]
     for program, python in pythons.items():
         for solver in SOLVERS[program]:
@@ -204,6 +204,7 @@ def _told(row: Row) -> str:
 
 def run_assembly(asked: argparse.Namespace, pythons: dict[str, str], scene: Path, out: Path) -> None:
     """One assembly per program."""
+    record_machine(out, "assembly")
     rows: list[Row] = [dict(r) for r in read_rows(out / "assembly.csv")]
     for program, python in pythons.items():
         rows = merged(rows, assembled(program, python, scene, asked), ("scale", "program"))

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from cli_runner import cli
 
+from forearm_fem import __version__
 from forearm_fem.bench import asked, error, isolated, plots, reduced, run, scene, size, text
-from forearm_fem.bench.run import Table, run_bench, write_csv
+from forearm_fem.bench.run import Table, run_bench
+from forearm_fem.bench.tables import Row, read_rows, record_machine, write_csv
 from forearm_fem.errors import AccuracyWarning, DataError, SolverError
 from forearm_fem.fem.certify import Certificate
 from forearm_fem.fem.sweep import SweepResult
@@ -46,9 +48,9 @@ ERRORS = [
 ]
 
 
-def rows_of(folder: Path, name: str, rows: list[Any]) -> list[plots.Row]:
+def rows_of(folder: Path, name: str, rows: list[Any]) -> list[Row]:
     write_csv(folder / f"{name}.csv", rows)
-    return plots.read_rows(folder / f"{name}.csv")
+    return read_rows(folder / f"{name}.csv")
 
 
 # --- numbers ---------------------------------------------------------------------------------------------------------
@@ -139,7 +141,7 @@ def test_threads_are_set_and_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_rows_survive_the_file(tmp_path: Path) -> None:
     (row,) = rows_of(tmp_path, "x", [Point("a, b", 1.25, 3e9)])
     assert row == {"name": "a, b", "seconds_all": "1.25", "peak_bytes": "3e+09", "runs": "1"}
-    assert plots.read_rows(tmp_path / "none.csv") == []
+    assert read_rows(tmp_path / "none.csv") == []
 
 
 def test_an_interrupted_table_goes_on_and_a_finished_one_starts_anew(tmp_path: Path) -> None:
@@ -174,7 +176,8 @@ def test_a_case_that_fails_loses_its_row_only(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(run.size, "sized", sized)
     with pytest.warns(AccuracyWarning, match="no room"):
         run_bench(tmp_path, only=["size"])
-    rows = [(r["precision"], r["scale"]) for r in plots.read_rows(tmp_path / "size.csv")]
+    assert [r["part"] for r in read_rows(tmp_path / "machine.csv")] == ["size"]
+    rows = [(r["precision"], r["scale"]) for r in read_rows(tmp_path / "size.csv")]
     assert rows == [(precision, scale) for scale in ("3", "1.5", "1.2") for precision in ("double", "single")]
 
 
@@ -210,12 +213,16 @@ def test_the_page_says_what_to_choose(tmp_path: Path) -> None:
     })  # fmt: skip
     for name, rows in tables.items():
         write_csv(tmp_path / f"{name}.csv", rows)
+    for part in ("size", "error", "size"):
+        record_machine(tmp_path, part)
     drawn = plots.draw_all(tmp_path)
     page = text.write_page(tmp_path).read_text()
     assert [p.name for p in drawn] == ["error.png", "size.png", "asked.png", "reduced.png"]
     assert all(p.stat().st_size > 10_000 for p in drawn)
     assert all(f"]({p.name})" in page for p in drawn)
     assert page.count("**Choose**") == len(tables)
+    assert [r["part"] for r in read_rows(tmp_path / "machine.csv")] == ["error", "size"]
+    assert page.count(f"*forearm_fem {__version__}, ") == 2
     assert "| 0.1 | reduced, P3 | 4000 | 12 | 1 | 900 | 75 |" in page
     assert "with the points alone missed at 0.01" in page
     assert "At 50000 unknowns in double precision" in page

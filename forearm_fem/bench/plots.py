@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -14,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from ..io.atomic import atomic_path
+from .tables import Row, read_rows
 
-Row = Mapping[str, str]
 _TICK = FuncFormatter(lambda v, _: f"{v:g}")
 # (method, element, precision) -> label, colour, marker, line
 CURVES: Mapping[tuple[str, str, str], tuple[str, str, str, str]] = MappingProxyType(
@@ -28,14 +27,6 @@ CURVES: Mapping[tuple[str, str, str], tuple[str, str, str, str]] = MappingProxyT
         ("reduced", "P1", "auto"): ("reduced, P1 (MINI)", "#d55e00", "v", "-"),
     }
 )
-
-
-def read_rows(path: Path) -> list[Row]:
-    """Rows of a CSV file; none where it does not exist yet."""
-    if not path.is_file():
-        return []
-    with path.open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
 
 
 def draw_all(folder: Path) -> list[Path]:

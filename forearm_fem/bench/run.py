@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import os
-import platform
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,10 +11,10 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from ..errors import AccuracyWarning, DataError, SolverError
-from ..io.atomic import write_text
 from . import asked, error, plots, size, text
 from . import reduced as reduction
 from .isolated import isolated, median, repeated, threads
+from .tables import as_text, read_rows, record_machine, write_csv
 
 Progress = Callable[[str, int, int], None]
 Written = list[Path]
@@ -45,9 +41,13 @@ def run_bench(
         raise DataError(f"no part of the benchmark is called '{bad[0]}'; known are {', '.join(PARTS)}")
     out = Path(folder)
     with threads(count):
-        write_csv(out / "machine.csv", [machine()])
-        written = [PARTS[name](out, full, progress) for name in chosen]
+        written = [_part(name, out, full, progress) for name in chosen]
     return [*written, out / "machine.csv", *plots.draw_all(out), text.write_page(out)]
+
+
+def _part(name: str, out: Path, full: bool, progress: Progress | None) -> Path:
+    record_machine(out, name)
+    return PARTS[name](out, full, progress)
 
 
 class Table:
@@ -58,11 +58,11 @@ class Table:
 
     def __init__(self, out: Path, name: str, columns: Sequence[str]) -> None:
         self._path, self._partial, self._columns = out / f"{name}.csv", out / f"{name}.partial.csv", columns
-        self._rows: list[dict[str, Any]] = [dict(r) for r in plots.read_rows(self._partial)]
+        self._rows: list[dict[str, Any]] = [dict(r) for r in read_rows(self._partial)]
 
     def has(self, *values: object) -> bool:
         """Whether a row with these values in the identifying columns is there."""
-        wanted = [_text(v) for v in values]
+        wanted = [as_text(v) for v in values]
         return any([r[c] for c in self._columns] == wanted for r in self._rows)
 
     def add(self, row: Any) -> None:
@@ -138,44 +138,6 @@ def _lost(case: object) -> Iterator[None]:
 
 
 PARTS = MappingProxyType({"error": _error, "size": _size, "asked": _asked, "reduced": _reduced})
-
-
-def machine() -> dict[str, Any]:
-    """What the timings were made on and with."""
-    from ..pipeline.folder import versions
-
-    return {
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "threads": os.environ.get("OMP_NUM_THREADS", "all"),
-        "load_at_start": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else "unknown",
-        "system": platform.platform(),
-        **versions(),
-    }
-
-
-def _processor() -> str:
-    """Its name, and the instructions that a factor of up to two depends on."""
-    try:
-        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    except OSError:
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in text.splitlines() if line.startswith("model name")]
-    return f"{names[0] if names else platform.machine()} {'with' if 'avx512f' in text else 'without'} AVX-512"
-
-
-def write_csv(path: Path, rows: Sequence[Any]) -> None:
-    """Rows (dataclasses or dictionaries with the same keys) as CSV, whole or not at all."""
-    plain = [row if isinstance(row, dict) else asdict(row) for row in rows]
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(plain[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({k: _text(v) for k, v in row.items()} for row in plain)
-    write_text(path, stream.getvalue())
-
-
-def _text(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:

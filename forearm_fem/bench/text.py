@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..io.atomic import write_text
-from .plots import CURVES, Row, read_rows
+from .plots import CURVES
+from .tables import Row, read_rows
 
 ASKED = (0.2, 0.1, 0.05, 0.02)
 
@@ -17,10 +18,11 @@ def write_page(folder: Path) -> Path:
     parts = [
         "# Benchmark results",
         "",
-        "Written by `forearm-fem bench`; every figure is drawn from the CSV beside it.",
+        "Written by `forearm-fem bench`; every figure is drawn from the CSV beside it. What each part was timed on and",
+        "with is in [machine.csv](machine.csv).",
         "",
     ]
-    parts += _machine(read_rows(folder / "machine.csv"))
+    machines = {row.get("part", ""): row for row in read_rows(folder / "machine.csv")}
     for name, make in (
         ("error", _error),
         ("size", _size),
@@ -30,13 +32,17 @@ def write_page(folder: Path) -> Path:
         ("assembly", _assembly),
     ):
         if rows := read_rows(folder / f"{name}.csv"):
-            parts += make(rows)
+            title, *rest = make(rows)
+            parts += [title, "", *_machine(machines.get(name)), *rest[1:]]
     write_text(folder / "README.md", "\n".join(parts) + "\n")
     return folder / "README.md"
 
 
-def _machine(rows: Sequence[Row]) -> list[str]:
-    return [", ".join(f"{k} {v}" for k, v in rows[0].items()) + ".", ""] if rows else []
+def _machine(row: Row | None) -> list[str]:
+    """The part's own machine; parts are run one by one, and machines differ."""
+    if row is None:
+        return []
+    return [f"*forearm_fem {row['forearm_fem']}, {row['processor']}, threads {row['threads']} of {row['cores']}*", ""]
 
 
 def cheapest(rows: Sequence[Row], error: float, *, method: str | None = None) -> Row | None:

@@ -12,7 +12,7 @@ from ..typing import ComplexArray, FloatArray
 from .coefficients import is_polynomial, polynomial_weights
 from .reduce import ReducedModel
 
-_AT_ONCE = 2000  # frequencies: their weights are as many times all poles
+_AT_ONCE = 100  # frequencies: their weights, as many times all poles, stay in the cache (2000: a third longer)
 
 
 def compressed(reduced: ReducedModel, frequency: FloatArray, *, samples: int = 48, drop: float = 1e-6) -> ReducedModel:
