@@ -14,13 +14,13 @@ from scipy.sparse.linalg import splu
 
 from ..errors import SolverError
 from ..typing import ComplexArray, FloatArray, IntArray
-from . import pardiso
+from . import cudss, pardiso
 from .compiled import compiled
 from .operator import AffineOperator
 from .ordering import nested_dissection
 
 _log = logging.getLogger("forearm_fem.fem")
-Backend = Literal["auto", "multifrontal", "pardiso", "superlu"]
+Backend = Literal["auto", "multifrontal", "pardiso", "superlu", "cudss"]
 Columns = NDArray[Any]  # complex, or real where the matrix is
 
 
@@ -148,8 +148,13 @@ def _compiles() -> bool:
 
 
 def available_backends() -> tuple[str, ...]:
-    """Direct solvers found on this machine, the preferred one first."""
-    found = (("multifrontal", _compiles()), ("pardiso", pardiso.library() is not None), ("superlu", True))
+    """Direct solvers found on this machine, the preferred one first; cuDSS serves only where it is asked for."""
+    found = (
+        ("multifrontal", _compiles()),
+        ("pardiso", pardiso.library() is not None),
+        ("superlu", True),
+        ("cudss", cudss.available()),
+    )
     return tuple(name for name, there in found if there)
 
 
@@ -167,6 +172,8 @@ def choose_backend(backend: Backend, n: int, *, single: bool = True) -> str:
             "solver.backend = 'multifrontal' needs numba and pymetis, and factorises in single precision what needs no "
             "matching (solver.precision = 'auto', no exactly incompressible tissue); set solver.backend = 'auto'"
         )
+    if backend == "cudss":
+        cudss.require()
     able = [name for name in available_backends() if single or name != "multifrontal"]
     chosen = able[0] if backend == "auto" else backend
     if chosen == "superlu" and n > SUPERLU_LIMIT:
@@ -185,6 +192,8 @@ def make_factor(
     chosen = choose_backend(backend, operator.n, single=single and not matching)
     if chosen == "superlu":
         return SuperLUFactor(upper)
+    if chosen == "cudss":
+        return cudss.CudssFactor(upper, single=single and not matching)
     order = None if matching else nested_dissection(upper, operator.n_displacements)
     small = order is None and backend == "auto" and pardiso.library() is not None
     if chosen == "multifrontal" and not small:

@@ -32,7 +32,9 @@ class Sweep(Part):
 class SolverOptions(Part):
     """How systems are factorised and the sweep is made."""
 
-    backend: Literal["auto", "multifrontal", "pardiso", "superlu"] = "auto"
+    backend: Literal["auto", "multifrontal", "pardiso", "superlu", "cudss"] = Field(
+        "auto", description="direct solver; cudss: on an NVIDIA device, with the extra 'cudss'"
+    )
     precision: Literal["auto", "double", "single"] = Field(
         "auto", description="of the factors, all solves being refined; auto: single, double where that is not enough"
     )
