@@ -333,12 +333,10 @@ def test_undamped_resonances_are_never_certified_by_one_lucky_frequency():
     Before, 48 samples in the second stage had missed peaks (75 % wrong), and one frequency had stated 3e-8 for 3e-3.
     """
     model = held_block(2, tissue=flesh(eta=0.04, bulk=2.2e9))
-    band = np.linspace(10.0, 500.0, 141)
+    band = np.linspace(10.0, 500.0, 246)
     with pytest.raises(SolverError, match="does not resolve the resonances"):
         reduced_sweep(model, band, OPTIONS, tolerance=1e-4)
-    swept = reduced_sweep(
-        model, band, SolverOptions(start="frequencies", expansions=24, max_expansions=40), tolerance=1e-4
-    )
+    swept = reduced_sweep(model, band, SolverOptions(expansions=12, max_expansions=40), tolerance=1e-4)
     error = relative_error(swept.values[:, 1:, :1], direct_sweep(model, band, OPTIONS).values[:, 1:, :1]).max()
     assert error < 5 * swept.reduction_error
     assert swept.reduction_error < 1e-3
