@@ -215,6 +215,14 @@ def test_pole_residue_equals_dense_solves(sweep):
     assert relative_error(fast.compliance(BAND), sweep.reduced.compliance(BAND)).max() < 1e-8
 
 
+def test_states_from_poles_are_the_dense_ones(sweep):
+    """Fields come from these; each state against its own largest entry, as compliances above."""
+    fast, ports = pole_residue(sweep.reduced), [0, sweep.reduced.functionals.shape[1] - 1]
+    exact = sweep.reduced.states(BAND)[:, :, ports] * sweep.reduced.shares[ports]
+    found = fast.states(BAND, ports)
+    assert np.abs(found - exact).max() < 1e-8 * np.abs(exact).max()
+
+
 def test_poles_of_a_passive_model_are_stable(sweep):
     assert pole_residue(sweep.reduced).poles.real.max() < 0
 
