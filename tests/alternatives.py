@@ -8,9 +8,17 @@ from skfem.helpers import ddot, div, dot, grad, sym_grad, trace
 
 
 def skfem_mesh(space):
-    """The mesh of ``space`` with the vertex order that the space was numbered with."""
+    """The mesh of ``space`` with the vertex order that the space was numbered with; of second order where it bends."""
     points, cells = np.ascontiguousarray(space.mesh.points.T), np.ascontiguousarray(space.vertices.T)
-    return skfem.MeshTet(points, cells, validate=False)
+    straight = skfem.MeshTet(points, cells, validate=False)
+    if not space.is_bent.any():
+        return straight
+    curved = skfem.MeshTet2.from_mesh(straight)
+    n, bends, places = len(space.mesh.points), space.mesh.bends, curved.doflocs.copy()
+    number = {tuple(edge): k for k, edge in enumerate(np.sort(curved.edges, axis=0).T.tolist())}
+    at = [n + number[tuple(edge)] for edge in np.sort(bends.edges, axis=1).tolist()]
+    places[:, at] += bends.offsets.T
+    return skfem.MeshTet2(places, curved.t, validate=False)
 
 
 def bases(space, region):

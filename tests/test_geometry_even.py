@@ -10,9 +10,9 @@ from scipy.spatial import Delaunay
 
 from forearm_fem.errors import MeshError
 from forearm_fem.geometry.build import build_mesh, limb_volume
-from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.chart import Chart, spread
-from forearm_fem.geometry.core import _check_tubes, _flux
+from forearm_fem.geometry.core import _check_tubes
+from forearm_fem.geometry.curved import true_volumes
 from forearm_fem.geometry.filling import Shell, fill
 from forearm_fem.geometry.prisms import oriented, stack_prisms
 from forearm_fem.geometry.quality import check_mesh
@@ -86,11 +86,11 @@ def test_the_same_mesh_every_time():
 
 
 def test_grid_points_are_vertices(limb):
-    """Columns stand at the grid points, so that a receptance is read at a node (to the facets' bulge)."""
+    """Columns stand at the grid points, so that a receptance is read at a node."""
     scenario, mesh = limb
     skin, _ = tube_of(scenario.limb).volar(np.array(scenario.grid.places))
     away = np.linalg.norm(mesh.points[:, None] - skin, axis=2).min(axis=0)
-    assert away.max() < 5e-5  # bulge: (2.5 mm)^2 / 12 R = 15 um
+    assert away.max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -111,36 +111,7 @@ def test_unusual_limbs_are_meshed(changes, size):
     scenario = parse_scenario({**changes, "mesh": {"size_grid": size, "size_contact": 2e-3}})
     mesh = build_mesh(scenario)
     check_mesh(mesh, 0.02)
-    assert mesh.volumes.sum() == pytest.approx(
-        limb_volume(scenario), rel=0.01
-    )  # facets of 0.5 rad, as in test_geometry_limb
-
-
-def _bone_ratio(mesh, narrow):
-    """Volume under the bones' facets that turn by less than 0.4 rad (or the others) over that under the true wall."""
-    held = swept = 0.0
-    for bone in TUBE.bones:
-        centre = TUBE.bone_centre(bone, mesh.points[:, 0])
-        away = mesh.points[:, 1:] - centre
-        faces = mesh.facets["bone"]
-        faces = faces[(np.linalg.norm(away, axis=1)[faces] < 1.2 * bone.radius).all(axis=1)]
-        turn = np.exp(1j * np.arctan2(away[:, 0], away[:, 1]))[faces]
-        u = np.angle(turn / turn[:, :1])
-        x = mesh.points[faces][:, :, 0]
-        chosen = (np.ptp(u, axis=1) < 0.4) == narrow
-        (u1, u2), (x1, x2) = u[chosen, 1:].T, (x[chosen, 1:] - x[chosen, :1]).T
-        held += abs(_flux(mesh.points[faces[chosen]], centre[faces[chosen]]).sum())
-        swept += bone.radius**2 / 2 * np.abs(u1 * x2 - u2 * x1).sum() / 2
-    return held / swept
-
-
-@pytest.mark.parametrize(("narrow", "allowed"), [(True, 0.02), (False, 0.01)])
-def test_bones_keep_their_volume_facet_by_facet(narrow, allowed):
-    """Facets are narrow near the contacts, wide elsewhere; one radius for all made the narrow ones' part too big.
-
-    Vertices between narrow and wide facets take the mean of both, so the narrow part keeps some of it.
-    """
-    assert _bone_ratio(cached_mesh(Scenario(), base=ROOT / "scenarios"), narrow) == pytest.approx(1.0, abs=allowed)
+    assert true_volumes(mesh).sum() == pytest.approx(limb_volume(scenario), rel=1e-3)  # as in test_geometry_limb
 
 
 def _cube_shell(n):

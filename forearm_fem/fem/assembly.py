@@ -1,8 +1,8 @@
 """Real matrices of each tissue from per-element reference tensors: the work of scikit-fem's forms at memory speed.
 
 On an affine tetrahedron every integral is a fixed tensor of the reference element contracted with the Jacobian,
-D_ij = |J| sum_ab (J^-1)_ai (J^-1)_bj R_ab, so no quadrature loop is left (design.md: 125 s -> seconds).
-Equality with scikit-fem's own forms is tested to 1e-13.
+D_ij = |J| sum_ab (J^-1)_ai (J^-1)_bj R_ab, so no quadrature loop is left (design.md: 125 s -> seconds). Where edges
+bend there is one (:mod:`.bent`). Equality with scikit-fem's own forms is tested to 1e-13.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
 from ..typing import BoolArray, FloatArray, IntArray
+from .bent import bent_matrices
 from .compiled import compiled
 from .elements import tabulate
 from .orders import Orders
@@ -72,6 +73,7 @@ def tissue_matrices(
     jacobian = space.jacobians[chosen]
     inverse = np.asarray(np.linalg.inv(jacobian), dtype=float)
     volume = np.abs(np.asarray(np.linalg.det(jacobian), dtype=float))
+    volume[space.is_bent[chosen]] = 0.0  # these are added piece by piece
     build = _by_sorting if compiled("scatter") is None else _by_kernels
     return build(space, chosen, inverse, volume, reference)
 
@@ -83,20 +85,28 @@ def _by_kernels(
     kernels: Any = compiled("scatter")
     nodes, pressures = (n[chosen].astype(np.int32) for n in (space.nodes, space.pressures))
     n, n_u, n_p = space.n_nodes, space.n_displacements, space.n_pressures
-    pairs, gradient = kernels.pattern(nodes, nodes, n, n), np.ascontiguousarray(reference.gradient)
-    starts, columns = kernels.blocks_of(pairs.indptr, pairs.indices, 3)
-    values = kernels.shear(nodes, pairs, inverse, volume, gradient.reshape(9, -1))
-    shear = csr_array((values, columns, starts), shape=(n_u, n_u))
+    pairs, mixed = kernels.pattern(nodes, nodes, n, n), kernels.pattern(pressures, nodes, n_p, n)
+    paired = kernels.pattern(pressures, pressures, n_p, n_p)
+    gradient = np.ascontiguousarray(reference.gradient).reshape(9, -1)
+    shear = kernels.shear(nodes, pairs, inverse, volume, gradient)
     masses = kernels.scalars(pairs, volume, reference.mass)
-    starts, columns, values = kernels.diagonals_of(pairs.indptr, pairs.indices, masses)
-    mass = csr_array((values, columns, starts), shape=(n_u, n_u))
-    pairs = kernels.pattern(pressures, nodes, n_p, n)
-    starts, columns = kernels.blocks_of(pairs.indptr, pairs.indices, 1)
-    values = kernels.gradients(pairs, inverse, volume, reference.divergence)
-    divergence = csr_array((values, columns, starts), shape=(n_p, n_u))
-    pairs = kernels.pattern(pressures, pressures, n_p, n_p)
-    values = kernels.scalars(pairs, volume, reference.pressure_mass)
-    return TissueMatrices(shear, mass, divergence, csr_array((values, pairs.indices, pairs.indptr), shape=(n_p, n_p)))
+    divergence = kernels.gradients(mixed, inverse, volume, reference.divergence)
+    storage = kernels.scalars(paired, volume, reference.pressure_mass)
+    bent = np.flatnonzero(space.is_bent[chosen])
+    for piece, part in bent_matrices(space, chosen[bent]):
+        kernels.add_blocks_in_place(shear, pairs, nodes, bent[piece], part.shear)
+        kernels.add_scalars_in_place(masses, pairs, bent[piece], part.mass)
+        kernels.add_gradients_in_place(divergence, mixed, bent[piece], part.divergence)
+        kernels.add_scalars_in_place(storage, paired, bent[piece], part.pressure_mass)
+    starts, columns = kernels.blocks_of(pairs.indptr, pairs.indices, 3)
+    scalar_starts, scalar_columns, masses = kernels.diagonals_of(pairs.indptr, pairs.indices, masses)
+    mixed_starts, mixed_columns = kernels.blocks_of(mixed.indptr, mixed.indices, 1)
+    return TissueMatrices(
+        csr_array((shear, columns, starts), shape=(n_u, n_u)),
+        csr_array((masses, scalar_columns, scalar_starts), shape=(n_u, n_u)),
+        csr_array((divergence, mixed_columns, mixed_starts), shape=(n_p, n_u)),
+        csr_array((storage, paired.indices, paired.indptr), shape=(n_p, n_p)),
+    )
 
 
 def _by_sorting(
@@ -105,13 +115,19 @@ def _by_sorting(
     """With NumPy alone, element pairs sorted."""
     nodes, pressures = space.nodes[chosen], space.pressures[chosen]
     blocks = shear_blocks(inverse, volume, reference.gradient)
-    scalar_mass = _scatter(nodes, nodes, volume[:, None, None] * reference.mass, (space.n_nodes, space.n_nodes))
-    pressure_mass = volume[:, None, None] * reference.pressure_mass
+    mass, storage = (volume[:, None, None] * r for r in (reference.mass, reference.pressure_mass))
+    divergence = np.einsum("e,eai,apb->iepb", volume, inverse, reference.divergence, optimize=True)
+    bent = np.flatnonzero(space.is_bent[chosen])
+    for piece, part in bent_matrices(space, chosen[bent]):
+        blocks[:, :, bent[piece]], divergence[:, bent[piece]] = part.shear, part.divergence
+        mass[bent[piece]], storage[bent[piece]] = part.mass, part.pressure_mass
+    n, n_u, n_p = space.n_nodes, space.n_displacements, space.n_pressures
+    parts = [_scatter(pressures, 3 * nodes + i, divergence[i], (n_p, n_u)) for i in range(3)]
     return TissueMatrices(
-        _scatter_blocks(nodes, nodes, blocks, (space.n_nodes, space.n_nodes)),
-        csr_array(kron(scalar_mass, np.eye(3), format="csr")),
-        _divergence(space, chosen, inverse, volume, reference.divergence),
-        _scatter(pressures, pressures, pressure_mass, (space.n_pressures, space.n_pressures)),
+        _scatter_blocks(nodes, nodes, blocks, (n, n)),
+        csr_array(kron(_scatter(nodes, nodes, mass, (n, n)), np.eye(3), format="csr")),
+        csr_array(parts[0] + parts[1] + parts[2]),
+        _scatter(pressures, pressures, storage, (n_p, n_p)),
     )
 
 
@@ -149,15 +165,6 @@ def shear_blocks(inverse: FloatArray, volume: FloatArray, reference: FloatArray)
     nb = reference.shape[2]
     whole = blocks.reshape(9 * len(volume), 9) @ reference.reshape(9, nb * nb)
     return np.asarray(whole.reshape(3, 3, len(volume), nb, nb))
-
-
-def _divergence(
-    space: MixedSpace, chosen: IntArray, inverse: FloatArray, volume: FloatArray, reference: FloatArray
-) -> csr_array:
-    blocks = np.einsum("e,eai,apb->iepb", volume, inverse, reference, optimize=True)
-    n_p, n_u = space.n_pressures, space.n_displacements
-    parts = [_scatter(space.pressures[chosen], 3 * space.nodes[chosen] + i, blocks[i], (n_p, n_u)) for i in range(3)]
-    return csr_array(parts[0] + parts[1] + parts[2])
 
 
 def _scatter(rows: IntArray, columns: IntArray, values: FloatArray, shape: tuple[int, int]) -> csr_array:

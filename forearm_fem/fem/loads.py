@@ -11,7 +11,7 @@ from ..errors import GeometryError
 from ..geometry.topology import keys
 from ..ports import Port
 from ..typing import FloatArray, IntArray
-from .boundary import facet_load, facet_normals
+from .boundary import facet_area, facet_load
 from .elements import tabulate
 from .space import MixedSpace
 
@@ -25,8 +25,7 @@ def port_functional(space: MixedSpace, port: Port) -> FloatArray:
     facets = space.mesh.facets.get(f"contact {port.name}")
     if facets is None or len(facets) == 0:
         raise GeometryError(f"the mesh has no facets named 'contact {port.name}'; mesh the scenario again")
-    _, areas = facet_normals(space.mesh.points, facets)
-    return np.asarray(facet_load(space, facets, np.array(port.axis)) / areas.sum())
+    return np.asarray(facet_load(space, facets, np.array(port.axis)) / facet_area(space, facets))
 
 
 def force_share(space: MixedSpace, port: Port) -> float:
@@ -43,7 +42,10 @@ def force_share(space: MixedSpace, port: Port) -> float:
 
 
 def _point_value(space: MixedSpace, position: FloatArray, axis: FloatArray) -> FloatArray:
-    """Interpolation of the axial displacement at the point of the skin nearest to ``position``."""
+    """Interpolation of the axial displacement at the point of the skin nearest to ``position``.
+
+    That point is sought on facets taken as flat: off a vertex a bent one lies aside by a part of its offset squared.
+    """
     facets = space.mesh.facets["skin"]
     facet, bary = _nearest_facet(space.mesh.points, facets, position)
     tet = int(space.owners(facets[facet : facet + 1])[0][0])

@@ -121,6 +121,42 @@ def shear(
 
 
 @njit(cache=True, nogil=True)
+def add_blocks_in_place(
+    values: FloatArray, pairs: Pattern, nodes: IntArray, tetrahedra: IntArray, blocks: FloatArray
+) -> None:
+    """Add ``blocks`` (3, 3, k, nb, nb) of some ``tetrahedra`` (k,) to ``values`` (9 nnz,) as :func:`shear` has them."""
+    nb = nodes.shape[1]
+    for e, t in enumerate(tetrahedra):
+        for a in range(nb):
+            first = pairs.indptr[nodes[t, a]]
+            width = 3 * (pairs.indptr[nodes[t, a] + 1] - first)
+            for b in range(nb):
+                at = 9 * first + 3 * (pairs.place[t, a, b] - first)
+                for i in range(3):
+                    for j in range(3):
+                        values[at + i * width + j] += blocks[i, j, e, a, b]
+
+
+@njit(cache=True, nogil=True)
+def add_scalars_in_place(values: FloatArray, pairs: Pattern, tetrahedra: IntArray, matrices: FloatArray) -> None:
+    """Add ``matrices`` (k, nr, nc) of some ``tetrahedra`` (k,) to ``values`` (nnz,)."""
+    for e, t in enumerate(tetrahedra):
+        for a in range(matrices.shape[1]):
+            for b in range(matrices.shape[2]):
+                values[pairs.place[t, a, b]] += matrices[e, a, b]
+
+
+@njit(cache=True, nogil=True)
+def add_gradients_in_place(values: FloatArray, pairs: Pattern, tetrahedra: IntArray, matrices: FloatArray) -> None:
+    """Add ``matrices`` (3, k, np, nb) of some ``tetrahedra`` (k,) to ``values`` (3 nnz,), component fastest."""
+    for e, t in enumerate(tetrahedra):
+        for p in range(matrices.shape[2]):
+            for b in range(matrices.shape[3]):
+                for i in range(3):
+                    values[3 * pairs.place[t, p, b] + i] += matrices[i, e, p, b]
+
+
+@njit(cache=True, nogil=True)
 def _combine(total: FloatArray, weights: FloatArray, parts: FloatArray) -> None:
     """Set ``total`` (m,) to the weighted sum of nine ``parts`` (9, m), in one pass."""
     w = weights

@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 import skfem
 
+from ..geometry.curved import bent_jacobians, bent_places, straight_jacobians
 from ..geometry.mesh import TissueMesh
-from ..typing import FloatArray, IntArray
+from ..typing import BoolArray, FloatArray, IntArray
 from .elements import ElementPair, element_pair
 
 
@@ -37,9 +38,27 @@ class MixedSpace:
 
     @cached_property
     def jacobians(self) -> FloatArray:
-        """d(position)/d(reference) of every tetrahedron (n_tet, 3, 3) [m]."""
-        corner = self.mesh.points[self.vertices]
-        return np.asarray(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2))
+        """d(position)/d(reference) of every tetrahedron (n_tet, 3, 3) [m], its edges taken as straight."""
+        return straight_jacobians(self.mesh.points, self.vertices)
+
+    @cached_property
+    def offsets(self) -> FloatArray:
+        """How far (n_tet, 6, 3) [m] the middles of edges lie off their chords, as :meth:`.Bends.of` has them.
+
+        First-order elements are left straight: what they can follow of a bent edge is less than it changes.
+        """
+        if self.pair.name == "P1":
+            return np.zeros((len(self.vertices), 6, 3))
+        return self.mesh.bends.of(self.vertices)
+
+    @cached_property
+    def is_bent(self) -> BoolArray:
+        """Which tetrahedra (n_tet,) have an edge that bends."""
+        return np.asarray(self.offsets.any(axis=(1, 2)))
+
+    def jacobians_at(self, tetrahedra: IntArray, points: FloatArray) -> FloatArray:
+        """d(position)/d(reference) (k, q, 3, 3) [m] of some ``tetrahedra`` (k,) at reference ``points`` (3, q)."""
+        return bent_jacobians(self.jacobians[tetrahedra], self.offsets[tetrahedra], points)
 
     @cached_property
     def facet_owners(self) -> dict[tuple[int, int, int], tuple[int, int]]:
@@ -73,9 +92,9 @@ class MixedSpace:
     def node_points(self) -> FloatArray:
         """Position of each displacement node (n_nodes, 3) [m]; bubbles sit at the centroid."""
         places = np.array([_node_place(self.pair.name, i) for i in range(self.nodes.shape[1])])
-        corner = self.mesh.points[self.vertices]
+        found = bent_places(self.mesh.points[self.vertices], self.offsets, places[:, 1:].T)
         result = np.zeros((self.n_nodes, 3))
-        result[self.nodes.ravel()] = np.einsum("bk,ekd->ebd", places, corner).reshape(-1, 3)
+        result[self.nodes.ravel()] = found.reshape(-1, 3)
         return result
 
 

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from ..errors import DataError
+from ..geometry.bending import with_bends
 from ..geometry.files import read_mesh
 from ..geometry.mesh import TissueMesh
 from ..geometry.skin import with_finer_skin
@@ -135,7 +136,7 @@ class Results:
     def field_mesh(self) -> TissueMesh:
         """The mesh with the points where the wavefield is known; the mesh itself in folders written before 0.6.0."""
         older = len(load_wavefield(self.path("wavefield.npz")).modes) == len(self.mesh.points)
-        return self.mesh if older else with_finer_skin(self.mesh)
+        return self.mesh if older else with_finer_skin(with_bends(self.scenario, self.mesh))
 
     @cached_property
     def wavefield(self) -> Wavefield:

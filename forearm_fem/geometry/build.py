@@ -14,6 +14,7 @@ from ..ports import Port
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, SurfacesLimb
 from ..typing import FloatArray, IntArray
+from .bending import with_bends
 from .contacts import check_contact_areas, with_contacts, with_true_rims
 from .imprint import imprint
 from .landing import FacetSkin
@@ -42,13 +43,13 @@ def build_mesh(
     shear_speed: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> TissueMesh:
-    """Tetrahedra of the scenario's limb; ``scale`` multiplies every element size."""
+    """Tetrahedra of the scenario's limb, bent along its walls; ``scale`` multiplies every element size."""
     sizes = element_sizes(scenario, shear_speed, scale=scale)
     size = SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading)
     for attempt in range(1, _ATTEMPTS + 1):
         mesh = _unmarked(scenario, base, size, progress or _silent, attempt)
         try:
-            return _marked(scenario, mesh, size, progress or _silent)
+            return with_bends(scenario, _marked(scenario, mesh, size, progress or _silent))
         except MeshError as problem:
             if attempt == _ATTEMPTS or isinstance(scenario.limb, SlabLimb | MeshLimb):
                 raise

@@ -14,13 +14,14 @@ from typing import Any
 from ..errors import MeshError
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
+from .bending import with_bends
 from .build import Progress, build_mesh
 from .files import read_mesh, write_mesh
 from .layout import RIGID, layout_of
 from .mesh import TissueMesh
 from .sizing import element_sizes
 
-GENERATOR = 4  # raise when the same scenario would give another mesh
+GENERATOR = 5  # raise when the same scenario would give another mesh
 _log = logging.getLogger("forearm_fem.geometry")
 
 
@@ -42,10 +43,10 @@ def cached_mesh(
     key = mesh_key(scenario, base=base, scale=scale, shear_speed=shear_speed)
     for folder in shipped_folders(base, shipped_dir):
         if (found := _look_up(folder, key)) is not None:
-            return found
+            return with_bends(scenario, found)
     home = cache_dir or default_cache_dir()
     if (found := _read(home / f"{key}.json", key)) is not None:
-        return found
+        return with_bends(scenario, found)
     mesh = build_mesh(scenario, base=base, scale=scale, shear_speed=shear_speed, progress=progress)
     _try_store(mesh, home / f"{key}.vtu", key)
     return mesh

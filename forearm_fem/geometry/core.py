@@ -1,4 +1,4 @@
-"""Tetrahedra of the muscle core: even triangles on its surface, graded tetrahedra inside, true volumes."""
+"""Tetrahedra of the muscle core: even triangles on its surface, graded tetrahedra inside."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ Size3 = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Core:
-    """Core mesh; ``lateral`` (m, 3) are the triangles on which layers grow, ``angle`` (n_point,) their
-    columns, ``bulge`` (n_point,) how far [m] these stand out of the analytic surfaces (:func:`_bulges`).
+    """Core mesh; ``lateral`` (m, 3) are the triangles on which layers grow, ``angle`` (n_point,) their columns.
 
     ``bone`` (n_tet,) numbers the bone each tetrahedron lies in, -1 for muscle.
     """
@@ -37,7 +36,6 @@ class Core:
     bone: IntArray
     lateral: IntArray
     angle: FloatArray
-    bulge: FloatArray
     on_bone: BoolArray
 
 
@@ -49,7 +47,7 @@ def core_mesh(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, *, elastic:
     """
     shell = _shell(tube, size, sizes, layout, elastic)
     points, tetrahedra = fill(shell, size, lambda p, gap: _inside(tube, p, gap), seed=seed)
-    return _fitted(tube, shell, points, tetrahedra, elastic)
+    return _named(tube, shell, points, tetrahedra, elastic)
 
 
 def _shell(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, elastic: bool) -> Shell:
@@ -151,9 +149,9 @@ def _marrow(tube: Tube, bone: BoneAxis) -> FloatArray:
     return np.column_stack([x, tube.bone_centre(bone, x)])
 
 
-def _fitted(tube: Tube, shell: Shell, points: FloatArray, tetrahedra: IntArray, elastic: bool) -> Core:
-    """Surface points moved out until flat facets hold the volumes of the analytic limb and its bones."""
-    n_bone, points = len(tube.bones), points.copy()
+def _named(tube: Tube, shell: Shell, points: FloatArray, tetrahedra: IntArray, elastic: bool) -> Core:
+    """What lies where: the wall's triangles and columns, bones, and the points on these."""
+    n_bone = len(tube.bones)
     on = shell.on_of(len(points))
     in_bone = on[:, 1 : n_bone + 1]
     bone = _which(in_bone[tetrahedra])
@@ -161,16 +159,12 @@ def _fitted(tube: Tube, shell: Shell, points: FloatArray, tetrahedra: IntArray, 
     lateral = faces[on[faces, 0].all(axis=1) & (_which(on[faces][:, :, n_bone + 1 :]) < 0)]
     walls = _bone_walls(tetrahedra, bone, in_bone, on[:, n_bone + 1 :])
     _check_tubes([lateral, *walls])
-    for bone_axis, faces in zip(tube.bones, walls, strict=True):
-        points = _with_volume(tube, bone_axis, points, faces)
     column = np.unique(lateral)
     angle, on_bone = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
     angle[column] = tube.angle_of(points[column])
-    bulge = _bulges(np.linalg.norm(points[:, 1:], axis=1), angle, lateral)
-    points[column] = tube.place(points[column, 0], angle[column], tube.thickness - bulge[column])
     for faces in walls:
         on_bone[faces] = not elastic
-    return Core(points, tetrahedra, bone, lateral, angle, bulge, on_bone)
+    return Core(points, tetrahedra, bone, lateral, angle, on_bone)
 
 
 def _which(corners_on: BoolArray) -> IntArray:
@@ -200,19 +194,6 @@ def _check_tubes(walls: list[IntArray]) -> None:
             )
 
 
-def _bulges(radius: FloatArray, angle: FloatArray, faces: IntArray) -> FloatArray:
-    """Outward shift (n_point,) [m] that gives flat ``faces`` (m, 3) on a tube the volume under its true surface.
-
-    ``radius`` and ``angle`` (n_point,) are those about the tube's axis. A chord lies below y^2/2R by
-    sum (y_i - y_j)^2 / 24R on average over a triangle, y = R angle; each vertex takes the mean of its triangles.
-    """
-    turn = angle[faces]
-    apart = np.angle(np.exp(1j * (turn - np.roll(turn, 1, axis=1))))
-    below = radius[faces].mean(axis=1) * (apart**2).sum(axis=1) / 24
-    total = np.bincount(faces.ravel(), np.repeat(below, 3), len(radius))
-    return np.asarray(total / np.maximum(np.bincount(faces.ravel(), minlength=len(radius)), 1))
-
-
 def _from_bones(tube: Tube, points: FloatArray) -> FloatArray:
     """Distance (n, n_bone) [m] from each bone's axis within the section."""
     away = [np.linalg.norm(points[:, 1:] - tube.bone_centre(b, points[:, 0]), axis=1) for b in tube.bones]
@@ -221,32 +202,3 @@ def _from_bones(tube: Tube, points: FloatArray) -> FloatArray:
 
 def _radii(tube: Tube) -> FloatArray:
     return np.array([b.radius for b in tube.bones] or [0.0])
-
-
-def _flux(corners: FloatArray, centres: FloatArray | float = 0.0) -> FloatArray:
-    """Half the flux (n,) of (0, y, z), measured from ``centres`` (n, 3, 2), through triangles (n, 3, 3).
-
-    Summed over a tube with flat ends this is its volume.
-    """
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-    arms = (corners[:, :, 1:] - centres).mean(axis=1)
-    return np.asarray((normal[:, 1:] * arms).sum(axis=1) / 2)
-
-
-def _with_volume(tube: Tube, bone: BoneAxis, points: FloatArray, faces: IntArray) -> FloatArray:
-    """Points (n, 3) with those of a bone's flat ``faces`` (m, 3) moved out until these hold its cylinder's volume.
-
-    Each by what the facets around it cut off, and all by what is left of it: facets are wider away from the device.
-    """
-    moved, wall = points.copy(), np.unique(faces)
-    centre = tube.bone_centre(bone, points[:, 0])
-    away = points[:, 1:] - centre
-    radius = np.full(len(points), bone.radius) + _bulges(
-        np.full(len(points), bone.radius), np.arctan2(away[:, 0], away[:, 1]), faces
-    )
-    outward = away[wall] / np.linalg.norm(away[wall], axis=1)[:, None]
-    moved[wall, 1:] = centre[wall] + outward * radius[wall, None]
-    held = abs(float(_flux(moved[faces], centre[faces]).sum()))
-    left = float(np.sqrt(np.pi * bone.radius**2 * tube.length / held))
-    moved[wall, 1:] = centre[wall] + outward * radius[wall, None] * left
-    return moved

@@ -31,7 +31,7 @@ def limb_mesh(
     levels[0] = np.arange(len(core.points))
     for k, depth in enumerate(depths[1:], start=1):
         levels[k, column] = len(core.points) + (k - 1) * len(column) + np.arange(len(column))
-        points.append(tube.place(core.points[column, 0], core.angle[column], depth - core.bulge[column]))
+        points.append(tube.place(core.points[column, 0], core.angle[column], depth))
     coarse = column[size(core.points[column]) > _COARSE * sizes.grid]
     merged = _merged(levels, tissues, coarse)
     stacked, under = stack_prisms(core.lateral, merged)

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from ..errors import MeshError
 from ..ports import Port, positions
 from ..typing import FloatArray, IntArray
+from .curved import true_volumes
 from .mesh import TissueMesh
 from .neighbourhood import tetrahedron_orders
 from .topology import EDGES, FACES, is_member, keys, mean_ratios
@@ -52,14 +53,15 @@ def mesh_quality(mesh: TissueMesh, *, expected_volume: float | None = None) -> Q
     :func:`.build.limb_volume`)."""
     ratio = mean_ratio(mesh)
     edges = np.unique(keys(mesh.tetrahedra[:, EDGES].reshape(-1, 2), len(mesh.points)))
-    per_tissue = np.bincount(mesh.region, weights=mesh.volumes, minlength=len(mesh.region_names))
+    volumes = true_volumes(mesh)
+    per_tissue = np.bincount(mesh.region, weights=volumes, minlength=len(mesh.region_names))
     return Quality(
         tetrahedra=len(mesh.tetrahedra),
         vertices=len(mesh.points),
         p2_displacements=3 * (len(mesh.points) + len(edges)),
         least=float(ratio.min()),
         median=float(np.median(ratio)),
-        volume=float(mesh.volumes.sum()),
+        volume=float(volumes.sum()),
         volumes={name: float(v) for name, v in zip(mesh.region_names, per_tissue, strict=True)},
         expected_volume=expected_volume,
     )

@@ -9,6 +9,7 @@ from ..typing import BoolArray, FloatArray, IntArray
 # Faces of a positive tetrahedron, normals outwards; edges in lexicographic order.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+SIDES = np.array([[0, 1], [1, 2], [2, 0]])  # of a triangle
 
 
 def keys(rows: IntArray, n_point: int) -> IntArray:

@@ -89,6 +89,11 @@ class Tube:
             angle = angle - np.clip(value / slope, -0.3, 0.3)
         return np.asarray(angle)
 
+    def depth_of(self, points: FloatArray, angle: FloatArray) -> FloatArray:
+        """Depth (n,) [m] of points (n, 3) below the skin, in the columns at their ``angle`` (n,)."""
+        skin = self.place(points[:, 0], angle, 0.0)
+        return np.asarray(((skin - points)[:, 1:] * self.normal(points[:, 0], angle)[:, 1:]).sum(axis=1))
+
     def volar(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (n, 3) and outward normals (n, 3) of the volar skin over ``xy`` (n, 2); NaN off the limb."""
         x, y = xy.T
