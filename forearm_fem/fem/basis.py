@@ -1,31 +1,39 @@
 """Orthonormal columns of a reduced space, kept in blocks as they came, and how new ones are made orthonormal to them.
 
 Columns are long: fresh memory for them costs as much time as the arithmetic. So old blocks are never copied, and new
-columns are changed where they lie, piece by piece (docs/decisions.md).
+columns are changed where they lie, piece by piece (docs/decisions.md). Blocks may be kept in single precision; all that
+is worked out with them is in double.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ..typing import ComplexArray, FloatArray, IntArray
-from .threads import in_threads
+from .compiled import compiled
+from .threads import in_threads, thread_count
 
-_PIECE = 2000  # rows at a time: as many of all columns stay in the cache
+Columns = NDArray[np.floating[Any]]  # in single or double precision
+_PIECE = 512  # rows at a time: what is worked out with them stays in the cache
+_FEW = 32  # columns up to which compiled code is faster than BLAS, on processors with short registers too
 
 
 @dataclass(frozen=True)
 class Basis:
     """Columns (n, r): the ``blocks`` (n, k_i) side by side, times ``directions`` (sum of k_i, r) where given."""
 
-    blocks: tuple[FloatArray, ...] = ()
+    blocks: tuple[Columns, ...] = ()
     directions: FloatArray | None = None
 
-    def with_block(self, block: FloatArray) -> Basis:
+    def with_block(self, block: Columns) -> Basis:
         """These columns and those of ``block`` (n, k) behind them."""
         assert self.directions is None, "a space that was compressed is not extended"
         return Basis((*self.blocks, block))
@@ -39,21 +47,39 @@ class Basis:
         whole = np.hstack([matrix @ block[: matrix.shape[1]] for block in self.blocks])
         return whole if self.directions is None else np.asarray(whole @ self.directions)
 
-    def inner(self, columns: FloatArray, rows: slice | IntArray = slice(None)) -> FloatArray:
-        """Products (r, k) of ``rows``, ascending, of the blocks with as many rows of ``columns`` (len(rows), k)."""
-        if isinstance(rows, slice):
-            parts = [block[rows].T @ columns for block in self.blocks]
-        else:
-            parts = [_inner(block, rows, columns) for block in self.blocks]
-        return np.vstack([*parts, np.zeros((0, columns.shape[1]))])
+    def inner(self, columns: FloatArray) -> FloatArray:
+        """Products (r, k) of the blocks' first m rows with ``columns`` (m, k)."""
+        return self.inner_of(lambda rows: [(0, columns[rows])], (len(columns), 1, columns.shape[1]))[0]
+
+    def inner_of(
+        self, given: Callable[[slice], Iterable[tuple[int, FloatArray]]], shape: tuple[int, int, int]
+    ) -> FloatArray:
+        """Products (t, r, k) of the blocks' first m rows with t times columns (m, k) that are ``given`` by rows.
+
+        ``shape`` is (m, t, k). Which of them are not zero there, and these rows of them, is asked for once for each
+        piece of rows, so that they need not be kept.
+        """
+        count, several, width = shape
+
+        def work(pieces: Sequence[slice]) -> FloatArray:
+            totals = np.zeros((several, int(self._starts[-1]), _padded(width)))
+            for rows in pieces:
+                found = list(given(rows))
+                for block, (start, end) in zip(self.blocks, pairwise(self._starts), strict=True):
+                    _add_inner(block[rows], found, totals[:, start:end])
+            return totals
+
+        pieces, threads = list(_pieces(count)), thread_count()
+        totals = in_threads(work, [pieces[k::threads] for k in range(threads)])
+        return np.asarray(sum(totals[1:], totals[0])[:, :, :width])
 
     def subtract_in_place(self, columns: FloatArray, known: FloatArray) -> None:
         """``columns`` (n, k) less the combination ``known`` (r, k) of the blocks."""
-        starts = np.cumsum([0, *(block.shape[1] for block in self.blocks)])
+        factors = -np.pad(known, ((0, 0), (0, _padded(known.shape[1]) - known.shape[1])))
 
         def work(rows: slice) -> None:
-            for block, start in zip(self.blocks, starts, strict=False):
-                columns[rows] -= block[rows] @ known[start : start + block.shape[1]]
+            for block, (start, end) in zip(self.blocks, pairwise(self._starts), strict=True):
+                _add_combination(block[rows], factors[start:end], columns[rows])
 
         in_threads(work, list(_pieces(len(columns))))
 
@@ -63,24 +89,40 @@ class Basis:
         self.subtract_in_place(total, -known)
         return total
 
+    @cached_property
+    def _starts(self) -> IntArray:
+        """Columns before each block, and in all of them."""
+        return np.cumsum([0, *(block.shape[1] for block in self.blocks)])
 
-def _inner(block: FloatArray, rows: IntArray, columns: FloatArray) -> FloatArray:
-    """block[rows].T @ columns; ``rows`` ascend, and long runs of them need no copy of the block."""
-    ends = np.flatnonzero(np.diff(rows, append=-1) != 1) + 1
-    starts = np.concatenate([[0], ends[:-1]])
-    is_long = ends - starts > _PIECE
-    runs = [slice(s, e) for s, e in zip(starts[is_long].tolist(), ends[is_long].tolist(), strict=True)]
-    total = np.zeros((block.shape[1], columns.shape[1]))
-    for run in runs:
-        total += block[rows[run.start] : rows[run.stop - 1] + 1].T @ columns[run]
-    short = np.flatnonzero(np.repeat(~is_long, ends - starts))
-    for piece in _pieces(len(short)):
-        total += block[rows[short[piece]]].T @ columns[short[piece]]
-    return total
+
+def _padded(width: int) -> int:
+    """Columns (of sums) that compiled code takes for so many, all zero beyond."""
+    kernels = compiled("tall")
+    return width if kernels is None or width > _FEW else -(-width // kernels.PAIR) * kernels.PAIR
+
+
+def _add_inner(block: Columns, found: Sequence[tuple[int, FloatArray]], totals: FloatArray) -> None:
+    """Add block^T y to ``totals[t]`` for each (t, y) that was ``found``."""
+    kernels = compiled("tall") if totals.shape[2] <= _FEW else None
+    whole = block if kernels is not None else block.astype(float, copy=False)
+    for t, y in found:
+        if kernels is not None:
+            kernels.add_inner(whole, y, totals[t])
+        else:
+            totals[t] += whole.T @ y
+
+
+def _add_combination(block: Columns, factors: FloatArray, total: FloatArray) -> None:
+    """Add block factors to ``total`` (m, k); ``factors`` may have more columns, which are zero."""
+    kernels = compiled("tall") if factors.shape[1] <= _FEW else None
+    if kernels is not None:
+        kernels.add_combination(block, factors, total)
+    else:
+        total += block.astype(float, copy=False) @ factors
 
 
 def _pieces(count: int) -> Iterator[slice]:
-    return (slice(i, i + _PIECE) for i in range(0, count, _PIECE))
+    return (slice(i, min(i + _PIECE, count)) for i in range(0, count, _PIECE))
 
 
 def real_columns(blocks: Sequence[ComplexArray]) -> FloatArray:
@@ -105,12 +147,12 @@ def orthonormal_extension(
     coordinates of all columns, scaled to unit length, in the basis and the new directions together.
     """
     _scale_in_place(columns, widths, n_u)
-    known = basis.inner(columns[:n_u], slice(n_u))
+    known = basis.inner(columns[:n_u])
     basis.subtract_in_place(columns, known)
     gram = columns[:n_u].T @ columns[:n_u]
     directions = _directions(gram, widths, drop)
     new = _combined_in_place(columns, directions)
-    basis.subtract_in_place(new, basis.inner(new[:n_u], slice(n_u)))  # weak directions had rounding of known ones left
+    basis.subtract_in_place(new, basis.inner(new[:n_u]))  # weak directions had rounding of known ones left
     half = np.linalg.inv(np.linalg.cholesky(new[:n_u].T @ new[:n_u])).T
     return new @ half, np.vstack([known, (directions @ half).T @ gram])
 

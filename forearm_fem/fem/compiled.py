@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 _log = logging.getLogger("forearm_fem.fem")
-MODULES = ("patterns", "rows", "frontal.factor")
+MODULES = ("patterns", "rows", "tall", "frontal.factor")
 
 
 @lru_cache

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..typing import ComplexArray, FloatArray
-from .basis import Basis
+from .basis import Basis, Columns
 from .coefficients import rate_weights
 from .direct import ENOUGH, DirectSolver
 
@@ -78,7 +78,7 @@ class Chunk:
     ``residual`` what was left of the forces.
     """
 
-    columns: FloatArray
+    columns: Columns
     pairs: Pairs
     last: int
     derivatives: int
@@ -108,7 +108,7 @@ class RateSpace:
         if self._start is None:
             self._start = self._first_solution()
         known, old = self._basis, self._pairs
-        columns, end = np.empty((len(self._forces), count * self._forces.shape[1])), 0
+        columns, end = np.empty((len(self._forces), count * self._forces.shape[1]), self._number), 0
         for _ in range(count):
             if self.derivatives and not self._last:
                 break
@@ -119,6 +119,12 @@ class RateSpace:
         pairs = self._pairs.last(self._pairs.count - old.count)
         return Chunk(columns[:, :end], pairs, self._last, self.derivatives, self.residual)
 
+    @property
+    def _number(self) -> type[np.float32] | type[np.float64]:
+        """What columns are kept in: rounding to single precision is a tenth of what single-precision solves leave."""
+        rough = self._solver.factor.single and self._solver.tolerance >= ENOUGH
+        return np.float32 if rough else np.float64
+
     def _first_solution(self) -> FloatArray:
         """Factorise and solve for the forces."""
         solution = self._solver.about_rate(self._weights[0], self._forces)
@@ -127,13 +133,13 @@ class RateSpace:
 
     def _derivative(self) -> FloatArray:
         """The next derivative (n, last) of the solutions that the last pairs stand for."""
-        latest = self._pairs.last(self._last)
-        both = self._basis.combination(np.hstack([latest.upper, latest.lower]))
-        one, two = self._products(both[:, : self._last] + 1j * both[:, self._last :], 1, 2)
-        right = -one.real - two.imag
+        latest, one, two = self._pairs.last(self._last), self._weights[1], self._weights[2]
+        both = self._basis.combination(np.hstack([latest.upper, 2 * latest.upper + latest.lower]))
+        # A_1 x_(k-1) + A_2 x_(k-2) so that masses, whose part of A_1 is twice that of A_2, take one product and not two
+        right = -self._product(np.array([one - 2 * two, two]), both[:, : self._last], both[:, self._last :])
         x = self._solved(right)
         if self._needs_refining():
-            change = self._solved(right - self._products(x, 0)[0].real)
+            change = self._solved(right - self._product(self._weights[:1], x))
             x = x + change
             n_u = self._solver.model.operator.n_displacements
             self._correction = float(np.linalg.norm(change[:n_u]) / np.linalg.norm(x[:n_u]))
@@ -149,7 +155,7 @@ class RateSpace:
         n_u, rest = self._solver.model.operator.n_displacements, x.copy()
         lengths, coordinates = np.linalg.norm(x[:n_u], axis=0), np.zeros((len(self._pairs.upper), x.shape[1]))
         for _ in range(2):
-            known = self._basis.inner(rest[:n_u], slice(n_u))
+            known = self._basis.inner(rest[:n_u])
             self._basis.subtract_in_place(rest, known)
             coordinates += known
             gram = _gram(rest[:n_u])
@@ -164,12 +170,9 @@ class RateSpace:
         self._pairs, self._last, self.derivatives = self._pairs.and_then(new), new.count, self.derivatives + 1
         return np.asarray(rest @ directions)
 
-    def _products(self, x: FloatArray | ComplexArray, *orders: int) -> list[ComplexArray]:
-        """A_k x for each k of ``orders``."""
-        totals = [np.zeros(x.shape, dtype=complex) for _ in orders]
-        weights = self._weights[list(orders)].astype(complex)
-        self._solver.model.operator.matrices.add_products_in_place(totals, weights, x.astype(complex, copy=False))
-        return totals
+    def _product(self, weights: FloatArray, *columns: FloatArray) -> FloatArray:
+        """sum_j sum_t ``weights[j, t]`` A_t x_j for the ``columns`` x_j (n, k)."""
+        return self._solver.model.operator.matrices.real_sum(weights, columns)
 
     def _solved(self, right: FloatArray) -> FloatArray:
         return np.asarray(self._solver.factor.solve(right))

@@ -55,6 +55,19 @@ def doubles_at(context: Any, address: Any) -> Any:
 
 
 @intrinsic
+def as_doubles(context: Any, address: Any, like: Any) -> Any:
+    """The eight numbers at ``address`` in double precision; there they are of the type of the array ``like``."""
+    single = like.dtype == types.float32
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = (_eight_floats if single else _doubles).lanes
+        found = builder.load(builder.inttoptr(arguments[0], kind.as_pointer()), align=_ALIGNED)
+        return builder.fpext(found, _doubles.lanes) if single else found
+
+    return _doubles(types.intp, like), build
+
+
+@intrinsic
 def floats_at(context: Any, address: Any) -> Any:
     """The sixteen floats at ``address``."""
     return _floats(types.intp), _load

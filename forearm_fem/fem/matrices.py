@@ -49,30 +49,46 @@ class SymmetricMatrices:
         start, end = self.indptr[t, 0], self.indptr[t, -1]
         return csr_array((self.data[start:end], self.indices[start:end], self.indptr[t] - start), shape=(self.n,) * 2)
 
-    @cached_property
-    def touched(self) -> tuple[IntArray, ...]:
-        """Rows of each matrix that are not empty."""
-        return tuple(np.flatnonzero(np.diff(own)) for own in self.indptr)
+    def touching(self, rows: slice) -> list[int]:
+        """Which matrices have entries in ``rows``."""
+        return np.flatnonzero(self.indptr[:, rows.stop] > self.indptr[:, rows.start]).tolist()
 
-    def product(self, t: int, x: FloatArray) -> FloatArray:
-        """The rows ``touched[t]`` of A_t x (len(touched[t]), k) for real columns ``x`` (n, k).
+    def products(self, x: Columns) -> Callable[[int, slice], FloatArray]:
+        """What gives some rows (m, k) of A_t x, for t and these rows; ``x`` (n, k) are real columns.
 
         Raises ValueError for another n, beyond which compiled code would read.
         """
         self._check(x)
-        kernels, rows, k = compiled("rows"), self.touched[t], x.shape[1]
+        kernels, k = compiled("rows"), x.shape[1]
         if kernels is None:
-            return np.asarray((self.one(t) @ x)[rows])
-        x = _wide(x)
-        y = np.empty((len(rows), x.shape[1]))
+            return lambda t, rows: np.asarray(self.one(t)[rows] @ x)
+        wide = _wide(x)
+
+        def product(t: int, rows: slice) -> FloatArray:
+            y = np.empty((rows.stop - rows.start, wide.shape[1]))
+            kernels.some_rows((rows.start, rows.stop), self.indptr[t], self.indices, self.data, wide, y)
+            return y[:, :k]
+
+        return product
+
+    def real_sum(self, weights: FloatArray, columns: Sequence[FloatArray]) -> FloatArray:
+        """sum_j sum_t ``weights[j, t]`` A_t x_j (n, k) for real ``columns`` x_j (n, k), all of one width.
+
+        Raises ValueError for other shapes, beyond which compiled code would read.
+        """
+        self._check(columns[0], *(x for x in columns if x.shape != columns[0].shape))
+        kernels, k = compiled("rows"), columns[0].shape[1]
+        if kernels is None:
+            used = [(t, j) for j, t in np.argwhere(weights)]
+            return np.asarray(sum((weights[j, t] * (self.one(t) @ columns[j]) for t, j in used), np.zeros((self.n, k))))
+        sources = [_wide(x) for x in columns]
+        total, addresses = np.empty((self.n, sources[0].shape[1])), np.array([x.ctypes.data for x in sources])
 
         def work(piece: tuple[int, int]) -> None:
-            some = rows[slice(*piece)]
-            to = y.ctypes.data + y.strides[0] * piece[0]
-            kernels.chosen_rows(some, self.indptr[t], self.indices, self.data, x.ctypes.data, x.shape[1], to)
+            kernels.weighted_rows(piece, self.indptr, self.indices, self.data, addresses, weights, total)
 
-        self._in_pieces(work, np.cumsum(np.diff(self.indptr[t])[rows]))
-        return y[:, :k]
+        self._in_pieces(work, self._work)
+        return total[:, :k]
 
     def add_products_in_place(self, totals: Sequence[ComplexArray], weights: ComplexArray, x: ComplexArray) -> None:
         """Add sum_t ``weights[o, t]`` A_t x to ``totals[o]`` (n, k), for complex columns ``x`` (n, k).
@@ -125,10 +141,10 @@ class SymmetricMatrices:
         return None
 
 
-def _wide(x: NDArray[Any]) -> FloatArray:
+def _wide(x: NDArray[Any]) -> NDArray[Any]:
     """``x`` (n, k) by rows, with columns of zeros where it has fewer than the kernels take."""
     missing = _LANES - x.shape[1]
-    return np.ascontiguousarray(np.pad(x, ((0, 0), (0, missing))) if missing > 0 else x, dtype=float)
+    return np.ascontiguousarray(np.pad(x, ((0, 0), (0, missing))) if missing > 0 else x)
 
 
 def _whole(upper: csr_array) -> tuple[IntArray, IntArray, FloatArray]:

@@ -9,14 +9,15 @@ the imaginary parts is used.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..typing import ComplexArray, FloatArray, IntArray
-from .basis import Basis, orthonormal_extension, real_columns
+from .basis import Basis, Columns, orthonormal_extension, real_columns
 from .coefficients import Coefficient, grouped
+from .matrices import SymmetricMatrices
 from .model import ForearmModel
 from .operator import AffineOperator
 
@@ -138,33 +139,42 @@ def extend(
     return with_columns(reduced, model, added, coordinates[:, ~np.concatenate(highest)])
 
 
-def with_columns(reduced: ReducedModel, model: ForearmModel, added: FloatArray, low: FloatArray) -> ReducedModel:
+def with_columns(reduced: ReducedModel, model: ForearmModel, added: Columns, low: FloatArray) -> ReducedModel:
     """The space with orthonormal ``added`` columns (n, k); ``low`` (r + k, m) are the lower model's snapshots in it."""
     old = np.vstack([reduced.low, np.zeros((added.shape[1], reduced.low.shape[1]))])
     return replace(
         reduced,
         matrices=_extended_matrices(reduced, model.operator, added),
-        functionals=np.vstack([reduced.functionals, added.T @ model.functionals]),
+        functionals=np.vstack([reduced.functionals, Basis((added,)).inner(model.functionals)]),
         basis=reduced.basis.with_block(added),
         low=np.hstack([old, low]),
     )
 
 
-def with_last_columns(reduced: ReducedModel, model: ForearmModel, added: FloatArray) -> ReducedModel:
+def with_last_columns(reduced: ReducedModel, model: ForearmModel, added: Columns) -> ReducedModel:
     """The space with orthonormal columns ``added`` (n, k), without which the lower model is all there was."""
     nothing = np.zeros((reduced.size + added.shape[1], 0))
     return with_columns(replace(reduced, low=np.eye(reduced.size)), model, added, nothing)
 
 
-def _extended_matrices(reduced: ReducedModel, operator: AffineOperator, added: FloatArray) -> FloatArray:
+def _extended_matrices(reduced: ReducedModel, operator: AffineOperator, added: Columns) -> FloatArray:
     """Projected matrices of all terms; only products with the added columns are new."""
     old, basis = reduced.size, reduced.basis.with_block(added)
     total = old + added.shape[1]
     matrices = np.zeros((len(operator.terms), total, total))
     matrices[:, :old, :old] = reduced.matrices
-    for t, matrix in enumerate(matrices):
-        columns = basis.inner(operator.matrices.product(t, added), operator.matrices.touched[t])
+    for matrix, columns in zip(matrices, _projected(basis, operator.matrices, added), strict=True):
         matrix[:, old:] = columns
         matrix[old:, :old] = columns[:old].T
         matrix[old:, old:] = _symmetric(columns[old:])
     return matrices
+
+
+def _projected(basis: Basis, matrices: SymmetricMatrices, added: Columns) -> FloatArray:
+    """Products (n_term, r, k) of the basis with A_t times the ``added`` columns (n, k), in one pass over the rows."""
+    product = matrices.products(added)
+
+    def given(rows: slice) -> Iterator[tuple[int, FloatArray]]:
+        return ((t, product(t, rows)) for t in matrices.touching(rows))
+
+    return basis.inner_of(given, (matrices.n, len(matrices.indptr), added.shape[1]))
