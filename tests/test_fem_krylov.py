@@ -1,11 +1,13 @@
 """The space about a real rate: what it holds, when it ends, and the reduced sweep that starts from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.coefficients import rate_weights
-from forearm_fem.fem.direct import DirectSolver, make_solver, watched
+from forearm_fem.fem.direct import ENOUGH, DirectSolver, make_solver, watched
 from forearm_fem.fem.expand import expansion_rate
 from forearm_fem.fem.krylov import Chunk, RateSpace
 from forearm_fem.fem.model import ForearmModel
@@ -99,6 +101,36 @@ def test_in_pieces_as_at_once(model):
         both = np.hstack([whole(first, model), whole(second, model)])
         # weak remainders are magnified, and rounding with them
         assert np.abs(columns - both @ (both.T @ columns)).max() < 1e-7
+
+
+def single_space(model, chunks=()) -> RateSpace:
+    """A space for a sweep that is asked for 1e-4: its solves are refined to 1e-7."""
+    solver = replace(make_solver(model, AUTO, 100.0), tolerance=ENOUGH)
+    return RateSpace(solver, np.ascontiguousarray(model.functionals), RATE, chunks)
+
+
+def test_single_precision_solves_keep_columns_in_single_precision(model, truth, monkeypatch):
+    """Half the memory where no more is asked for than such solves give: errors are those of columns in double."""
+    assert space_of(model, DOUBLE).more(1).columns.dtype == np.float64
+    assert space_of(model, AUTO).more(1).columns.dtype == np.float64  # refined to 1e-9: more is asked for
+    chunks = [single_space(model).more(20)]
+    assert chunks[0].columns.dtype == np.float32
+    columns = whole(chunks[0], model).astype(float)
+    assert np.abs(columns.T @ columns - np.eye(columns.shape[1])).max() < 1e-6
+    monkeypatch.setattr(RateSpace, "_number", np.float64)
+    chunks.append(single_space(model).more(20))
+    models = [with_last_columns(empty_model(model), model, chunk.columns) for chunk in chunks]
+    errors = [relative_error(of_contacts(model, reduced.compliance(CHECK)), truth).max() for reduced in models]
+    assert errors[0] < 2 * errors[1]  # either is what solves leave, to a factor that chance decides
+
+
+def test_resumed_from_single_precision_it_is_the_same(model):
+    """What an interrupted sweep kept are the columns themselves then, whichever precision they come back in."""
+    first = single_space(model).more(10)
+    again = replace(first, columns=first.columns.astype(float))
+    one, other = (single_space(model, (chunk,)).more(5) for chunk in (first, again))
+    assert np.array_equal(one.columns, other.columns)
+    assert np.array_equal(one.pairs.upper, other.pairs.upper)
 
 
 def test_equal_forces_give_one_column(model):

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array, random_array, triu
 
 from forearm_fem.fem import assembly, sparse
+from forearm_fem.fem import basis as bases
 from forearm_fem.fem import factor as factors
 from forearm_fem.fem import matrices as kept
 from forearm_fem.fem import operator as operators
@@ -62,17 +63,39 @@ def test_weighted_sums_are_those_of_dense_matrices(n, k, density, outputs):
 
 
 @needs_numba
-@settings(max_examples=30, deadline=None)
-@given(n=st.integers(1, 40), k=st.integers(1, 70), density=st.floats(0, 0.4))
-def test_real_products_are_the_rows_that_are_touched(n, k, density):
-    given_, x = uppers(n, 1, density), random_columns(n, k).real
+@settings(max_examples=60, deadline=None)
+@given(
+    n=st.integers(1, 40), k=st.integers(1, 70), density=st.floats(0, 0.4), number=st.sampled_from([np.float32, float])
+)
+def test_real_products_are_those_of_dense_matrices(n, k, density, number):
+    """Any rows, of any width; columns in single precision are multiplied in double."""
+    given_, x = uppers(n, 1, density), random_columns(n, k).real.astype(number)
     matrices = SymmetricMatrices.from_uppers(given_)
-    for t, upper in enumerate(given_):
-        rows = np.flatnonzero(np.any(whole(upper), axis=1))
-        assert np.array_equal(matrices.touched[t], rows)
-        found = matrices.product(t, x)
-        assert found.shape == (len(rows), k)
-        assert np.abs(found - (whole(upper) @ x)[rows]).max(initial=0) < 1e-13 * np.abs(x).max() * 40
+    product = matrices.products(x)
+    for rows in (slice(0, n), slice(n // 3, n // 2 + 1)):
+        exact = [(whole(upper) @ x.astype(float))[rows] for upper in given_]
+        assert matrices.touching(rows) == [t for t, upper in enumerate(given_) if whole(upper)[rows].any()]
+        for t, right in enumerate(exact):
+            assert np.abs(product(t, rows) - right).max(initial=0) < 1e-13 * np.abs(x).max() * 40
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    n=st.integers(1, 40), k=st.integers(1, 40), density=st.floats(0, 0.4), count=st.integers(1, 3), fast=st.booleans()
+)
+def test_real_sums_are_those_of_dense_matrices(n, k, density, count, fast):
+    given_, columns = uppers(n, 2, density), [random_columns(n, k + 2 * j).real[:, :k] for j in range(count)]
+    weights = random_columns(count, len(given_)).real
+    weights[0, 1] = 0
+    exact = sum(
+        w * whole(u) @ x for x, row in zip(columns, weights, strict=True) for u, w in zip(given_, row, strict=True)
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        if not fast:
+            patch.setattr(kept, "compiled", lambda _: None)
+        found = SymmetricMatrices.from_uppers(given_).real_sum(weights, columns)
+    assert found.shape == (n, k)
+    assert np.abs(found - exact).max() < 1e-13 * max(np.abs(exact).max(), 1)
 
 
 @pytest.mark.parametrize("width", [1, 5, 13])
@@ -84,17 +107,23 @@ def test_threads_and_scipy_give_the_same(width, monkeypatch):
     def found():
         matrices, totals = SymmetricMatrices.from_uppers(given_), [np.zeros((20_000, width), complex) for _ in range(2)]
         matrices.add_products_in_place(totals, weights, x)
-        return np.array(totals), matrices.product(0, x.real)
+        return (
+            np.array(totals),
+            matrices.products(x.real)(0, slice(7, 19_990)),
+            matrices.real_sum(weights.real, [x.real, x.imag]),
+        )
 
-    threaded, real = found()
+    threaded, *real = found()
     monkeypatch.setattr(kept, "_LARGE", 10**9)
-    alone, real_alone = found()
+    alone, *real_alone = found()
     assert np.array_equal(threaded, alone)
-    assert np.array_equal(real, real_alone)
+    for one, other in zip(real, real_alone, strict=True):
+        assert np.array_equal(one, other)
     monkeypatch.setattr(kept, "compiled", lambda _: None)
-    by_scipy, real_by_scipy = found()
+    by_scipy, *real_by_scipy = found()
     assert np.abs(by_scipy - alone).max() < 1e-13 * np.abs(alone).max()
-    assert np.abs(real_by_scipy - real).max() < 1e-13 * np.abs(real).max()
+    for one, other in zip(real_by_scipy, real, strict=True):
+        assert np.abs(one - other).max() < 1e-13 * np.abs(other).max()
 
 
 def test_terms_add_up_to_the_operator():
@@ -112,7 +141,7 @@ def test_a_sweep_without_compiled_code_is_the_same(monkeypatch):
         return reduced_sweep(held_block(2, tissue=flesh(bulk=2.2e9)), np.linspace(50, 150, 11), SolverOptions()).values
 
     fast = sweep()
-    for module in (kept, operators, assembly, sparse):
+    for module in (kept, bases, operators, assembly, sparse):
         monkeypatch.setattr(module, "compiled", lambda _: None)
     monkeypatch.setattr(factors, "_compiles", lambda: False)
     plain = sweep()
@@ -162,6 +191,8 @@ def shuffled(matrix: csr_array, random: np.random.Generator) -> csr_array:
 def test_other_shapes_are_refused():
     matrices = SymmetricMatrices.from_uppers(uppers(30, 1, 0.2))
     with pytest.raises(ValueError, match="30 columns were given arrays of \\(29, 2\\)"):
-        matrices.product(0, np.zeros((29, 2)))
+        matrices.products(np.zeros((29, 2)))
     with pytest.raises(ValueError, match="arrays of \\(30, 2\\) and \\(30, 1\\)"):
         matrices.add_products_in_place([np.zeros((30, 1), complex)], np.ones((1, 2)), np.zeros((30, 2), complex))
+    with pytest.raises(ValueError, match="arrays of \\(30, 2\\) and \\(30, 1\\)"):
+        matrices.real_sum(np.ones((2, 2)), [np.zeros((30, 2)), np.zeros((30, 1))])

@@ -7,13 +7,14 @@ import pytest
 from scipy.sparse import csr_array
 
 from forearm_fem.errors import SolverError
+from forearm_fem.fem import basis as bases
 from forearm_fem.fem.basis import Basis, orthonormal_extension, real_columns
 from forearm_fem.fem.certify import doubt, probe_frequencies
 from forearm_fem.fem.compress import compressed, pole_residue
 from forearm_fem.fem.direct import make_solver
 from forearm_fem.fem.expand import expansion_frequencies
 from forearm_fem.fem.pardiso import library
-from forearm_fem.fem.reduce import empty_model, extend
+from forearm_fem.fem.reduce import empty_model, extend, with_last_columns
 from forearm_fem.fem.sweep import direct_sweep, reduced_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
@@ -272,20 +273,56 @@ def test_negligible_columns_are_no_directions():
     assert np.abs(added @ added.T - np.diag([1, 1, 0])).max() < 1e-14
 
 
-@pytest.mark.parametrize("rows", [slice(0, 4500), np.arange(1, 5000, 3)])
-def test_basis_works_in_pieces_as_if_it_were_whole(rows):
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("width", [3, 16, 26, 40])
+def test_basis_works_in_pieces_as_if_it_were_whole(width, compiled, monkeypatch):
+    """Blocks in single and in double precision, few columns and many, with compiled code and by BLAS."""
+    if not compiled:
+        monkeypatch.setattr(bases, "compiled", lambda _: None)
     rng = np.random.default_rng(1)
-    whole, columns = rng.normal(size=(5000, 7)), rng.normal(size=(5000, 3))
-    basis = Basis((whole[:, :4].copy(), whole[:, 4:].copy()))
-    assert basis.inner(columns[rows], rows) == pytest.approx(whole[rows].T @ columns[rows], rel=1e-12, abs=1e-9)
-    known, directions = rng.normal(size=(7, 3)), rng.normal(size=(7, 2))
+    whole, columns = rng.normal(size=(5000, 70)), rng.normal(size=(5000, width))
+    whole[:, :5] = whole[:, :5].astype(np.float32)
+    basis = Basis((whole[:, :5].astype(np.float32), whole[:, 5:].copy()))
+    assert basis.inner(columns[:4501]) == pytest.approx(whole[:4501].T @ columns[:4501], rel=1e-12, abs=1e-9)
+    known, directions = rng.normal(size=(70, width)), rng.normal(size=(70, 2))
     less = columns.copy()
     basis.subtract_in_place(less, known)
     assert less == pytest.approx(columns - whole @ known, abs=1e-12)
+    assert basis.combination(known) == pytest.approx(whole @ known, abs=1e-12)
     matrix, again = csr_array(rng.normal(size=(2, 4900))), rng.normal(size=(2, 2))
     assert basis.combined(directions).combined(again).seen_by(matrix) == pytest.approx(
         matrix @ whole[:4900] @ directions @ again, rel=1e-12, abs=1e-9
     )
+
+
+def test_a_basis_asks_for_what_is_not_zero_piece_by_piece():
+    """Two sets of columns, of which the first is given where its rows are below 1000, and the second further on."""
+    rng = np.random.default_rng(2)
+    block, columns = rng.normal(size=(3000, 4)), rng.normal(size=(2, 3000, 6))
+    columns[0, 1024:], columns[1, :1024] = 0, 0
+
+    def given(rows):
+        t = int(rows.start >= 1024)
+        return [(t, columns[t, rows])]
+
+    found = Basis((block[:, :1], block[:, 1:])).inner_of(given, (3000, 2, 6))
+    assert found == pytest.approx(block.T @ columns, rel=1e-12, abs=1e-9)
+
+
+@pytest.mark.parametrize("number", [np.float32, float])
+def test_projected_matrices_are_those_of_dense_products(model, number):
+    """Of columns as they are kept: what rounding to single precision changes is the same in all terms."""
+    rng = np.random.default_rng(3)
+    reduced, whole = empty_model(model), rng.normal(size=(model.operator.n, 9)).astype(number)
+    for part in (whole[:, :5], whole[:, 5:]):
+        reduced = with_last_columns(reduced, model, part)
+    whole = whole.astype(float)
+    for term, matrix in zip(model.operator.terms, reduced.matrices, strict=True):
+        upper = model.operator.term_matrix(term).toarray()
+        exact = whole.T @ (upper + upper.T - np.diag(np.diag(upper))) @ whole
+        assert np.abs(matrix - exact).max() < 1e-12 * np.abs(exact).max()
+        assert np.array_equal(matrix, matrix.T)
+    assert reduced.functionals == pytest.approx(whole.T @ model.functionals, rel=1e-12, abs=1e-12)
 
 
 def test_expansion_frequencies_are_bins_of_the_band():

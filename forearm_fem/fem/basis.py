@@ -49,7 +49,8 @@ class Basis:
 
     def inner(self, columns: FloatArray) -> FloatArray:
         """Products (r, k) of the blocks' first m rows with ``columns`` (m, k)."""
-        return self.inner_of(lambda rows: [(0, columns[rows])], (len(columns), 1, columns.shape[1]))[0]
+        products = self.inner_of(lambda rows: [(0, columns[rows])], (len(columns), 1, columns.shape[1]))
+        return np.asarray(products[0])
 
     def inner_of(
         self, given: Callable[[slice], Iterable[tuple[int, FloatArray]]], shape: tuple[int, int, int]
@@ -69,19 +70,19 @@ class Basis:
                     _add_inner(block[rows], found, totals[:, start:end])
             return totals
 
-        pieces, threads = list(_pieces(count)), thread_count()
-        totals = in_threads(work, [pieces[k::threads] for k in range(threads)])
+        totals = in_threads(work, _shared(count))
         return np.asarray(sum(totals[1:], totals[0])[:, :, :width])
 
     def subtract_in_place(self, columns: FloatArray, known: FloatArray) -> None:
         """``columns`` (n, k) less the combination ``known`` (r, k) of the blocks."""
         factors = -np.pad(known, ((0, 0), (0, _padded(known.shape[1]) - known.shape[1])))
 
-        def work(rows: slice) -> None:
-            for block, (start, end) in zip(self.blocks, pairwise(self._starts), strict=True):
-                _add_combination(block[rows], factors[start:end], columns[rows])
+        def work(pieces: Sequence[slice]) -> None:
+            for rows in pieces:
+                for block, (start, end) in zip(self.blocks, pairwise(self._starts), strict=True):
+                    _add_combination(block[rows], factors[start:end], columns[rows])
 
-        in_threads(work, list(_pieces(len(columns))))
+        in_threads(work, _shared(len(columns)))
 
     def combination(self, known: FloatArray) -> FloatArray:
         """The combination ``known`` (r, k) of the blocks' columns, (n, k)."""
@@ -123,6 +124,12 @@ def _add_combination(block: Columns, factors: FloatArray, total: FloatArray) -> 
 
 def _pieces(count: int) -> Iterator[slice]:
     return (slice(i, min(i + _PIECE, count)) for i in range(0, count, _PIECE))
+
+
+def _shared(count: int) -> list[list[slice]]:
+    """Pieces of so many rows, shared by the threads in turn."""
+    pieces, threads = list(_pieces(count)), thread_count()
+    return [pieces[k::threads] for k in range(threads)]
 
 
 def real_columns(blocks: Sequence[ComplexArray]) -> FloatArray:

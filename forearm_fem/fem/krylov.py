@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..typing import ComplexArray, FloatArray
+from ..typing import FloatArray
 from .basis import Basis, Columns
 from .coefficients import rate_weights
 from .direct import ENOUGH, DirectSolver
@@ -24,7 +24,7 @@ _EXACT = 1e-9  # of a solution: none is where refinement changes less
 _BEFORE = 1e-3  # what x_(k-1) counts in a pair; 1 leaves columns that are errors of solves, 0 breaks down without loss
 _NOTHING = 1e-7  # of a derivative's length: a remainder below is what solves leave
 _ROUNDING = 1e-12  # of a pair's length: a remainder below is rounding
-_AGAIN = 0.03  # of a derivative's length: known columns are subtracted twice from remainders below
+_AGAIN = 0.3  # of a derivative's length: known columns are subtracted twice from remainders below
 
 
 @dataclass(frozen=True)

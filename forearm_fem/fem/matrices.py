@@ -53,8 +53,10 @@ class SymmetricMatrices:
         """Which matrices have entries in ``rows``."""
         return np.flatnonzero(self.indptr[:, rows.stop] > self.indptr[:, rows.start]).tolist()
 
-    def products(self, x: Columns) -> Callable[[int, slice], FloatArray]:
-        """What gives some rows (m, k) of A_t x, for t and these rows; ``x`` (n, k) are real columns.
+    def products(self, x: NDArray[Any]) -> Callable[[int, slice], FloatArray]:
+        """What gives some rows (m, k) of A_t x, for t and these rows.
+
+        ``x`` (n, k) are real columns, in single or double precision.
 
         Raises ValueError for another n, beyond which compiled code would read.
         """

@@ -129,7 +129,7 @@ def weighted_rows(
     rows: tuple[int, int], indptr: IntArray, indices: IntArray, data: FloatArray, sources: IntArray,
     weights: FloatArray, total: FloatArray,
 ) -> None:  # fmt: skip
-    """``rows`` from and up to of sum_j sum_t weights[j, t] A_t x_j, for real columns x_j at the addresses sources[j]."""
+    """``rows`` from and up to of sum_j sum_t weights[j, t] A_t x_j, for real columns x_j at addresses sources[j]."""
     width = total.shape[1]
     row, sums = np.zeros(-(-width // _LANES) * _LANES), np.zeros(-(-width // _LANES) * _LANES)
     for i in range(rows[0], rows[1]):
