@@ -84,8 +84,7 @@ def test_rims_of_rigid_discs_are_drawn_in_by_what_elements_miss(monkeypatch):
     fine, coarse, circle = 0.2e-3, 0.83e-3, 0.0
     found = {}
     for rim, lead in ((coarse, circle), (coarse, sizing.SECOND.rim_lead), (fine, sizing.SECOND.rim_lead)):
-        monkeypatch.setattr(sizing, "_RIM", rim / 1.8e-3)
-        monkeypatch.setattr(sizing, "SECOND", replace(sizing.SECOND, rim_lead=lead))
+        monkeypatch.setattr(sizing, "SECOND", replace(sizing.SECOND, rim=rim / 1.8e-3, rim_lead=lead))
         scenario = quarter_slab((0.0133,), side=0.05, depth=0.025, preset="default",
                                 mesh={"size_grid": 1.8e-3, "size_contact": 1.47e-3, "size_far": 6e-3},
                                 layers=LAYERS_O, frequencies=(125.0,), contact="bonded")  # fmt: skip

@@ -15,29 +15,30 @@ from .layout import RIGID, Layout, layers_of
 from .neighbourhood import half_planes
 
 DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics.md 6
-_CONTACT, _FAR, _RIM = 0.8, 6.0, 0.45  # relative to the size between contacts and grid
+_CONTACT, _FAR = 0.8, 6.0  # relative to the size between contacts and grid
 _FARTHEST = 20e-3  # [m] in slabs: larger elements left 4 % at 100 Hz, and slivers in the columns under a contact
 _FARTHEST_AT = 0.05  # accuracy; below, they shrink with its fourth root: points 20 mm away felt the far elements first
-_FACET = 0.25  # [rad] at accuracy 0.05: 0.25 and 0.17 differ by 0.7 % of G over 20-120 Hz (docs/decisions.md)
+_FACET, _WIDEST_FACET = 0.4, 2 * np.pi / 9  # [rad] at accuracy 0.05, and at most
 WIDEST = 0.6  # elements under a contact are at most this many radii
-_WIDEST_FACET = 2 * np.pi / 9  # [rad] of the limb's wall
 _INTO_CORE = 2.2  # the core lies under the layers, where fields are smooth: sizes grow faster there
 _THROUGH = 0.8  # a sublayer is at most about this much of the size between contacts and grid
 
 
 @dataclass(frozen=True)
 class _Rule:
-    """What the element pair changes: elements per shear wavelength, under contacts (in radii), on the limb's wall
-    (facets relative to a bone's), and :attr:`Sizes.rim_lead`."""
+    """What the element pair changes: elements per shear wavelength, under contacts (in radii), at rigid rims
+    (relative to the size between contacts and grid), on the limb's wall (facets relative to a bone's), and
+    :attr:`Sizes.rim_lead`."""
 
     per_wavelength: float
     widest: float
+    rim: float
     wall: float
     rim_lead: float
 
 
-SECOND = _Rule(0.885, WIDEST, 1.0, 0.03)  # default forearm: 0.885 * 4.4 mm * 0.05**(1/4) = 1.84 mm
-GRADED = _Rule(2.03, 0.43, 1.6, 0.025)  # third order around the ports: elements 2.3 times as large
+SECOND = _Rule(0.885, WIDEST, 0.45, 1.0, 0.03)  # default forearm: 0.885 * 4.4 mm * 0.05**(1/4) = 1.84 mm
+GRADED = _Rule(1.8, 0.43, 0.4, 1.25, 0.025)  # third order around the ports: elements twice as large
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     """Sizes for ``scenario``; explicit mesh options win, ``scale`` multiplies every size.
 
     ``shear_speed`` maps tissues to their shear wave speed at ``f_max`` [m/s]. Outputs of P2 elements converge
-    like h^4, hence h = 0.885 lambda_min accuracy^(1/4), and 2.3 times that with third order around the ports.
+    like h^4, hence h = 0.885 lambda_min accuracy^(1/4), and twice that with third order around the ports.
     """
     options, radius = scenario.mesh, scenario.device.cone.radius
     rule = GRADED if scenario.element == "P2/P3" else SECOND
@@ -79,16 +80,15 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     coarsest = _FARTHEST * min(1.0, (scenario.accuracy / _FARTHEST_AT) ** 0.25)
     farthest = scale * coarsest if isinstance(scenario.limb, SlabLimb) else np.inf
     far = scale * options.size_far if options.size_far else min(_FAR * grid, farthest)
-    rim = min(_RIM * grid, contact)
+    rim = min(rule.rim * grid, contact)
     finer = 0.5 if scenario.device.cone.contact in RIGID else 1.0  # a rigid rim needs two elements through the skin
     counts = tuple(
         _sublayers(layer.thickness, options.sublayers.get(layer.tissue), grid * (finer if i == 0 else 1.0), scale)
         for i, layer in enumerate(layers_of(scenario.limb))
     )
-    facet = scale * float(np.clip(_FACET * (scenario.accuracy / 0.05) ** 0.5, 0.1, 0.5))
-    return Sizes(
-        contact, grid, max(far, grid), rim, facet, min(rule.wall * facet, _WIDEST_FACET), rule.rim_lead, counts
-    )
+    facet = scale * min(_FACET * (scenario.accuracy / 0.05) ** 0.25, _WIDEST_FACET)
+    wall = min(rule.wall * facet, _WIDEST_FACET)
+    return Sizes(contact, grid, max(far, grid), rim, facet, wall, rule.rim_lead, counts)
 
 
 def _sublayers(thickness: float, asked: int | None, grid: float, scale: float) -> int:

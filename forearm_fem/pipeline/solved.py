@@ -218,7 +218,7 @@ class _Store:
     def _chunk(self, number: int) -> Chunk | None:
         try:
             with self._snapshot(f"rate-{number}").open("rb") as stream, np.load(stream) as data:
-                columns, counts = data["columns"].astype(float), (int(data["last"]), int(data["derivatives"]))
+                columns, counts = data["columns"], (int(data["last"]), int(data["derivatives"]))
                 return Chunk(columns, Pairs(data["upper"], data["lower"]), *counts, float(data["residual"]))
         except _DAMAGED:
             return None
