@@ -1,4 +1,4 @@
-"""Tetrahedra with bent edges: matrices against scikit-fem's isoparametric ones, patch tests, a bone's wall."""
+"""Tetrahedra with bent edges: matrices against scikit-fem's isoparametric ones, patch tests, an oscillating sphere."""
 
 from __future__ import annotations
 
@@ -11,18 +11,13 @@ import skfem
 
 from forearm_fem.fem import assembly, boundary
 from forearm_fem.fem.assembly import TissueMatrices, constrained_matrices, reference_tensors, tissue_matrices
-from forearm_fem.fem.direct import make_solver
-from forearm_fem.fem.model import build_model
 from forearm_fem.fem.orders import graded_orders, uniform_orders
 from forearm_fem.fem.space import mixed_space
-from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.curved import true_volumes
 from forearm_fem.geometry.mesh import Bends
-from forearm_fem.geometry.place import place_ports
 from forearm_fem.geometry.topology import EDGES, keys
-from forearm_fem.scenario import parse_scenario
-from forearm_fem.tissue import resolve_tissues
 from forearm_fem.verification.blocks import block_mesh
+from forearm_fem.verification.closed import sphere_errors
 
 ROUNDING = 1e-12  # of sums of some thousand terms
 
@@ -120,33 +115,11 @@ def test_first_order_elements_stay_straight():
     assert abs(parts[0] - parts[1]).max() == 0
 
 
-LIMB = {
-    "limb": {"shape": "cylinder", "length": 0.08, "diameter": 0.05, "layers": [{"tissue": "skin", "thickness": 2e-3}],
-             "bones": [{"name": "one", "y": 0.0, "depth": 0.0175, "diameter": 0.014}]},
-    "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": "pressure", "radius": 5e-3}},
-    "grid": {"points": [[0.02, 0.0]]},
-    "mesh": {"size_contact": 5e-3, "size_grid": 6e-3, "size_far": 8e-3, "element": "P3"},
-    "supports": {"ends": "fixed"},
-}  # fmt: skip
-
-
-def _receptances(mesh, scenario):
-    model = build_model(mesh, place_ports(scenario, mesh), resolve_tissues(scenario), scenario.supports,
-                        scenario.tissues.membrane, element=scenario.element)  # fmt: skip
-    solver = make_solver(model, scenario.solver, 80.0)
-    return solver.compliance(solver.at(80.0))[:, 0]
-
-
-def test_bends_take_away_most_of_what_flat_facets_cost():
-    """A contact over a bone, 80 Hz, facets of up to 0.75 rad, beside a mesh of which bends hardly change anything."""
-    scenario = parse_scenario(LIMB)
-    half = {"size_contact": 2.5e-3, "size_grid": 3e-3, "size_far": 4e-3}
-    finer = parse_scenario({**LIMB, "mesh": {**LIMB["mesh"], **half}})
-    mesh = build_mesh(scenario)
-    truth = _receptances(build_mesh(finer), finer)
-    bent, flat = (_receptances(m, scenario) for m in (mesh, replace(mesh, bends=Bends())))
-    errors = [np.abs(each - truth).max() / np.abs(truth).max() for each in (bent, flat)]
-    assert errors[0] < 0.4 * errors[1]
+def test_an_oscillating_sphere_needs_few_bent_facets():
+    """Oestreicher's impedance; third order, arcs of 30 degrees. The wall at 12 radii leaves 0.001 of it."""
+    (flat,), (bent,) = (sphere_errors((3,), 300.0, curved=curved, element="P3") for curved in (False, True))
+    assert flat > 0.01
+    assert bent < 0.002
 
 
 def test_oracles_use_a_curved_mesh():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from forearm_fem.errors import GeometryError
+from forearm_fem.geometry.curved import true_volumes
 from forearm_fem.verification import cases, hard, slabs, twin
 from forearm_fem.verification.blocks import block_mesh, shell_mesh
 from forearm_fem.verification.hard_rows import HardCase, Outcome
@@ -87,6 +88,8 @@ def test_blocks_and_shells_fill_their_volume():
     assert shell.volumes.min() > 0
     assert shell.volumes.sum() == pytest.approx(np.pi / 3 * 7, rel=1e-12)  # equal-volume polyhedra
     assert {"symmetry x", "symmetry y", "contact A1", "end"} <= set(shell.facets)
+    round_one = shell_mesh(np.array([1.0, 1.5, 2.0]), 4, curved=True)
+    assert true_volumes(round_one).sum() == pytest.approx(np.pi / 3 * 7, rel=5e-4)  # parabolas for arcs of 22 degrees
 
 
 # --- quick rows ------------------------------------------------------------------------------------------------------

@@ -33,19 +33,25 @@ class Certificate:
     error: float
     change: float = 0.0
     expansions: int = 0
+    wary: bool = False
 
     @property
     def bound(self) -> float:
-        """The error, or the change where that says that one true error cannot speak for the band."""
-        return self.error if self.change <= DOUBTFUL else max(self.error, self.change)
+        """The error, or the change where one true error cannot speak for the band.
+
+        That is so where the change is large, and where resonances were seen to be unresolved before (``wary``).
+        """
+        return max(self.error, self.change) if self.wary or self.change > DOUBTFUL else self.error
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Where the reduced model is doubted most, and its largest ``change`` anywhere (relative to the largest entry)."""
+    """Where the reduced model is doubted most, its largest ``change`` anywhere (relative to the largest entry), and
+    whether every bin was probed because resonances had been seen to be unresolved."""
 
     frequency: float
     change: float
+    wary: bool = False
 
 
 def doubt(
@@ -75,7 +81,7 @@ def doubt(
     change = place = relative_error(_watched(model, reduced.lower(), probes), values)
     if not wary and change.max() <= DOUBTFUL:
         place = relative_error(_watched(model, reduced.lower(_ROUNDING), probes), values)
-    return Doubt(float(probes[int(np.argmax(place))]), float(change.max()))
+    return Doubt(float(probes[int(np.argmax(place))]), float(change.max()), wary)
 
 
 def largest_change(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray) -> float:
@@ -104,7 +110,7 @@ def certified(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArra
     block = np.ix_([0], *watched(model))
     truth = ((model.functionals.T @ solutions) * model.shares)[None]
     estimate = reduced.compliance(np.array([at.frequency]))
-    return Certificate(at.frequency, float(relative_error(estimate[block], truth[block])[0]), at.change, used)
+    return Certificate(at.frequency, float(relative_error(estimate[block], truth[block])[0]), at.change, used, at.wary)
 
 
 def enough(certificates: Sequence[Certificate]) -> bool:

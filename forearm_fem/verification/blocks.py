@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..geometry.mesh import TissueMesh
+from ..geometry.mesh import Bends, TissueMesh
 from ..geometry.prisms import oriented, stack_prisms
-from ..geometry.topology import boundary_faces
+from ..geometry.topology import EDGES, boundary_faces
 from ..typing import FloatArray, IntArray
 
 FACES = ("x0", "x1", "y0", "y1", "z0", "z1")
@@ -65,14 +65,15 @@ def _bent(unit: FloatArray, amount: float) -> FloatArray:
     return np.asarray(unit + bump * np.array([1.0, -0.7, 0.5]))
 
 
-def shell_mesh(radii: FloatArray, splits: int) -> TissueMesh:
+def shell_mesh(radii: FloatArray, splits: int, *, curved: bool = False) -> TissueMesh:
     """Quarter (x, y > 0) of the space between spheres: "contact A1" inside, "end" outside, symmetry planes.
 
     ``radii`` (k,) [m] are the radial levels; each of the two octahedron faces is split ``splits`` times per edge. The
-    vertices lie on the spheres, slightly outwards so that the polyhedron has the sphere's volume.
+    vertices lie on the spheres; unless edges are ``curved`` slightly outwards, so that the polyhedron has the sphere's
+    volume.
     """
     directions, triangles = _quarter_sphere(splits)
-    unit = directions * _volume_factor(directions, triangles)
+    unit = directions * (1.0 if curved else _volume_factor(directions, triangles))
     levels = np.arange(len(unit)) + len(unit) * np.arange(len(radii))[:, None]
     points = (np.asarray(radii)[:, None, None] * unit).reshape(-1, 3)
     tetrahedra = oriented(points, stack_prisms(triangles, levels)[0])
@@ -82,7 +83,16 @@ def shell_mesh(radii: FloatArray, splits: int) -> TissueMesh:
     planes = {f"symmetry {'xy'[i]}": faces[(corner[:, :, i] == 0).all(axis=1)] for i in range(2)}
     inner, outer = faces[(depth == 0).all(axis=1)], faces[(depth == len(radii) - 1).all(axis=1)]
     facets = {**planes, "contact A1": inner, "end": outer, "skin": inner}
-    return TissueMesh(points, tetrahedra, np.zeros(len(tetrahedra), dtype=int), ("block",), facets)
+    bends = _around_origin(points, tetrahedra) if curved else Bends()
+    return TissueMesh(points, tetrahedra, np.zeros(len(tetrahedra), dtype=int), ("block",), facets, bends)
+
+
+def _around_origin(points: FloatArray, tetrahedra: IntArray) -> Bends:
+    """Bends that put the middle of each edge as far from the origin as its ends are on average."""
+    edges = np.unique(np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0)
+    chord = points[edges].mean(axis=1)
+    away = np.linalg.norm(points[edges], axis=2).mean(axis=1)
+    return Bends(edges, chord * (away / np.linalg.norm(chord, axis=1) - 1)[:, None])
 
 
 def _quarter_sphere(splits: int) -> tuple[FloatArray, IntArray]:

@@ -70,15 +70,21 @@ def oestreicher_impedance(omega: float, radius: float, mu: complex, rho: float) 
     return complex(2 / 3 * np.pi * radius**3 * rho * 1j * omega * (1 - 9j / ah - 9 / ah**2))
 
 
-def sphere_errors(splits: Sequence[int], frequency: float) -> list[float]:
-    """Relative error of the impedance of a 3.5 mm sphere, bonded to flesh that is held at 12 radii."""
+def sphere_errors(
+    splits: Sequence[int], frequency: float, *, curved: bool = False, element: str = "P2"
+) -> list[float]:
+    """Relative error of the impedance of a 3.5 mm sphere, bonded to flesh that is held at 12 radii.
+
+    Its facets are flat, or ``curved`` like the sphere.
+    """
     tissue, omega = flesh(), 2 * np.pi * frequency
     exact = oestreicher_impedance(omega, RADIUS, complex(tissue.modulus.at(omega)), tissue.density)
     errors = []
     for n in splits:
         radii = RADIUS * np.geomspace(1.0, 12.0, 2 * n + 1)
         port = Port("A1", "contact", (0.0, 0.0, 0.0), radius=RADIUS, contact="bonded")
-        model = build_model(shell_mesh(radii, n), (port,), {"block": tissue}, Supports(ends="fixed"), Membrane())
+        mesh, held = shell_mesh(radii, n, curved=curved), Supports(ends="fixed")
+        model = build_model(mesh, (port,), {"block": tissue}, held, Membrane(), element=element)
         value = direct_sweep(model, np.array([frequency]), DIRECT).values[0, 0, 0]
         errors.append(float(abs(1 / (1j * omega * value) / exact - 1)))
     return errors
