@@ -88,8 +88,10 @@ def test_blocks_and_shells_fill_their_volume():
     assert shell.volumes.min() > 0
     assert shell.volumes.sum() == pytest.approx(np.pi / 3 * 7, rel=1e-12)  # equal-volume polyhedra
     assert {"symmetry x", "symmetry y", "contact A1", "end"} <= set(shell.facets)
-    round_one = shell_mesh(np.array([1.0, 1.5, 2.0]), 4, curved=True)
-    assert true_volumes(round_one).sum() == pytest.approx(np.pi / 3 * 7, rel=5e-4)  # parabolas for arcs of 22 degrees
+    round_ones = (shell_mesh(np.array([1.0, 1.5, 2.0]), n, curved=True) for n in (4, 8))
+    coarse, fine = (abs(true_volumes(m).sum() / (np.pi / 3 * 7) - 1) for m in round_ones)
+    assert coarse < 2e-3
+    assert coarse / fine == pytest.approx(16, rel=0.1)  # parabolas for arcs: fourth order
 
 
 # --- quick rows ------------------------------------------------------------------------------------------------------
