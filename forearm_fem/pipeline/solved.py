@@ -91,6 +91,7 @@ def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> st
     parts = {
         "version": __version__,
         "mesh": mesh.digest,
+        "bends": hashlib.sha256(mesh.bends.offsets.tobytes()).hexdigest(),
         "ports": [asdict(p) for p in place_ports(scenario, mesh)],
         "tissues": scenario.tissues.model_dump(mode="json"),
         "supports": scenario.supports.model_dump(mode="json"),
