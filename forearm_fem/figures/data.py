@@ -129,14 +129,14 @@ class Results:
 
     @cached_property
     def mesh(self) -> TissueMesh:
-        """The tetrahedra."""
-        return read_mesh(self.path("mesh.vtu"))
+        """The tetrahedra, edges bent as they were when they were solved for."""
+        return with_bends(self.scenario, read_mesh(self.path("mesh.vtu")))
 
     @cached_property
     def field_mesh(self) -> TissueMesh:
         """The mesh with the points where the wavefield is known; the mesh itself in folders written before 0.6.0."""
         older = len(load_wavefield(self.path("wavefield.npz")).modes) == len(self.mesh.points)
-        return self.mesh if older else with_finer_skin(with_bends(self.scenario, self.mesh))
+        return self.mesh if older else with_finer_skin(self.mesh)
 
     @cached_property
     def wavefield(self) -> Wavefield:

@@ -14,6 +14,7 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import FigureBase
 from matplotlib.patches import Patch
 
+from ..geometry.curved import true_volumes
 from ..geometry.mesh import TissueMesh
 from ..geometry.neighbourhood import tetrahedron_orders
 from ..ports import Port, positions
@@ -47,7 +48,7 @@ def cutaway(results: Results) -> Cutaway:
     """The run's mesh with everything wristwards of an actuator row and to one side taken away."""
     mesh, ports = results.mesh, (*results.transfer.inputs, *results.transfer.outputs)
     n = len(mesh.region_names)
-    volume = np.bincount(mesh.region, weights=mesh.volumes, minlength=n)
+    volume = np.bincount(mesh.region, weights=true_volumes(mesh), minlength=n)
     count = np.asarray(np.bincount(mesh.region, minlength=n), float)
     return Cutaway(cutaway_picture(mesh, ports), mesh.region_names, np.asarray(volume, float), count, len(mesh.points))
 
