@@ -46,7 +46,7 @@ class Sizes:
     """Edge lengths [m] under contacts, between contacts and grid, far away and at rigid rims.
 
     ``sublayers`` counts the element layers through each tissue layer, from the skin inwards; ``facet`` is the angle
-    [rad] that one flat facet of a bone spans at most where it is near, ``wall`` one of the limb's wall. A rigid disc is
+    [rad] that one facet of a bone spans at most where it is near, ``wall`` one of the limb's wall. A rigid disc is
     drawn in by ``rim_lead`` times its rim's edges.
     """
 
