@@ -121,7 +121,7 @@ def add_bones(plotter: Any, mesh: TissueMesh) -> None:
     if "bone" in mesh.facets and len(mesh.facets["bone"]):
         bone = plotter.add_mesh(surface_grid(mesh, mesh.facets["bone"]), color=TISSUES["bone"], smooth_shading=True)
         bone.mapper.SetResolveCoincidentTopologyToPolygonOffset()  # the flesh has the same surface
-        bone.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(-4.0, -4.0)
+        bone.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, -4.0)  # by slope, edges show through
     elif "bone" in mesh.region_names:
         grid = volume_grid(mesh).extract_cells(mesh.region == mesh.region_names.index("bone"))
         plotter.add_mesh(grid.extract_surface(algorithm="dataset_surface"), color=TISSUES["bone"])

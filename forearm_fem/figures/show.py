@@ -188,7 +188,8 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
                      interpolate_before_map=view.quantity != "phase")  # fmt: skip
     add_device(plotter, ports, opacity=0.25)
     add_grid(plotter, ports, view.target if view.actuator is None else None, lift=0.6)
-    add_bones(plotter, results.mesh)
+    if look.cut:  # the whole skin hides them
+        add_bones(plotter, results.mesh)
     low = MM * np.array([p.position for p in ports]).min(axis=0)
     add_scale_bar(plotter, low + np.array([-8, -16, 0]))
     plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray")

@@ -32,6 +32,7 @@ from .usermesh import user_mesh
 
 Progress = Callable[[str], None]
 _ATTEMPTS = 3  # meshes of curved limbs begin with random numbers: others may succeed where some did not
+_FINER = 0.75  # with facets so much narrower each time: few wide ones may not enclose what lies inside
 _log = logging.getLogger("forearm_fem.geometry")
 
 
@@ -44,12 +45,12 @@ def build_mesh(
     progress: Progress | None = None,
 ) -> TissueMesh:
     """Tetrahedra of the scenario's limb, bent along its walls; ``scale`` multiplies every element size."""
-    sizes = element_sizes(scenario, shear_speed, scale=scale)
+    sizes, say = element_sizes(scenario, shear_speed, scale=scale), progress or _silent
     size = SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading)
     for attempt in range(1, _ATTEMPTS + 1):
-        mesh = _unmarked(scenario, base, size, progress or _silent, attempt)
         try:
-            return with_bends(scenario, _marked(scenario, mesh, size, progress or _silent))
+            mesh = _unmarked(scenario, base, size.with_facets(_FINER ** (attempt - 1)), say, attempt)
+            return with_bends(scenario, _marked(scenario, mesh, size, say))
         except MeshError as problem:
             if attempt == _ATTEMPTS or isinstance(scenario.limb, SlabLimb | MeshLimb):
                 raise

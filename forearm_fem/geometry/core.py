@@ -16,9 +16,9 @@ from .sizing import Sizes
 from .topology import boundary_faces, keys
 from .tube import BoneAxis, Tube
 
-_BONE_FACET = 3.0  # at most, relative to those of the skin, which bends less; eight facets at accuracy 0.05
+_BONE_FACET = 2.0  # far from contacts, relative to the facets near them: eight at accuracy 0.05
 _BONE_SHARE = 0.5  # of the size around: a contact over 4 mm of muscle felt the octagon by 2 % at 60 Hz
-_BONE_WIDEST = 2 * np.pi / 6
+_BONE_WIDEST = 2 * np.pi / 4  # a limit that both meshes of an error estimate reach hides what it costs
 _PER_GAP = 2.2  # edges on two surfaces near one another, relative to the gap: longer ones would reach across
 _INSET = 0.5  # grid of points on the cut ends: how many spacings they keep from walls
 Size3 = Callable[[FloatArray], FloatArray]

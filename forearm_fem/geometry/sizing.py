@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -86,9 +86,9 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
         _sublayers(layer.thickness, options.sublayers.get(layer.tissue), grid * (finer if i == 0 else 1.0), scale)
         for i, layer in enumerate(layers_of(scenario.limb))
     )
-    facet = scale * min(_FACET * (scenario.accuracy / 0.05) ** 0.25, _WIDEST_FACET)
+    facet = min(_FACET * (scenario.accuracy / 0.05) ** 0.25, _WIDEST_FACET)
     wall = min(rule.wall * facet, _WIDEST_FACET)
-    return Sizes(contact, grid, max(far, grid), rim, facet, wall, rule.rim_lead, counts)
+    return Sizes(contact, grid, max(far, grid), rim, scale * facet, scale * wall, rule.rim_lead, counts)
 
 
 def _sublayers(thickness: float, asked: int | None, grid: float, scale: float) -> int:
@@ -109,6 +109,11 @@ class SizeField:
     def around(cls, layout: Layout, sizes: Sizes, grading: float) -> SizeField:
         """Field that is fine near contacts and inside the hull of all ports, and grows away from them."""
         return cls(sizes, layout, grading, _hull(layout, sizes.grid))
+
+    def with_facets(self, factor: float) -> SizeField:
+        """The same with facets of bones and walls ``factor`` times as wide."""
+        sizes = replace(self.sizes, facet=factor * self.sizes.facet, wall=factor * self.sizes.wall)
+        return replace(self, sizes=sizes)
 
     def __call__(self, xy: FloatArray, depth: FloatArray | float = 0.0) -> FloatArray:
         """Wanted edge length (n,) at ``xy`` (n, 2) and ``depth`` (n,) below the skin."""

@@ -30,7 +30,7 @@ _FRONTS = 1.3  # the multifrontal solver stores zeros of its panels, and what fr
 _REST = 0.7e9  # bytes: libraries, and the operator of a scene of any size
 _SMALL = 15.0  # seconds that evaluating and certifying a reduced model takes for a mesh of any size
 _DERIVATIVES = 45  # about a rate, where 1e-4 is asked in 10-500 Hz
-_FROM_RATE = 3.2  # a sweep from a rate costs as much as so many expansions and certificates
+_FROM_RATE = 1.6  # a sweep from a rate costs as much as so many expansions and certificates; measured with AVX-512
 _ESTIMATE = 1.2  # with the coarser mesh's solve
 
 

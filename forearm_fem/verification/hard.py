@@ -262,7 +262,10 @@ def thin_limb() -> Iterator[Outcome]:
 
 
 def curved_limb() -> Iterator[Outcome]:
-    """Against a finer mesh, its facets nearer to the round skin; allowed is twice what the pipeline states."""
+    """Against a finer mesh, its facets nearer to the round skin; allowed is twice what the pipeline states.
+
+    Facets of 36 degrees round the limb, about the widest that an accuracy gives; the finer mesh has 26.
+    """
     scenario = parse_scenario(
         {
             "limb": {"shape": "cylinder", "diameter": 0.02, "length": 0.05},
@@ -274,7 +277,7 @@ def curved_limb() -> Iterator[Outcome]:
         }
     )
     coarse, own, fine = (
-        slab_response(slab_model(scenario, scale=scale), [150.0])[0, 1:] for scale in (1.5 * COARSER, 1.5, 0.9)
+        slab_response(slab_model(scenario, scale=scale), [150.0])[0, 1:] for scale in (1.25 * COARSER, 1.25, 0.9)
     )
     stated = float(remaining_error(np.array(_gap(coarse, own))))
     result = f"u1/F = {own[0]:.3g} m/N, error stated {stated:.1e}"
