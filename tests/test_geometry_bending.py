@@ -33,6 +33,15 @@ def middles(mesh):
     return mesh.points[mesh.bends.edges].mean(axis=1) + mesh.bends.offsets
 
 
+def test_edges_that_refinement_bisects_far_from_a_rim_get_their_middle_on_the_skin():
+    """On chords of facets of 0.5 rad vertices lay up to 1.4 mm below it."""
+    limb = {"shape": "cylinder", "layers": [], "length": 0.1}
+    scenario = parse_scenario({"limb": limb, "mesh": {"size_grid": 4e-3, "size_contact": 2e-3}})
+    mesh, tube = build_mesh(scenario), tube_of(scenario.limb)
+    skin = mesh.points[np.unique(mesh.facets["skin"])]
+    assert tube.depth_of(skin, tube.angle_of(skin)).max() < 0.2e-3  # edges of up to 20 mm that bend by less than 1 % stay straight
+
+
 def test_middles_lie_as_deep_as_their_ends_on_average(limb):
     scenario, mesh = limb
     tube = tube_of(scenario.limb)

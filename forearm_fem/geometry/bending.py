@@ -15,6 +15,7 @@ from ..scenario.limb import CylinderLimb, ForearmLimb
 from ..typing import BoolArray, FloatArray, IntArray
 from .curved import bent_jacobians, straight_jacobians
 from .mesh import Bends, TissueMesh
+from .refine import Middle, midpoints
 from .topology import EDGES, SIDES, boundary_faces, keys
 from .tube import BoneAxis, Tube, tube_of
 
@@ -33,13 +34,22 @@ def with_bends(scenario: Scenario, mesh: TissueMesh) -> TissueMesh:
 
 def bent(mesh: TissueMesh, tube: Tube) -> TissueMesh:
     """``mesh`` of ``tube`` with the edges in its layers and on its bones' walls bent as these are."""
+    return _unfolded(replace(mesh, bends=_bends(mesh, tube)))
+
+
+def bent_middles(tube: Tube) -> Middle:
+    """Where edges of a mesh of ``tube`` are bisected: on their parabolas, as chords may lie deep below the skin."""
+    return lambda mesh, edges: midpoints(mesh, edges) + _bends(mesh, tube).on(edges)
+
+
+def _bends(mesh: TissueMesh, tube: Tube) -> Bends:
     edges, middles = (
         np.concatenate(parts) for parts in zip(_in_layers(mesh, tube), *_on_bones(mesh, tube), strict=True)
     )
     ends = mesh.points[edges]
     offsets = middles - ends.mean(axis=1)
     far = np.linalg.norm(offsets, axis=1) > _FLAT * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    return _unfolded(replace(mesh, bends=Bends(edges[far], offsets[far])))
+    return Bends(edges[far], offsets[far])
 
 
 def _in_layers(mesh: TissueMesh, tube: Tube) -> tuple[IntArray, FloatArray]:

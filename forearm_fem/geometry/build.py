@@ -14,7 +14,7 @@ from ..ports import Port
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, SurfacesLimb
 from ..typing import FloatArray, IntArray
-from .bending import with_bends
+from .bending import bent_middles, with_bends
 from .contacts import check_contact_areas, with_contacts, with_true_rims
 from .imprint import imprint
 from .landing import FacetSkin
@@ -23,7 +23,7 @@ from .limb import limb_mesh, underside
 from .mesh import TissueMesh
 from .place import place_ports, ports_on, true_skin
 from .quality import check_mesh
-from .refine import refine_near, refine_rims, refine_skin
+from .refine import midpoints, refine_near, refine_rims, refine_skin
 from .sizing import WIDEST, SizeField, Sizes, SpaceField, element_sizes
 from .slab import slab_mesh
 from .surfaces import read_surfaces, surfaces_mesh
@@ -80,9 +80,7 @@ def _marked(scenario: Scenario, mesh: TissueMesh, size: SizeField, say: Progress
     ports = tuple(p for p in place_ports(scenario, mesh) if p.kind == "contact")
     say("following and refining the contact rims")
     mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, size)
-    mesh = with_contacts(mesh, ports)
-    lead = size.sizes.rim_lead if scenario.device.cone.contact in RIGID else 0.0
-    mesh = with_true_rims(refine_rims(mesh, ports, _rim_size(scenario, size.sizes)), ports, lead)
+    mesh = _with_fine_rims(scenario, with_contacts(mesh, ports), ports, size.sizes)
     if len(mesh.tetrahedra) > scenario.mesh.max_elements:
         raise MeshError(
             f"the mesh has {len(mesh.tetrahedra)} tetrahedra, mesh.max_elements allows "
@@ -92,6 +90,13 @@ def _marked(scenario: Scenario, mesh: TissueMesh, size: SizeField, say: Progress
     check_contact_areas(mesh, ports)
     check_mesh(mesh, scenario.mesh.min_quality)
     return mesh
+
+
+def _with_fine_rims(scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], sizes: Sizes) -> TissueMesh:
+    limb = scenario.limb
+    lead = sizes.rim_lead if scenario.device.cone.contact in RIGID else 0.0
+    middle = bent_middles(tube_of(limb)) if isinstance(limb, ForearmLimb | CylinderLimb) else midpoints
+    return with_true_rims(refine_rims(mesh, ports, _rim_size(scenario, sizes), middle=middle), ports, lead)
 
 
 def _rim_size(scenario: Scenario, sizes: Sizes) -> float:

@@ -21,7 +21,7 @@ from .layout import RIGID, layout_of
 from .mesh import TissueMesh
 from .sizing import element_sizes
 
-GENERATOR = 6  # raise when the same scenario would give another mesh
+GENERATOR = 7  # raise when the same scenario would give another mesh
 _log = logging.getLogger("forearm_fem.geometry")
 
 

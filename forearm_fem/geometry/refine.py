@@ -123,11 +123,13 @@ def _edge_table(mesh: TissueMesh) -> tuple[IntArray, IntArray, IntArray]:
     return edges, of_tet, longest
 
 
-def refine_rims(mesh: TissueMesh, ports: tuple[Port, ...], rim_size: float) -> TissueMesh:
+def refine_rims(
+    mesh: TissueMesh, ports: tuple[Port, ...], rim_size: float, *, middle: Middle = midpoints
+) -> TissueMesh:
     """Grade the mesh towards the rims of all contacts down to edges of ``rim_size`` [m].
 
     A rigid disc has a stress singularity ~ r^(-1/2) at its rim. New vertices on rim edges are moved onto the
-    circle, so the contact's area approaches pi a^2.
+    circle, so the contact's area approaches pi a^2; others stand at ``middle(mesh, edges)`` (k, 3) [m].
     """
     contacts = tuple(p for p in ports if p.kind == "contact" and f"contact {p.name}" in mesh.facets)
     if not contacts:
@@ -137,7 +139,7 @@ def refine_rims(mesh: TissueMesh, ports: tuple[Port, ...], rim_size: float) -> T
         if not marked.any():
             break
         edges = _terminal_edges(mesh, marked)
-        middles = _on_circles(mesh, edges, contacts)
+        middles = _on_circles(mesh, edges, middle(mesh, edges), contacts)
         mesh = _unspoilt(split_edges(mesh, edges, middles)[0], midpoints(mesh, edges))
     if mesh.volumes.min() <= 0:
         raise MeshError(
@@ -233,13 +235,13 @@ def _from_rims(mesh: TissueMesh, contacts: tuple[Port, ...]) -> FloatArray:
     return np.asarray(cKDTree(places).query(mesh.points)[0])
 
 
-def _on_circles(mesh: TissueMesh, edges: IntArray, contacts: tuple[Port, ...]) -> FloatArray:
-    """Midpoints, except that the middle of a rim's chord goes out to its circle."""
-    middle, n = midpoints(mesh, edges), len(mesh.points)
+def _on_circles(mesh: TissueMesh, edges: IntArray, middles: FloatArray, contacts: tuple[Port, ...]) -> FloatArray:
+    """``middles`` (k, 3) of ``edges`` (k, 2), except that those of a rim go out to its circle."""
+    placed, n = middles.copy(), len(mesh.points)
     for port in contacts:
         on = is_member(edges, rim_edges(mesh, port.name), n)
-        middle[on] = onto_circle(middle[on], port)
-    return middle
+        placed[on] = onto_circle(placed[on], port)
+    return placed
 
 
 def onto_circle(points: FloatArray, port: Port) -> FloatArray:
