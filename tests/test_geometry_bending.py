@@ -39,7 +39,7 @@ def test_edges_that_refinement_bisects_far_from_a_rim_get_their_middle_on_the_sk
     scenario = parse_scenario({"limb": limb, "mesh": {"size_grid": 4e-3, "size_contact": 2e-3}})
     mesh, tube = build_mesh(scenario), tube_of(scenario.limb)
     skin = mesh.points[np.unique(mesh.facets["skin"])]
-    assert tube.depth_of(skin, tube.angle_of(skin)).max() < 0.2e-3  # edges of up to 20 mm that bend by less than 1 % stay straight
+    assert tube.depth_of(skin, tube.angle_of(skin)).max() < 0.2e-3  # 1 % of 20 mm stays straight
 
 
 def test_middles_lie_as_deep_as_their_ends_on_average(limb):
