@@ -1,6 +1,7 @@
-"""Semi-analytic twin: exact response of a horizontally layered body to vertical disc loads on its surface."""
+"""Semi-analytic twin: exact response of a horizontally layered body to contacts on its surface."""
 
 from .closed_forms import (
+    bonded_disc,
     boussinesq,
     inertial_near_field,
     kelvin_voigt_shear_wave,
@@ -10,8 +11,9 @@ from .closed_forms import (
     uniform_disc_centre,
     uniform_disc_mean,
 )
-from .kernel import Base, Layer, Surface, surface_kernel
-from .response import Disc, LayeredResult, layered_compliance
+from .kernel import Base, Layer, Surface, SurfaceCompliance, surface_compliance, surface_kernel
+from .response import LayeredResult, layered_compliance
+from .rigid import Disc
 
 __all__ = [
     "Base",
@@ -19,6 +21,8 @@ __all__ = [
     "Layer",
     "LayeredResult",
     "Surface",
+    "SurfaceCompliance",
+    "bonded_disc",
     "boussinesq",
     "inertial_near_field",
     "kelvin_voigt_shear_wave",
@@ -26,6 +30,7 @@ __all__ = [
     "miller_pursey_kernel",
     "rayleigh_wavenumber",
     "rigid_disc",
+    "surface_compliance",
     "surface_kernel",
     "uniform_disc_centre",
     "uniform_disc_mean",

@@ -76,5 +76,15 @@ def uniform_disc_mean(radius: float, mu: float, nu: float = 0.5) -> float:
 
 
 def rigid_disc(radius: float, mu: float, nu: float = 0.5) -> float:
-    """Static frictionless rigid disc, d/F = (1 - nu)/(4 mu a) [m/N]; not available dynamically here."""
+    """Static frictionless rigid disc, d/F = (1 - nu)/(4 mu a) [m/N] (Sneddon 1966)."""
     return (1 - nu) / (4 * mu * radius)
+
+
+def bonded_disc(radius: float, mu: float, nu: float = 0.5) -> float:
+    """Static rigid disc bonded to the surface, d/F = (1 - 2 nu)/(4 mu a ln(3 - 4 nu)) [m/N].
+
+    Mossakovskii 1954; Spence 1968. For nu = 1/2 it is the frictionless disc, 1/(8 mu a).
+    """
+    if nu == 0.5:
+        return rigid_disc(radius, mu)
+    return (1 - 2 * nu) / (4 * mu * radius * math.log(3 - 4 * nu))

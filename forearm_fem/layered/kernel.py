@@ -48,12 +48,23 @@ class Layer:
 
 @dataclass(frozen=True)
 class Surface:
-    """Terms on the free surface: ``tension`` [N/m] adds T k^2 to the normal stiffness, ``membrane`` [N/m]
-    (in-plane E h/(1 - nu^2)) adds to the tangential one, ``mass`` [kg/m^2] subtracts m w^2 from both."""
+    """A thin sheet on the free surface, the same terms as the finite elements' (:mod:`forearm_fem.fem.boundary`).
+
+    ``tension`` [N/m] adds T k^2 to all stiffnesses (geometric stiffness, the integral of grad u : grad v), ``mass``
+    [kg/m^2] subtracts m w^2 from all. ``membrane`` [N/m] + i w ``viscosity`` [N s/m] is the in-plane
+    E h/(1 - nu^2) = 4 mu h of an incompressible sheet: times k^2 it adds to the stiffness along the wave, a quarter of
+    it to that across. Bending is left out.
+    """
 
     tension: float = 0.0
     membrane: float = 0.0
     mass: float = 0.0
+    viscosity: float = 0.0
+
+    @property
+    def sheet(self) -> bool:
+        """Whether the sheet resists in-plane strain."""
+        return self.membrane > 0 or self.viscosity > 0 or self.tension > 0
 
 
 class Matrix(NamedTuple):
@@ -63,6 +74,19 @@ class Matrix(NamedTuple):
     b: ComplexArray
     c: ComplexArray
     d: ComplexArray
+
+
+class SurfaceCompliance(NamedTuple):
+    """Displacement per traction at the surface [m/Pa], each of the shape of (frequency, wavenumber).
+
+    For motion e^{i k.x}: ``zz`` normal per normal, ``xx`` along the wave, ``yy`` across it (horizontally polarised
+    shear), ``zx`` normal per tangential: u_z = zz t_z + i zx t_x, u_x = xx t_x - i zx t_z, u_y = yy t_y.
+    """
+
+    zz: ComplexArray
+    zx: ComplexArray
+    xx: ComplexArray
+    yy: ComplexArray
 
 
 class Waves(NamedTuple):
@@ -95,12 +119,6 @@ def shear_modulus(omega: FloatArray, layer: Layer) -> ComplexArray:
     return np.array(np.broadcast_to(layer.modulus(omega), np.shape(omega)), dtype=complex)
 
 
-def static_asymptote(omega: FloatArray, layer: Layer) -> ComplexArray:
-    """Limit of k U(k) for k -> inf, (1 - nu)/mu = 1/(2 mu (1 - eps)) of the top layer [1/Pa]."""
-    mu = shear_modulus(omega, layer)
-    return np.asarray(1 / (2 * mu * (1 - _speed_ratio(mu, layer.bulk_modulus))))
-
-
 def wavenumbers(omega: FloatArray, layer: Layer) -> tuple[ComplexArray, ComplexArray]:
     """k_s = w sqrt(rho/mu) and k_p = k_s sqrt(eps) [1/m], imaginary parts <= 0."""
     mu = shear_modulus(omega, layer)
@@ -121,22 +139,75 @@ def surface_kernel(
     other; both displacement and stress are positive into the body. Not covered: k = 0 and omega = 0 exactly.
     """
     check_layers(layers, base)
-    omega = np.asarray(omega, dtype=float)
+    omega, surface = np.asarray(omega, dtype=float), surface or Surface()
+    a, d, b = _plane_stiffness(k, omega, layers, surface)
+    return np.asarray(a / (a * d - b * b))
+
+
+def surface_compliance(
+    k: FloatArray | ComplexArray,
+    omega: FloatArray,
+    layers: Sequence[Layer],
+    base: Base = "halfspace",
+    surface: Surface | None = None,
+) -> SurfaceCompliance:
+    """Normal and tangential displacement per normal and tangential traction; as :func:`surface_kernel` otherwise."""
+    check_layers(layers, base)
+    omega, surface = np.asarray(omega, dtype=float), surface or Surface()
+    a, d, b = _plane_stiffness(k, omega, layers, surface)
+    det = a * d - b * b
+    return SurfaceCompliance(a / det, -b / det, d / det, 1 / _cross_stiffness(k, omega, layers, surface))
+
+
+def compliance_limits(omega: FloatArray, layer: Layer, surface: Surface) -> SurfaceCompliance:
+    """Limits of k times the surface compliance for k -> inf, each (n_freq,) [1/Pa], on top of ``layer``.
+
+    Statics of a half-space, k U = ((1, -eps), (-eps, 1))/(2 mu (1 - eps)) and 1/mu across; a sheet holds the
+    tangential motion of ever shorter waves, tension the normal motion too.
+    """
+    mu = shear_modulus(omega, layer)
+    eps = _speed_ratio(mu, layer.bulk_modulus)
+    none = np.zeros_like(mu)
+    if surface.tension > 0:
+        return SurfaceCompliance(none, none, none, none)
+    if surface.sheet:
+        return SurfaceCompliance((1 + eps) / (2 * mu), none, none, none)
+    normal = 1 / (2 * mu * (1 - eps))
+    return SurfaceCompliance(normal, -eps * normal, normal, 1 / mu)
+
+
+def _plane_stiffness(
+    k: FloatArray | ComplexArray, omega: FloatArray, layers: Sequence[Layer], surface: Surface
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Tangential, normal and coupling stiffness (Y11, Y22, Y12) of the surface in the plane of the wave."""
     below: Matrix | None = None
     for layer in reversed(layers):
         mu = shear_modulus(omega, layer)
         waves = _waves(k, omega, mu, layer)
         below = waves.Y if math.isinf(layer.thickness_m) else _add_layer(waves, layer.thickness_m, below)
     assert below is not None
-    return _normal_compliance(below, k, omega, surface or Surface())
+    plain = surface.tension * k**2 - surface.mass * omega**2
+    sheet = (surface.membrane + 1j * surface.viscosity * omega) * k**2
+    return below.a + plain + sheet, below.d + plain, below.b
 
 
-def _normal_compliance(Y: Matrix, k: FloatArray | ComplexArray, omega: FloatArray, surface: Surface) -> ComplexArray:
-    """1/(Y22 - Y12 Y21/Y11): normal compliance with no tangential stress."""
-    inertia = surface.mass * omega**2
-    a = Y.a + (surface.membrane * k**2 - inertia)
-    d = Y.d + (surface.tension * k**2 - inertia)
-    return np.asarray(a / (a * d - Y.b * Y.c))
+def _cross_stiffness(
+    k: FloatArray | ComplexArray, omega: FloatArray, layers: Sequence[Layer], surface: Surface
+) -> ComplexArray:
+    """Stiffness of the surface across the wave: Y = Z (1 - R)/(1 + R), R = e^{-2qh} (Z - Y')/(Z + Y'), Z = mu q."""
+    below: ComplexArray | None = None
+    for layer in reversed(layers):
+        mu = shear_modulus(omega, layer)
+        q = np.sqrt(k * k - layer.density * omega**2 / mu + 0j)
+        z = mu * q
+        if math.isinf(layer.thickness_m):
+            below = z
+            continue
+        echo = np.exp(-2 * q * layer.thickness_m) * (-1 if below is None else (z - below) / (z + below))
+        below = z * (1 - echo) / (1 + echo)
+    assert below is not None
+    sheet = surface.tension + 0.25 * (surface.membrane + 1j * surface.viscosity * omega)
+    return np.asarray(below + sheet * k**2 - surface.mass * omega**2)
 
 
 def _speed_ratio(mu: ComplexArray, bulk_modulus: float) -> ComplexArray:

@@ -1,6 +1,6 @@
 r"""Product integration of a smooth kernel against oscillating Bessel weights.
 
-:math:`\int f(k)\,B(k)\,dk` with :math:`B = \frac1{2\pi}j(ka)j(kb)J_0(kd)` for many (d, a, b) at once: on a
+:math:`\int f(k)\,B(k)\,dk` with :math:`B = \frac1{2\pi}g_a(k)g_b(k)J_q(kd)` for many columns at once: on a
 panel f is interpolated at Gauss-Legendre nodes, f = sum c_m P_m, and the moments of P_m against B are found
 once by a dense rule that never sees f. So the number of kernel evaluations follows the kernel, not the
 oscillation, and all distances and frequencies share them as matrix products. Panels are dyadic, so their
@@ -17,10 +17,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import ArrayLike
-from scipy import special
 
 from ..typing import ComplexArray, FloatArray, IntArray
+from .hankel import HankelTable, Numbers
 
 NODES = 12  # Legendre nodes per panel
 _EXTRA = 4  # moments beyond the interpolant, for the error gauge
@@ -31,35 +30,6 @@ _XD, _WD = legendre.leggauss(_DENSE)
 _TO_LEGENDRE = (np.arange(NODES)[:, None] + 0.5) * legendre.legvander(_X, NODES - 1).T * _W
 
 Panel = tuple[float, float]
-Numbers = FloatArray | ComplexArray
-
-
-@dataclass(frozen=True)
-class Pairs:
-    """Unique source-receiver pairs: ``distance``, and radii ``a`` >= ``b``, each (n_pairs,) [m]."""
-
-    distance: FloatArray
-    a: FloatArray
-    b: FloatArray
-
-    @property
-    def extent(self) -> float:
-        """Highest spatial rate of the weights, max(d + a + b) [m]."""
-        return float(np.max(self.distance + self.a + self.b))
-
-    def envelope(self, k: FloatArray) -> FloatArray:
-        """Bound (n_k,) on the integral of B from k to infinity, the largest over pairs [1/m].
-
-        Product of the envelopes of the Bessel functions, times k or, where it oscillates, the inverse of its
-        slowest rate |d -+ a -+ b|.
-        """
-        kk = np.asarray(k)[:, None]
-        size = _j0_size(kk * self.distance) * _jinc_size(kk * self.a) * _jinc_size(kk * self.b)
-        rates = [np.abs(self.distance + s * self.a + t * self.b) for s in (-1, 1) for t in (-1, 1)]
-        slowest = np.minimum.reduce(rates)
-        with np.errstate(divide="ignore"):
-            reach = np.minimum(kk, 2 / slowest)
-        return np.asarray(np.max(size * reach, axis=1) / (2 * math.pi))
 
 
 @dataclass(frozen=True)
@@ -73,9 +43,9 @@ class Rule:
 
 @dataclass
 class Rules:
-    """Weights for ``pairs`` on the path with ``offset`` s [1/m] (0: real axis), computed once per panel."""
+    """Weights for ``table`` on the path with ``offset`` s [1/m] (0: real axis), computed once per panel."""
 
-    pairs: Pairs
+    table: HankelTable
     offset: float = 0.0
     _cache: dict[Panel, Rule] = field(default_factory=dict)
 
@@ -107,7 +77,7 @@ class Rules:
     def _moments(self, panel: Panel) -> Rule:
         """Moments of Legendre polynomials against B dk/dx, by the dense rule in blocks."""
         lo, hi = panel
-        n_sub = 2 + math.ceil((hi - lo) * self.pairs.extent / (2 * math.pi * 2.5))
+        n_sub = 2 + math.ceil((hi - lo) * self.table.extent / (2 * math.pi * 2.5))
         edges = np.linspace(-1.0, 1.0, n_sub + 1)
         blocks = np.array_split(np.arange(n_sub), max(1, n_sub // 64))
         moments = 0.5 * (hi - lo) * np.sum([self._block(panel, edges, block) for block in blocks], axis=0)
@@ -120,7 +90,7 @@ class Rules:
         weight = np.tile(half * _WD, block.size)
         x = 0.5 * (lo + hi) + 0.5 * (hi - lo) * t
         basis = legendre.legvander(t, NODES + _EXTRA - 1).T * weight
-        return np.asarray(basis @ (_bessel_weight(self.path(x), self.pairs) * self._slope(x)[:, None]))
+        return np.asarray(basis @ (self.table.values(self.path(x)) * self._slope(x)[:, None]))
 
     def _slope(self, x: FloatArray) -> Numbers:
         """dk/dx."""
@@ -161,39 +131,3 @@ def octaves(first: float, last: float) -> list[Panel]:
     """(first, 2 first), (2 first, 4 first), ... up to ``last``."""
     n = max(0, round(math.log2(last / first)))
     return [(first * 2.0**i, first * 2.0 ** (i + 1)) for i in range(n)]
-
-
-def _bessel_weight(k: Numbers, pairs: Pairs) -> Numbers:
-    """B = j(ka) j(kb) J0(kd)/(2 pi), (n_k, n_pairs); each function once per distinct argument."""
-    d, at_d = np.unique(pairs.distance, return_inverse=True)
-    radii, at_r = np.unique(np.concatenate([pairs.a, pairs.b]), return_inverse=True)
-    n = pairs.a.size
-    wave, disc = _j0(np.multiply.outer(k, d)), _jinc(np.multiply.outer(k, radii))
-    weight = wave[:, at_d] * disc[:, at_r[:n]] * disc[:, at_r[n:]] / (2 * math.pi)
-    return _complex(weight) if np.iscomplexobj(weight) else np.asarray(weight.real)
-
-
-def _j0(x: Numbers) -> Numbers:
-    return _complex(special.jv(0, x)) if np.iscomplexobj(x) else np.asarray(special.j0(x.real))
-
-
-def _jinc(x: Numbers) -> Numbers:
-    """2 J1(x)/x, 1 at the origin."""
-    zero = x == 0
-    y = np.where(zero, 1.0, x)
-    if np.iscomplexobj(x):
-        return _complex(np.where(zero, 1.0, 2 * special.jv(1, y) / y))
-    return np.asarray(np.where(zero, 1.0, 2 * special.j1(y.real) / y.real), dtype=float)
-
-
-def _complex(x: ArrayLike) -> ComplexArray:
-    return np.asarray(x, dtype=complex)
-
-
-def _j0_size(x: FloatArray) -> FloatArray:
-    return np.asarray(1 / np.sqrt(np.maximum(1.0, 0.5 * np.pi * x)))
-
-
-def _jinc_size(x: FloatArray) -> FloatArray:
-    y = np.maximum(x, 2.0)
-    return np.asarray(np.where(x < 2.0, 1.0, np.minimum(1.0, 2 / y * np.sqrt(2 / (np.pi * y)))))

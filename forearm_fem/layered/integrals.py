@@ -1,0 +1,217 @@
+"""Hankel integrals of the surface compliance of a layered medium, refined until every frequency is converged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import SolverError
+from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+from .hankel import HankelTable
+from .kernel import (
+    Base,
+    Layer,
+    Surface,
+    SurfaceCompliance,
+    compliance_limits,
+    shear_modulus,
+    surface_compliance,
+    surface_kernel,
+    wavenumbers,
+)
+from .quadrature import Panel, Rules, octaves, panel_errors, split
+
+_CHUNK = 32  # frequencies refined together
+_LOW_LOSS_CHUNK = 8  # fewer, where each frequency has its own sharp poles
+_MAX_LEVELS = 24  # halvings of a panel
+_TAIL_OCTAVES = 16  # beyond sources and wavelengths, for the static tail
+_MAX_PHASE = 1e6  # k times extent [rad] where the tail ends at the latest; what is left enters the error
+_MEAN_OCTAVES = 30  # beyond that, for the mean over the oscillation
+_LOW_LOSS = 1e-3  # loss tangent below which the path leaves the real axis
+_TEST_LOSS = 1e-3  # loss added to check that path
+_SHARE = 0.02  # part of the tolerance given to one panel
+
+Modulus = Callable[[FloatArray], ComplexArray]
+
+
+class Medium(NamedTuple):
+    """What the kernels need besides k and omega.
+
+    The four kernels of the tables are zz, zx, and half the sum and half the difference of xx and yy, in which the
+    azimuthal orders of tangential tractions meet (:mod:`forearm_fem.layered.scattering`).
+    """
+
+    layers: tuple[Layer, ...]
+    base: Base
+    surface: Surface
+
+    def remainders(self, k: FloatArray | ComplexArray, omega: FloatArray, tangential: bool) -> list[ComplexArray]:
+        """k U(k) minus its limit for k -> inf, each (n_freq, n_k) [1/Pa]; zz alone unless ``tangential``."""
+        arguments = (k[None], omega[:, None], self.layers, self.base, self.surface)
+        kernels = _mixed(surface_compliance(*arguments)) if tangential else [surface_kernel(*arguments)]
+        return [np.asarray(k * u - limit[:, None]) for u, limit in zip(kernels, self.limits(omega), strict=False)]
+
+    def limits(self, omega: FloatArray) -> list[ComplexArray]:
+        """lim k U(k) of the four kernels, each (n_freq,) [1/Pa]."""
+        return _mixed(compliance_limits(omega, self.layers[0], self.surface))
+
+    def wavenumbers(self, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """|k_s| and |k_p| of all layers, each (n_layers, n_freq) [1/m]."""
+        both = [wavenumbers(omega, layer) for layer in self.layers]
+        return np.abs([ks for ks, _ in both]), np.abs([kp for _, kp in both])
+
+    def loss(self, omega: FloatArray) -> FloatArray:
+        """Smallest loss tangent over layers, (n_freq,)."""
+        modulus = np.array([shear_modulus(omega, layer) for layer in self.layers])
+        return np.asarray(np.min(modulus.imag / modulus.real, axis=0))
+
+    def lossier(self, loss: float) -> Medium:
+        """The same medium with all moduli times 1 + i loss."""
+        return self._replace(layers=tuple(replace(x, modulus=_lossy(x.modulus, loss)) for x in self.layers))
+
+
+class Block(NamedTuple):
+    """Values (n_freq, n_columns) of all tables side by side [m/N], relative error (n_freq,), evaluations spent."""
+
+    values: ComplexArray
+    error: FloatArray
+    n_kernel: int
+
+
+class Integrals:
+    """Adaptive quadrature for a fixed medium and tables (one per kernel); keeps the weights of both paths."""
+
+    def __init__(self, medium: Medium, tables: list[HankelTable], tolerance: float) -> None:
+        self.medium, self.tables, self.tolerance = medium, tables, tolerance
+        self.extent = max(table.extent for table in tables)
+        self.real = [Rules(table) for table in tables]
+        self.raised = [Rules(table, 0.5 / self.extent) for table in tables]
+
+    @cached_property
+    def static(self) -> list[FloatArray]:
+        """Integrals for kU = 1 of each table; zeros where the kernel has no static limit."""
+        limits = self.medium.limits(np.ones(1))
+        return [
+            table.static() if np.any(limit != 0) else np.zeros(table.a.size)
+            for table, limit in zip(self.tables, limits, strict=False)
+        ]
+
+    def chunks(self, omega: FloatArray) -> list[tuple[float, IntArray]]:
+        """(fraction done, indices) in ascending frequency, each chunk within an octave."""
+        order = np.argsort(omega, kind="stable")
+        low = self.medium.loss(omega)[order] < _LOW_LOSS
+        out: list[tuple[float, IntArray]] = []
+        start = 0
+        for i in range(1, omega.size + 1):
+            size = _LOW_LOSS_CHUNK if low[start] else _CHUNK
+            full = i == omega.size or i - start >= size or omega[order[i]] > 2 * omega[order[start]]
+            if full or low[i] != low[start]:
+                out.append((i / omega.size, order[start:i]))
+                start = i
+        return out
+
+    def solve(self, omega: FloatArray) -> Block:
+        """One chunk, on the path that its losses ask for; SolverError where no path is safe."""
+        if self.medium.loss(omega[:1])[0] >= _LOW_LOSS:
+            return self._integrate(self.medium, self.real, omega)
+        spent = self._check_raised(omega)
+        block = self._integrate(self.medium, self.raised, omega)
+        return block._replace(n_kernel=block.n_kernel + spent)
+
+    def _check_raised(self, omega: FloatArray) -> int:
+        """Both paths must agree once there is loss enough to integrate along the axis; evaluations spent."""
+        medium = self.medium.lossier(_TEST_LOSS)
+        axis, above = (self._integrate(medium, rules, omega) for rules in (self.real, self.raised))
+        gap = np.max(np.abs(axis.values - above.values), axis=1) / np.max(np.abs(axis.values), axis=1)
+        bad = gap > 10 * (axis.error + above.error) + 1e-9
+        if np.any(bad):
+            raise SolverError(
+                f"layered: at {omega[bad][0] / (2 * math.pi):.4g} Hz a wave with opposed phase and group "
+                f"velocity defies the lossless path; give every layer a loss tangent >= {_LOW_LOSS:g}"
+            )
+        return axis.n_kernel + above.n_kernel
+
+    def _integrate(self, medium: Medium, rules: list[Rules], omega: FloatArray) -> Block:
+        """Refine dyadic panels until every frequency of the chunk is converged."""
+        first, core = _grid(medium, omega, min(table.smallest for table in self.tables))
+        ends = np.asarray(core * 2.0 ** np.arange(_TAIL_OCTAVES), dtype=float)
+        ends = ends[ends <= max(core, _MAX_PHASE / self.extent)]
+        tails = self._tails(medium, ends, omega)
+        active: list[Panel] = [(0.0, first), *octaves(first, core)]
+        total = np.hstack([m[:, None] * s for m, s in zip(medium.limits(omega), self.static, strict=False)])
+        error, n_kernel, level = np.zeros(omega.size), omega.size * ends.size, 0
+        while active:
+            values = medium.remainders(rules[0].nodes(active), omega, len(rules) > 1)
+            n_kernel += values[0].size
+            estimates = np.max([panel_errors(f, r.gauges(active)) for f, r in zip(values, rules, strict=True)], axis=0)
+            whole = total + _sums(values, rules, active)
+            scale = np.max(np.abs(whole), axis=1)
+            good = np.all(estimates <= _SHARE * self.tolerance * scale[:, None], axis=0)
+            good |= level >= _MAX_LEVELS
+            bad = [panel for panel, g in zip(active, good, strict=True) if not g]
+            total = whole - _sums([_columns(f, ~good) for f in values], rules, bad) if bad else whole
+            error += estimates[:, good].sum(axis=1)
+            active = [half for panel in bad for half in split(panel)]
+            if level == 0:
+                stop = _first_below(tails, 0.1 * self.tolerance * scale)
+                error += tails[:, stop]
+                active += octaves(core, ends[stop])
+                total = total + self._mean_tail(medium, float(ends[stop]), omega)
+            level += 1
+        return Block(total, error / np.max(np.abs(total), axis=1), n_kernel)
+
+    def _tails(self, medium: Medium, ends: FloatArray, omega: FloatArray) -> FloatArray:
+        """Bound on what lies beyond each of ``ends`` less its mean, (n_freq, n_ends)."""
+        values = medium.remainders(ends, omega, len(self.tables) > 1)
+        bounds = [np.abs(f) * table.envelope(ends) for f, table in zip(values, self.tables, strict=True)]
+        return np.asarray(np.max(bounds, axis=0))
+
+    def _mean_tail(self, medium: Medium, end: float, omega: FloatArray) -> ComplexArray:
+        """Integrals from ``end`` on of the kernels against the weights' mean: octaves by Gauss's rule."""
+        x, w = np.polynomial.legendre.leggauss(8)
+        lo = end * 2.0 ** np.arange(_MEAN_OCTAVES)
+        k = (lo[:, None] * (1.5 + 0.5 * x)).ravel()
+        weight = (lo[:, None] * 0.5 * w).ravel()
+        values = medium.remainders(k, omega, len(self.tables) > 1)
+        parts = [f @ (weight[:, None] * table.mean(k)) for f, table in zip(values, self.tables, strict=True)]
+        return np.hstack(parts)
+
+
+def _mixed(u: SurfaceCompliance) -> list[ComplexArray]:
+    """zz, zx, half the sum and half the difference of xx and yy."""
+    return [u.zz, u.zx, np.asarray(0.5 * (u.xx + u.yy)), np.asarray(0.5 * (u.xx - u.yy))]
+
+
+def _sums(values: list[ComplexArray], rules: list[Rules], panels: list[Panel]) -> ComplexArray:
+    """Sums of the product rule of all tables side by side, (n_freq, n_columns)."""
+    return np.hstack([f @ r.weights(panels) for f, r in zip(values, rules, strict=True)])
+
+
+def _grid(medium: Medium, omega: FloatArray, size: float) -> tuple[float, float]:
+    """Powers of two [1/m]: below all compressional (shear, if incompressible) wavenumbers, so that no branch
+    point hides inside a panel; and beyond all shear wavenumbers and the width ``size`` [m] of the smallest source."""
+    shear, compression = medium.wavenumbers(omega)
+    slow = compression[compression > 0].min() if np.any(compression > 0) else shear.min()
+    core = max(4 * float(shear.max()), 8 / size)
+    return 2.0 ** math.floor(math.log2(slow / 2)), 2.0 ** math.ceil(math.log2(core))
+
+
+def _first_below(tails: FloatArray, bound: FloatArray) -> int:
+    """Index of the first octave end from which all frequencies' tails stay below ``bound``."""
+    above = np.flatnonzero(np.any(tails > bound[:, None], axis=0))
+    return int(min(above[-1] + 1 if above.size else 0, tails.shape[1] - 1))
+
+
+def _columns(f: ComplexArray, chosen: BoolArray) -> ComplexArray:
+    """Node values of the chosen panels, (n_freq, n_chosen * nodes)."""
+    by_panel = f.reshape(f.shape[0], chosen.size, -1)
+    return np.asarray(by_panel[:, chosen].reshape(f.shape[0], -1))
+
+
+def _lossy(modulus: Modulus, loss: float) -> Modulus:
+    return lambda omega: np.asarray(np.asarray(modulus(omega), dtype=complex) * (1 + 1j * loss))

@@ -1,0 +1,141 @@
+r"""All contacts and points of a layered body at once: Galerkin's matrix of their tractions, condensed to their ports.
+
+For tractions :math:`\alpha` at :math:`x_\alpha` and :math:`\beta` at :math:`x_\beta` (:mod:`.rigid`), the work of one
+on the displacement of the other is
+
+.. math::
+    A_{\alpha\beta}=\int\hat t_\alpha(-k)\cdot U(k)\,\hat t_\beta(k)\,e^{ik\cdot(x_\alpha-x_\beta)}\frac{d^2k}{4\pi^2}
+    = c\,(-i)^{|m_\alpha|+|m_\beta|}(-1)^{m_\alpha}\,i^{|q|}e^{-iq\theta}\;
+    \frac1{2\pi}\int_0^\infty k\,U\,g_\alpha g_\beta\,J_{|q|}(kd)\,dk,\quad q=-(m_\alpha+m_\beta+s),
+
+d and theta the distance and direction of their centres, with the kernel U, factor c and shift s of the two components
+(``_PAIRS``): for :math:`t_\pm=e^{\pm i\varphi}(t_L\pm it_T)` tangential tractions meet in
+half the sum and half the difference of the compliances along and across the wave. Under rigid discs the displacement
+is that of the disc; with forces on ports (points are ports too) the inner tractions follow from
+:math:`A_{ri}f_i+A_{rr}c=0`, so that
+
+.. math:: C = A_{ii}-A_{ir}A_{rr}^{-1}A_{ri}.
+
+Each disc thus scatters the waves of all others, to all orders of reflection; held are its tilt and its sideways
+motion. A is symmetric entry by entry, so C is reciprocal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+from .hankel import HankelTable, Radial
+from .kernel import Surface
+from .rigid import Disc, Traction, inner_tractions, port_traction
+
+# (component of alpha, of beta) -> kernel (0 zz, 1 zx, 2 sum, 3 difference), factor c, shift s
+_PAIRS = MappingProxyType(
+    {
+        ("z", "z"): (0, 1.0, 0), ("z", "+"): (1, 0.5j, -1), ("z", "-"): (1, 0.5j, 1),
+        ("+", "z"): (1, -0.5j, -1), ("+", "+"): (3, 0.5, -2), ("+", "-"): (2, 0.5, 0),
+        ("-", "z"): (1, -0.5j, 1), ("-", "+"): (2, 0.5, 0), ("-", "-"): (3, 0.5, 2),
+    }
+)  # fmt: skip
+_NAMES = ("z", "+", "-")
+
+
+@dataclass(frozen=True)
+class Galerkin:
+    """The system: ``tables`` of integrals per kernel and, for each pair i <= j of tractions that is not zero, its
+    ``place`` (2, n_pairs), ``column`` among the tables' side by side, and ``factor``. The first ``ports`` tractions are
+    the ports'; ``last`` marks the end of the series, ``rings`` (2, n) ring tractions with a net force and their port."""
+
+    tables: list[HankelTable]
+    place: IntArray
+    column: IntArray
+    factor: ComplexArray
+    ports: int
+    last: BoolArray
+    rings: IntArray
+
+    def matrix(self, integrals: ComplexArray) -> ComplexArray:
+        """A (n_freq, n, n) [m/N] from the integrals (n_freq, n_columns); ring tractions freed of their net force."""
+        n = self.last.size
+        out = np.zeros((integrals.shape[0], n, n), dtype=complex)
+        values = self.factor * integrals[:, self.column]
+        out[:, self.place[0], self.place[1]] = values
+        out[:, self.place[1], self.place[0]] = values
+        for ring, port in self.rings.T:
+            out[:, ring] -= out[:, port]
+            out[:, :, ring] -= out[:, :, port]
+        return out
+
+    def compliance(self, integrals: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+        """Ports' displacement per force (n_freq, ports, ports) [m/N], and the largest relative change (n_freq,) when
+        the last terms of all series are left out."""
+        a = self.matrix(integrals)
+        whole = _condensed(a, self.ports, np.ones(self.last.size, dtype=bool))
+        if not np.any(self.last):
+            return whole, np.zeros(len(a))
+        less = _condensed(a, self.ports, ~self.last)
+        change = np.abs(whole - less).max(axis=(1, 2)) / np.abs(whole).max(axis=(1, 2))
+        return whole, np.asarray(change)
+
+
+def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -> Galerkin:
+    """The system of ``discs`` (points among them), no two the same, points under rigid discs left out."""
+    tractions, owner = [port_traction(disc) for disc in discs], list(range(len(discs)))
+    for i, disc in enumerate(discs):
+        inner = inner_tractions(disc, surface, terms, orders) if disc.rigid else []
+        tractions += inner
+        owner += [i] * len(inner)
+    where = np.array([(disc.x, disc.y) for disc in discs])[owner]
+    rings = [(i, owner[i]) for i, t in enumerate(tractions) if t.radial.kind == "ring" and (t.component, t.m) == ("z", 0)]
+    tables, place, column, factor = _pairs(tractions, where)
+    last = np.array([t.last for t in tractions], dtype=bool)
+    return Galerkin(tables, place, column, factor, len(discs), last, np.array(rings, dtype=int).reshape(-1, 2).T)
+
+
+def _pairs(
+    tractions: Sequence[Traction], where: FloatArray
+) -> tuple[list[HankelTable], IntArray, IntArray, ComplexArray]:
+    """Tables, and place, column and factor of each pair i <= j with a non-zero entry."""
+    radials = tuple(sorted({t.radial for t in tractions}))
+    number = {g: i for i, g in enumerate(radials)}
+    g = np.array([number[t.radial] for t in tractions])
+    m = np.array([t.m for t in tractions])
+    c = np.array([_NAMES.index(t.component) for t in tractions])
+    kernels, factors, shifts = (np.array([[_PAIRS[a, b][i] for b in _NAMES] for a in _NAMES]) for i in range(3))
+    i, j = np.triu_indices(len(tractions))
+    across = (where[i] - where[j]).round(12)
+    distance, angle = np.hypot(*across.T).round(12), np.arctan2(across[:, 1], across[:, 0])
+    q = -(m[i] + m[j] + np.real(shifts[c[i], c[j]]).astype(int))
+    points = np.array([r.kind == "point" for r in radials])
+    singular = (distance == 0) & points[g[i]] & points[g[j]]
+    kept = ((distance > 0) | (q == 0)) & ~singular
+    i, j, q, distance, angle = i[kept], j[kept], q[kept], distance[kept], angle[kept]
+    phase = (-1j) ** (np.abs(m[i]) + np.abs(m[j])) * (-1.0) ** m[i] * 1j ** np.abs(q) * np.exp(-1j * q * angle)
+    kernel = np.real(kernels[c[i], c[j]]).astype(int)
+    pair = np.sort([g[i], g[j]], axis=0)
+    keys = np.stack([kernel, pair[0], pair[1], np.abs(q), distance])
+    unique, column = np.unique(keys, axis=1, return_inverse=True)
+    tables = [_table(radials, unique[1:, unique[0] == number]) for number in range(4)]
+    count = 4 if np.any(unique[0] > 0) else 1
+    return tables[:count], np.stack([i, j]), column.ravel(), phase * factors[c[i], c[j]]
+
+
+def _table(radials: tuple[Radial, ...], columns: FloatArray) -> HankelTable:
+    a, b, order = columns[:3].astype(int)
+    return HankelTable(radials, a, b, order, columns[3])
+
+
+def _condensed(a: ComplexArray, ports: int, kept: BoolArray) -> ComplexArray:
+    """A_ii - A_ir A_rr^-1 A_ri over the ``kept`` tractions, made symmetric to the last bit."""
+    inner = np.flatnonzero(kept)[ports:]
+    whole = a[:, :ports, :ports]
+    if not inner.size:
+        return np.asarray(whole)
+    coupling = a[:, inner, :ports]
+    reply = np.linalg.solve(a[:, inner[:, None], inner], coupling)
+    scattered = coupling.swapaxes(1, 2) @ reply
+    return np.asarray(whole - 0.5 * (scattered + scattered.swapaxes(1, 2)))
