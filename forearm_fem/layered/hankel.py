@@ -13,7 +13,9 @@ For :math:`kU\to` const the integrals have closed or line-integral forms (:meth:
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -22,10 +24,11 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import special
 
-from ..typing import ComplexArray, FloatArray, IntArray
+from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 from .asymptote import disc_interaction
 
 Numbers = FloatArray | ComplexArray
+_NARROW = 16.0  # k end times the slowest rate over which the window acts: leaks exp(-(that/16)^2)
 _LINE = 128  # nodes of line integrals: exact to rounding for rims 0.5 % of the radius apart
 
 
@@ -37,27 +40,14 @@ class Radial:
     radius: float = 0.0
     degree: int = 0
 
-    def values(self, k: Numbers) -> Numbers:
-        """g(k) (n_k,) [-]."""
-        x = k * self.radius
-        match self.kind:
-            case "ball":
-                return np.asarray(special.spherical_jn(self.degree, x))
-            case "ring":
-                return np.asarray(special.jv(self.degree, x))
-            case "mean":
-                return _jinc(x)
-            case _:
-                return np.ones_like(k)
-
     def size(self, k: FloatArray) -> FloatArray:
-        """Envelope of \\|g\\| (n_k,)."""
+        """Envelope of \|g\| (n_k,)."""
         x = k * self.radius
         match self.kind:
             case "ball":
                 return np.asarray(1 / np.maximum(1.0, x))
             case "ring":
-                return bessel_size(x)
+                return _bessel_size(x)
             case "mean":
                 y = np.maximum(x, 2.0)
                 return np.asarray(np.where(x < 2.0, 1.0, np.minimum(1.0, 2 / y * np.sqrt(2 / (np.pi * y)))))
@@ -79,28 +69,35 @@ class Radial:
 
     @cached_property
     def line(self) -> tuple[FloatArray, ComplexArray]:
-        """Offsets y (n,) [m] and weights w (n,) of g(k) = sum w e^{iky}: a source spread over a line |y| <= radius."""
+        """Offsets y (n,) [m] and weights w (n,) of g(k) = sum w e^{iky}: a source spread over the line |y| <= radius
+        (balls by Gauss-Legendre's rule, means by Gauss-Chebyshev's); rings have none."""
         if self.kind == "ball":
             t, w = legendre.leggauss(_LINE)
-            return self.radius * t, 0.5 * (-1j) ** self.degree * w * special.eval_legendre(self.degree, t)
+            weight = 0.5 * (-1j) ** self.degree * w * special.eval_legendre(self.degree, t)
+            return self.radius * t, np.asarray(weight, dtype=complex)
         if self.kind == "mean":
             angle = np.pi * np.arange(1, _LINE + 1) / (_LINE + 1)
-            return self.radius * np.cos(angle), 2 / (_LINE + 1) * np.sin(angle) ** 2 + 0j
-        if self.kind == "ring":
-            raise NotImplementedError("a line force on a rim has no static limit; a sheet that carries it removes it")
+            return self.radius * np.cos(angle), np.asarray(2 / (_LINE + 1) * np.sin(angle) ** 2, dtype=complex)
         return np.zeros(1), np.ones(1, dtype=complex)
 
 
 @dataclass(frozen=True)
 class HankelTable:
-    """Integrals of one kernel: ``radials``, and per column the indices ``a``, ``b`` of two of them, the ``order`` q of
-    the Bessel function between their centres and their ``distance`` d [m], each (n_columns,)."""
+    """Columns of integrals, (n_columns,) each: ``kernel`` (ascending numbers of the kernels U), indices ``a``, ``b`` of
+    two ``radials``, ``order`` q of the Bessel function between their centres and their ``distance`` d [m]."""
 
     radials: tuple[Radial, ...]
+    kernel: IntArray
     a: IntArray
     b: IntArray
     order: IntArray
     distance: FloatArray
+
+    @cached_property
+    def parts(self) -> list[slice]:
+        """Columns of each kernel, from the first to the last used."""
+        edges = np.searchsorted(self.kernel, np.arange(self.kernel[-1] + 2))
+        return [slice(int(lo), int(hi)) for lo, hi in itertools.pairwise(edges)]
 
     @cached_property
     def radii(self) -> tuple[FloatArray, FloatArray]:
@@ -111,103 +108,173 @@ class HankelTable:
     @cached_property
     def extent(self) -> float:
         """Highest spatial rate, max(d + a + b) [m]."""
-        return float(np.max(self.distance + self.radii[0] + self.radii[1], initial=0.0))
+        return float(np.max(self.distance + self.radii[0] + self.radii[1]))
 
     @cached_property
     def smallest(self) -> float:
         """Size of the finest detail [m]: the smallest source or, of points, their distance."""
-        size = np.where(np.maximum(*self.radii) > 0, np.maximum(*self.radii), self.distance)
-        return float(np.min(size, initial=np.inf))
+        size = np.maximum(*self.radii)
+        return float(np.min(np.where(size > 0, size, self.distance)))
+
+    @cached_property
+    def slowest(self) -> FloatArray:
+        """Slowest rate of each column (n_columns,) [m], |d -+ a -+ b|; of a disc on itself, whose mean is known, 2a."""
+        a, b = self.radii
+        rates = [np.abs(self.distance + s * a + t * b) for s in (-1, 1) for t in (-1, 1)]
+        return np.asarray(np.where(self._alone, 2 * a, np.minimum.reduce(rates)))
+
+    @cached_property
+    def _alone(self) -> BoolArray:
+        a, b = self.radii
+        return np.asarray((self.distance == 0) & (a == b) & (a > 0))
 
     @cached_property
     def _waves(self) -> tuple[IntArray, FloatArray, IntArray]:
-        """Distinct (order), (distance) and the column of each entry among them."""
+        """Distinct orders and distances, and the place of each column among them."""
         both, at = np.unique(np.stack([self.order.astype(float), self.distance]), axis=1, return_inverse=True)
         return both[0].astype(int), both[1], at.ravel()
 
     def values(self, k: Numbers) -> Numbers:
         """g_a g_b J_q(kd)/(2 pi), (n_k, n_columns)."""
-        g = np.stack([radial.values(k) for radial in self.radials], axis=1) / math.sqrt(2 * math.pi)
+        g = _transforms(self.radials, k)
         order, distance, at = self._waves
-        wave = _bessel(order, np.multiply.outer(k, distance))
-        return np.asarray(wave[:, at] * g[:, self.a] * g[:, self.b])
+        out = _waves(order, distance, k)[:, at]
+        out *= g[:, self.a]
+        out *= g[:, self.b]
+        out /= 2 * math.pi
+        return out
 
-    def mean(self, k: FloatArray) -> FloatArray:
-        """Mean over the oscillation of :meth:`values` for large k, (n_k, n_columns): not zero at d = 0 only."""
-        out = np.zeros((k.size, self.a.size))
-        for column in np.flatnonzero((self.distance == 0) & (self.radii[0] == self.radii[1])):
+    def mean(self, k: Numbers) -> Numbers:
+        """Mean over the oscillation of :meth:`values` for large k, (n_k, n_columns): of a disc on itself, else zero."""
+        out = _filled(0.0, k, self.a.size)
+        for column in np.flatnonzero(self._alone):
             (c, p, s), (e, r, t) = self.radials[self.a[column]].far, self.radials[self.b[column]].far
             x = k * self.radii[0][column]
-            if x[0] > 0:
-                out[:, column] = c * e * x ** -(p + r) * 0.5 * math.cos(s - t) / (2 * math.pi)
+            out[:, column] = c * e * x ** -(p + r) * 0.5 * math.cos(s - t) / (2 * math.pi)
         return out
 
     def envelope(self, k: FloatArray) -> FloatArray:
-        """Bound (n_k,) [1/m] on the integral of :meth:`values` less :meth:`mean` from k on, the largest of columns.
+        """Bound (n_k,) [1/m] on what is lost of the integral of :meth:`values` by :func:`window` at k.
 
-        Product of the envelopes times k or, where it oscillates, the inverse of its slowest rate \\|d -+ a -+ b\\|.
+        Product of the envelopes times k or, where it oscillates, the inverse of its slowest rate, times what the window
+        leaks at that rate.
         """
-        if not self.a.size:
-            return np.zeros(k.size)
         sizes = np.stack([radial.size(k) for radial in self.radials], axis=1)
-        rates = [np.abs(self.distance + s * self.radii[0] + t * self.radii[1]) for s in (-1, 1) for t in (-1, 1)]
-        slowest = np.minimum.reduce(rates)
-        same = (self.distance == 0) & (self.radii[0] == self.radii[1]) & (self.radii[0] > 0)
-        slowest = np.where(same, 2 * self.radii[0], slowest)
+        size = _bessel_size(np.multiply.outer(k, self.distance)) * sizes[:, self.a] * sizes[:, self.b]
         with np.errstate(divide="ignore"):
-            reach = np.minimum(k[:, None], 2 / slowest)
-        size = bessel_size(np.multiply.outer(k, self.distance)) * sizes[:, self.a] * sizes[:, self.b]
-        return np.asarray(np.max(size * reach, axis=1) / (2 * math.pi))
+            reach = np.minimum(k[:, None], 2 / self.slowest)
+        leak = np.exp(-np.minimum((k[:, None] * self.slowest / _NARROW) ** 2, 700.0))
+        return np.asarray(np.max(size * reach * np.maximum(leak, _CUT), axis=1) / (2 * math.pi))
 
-    def static(self) -> ComplexArray:
-        r"""The integrals for kU = 1, (n_columns,) [1/m]."""
-        columns = zip(self.a, self.b, self.order, self.distance, strict=True)
-        made: dict[tuple[float, float, int, float], tuple[FloatArray, ComplexArray]] = {}
-        return np.array([self._static(self.radials[a], self.radials[b], int(q), float(d), made) for a, b, q, d in columns],
-                        dtype=float).reshape(self.a.size)  # fmt: skip
+    def static(self) -> FloatArray:
+        """The integrals for kU = 1, (n_columns,) [1/m]; not of rings."""
+        spread: dict[tuple[str, str, float, float, int, float], ComplexArray] = {}
+        out = np.zeros(self.a.size)
+        for i, (a, b, q, d) in enumerate(zip(self.a, self.b, self.order, self.distance, strict=True)):
+            f, g = self.radials[a], self.radials[b]
+            if {f.kind, g.kind} <= {"mean", "point"} and q == 0:
+                out[i] = disc_interaction(float(d), f.radius, g.radius)
+            elif "ring" in (f.kind, g.kind):
+                continue
+            elif d == 0:
+                out[i] = _same_disc(f.degree, g.degree) / (2 * math.pi * f.radius)
+            else:
+                (y, v), (z, w) = f.line, g.line
+                key = (f.kind, g.kind, f.radius, g.radius, int(q), float(d))
+                if key not in spread:
+                    spread[key] = _between_lines(y, z, int(q), float(d))
+                out[i] = (v @ spread[key] @ w).real
+        return out
 
-    def _static(
-        self, a: Radial, b: Radial, q: int, d: float, made: dict[tuple[float, float, int, float], FloatArray]
-    ) -> float:
-        if {a.kind, b.kind} <= {"mean", "point"} and q == 0:
-            return disc_interaction(d, a.radius, b.radius)
-        if d == 0:
-            return _same_disc(a.degree, b.degree) / (2 * math.pi * a.radius)
-        (y, w), (z, v) = a.line, b.line
-        key = (a.kind, b.kind, a.radius, b.radius, q, d)
-        if key not in made:
-            offset = np.add.outer(y, z)
-            made[key] = np.exp(1j * q * np.arcsin(offset / d)) / np.sqrt(d * d - offset**2) / (2 * math.pi)
-        return float((w @ made[key] @ v).real)
+
+def window(k: Numbers, end: float) -> Numbers:
+    """1 up to ``end`` [1/m], then falling smoothly to 0 at twice that; analytic, so that oscillations do not see it."""
+    if math.isinf(end):
+        return np.ones_like(k)
+    return np.asarray(np.where(np.real(k) <= end, 1.0, 0.5 * special.erfc(8 / end * (k - 1.5 * end))))
+
+
+_CUT = 1e-7  # what the window has lost where it starts and ends, erfc(4)/2, with some room
+
+
+def _between_lines(y: FloatArray, z: FloatArray, q: int, d: float) -> ComplexArray:
+    r""":math:`\frac1{2\pi}\int_0^\infty J_q(kd)\,e^{ik(y+z)}dk` for all pairs of offsets, |y + z| < d."""
+    offset = np.add.outer(y, z)
+    return np.asarray(np.exp(1j * q * np.arcsin(offset / d)) / np.sqrt(d * d - offset**2) / (2 * math.pi))
 
 
 def _same_disc(a: int, b: int) -> float:
     r""":math:`\int_0^\infty j_a j_b\,dx`: pi/(2 (2a + 1)) if a = b, else sin((a - b) pi/2)/((a - b)(a + b + 1))."""
     if a == b:
         return math.pi / (2 * (2 * a + 1))
-    return 0.0 if (a - b) % 2 == 0 else (-1) ** ((a - b - 1) // 2) / ((a - b) * (a + b + 1))
+    return 0.0 if (a - b) % 2 == 0 else float((-1) ** ((a - b - 1) // 2) / ((a - b) * (a + b + 1)))
 
 
-def bessel_size(x: FloatArray) -> FloatArray:
-    """Envelope of \\|J_q(x)\\|."""
+def _filled(value: float, k: Numbers, n_columns: int) -> Numbers:
+    """(n_k, n_columns) of ``value``, complex where k is."""
+    shape = (k.size, n_columns)
+    return np.full(shape, value, dtype=complex) if np.iscomplexobj(k) else np.full(shape, value)
+
+
+def _bessel_size(x: FloatArray) -> FloatArray:
+    """Envelope of |J_q(x)|."""
     return np.asarray(1 / np.sqrt(np.maximum(1.0, 0.5 * np.pi * x)))
 
 
-def _bessel(order: IntArray, x: Numbers) -> Numbers:
-    """J_order(x), x (n_k, n_waves), ``order`` (n_waves,)."""
-    out = np.empty_like(x)
-    for q in np.unique(order):
-        at = order == q
-        if np.iscomplexobj(x):
-            out[:, at] = special.jv(q, x[:, at])
-        else:
-            out[:, at] = special.j0(x[:, at]) if q == 0 else special.j1(x[:, at]) if q == 1 else special.jn(q, x[:, at])
+def _transforms(radials: tuple[Radial, ...], k: Numbers) -> Numbers:
+    """g(k) of all ``radials``, (n_k, n_radials)."""
+    out = _filled(1.0, k, len(radials))
+    for radius in {g.radius for g in radials if g.kind != "point"}:
+        x = k * radius
+        own = [(i, g) for i, g in enumerate(radials) if g.radius == radius and g.kind != "point"]
+        top = {kind: max((g.degree for _, g in own if g.kind == kind), default=-1) for kind in ("ball", "ring", "mean")}
+        balls, rings = _balls(top["ball"], x), _bessels(max(top["ring"], 1 + min(top["mean"], 0)), x)
+        for i, g in own:
+            if g.kind == "mean":
+                out[:, i] = np.where(x == 0, 1.0, 2 * rings[1] / np.where(x == 0, 1.0, x))
+            else:
+                out[:, i] = balls[g.degree] if g.kind == "ball" else rings[g.degree]
     return out
 
 
-def _jinc(x: Numbers) -> Numbers:
-    """2 J1(x)/x, 1 at the origin."""
-    zero = x == 0
-    y = np.where(zero, 1.0, x)
-    j1 = special.jv(1, y) if np.iscomplexobj(x) else special.j1(y)
-    return np.asarray(np.where(zero, 1.0, 2 * j1 / y))
+def _waves(order: IntArray, distance: FloatArray, k: Numbers) -> Numbers:
+    """J_order(k distance), (n_k, n_waves)."""
+    out = _filled(0.0, k, order.size)
+    for d in np.unique(distance):
+        own = np.flatnonzero(distance == d)
+        found = _bessels(int(order[own].max()), k * d)
+        for i in own:
+            out[:, i] = found[order[i]]
+    return out
+
+
+def _bessels(top: int, x: Numbers) -> list[Numbers]:
+    """J_0 ... J_top of x (n,)."""
+    if np.iscomplexobj(x):
+        return [np.asarray(special.jv(q, x)) for q in range(top + 1)]
+    real = np.asarray(x, dtype=float)
+    start = [np.asarray(special.j0(real)), np.asarray(special.j1(real))]
+    return _upwards(start, top, real, lambda q: 2.0 * q, special.jv)
+
+
+def _balls(top: int, x: Numbers) -> list[Numbers]:
+    """Spherical Bessel functions j_0 ... j_top of x (n,)."""
+    if np.iscomplexobj(x):
+        return [np.asarray(special.spherical_jn(n, x)) for n in range(top + 1)]
+    real = np.asarray(x, dtype=float)
+    start = [np.asarray(special.spherical_jn(n, real)) for n in range(min(top, 1) + 1)]
+    return _upwards(start, top, real, lambda n: 2.0 * n + 1, special.spherical_jn)
+
+
+def _upwards(
+    start: list[FloatArray], top: int, x: FloatArray, factor: Callable[[int], float], plain: Callable[..., FloatArray]
+) -> list[Numbers]:
+    """Orders up to ``top`` from f_{n+1} = factor(n) f_n/x - f_{n-1}, stable for x > n; the ``plain`` function below."""
+    out = start[: top + 1]
+    small = x < top + 1
+    y = np.where(small, 1.0, x)
+    for n in range(1, top):
+        up = factor(n) * out[n] / y - out[n - 1]
+        up[small] = plain(n + 1, x[small])
+        out.append(np.asarray(up))
+    return list(out)

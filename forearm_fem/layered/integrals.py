@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import SolverError
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .hankel import HankelTable
+from .hankel import HankelTable, Numbers, window
 from .kernel import (
     Base,
     Layer,
@@ -32,7 +32,7 @@ _MAX_LEVELS = 24  # halvings of a panel
 _TAIL_OCTAVES = 16  # beyond sources and wavelengths, for the static tail
 _MAX_PHASE = 1e6  # k times extent [rad] where the tail ends at the latest; what is left enters the error
 _MEAN_OCTAVES = 30  # beyond that, for the mean over the oscillation
-_LOW_LOSS = 1e-3  # loss tangent below which the path leaves the real axis
+LOW_LOSS = 1e-3  # loss tangent below which the path leaves the real axis
 _TEST_LOSS = 1e-3  # loss added to check that path
 _SHARE = 0.02  # part of the tolerance given to one panel
 
@@ -76,7 +76,7 @@ class Medium(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Values (n_freq, n_columns) of all tables side by side [m/N], relative error (n_freq,), evaluations spent."""
+    """Values (n_freq, n_columns) [m/N], relative error (n_freq,) and kernel evaluations of one chunk."""
 
     values: ComplexArray
     error: FloatArray
@@ -84,27 +84,22 @@ class Block(NamedTuple):
 
 
 class Integrals:
-    """Adaptive quadrature for a fixed medium and tables (one per kernel); keeps the weights of both paths."""
+    """Adaptive quadrature for a fixed medium and table; keeps the weights of both paths."""
 
-    def __init__(self, medium: Medium, tables: list[HankelTable], tolerance: float) -> None:
-        self.medium, self.tables, self.tolerance = medium, tables, tolerance
-        self.extent = max(table.extent for table in tables)
-        self.real = [Rules(table) for table in tables]
-        self.raised = [Rules(table, 0.5 / self.extent) for table in tables]
+    def __init__(self, medium: Medium, table: HankelTable, tolerance: float) -> None:
+        self.medium, self.table, self.tolerance = medium, table, tolerance
+        self.real = Rules(table)
+        self.raised = Rules(table, 0.5 / table.extent)
 
     @cached_property
-    def static(self) -> list[FloatArray]:
-        """Integrals for kU = 1 of each table; zeros where the kernel has no static limit."""
-        limits = self.medium.limits(np.ones(1))
-        return [
-            table.static() if np.any(limit != 0) else np.zeros(table.a.size)
-            for table, limit in zip(self.tables, limits, strict=False)
-        ]
+    def static(self) -> FloatArray:
+        """Integrals for kU = 1 (n_columns,) [1/m]."""
+        return self.table.static()
 
     def chunks(self, omega: FloatArray) -> list[tuple[float, IntArray]]:
         """(fraction done, indices) in ascending frequency, each chunk within an octave."""
         order = np.argsort(omega, kind="stable")
-        low = self.medium.loss(omega)[order] < _LOW_LOSS
+        low = self.medium.loss(omega)[order] < LOW_LOSS
         out: list[tuple[float, IntArray]] = []
         start = 0
         for i in range(1, omega.size + 1):
@@ -117,7 +112,7 @@ class Integrals:
 
     def solve(self, omega: FloatArray) -> Block:
         """One chunk, on the path that its losses ask for; SolverError where no path is safe."""
-        if self.medium.loss(omega[:1])[0] >= _LOW_LOSS:
+        if self.medium.loss(omega[:1])[0] >= LOW_LOSS:
             return self._integrate(self.medium, self.real, omega)
         spent = self._check_raised(omega)
         block = self._integrate(self.medium, self.raised, omega)
@@ -132,54 +127,66 @@ class Integrals:
         if np.any(bad):
             raise SolverError(
                 f"layered: at {omega[bad][0] / (2 * math.pi):.4g} Hz a wave with opposed phase and group "
-                f"velocity defies the lossless path; give every layer a loss tangent >= {_LOW_LOSS:g}"
+                f"velocity defies the lossless path; give every layer a loss tangent >= {LOW_LOSS:g}"
             )
         return axis.n_kernel + above.n_kernel
 
-    def _integrate(self, medium: Medium, rules: list[Rules], omega: FloatArray) -> Block:
+    def _integrate(self, medium: Medium, rules: Rules, omega: FloatArray) -> Block:
         """Refine dyadic panels until every frequency of the chunk is converged."""
-        first, core = _grid(medium, omega, min(table.smallest for table in self.tables))
+        first, core = _grid(medium, omega, self.table.smallest)
         ends = np.asarray(core * 2.0 ** np.arange(_TAIL_OCTAVES), dtype=float)
-        ends = ends[ends <= max(core, _MAX_PHASE / self.extent)]
+        ends = ends[ends <= max(core, _MAX_PHASE / self.table.extent)]
         tails = self._tails(medium, ends, omega)
         active: list[Panel] = [(0.0, first), *octaves(first, core)]
-        total = np.hstack([m[:, None] * s for m, s in zip(medium.limits(omega), self.static, strict=False)])
-        error, n_kernel, level = np.zeros(omega.size), omega.size * ends.size, 0
+        total = self._each(lambda i, part: medium.limits(omega)[i][:, None] * self.static[part])
+        end, error, n_kernel, level = math.inf, np.zeros(omega.size), omega.size * ends.size, 0
         while active:
-            values = medium.remainders(rules[0].nodes(active), omega, len(rules) > 1)
+            k = rules.nodes(active)
+            values = [f * window(k, end) for f in self._remainders(medium, k, omega)]
             n_kernel += values[0].size
-            estimates = np.max([panel_errors(f, r.gauges(active)) for f, r in zip(values, rules, strict=True)], axis=0)
-            whole = total + _sums(values, rules, active)
+            gauges = rules.gauges(active)
+            estimates = np.max([panel_errors(f, g) for f, g in zip(values, gauges, strict=True)], axis=0)
+            whole = total + self._sums(values, rules.weights(active))
             scale = np.max(np.abs(whole), axis=1)
             good = np.all(estimates <= _SHARE * self.tolerance * scale[:, None], axis=0)
             good |= level >= _MAX_LEVELS
             bad = [panel for panel, g in zip(active, good, strict=True) if not g]
-            total = whole - _sums([_columns(f, ~good) for f in values], rules, bad) if bad else whole
+            total = whole - self._sums([_columns(f, ~good) for f in values], rules.weights(bad)) if bad else whole
             error += estimates[:, good].sum(axis=1)
             active = [half for panel in bad for half in split(panel)]
             if level == 0:
                 stop = _first_below(tails, 0.1 * self.tolerance * scale)
                 error += tails[:, stop]
-                active += octaves(core, ends[stop])
-                total = total + self._mean_tail(medium, float(ends[stop]), omega)
+                end = float(ends[stop])
+                active += [*octaves(core, end), *_quarters(end)]
+                total = total + self._mean_tail(medium, rules, end, omega)
             level += 1
         return Block(total, error / np.max(np.abs(total), axis=1), n_kernel)
 
-    def _tails(self, medium: Medium, ends: FloatArray, omega: FloatArray) -> FloatArray:
-        """Bound on what lies beyond each of ``ends`` less its mean, (n_freq, n_ends)."""
-        values = medium.remainders(ends, omega, len(self.tables) > 1)
-        bounds = [np.abs(f) * table.envelope(ends) for f, table in zip(values, self.tables, strict=True)]
-        return np.asarray(np.max(bounds, axis=0))
+    def _remainders(self, medium: Medium, k: Numbers, omega: FloatArray) -> list[ComplexArray]:
+        return medium.remainders(k, omega, len(self.table.parts) > 1)
 
-    def _mean_tail(self, medium: Medium, end: float, omega: FloatArray) -> ComplexArray:
-        """Integrals from ``end`` on of the kernels against the weights' mean: octaves by Gauss's rule."""
-        x, w = np.polynomial.legendre.leggauss(8)
-        lo = end * 2.0 ** np.arange(_MEAN_OCTAVES)
-        k = (lo[:, None] * (1.5 + 0.5 * x)).ravel()
-        weight = (lo[:, None] * 0.5 * w).ravel()
-        values = medium.remainders(k, omega, len(self.tables) > 1)
-        parts = [f @ (weight[:, None] * table.mean(k)) for f, table in zip(values, self.tables, strict=True)]
-        return np.hstack(parts)
+    def _each(self, make: Callable[[int, slice], ComplexArray]) -> ComplexArray:
+        """What ``make`` gives for each kernel and its columns, side by side."""
+        return np.hstack([make(i, part) for i, part in enumerate(self.table.parts)])
+
+    def _sums(self, values: list[ComplexArray], weights: Numbers) -> ComplexArray:
+        """Sums of each kernel's values (n_freq, n_k) with the weights (n_k, n_columns) of its columns."""
+        return self._each(lambda i, part: np.asarray(values[i] @ weights[:, part]))
+
+    def _tails(self, medium: Medium, ends: FloatArray, omega: FloatArray) -> FloatArray:
+        """Bound on what is lost by the window at each of ``ends``, (n_freq, n_ends)."""
+        values = np.abs(self._remainders(medium, ends, omega))
+        return np.asarray(np.max(values, axis=0) * self.table.envelope(ends))
+
+    def _mean_tail(self, medium: Medium, rules: Rules, end: float, omega: FloatArray) -> ComplexArray:
+        """What the window takes from the mean of the weights over their oscillation: panels by Gauss's rule."""
+        x, w = np.polynomial.legendre.leggauss(10)
+        panels = [*_quarters(end), *octaves(2 * end, 2.0**_MEAN_OCTAVES * end)]
+        lo, hi = np.array(panels).T
+        k = rules.path((0.5 * (lo + hi)[:, None] + 0.5 * (hi - lo)[:, None] * x).ravel())
+        weight = (0.5 * (hi - lo)[:, None] * w).ravel() * (1 - window(k, end))
+        return self._sums(self._remainders(medium, k, omega), weight[:, None] * self.table.mean(k))
 
 
 def _mixed(u: SurfaceCompliance) -> list[ComplexArray]:
@@ -187,9 +194,9 @@ def _mixed(u: SurfaceCompliance) -> list[ComplexArray]:
     return [u.zz, u.zx, np.asarray(0.5 * (u.xx + u.yy)), np.asarray(0.5 * (u.xx - u.yy))]
 
 
-def _sums(values: list[ComplexArray], rules: list[Rules], panels: list[Panel]) -> ComplexArray:
-    """Sums of the product rule of all tables side by side, (n_freq, n_columns)."""
-    return np.hstack([f @ r.weights(panels) for f, r in zip(values, rules, strict=True)])
+def _quarters(end: float) -> list[Panel]:
+    """The octave beyond ``end`` in four, over which the window falls."""
+    return [(end * (1 + 0.25 * i), end * (1.25 + 0.25 * i)) for i in range(4)]
 
 
 def _grid(medium: Medium, omega: FloatArray, size: float) -> tuple[float, float]:

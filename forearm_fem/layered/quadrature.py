@@ -34,8 +34,8 @@ Panel = tuple[float, float]
 
 @dataclass(frozen=True)
 class Rule:
-    """Weights of one panel: ``values`` (NODES, n_pairs) and ``gauge`` (NODES + extra,), the largest moment of
-    each order over pairs."""
+    """Weights of one panel: ``values`` (NODES, n_columns) and ``gauge`` (n_kernel, NODES + extra), the largest
+    moment of each order over the columns of each kernel."""
 
     values: Numbers
     gauge: FloatArray
@@ -61,12 +61,12 @@ class Rules:
         return self.path((0.5 * (lo + hi)[:, None] + 0.5 * (hi - lo)[:, None] * _X).ravel())
 
     def weights(self, panels: list[Panel]) -> Numbers:
-        """(len(panels) * NODES, n_pairs)."""
+        """(len(panels) * NODES, n_columns)."""
         return np.concatenate([self.rule(panel).values for panel in panels])
 
     def gauges(self, panels: list[Panel]) -> FloatArray:
-        """Largest moments over pairs, (len(panels), NODES + extra)."""
-        return np.array([self.rule(panel).gauge for panel in panels])
+        """Largest moments over columns, (n_kernel, len(panels), NODES + extra)."""
+        return np.stack([self.rule(panel).gauge for panel in panels], axis=1)
 
     def rule(self, panel: Panel) -> Rule:
         """Weights of one panel, from the cache if seen before."""
@@ -81,7 +81,8 @@ class Rules:
         edges = np.linspace(-1.0, 1.0, n_sub + 1)
         blocks = np.array_split(np.arange(n_sub), max(1, n_sub // 64))
         moments = 0.5 * (hi - lo) * np.sum([self._block(panel, edges, block) for block in blocks], axis=0)
-        return Rule(_TO_LEGENDRE.T @ moments[:NODES], np.max(np.abs(moments), axis=1))
+        gauge = [np.max(np.abs(moments[:, part]), axis=1, initial=0.0) for part in self.table.parts]
+        return Rule(_TO_LEGENDRE.T @ moments[:NODES], np.array(gauge))
 
     def _block(self, panel: Panel, edges: FloatArray, block: IntArray) -> Numbers:
         lo, hi = panel

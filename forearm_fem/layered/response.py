@@ -12,31 +12,37 @@ import numpy as np
 
 from ..errors import AccuracyWarning
 from ..typing import ComplexArray, FloatArray, IntArray
-from .integrals import Integrals, Medium
+from .integrals import LOW_LOSS, Integrals, Medium
 from .kernel import Base, Layer, Surface, check_layers
 from .rigid import Disc
+from .sampling import sampled
 from .scattering import Galerkin, galerkin
 
 TERMS = 6  # of the axisymmetric tractions under a rigid disc
-ORDERS = 2  # azimuthal orders in which neighbours' waves are answered
+_SCATTERED = 1e-5  # what the azimuthal orders above those taken may still scatter, by the distances of the discs
+_ORDERS = (2, 6)  # of them, least and most
 
 
 @dataclass(frozen=True)
 class LayeredResult:
     """``values`` (n_freq, n_out, n_in) [m/N], positive along the force; a point receiver on its own point
-    source is NaN (infinite). ``quadrature`` and ``truncation`` (n_freq,) are estimated absolute errors over the largest
-    |value| at that frequency: of the integrals, and of the series of tractions under rigid discs (0 without any).
-    ``n_kernel``: kernel evaluations spent."""
+    source is NaN (infinite).
+
+    ``quadrature``, ``truncation`` and ``interpolation`` (n_freq,) are estimated absolute errors over the largest
+    |value| at that frequency: of the integrals, of the series of tractions under rigid discs (0 without any), and of
+    what lies between the frequencies that were computed. ``n_kernel``: kernel evaluations spent.
+    """
 
     values: ComplexArray
     quadrature: FloatArray
     truncation: FloatArray
+    interpolation: FloatArray
     n_kernel: int
 
     @property
     def error(self) -> FloatArray:
-        """Both errors together (n_freq,)."""
-        return self.quadrature + self.truncation
+        """All errors together (n_freq,)."""
+        return self.quadrature + self.truncation + self.interpolation
 
 
 def layered_compliance(
@@ -49,7 +55,7 @@ def layered_compliance(
     surface: Surface | None = None,
     tolerance: float = 1e-6,
     terms: int = TERMS,
-    orders: int = ORDERS,
+    orders: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> LayeredResult:
     r"""Normal displacement of each output disc per normal force on each input disc.
@@ -61,15 +67,16 @@ def layered_compliance(
     rigid discs, bonded or frictionless, are solved by Galerkin's method (:mod:`forearm_fem.layered.rigid`,
     :mod:`forearm_fem.layered.scattering`): statically F = 8 mu a d on an incompressible body, and
     4 mu a d/(1 - nu) frictionless, 4 mu a d ln(3 - 4 nu)/(1 - 2 nu) bonded on a compressible one (Sneddon 1966;
-    Mossakovskii 1954; Spence 1968). All rigid discs of both lists are there at once, free of net force where not driven,
-    and scatter the waves of the others; a point under one moves with it.
+    Mossakovskii 1954; Spence 1968). All rigid discs of both lists are there at once, free of net force where not
+    driven, and scatter the waves of the others; a point under one moves with it.
 
     Parameters
     ----------
     layers : from the surface down, see :class:`Layer`; ``base`` says what carries the last.
     omega : (n_freq,) array, > 0 [rad/s], convention e^{+i omega t}.
     tolerance : error of the integrals relative to the largest |value| at each frequency.
-    terms, orders : of the tractions under rigid discs; what they leave out is ``truncation`` of the result.
+    terms, orders : of the tractions under rigid discs; None: azimuthal orders as the distances ask for. What they leave
+        out is ``truncation`` of the result.
     progress : called with the fraction done.
 
     Not covered: tilt and sideways motion of rigid discs, tangential loads, anisotropy, omega = 0. With
@@ -85,22 +92,51 @@ def layered_compliance(
     if np.any(medium.loss(omega) < 0):
         raise ValueError("expected Im(modulus) >= 0 (convention e^{+i omega t}), got a layer that feeds energy in")
     discs, rows, columns = _distinct(discs_in, discs_out)
-    system = galerkin(discs, medium.surface, terms, orders if len(discs) > 1 else 0)
-    out = np.full((omega.size, len(discs), len(discs)), np.nan + 0j)
-    quadrature, truncation, n_kernel = np.zeros(omega.size), np.zeros(omega.size), 0
-    engine = Integrals(medium, system.tables, tolerance)
-    for done, chunk in engine.chunks(omega):
-        block = engine.solve(omega[chunk])
-        out[chunk], truncation[chunk] = system.compliance(block.values)
-        quadrature[chunk] = block.error
-        n_kernel += block.n_kernel
-        if progress is not None:
-            progress(done)
+    system = galerkin(discs, medium.surface, terms, _orders(discs) if orders is None else orders)
+    evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, progress)
+    if np.any(medium.loss(omega) < LOW_LOSS):  # poles near the axis: nothing smooth to follow
+        out, errors = evaluate(omega)
+        interpolation = np.zeros(omega.size)
+    else:
+        out, errors, interpolation = sampled(evaluate, omega, tolerance)
+    quadrature, truncation = errors.T
     if np.any(quadrature > tolerance):
         warnings.warn(f"layered: error {quadrature.max():.1e} > tolerance {tolerance:.1e}", AccuracyWarning, 2)
-    points = [i for i, disc in enumerate(discs) if disc.radius == 0]
-    out[:, points, points] = np.nan
-    return LayeredResult(out[:, rows][:, :, columns], quadrature, truncation, n_kernel)
+    out[:, system.points, system.points] = np.nan
+    values = out[:, rows][:, :, columns]
+    return LayeredResult(values, quadrature, truncation, interpolation, evaluate.n_kernel)
+
+
+@dataclass
+class _Evaluation:
+    """Values (n, n_disc, n_disc) and errors (n, 2), quadrature and truncation; counts its work."""
+
+    integrals: Integrals
+    system: Galerkin
+    progress: Callable[[float], None] | None
+    n_kernel: int = 0
+
+    def __call__(self, omega: FloatArray) -> tuple[ComplexArray, FloatArray]:
+        n = self.system.ports
+        values, errors = np.empty((omega.size, n, n), dtype=complex), np.empty((omega.size, 2))
+        for done, chunk in self.integrals.chunks(omega):
+            block = self.integrals.solve(omega[chunk])
+            values[chunk], errors[chunk, 1] = self.system.compliance(block.values)
+            errors[chunk, 0] = block.error
+            self.n_kernel += block.n_kernel
+            if self.progress is not None:
+                self.progress(done)
+        return values, errors
+
+
+def _orders(discs: Sequence[Disc]) -> int:
+    """Azimuthal orders: a disc answers order l of a wave from r by (a/r)^2l; none where nothing is beside it."""
+    if len(discs) == 1:
+        return 0
+    gaps = [a.radius / (math.hypot(a.x - b.x, a.y - b.y) - b.radius) for a in discs for b in discs
+            if a is not b and a.rigid and b.radius > 0]  # fmt: skip
+    ratio = min(max(gaps, default=0.1), 0.99)
+    return min(max(math.ceil(math.log(_SCATTERED) / (2 * math.log(ratio))), _ORDERS[0]), _ORDERS[1])
 
 
 def _check_omega(omega: FloatArray, tolerance: float) -> None:

@@ -26,8 +26,8 @@ Component = Literal["z", "+", "-"]
 class Disc:
     """A disc on the surface, centre (x, y) and radius [m]; radius 0 is a point.
 
-    ``contact``: uniform ``pressure`` (its displacement is the mean over it), or a rigid disc that moves along its normal
-    only, ``bonded`` to the skin or ``frictionless``, as the finite elements have them (:mod:`forearm_fem.ports`).
+    ``contact``: uniform ``pressure`` (its displacement is the mean over it), or a rigid disc that moves along its
+    normal only, ``bonded`` or ``frictionless``, as the finite elements have them (:mod:`forearm_fem.ports`).
     """
 
     x: float
@@ -43,12 +43,13 @@ class Disc:
 
 @dataclass(frozen=True)
 class Traction:
-    """One traction: ``component``, azimuthal order ``m``, transform, and whether it is among the ``last`` of its
-    series, which are left out to see what the series still lacks."""
+    """One traction: ``component``, azimuthal order ``m``, transform; the ``order`` of the whole vector that it is part
+    of, and whether it is the ``last`` of its series."""
 
     component: Component
     m: int
     radial: Radial
+    order: int = 0
     last: bool = False
 
 
@@ -61,7 +62,7 @@ def port_traction(disc: Disc) -> Traction:
 def inner_tractions(disc: Disc, surface: Surface, terms: int, orders: int) -> list[Traction]:
     """Tractions without net force under a rigid disc, ``terms`` of the axisymmetric ones.
 
-    Order l of the whole vector has m = l of the normal and l + 1, l - 1 of the tangential components; \\|l\\| goes up to
+    Order l of the whole vector has m = l of the normal, l + 1 and l - 1 of the tangential components; |l| goes up to
     ``orders``, each order with two terms less, at least one. Without neighbours l = 0 is all there is.
     """
     components: tuple[Component, ...] = ("z", "+", "-") if disc.contact == "bonded" else ("z",)
@@ -71,10 +72,10 @@ def inner_tractions(disc: Disc, surface: Surface, terms: int, orders: int) -> li
         for component in components:
             m = order + {"z": 0, "+": 1, "-": -1}[component]
             balls = [Radial("ball", disc.radius, abs(m) + 2 * n) for n in range(count)]
-            series = [Traction(component, m, g, g is balls[-1] or abs(order) == orders > 0) for g in balls]
+            series = [Traction(component, m, g, abs(order), count > 1 and g is balls[-1]) for g in balls]
             out += series[1:] if (component, m) == ("z", 0) else series
             if _ringed(component, surface):
-                out.append(Traction(component, m, Radial("ring", disc.radius, abs(m)), abs(order) == orders > 0))
+                out.append(Traction(component, m, Radial("ring", disc.radius, abs(m)), abs(order)))
     return out
 
 

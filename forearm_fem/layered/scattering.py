@@ -29,7 +29,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .hankel import HankelTable, Radial
+from .hankel import HankelTable
 from .kernel import Surface
 from .rigid import Disc, Traction, inner_tractions, port_traction
 
@@ -46,16 +46,25 @@ _NAMES = ("z", "+", "-")
 
 @dataclass(frozen=True)
 class Galerkin:
-    """The system: ``tables`` of integrals per kernel and, for each pair i <= j of tractions that is not zero, its
-    ``place`` (2, n_pairs), ``column`` among the tables' side by side, and ``factor``. The first ``ports`` tractions are
-    the ports'; ``last`` marks the end of the series, ``rings`` (2, n) ring tractions with a net force and their port."""
+    """The system: a ``table`` of integrals and, for each pair i <= j of tractions whose entry is not zero, its
+    ``place`` (2, n_pairs), ``column`` in the table, and ``factor``.
 
-    tables: list[HankelTable]
+    The first ``ports`` tractions are the ports', ``points`` those of points; ``last`` marks the last of ``terms``,
+    ``order`` is the azimuthal order; ``rings`` (2, n) are ring tractions with a net force, and their port.
+
+    What the series lack: leaving out the last terms changes the compliance by much more than they lack where they
+    converge exponentially, and by 2/terms of it where the rim's singularity makes it a power of -2. Of azimuthal orders
+    it is the sum of the geometric series that the changes by the last two orders begin."""
+
+    table: HankelTable
     place: IntArray
     column: IntArray
     factor: ComplexArray
     ports: int
+    points: IntArray
+    terms: int
     last: BoolArray
+    order: IntArray
     rings: IntArray
 
     def matrix(self, integrals: ComplexArray) -> ComplexArray:
@@ -71,15 +80,38 @@ class Galerkin:
         return out
 
     def compliance(self, integrals: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-        """Ports' displacement per force (n_freq, ports, ports) [m/N], and the largest relative change (n_freq,) when
-        the last terms of all series are left out."""
-        a = self.matrix(integrals)
-        whole = _condensed(a, self.ports, np.ones(self.last.size, dtype=bool))
-        if not np.any(self.last):
+        """Ports' displacement per force (n_freq, ports, ports) [m/N], and over the largest of them what the series
+        still lack (n_freq,)."""
+        a, top = self.matrix(integrals), int(self.order.max())
+        whole = self._condensed(a, self.order <= top)
+        if self.order.size == self.ports:
             return whole, np.zeros(len(a))
-        less = _condensed(a, self.ports, ~self.last)
-        change = np.abs(whole - less).max(axis=(1, 2)) / np.abs(whole).max(axis=(1, 2))
-        return whole, np.asarray(change)
+        lacking = self.terms / 2 * _change(whole, self._condensed(a, ~self.last))
+        if top == 0:
+            return whole, lacking
+        lower = self._condensed(a, self.order < top)
+        step = _change(whole, lower)
+        if top == 1:
+            return whole, lacking + step
+        before = _change(lower, self._condensed(a, self.order < top - 1))
+        ratio = np.minimum(0.9, step / np.maximum(before, 1e-300))
+        return whole, lacking + step * ratio / (1 - ratio)
+
+    def _condensed(self, a: ComplexArray, kept: BoolArray) -> ComplexArray:
+        """A_ii - A_ir A_rr^-1 A_ri over the ``kept`` tractions, symmetric to the last bit; 0 of a point on itself."""
+        inner = np.flatnonzero(kept)[self.ports :]
+        whole = a[:, : self.ports, : self.ports].copy()
+        if inner.size:
+            coupling = a[:, inner, : self.ports]
+            scattered = coupling.swapaxes(1, 2) @ np.linalg.solve(a[:, inner[:, None], inner], coupling)
+            whole -= 0.5 * (scattered + scattered.swapaxes(1, 2))
+        whole[:, self.points, self.points] = 0
+        return whole
+
+
+def _change(whole: ComplexArray, less: ComplexArray) -> FloatArray:
+    """Largest change over the largest value, per frequency (n_freq,)."""
+    return np.asarray(np.abs(whole - less).max(axis=(1, 2)) / np.abs(whole).max(axis=(1, 2)))
 
 
 def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -> Galerkin:
@@ -90,22 +122,23 @@ def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -
         tractions += inner
         owner += [i] * len(inner)
     where = np.array([(disc.x, disc.y) for disc in discs])[owner]
-    rings = [(i, owner[i]) for i, t in enumerate(tractions) if t.radial.kind == "ring" and (t.component, t.m) == ("z", 0)]
-    tables, place, column, factor = _pairs(tractions, where)
-    last = np.array([t.last for t in tractions], dtype=bool)
-    return Galerkin(tables, place, column, factor, len(discs), last, np.array(rings, dtype=int).reshape(-1, 2).T)
+    forced = [t.radial.kind == "ring" and (t.component, t.m) == ("z", 0) for t in tractions]
+    rings = [(i, owner[i]) for i in np.flatnonzero(forced)]
+    table, place, column, factor = _pairs(tractions, where)
+    last, order = np.array([(t.last, t.order) for t in tractions], dtype=int).T
+    points = np.flatnonzero([disc.radius == 0 for disc in discs])
+    free = np.array(rings, dtype=int).reshape(-1, 2).T
+    return Galerkin(table, place, column, factor, len(discs), points, terms, last.astype(bool), order, free)
 
 
-def _pairs(
-    tractions: Sequence[Traction], where: FloatArray
-) -> tuple[list[HankelTable], IntArray, IntArray, ComplexArray]:
-    """Tables, and place, column and factor of each pair i <= j with a non-zero entry."""
+def _pairs(tractions: Sequence[Traction], where: FloatArray) -> tuple[HankelTable, IntArray, IntArray, ComplexArray]:
+    """Table, and place, column and factor of each pair i <= j with a non-zero entry."""
     radials = tuple(sorted({t.radial for t in tractions}))
     number = {g: i for i, g in enumerate(radials)}
     g = np.array([number[t.radial] for t in tractions])
     m = np.array([t.m for t in tractions])
     c = np.array([_NAMES.index(t.component) for t in tractions])
-    kernels, factors, shifts = (np.array([[_PAIRS[a, b][i] for b in _NAMES] for a in _NAMES]) for i in range(3))
+    number_of, factors, shifts = (np.array([[_PAIRS[a, b][i] for b in _NAMES] for a in _NAMES]) for i in range(3))
     i, j = np.triu_indices(len(tractions))
     across = (where[i] - where[j]).round(12)
     distance, angle = np.hypot(*across.T).round(12), np.arctan2(across[:, 1], across[:, 0])
@@ -115,27 +148,10 @@ def _pairs(
     kept = ((distance > 0) | (q == 0)) & ~singular
     i, j, q, distance, angle = i[kept], j[kept], q[kept], distance[kept], angle[kept]
     phase = (-1j) ** (np.abs(m[i]) + np.abs(m[j])) * (-1.0) ** m[i] * 1j ** np.abs(q) * np.exp(-1j * q * angle)
-    kernel = np.real(kernels[c[i], c[j]]).astype(int)
+    kernel = np.real(number_of[c[i], c[j]]).astype(int)
     pair = np.sort([g[i], g[j]], axis=0)
     keys = np.stack([kernel, pair[0], pair[1], np.abs(q), distance])
     unique, column = np.unique(keys, axis=1, return_inverse=True)
-    tables = [_table(radials, unique[1:, unique[0] == number]) for number in range(4)]
-    count = 4 if np.any(unique[0] > 0) else 1
-    return tables[:count], np.stack([i, j]), column.ravel(), phase * factors[c[i], c[j]]
-
-
-def _table(radials: tuple[Radial, ...], columns: FloatArray) -> HankelTable:
-    a, b, order = columns[:3].astype(int)
-    return HankelTable(radials, a, b, order, columns[3])
-
-
-def _condensed(a: ComplexArray, ports: int, kept: BoolArray) -> ComplexArray:
-    """A_ii - A_ir A_rr^-1 A_ri over the ``kept`` tractions, made symmetric to the last bit."""
-    inner = np.flatnonzero(kept)[ports:]
-    whole = a[:, :ports, :ports]
-    if not inner.size:
-        return np.asarray(whole)
-    coupling = a[:, inner, :ports]
-    reply = np.linalg.solve(a[:, inner[:, None], inner], coupling)
-    scattered = coupling.swapaxes(1, 2) @ reply
-    return np.asarray(whole - 0.5 * (scattered + scattered.swapaxes(1, 2)))
+    kernels, first, second, order = unique[:4].astype(int)
+    table = HankelTable(radials, kernels, first, second, order, unique[4])
+    return table, np.stack([i, j]), column.ravel(), phase * factors[c[i], c[j]]
