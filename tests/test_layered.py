@@ -310,7 +310,7 @@ def test_unreached_tolerance_warns(monkeypatch):
     omega = np.array([600.0])
     fine = line(HALF_SPACE, omega, tolerance=1e-10)
     outputs = [Disc(r, 0.0) for r in RADII]
-    monkeypatch.setattr("forearm_fem.layered.response._MAX_LEVELS", 0)
+    monkeypatch.setattr("forearm_fem.layered.integrals._MAX_LEVELS", 0)
     with pytest.warns(AccuracyWarning, match="tolerance"):
         rough = layered_compliance(HALF_SPACE, omega, [SOURCE], outputs, tolerance=1e-10)
     assert largest(rough.values[:, :, 0] - fine)[0] < rough.error[0] * largest(fine)[0]

@@ -11,10 +11,11 @@ from scipy.interpolate import BarycentricInterpolator
 
 from ..fem.sweep import direct_sweep, reduced_sweep
 from ..layered import Disc, layered_compliance
+from ..pipeline.layered_engine import flat_layers
 from ..pipeline.resources import Ledger
 from ..transfer import band_error, relative_error
 from ..typing import ComplexArray, FloatArray
-from ..verification.scenes import slab_model, twin_layers
+from ..verification.scenes import slab_model
 from .isolated import isolated, median, repeated
 from .scene import BAND, RADII, exact, options, quarter
 
@@ -111,7 +112,7 @@ def _twin(case: Case) -> list[Timed]:
     """The layered solution itself, asked for ``scale`` as tolerance, against a tighter one."""
     ledger, cpu, discs = Ledger(), process_time(), [Disc(0.0, 0.0, 3.5e-3), *(Disc(r, 0.0) for r in RADII)]
     with ledger.stage("all"):
-        result = layered_compliance(twin_layers(quarter()), 2 * np.pi * BAND, discs[:1], discs, tolerance=case.scale)
+        result = layered_compliance(flat_layers(quarter()), 2 * np.pi * BAND, discs[:1], discs, tolerance=case.scale)
     return [_row(case, 0, ledger, process_time() - cpu, result.values, BAND, "Hankel quadrature")]
 
 

@@ -32,13 +32,17 @@ def place_ports(scenario: Scenario, mesh: TissueMesh) -> tuple[Port, ...]:
 
 def skin_of(scenario: Scenario, mesh: TissueMesh) -> Skin:
     """Function from (x, y) to points and outward normals of the volar skin; NaN where there is none."""
+    return parametric_skin(scenario) or FacetSkin.of(mesh)
+
+
+def parametric_skin(scenario: Scenario) -> Skin | None:
+    """The same for a limb that needs no mesh to be known; None for the user's own. Raises where layers, bones or ports
+    do not fit."""
     limb = scenario.limb
     if isinstance(limb, SlabLimb):
         check_slab(limb, layout_of(scenario))
         return _flat
-    if isinstance(limb, ForearmLimb | CylinderLimb):
-        return tube_of(limb).volar
-    return FacetSkin.of(mesh)
+    return tube_of(limb).volar if isinstance(limb, ForearmLimb | CylinderLimb) else None
 
 
 def ports_on(scenario: Scenario, skin: Skin) -> tuple[Port, ...]:

@@ -41,7 +41,7 @@ class Radial:
     degree: int = 0
 
     def size(self, k: FloatArray) -> FloatArray:
-        """Envelope of \|g\| (n_k,)."""
+        """Envelope of |g| (n_k,)."""
         x = k * self.radius
         match self.kind:
             case "ball":

@@ -96,17 +96,17 @@ class Integrals:
         """Integrals for kU = 1 (n_columns,) [1/m]."""
         return self.table.static()
 
-    def chunks(self, omega: FloatArray) -> list[tuple[float, IntArray]]:
-        """(fraction done, indices) in ascending frequency, each chunk within an octave."""
+    def chunks(self, omega: FloatArray) -> list[IntArray]:
+        """Indices in ascending frequency, each chunk within an octave."""
         order = np.argsort(omega, kind="stable")
         low = self.medium.loss(omega)[order] < LOW_LOSS
-        out: list[tuple[float, IntArray]] = []
+        out: list[IntArray] = []
         start = 0
         for i in range(1, omega.size + 1):
             size = _LOW_LOSS_CHUNK if low[start] else _CHUNK
             full = i == omega.size or i - start >= size or omega[order[i]] > 2 * omega[order[start]]
             if full or low[i] != low[start]:
-                out.append((i / omega.size, order[start:i]))
+                out.append(order[start:i])
                 start = i
         return out
 

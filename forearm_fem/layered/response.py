@@ -15,7 +15,7 @@ from ..typing import ComplexArray, FloatArray, IntArray
 from .integrals import LOW_LOSS, Integrals, Medium
 from .kernel import Base, Layer, Surface, check_layers
 from .rigid import Disc
-from .sampling import sampled
+from .sampling import MOST, sampled
 from .scattering import Galerkin, galerkin
 
 TERMS = 6  # of the axisymmetric tractions under a rigid disc
@@ -93,7 +93,8 @@ def layered_compliance(
         raise ValueError("expected Im(modulus) >= 0 (convention e^{+i omega t}), got a layer that feeds energy in")
     discs, rows, columns = _distinct(discs_in, discs_out)
     system = galerkin(discs, medium.surface, terms, _orders(discs) if orders is None else orders)
-    evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, progress)
+    expected = min(omega.size, MOST + 1)
+    evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, expected, progress)
     if np.any(medium.loss(omega) < LOW_LOSS):  # poles near the axis: nothing smooth to follow
         out, errors = evaluate(omega)
         interpolation = np.zeros(omega.size)
@@ -109,23 +110,27 @@ def layered_compliance(
 
 @dataclass
 class _Evaluation:
-    """Values (n, n_disc, n_disc) and errors (n, 2), quadrature and truncation; counts its work."""
+    """Values (n, n_disc, n_disc) and errors (n, 2), quadrature and truncation; counts its work against the ``expected``
+    number of frequencies."""
 
     integrals: Integrals
     system: Galerkin
+    expected: int
     progress: Callable[[float], None] | None
     n_kernel: int = 0
+    n_frequency: int = 0
 
     def __call__(self, omega: FloatArray) -> tuple[ComplexArray, FloatArray]:
         n = self.system.ports
         values, errors = np.empty((omega.size, n, n), dtype=complex), np.empty((omega.size, 2))
-        for done, chunk in self.integrals.chunks(omega):
+        for chunk in self.integrals.chunks(omega):
             block = self.integrals.solve(omega[chunk])
             values[chunk], errors[chunk, 1] = self.system.compliance(block.values)
             errors[chunk, 0] = block.error
             self.n_kernel += block.n_kernel
+            self.n_frequency += chunk.size
             if self.progress is not None:
-                self.progress(done)
+                self.progress(min(1.0, self.n_frequency / self.expected))
         return values, errors
 
 

@@ -11,6 +11,7 @@ from numpy.polynomial import chebyshev
 from ..typing import BoolArray, ComplexArray, FloatArray
 
 _DEGREES = (48, 96)  # nested: the second uses the values of the first
+MOST = _DEGREES[-1]
 _TAIL = 8  # coefficients whose sum bounds what a geometric series leaves beyond them, were they to fall by a tenth each
 
 

@@ -1,20 +1,27 @@
-"""The semi-analytic engine: the same ports on a flat layered half-space."""
+"""The semi-analytic engine: the same ports on flat layers without end, by the same rules of placement."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from ..errors import ScenarioError
+from ..geometry.layout import layers_of, layout_of
+from ..geometry.place import parametric_skin, ports_on
 from ..layered import Disc, Layer, Surface, layered_compliance
 from ..ports import Port
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
+from ..scenario.tissues import Membrane
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import FloatArray
+
+_TOLERANCE = 1e-7  # of the quadrature and of the interpolation in frequency: far below what rigid contacts leave
+_LEFT_OUT = "curvature, bones, supports, sides and ends are left out: what they change, only engine = fem can tell"
 
 
 def solve_layered(
@@ -22,57 +29,79 @@ def solve_layered(
 ) -> Compliance:
     """Compliance of the scenario's ports on its layers, flat and without end, at ``frequency`` (n,) [Hz].
 
-    Leaves out curvature, bones, ends, supports, and the rigidity of the cones (uniform pressure instead).
+    Contacts are as the scenario has them and scatter each other's waves. Leaves out curvature, bones, supports, sides
+    and ends. Raises what the finite elements raise for ports, tissues and limbs that cannot be.
     """
-    ports = flat_ports(scenario)
-    discs = [Disc(p.position[0], p.position[1], p.radius) for p in ports]
+    layers, ports = flat_layers(scenario), flat_ports(scenario)
+    discs = [flat_disc(port) for port in ports]
 
     def tell(fraction: float) -> None:
         if progress is not None:
             progress("layered half-space", round(100 * fraction), 100)
 
     result = layered_compliance(
-        _layers(scenario),
-        2 * np.pi * frequency,
-        discs,
-        discs,
-        surface=_surface(scenario),
-        tolerance=1e-7,
-        progress=tell,
-    )
+        layers, 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues.membrane),
+        tolerance=_TOLERANCE, progress=tell,
+    )  # fmt: skip
     error = np.asarray(result.error)
     estimate = ErrorEstimate(
-        "quadrature", float(error.max()), "Hankel quadrature's own control, relative to the largest entry",
-        tuple(frequency.tolist()), tuple(error.tolist()),
-    )  # fmt: skip
+        "quadrature",
+        float(error.max()),
+        "Hankel quadrature's own control, the last terms and orders of the tractions under rigid discs, and the last "
+        "coefficients between frequencies; relative to the largest entry",
+        tuple(frequency.tolist()),
+        tuple(error.tolist()),
+    )
     return Compliance(frequency, result.values, ports, (estimate,))
 
 
 def flat_ports(scenario: Scenario) -> tuple[Port, ...]:
-    """Contacts and grid points of the scenario on the plane z = 0."""
-    turn = scenario.device.rotation
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    """Contacts and grid points of the scenario on the plane z = 0.
 
-    def place(xy: tuple[float, float]) -> tuple[float, float, float]:
-        x, y = rotation @ np.array(xy)
-        return float(x), float(y), 0.0
+    Raises :class:`GeometryError` for all that the limb itself would not take: overlaps, places beside or beyond it.
+    """
+    skin = parametric_skin(scenario)
+    if skin is None:
+        raise ScenarioError(_no_layers(scenario))
+    layout = layout_of(scenario)
+    places = np.vstack([layout.contacts, layout.points])
+    return tuple(
+        replace(port, position=(float(x), float(y), 0.0), axis=(0.0, 0.0, 1.0))
+        for port, (x, y) in zip(ports_on(scenario, skin), places, strict=True)
+    )
 
-    radius = scenario.device.cone.radius
-    contacts = [Port(f"A{i + 1}", "contact", place(c), radius=radius) for i, c in enumerate(scenario.device.centres)]
-    points = [Port(str(i + 1), "point", place(p)) for i, p in enumerate(scenario.grid.places)]
-    return (*contacts, *points)
+
+def flat_disc(port: Port) -> Disc:
+    """The port as a disc of the layered body."""
+    return Disc(*port.position[:2]) if port.kind == "point" else Disc(*port.position[:2], port.radius, port.contact)
 
 
-def _layers(scenario: Scenario) -> list[Layer]:
+def flat_layers(scenario: Scenario) -> list[Layer]:
+    """The limb's layers on a half-space of its core; :class:`ScenarioError` for a limb without layers."""
     limb, tissues = scenario.limb, resolve_tissues(scenario)
     if isinstance(limb, MeshLimb | SurfacesLimb):
-        raise ScenarioError(f"engine: 'layered' needs layers, but limb.shape is '{limb.shape}'; use engine = 'fem'")
-    stack = [(layer.tissue, layer.thickness) for layer in limb.layers] + [(limb.core, math.inf)]
+        raise ScenarioError(_no_layers(scenario))
+    stack = [(layer.tissue, layer.thickness) for layer in layers_of(limb)] + [(limb.core, math.inf)]
     return [Layer(h, tissues[t].density, tissues[t].modulus.at, tissues[t].bulk) for t, h in stack]
 
 
-def _surface(scenario: Scenario) -> Surface | None:
-    skin = scenario.tissues.membrane
-    if not (skin.tension or skin.mass or skin.stiffness):
-        return None
-    return Surface(tension=skin.tension, membrane=4 * skin.stiffness, mass=skin.mass)
+def flat_surface(membrane: Membrane) -> Surface:
+    """The membrane on the skin: an incompressible sheet, E h/(1 - nu^2) = 4 mu h."""
+    return Surface(membrane.tension, 4 * membrane.stiffness, membrane.mass, 4 * membrane.viscosity)
+
+
+def flat_notes(compliance: Compliance) -> tuple[str, ...]:
+    """Sentences for the report: what the twin leaves out, and what its contacts cost in error."""
+    contacts = [port for port in compliance.ports if port.kind == "contact"]
+    notes = [f"engine = layered: flat layers without end; {_LEFT_OUT}"]
+    if contacts and contacts[0].contact != "pressure":
+        worst = max(estimate.worst for estimate in compliance.errors)
+        notes.append(
+            f"the {contacts[0].contact} cones are rigid discs that scatter each other's waves; as in the finite elements "
+            f"they cannot tilt or slide; e(f) of the whole solution is at most {worst:.1g}"
+        )
+    return tuple(notes)
+
+
+def _no_layers(scenario: Scenario) -> str:
+    return f"engine: 'layered' needs layers, but limb.shape is '{scenario.limb.shape}'; use engine = 'fem'"

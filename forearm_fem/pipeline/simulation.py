@@ -15,7 +15,7 @@ from ..rendering import Limits, Rendering, render_all
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, relative_error
 from .frequencies import frequencies
-from .layered_engine import solve_layered
+from .layered_engine import flat_notes, solve_layered
 from .renderers import renderers, wavelet
 from .solved import Solved, solve
 from .two_meshes import COARSER, estimated_errors
@@ -59,7 +59,7 @@ def simulate(
     if scenario.engine == "layered":
         compliance = solve_layered(scenario, frequency, progress=progress)
         transfer = close_loop(compliance, scenario.device)
-        return Simulation(scenario, None, compliance, transfer, notes=_flat_notes(scenario))
+        return Simulation(scenario, None, compliance, transfer, notes=flat_notes(compliance))
     mesh = mesh or cached_mesh(scenario, base=Path(base))
     return closed(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
 
@@ -129,11 +129,3 @@ def _truncation(
         tuple((share * relative_error(other.values, same)).tolist()),
     )
 
-
-def _flat_notes(scenario: Scenario) -> tuple[str, ...]:
-    notes = ["engine = layered: flat, endless layers without bones or ends"]
-    if scenario.device.cone.contact != "pressure":
-        notes.append(f"the {scenario.device.cone.contact} cones are replaced by uniform pressure on the same disc")
-    if scenario.supports.underside != "free":
-        notes.append("the support under the arm is left out")
-    return tuple(notes)

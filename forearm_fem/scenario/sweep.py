@@ -16,7 +16,9 @@ class Sweep(Part):
     f_max: Annotated[float, Field(gt=0, le=5000)] = Field(500.0, description="[Hz]")
     duration: Positive = Field(2.0, description="record length [s]; bins are 1/duration apart")
     sample_rate: Positive = Field(10000.0, description="[Hz]")
-    frequencies: tuple[Positive, ...] | None = Field(None, description="own list of frequencies [Hz] instead")
+    frequencies: tuple[Annotated[float, Field(gt=0, le=5000)], ...] | None = Field(
+        None, description="own list of frequencies [Hz] instead, at most 5000 Hz"
+    )
 
     @model_validator(mode="after")
     def _band(self) -> Self:

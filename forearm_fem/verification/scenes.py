@@ -15,10 +15,10 @@ from ..fem.sweep import direct_sweep
 from ..geometry.build import build_mesh
 from ..geometry.mesh import TissueMesh
 from ..geometry.place import place_ports
-from ..layered import Base, Disc, Layer, Surface, layered_compliance
+from ..layered import Base, Disc, Layer, layered_compliance
+from ..pipeline.layered_engine import flat_layers, flat_surface
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
-from ..scenario.limb import SlabLimb
 from ..scenario.supports import Supports
 from ..scenario.sweep import SolverOptions
 from ..scenario.tissues import Membrane
@@ -138,23 +138,15 @@ def slab_response(model: ForearmModel, frequencies: Sequence[float]) -> ComplexA
     return direct_sweep(model, np.array(frequencies), DIRECT).values[:, :, 0]
 
 
-def twin_layers(scenario: Scenario) -> list[Layer]:
-    """The slab's layers, its core as half-space."""
-    tissues, limb = resolve_tissues(scenario), scenario.limb
-    assert isinstance(limb, SlabLimb)
-    pairs = [*((x.tissue, x.thickness) for x in limb.layers), (limb.core, math.inf)]
-    return [Layer(h, tissues[t].density, tissues[t].modulus.at, tissues[t].bulk) for t, h in pairs]
-
-
 def twin_response(scenario: Scenario, frequencies: Sequence[float], *, depth: float | None = None) -> ComplexArray:
     """The exact counterpart of :func:`slab_response`; a ``depth`` puts rigid ground under the core."""
-    layers, base, membrane = twin_layers(scenario), "halfspace", scenario.tissues.membrane
+    layers, base = flat_layers(scenario), "halfspace"
     if depth is not None:
         above = sum(x.thickness_m for x in layers[:-1])
         last = layers[-1]
         layers, base = [*layers[:-1], Layer(depth - above, last.density, last.modulus, last.bulk_modulus)], "rigid"
-    discs = [Disc(0.0, 0.0, scenario.device.cone.radius), *(Disc(x, y) for x, y in scenario.grid.places)]
-    surface = Surface(membrane.tension, 4 * membrane.stiffness, membrane.mass)
+    cone, surface = scenario.device.cone, flat_surface(scenario.tissues.membrane)
+    discs = [Disc(0.0, 0.0, cone.radius, cone.contact), *(Disc(x, y) for x, y in scenario.grid.places)]
     omega = 2 * np.pi * np.array(frequencies)
     choice: Base = "rigid" if base == "rigid" else "halfspace"
     result = layered_compliance(layers, omega, discs[:1], discs, base=choice, surface=surface, tolerance=1e-8)
