@@ -55,17 +55,15 @@ class Radial:
                 return np.ones_like(k)
 
     @property
-    def far(self) -> tuple[float, float, float]:
-        """(c, p, phase) of g ~ c x^-p cos(x - phase) for large x = k a."""
+    def bessel(self) -> tuple[float, float, float]:
+        """(c, p, nu) of g = c x^-p J_nu(x), x = k a."""
         match self.kind:
             case "ball":
-                return 1.0, 1.0, (self.degree + 1) * math.pi / 2
+                return math.sqrt(math.pi / 2), 0.5, self.degree + 0.5
             case "ring":
-                return math.sqrt(2 / math.pi), 0.5, (self.degree + 0.5) * math.pi / 2
-            case "mean":
-                return 2 * math.sqrt(2 / math.pi), 1.5, 0.75 * math.pi
+                return 1.0, 0.0, float(self.degree)
             case _:
-                return 1.0, 0.0, 0.0
+                return 2.0, 1.0, 1.0
 
     @cached_property
     def line(self) -> tuple[FloatArray, ComplexArray]:
@@ -145,29 +143,41 @@ class HankelTable:
         return out
 
     def mean(self, k: Numbers) -> Numbers:
-        """Mean over the oscillation of :meth:`values` for large k, (n_k, n_columns): of a disc on itself, else zero."""
+        """Mean over the oscillation of :meth:`values` for large k, (n_k, n_columns): of a disc on itself, else zero.
+
+        From J_nu(x) ~ sqrt(2/(pi x)) (1 + n/(2x)^2) cos(x - (nu + 1/2) pi/2 + n/x), n = (4 nu^2 - 1)/8.
+        """
         out = _filled(0.0, k, self.a.size)
         for column in np.flatnonzero(self._alone):
-            (c, p, s), (e, r, t) = self.radials[self.a[column]].far, self.radials[self.b[column]].far
-            x = k * self.radii[0][column]
-            out[:, column] = c * e * x ** -(p + r) * 0.5 * math.cos(s - t) / (2 * math.pi)
+            (c, p, u), (d, q, v) = (self.radials[at[column]].bessel for at in (self.a, self.b))
+            x, n, m = k * self.radii[0][column], (4 * u * u - 1) / 8, (4 * v * v - 1) / 8
+            size = c * d * x ** -(p + q + 1) / math.pi * (1 + (n + m) / (2 * x) ** 2) / (2 * math.pi)
+            out[:, column] = size * np.cos((u - v) * math.pi / 2 - (n - m) / x)
         return out
 
     def envelope(self, k: FloatArray) -> FloatArray:
         """Bound (n_k,) [1/m] on what is lost of the integral of :meth:`values` by :func:`window` at k.
 
         Product of the envelopes times k or, where it oscillates, the inverse of its slowest rate, times what the window
-        leaks at that rate.
+        leaks at that rate; and the error of the mean.
         """
         sizes = np.stack([radial.size(k) for radial in self.radials], axis=1)
         size = _bessel_size(np.multiply.outer(k, self.distance)) * sizes[:, self.a] * sizes[:, self.b]
         with np.errstate(divide="ignore"):
             reach = np.minimum(k[:, None], 2 / self.slowest)
         leak = np.exp(-np.minimum((k[:, None] * self.slowest / _NARROW) ** 2, 700.0))
-        return np.asarray(np.max(size * reach * np.maximum(leak, _CUT), axis=1) / (2 * math.pi))
+        lost = reach * np.maximum(leak, _CUT) + self._mean_error(k) * k[:, None]
+        return np.asarray(np.max(size * lost, axis=1) / (2 * math.pi))
+
+    def _mean_error(self, k: FloatArray) -> FloatArray:
+        """Relative error of :meth:`mean`, by the next term of the series, (n_k, n_columns)."""
+        fourth = np.array([radial.bessel[2] ** 4 for radial in self.radials])
+        x = np.maximum(np.multiply.outer(k, self.radii[0]), 1e-9)
+        return np.asarray(np.where(self._alone, np.minimum(1.0, (fourth[self.a] + fourth[self.b]) / (16 * x**3)), 0.0))
 
     def static(self) -> FloatArray:
-        """The integrals for kU = 1, (n_columns,) [1/m]; not of rings."""
+        """The integrals for kU = 1, (n_columns,) [1/m]; zero for
+        rings, which a sheet calls for that removes the static limit."""
         spread: dict[tuple[str, str, float, float, int, float], ComplexArray] = {}
         out = np.zeros(self.a.size)
         for i, (a, b, q, d) in enumerate(zip(self.a, self.b, self.order, self.distance, strict=True)):
@@ -228,7 +238,7 @@ def _transforms(radials: tuple[Radial, ...], k: Numbers) -> Numbers:
         x = k * radius
         own = [(i, g) for i, g in enumerate(radials) if g.radius == radius and g.kind != "point"]
         top = {kind: max((g.degree for _, g in own if g.kind == kind), default=-1) for kind in ("ball", "ring", "mean")}
-        balls, rings = _balls(top["ball"], x), _bessels(max(top["ring"], 1 + min(top["mean"], 0)), x)
+        balls, rings = _balls(top["ball"], x), _bessels(max(top["ring"], top["mean"] + 1), x)
         for i, g in own:
             if g.kind == "mean":
                 out[:, i] = np.where(x == 0, 1.0, 2 * rings[1] / np.where(x == 0, 1.0, x))

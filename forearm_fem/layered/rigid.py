@@ -4,8 +4,8 @@ Each traction is one of the components z (normal, outward), + or - (:math:`t_x\p
 azimuthal order m, with the transform :math:`(-i)^{|m|}g(k)e^{im\varphi}`, g a ball :math:`j_{|m|+2n}(ka)` of
 :mod:`forearm_fem.layered.hankel`: the span of :math:`x^{|m|}(1-x^2)^{n-1/2}e^{im\theta}`, which has the root
 singularity at the rim. A bonded disc on a compressible body has :math:`(1-x^2)^{-1/2\pm i\epsilon}` instead
-(Mossakovskii 1954; Spence 1968), which the series nears algebraically. Where a sheet on the skin resists, it carries
-line forces on the rim, and rings join the balls.
+(Mossakovskii 1954; Spence 1968), which the series nears algebraically. Where a sheet on the skin resists, it carries line
+forces on the rim, and a ring joins the balls.
 
 Only the first, z of order 0 and n = 0, has a net force; it belongs to the port of the disc.
 """
@@ -74,10 +74,11 @@ def inner_tractions(disc: Disc, surface: Surface, terms: int, orders: int) -> li
             balls = [Radial("ball", disc.radius, abs(m) + 2 * n) for n in range(count)]
             series = [Traction(component, m, g, abs(order), count > 1 and g is balls[-1]) for g in balls]
             out += series[1:] if (component, m) == ("z", 0) else series
-            if _ringed(component, surface):
+            if _held(component, surface):
                 out.append(Traction(component, m, Radial("ring", disc.radius, abs(m)), abs(order)))
     return out
 
 
-def _ringed(component: Component, surface: Surface) -> bool:
+def _held(component: Component, surface: Surface) -> bool:
+    """Whether a sheet carries line forces in this direction."""
     return surface.tension > 0 if component == "z" else surface.sheet

@@ -98,7 +98,7 @@ def flat_notes(compliance: Compliance) -> tuple[str, ...]:
         worst = max(estimate.worst for estimate in compliance.errors)
         notes.append(
             f"the {contacts[0].contact} cones are rigid discs that scatter each other's waves; as in the finite elements "
-            f"they cannot tilt or slide; e(f) of the whole solution is at most {worst:.1g}"
+            f"they cannot tilt or slide; e(f) of the whole is at most {worst:.1g}"
         )
     return tuple(notes)
 
