@@ -4,8 +4,8 @@ Each traction is one of the components z (normal, outward), + or - (:math:`t_x\p
 azimuthal order m, with the transform :math:`(-i)^{|m|}g(k)e^{im\varphi}`, g a ball :math:`j_{|m|+2n}(ka)` of
 :mod:`forearm_fem.layered.hankel`: the span of :math:`x^{|m|}(1-x^2)^{n-1/2}e^{im\theta}`, which has the root
 singularity at the rim. A bonded disc on a compressible body has :math:`(1-x^2)^{-1/2\pm i\epsilon}` instead
-(Mossakovskii 1954; Spence 1968), which the series nears algebraically. Where a sheet on the skin resists, it carries line
-forces on the rim, and a ring joins the balls.
+(Mossakovskii 1954; Spence 1968), which the series nears algebraically. Where a sheet on the skin resists, it carries
+line forces on the rim, and a ring joins the balls.
 
 Only the first, z of order 0 and n = 0, has a net force; it belongs to the port of the disc.
 """

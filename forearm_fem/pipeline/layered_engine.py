@@ -97,8 +97,8 @@ def flat_notes(compliance: Compliance) -> tuple[str, ...]:
     if contacts and contacts[0].contact != "pressure":
         worst = max(estimate.worst for estimate in compliance.errors)
         notes.append(
-            f"the {contacts[0].contact} cones are rigid discs that scatter each other's waves; as in the finite elements "
-            f"they cannot tilt or slide; e(f) of the whole is at most {worst:.1g}"
+            f"the {contacts[0].contact} cones are rigid discs that scatter each other's waves and, as in the finite "
+            f"elements, cannot tilt or slide; e(f) of the whole is at most {worst:.1g}"
         )
     return tuple(notes)
 
