@@ -13,6 +13,7 @@ from ..geometry.cache import cached_mesh
 from ..geometry.mesh import TissueMesh
 from ..rendering import Limits, Rendering, render_all
 from ..scenario import Scenario
+from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, relative_error
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
@@ -56,6 +57,7 @@ def simulate(
     be built or solved.
     """
     frequency = frequencies(scenario.sweep)
+    resolve_tissues(scenario)  # what they lack is said before anything is meshed
     if scenario.engine == "layered":
         compliance = solve_layered(scenario, frequency, progress=progress)
         transfer = close_loop(compliance, scenario.device)
@@ -128,4 +130,3 @@ def _truncation(
         tuple(other.frequency.tolist()),
         tuple((share * relative_error(other.values, same)).tolist()),
     )
-
