@@ -100,6 +100,7 @@ FAST = {
     "tables": twin.table_rows,
     "miller-pursey": twin.miller_pursey_rows,
     "limits": twin.limit_rows,
+    "rigid discs": twin.rigid_rows,
     "bar": cases.shear_bar_rows,
     "structure": cases.structure_rows,
 }

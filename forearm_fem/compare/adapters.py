@@ -11,7 +11,8 @@ import numpy as np
 from ..device.loop import close_loop
 from ..errors import ScenarioError
 from ..geometry.layout import layers_of
-from ..layered import Disc, Layer, layered_compliance
+from ..layered import Layer, layered_compliance
+from ..pipeline.layered_engine import flat_disc, flat_surface
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..tissue import Tissue, resolve_tissues
@@ -19,6 +20,7 @@ from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
 from .parameters import Parameter
 
+_TERMS, _ORDERS = 4, 1  # under rigid cones: 1e-4 of the largest entry, far below what is measured
 ComplianceOf = Callable[[Scenario], Compliance]
 
 
@@ -85,27 +87,24 @@ def layered_compliance_of(
 ) -> ComplianceOf:
     """The layered twin at ``frequency`` (n,) [Hz] between the planform places of the measured ports.
 
-    Flat, infinite, uniform pressure under the discs (the scenario's cone radius): a fit absorbs what that
-    leaves out into its parameters. The core below the layers is a half-space.
+    Flat and infinite, with the scenario's cones and membrane: a fit absorbs what that leaves out into its parameters.
+    The core below the layers is a half-space.
     """
 
     def compute(scenario: Scenario) -> Compliance:
-        radius = scenario.device.cone.radius
-        ports = (*(_contact(p, radius) for p in inputs), *outputs)
-        discs = [Disc(p.position[0], p.position[1], p.radius if p.kind == "contact" else 0.0) for p in ports]
+        cone = scenario.device.cone
+        ports = (*(Port(p.name, "contact", p.position, p.axis, cone.radius, cone.contact) for p in inputs), *outputs)
+        discs = [flat_disc(port) for port in ports]
         result = layered_compliance(
-            layers_from(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs, tolerance=tolerance
-        )
+            layers_from(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs,
+            surface=flat_surface(scenario.tissues.membrane), tolerance=tolerance, terms=_TERMS, orders=_ORDERS,
+        )  # fmt: skip
         values = np.full((len(frequency), len(ports), len(ports)), np.nan + 0j)
         values[:, :, : len(inputs)] = result.values
         values[:, : len(inputs)] = result.values.swapaxes(1, 2)
         return Compliance(frequency, values, ports, provenance={"engine": "layered"})
 
     return compute
-
-
-def _contact(p: Port, radius: float) -> Port:
-    return Port(p.name, "contact", p.position, p.axis, radius, "pressure")
 
 
 def layers_from(scenario: Scenario) -> tuple[Layer, ...]:

@@ -18,7 +18,7 @@ from .rigid import Disc
 from .sampling import MOST, sampled
 from .scattering import Galerkin, galerkin
 
-TERMS = 6  # of the axisymmetric tractions under a rigid disc
+_TERMS = (6, 24)  # of the axisymmetric tractions under a rigid disc, least and most
 _SCATTERED = 1e-5  # what the azimuthal orders above those taken may still scatter, by the distances of the discs
 _ORDERS = (2, 6)  # of them, least and most
 
@@ -54,7 +54,7 @@ def layered_compliance(
     base: Base = "halfspace",
     surface: Surface | None = None,
     tolerance: float = 1e-6,
-    terms: int = TERMS,
+    terms: int | None = None,
     orders: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> LayeredResult:
@@ -75,8 +75,8 @@ def layered_compliance(
     layers : from the surface down, see :class:`Layer`; ``base`` says what carries the last.
     omega : (n_freq,) array, > 0 [rad/s], convention e^{+i omega t}.
     tolerance : error of the integrals relative to the largest |value| at each frequency.
-    terms, orders : of the tractions under rigid discs; None: azimuthal orders as the distances ask for. What they leave
-        out is ``truncation`` of the result.
+    terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask for. What they leave out
+        is ``truncation`` of the result.
     progress : called with the fraction done.
 
     Not covered: tilt and sideways motion of rigid discs, tangential loads, anisotropy, omega = 0. With
@@ -92,6 +92,7 @@ def layered_compliance(
     if np.any(medium.loss(omega) < 0):
         raise ValueError("expected Im(modulus) >= 0 (convention e^{+i omega t}), got a layer that feeds energy in")
     discs, rows, columns = _distinct(discs_in, discs_out)
+    terms = _terms(discs, medium, omega) if terms is None else terms
     system = galerkin(discs, medium.surface, terms, _orders(discs) if orders is None else orders)
     expected = min(omega.size, MOST + 1)
     evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, expected, progress)
@@ -132,6 +133,16 @@ class _Evaluation:
             if self.progress is not None:
                 self.progress(min(1.0, self.n_frequency / self.expected))
         return values, errors
+
+
+def _terms(discs: Sequence[Disc], medium: Medium, omega: FloatArray) -> int:
+    """Terms that leave about 1e-5, as seen on layers of 80 um to 3 mm and waves to k a = 4; a layer h thin near the top
+    makes stresses as narrow as sqrt(a h) at the rim."""
+    radius = max((disc.radius for disc in discs if disc.rigid), default=0.0)
+    depths = np.cumsum([0.0, *(layer.thickness_m for layer in medium.layers[:-1])])
+    near = [layer.thickness_m for layer, top in zip(medium.layers, depths, strict=True) if top < radius]
+    thin, wave = math.sqrt(radius / min(near, default=math.inf)), float(medium.wavenumbers(omega)[0].max()) * radius
+    return min(max(round(3.5 + 1.5 * thin), round(2 + wave), _TERMS[0]), _TERMS[1])
 
 
 def _orders(discs: Sequence[Disc]) -> int:

@@ -20,6 +20,7 @@ from .kernel import Surface
 
 Contact = Literal["pressure", "bonded", "frictionless"]
 Component = Literal["z", "+", "-"]
+_BESIDE = 6  # terms at most, less two per order, of what answers neighbours
 
 
 @dataclass(frozen=True)
@@ -63,12 +64,13 @@ def inner_tractions(disc: Disc, surface: Surface, terms: int, orders: int) -> li
     """Tractions without net force under a rigid disc, ``terms`` of the axisymmetric ones.
 
     Order l of the whole vector has m = l of the normal, l + 1 and l - 1 of the tangential components; |l| goes up to
-    ``orders``, each order with two terms less, at least one. Without neighbours l = 0 is all there is.
+    ``orders``, each order with two terms less than
+    six, at least one. Without neighbours l = 0 is all there is.
     """
     components: tuple[Component, ...] = ("z", "+", "-") if disc.contact == "bonded" else ("z",)
     out: list[Traction] = []
     for order in range(-orders, orders + 1):
-        count = max(1, terms - 2 * abs(order))
+        count = terms if order == 0 else max(1, min(terms, _BESIDE) - 2 * abs(order))
         for component in components:
             m = order + {"z": 0, "+": 1, "-": -1}[component]
             balls = [Radial("ball", disc.radius, abs(m) + 2 * n) for n in range(count)]

@@ -24,6 +24,7 @@ CASES = (
     Case("twin, published tables", twin.table_rows),
     Case("twin, Miller-Pursey", twin.miller_pursey_rows),
     Case("twin, limits", twin.limit_rows),
+    Case("twin, rigid discs", twin.rigid_rows),
     Case("orders, P2/P1", partial(cases.order_rows, "P2")),
     Case("orders, P3/P2", partial(cases.order_rows, "P3")),
     Case("orders, MINI", partial(cases.order_rows, "P1")),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.special import hyp2f1, j0, j1
@@ -11,15 +11,18 @@ from scipy.special import hyp2f1, j0, j1
 from ..layered import (
     Disc,
     Layer,
+    bonded_disc,
     inertial_near_field,
     layered_compliance,
     miller_pursey_kernel,
     rayleigh_wavenumber,
+    rigid_disc,
     surface_kernel,
     uniform_disc_centre,
 )
+from ..layered.rigid import Contact
 from ..tissue import KelvinVoigt
-from ..typing import ComplexArray
+from ..typing import ComplexArray, FloatArray
 from .rows import Row
 from .scenes import RADIUS
 
@@ -130,6 +133,39 @@ def limit_rows() -> Iterator[Row]:
     static = uniform_disc_centre(RADIUS, 7860.0)
     yield Row("twin, static limit", "(1 - nu)/(pi a mu)", "u/F at the centre, 1 mHz", abs(slow / static - 1), 1e-5,
               "radiation adds k_s a ~ 1e-5 of it")  # fmt: skip
+
+
+_STATICS: tuple[tuple[Contact, float], ...] = (
+    ("bonded", 0.5), ("frictionless", 0.5), ("frictionless", 0.3), ("bonded", 0.3), ("bonded", 0.0),
+)  # fmt: skip
+
+
+def rigid_rows() -> Iterator[Row]:
+    """Rigid discs in statics: 8 mu a, 4 mu a/(1 - nu) without friction, Mossakovskii's bonded disc, and more terms."""
+    case, omega, loss = "twin, rigid disc", np.array([2e-3 * np.pi]), 1e-4
+    for contact, nu in _STATICS:
+        bulk = math.inf if nu == 0.5 else 2 * 7860.0 * (1 + nu) / (3 * (1 - 2 * nu))
+        body = [Layer(math.inf, 1050.0, _lossy(7860.0, loss), bulk)]
+        exact = (bonded_disc if contact == "bonded" else rigid_disc)(RADIUS, 7860.0, nu)
+        disc = [Disc(0.0, 0.0, RADIUS, contact)]
+        found = abs(layered_compliance(body, omega, disc, disc, tolerance=1e-8, terms=12).values[0, 0, 0])
+        bound, reason = 1e-4, "loss and inertia 1e-5"
+        if contact == "bonded" and nu < 0.5:
+            bound, reason = (1e-4 if nu else 2e-4), "the rim's oscillating singularity: terms^-2"
+        reference = "Mossakovskii 1954" if contact == "bonded" else "4 mu a/(1 - nu)"
+        yield Row(f"{case}, {contact}", reference, f"d/F, nu = {nu:g}, 12 terms", abs(found / exact - 1), bound, reason)
+    at, points = 2 * np.pi * np.array([50.0, 200.0, 500.0]), [Disc(0.01, 0.0), Disc(0.02, 0.0)]
+    disc = [Disc(0.0, 0.0, RADIUS, "bonded")]
+    few, many = (
+        layered_compliance(PRESET_O[1:], at, disc, [*disc, *points], tolerance=1e-9, terms=n).values for n in (6, 12)
+    )
+    error = float(np.max(np.abs(few - many).max(axis=(1, 2)) / np.abs(many).max(axis=(1, 2))))
+    reason = "the series converges like 20^-n"
+    yield Row(f"{case}, bonded, skin on fat", "twelve terms", "e(f), six terms", error, 1e-6, reason)
+
+
+def _lossy(mu: float, loss: float) -> Callable[[FloatArray], ComplexArray]:
+    return lambda omega: np.asarray(mu * (1 + 1j * loss) + 0 * np.asarray(omega))
 
 
 def _pole(layers: tuple[Layer, ...], omega: float, near: complex) -> complex:
