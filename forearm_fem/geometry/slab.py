@@ -51,14 +51,17 @@ def check_slab(limb: SlabLimb, layout: Layout) -> None:
 def _check_on(box: Rectangle, limb: SlabLimb, what: str, at: FloatArray, radius: float) -> None:
     for axis, name in enumerate("xy"):
         centred = name in limb.symmetry and at[axis] == 0
+        if name in limb.symmetry and radius and not centred:
+            raise GeometryError(
+                f"{what} at ({at[0] * 1e3:.4g}, {at[1] * 1e3:.4g}) mm lies beside the symmetry plane {name} = 0, which "
+                f"would drive its mirror image too; put its centre on the plane or leave '{name}' out of limb.symmetry"
+            )
         low = box.low[axis] - (radius if centred else 0)
         if not low <= at[axis] - radius <= at[axis] + radius <= box.high[axis]:
             raise GeometryError(
                 f"{what} at ({at[0] * 1e3:.4g}, {at[1] * 1e3:.4g}) mm does not lie on the modelled slab, "
                 f"{name} from {box.low[axis] * 1e3:.4g} to {box.high[axis] * 1e3:.4g} mm; move it, "
-                "enlarge the "
-                "slab, or give up limb.symmetry (a contact may be cut by a symmetry plane only through "
-                "its centre)"
+                "enlarge the slab, or give up limb.symmetry"
             )
 
 
