@@ -67,7 +67,9 @@ class Line:
         return self.stated_band / self.true_band
 
 
-def scene(stack: str, diameter: float, contact: str, accuracy: float, mesh: Mapping[str, Any] | None = None) -> Scenario:
+def scene(
+    stack: str, diameter: float, contact: str, accuracy: float, mesh: Mapping[str, Any] | None = None
+) -> Scenario:
     """A quarter slab with one cone in its middle."""
     layers = [{"tissue": t, "thickness": h} for t, h in STACKS[stack]]
     limb = {"shape": "slab", "length": 0.16, "width": 0.16, "depth": 0.06, "symmetry": ["x", "y"], "layers": layers}
@@ -139,8 +141,8 @@ def table_of(found: Sequence[Line]) -> str:
     fine = [line.receptance for line in found if line.accuracy <= 0.05]
     below = np.average([line.stated_below_half for line in found])
     lead = (
-        f"{sum(inside)} of {len(found)} have an effectivity (stated over true e_band) of 0.5 to 5; {100 * below:.1f} % of "
-        f"all bins state less than half their e(f); receptance under the cone at accuracy 0.05 and better: "
+        f"{sum(inside)} of {len(found)} have an effectivity (stated over true e_band) of 0.5 to 5; {100 * below:.1f} % "
+        f"of all bins state less than half their e(f); receptance under the cone at accuracy 0.05 and better: "
         f"{100 * max(fine, default=np.nan):.2g} % at worst.\n\n"
     )
     names = "stack", "cone mm", "contact", "asked", "drive", "element", "unknowns", "true e_band", "stated", "ratio"

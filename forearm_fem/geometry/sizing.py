@@ -93,11 +93,12 @@ def _counts(scenario: Scenario, grid: float, scale: float) -> tuple[int, ...]:
     cone, options = scenario.device.cone, scenario.mesh
     rigid, depth = cone.contact in RIGID, 0.0
     counts: list[int] = []
+    least = 2 if rigid and isinstance(scenario.limb, SlabLimb) else 1  # no change shows the error of one on both meshes
     for layer in layers_of(scenario.limb):
         size = 0.5 * grid if rigid and not counts else grid  # a rigid rim needs two elements through the skin
         size = min(size, 0.9 * scale * (cone.radius + depth)) if rigid else size
         asked = options.sublayers.get(layer.tissue)
-        count = asked / scale if asked else layer.thickness / (_THROUGH * size)
+        count = asked / scale if asked else max(layer.thickness / (_THROUGH * size), least / scale)
         counts.append(max(1, round(count)))
         depth += layer.thickness
     return tuple(counts)

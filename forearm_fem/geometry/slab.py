@@ -14,6 +14,7 @@ from .prisms import oriented, stack_prisms
 from .sizing import SizeField
 from .topology import boundary_faces
 
+_TALLEST = 13.5  # columns under a disc stay as narrow all the way down: core layers are so many times as thick at most
 _CORE_GROWTH = 2.0  # thickness of core layers grows by 1 + 2 * grading from one to the next
 
 
@@ -78,7 +79,8 @@ def _levels(limb: SlabLimb, size: SizeField) -> tuple[FloatArray, list[str]]:
         top = depths[-1]
         depths += [top + layer.thickness * (i + 1) / count for i in range(count)]
         tissues += [layer.tissue] * count
-    core = _growing(limb.depth - depths[-1], size.sizes.grid, 1 + _CORE_GROWTH * size.grading, size.sizes.far)
+    thickest = min(size.sizes.far, _TALLEST * size.sizes.contact)
+    core = _growing(limb.depth - depths[-1], size.sizes.grid, 1 + _CORE_GROWTH * size.grading, thickest)
     depths += list(depths[-1] + np.cumsum(core))
     depths[-1] = limb.depth
     return np.array(depths), tissues + [limb.core] * len(core)

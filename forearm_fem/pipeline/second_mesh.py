@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import ForearmError, MeshError
 from ..geometry.cache import cached_mesh
+from ..geometry.layout import RIGID
 from ..geometry.mesh import TissueMesh
+from ..geometry.refine import rim_edges
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb
 from .two_meshes import COARSER
@@ -42,10 +46,29 @@ def second_mesh(scenario: Scenario, mesh: TissueMesh, *, base: Path) -> Second:
     first: ForearmError | None = None
     for ratio in _RATIOS:
         try:
-            return Second(scenario, cached_mesh(scenario, base=base, scale=ratio), ratio)
+            other = cached_mesh(scenario, base=base, scale=ratio)
         except ForearmError as problem:
             first = first or problem
-    raise MeshError(f"no second mesh could be made ({first})")
+            continue
+        if _differs(scenario, mesh, other, ratio):
+            return Second(scenario, other, ratio)
+    reason = first or "rims come out as fine on all of them; set mesh.size_contact smaller"
+    raise MeshError(f"no second mesh could be made: {reason}")
+
+
+def _differs(scenario: Scenario, mesh: TissueMesh, other: TissueMesh, ratio: float) -> bool:
+    """Whether all rims of rigid contacts differ by 0.4 of what ``ratio`` asks for at least: bisection halves edges."""
+    if scenario.device.cone.contact not in RIGID:
+        return True
+    names = [name.removeprefix("contact ") for name in mesh.facets if name.startswith("contact ")]
+    found = np.array([_rim_edge(other, name) / _rim_edge(mesh, name) for name in names])
+    return bool(np.all((found - 1) * np.sign(ratio - 1) >= 0.4 * abs(ratio - 1)))
+
+
+def _rim_edge(mesh: TissueMesh, name: str) -> float:
+    """Mean length [m] of the edges of a contact's rim."""
+    ends = mesh.points[rim_edges(mesh, name)]
+    return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean())
 
 
 def _other_order(scenario: Scenario, mesh: TissueMesh) -> Second:

@@ -110,8 +110,8 @@ def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstima
     return ErrorEstimate(
         "discretisation",
         band,
-        f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^p - 1|; order p is 1.85 "
-        "where that is below 0.058, 3 above 0.071",
+        f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^p - 1|; order p is "
+        "1.85 where that is below 0.058, 3 above 0.071",
         tuple(fine.frequency.tolist()),
         tuple(error.tolist()),
     )

@@ -46,9 +46,9 @@ class Solved:
 
     ``coarse`` is on the second mesh (None where no estimate was asked or could be made); ``other_ends`` has free ends
     on the same mesh, or other ends on the second one at a few frequencies (None where neither could be). ``unknown``
-    are the estimates that were asked for and could not be made. ``modes`` (n_point, 3, r) and ``states`` (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit
-    contact force; empty for a direct sweep. ``facts`` are for the report; ``skin`` is the reduced model without its
-    modes.
+    are the estimates that were asked for and could not be made. ``modes`` (n_point, 3, r) and ``states``
+    (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit contact force; empty for a direct
+    sweep. ``facts`` are for the report; ``skin`` is the reduced model without its modes.
     """
 
     compliance: Compliance
