@@ -5,12 +5,13 @@ Arrays are ordered (frequency, output, input); time dependence e^{+i omega t}.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
+from .errors import SolverError
 from .ports import Port
 from .typing import BoolArray, ComplexArray, FloatArray
 
@@ -22,7 +23,8 @@ class ErrorEstimate:
     """An estimated error of one source.
 
     ``per_frequency`` [-] is e(f) = max_ij |dG_ij| / max_ij |G_ij| at ``frequency`` [Hz]; ``band`` is
-    ||dG||_F / ||G||_F over the band and the matrix; ``method`` says in one sentence how it was found.
+    ||dG||_F / ||G||_F over the band and the matrix; ``method`` says in one sentence how it was found. An estimate
+    that was asked for and could not be made has ``band`` NaN, and ``method`` says why and what to do.
     """
 
     source: ErrorSource
@@ -35,6 +37,22 @@ class ErrorEstimate:
     def worst(self) -> float:
         """Largest e(f), or the band value where no frequencies are given."""
         return max(self.per_frequency, default=self.band)
+
+    @property
+    def known(self) -> bool:
+        """Whether the estimate could be made."""
+        return bool(np.isfinite(self.band))
+
+
+def total_error(errors: Iterable[ErrorEstimate]) -> float:
+    """e_band of all sources together, sqrt(sum of band^2); NaN where there is none or one of them is unknown."""
+    bands = [e.band for e in errors]
+    return float(np.sqrt(np.sum(np.square(bands)))) if bands else float("nan")
+
+
+def size_words(size: float, form: str = ".1e") -> str:
+    """An estimated error as a number, or "unknown"."""
+    return f"{size:{form}}" if np.isfinite(size) else "unknown"
 
 
 @dataclass(frozen=True)
@@ -85,6 +103,23 @@ class TransferMatrix:
     def omega(self) -> FloatArray:
         """Angular frequency [rad/s]."""
         return 2 * np.pi * self.frequency
+
+
+def finite(transfer: TransferMatrix) -> TransferMatrix:
+    """The same G; raises :class:`SolverError` where an entry is no finite number."""
+    refuse_non_finite("G", transfer.frequency, transfer.values)
+    return transfer
+
+
+def refuse_non_finite(what: str, frequency: FloatArray, values: ComplexArray) -> None:
+    """Raise :class:`SolverError` unless all ``values`` (n_frequency, ...) are finite."""
+    bad = ~np.isfinite(values)
+    if bad.any():
+        first = frequency[bad.reshape(len(frequency), -1).any(axis=1)][0]
+        raise SolverError(
+            f"{what}: {int(bad.sum())} of {bad.size} values came out as no finite number, the first at {first:g} Hz; "
+            "nothing of it was kept. Look for extreme tissues, sizes or contacts in the scenario"
+        )
 
 
 def relative_error(estimate: ComplexArray, truth: ComplexArray) -> FloatArray:

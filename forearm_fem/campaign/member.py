@@ -71,8 +71,9 @@ def _done(job: Job) -> dict[str, Any]:
 def summary(folder: Path) -> dict[str, Any]:
     """The numbers of a finished folder that belong in a table."""
     account = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    bands = [e["band"] for e in account["errors"]]
     found: dict[str, Any] = {
-        "e_band": max((e["band"] for e in account["errors"]), default=None),
+        "e_band": None if None in bands else max(bands, default=None),
         "condition": account["condition_number"].get("median"),
         "seconds": round(sum(s["seconds"] for s in account["stages"].values()), 1),
     }

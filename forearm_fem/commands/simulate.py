@@ -49,7 +49,8 @@ def solve(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = 
     job = stage(load_scenario(scenario, overrides=overrides or ()), scenario, out, run_solve)
     account = json.loads((job.out / "run.json").read_text(encoding="utf-8"))
     for error in account["errors"]:
-        typer.echo(f"{error['source']:15} band {error['band']:.2e}  worst e(f) {error['worst']:.2e}")
+        band, worst = ("unknown" if error[key] is None else f"{error[key]:.2e}" for key in ("band", "worst"))
+        typer.echo(f"{error['source']:15} band {band}  worst e(f) {worst}")
     typer.echo(account["accuracy"])
     typer.echo(f"G: {job.out / 'transfer.nc'}")
 

@@ -14,7 +14,7 @@ from matplotlib.figure import FigureBase
 from ..errors import DataError
 from ..metrics import StrengthTable, signal_strength_table, thesis_table
 from ..ports import Port, positions
-from ..transfer import ErrorEstimate
+from ..transfer import ErrorEstimate, size_words
 from ..typing import FloatArray
 from .data import Results
 from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled
@@ -217,7 +217,7 @@ def plot_errors(data: Errors, *, ax: Axes | None = None) -> Axes:
     """e(f) of each source of error on a log scale, band values in the legend, and the accuracy asked for."""
     axes = single(ax, (4.6, 3.0))
     for k, e in enumerate(data.estimates):
-        label, colour = f"{e.source}: {e.band:.1g}", ACTUATORS[k % len(ACTUATORS)]
+        label, colour = f"{e.source}: {size_words(e.band, '.1g')}", ACTUATORS[k % len(ACTUATORS)]
         if e.per_frequency:
             marker = "o" if len(e.frequency) < 40 else ""
             axes.plot(e.frequency, np.maximum(e.per_frequency, 1e-16), marker=marker, ms=2.5, color=colour, label=label)

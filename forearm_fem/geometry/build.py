@@ -22,7 +22,7 @@ from .layout import RIGID, layout_of
 from .limb import limb_mesh, underside
 from .mesh import TissueMesh
 from .place import place_ports, ports_on, true_skin
-from .quality import check_mesh
+from .quality import check_count, check_mesh
 from .refine import midpoints, refine_near, refine_rims, refine_skin
 from .sizing import WIDEST, SizeField, Sizes, SpaceField, element_sizes
 from .slab import slab_mesh
@@ -50,7 +50,7 @@ def build_mesh(
     for attempt in range(1, _ATTEMPTS + 1):
         try:
             mesh = _unmarked(scenario, base, size.with_facets(_FINER ** (attempt - 1)), say, attempt)
-            return with_bends(scenario, _marked(scenario, mesh, size, say))
+            return with_bends(scenario, _marked(scenario, mesh, size, say, scale))
         except MeshError as problem:
             if attempt == _ATTEMPTS or isinstance(scenario.limb, SlabLimb | MeshLimb):
                 raise
@@ -75,44 +75,43 @@ def _unmarked(scenario: Scenario, base: Path, size: SizeField, say: Progress, at
     return _nested_mesh(limb, base, size, say, keep_bone=keep_bone)
 
 
-def _marked(scenario: Scenario, mesh: TissueMesh, size: SizeField, say: Progress) -> TissueMesh:
+def _marked(scenario: Scenario, mesh: TissueMesh, size: SizeField, say: Progress, scale: float) -> TissueMesh:
     """With rims followed by edges, refined where the cone is rigid, and contacts named; checked."""
     ports = tuple(p for p in place_ports(scenario, mesh) if p.kind == "contact")
     say("following and refining the contact rims")
-    mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, size)
-    mesh = _with_fine_rims(scenario, with_contacts(mesh, ports), ports, size.sizes)
-    if len(mesh.tetrahedra) > scenario.mesh.max_elements:
-        raise MeshError(
-            f"the mesh has {len(mesh.tetrahedra)} tetrahedra, mesh.max_elements allows "
-            f"{scenario.mesh.max_elements:g}; "
-            "raise it, or enlarge mesh.size_grid and mesh.size_contact"
-        )
+    mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, size, scale)
+    mesh = _with_fine_rims(scenario, with_contacts(mesh, ports), ports, size.sizes, scale)
+    check_count(mesh, scenario.mesh.max_elements)
     check_contact_areas(mesh, ports)
     check_mesh(mesh, scenario.mesh.min_quality)
     return mesh
 
 
-def _with_fine_rims(scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], sizes: Sizes) -> TissueMesh:
+def _with_fine_rims(
+    scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], sizes: Sizes, scale: float
+) -> TissueMesh:
     limb = scenario.limb
     lead = sizes.rim_lead if scenario.device.cone.contact in RIGID else 0.0
     middle = bent_middles(tube_of(limb)) if isinstance(limb, ForearmLimb | CylinderLimb) else midpoints
-    return with_true_rims(refine_rims(mesh, ports, _rim_size(scenario, sizes), middle=middle), ports, lead)
+    return with_true_rims(refine_rims(mesh, ports, _rim_size(scenario, sizes, scale), middle=middle), ports, lead)
 
 
-def _rim_size(scenario: Scenario, sizes: Sizes) -> float:
+def _rim_size(scenario: Scenario, sizes: Sizes, scale: float) -> float:
     """Rigid discs have a stress singularity at the rim; a uniform pressure only needs its area."""
     cone = scenario.device.cone
-    return sizes.rim if cone.contact in RIGID else max(0.5 * sizes.contact, 0.25 * cone.radius)
+    return sizes.rim if cone.contact in RIGID else max(0.5 * sizes.contact, 0.25 * scale * cone.radius)
 
 
-def _imprinted(scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], size: SizeField) -> TissueMesh:
+def _imprinted(
+    scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], size: SizeField, scale: float
+) -> TissueMesh:
     limb = scenario.limb
     tube = tube_of(limb) if isinstance(limb, ForearmLimb | CylinderLimb) else None
     skin = tube.volar if tube else FacetSkin.of(mesh)
     if not isinstance(limb, MeshLimb):
         mesh = refine_skin(mesh, SpaceField.on(size, lambda xy: skin(xy)[0]))
     if tube is None:  # tubes have rings of vertices under the contacts already
-        mesh = refine_near(mesh, ports, min(size.sizes.contact, WIDEST * scenario.device.cone.radius))
+        mesh = refine_near(mesh, ports, min(size.sizes.contact, scale * WIDEST * scenario.device.cone.radius))
     for port in ports:
         mesh = imprint(mesh, port, true_skin(tube) if tube else FacetSkin.of(mesh).lift)
     return replace(mesh, facets={**mesh.facets, **_underside(mesh)})

@@ -14,13 +14,16 @@ from typing import Any
 from ..errors import MeshError
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
+from ..scenario.mesh import MeshOptions
 from .bending import with_bends
 from .build import Progress, build_mesh
 from .files import read_mesh, write_mesh
 from .layout import RIGID, layout_of
 from .mesh import TissueMesh
+from .quality import check_count
 from .sizing import element_sizes
 
+_QUALITY = MeshOptions().min_quality
 GENERATOR = 7  # raise when the same scenario would give another mesh
 _log = logging.getLogger("forearm_fem.geometry")
 
@@ -43,13 +46,19 @@ def cached_mesh(
     key = mesh_key(scenario, base=base, scale=scale, shear_speed=shear_speed)
     for folder in shipped_folders(base, shipped_dir):
         if (found := _look_up(folder, key)) is not None:
-            return with_bends(scenario, found)
+            return _usable(scenario, found)
     home = cache_dir or default_cache_dir()
     if (found := _read(home / f"{key}.json", key)) is not None:
-        return with_bends(scenario, found)
+        return _usable(scenario, found)
     mesh = build_mesh(scenario, base=base, scale=scale, shear_speed=shear_speed, progress=progress)
     _try_store(mesh, home / f"{key}.vtu", key)
     return mesh
+
+
+def _usable(scenario: Scenario, mesh: TissueMesh) -> TissueMesh:
+    """A mesh that was found, bent, after the checks that a fresh one undergoes and its key knows nothing of."""
+    check_count(mesh, scenario.mesh.max_elements)
+    return with_bends(scenario, mesh)
 
 
 def mesh_key(
@@ -67,12 +76,16 @@ def mesh_key(
         "files": _file_digests(scenario, base),
         "contacts": layout.contacts.tolist(),
         "radius": layout.radius,
-        "rigid": scenario.device.cone.contact in RIGID,
+        "rigid": scenario.device.cone.contact in RIGID or ["pressure", scale],
         "points": layout.points.tolist(),
         "grading": scenario.mesh.grading,
         "sizes": _rounded(asdict(element_sizes(scenario, shear_speed, scale=scale))),
         "bone": scenario.supports.bone,
     }
+    if isinstance(scenario.limb, MeshLimb | SurfacesLimb):
+        depends["scale"] = scale
+    if scenario.mesh.min_quality != _QUALITY:  # it may decide at which attempt a mesh is good enough
+        depends["min_quality"] = scenario.mesh.min_quality
     return hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
 
 

@@ -78,6 +78,15 @@ def check_mesh(mesh: TissueMesh, min_quality: float = 0.0) -> None:
     _check_one_piece(mesh)
 
 
+def check_count(mesh: TissueMesh, most: float) -> None:
+    """Raise :class:`MeshError` where ``mesh`` has more tetrahedra than ``most``."""
+    if len(mesh.tetrahedra) > most:
+        raise MeshError(
+            f"the mesh has {len(mesh.tetrahedra)} tetrahedra, mesh.max_elements allows {most:g}; "
+            "raise it, or enlarge mesh.size_grid and mesh.size_contact"
+        )
+
+
 def _check_arrays(mesh: TissueMesh) -> None:
     if not len(mesh.tetrahedra) or mesh.tetrahedra.shape[1] != 4:
         raise MeshError("the mesh has no tetrahedra; give a volume mesh of 4-node tetrahedra, not a surface")

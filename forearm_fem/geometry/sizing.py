@@ -17,7 +17,7 @@ from .neighbourhood import half_planes
 DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics.md 6
 _CONTACT, _FAR = 0.8, 6.0  # relative to the size between contacts and grid
 _FARTHEST = 20e-3  # [m] in slabs: larger elements left 4 % at 100 Hz, and slivers in the columns under a contact
-_FARTHEST_AT = 0.05  # accuracy; below, they shrink with its fourth root: points 20 mm away felt the far elements first
+_AT = 0.05  # accuracy; below, they and rims shrink with its fourth root: points 20 mm away felt the far elements first
 _FACET, _WIDEST_FACET = 0.4, 2 * np.pi / 9  # [rad] at accuracy 0.05, and at most
 WIDEST = 0.6  # elements under a contact are at most this many radii
 _INTO_CORE = 2.2  # the core lies under the layers, where fields are smooth: sizes grow faster there
@@ -27,18 +27,19 @@ _THROUGH = 0.8  # a sublayer is at most about this much of the size between cont
 @dataclass(frozen=True)
 class _Rule:
     """What the element pair changes: elements per shear wavelength, under contacts (in radii), at rigid rims
-    (relative to the size between contacts and grid), on the limb's wall (facets relative to a bone's), and
-    :attr:`Sizes.rim_lead`."""
+    (relative to the size between contacts and grid, and in radii at most), on the limb's wall (facets relative to a
+    bone's), and :attr:`Sizes.rim_lead`."""
 
     per_wavelength: float
     widest: float
     rim: float
+    widest_rim: float
     wall: float
     rim_lead: float
 
 
-SECOND = _Rule(0.885, WIDEST, 0.45, 1.0, 0.03)  # default forearm: 0.885 * 4.4 mm * 0.05**(1/4) = 1.84 mm
-GRADED = _Rule(1.8, 0.43, 0.4, 1.25, 0.025)  # third order around the ports: elements twice as large
+SECOND = _Rule(0.885, WIDEST, 0.45, 0.3, 1.0, 0.03)  # default forearm: 0.885 * 4.4 mm * 0.05**(1/4) = 1.84 mm
+GRADED = _Rule(1.8, 0.43, 0.4, 0.43, 1.25, 0.025)  # third order around the ports: elements twice as large
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,8 @@ class Sizes:
 
 
 def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = None, *, scale: float = 1.0) -> Sizes:
-    """Sizes for ``scenario``; explicit mesh options win, ``scale`` multiplies every size.
+    """Sizes for ``scenario``; explicit mesh options win, ``scale`` multiplies every size: what two meshes share their
+    difference does not show.
 
     ``shear_speed`` maps tissues to their shear wave speed at ``f_max`` [m/s]. Outputs of P2 elements converge
     like h^4, hence h = 0.885 lambda_min accuracy^(1/4), and twice that with third order around the ports.
@@ -73,27 +75,33 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     wavelength = min(shear_speed.values(), default=DEFAULT_SHEAR_SPEED) if shear_speed else DEFAULT_SHEAR_SPEED
     grid = float(np.clip(rule.per_wavelength * wavelength / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
     grid = scale * (options.size_grid or grid)
-    # the estimate's coarser mesh must be coarser under contacts too; of P2 under a rigid disc only the rim counts
-    fixed = scenario.device.cone.contact in RIGID and rule is SECOND
-    widest = rule.widest * radius * (1.0 if fixed else max(scale, 1.0))
-    contact = scale * options.size_contact if options.size_contact else min(_CONTACT * grid, widest)
-    coarsest = _FARTHEST * min(1.0, (scenario.accuracy / _FARTHEST_AT) ** 0.25)
+    contact = min(_CONTACT * grid, scale * rule.widest * radius)
+    contact = scale * options.size_contact if options.size_contact else contact
+    finest = min(1.0, (scenario.accuracy / _AT) ** 0.25)
+    coarsest = _FARTHEST * finest
     farthest = scale * coarsest if isinstance(scenario.limb, SlabLimb) else np.inf
     far = scale * options.size_far if options.size_far else min(_FAR * grid, farthest)
-    rim = min(rule.rim * grid, contact)
-    finer = 0.5 if scenario.device.cone.contact in RIGID else 1.0  # a rigid rim needs two elements through the skin
-    counts = tuple(
-        _sublayers(layer.thickness, options.sublayers.get(layer.tissue), grid * (finer if i == 0 else 1.0), scale)
-        for i, layer in enumerate(layers_of(scenario.limb))
-    )
+    rim = min(rule.rim * grid, contact, scale * finest * rule.widest_rim * radius)
+    counts = _counts(scenario, grid, scale)
     facet = min(_FACET * (scenario.accuracy / 0.05) ** 0.25, _WIDEST_FACET)
     wall = min(rule.wall * facet, _WIDEST_FACET)
     return Sizes(contact, grid, max(far, grid), rim, scale * facet, scale * wall, rule.rim_lead, counts)
 
 
-def _sublayers(thickness: float, asked: int | None, grid: float, scale: float) -> int:
-    count = asked / scale if asked else thickness / (_THROUGH * grid)
-    return max(1, round(count))
+def _counts(scenario: Scenario, grid: float, scale: float) -> tuple[int, ...]:
+    """Element layers through each tissue layer; under a rigid disc none thicker than its field is wide there."""
+    cone, options = scenario.device.cone, scenario.mesh
+    rigid, depth = cone.contact in RIGID, 0.0
+    counts: list[int] = []
+    least = 2 if rigid and isinstance(scenario.limb, SlabLimb) else 1  # no change shows the error of one on both meshes
+    for layer in layers_of(scenario.limb):
+        size = 0.5 * grid if rigid and not counts else grid  # a rigid rim needs two elements through the skin
+        size = min(size, 0.9 * scale * (cone.radius + depth)) if rigid else size
+        asked = options.sublayers.get(layer.tissue)
+        count = asked / scale if asked else max(layer.thickness / (_THROUGH * size), least / scale)
+        counts.append(max(1, round(count)))
+        depth += layer.thickness
+    return tuple(counts)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from .prisms import oriented, stack_prisms
 from .sizing import SizeField
 from .topology import boundary_faces
 
+_TALLEST = 13.5  # columns under a disc stay as narrow all the way down: core layers are so many times as thick at most
 _CORE_GROWTH = 2.0  # thickness of core layers grows by 1 + 2 * grading from one to the next
 
 
@@ -51,14 +52,17 @@ def check_slab(limb: SlabLimb, layout: Layout) -> None:
 def _check_on(box: Rectangle, limb: SlabLimb, what: str, at: FloatArray, radius: float) -> None:
     for axis, name in enumerate("xy"):
         centred = name in limb.symmetry and at[axis] == 0
+        if name in limb.symmetry and radius and not centred:
+            raise GeometryError(
+                f"{what} at ({at[0] * 1e3:.4g}, {at[1] * 1e3:.4g}) mm lies beside the symmetry plane {name} = 0, which "
+                f"would drive its mirror image too; put its centre on the plane or leave '{name}' out of limb.symmetry"
+            )
         low = box.low[axis] - (radius if centred else 0)
         if not low <= at[axis] - radius <= at[axis] + radius <= box.high[axis]:
             raise GeometryError(
                 f"{what} at ({at[0] * 1e3:.4g}, {at[1] * 1e3:.4g}) mm does not lie on the modelled slab, "
                 f"{name} from {box.low[axis] * 1e3:.4g} to {box.high[axis] * 1e3:.4g} mm; move it, "
-                "enlarge the "
-                "slab, or give up limb.symmetry (a contact may be cut by a symmetry plane only through "
-                "its centre)"
+                "enlarge the slab, or give up limb.symmetry"
             )
 
 
@@ -75,7 +79,8 @@ def _levels(limb: SlabLimb, size: SizeField) -> tuple[FloatArray, list[str]]:
         top = depths[-1]
         depths += [top + layer.thickness * (i + 1) / count for i in range(count)]
         tissues += [layer.tissue] * count
-    core = _growing(limb.depth - depths[-1], size.sizes.grid, 1 + _CORE_GROWTH * size.grading, size.sizes.far)
+    thickest = min(size.sizes.far, _TALLEST * size.sizes.contact)
+    core = _growing(limb.depth - depths[-1], size.sizes.grid, 1 + _CORE_GROWTH * size.grading, thickest)
     depths += list(depths[-1] + np.cumsum(core))
     depths[-1] = limb.depth
     return np.array(depths), tissues + [limb.core] * len(core)

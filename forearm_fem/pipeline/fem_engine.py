@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,15 +11,14 @@ from ..fem.coefficients import Polynomial
 from ..fem.expand import Snapshots
 from ..fem.model import ForearmModel, build_model
 from ..fem.sweep import SweepResult, direct_sweep, reduced_sweep
-from ..geometry.cache import cached_mesh
 from ..geometry.mesh import TissueMesh
 from ..geometry.place import place_ports
 from ..scenario import Scenario
 from ..scenario.supports import Supports
 from ..tissue import Tissue, resolve_tissues
-from ..transfer import Compliance, ErrorEstimate
+from ..transfer import Compliance, ErrorEstimate, refuse_non_finite
 from ..typing import ComplexArray, FloatArray
-from .two_meshes import COARSER
+from .second_mesh import Second
 
 Progress = Callable[[str, int, int], None]
 REDUCTION = 1e-4  # e(f) asked of the reduced model: far below any discretisation error
@@ -60,6 +58,7 @@ def solve_fem(
     else:
         result = direct_sweep(model, frequency, scenario.solver, progress=progress)
     compliance = Compliance(frequency, masked(result.values, model), model.ports, _errors(result))
+    refuse_non_finite("the compliance", frequency, compliance.values[:, :, compliance.indices("contact")])
     return FemSolution(compliance, result, model)
 
 
@@ -94,13 +93,12 @@ def masked(values: ComplexArray, model: ForearmModel) -> ComplexArray:
     return result
 
 
-def coarser_compliance(
-    scenario: Scenario, frequency: FloatArray, *, base: Path, progress: Progress | None = None
-) -> Compliance:
-    """The same scenario on a mesh whose elements are :data:`COARSER` times larger."""
-    mesh = cached_mesh(scenario, base=base, scale=COARSER)
-    rougher = scenario.model_copy(update={"solver": scenario.solver.model_copy(update=_ROUGHER)})
-    return solve_fem(rougher, mesh, frequency, progress=progress, tolerance=None).compliance
+def second_compliance(second: Second, frequency: FloatArray, *, progress: Progress | None = None) -> Compliance:
+    """Compliance on the second mesh, less certain than the first one's; its provenance holds the ``ratio``."""
+    rougher = second.scenario.solver.model_copy(update=_ROUGHER)
+    scenario = second.scenario.model_copy(update={"solver": rougher})
+    found = solve_fem(scenario, second.mesh, frequency, progress=progress, tolerance=None).compliance
+    return replace(found, provenance={"ratio": second.ratio})
 
 
 def freed_ends(solution: FemSolution) -> Compliance | None:
@@ -118,14 +116,12 @@ def freed_ends(solution: FemSolution) -> Compliance | None:
     return Compliance(some, masked(values, solution.model), own.ports)
 
 
-def other_ends(scenario: Scenario, frequency: FloatArray, *, base: Path) -> Compliance | None:
-    """Compliance on the coarse mesh with another kind of ends, at a few of the frequencies, by direct solves.
+def other_ends(second: Second, frequency: FloatArray) -> Compliance:
+    """Compliance on the second mesh with another kind of ends, at a few of the frequencies, by direct solves.
 
-    For what :func:`freed_ends` cannot do. None where the mesh has no cut ends.
+    For what :func:`freed_ends` cannot do, where the mesh has cut ends.
     """
-    mesh = cached_mesh(scenario, base=base, scale=COARSER)
-    if not len(mesh.facets.get("end", ())):
-        return None
+    scenario, mesh = second.scenario, second.mesh
     probes = frequency[truncation_probes(len(frequency))]
     other = scenario.supports.model_copy(update={"ends": "absorb" if scenario.supports.ends != "absorb" else "fixed"})
     model = fem_model(scenario, mesh, supports=other)

@@ -39,6 +39,7 @@ from .simulation import Simulation, closed, render_transfer, simulate
 from .skin_model import save_skin_model
 from .solved import solve
 from .two_meshes import remaining_error
+from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
 
 Progress = Callable[[str, int, int], None]
@@ -81,7 +82,7 @@ def run_all(run: Run) -> None:
         if run.scenario.rendering.methods:
             write_report(run.out)
         else:
-            write_wave_report(run.scenario, transfer, run.out)
+            write_wave_report(run.scenario, transfer, run.out, notes=run.notes)
     _write_run(run)
 
 
@@ -265,16 +266,9 @@ def _first_cost(cost: dict[str, float], before: dict[str, float] | None) -> dict
 
 
 def _error_entry(error: ErrorEstimate) -> dict[str, Any]:
-    return {"source": error.source, "band": error.band, "worst": error.worst, "method": error.method}
-
-
-def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> str:
-    """One sentence: was the accuracy asked for met, by the estimates?"""
-    if not errors:
-        return "no error estimate was made, so the accuracy asked for cannot be confirmed"
-    total = float(np.sqrt(sum(e.band**2 for e in errors)))
-    met = "met" if total <= scenario.accuracy else "NOT met"
-    return f"asked e_band <= {scenario.accuracy:g}, estimated {total:.2g} over all sources: {met}"
+    """As JSON, which has no NaN: null is unknown."""
+    known = {"band": error.band, "worst": error.worst} if error.known else {"band": None, "worst": None}
+    return {"source": error.source, **known, "method": error.method}
 
 
 def _condition(transfer: TransferMatrix) -> dict[str, float]:

@@ -13,13 +13,14 @@ from ..geometry.cache import cached_mesh
 from ..geometry.mesh import TissueMesh
 from ..rendering import Limits, Rendering, render_all
 from ..scenario import Scenario
+from ..scenario.limb import MeshLimb
 from ..tissue import resolve_tissues
-from ..transfer import Compliance, ErrorEstimate, TransferMatrix, relative_error
+from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
 from .renderers import renderers, wavelet
 from .solved import Solved, solve
-from .two_meshes import COARSER, estimated_errors
+from .two_meshes import estimated_errors
 
 Progress = Callable[[str, int, int], None]
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions.md).
@@ -31,8 +32,8 @@ FREED_ENDS, _FREED = 0.5, "the absorbing ends are freed (by the reduced model)"
 class Simulation:
     """A simulated calibration.
 
-    ``coarse`` is G on the second, coarser mesh (None where no estimate was asked): ``transfer.errors`` and the error
-    of S follow from it. ``notes`` are sentences that belong in the report.
+    ``coarse`` is G on the second mesh (None where no estimate was asked or could be made): ``transfer.errors`` and the
+    error of S follow from it. ``notes`` are sentences that belong in the report.
     """
 
     scenario: Scenario
@@ -60,7 +61,7 @@ def simulate(
     resolve_tissues(scenario)  # what they lack is said before anything is meshed
     if scenario.engine == "layered":
         compliance = solve_layered(scenario, frequency, progress=progress)
-        transfer = close_loop(compliance, scenario.device)
+        transfer = finite(close_loop(compliance, scenario.device))
         return Simulation(scenario, None, compliance, transfer, notes=flat_notes(compliance))
     mesh = mesh or cached_mesh(scenario, base=Path(base))
     return closed(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
@@ -68,17 +69,18 @@ def simulate(
 
 def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
     """G and its errors from compliances: the device enters here, at no further FE solve."""
-    transfer = close_loop(solved.compliance, scenario.device)
-    coarse = close_loop(solved.coarse, scenario.device) if solved.coarse else None
-    errors = [_discretisation(transfer, coarse)] if coarse else []
+    transfer = finite(close_loop(solved.compliance, scenario.device))
+    coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None
+    errors = [*solved.unknown, *([_discretisation(transfer, coarse)] if coarse else [])]
     if solved.other_ends:
-        other = close_loop(solved.other_ends, scenario.device)
+        other = finite(close_loop(solved.other_ends, scenario.device))
         if solved.facts.get("ends_by") == "reduced model":
             errors.append(_truncation(transfer, transfer, other, FREED_ENDS, _FREED))
         elif coarse:
             errors.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
-    return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, solved.problems)
+    notes = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
+    return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, (*notes, *_idle_sizes(scenario)))
 
 
 def render(simulation: Simulation, *, progress: Callable[[int, int, str], None] | None = None) -> Rendering:
@@ -105,11 +107,13 @@ def render_transfer(
 
 
 def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstimate:
-    band, error = estimated_errors(coarse.values, fine.values, fine.frequency)
+    ratio = float(coarse.provenance["ratio"])
+    band, error = estimated_errors(coarse.values, fine.values, fine.frequency, ratio)
     return ErrorEstimate(
         "discretisation",
         band,
-        f"change of G on a mesh with {COARSER:g} times larger elements over 2.6, over 7 where it is above 0.5",
+        f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^p - 1|; order p is "
+        "1.85 where that is below 0.058, 3 above 0.071",
         tuple(fine.frequency.tolist()),
         tuple(error.tolist()),
     )
@@ -130,3 +134,14 @@ def _truncation(
         tuple(other.frequency.tolist()),
         tuple((share * relative_error(other.values, same)).tolist()),
     )
+
+
+def _idle_sizes(scenario: Scenario) -> tuple[str, ...]:
+    """A note on sizes that were given for a user's own mesh, which they do not change."""
+    if not isinstance(scenario.limb, MeshLimb):
+        return ()
+    given = sorted(scenario.mesh.model_fields_set & {"size_grid", "size_far", "sublayers", "grading"})
+    if not given:
+        return ()
+    names = ", ".join(f"mesh.{name}" for name in given)
+    return (f"{names}: your own mesh is refined under and around the contacts only, these change nothing else",)

@@ -28,10 +28,11 @@ from ..geometry.skin import skin_edges
 from ..io.atomic import atomic_path, write_text
 from ..io.netcdf import read_compliance, write_compliance
 from ..scenario import Scenario
-from ..transfer import Compliance
+from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
-from .fem_engine import FemSolution, coarser_compliance, freed_ends, other_ends, reduction_tolerance, solve_fem
+from .fem_engine import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
 from .heap import freed_memory_kept
+from .second_mesh import second_mesh
 from .skin_model import SkinModel, load_skin_model, save_skin_model
 
 _log = logging.getLogger("forearm_fem.pipeline")
@@ -43,11 +44,11 @@ Progress = Callable[[str, int, int], None]
 class Solved:
     """All compliances of a scenario on one mesh.
 
-    ``coarse`` is on the coarser mesh (None where no estimate was asked); ``other_ends`` has free ends on the same
-    mesh, or other ends on the coarser one at a few frequencies (None where neither could be). ``modes``
-    (n_point, 3, r) and ``states`` (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit
-    contact force; empty for a direct sweep. ``facts`` are for the report; ``skin`` is the reduced model without its
-    modes.
+    ``coarse`` is on the second mesh (None where no estimate was asked or could be made); ``other_ends`` has free ends
+    on the same mesh, or other ends on the second one at a few frequencies (None where neither could be). ``unknown``
+    are the estimates that were asked for and could not be made. ``modes`` (n_point, 3, r) and ``states``
+    (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit contact force; empty for a direct
+    sweep. ``facts`` are for the report; ``skin`` is the reduced model without its modes.
     """
 
     compliance: Compliance
@@ -56,7 +57,7 @@ class Solved:
     modes: FloatArray
     states: ComplexArray
     facts: dict[str, Any]
-    problems: tuple[str, ...] = ()
+    unknown: tuple[ErrorEstimate, ...] = ()
     skin: SkinModel | None = None
 
 
@@ -73,17 +74,26 @@ def _solve(
 ) -> Solved:
     store = _Store(default_cache_dir() / "solves" / solve_key(scenario, mesh, frequency))
     main = _main_part(store, scenario, mesh, frequency, progress)
-    coarse, ends, problems = None, main.other_ends, list[str]()
-    if scenario.solver.discretisation_estimate:
-        try:
-            coarse = store.compliance(
-                "coarse",
-                lambda: coarser_compliance(scenario, frequency, base=base, progress=_named(progress, "coarser mesh")),
-            )
-            ends = ends or _ends(store, scenario, frequency, base, progress)
-        except ForearmError as problem:
-            problems.append(f"the error estimate on a coarser mesh failed: {problem}")
-    return replace(main, coarse=coarse, other_ends=ends, problems=tuple(problems))
+    if not scenario.solver.discretisation_estimate:
+        return main
+    cut = main.other_ends is None and len(mesh.facets.get("end", ())) > 0  # and nothing cheaper shows what that costs
+    try:
+        second = second_mesh(scenario, mesh, base=base)
+        coarse = store.compliance(
+            f"second-{second.label}",
+            lambda: second_compliance(second, frequency, progress=_named(progress, "coarser mesh")),
+        )
+        ends = main.other_ends
+        if cut:
+            _tell(progress, "truncation estimate", 0)
+            ends = store.compliance(f"other_ends-{second.label}", lambda: other_ends(second, frequency))
+            _tell(progress, "truncation estimate", 1)
+    except ForearmError as problem:
+        reason = f"not estimated: {problem}"
+        missing = [ErrorEstimate("discretisation", np.nan, reason)]
+        missing += [ErrorEstimate("truncation", np.nan, reason)] if cut else []
+        return replace(main, unknown=tuple(missing))
+    return replace(main, coarse=coarse, other_ends=ends)
 
 
 def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> str:
@@ -156,17 +166,6 @@ def field_modes(solution: FemSolution) -> FloatArray:
     chosen = csr_array(eye_array(model.space.n_nodes, format="csr"))[vertices]
     shown = kron(vstack([chosen, places]), eye_array(3), format="csr") @ model.constraints.transform
     return reduced.basis.seen_by(csr_array(shown)).reshape(-1, 3, reduced.size)
-
-
-def _ends(
-    store: _Store, scenario: Scenario, frequency: FloatArray, base: Path, progress: Progress | None
-) -> Compliance | None:
-    _tell(progress, "truncation estimate", 0)
-    found = store.read("other_ends") or other_ends(scenario, frequency, base=base)
-    if found is not None:
-        store.write("other_ends", found)
-    _tell(progress, "truncation estimate", 1)
-    return found
 
 
 def _named(progress: Progress | None, prefix: str) -> Progress | None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -15,25 +17,33 @@ from ..metrics.waves import WaveFit
 from ..ports import distances
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
-from ..transfer import TransferMatrix, relative_error
+from ..transfer import TransferMatrix, relative_error, size_words
 from ..typing import FloatArray
 from .layered_engine import solve_layered
+from .verdict import accuracy_verdict
 
 
-def write_wave_report(scenario: Scenario, transfer: TransferMatrix, out: Path) -> Path:
-    """``report.md`` and, where a line of points allows it, ``waves.csv`` with attenuation and speed."""
+def write_wave_report(
+    scenario: Scenario, transfer: TransferMatrix, out: Path, *, notes: Sequence[str] = ()
+) -> tuple[Path, Path]:
+    """``report.md``, ``report.html`` and, where a line of points allows it, ``waves.csv`` with attenuation and speed.
+
+    Verdict on the accuracy first, ``notes`` of the run last.
+    """
     parts = [
         f"# Run of scene {scenario.name}\n",
         scenario.description + "\n",
         "## Estimated errors of G\n",
         *_errors(transfer),
+        f"\nAccuracy: {accuracy_verdict(scenario, transfer.errors)}.",
     ]
     if (fit := thesis_fit(transfer)) is not None:
         write_text(out / "waves.csv", waves_csv(fit))
         parts += ["\n## Attenuation and speed by the thesis' estimator (waves.csv)\n", *_waves(fit)]
     if isinstance(scenario.limb, SlabLimb) and scenario.device.drive == "force":
         parts += ["\n## Beside the semi-analytic half-space\n", *_twin(scenario, transfer)]
-    return _written(out / "report.md", parts)
+    parts += ["\n## Warnings\n", *(f"- {note}" for note in dict.fromkeys(notes))] if notes else []
+    return _written(out, scenario.name, parts)
 
 
 def thesis_fit(transfer: TransferMatrix) -> WaveFit | None:
@@ -56,7 +66,10 @@ def waves_csv(fit: WaveFit) -> str:
 
 
 def _errors(transfer: TransferMatrix) -> list[str]:
-    lines = [f"| {e.source} | {e.band:.1e} | {e.worst:.1e} | {e.method} |" for e in transfer.errors]
+    lines = [
+        f"| {e.source} | {size_words(e.band)} | {size_words(e.worst)} | {e.method.replace('|', '/')} |"
+        for e in transfer.errors
+    ]
     return ["| source | e_band | worst e(f) | how |", "| --- | --- | --- | --- |", *lines]
 
 
@@ -84,6 +97,12 @@ def _twin(scenario: Scenario, transfer: TransferMatrix) -> list[str]:
     return ["Error of each point relative to itself; e(f) relative to the largest of them.\n", header, rule, *rows]
 
 
-def _written(path: Path, parts: list[str]) -> Path:
-    write_text(path, "\n".join(parts) + "\n")
-    return path
+def _written(out: Path, name: str, parts: list[str]) -> tuple[Path, Path]:
+    """The same text as Markdown and as a page that shows it as it stands."""
+    body = "\n".join(parts) + "\n"
+    page, plain = out / "report.html", out / "report.md"
+    write_text(plain, body)
+    head = f'<head><meta charset="utf-8"><title>Run of scene {escape(name)}</title></head>'
+    shown = f'<body><pre style="white-space: pre-wrap">{escape(body)}</pre></body>'
+    write_text(page, f'<!doctype html><html lang="en">{head}{shown}</html>\n')
+    return plain, page

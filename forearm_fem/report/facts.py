@@ -13,6 +13,7 @@ from ..figures.judge import Strengths, strengths, table_one_rows
 from ..metrics import condition_number, thesis_table
 from ..rendering.limits import Limits
 from ..scenario import Scenario
+from ..transfer import size_words
 from ..typing import FloatArray
 
 Rows = list[list[str]]
@@ -91,7 +92,7 @@ def mesh_block(results: Results) -> Block | None:
 
 def errors_block(results: Results) -> Block:
     """Estimated error of G by source, with the way it was found."""
-    rows = [[e.source, f"{e.band:.1e}", f"{e.worst:.1e}", e.method] for e in results.transfer.errors]
+    rows = [[e.source, size_words(e.band), size_words(e.worst), e.method] for e in results.transfer.errors]
     note = str(results.account.get("accuracy") or "")
     if not rows:
         note = "G carries no error estimate."

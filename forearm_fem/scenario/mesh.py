@@ -24,7 +24,8 @@ class MeshOptions(Part):
     element: Element | Literal["auto"] = Field(
         "auto",
         description="displacement order, pressure is one lower; P2/P3 is third order around the ports and second "
-        "elsewhere; auto: P2/P3 on forearm and cylinder, and on slabs of accuracy 0.05 or better without size_grid",
+        "elsewhere; auto: P2/P3 on forearm and cylinder, and on slabs without size_grid where accuracy is 0.05 or "
+        "better or cones are rigid",
     )
     min_quality: Annotated[float, Field(gt=0, lt=1)] = Field(
         0.02, description="smallest mean-ratio quality accepted (1 = regular tetrahedron)"

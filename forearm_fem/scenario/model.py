@@ -17,7 +17,9 @@ from .supports import Supports
 from .sweep import SolverOptions, Sweep
 from .tissues import Tissues
 
-_THIRD_ORDER_PAYS = 0.05  # accuracy of a slab; at 0.1 second order does in half the time (docs/decisions.md)
+# Accuracy of a slab under pressure discs; at 0.1 second order does in half the time (docs/decisions.md). Under rigid
+# ones it pays always: rims of small cones left 5 % of their receptance to second order (docs/decisions/rims.md).
+_THIRD_ORDER_PAYS = 0.05
 
 
 class Scenario(Part):
@@ -59,7 +61,8 @@ class Scenario(Part):
         if self.mesh.element != "auto":
             return self.mesh.element
         if isinstance(self.limb, SlabLimb):  # sizes given were given for P2
-            return "P2/P3" if self.mesh.size_grid is None and self.accuracy <= _THIRD_ORDER_PAYS else "P2"
+            pays = self.accuracy <= _THIRD_ORDER_PAYS or self.device.cone.contact != "pressure"
+            return "P2/P3" if self.mesh.size_grid is None and pays else "P2"
         return "P2/P3" if isinstance(self.limb, ForearmLimb | CylinderLimb) else "P2"
 
     @model_validator(mode="after")

@@ -1,0 +1,177 @@
+"""Rigid cones on slabs: what finite elements state and what they err by, against the twin's rigid discs.
+
+Run from the repository: python3 benchmarks/cones.py [folder] [--accuracy 0.3 0.1] [--diameter 2 7] [--stack thin]
+
+One line a scene and drive in cones.csv, kept after each scene; scenes that are there are not solved again. cones.md is
+the table. One solve serves both drives: the device enters afterwards.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from forearm_fem.device import close_loop
+from forearm_fem.geometry.build import build_mesh
+from forearm_fem.metrics.uncertainty import relative_error_at
+from forearm_fem.pipeline.frequencies import frequencies
+from forearm_fem.pipeline.layered_engine import solve_layered
+from forearm_fem.pipeline.simulation import closed
+from forearm_fem.pipeline.solved import solve
+from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.transfer import TransferMatrix, band_error, relative_error, total_error
+
+STACKS: Mapping[str, tuple[tuple[str, float], ...]] = {
+    "thin": (("skin", 1.2e-3), ("fat", 3e-3)),
+    "thick": (("skin", 1.8e-3), ("fat", 8e-3)),
+    "bare": (("skin", 2.5e-3),),
+}
+DIAMETERS = 2, 3, 4, 7, 15  # mm
+CONTACTS, DRIVES = ("bonded", "frictionless"), ("voltage", "displacement")
+ACCURACIES = 0.3, 0.1, 0.05, 0.025
+BINS = np.round(np.geomspace(150, 500, 14), 1).tolist()  # [Hz] below 150 Hz waves reach the sides of a slab this wide
+POINTS = (0.010, 0.0), (0.014, 0.004), (0.020, 0.0), (0.0318, 0.0)  # [m]
+
+
+@dataclass(frozen=True)
+class Line:
+    """Errors of one scene with one drive: band, share of bins stated below half the truth, and under the cone."""
+
+    stack: str
+    diameter_mm: float
+    contact: str
+    accuracy: float
+    drive: str
+    element: str
+    unknowns: int
+    ratio: float
+    true_band: float
+    stated_band: float
+    true_worst: float
+    stated_below_half: float
+    least_single: float
+    receptance: float
+    seconds: float
+
+    @property
+    def effectivity(self) -> float:
+        """Stated over true band error."""
+        return self.stated_band / self.true_band
+
+
+def scene(
+    stack: str, diameter: float, contact: str, accuracy: float, mesh: Mapping[str, Any] | None = None
+) -> Scenario:
+    """A quarter slab with one cone in its middle."""
+    layers = [{"tissue": t, "thickness": h} for t, h in STACKS[stack]]
+    limb = {"shape": "slab", "length": 0.16, "width": 0.16, "depth": 0.06, "symmetry": ["x", "y"], "layers": layers}
+    return parse_scenario(
+        {
+            "accuracy": accuracy,
+            "limb": limb,
+            "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": contact, "radius": diameter * 5e-4}},
+            "grid": {"points": [list(p) for p in POINTS]},
+            "sweep": {"frequencies": BINS},
+            "mesh": dict(mesh or {}),
+        }
+    )
+
+
+def lines(stack: str, diameter: float, contact: str, accuracy: float, **mesh: Any) -> Iterator[Line]:
+    """One scene, solved once, with either drive."""
+    start, scenario = time.perf_counter(), scene(stack, diameter, contact, accuracy, mesh)
+    frequency = frequencies(scenario.sweep)
+    first = build_mesh(scenario)
+    solved = solve(scenario, first, frequency, base=Path("."))
+    exact = solve_layered(scenario, frequency)
+    under = np.abs(solved.compliance.values[:, 0, 0] / exact.values[:, 0, 0] - 1)
+    seconds = time.perf_counter() - start
+    facts = solved.facts
+    for drive in DRIVES:
+        own = scenario.model_copy(update={"device": scenario.device.model_copy(update={"drive": drive})})
+        found, truth = closed(own, first, solved).transfer, close_loop(exact, own.device)
+        error, single = relative_error(found.values, truth.values), stated(found)
+        yield Line(
+            stack, diameter, contact, accuracy, drive, scenario.element,
+            int(facts["displacement_unknowns"] + facts["pressure_unknowns"]),
+            float(solved.coarse.provenance["ratio"]) if solved.coarse else np.nan,
+            band_error(found.values, truth.values), total_error(found.errors), float(error.max()),
+            float(np.mean(single < error / 2)), float(np.min(single / error)), float(under.max()), round(seconds, 1),
+        )  # fmt: skip
+
+
+def stated(transfer: TransferMatrix) -> np.ndarray:
+    """e(f) of all sources together (n_frequency,)."""
+    return np.sqrt(sum(relative_error_at(e, transfer.frequency) ** 2 for e in transfer.errors))
+
+
+def read(file: Path) -> list[Line]:
+    """Lines of an earlier run."""
+    if not file.exists():
+        return []
+    kinds = {"stack": str, "contact": str, "drive": str, "element": str, "unknowns": int}
+    with file.open(newline="") as stream:
+        return [
+            Line(**{f.name: kinds.get(f.name, float)(row[f.name]) for f in fields(Line)})
+            for row in csv.DictReader(stream)
+        ]
+
+
+def write(found: Sequence[Line], folder: Path) -> None:
+    """cones.csv and cones.md."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "cones.csv").open("w", newline="") as stream:
+        table = csv.DictWriter(stream, [f.name for f in fields(Line)])
+        table.writeheader()
+        table.writerows(asdict(line) for line in found)
+    (folder / "cones.md").write_text(table_of(found), encoding="utf-8")
+
+
+def table_of(found: Sequence[Line]) -> str:
+    """A line a scene and drive, and what all of them come to."""
+    inside = [0.5 <= line.effectivity <= 5 for line in found]
+    fine = [line.receptance for line in found if line.accuracy <= 0.05]
+    below = np.average([line.stated_below_half for line in found])
+    lead = (
+        f"{sum(inside)} of {len(found)} have an effectivity (stated over true e_band) of 0.5 to 5; {100 * below:.1f} % "
+        f"of all bins state less than half their e(f); receptance under the cone at accuracy 0.05 and better: "
+        f"{100 * max(fine, default=np.nan):.2g} % at worst.\n\n"
+    )
+    names = "stack", "cone mm", "contact", "asked", "drive", "element", "unknowns", "true e_band", "stated", "ratio"
+    head = [*names, "bins below half", "least e(f) ratio", "receptance"]
+    rows = [
+        f"| {x.stack} | {x.diameter_mm:g} | {x.contact} | {x.accuracy:g} | {x.drive} | {x.element} | {x.unknowns} | "
+        f"{x.true_band:.4f} | {x.stated_band:.4f} | {x.effectivity:.2f} | {100 * x.stated_below_half:.0f} % | "
+        f"{x.least_single:.2f} | {100 * x.receptance:.2f} % |"
+        for x in found
+    ]
+    return lead + "\n".join(["| " + " | ".join(head) + " |", "| --- " * len(head) + "|", *rows]) + "\n"
+
+
+def main() -> None:
+    ask = argparse.ArgumentParser(description=__doc__)
+    ask.add_argument("folder", nargs="?", type=Path, default=Path("benchmarks/results"))
+    ask.add_argument("--accuracy", nargs="*", type=float, default=ACCURACIES)
+    ask.add_argument("--diameter", nargs="*", type=float, default=DIAMETERS)
+    ask.add_argument("--stack", nargs="*", default=list(STACKS))
+    ask.add_argument("--contact", nargs="*", default=CONTACTS)
+    asked = ask.parse_args()
+    found = read(asked.folder / "cones.csv")
+    done = {(x.stack, x.diameter_mm, x.contact, x.accuracy) for x in found}
+    for accuracy, diameter, contact, stack in product(asked.accuracy, asked.diameter, asked.contact, asked.stack):
+        if (stack, diameter, contact, accuracy) not in done:
+            found += lines(stack, diameter, contact, accuracy)
+            write(found, asked.folder)
+            print("\n".join(map(str, found[-2:])), flush=True)
+
+
+if __name__ == "__main__":
+    main()

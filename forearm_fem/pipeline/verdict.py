@@ -1,0 +1,21 @@
+"""Whether the accuracy asked for was met, by the estimates."""
+
+from __future__ import annotations
+
+import math
+
+from ..scenario import Scenario
+from ..transfer import ErrorEstimate, total_error
+
+
+def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> str:
+    """One sentence: was the accuracy asked for met, by the estimates? Unknown where one of them could not be made."""
+    if not errors:
+        return "no error estimate was made, so the accuracy asked for cannot be confirmed"
+    asked, total = f"asked e_band <= {scenario.accuracy:g}", total_error(errors)
+    if math.isnan(total):
+        missing = [e for e in errors if not e.known]
+        names = ", ".join(e.source for e in missing)
+        return f"{asked}: UNKNOWN, as {names} could not be estimated ({missing[0].method})"
+    met = "met" if total <= scenario.accuracy else "NOT met"
+    return f"{asked}, estimated {total:.2g} over all sources: {met}"
