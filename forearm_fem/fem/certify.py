@@ -1,4 +1,4 @@
-"""Where a reduced model is doubted, what it is certified with, and when that is enough."""
+"""Where a reduced model is doubted, and what it is certified with."""
 
 from __future__ import annotations
 
@@ -14,10 +14,8 @@ from .model import ForearmModel
 from .reduce import ReducedModel
 
 DOUBTFUL = 0.1  # a change by one derivative above this, anywhere, says that resonances are not resolved
-_WARY = 4  # one of dozens of resonances may be met by luck: 3e-8 was stated where the truth was 3e-3
-_PROBES, _MANY = 40, 1000
+_PROBES = 40
 _ROUNDING = 1e-10  # weaker directions are none
-_APART = 1.03  # ratio of frequencies: four neighbouring bins tell no more than one of them
 _SPACING = 0.1  # probes are equally far apart in this power of the frequency
 
 
@@ -26,7 +24,8 @@ class Certificate:
     """Error of the reduced model at a frequency where it was compared with a direct solve it had not used.
 
     ``change`` is the largest change of the model, of so many ``expansions``, by one derivative and its weak directions,
-    over the band; ``frequency`` is where the model was doubted most (:func:`doubt`), away from earlier comparisons.
+    over the band; ``frequency`` is where the model was doubted most (:func:`doubt`). Where resonances are sharp
+    (``wary``) ``change`` is a bound of the error at every bin instead (:mod:`.bounds`), largest at ``frequency``.
     """
 
     frequency: float
@@ -37,51 +36,44 @@ class Certificate:
 
     @property
     def bound(self) -> float:
-        """The error, or the change where one true error cannot speak for the band.
-
-        That is so where the change is large, and where resonances were seen to be unresolved before (``wary``).
-        """
+        """The error; the change, too, where one true error cannot speak for the band."""
         return max(self.error, self.change) if self.wary or self.change > DOUBTFUL else self.error
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Where the reduced model is doubted most, its largest ``change`` anywhere (relative to the largest entry), and
-    whether every bin was probed because resonances had been seen to be unresolved."""
+    """Where the reduced model is doubted most, and its largest ``change`` anywhere (relative to the largest entry), or
+    the largest bound of its error at any bin where resonances are sharp (``wary``)."""
 
     frequency: float
     change: float
     wary: bool = False
 
 
-def doubt(
-    model: ForearmModel,
-    reduced: ReducedModel,
-    frequency: FloatArray,
-    known: Sequence[float],
-    *,
-    wary: bool = False,
-    compared: Sequence[float] = (),
-) -> Doubt | None:
+def doubt(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, known: Sequence[float]) -> Doubt | None:
     """The most doubtful of the probed frequencies that are not ``known``; None if none is left.
 
-    Nor is it one next to where this model was ``compared`` with direct solves already.
-
-    The change is the error of the model with one derivative fewer, and without its weak directions: an upper bound
-    that says where a model is no approximation at all yet. ``wary`` probes nearly every bin: where resonances were not
-    resolved before, they may hide between few probes. Where the change is small everywhere, the largest error is where
-    the derivatives alone change most (docs/decisions.md).
+    The change is the error of the model with one derivative fewer, and without its weak directions: it says where a
+    model is no approximation at all yet. Where the change is small everywhere, the largest error is where the
+    derivatives alone change most (docs/decisions.md).
     """
-    probes = probe_frequencies(frequency, known, wary=wary)
-    for f in compared:
-        probes = probes[(probes > f * _APART) | (probes < f / _APART)]
+    probes = probe_frequencies(frequency, known)
     if not len(probes):
         return None
     values = _watched(model, reduced, probes)
     change = place = relative_error(_watched(model, reduced.lower(), probes), values)
-    if not wary and change.max() <= DOUBTFUL:
+    if change.max() <= DOUBTFUL:
         place = relative_error(_watched(model, reduced.lower(_ROUNDING), probes), values)
-    return Doubt(float(probes[int(np.argmax(place))]), float(change.max()), wary)
+    return Doubt(float(probes[int(np.argmax(place))]), float(change.max()))
+
+
+def most_doubtful_bin(bounds: FloatArray, frequency: FloatArray, known: Sequence[float]) -> Doubt | None:
+    """The bin that is not ``known`` with the largest of the ``bounds`` (n_frequency,), which are all stated."""
+    open_bins = np.flatnonzero(~np.isin(frequency, known))
+    if not len(open_bins):
+        return None
+    worst = open_bins[int(np.argmax(bounds[open_bins]))]
+    return Doubt(float(frequency[worst]), float(bounds.max()), wary=True)
 
 
 def largest_change(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray) -> float:
@@ -96,11 +88,10 @@ def _watched(model: ForearmModel, reduced: ReducedModel, probes: FloatArray) -> 
     return reduced.compliance(probes)[np.ix_(range(len(probes)), *watched(model))]
 
 
-def probe_frequencies(frequency: FloatArray, known: Sequence[float], *, wary: bool = False) -> FloatArray:
-    """Bins equally far apart in f^0.1 (in f and many if ``wary``), without the known ones."""
-    power, count = (1.0, _MANY) if wary else (_SPACING, _PROBES)
-    low, high = frequency[0] ** power, frequency[-1] ** power
-    wanted = np.linspace(low, high, min(count, len(frequency))) ** (1 / power)
+def probe_frequencies(frequency: FloatArray, known: Sequence[float]) -> FloatArray:
+    """Bins equally far apart in f^0.1, without the known ones."""
+    low, high = frequency[0] ** _SPACING, frequency[-1] ** _SPACING
+    wanted = np.linspace(low, high, min(_PROBES, len(frequency))) ** (1 / _SPACING)
     bins = {float(frequency[np.argmin(np.abs(frequency - f))]) for f in wanted}
     return np.array(sorted(bins - set(known)))
 
@@ -111,27 +102,3 @@ def certified(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArra
     truth = ((model.functionals.T @ solutions) * model.shares)[None]
     estimate = reduced.compliance(np.array([at.frequency]))
     return Certificate(at.frequency, float(relative_error(estimate[block], truth[block])[0]), at.change, used, at.wary)
-
-
-def enough(certificates: Sequence[Certificate]) -> bool:
-    """Whether the model as it is now was compared at enough frequencies."""
-    wary = any(c.change > DOUBTFUL for c in certificates)
-    return sum(c.expansions == certificates[-1].expansions for c in certificates) >= (_WARY if wary else 1)
-
-
-def most_doubtful(
-    model: ForearmModel,
-    reduced: ReducedModel,
-    frequency: FloatArray,
-    used: Sequence[float],
-    certificates: Sequence[Certificate],
-) -> Doubt | None:
-    """Where to certify next; probed at every bin once resonances were seen to be unresolved, away from where the
-    model as it is now was compared already."""
-    known = [*(c.frequency for c in certificates), *used]
-    wary = any(c.change > DOUBTFUL for c in certificates)
-    compared = [c.frequency for c in certificates if c.expansions == len(used)]
-    worst = doubt(model, reduced, frequency, known, wary=wary, compared=compared)
-    if worst is not None and worst.change > DOUBTFUL and not wary:
-        return doubt(model, reduced, frequency, known, wary=True, compared=compared)
-    return worst

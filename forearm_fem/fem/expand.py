@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -11,18 +12,24 @@ import numpy as np
 from ..errors import SolverError
 from ..scenario.sweep import SolverOptions
 from ..typing import ComplexArray, FloatArray, IntArray
-from .certify import DOUBTFUL, Certificate, largest_change
+from .bounds import ResidualBound, sharp_modes
+from .certify import DOUBTFUL, Certificate, Doubt, doubt, largest_change, most_doubtful_bin
 from .coefficients import is_polynomial
+from .compress import pole_residue
 from .direct import DirectSolver, make_solver, watched
 from .krylov import Chunk, RateSpace
 from .model import ForearmModel
 from .reduce import ReducedModel, empty_model, extend, with_last_columns
 
+_log = logging.getLogger("forearm_fem.fem")
 Progress = Callable[[str, int, int], None]
 _QUIET, _SPREAD = 30.0, -0.2  # [Hz] flesh on bone hardly resonates below; expansions are even in f^-0.2 above it
 _LOWEST = 20.0  # [Hz] below, what a rate further up spans is enough
 _AT_ONCE = 5  # derivatives about a rate between two looks at what the last of them changed
-_AT_LEAST, _HOPELESS = 20, 60  # derivatives about a rate before the first look, and before it is given up
+_AT_LEAST, _SLOW = 20, 60  # derivatives about a rate before the first look, and before resonances are called sharp
+_SHARP, _SEVERAL = 0.03, 3  # loss factor below which a mode may pass unseen between probes; one or two do not
+_SURE = 1e-2  # of the tolerance: what derivatives may change where resonances are sharp, for the bound to pass soon
+_MOST = 1000  # columns about a rate where resonances are sharp; beyond, solves at all bins are no dearer
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,8 @@ class Snapshots(Protocol):
 class Made:
     """A reduced model and what it was made from: a ``rate`` [1/s] with so many ``derivatives``, and ``expansions``.
 
-    These come without their vectors. ``residual`` is the largest of any solution, ``solve_error`` what it causes in G.
+    These come without their vectors. ``sharp`` says that resonances were, and are, not trusted without a bound at every
+    bin. ``residual`` is the largest of any solution, ``solve_error`` what it causes in G.
     """
 
     reduced: ReducedModel
@@ -69,6 +77,7 @@ class Made:
     certificates: tuple[Certificate, ...] = ()
     residual: float = 0.0
     solve_error: float = 0.0
+    sharp: bool = False
 
     def with_certificate(self, certificate: Certificate, truth: Expansion) -> Made:
         """The same after a comparison with ``truth``."""
@@ -126,8 +135,9 @@ class Expander:
     def about_rate(self, frequency: FloatArray, tolerance: float | None, progress: Progress | None) -> Made | None:
         """The model on derivatives about :func:`expansion_rate`, as many as are needed.
 
-        That is until the last five change nothing above ``tolerance``, all that are allowed where it is None. Returns
-        None where sixty do not resolve the band: resonances are sharp then, which expansions about frequencies find.
+        That is until the last five change nothing above ``tolerance``, all that are allowed where it is None. Where
+        a mode in the band loses little, or sixty derivatives do not resolve it, resonances are sharp: see
+        :meth:`_about_rate_with_care`.
         """
         most, rate = self._options.rate_derivatives, expansion_rate(frequency)
         stored = self._store.chunks() if self._store is not None else ()
@@ -142,12 +152,56 @@ class Expander:
             reduced, derivatives = with_last_columns(reduced, self.model, chunk.columns), chunk.derivatives
             tell(progress, "derivatives", derivatives, most)
             if tolerance is not None and derivatives >= _AT_LEAST:
+                if derivatives == _AT_LEAST and sharp_modes(reduced, frequency, _SHARP) >= _SEVERAL:
+                    return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
                 change = largest_change(self.model, reduced, frequency)
                 if change <= tolerance:
                     break
-                if change > DOUBTFUL and derivatives >= _HOPELESS:
-                    return None
+                if change > DOUBTFUL and derivatives >= _SLOW:
+                    return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
         return Made(reduced, rate, derivatives, residual=space.residual)
+
+    def _about_rate_with_care(self, frequency: FloatArray, wanted: float, progress: Progress | None) -> Made | None:
+        """The model about the rate where resonances are sharp, in double precision from the start.
+
+        What single-precision solves leave is magnified by the resonances: in double precision half the derivatives
+        do. None where a thousand columns do not resolve the band to what is ``wanted``.
+        """
+        _log.warning("resonances of this band are sharp: their derivatives are made in double precision")
+        self.release()
+        self._solver, self._options = None, self._options.model_copy(update={"precision": "double"})
+        space = RateSpace(self._ready(float(frequency[-1])), self.model.functionals, expansion_rate(frequency))
+        reduced, change = empty_model(self.model), np.inf
+        while change > wanted and reduced.size < _MOST:
+            chunk = space.more(_AT_ONCE)
+            if not chunk.columns.shape[1]:
+                change = 0.0
+                break
+            reduced = with_last_columns(reduced, self.model, chunk.columns)
+            tell(progress, "derivatives", chunk.derivatives, chunk.derivatives)
+            if chunk.derivatives >= _AT_LEAST:
+                change = largest_change(self.model, reduced, frequency)
+        made = Made(reduced, expansion_rate(frequency), space.derivatives, residual=space.residual, sharp=True)
+        return made if change <= wanted else None
+
+    def most_doubtful(self, made: Made, frequency: FloatArray) -> Doubt | None:
+        """Where to certify next; None where no bin is left that was not compared or expanded about.
+
+        Where resonances are, or were seen to be, unresolved it is the bin with the largest bound.
+        """
+        known = [*(c.frequency for c in made.certificates), *(e.frequency for e in made.expansions)]
+        if not self._needs_bounds(made, frequency):
+            worst = doubt(self.model, made.reduced, frequency, known)
+            if worst is None or worst.change <= DOUBTFUL:
+                return worst
+        bound = ResidualBound(self._ready(float(frequency[-1])), expansion_rate(frequency))
+        bounds = bound.errors(made.reduced, frequency, pole_residue(made.reduced))
+        return most_doubtful_bin(bounds, frequency, known)
+
+    def _needs_bounds(self, made: Made, frequency: FloatArray) -> bool:
+        if made.sharp or made.certificates:
+            return made.sharp or made.certificates[-1].wary
+        return sharp_modes(made.reduced, frequency, _SHARP) >= _SEVERAL
 
     @property
     def solver(self) -> str:

@@ -11,7 +11,7 @@ from ..errors import SolverError
 from ..scenario.sweep import SolverOptions
 from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray
-from .certify import DOUBTFUL, Certificate, certified, enough, most_doubtful, probe_frequencies
+from .certify import Certificate, certified, probe_frequencies
 from .compress import Modes, compressed, pole_residue
 from .direct import ENOUGH, make_solver, watched
 from .expand import Expander, Made, Progress, Snapshots, expansion_frequencies, starts_from_rate, tell
@@ -52,15 +52,13 @@ class SweepResult:
 
     @property
     def reduction_error(self) -> float:
-        """Error stated for the reduced model: its largest certificate, or the largest ever where that is in doubt.
+        """Error stated for the reduced model by its last certificate.
 
-        Certificates are of the whole space; what the second stage changes (``compression``) comes on top. Where
-        resonances were hard to resolve it is ``least``, the tolerance, at least: few frequencies speak for many peaks.
+        Where resonances are sharp that is a bound at every bin, and ``least``, the tolerance, is stated at least:
+        poles and residues, and the solves, have errors of their own. Certificates are of the whole space; what the
+        second stage changes (``compression``) comes on top.
         """
-        last = self.certificates[-1]
-        sure = last.change <= DOUBTFUL
-        speaking = [c.bound for c in self.certificates if not sure or c.expansions == last.expansions]
-        return max(*speaking, self.least) + self.compression
+        return max(self.certificates[-1].bound, self.least) + self.compression
 
     def states(self, frequency: FloatArray, ports: Sequence[int]) -> ComplexArray:
         """Reduced solutions (n_frequency, r, n_chosen) for a unit force on the chosen ``ports``, shares undone."""
@@ -100,9 +98,10 @@ def reduced_sweep(
     (:mod:`.krylov`), else from :func:`.expand.expansion_frequencies`. Then the most doubtful frequency
     (:mod:`.certify`) is solved directly: that true error certifies the model, and where it exceeds ``tolerance`` the
     solution and its derivatives extend it (``max_expansions`` frequencies in all; the certificates say what was
-    reached). Solves are refined to a thousandth of ``tolerance``, to 1e-7 at least. Where resonances were
-    seen to be unresolved several frequencies in turn must pass. With ``tolerance`` None nothing is certified and no
-    factorisation is spent on it. Raises SolverError where the stated error is above 0.5.
+    reached). Solves are refined to a thousandth of ``tolerance``, to 1e-7 at least. Where resonances are sharp the
+    model is made in double precision, and a bound at every bin (:mod:`.bounds`) must pass as well. With ``tolerance``
+    None nothing is certified and no factorisation is spent on it. Raises SolverError where the stated error is above
+    0.5.
     """
     residual = ENOUGH if tolerance is None else min(ENOUGH, _SHARE * tolerance)
     work = Expander(model, options, snapshots, residual)
@@ -127,17 +126,16 @@ def _certified(
     made = begun
     while True:
         used = [e.frequency for e in made.expansions]
-        worst = most_doubtful(work.model, made.reduced, frequency, used, made.certificates)
+        worst = work.most_doubtful(made, frequency)
         if worst is None:
             return made
         truth = work.direct(worst.frequency)
         found = certified(made.reduced, work.model, truth.series[0], worst, len(used))
         made = made.with_certificate(found, truth)
         tell(progress, "certificates", len(made.certificates), len(made.certificates))
-        if found.bound > tolerance and len(used) < options.max_expansions:
-            made = work.extended(made, worst.frequency, truth)
-        elif enough(made.certificates):
+        if found.bound <= tolerance or len(used) >= options.max_expansions:
             return made
+        made = work.extended(made, worst.frequency, truth)
 
 
 def _usable(result: SweepResult) -> SweepResult:
@@ -151,7 +149,7 @@ def _usable(result: SweepResult) -> SweepResult:
 
 
 def _swept(model: ForearmModel, made: Made, frequency: FloatArray, tolerance: float | None) -> SweepResult:
-    wary = any(c.change > DOUBTFUL for c in made.certificates)
+    wary = made.sharp or any(c.wary for c in made.certificates)
     small, change = made.reduced, 0.0
     if not wary and not made.rate:  # derivatives about a rate are few enough, and hold for other moduli too
         small, change = _second_stage(model, made.reduced, frequency, tolerance or _UNCERTIFIED)
