@@ -6,18 +6,15 @@ import hashlib
 from pathlib import Path
 
 from ..errors import DataError
-from .atomic import write_bytes
+from .atomic import atomic_path, write_bytes
 
 
 def write_with_side(path: str | Path, content: bytes) -> None:
-    """``content``, and its checksum beside it; the older checksum goes first, so that none belongs to another file."""
-    side = _side(Path(path))
-    try:
-        side.unlink(missing_ok=True)
-    except OSError as problem:
-        raise DataError(f"{side}: cannot be written ({problem.strerror or problem})") from problem
-    write_bytes(path, content)
-    write_bytes(side, f"{hashlib.sha256(content).hexdigest()}  {Path(path).name}\n".encode())
+    """``content``, and its checksum beside it: both or neither."""
+    digest = hashlib.sha256(content).hexdigest()
+    with atomic_path(_side(Path(path))) as side:
+        side.write_bytes(f"{digest}  {Path(path).name}\n".encode())
+        write_bytes(path, content)
 
 
 def read_with_side(path: str | Path) -> bytes:
