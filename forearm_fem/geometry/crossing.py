@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..typing import BoolArray, FloatArray, IntArray
+from .nearby import meeting
 
 _INSIDE = 1e-7  # touching in a corner, an edge or a plane is not crossing
 
@@ -29,15 +29,16 @@ def crossing_faces(first: FloatArray, second: FloatArray | None, faces: IntArray
 
 
 def _near_pairs(first: FloatArray, other: FloatArray) -> tuple[IntArray, IntArray]:
-    """Pairs whose bounding spheres meet."""
-    centre_a, centre_b = first.mean(axis=1), other.mean(axis=1)
-    radius_a = np.linalg.norm(first - centre_a[:, None], axis=2).max(axis=1)
-    radius_b = np.linalg.norm(other - centre_b[:, None], axis=2).max(axis=1)
-    hits = cKDTree(centre_b).query_ball_point(centre_a, radius_a + radius_b.max())
-    a = np.repeat(np.arange(len(first)), [len(h) for h in hits])
-    b = np.concatenate([np.asarray(h, dtype=np.int64) for h in hits]) if len(a) else a
-    meet = np.linalg.norm(centre_a[a] - centre_b[b], axis=1) < radius_a[a] + radius_b[b]
+    """Pairs whose bounding boxes meet, found among those whose bounding spheres do."""
+    a, b = meeting(*_ball(first), *_ball(other))
+    low = np.maximum(first.min(axis=1)[a], other.min(axis=1)[b])
+    meet = (low <= np.minimum(first.max(axis=1)[a], other.max(axis=1)[b])).all(axis=1)
     return a[meet], b[meet]
+
+
+def _ball(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    centre = triangles.mean(axis=1)
+    return centre, np.asarray(np.linalg.norm(triangles - centre[:, None], axis=2).max(axis=1))
 
 
 def _pierces(edge: FloatArray, triangle: FloatArray) -> BoolArray:
