@@ -10,22 +10,23 @@ from .nearby import meeting
 _INSIDE = 1e-7  # touching in a corner, an edge or a plane is not crossing
 
 
-def crossing_faces(first: FloatArray, second: FloatArray | None, faces: IntArray | None) -> int:
-    """Pairs of triangles (n, 3, 3) of ``first`` and ``second`` that cross.
+def crossing_faces(first: FloatArray, second: FloatArray | None, faces: IntArray | None) -> IntArray:
+    """Pairs (k, 2) of triangles (n, 3, 3) of ``first`` and (m, 3, 3) of ``second`` that cross, by their numbers.
 
-    Without ``second``, ``first`` is tested against itself and pairs that share a vertex (``faces``) do not
-    count.
+    Without ``second``, ``first`` is tested against itself; pairs that share a vertex (``faces``) do not count.
     """
     other = first if second is None else second
     a, b = _near_pairs(first, other)
     if second is None:
         assert faces is not None
-        apart = (faces[a][:, :, None] != faces[b][:, None, :]).all(axis=(1, 2)) & (a != b)
+        once = a < b
+        a, b = a[once], b[once]
+        apart = (faces[a][:, :, None] != faces[b][:, None, :]).all(axis=(1, 2))
         a, b = a[apart], b[apart]
     crosses = np.zeros(len(a), dtype=bool)
     for edge in ((0, 1), (1, 2), (2, 0)):
         crosses |= _pierces(first[a][:, edge], other[b]) | _pierces(other[b][:, edge], first[a])
-    return int(crosses.sum()) if second is not None else int(crosses.sum() + 1) // 2
+    return np.column_stack([a[crosses], b[crosses]])
 
 
 def _near_pairs(first: FloatArray, other: FloatArray) -> tuple[IntArray, IntArray]:
