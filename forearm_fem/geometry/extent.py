@@ -53,7 +53,8 @@ def check_room(file: Path, points: FloatArray, layout: Layout, unit: float) -> N
     limb, device = _spans(low, high), _spans(need_low, need_high)
     if (high - low < need_high - need_low).any():
         larger = " or ".join(f"{u:g}" for u, _ in _UNITS if unit < u < 1000 * unit)
-        advice = f"is limb.unit = {unit:g} right ({larger or 'metres per unit of the file'})? else use a smaller device"
+        other = f", or should it be {larger}" if larger else ""
+        advice = f"is limb.unit = {unit:g} right{other}? else use a smaller device"
     else:
         advice = "move the limb so that the device's middle is over x = y = 0, the elbow towards +x"
     raise GeometryError(f"{file}: spans {limb}, the device needs {device}; {advice}")

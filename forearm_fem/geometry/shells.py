@@ -80,7 +80,7 @@ def bodies(faces: IntArray, neighbours: IntArray) -> IntArray:
 
 def place(points: FloatArray) -> str:
     """The middle of ``points`` (n, 3) [m] in words."""
-    x, y, z = points.mean(axis=0) * 1e3
+    x, y, z = np.round(points.mean(axis=0) * 1e3, 1) + 0.0  # no -0.0
     return f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
 
 
