@@ -39,6 +39,7 @@ from forearm_fem.io.csvfiles import write_csv
 from forearm_fem.io.matlab_import import write_mat73
 from forearm_fem.io.netcdf import write_transfer
 from forearm_fem.io.recognise import read_measured
+from forearm_fem.io.seal import MARK
 from forearm_fem.io.tdms import read_sweep_tdms, write_tdms
 from forearm_fem.io.uff import write_uff
 from forearm_fem.io.wav import read_wav_drives, write_wav_drives
@@ -89,6 +90,12 @@ def sentence(make: Callable[[Path], object], tmp: Path) -> str:
 def cut(file: Path, share: float = 0.6) -> Path:
     content = file.read_bytes()
     file.write_bytes(content[: int(share * len(content))])
+    return file
+
+
+def foreign(file: Path) -> Path:
+    """A file of ours as somebody else would have written it: without checksums."""
+    file.write_bytes(file.read_bytes().replace(MARK, b"somebody_else's"))
     return file
 
 
@@ -144,7 +151,7 @@ def _(tmp):
 @case("MATLAB 7.3: cut short", "damaged")
 def _(tmp):
     write_mat73(tmp / "G.mat", G)
-    return read(cut(tmp / "G.mat"), declared())
+    return read(cut(foreign(tmp / "G.mat")), declared())
 
 
 @case("MATLAB: a text file with that name", "damaged|not a MATLAB")
@@ -257,7 +264,7 @@ def _(tmp):
 @case("UFF: cut short", "cut short")
 def _(tmp):
     write_uff(tmp / "G.uff", G)
-    return read(cut(tmp / "G.uff"))
+    return read(cut(foreign(tmp / "G.uff")))
 
 
 @case("UFF: fewer values than its header says", "header says")
@@ -265,7 +272,7 @@ def _(tmp):
     write_uff(tmp / "G.uff", G)
     content = (tmp / "G.uff").read_bytes()
     (tmp / "G.uff").write_bytes(content.replace(b"%10d%10d" % (6, 46), b"%10d%10d" % (6, 99)))
-    return read(tmp / "G.uff")
+    return read(foreign(tmp / "G.uff"))
 
 
 @case("UFF: no frequency response functions", "holds no frequency response")
@@ -279,13 +286,13 @@ def _(tmp):
     write_uff(tmp / "G.uff", part(G, 1, 1))
     content = (tmp / "G.uff").read_bytes()
     (tmp / "G.uff").write_bytes(content + content[content.index(b"    -1\n    58b") :])
-    return read(tmp / "G.uff")
+    return read(foreign(tmp / "G.uff"))
 
 
 @case("TDMS: cut short", "damaged|cut short")
 def _(tmp):
     write_tdms(tmp / "G.tdms", G)
-    return read(cut(tmp / "G.tdms", 0.9))
+    return read(cut(foreign(tmp / "G.tdms"), 0.9))
 
 
 @case("TDMS: another kind of file", "not a TDMS file")
@@ -355,7 +362,7 @@ def _(tmp):
     write_csv(tmp / "G.csv", G)
     text = (tmp / "G.csv").read_text()
     (tmp / "G.csv").write_text(text[: text.rindex(",") - 30])
-    return read(tmp / "G.csv")
+    return read(foreign(tmp / "G.csv"))
 
 
 @case("CSV: an entry on two lines", "occurs on two lines")
@@ -363,7 +370,24 @@ def _(tmp):
     write_csv(tmp / "G.csv", G)
     text = (tmp / "G.csv").read_text()
     (tmp / "G.csv").write_text(text + text.splitlines()[-1] + "\n")
+    return read(foreign(tmp / "G.csv"))
+
+
+@case("CSV: ours, a digit changed", "lines that begin with '# forearm_sha256:'")
+def _(tmp):
+    write_csv(tmp / "G.csv", G)
+    text = (tmp / "G.csv").read_text()
+    (tmp / "G.csv").write_text(text[:-20] + text[-20:].replace("e-0", "e-1"))
     return read(tmp / "G.csv")
+
+
+@case("MATLAB, UFF, TDMS, WAV: ours, a byte changed", "do not match its checksum")
+def _(tmp):
+    write_uff(tmp / "G.uff", G)
+    content = bytearray((tmp / "G.uff").read_bytes())
+    content[len(content) // 2] ^= 1
+    (tmp / "G.uff").write_bytes(content)
+    return read(tmp / "G.uff")
 
 
 @case("CSV: really a spreadsheet", "is it really CSV")
@@ -375,7 +399,7 @@ def _(tmp):
 @case("WAV: cut short", "cut short")
 def _(tmp):
     write_wav_drives(tmp / "d.wav", np.ones((4, 100)), 1e4)
-    return read_wav_drives(cut(tmp / "d.wav"))
+    return read_wav_drives(cut(foreign(tmp / "d.wav")))
 
 
 @case("WAV: integers without a full scale", "full scale")

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..errors import ForearmError
-from ..io.atomic import write_text
+from ..errors import DataError, ForearmError
+from ..io.jsonfiles import read_json, write_json
 
 MARK = "member.json"
 
@@ -35,10 +35,10 @@ class Job:
 def finished(job: Job) -> dict[str, Any] | None:
     """The summary of a member that was finished before, or None."""
     try:
-        mark = json.loads((Path(job.folder) / MARK).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        mark = read_json(Path(job.folder) / MARK)
+    except DataError:
         return None
-    if not isinstance(mark, dict) or mark.get("digest") != job.digest:
+    if mark.get("digest") != job.digest:
         return None
     summary = mark.get("summary")
     return summary if isinstance(summary, dict) else None
@@ -48,7 +48,7 @@ def work(job: Job) -> dict[str, Any]:
     """Run the member; its summary, or {"problem": sentence}. Nothing it raises leaves the worker."""
     try:
         summary = _done(job)
-        write_text(Path(job.folder) / MARK, json.dumps({"digest": job.digest, "summary": summary}, indent=2))
+        write_json(Path(job.folder) / MARK, {"digest": job.digest, "summary": summary})
         return summary
     except ForearmError as problem:
         return {"problem": str(problem)}
@@ -70,7 +70,7 @@ def _done(job: Job) -> dict[str, Any]:
 
 def summary(folder: Path) -> dict[str, Any]:
     """The numbers of a finished folder that belong in a table."""
-    account = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    account = read_json(folder / "run.json")
     bands = [e["band"] for e in account["errors"]]
     found: dict[str, Any] = {
         "e_band": None if None in bands else max(bands, default=None),

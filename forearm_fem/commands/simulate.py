@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from ..scenario import Scenario, load_scenario
-from .common import OutFolder, Overrides, ScenarioFile, stage
+from .common import OutFolder, Overrides, ScenarioFile, console, stage
 
 
 def run(
@@ -80,7 +80,7 @@ def _print_forecast(asked: Scenario, base: Path) -> None:
     if asked.engine == "layered":
         typer.echo(f"layered half-space: no mesh, no unknowns; {len(band)} frequencies in about 2 s")
         return
-    expected = forecast(asked, base=base)
+    expected = forecast(asked, base=base, progress=lambda text: console.print(f"mesh: {text}", highlight=False))
     typer.echo(f"tetrahedra       {expected.tetrahedra}")
     typer.echo(f"unknowns         {expected.unknowns} ({asked.element}, displacement and pressure)")
     typer.echo(f"memory           about {expected.memory_bytes / 1e9:.1f} GB")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +24,7 @@ from ..io import (
     read_signal_strength_csv,
     read_transfer,
 )
+from ..io.jsonfiles import read_json
 from ..rendering import Record, Wavelet, from_samples_file, ricker
 from ..scenario import Scenario, parse_scenario
 from ..transfer import Compliance, TransferMatrix
@@ -209,12 +209,9 @@ class Results:
     def _json(self, name: str) -> dict[str, Any]:
         file = self.path(name)
         try:
-            content = json.loads(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as problem:
-            raise DataError(f"{file}: damaged ({problem}); {self.remedy(name)} anew") from None
-        if not isinstance(content, dict):
-            raise DataError(f"{file}: damaged, expected a JSON object; {self.remedy(name)} anew")
-        return content
+            return read_json(file)
+        except DataError as problem:
+            raise DataError(f"{problem}; {self.remedy(name)} anew") from None
 
 
 def _installed() -> str:

@@ -16,6 +16,7 @@ from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, Surfa
 from ..typing import FloatArray, IntArray
 from .bending import bent_middles, with_bends
 from .contacts import check_contact_areas, with_contacts, with_true_rims
+from .extent import check_room
 from .imprint import imprint
 from .landing import FacetSkin
 from .layout import RIGID, layout_of
@@ -27,6 +28,7 @@ from .refine import midpoints, refine_near, refine_rims, refine_skin
 from .sizing import WIDEST, SizeField, Sizes, SpaceField, element_sizes
 from .slab import slab_mesh
 from .surfaces import read_surfaces, surfaces_mesh
+from .tetwild import MeshTimeout
 from .tube import Tube, tube_of
 from .usermesh import user_mesh
 
@@ -52,7 +54,8 @@ def build_mesh(
             mesh = _unmarked(scenario, base, size.with_facets(_FINER ** (attempt - 1)), say, attempt)
             return with_bends(scenario, _marked(scenario, mesh, size, say, scale))
         except MeshError as problem:
-            if attempt == _ATTEMPTS or isinstance(scenario.limb, SlabLimb | MeshLimb):
+            final = isinstance(scenario.limb, SlabLimb | MeshLimb) or isinstance(problem, MeshTimeout)
+            if attempt == _ATTEMPTS or final:
                 raise
             _log.info("attempt %d at the mesh failed (%s); the next one will differ", attempt, problem)
     raise AssertionError("unreachable")
@@ -71,8 +74,8 @@ def _unmarked(scenario: Scenario, base: Path, size: SizeField, say: Progress, at
         ports_on(scenario, tube_of(limb).volar)  # complain about misplaced ports before the long work
         return _tube_mesh(tube_of(limb), size, say, keep_bone=keep_bone, seed=attempt)
     if isinstance(limb, MeshLimb):
-        return user_mesh(limb, base, keep_bone=keep_bone)
-    return _nested_mesh(limb, base, size, say, keep_bone=keep_bone)
+        return user_mesh(limb, base, size.layout, scenario.mesh.min_quality, keep_bone=keep_bone)
+    return _nested_mesh(scenario, limb, base, size, say)
 
 
 def _marked(scenario: Scenario, mesh: TissueMesh, size: SizeField, say: Progress, scale: float) -> TissueMesh:
@@ -133,12 +136,16 @@ def limb_volume(scenario: Scenario) -> float | None:
     return None
 
 
-def _nested_mesh(limb: SurfacesLimb, base: Path, size: SizeField, say: Progress, *, keep_bone: bool) -> TissueMesh:
+def _nested_mesh(scenario: Scenario, limb: SurfacesLimb, base: Path, size: SizeField, say: Progress) -> TissueMesh:
+    say("reading and checking the surfaces")
     surfaces = read_surfaces(limb, base)
+    check_room(base / limb.surfaces[surfaces[0].tissue], surfaces[0].vertices, size.layout, limb.unit)
     outer = FacetSkin(surfaces[0].vertices, surfaces[0].faces)
-    say("meshing the outer surface")
+    ports_on(scenario, outer)  # complain about misplaced ports before the long work
+    say("meshing the outer surface (minutes for fine sizes)")
     field = SpaceField.on(size, lambda xy: outer(xy)[0])
-    return surfaces_mesh(surfaces, field, size.sizes.far, keep_bone=keep_bone)
+    keep_bone = scenario.supports.bone == "elastic"
+    return surfaces_mesh(surfaces, field, size.sizes.far, scenario.mesh.max_elements, say, keep_bone=keep_bone)
 
 
 def _tube_mesh(tube: Tube, size: SizeField, say: Progress, *, keep_bone: bool, seed: int) -> TissueMesh:

@@ -11,7 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..errors import MeshError
+from ..errors import DataError, MeshError
+from ..io.atomic import write_text
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.mesh import MeshOptions
@@ -126,9 +127,7 @@ def store_mesh(mesh: TissueMesh, path: Path, key: str, *, command: str = "") -> 
         "generator": GENERATOR,
         "command": command,
     }
-    temporary = path.with_name(f".writing-{os.getpid()}-{path.stem}.json")
-    temporary.write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")
-    os.replace(temporary, path.with_suffix(".json"))
+    write_text(path.with_suffix(".json"), json.dumps(note, indent=2) + "\n")
 
 
 def ship_mesh(
@@ -143,7 +142,7 @@ def ship_mesh(
 def _try_store(mesh: TissueMesh, path: Path, key: str) -> None:
     try:
         store_mesh(mesh, path, key)
-    except OSError as problem:
+    except DataError as problem:
         _log.warning("the mesh could not be kept in the cache %s (%s); it will be built again", path.parent, problem)
 
 

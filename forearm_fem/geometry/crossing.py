@@ -3,41 +3,43 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..typing import BoolArray, FloatArray, IntArray
+from .nearby import meeting
 
 _INSIDE = 1e-7  # touching in a corner, an edge or a plane is not crossing
 
 
-def crossing_faces(first: FloatArray, second: FloatArray | None, faces: IntArray | None) -> int:
-    """Pairs of triangles (n, 3, 3) of ``first`` and ``second`` that cross.
+def crossing_faces(first: FloatArray, second: FloatArray | None, faces: IntArray | None) -> IntArray:
+    """Pairs (k, 2) of triangles (n, 3, 3) of ``first`` and (m, 3, 3) of ``second`` that cross, by their numbers.
 
-    Without ``second``, ``first`` is tested against itself and pairs that share a vertex (``faces``) do not
-    count.
+    Without ``second``, ``first`` is tested against itself; pairs that share a vertex (``faces``) do not count.
     """
     other = first if second is None else second
     a, b = _near_pairs(first, other)
     if second is None:
         assert faces is not None
-        apart = (faces[a][:, :, None] != faces[b][:, None, :]).all(axis=(1, 2)) & (a != b)
+        once = a < b
+        a, b = a[once], b[once]
+        apart = (faces[a][:, :, None] != faces[b][:, None, :]).all(axis=(1, 2))
         a, b = a[apart], b[apart]
     crosses = np.zeros(len(a), dtype=bool)
     for edge in ((0, 1), (1, 2), (2, 0)):
         crosses |= _pierces(first[a][:, edge], other[b]) | _pierces(other[b][:, edge], first[a])
-    return int(crosses.sum()) if second is not None else int(crosses.sum() + 1) // 2
+    return np.column_stack([a[crosses], b[crosses]])
 
 
 def _near_pairs(first: FloatArray, other: FloatArray) -> tuple[IntArray, IntArray]:
-    """Pairs whose bounding spheres meet."""
-    centre_a, centre_b = first.mean(axis=1), other.mean(axis=1)
-    radius_a = np.linalg.norm(first - centre_a[:, None], axis=2).max(axis=1)
-    radius_b = np.linalg.norm(other - centre_b[:, None], axis=2).max(axis=1)
-    hits = cKDTree(centre_b).query_ball_point(centre_a, radius_a + radius_b.max())
-    a = np.repeat(np.arange(len(first)), [len(h) for h in hits])
-    b = np.concatenate([np.asarray(h, dtype=np.int64) for h in hits]) if len(a) else a
-    meet = np.linalg.norm(centre_a[a] - centre_b[b], axis=1) < radius_a[a] + radius_b[b]
+    """Pairs whose bounding boxes meet, found among those whose bounding spheres do."""
+    a, b = meeting(*_ball(first), *_ball(other))
+    low = np.maximum(first.min(axis=1)[a], other.min(axis=1)[b])
+    meet = (low <= np.minimum(first.max(axis=1)[a], other.max(axis=1)[b])).all(axis=1)
     return a[meet], b[meet]
+
+
+def _ball(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    centre = triangles.mean(axis=1)
+    return centre, np.asarray(np.linalg.norm(triangles - centre[:, None], axis=2).max(axis=1))
 
 
 def _pierces(edge: FloatArray, triangle: FloatArray) -> BoolArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import warnings
 from collections.abc import Callable
@@ -14,28 +13,27 @@ from typing import Any
 import meshio
 import numpy as np
 
-from ..errors import MeshError
+from ..errors import DataError, MeshError
+from ..io.atomic import atomic_path
+from ..io.seal import BLANK, check_seals, sealed
 from ..typing import IntArray
 from .mesh import TissueMesh
 
+_XML, _GMSH = b"<!-- %s -->\n" % BLANK, b"$Comments\n%s\n$EndComments\n" % BLANK
 _REGION, _BOUNDARY = "region {} {}", "boundary {}"
 
 
 def write_mesh(mesh: TissueMesh, path: str | Path) -> None:
-    """Write ``mesh`` to ``path`` (.vtu or .msh), all at once or not at all.
+    """Write ``mesh`` to ``path`` (.vtu or .msh) with checksums in comments, all at once or not at all.
 
     In a .vtu, cell data "region" numbers the tissues, "region <i> <tissue>" and "boundary <name>" mark cells;
     in a .msh (gmsh 2.2, binary) tissues and boundaries ("boundary <name>") are physical groups.
     """
     file = Path(path)
     writer = _by_ending(file, {".vtu": _write_vtu, ".msh": _write_msh})
-    file.parent.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_name(f".writing-{os.getpid()}-{file.name}")
-    try:
-        writer(mesh, str(temporary))
-        os.replace(temporary, file)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with atomic_path(file) as beside:
+        writer(mesh, str(beside))
+        beside.write_bytes(sealed(_commented(file.suffix, beside.read_bytes())))
 
 
 def read_mesh(path: str | Path) -> TissueMesh:
@@ -44,11 +42,27 @@ def read_mesh(path: str | Path) -> TissueMesh:
     reader = _by_ending(file, {".vtu": _from_vtu, ".msh": _from_msh})
     if not file.is_file():
         raise MeshError(f"{file}: no such mesh file; expected one written by write_mesh")
+    check_mesh_seals(file)
     try:
         mesh: TissueMesh = reader(read_quietly(file))
         return mesh
     except (KeyError, IndexError, ValueError) as problem:
         raise MeshError(f"{file}: not a mesh written by this program ({problem}); rebuild it") from None
+
+
+def _commented(ending: str, content: bytes) -> bytes:
+    """``content`` with a blank seal before and after what a reader of the format looks at."""
+    if ending == ".msh":
+        return _GMSH + content + _GMSH
+    return content.replace(b"?>\n", b"?>\n" + _XML, 1) + b"\n" + _XML
+
+
+def check_mesh_seals(file: Path) -> None:
+    """Raise :class:`MeshError` where the file holds checksums of ours that its contents do not match."""
+    try:
+        check_seals(file.read_bytes())
+    except (DataError, OSError) as problem:
+        raise MeshError(f"{file}: {problem}") from None
 
 
 def read_quietly(file: Path) -> Any:

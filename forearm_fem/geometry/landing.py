@@ -9,6 +9,7 @@ import numpy as np
 
 from ..typing import FloatArray, IntArray
 from .mesh import TissueMesh
+from .nearby import meeting
 
 _SLACK = 1e-9
 
@@ -37,23 +38,31 @@ class FacetSkin:
 
     def __call__(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (m, 3) and interpolated outward unit normals (m, 3); NaN where there is no skin."""
-        found = [self._land(p) for p in xy]
-        return np.array([p for p, _ in found]), np.array([n for _, n in found])
+        at, facet = meeting(xy, np.zeros(len(xy)), *self._discs)
+        weight = self._weights(xy[at], facet)
+        hit = np.asarray((weight > -_SLACK).all(axis=1))
+        at, facet, weight = at[hit], facet[hit], weight[hit]
+        places = np.einsum("ij,ijk->ik", weight, self.points[self.facets[facet]])
+        top = np.lexsort((-places[:, 2], at))
+        where, first = np.unique(at[top], return_index=True)
+        chosen = top[first]
+        points, normals = np.full((len(xy), 3), np.nan), np.full((len(xy), 3), np.nan)
+        normal = np.einsum("ij,ijk->ik", weight[chosen], self.normals[self.facets[facet[chosen]]])
+        points[where] = places[chosen]
+        normals[where] = normal / np.linalg.norm(normal, axis=1)[:, None]
+        return points, normals
 
-    def _land(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        weight = self._weights(xy)
-        hit = np.flatnonzero((weight > -_SLACK).all(axis=1))
-        if not len(hit):
-            return np.full(3, np.nan), np.full(3, np.nan)
-        places = np.einsum("ij,ijk->ik", weight[hit], self.points[self.facets[hit]])
-        top = int(places[:, 2].argmax())
-        normal = weight[hit[top]] @ self.normals[self.facets[hit[top]]]
-        return places[top], np.asarray(normal / np.linalg.norm(normal))
+    @cached_property
+    def _discs(self) -> tuple[FloatArray, FloatArray]:
+        """Centres (k, 2) and radii (k,) of circles around the facets seen from above, slack included."""
+        corner = self.points[self.facets][:, :, :2]
+        centre = corner.mean(axis=1)
+        radius = np.linalg.norm(corner - centre[:, None], axis=2).max(axis=1)
+        return centre, np.asarray((1 + 1e-6) * radius)
 
-    def _weights(self, xy: FloatArray) -> FloatArray:
-        """Barycentric coordinates (k, 3) of ``xy`` (2,) in every facet seen from above; NaN for upright
-        ones."""
-        a, b, c = self.points[self.facets][:, :, :2].transpose(1, 0, 2)
+    def _weights(self, xy: FloatArray, facet: IntArray) -> FloatArray:
+        """Barycentric coordinates (m, 3) of ``xy`` (m, 2) in facets (m,) seen from above; NaN for upright ones."""
+        a, b, c = self.points[self.facets[facet]][:, :, :2].transpose(1, 0, 2)
         u, v, w = b - a, c - a, xy - a
         twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
         twice = np.where(np.abs(twice) < 1e-30, np.nan, twice)

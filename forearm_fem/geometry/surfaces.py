@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,9 +22,12 @@ from .crossing import crossing_faces
 from .extent import check_extent
 from .levelset import cut_along
 from .mesh import TissueMesh
+from .shells import check_one_body, check_vertices, closed, place
 from .tetwild import background_grid, tetrahedralise
 from .topology import boundary_faces
 
+_REGULAR = 0.1179  # volume of a regular tetrahedron over its edge cubed
+_THINNEST = 5e-5  # m: a layer that is nowhere thicker is a surface given twice
 _PER_WIDTH = 0.25  # edge length over the smallest extent of an inner body
 
 
@@ -59,13 +63,14 @@ class Surface:
 
 
 def read_surfaces(limb: SurfacesLimb, base: Path) -> tuple[Surface, ...]:
-    """Checked surfaces, the outermost first; raises :class:`GeometryError` naming the file at fault."""
+    """Checked surfaces, the outermost first; raises :class:`GeometryError` naming the file or tissue at fault."""
     if not limb.surfaces:
         raise GeometryError("limb.surfaces is empty; give at least one closed surface, e.g. {skin = 'skin.stl'}")
     found = [_read(tissue, base / file, limb.unit) for tissue, file in limb.surfaces.items()]
     found.sort(key=lambda s: -s.volume)
     if found[0].tissue == "bone":
         raise GeometryError("the largest surface is the bone's; give the surface of the tissue around it too")
+    check_one_body(found[0].tissue, found[0].vertices, found[0].faces)
     for surface in found:
         _check_self(surface)
     for i, outer in enumerate(found):
@@ -82,38 +87,34 @@ def _read(tissue: str, file: Path, unit: float) -> Surface:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            body = trimesh.load_mesh(file)
+            body = trimesh.load_mesh(file, process=False)
     except Exception as problem:
-        raise GeometryError(f"{file}: cannot be read as STL, OBJ or PLY ({problem})") from None
+        said = " ".join(str(problem).split())[:100]
+        raise GeometryError(f"{file}: cannot be read as STL, OBJ or PLY ({said})") from None
     if not isinstance(body, trimesh.Trimesh) or not len(body.faces):
         raise GeometryError(f"{file}: holds no triangles; export a triangulated surface")
-    body.merge_vertices()
-    if not body.is_watertight:
-        raise GeometryError(f"{file}: the surface of '{tissue}' is not closed (watertight); fill its holes")
-    if not body.is_winding_consistent:
-        raise GeometryError(f"{file}: triangles of '{tissue}' face both ways; make their winding consistent")
-    faces = np.asarray(body.faces, dtype=np.int64)
-    surface = Surface(tissue, np.asarray(body.vertices, dtype=float) * unit, faces)
-    check_extent(file, surface.vertices)
-    if abs(surface.volume) < 1e-12:
-        raise GeometryError(
-            f"{file}: the surface of '{tissue}' encloses no volume; check limb.unit (metres per file unit)"
-        )
-    return surface if surface.volume > 0 else replace(surface, faces=faces[:, ::-1])
+    check_vertices(file, np.asarray(body.vertices, dtype=float), np.asarray(body.faces, dtype=np.int64))
+    body.merge_vertices(merge_tex=True, merge_norm=True)
+    vertices, faces = np.asarray(body.vertices, dtype=float) * unit, np.asarray(body.faces, dtype=np.int64)
+    check_extent(file, vertices, unit)
+    return Surface(tissue, vertices, closed(file, tissue, vertices, faces))
 
 
 def _check_self(surface: Surface) -> None:
-    count = crossing_faces(surface.vertices[surface.faces], None, surface.faces)
-    if count:
+    pairs = crossing_faces(surface.vertices[surface.faces], None, surface.faces)
+    if len(pairs):
         raise GeometryError(
-            f"the surface of '{surface.tissue}' crosses itself in {count} pairs of triangles; repair it"
+            f"the surface of '{surface.tissue}' crosses itself in {len(pairs)} pairs of triangles, the first at "
+            f"{place(surface.vertices[surface.faces[pairs[0, 0]]])}; repair it"
         )
 
 
 def _check_nested(outer: Surface, inner: Surface) -> None:
-    if crossing_faces(outer.vertices[outer.faces], inner.vertices[inner.faces], None):
+    pairs = crossing_faces(outer.vertices[outer.faces], inner.vertices[inner.faces], None)
+    if len(pairs):
         raise GeometryError(
-            f"the surfaces of '{outer.tissue}' and '{inner.tissue}' cross; one must lie inside the other"
+            f"the surfaces of '{outer.tissue}' and '{inner.tissue}' cross in {len(pairs)} pairs of triangles, the "
+            f"first at {place(inner.vertices[inner.faces[pairs[0, 1]]])}; one must lie inside the other"
         )
     slack = 1e-6 * float(np.ptp(outer.vertices, axis=0).max())
     away = outer.distance(inner.vertices)
@@ -123,25 +124,48 @@ def _check_nested(outer: Surface, inner: Surface) -> None:
             f"the surface of '{inner.tissue}' reaches {away.max() * 1e3:.3g} mm out of '{outer.tissue}'; "
             "each smaller surface must lie inside every larger one (is limb.unit right?)"
         )
+    depth = -float(outer.distance(inner.vertices[inner.faces].mean(axis=1)).min())
+    if not both_bones and max(depth, -float(away.min())) < _THINNEST:
+        raise GeometryError(
+            f"the surfaces of '{outer.tissue}' and '{inner.tissue}' are the same to {_THINNEST * 1e3:g} mm, so "
+            f"nothing is left for '{outer.tissue}'; give '{inner.tissue}' its own surface, or leave it out"
+        )
 
 
-def surfaces_mesh(surfaces: tuple[Surface, ...], size: Size3, far: float, *, keep_bone: bool) -> TissueMesh:
+def surfaces_mesh(
+    surfaces: tuple[Surface, ...], size: Size3, far: float, most: float, say: Callable[[str], None], *, keep_bone: bool
+) -> TissueMesh:
     """Outermost surface by fTetWild, boundary moved onto it, regions cut along the inner surfaces.
 
-    Interfaces are plane within elements: exact to h^2 / (8 R), see :func:`.levelset.cut_along`.
+    Interfaces are plane within elements: exact to h^2 / (8 R), see :func:`.levelset.cut_along`. Raises
+    :class:`GeometryError` before the long work where ``size`` asks for more than ``most`` tetrahedra.
     """
     outer = surfaces[0]
     low, high = outer.vertices.min(axis=0), outer.vertices.max(axis=0)
     grid, cells = background_grid(low, high, float((high - low).max()) / 40)
     wanted = np.minimum.reduce([size(grid), *(_size_around(inner, grid) for inner in surfaces[1:])])
+    _check_count(outer, grid, wanted, most)
     points, tetrahedra = tetrahedralise(outer.vertices, outer.faces, grid, cells, wanted, far)
     mesh = _on_surface(
         TissueMesh(points, tetrahedra, np.zeros(len(tetrahedra), dtype=np.int64), (outer.tissue,), {}), outer
     )
     for inner in surfaces[1:]:
+        say(f"cutting along the surface of {inner.tissue}")
         mesh = _with_region(mesh, _stretched(inner, low[0], high[0]))
     mesh = mesh if keep_bone else without_bone(mesh)
     return with_boundaries(mesh, 1e-3 * float(high[0] - low[0]))
+
+
+def _check_count(outer: Surface, grid: FloatArray, wanted: FloatArray, most: float) -> None:
+    """Refuse what would take hours: a limb in the wrong unit, or sizes meant for a smaller one."""
+    inside = outer.distance(grid) < 0
+    cell = float(np.ptp(outer.vertices, axis=0).max() / 40) ** 3
+    count = float((cell / (_REGULAR * wanted[inside] ** 3)).sum())
+    if count > most:
+        raise GeometryError(
+            f"a limb of {np.ptp(outer.vertices[:, 0]):.2g} m would need about {count:.2g} tetrahedra, "
+            f"mesh.max_elements allows {most:.2g}; enlarge mesh.size_far and mesh.size_grid, or correct limb.unit"
+        )
 
 
 def _size_around(inner: Surface, places: FloatArray) -> FloatArray:

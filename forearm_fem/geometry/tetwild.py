@@ -32,6 +32,10 @@ np.savez("out.npz", points=points, tetrahedra=tetrahedra)
 """
 
 
+class MeshTimeout(MeshError):
+    """Meshing took too long; trying again would take as long."""
+
+
 def tetrahedralise(
     vertices: FloatArray, faces: IntArray, grid: FloatArray, cells: IntArray, values: FloatArray, far: float
 ) -> tuple[FloatArray, IntArray]:
@@ -66,7 +70,7 @@ def _run(folder: str) -> None:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise MeshError(
+        raise MeshTimeout(
             f"fTetWild did not finish within {TIME_LIMIT:g} s; enlarge mesh.size_grid and mesh.size_contact"
         ) from None
     if done.returncode != 0 or not Path(folder, "out.npz").exists():

@@ -37,10 +37,19 @@ def atomic_path(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
             beside.unlink()
 
 
+def write_bytes(path: str | Path, content: bytes, *, durable: bool = True) -> None:
+    """``content``, whole or not at all.
+
+    Libraries write into memory, and the memory goes here: on a full disk HDF5 leaves objects behind that crash the
+    process when they are closed.
+    """
+    with atomic_path(path, durable=durable) as beside:
+        beside.write_bytes(content)
+
+
 def write_text(path: str | Path, text: str) -> None:
     """``text`` as UTF-8 with the line ends it has, whole or not at all."""
-    with atomic_path(path) as beside:
-        beside.write_bytes(text.encode("utf-8"))
+    write_bytes(path, text.encode("utf-8"))
 
 
 def _flush(file: Path) -> None:

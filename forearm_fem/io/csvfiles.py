@@ -15,20 +15,22 @@ from ..measurement.declaration import RawMatrix, port_from
 from ..ports import Port
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
-from .atomic import write_text
+from .atomic import write_bytes
+from .seal import BLANK, MARK, check_seals, sealed
 
 _COLUMNS = ("frequency_Hz", "output", "input", "real", "imag", "valid", "deviation")
 _MARK = "# forearm_fem "
+_EDITED = f"if you edited it on purpose, delete its lines that begin with '# {MARK.decode()}', else export it again"
 
 
 def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
     """One line per frequency, output and input with every digit of G; unit, ports and convention in the
-    first line.
+    first line, checksums in the next two.
 
     NaN stands as ``nan``. Error estimates, ``contacts`` and provenance are not carried: transfer.nc has them.
     """
     stream = io.StringIO()
-    stream.write(_MARK + json.dumps(_head(transfer)) + "\n")
+    stream.write(_MARK + json.dumps(_head(transfer)) + "\n" + f"# {BLANK.decode()}\n" * 2)
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(_COLUMNS if transfer.deviation is not None else _COLUMNS[:-1])
     for (k, o, i), value in np.ndenumerate(transfer.values):
@@ -42,7 +44,7 @@ def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
         ]
         extra = [] if transfer.deviation is None else [_text(transfer.deviation[k, o, i])]
         writer.writerow([*row, valid, *extra])
-    write_text(path, stream.getvalue())
+    write_bytes(path, sealed(stream.getvalue().encode()))
 
 
 def _text(value: Any) -> str:
@@ -63,7 +65,7 @@ def _head(transfer: TransferMatrix) -> dict[str, Any]:
 
 def read_csv(path: str | Path) -> RawMatrix:
     """G from lines with the columns frequency_Hz, output, input and real, imag or magnitude, phase_rad (or
-    phase_deg).
+    phase_deg). Checksums are verified where there are any; who edits a file by hand deletes their lines.
 
     Lines may come in any order; entries that are absent at a frequency are marked. Columns ``valid`` and
     ``deviation`` are read where present, others ignored. Raises DataError with the number of the line that
@@ -95,7 +97,11 @@ def _read(file: Path) -> RawMatrix:
 def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]:
     """Our first line if there is one, the header, the rows and the number of the header's line."""
     try:
-        text = file.read_text(encoding="utf-8")
+        content = file.read_bytes().replace(b"\r\n", b"\n")
+        check_seals(content, _EDITED)
+        text = content.decode()
+    except DataError as problem:
+        raise DataError(f"{file}: {problem}") from None
     except FileNotFoundError:
         raise DataError(f"{file}: no such file") from None
     except (OSError, UnicodeDecodeError):

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
+import h5netcdf
 import h5py
 import numpy as np
 import xarray as xr
+from xarray.backends import H5NetCDFStore
 
 from ..errors import DataError
 from ..ports import Port, positions
-from .atomic import atomic_path
-from .seal import check_seal, seal
+from .atomic import write_bytes
+from .seal import check_tail, sealed_tail
 
 T = TypeVar("T")
 TIME_CONVENTION = "e^{+i omega t}"
@@ -32,9 +35,10 @@ def save(path: str | Path, variables: Variables, attributes: Mapping[str, str]) 
     described = dataset.assign_attrs({**_common_attributes(), **attributes})
     coordinates = [name for name in described.variables if str(name) in described.dims]
     encoding = {name: _encoding(variable) for name, variable in described.variables.items()}
-    with atomic_path(path) as beside:
-        described.set_coords(coordinates).to_netcdf(beside, engine="h5netcdf", encoding=encoding)
-        seal(beside)
+    memory = io.BytesIO()
+    with h5netcdf.File(memory, "w") as file:
+        described.set_coords(coordinates).dump_to_store(H5NetCDFStore(file), encoding=encoding)
+    write_bytes(path, sealed_tail(memory.getvalue()))
 
 
 def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T:
@@ -43,10 +47,10 @@ def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T
     if not file.is_file():
         raise DataError(f"{file}: no such file")
     try:
-        sealed = check_seal(file)
+        whole = check_tail(file.read_bytes())
         _probe(file)
         result = unpack(_checked(xr.load_dataset(file, engine="h5netcdf"), content))
-        if not sealed:
+        if not whole:
             raise DataError("truncated: the checksum at its end is missing; copy or make it again")
         return result
     except DataError as problem:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,11 @@ from ..errors import DataError
 from ..ports import Port, positions
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .atomic import atomic_path
+from .atomic import write_bytes
 from .dataset import TIME_CONVENTION, labels, provenance_json
+from .seal import BLANK, check_seals, sealed
 
+_TEXT, _HEADER = 116, 128  # bytes of a MATLAB file: of its header the text, and all
 _NOTE = (
     "G(output, input, bin): bin k has frequency_Hz(k). Bins above sample_rate_Hz/2 are the negative "
     "frequencies frequency_Hz - sample_rate_Hz and hold the conjugates, so ifft(G, [], 3) is real: the "
@@ -36,8 +39,7 @@ def write_thesis_mat(
     n = round(sample_rate * duration)
     bins = _bins(transfer.frequency, n, duration)
     content = _content(transfer, bins, n, sample_rate, duration)
-    with atomic_path(path) as beside:
-        savemat(beside, content, appendmat=False, do_compression=True)
+    write_bytes(path, mat5(content, compressed=True))
 
 
 def read_thesis_mat(path: str | Path) -> TransferMatrix:
@@ -46,9 +48,26 @@ def read_thesis_mat(path: str | Path) -> TransferMatrix:
     if not file.is_file():
         raise DataError(f"{file}: no such file")
     try:
-        return _unpack(loadmat(file, appendmat=False, chars_as_strings=True))
+        content = file.read_bytes()
+        check_seals(content)
+        return _unpack(loadmat(io.BytesIO(content), chars_as_strings=True))
+    except DataError as problem:
+        raise DataError(f"{file}: {problem}") from None
     except Exception as problem:  # damaged MAT files fail in ways that scipy does not list
         raise DataError(f"{file}: damaged, or not a G written by forearm_fem ({problem})") from problem
+
+
+def mat5(variables: dict[str, Any], *, compressed: bool = False) -> bytes:
+    """A MATLAB 5 file, sealed in its header's text and in the variable ``sha256`` at its end."""
+    body, end = io.BytesIO(), io.BytesIO()
+    savemat(body, variables, do_compression=compressed)
+    savemat(end, {"sha256": BLANK.decode()})
+    return sealed(stamped(body.getvalue(), b"MATLAB 5.0 MAT-file, ") + end.getvalue()[_HEADER:])
+
+
+def stamped(content: bytes, kind: bytes) -> bytes:
+    """A MATLAB file with ``kind`` and a blank seal as the 116 bytes of text that its header has room for."""
+    return (kind + BLANK).ljust(_TEXT) + content[_TEXT:]
 
 
 def two_sided(values: ComplexArray, bins: IntArray, n: int) -> ComplexArray:

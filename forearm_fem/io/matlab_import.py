@@ -4,6 +4,7 @@ of axes.
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,14 +12,17 @@ from typing import Any
 
 import h5py
 import numpy as np
-from scipy.io import loadmat, savemat
+from scipy.io import loadmat
 
 from ..errors import DataError
 from ..measurement.declaration import Axis, Declaration, RawMatrix, RecognitionWarning
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, FloatArray
-from .atomic import atomic_path
+from .atomic import atomic_path, write_bytes
+from .matlab import mat5, stamped
+from .seal import BLANK, check_seals, sealed
 
+_VERSION_AT = 116  # where the header's text ends and what MATLAB knows the version by begins
 _NAMES = ("frequency_Hz", "frequency", "freq", "f", "F", "freqs", "f_Hz")
 
 
@@ -54,7 +58,10 @@ def read_variables(file: Path) -> dict[str, Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
+            check_seals(file.read_bytes())
             found = _hdf5(file) if h5py.is_hdf5(file) else _version5(file)
+    except DataError as problem:
+        raise DataError(f"{file}: {problem}") from None
     except Exception as problem:  # scipy and h5py list no errors for damage
         raise DataError(f"{file}: damaged, cut short or not a MATLAB file; save or copy it again") from problem
     if not found:
@@ -123,11 +130,14 @@ def write_mat73(
     MATLAB's own `load` wants a 512-byte header that h5py writes as a user block; `matfile` and `h5read`
     need neither.
     """
+    memory = io.BytesIO()
+    with h5py.File(memory, "w", userblock_size=512) as content:
+        for name, array in _named(transfer, axes).items():
+            _store(content, name, array)
+    whole = stamped(memory.getvalue(), b"MATLAB 7.3 MAT-file, ")
+    whole = whole[:_VERSION_AT] + b"\0" * 8 + b"\x00\x02IM" + whole[_VERSION_AT + 12 :]
     with atomic_path(path) as beside:
-        with h5py.File(beside, "w", userblock_size=512) as content:
-            for name, array in _named(transfer, axes).items():
-                _store(content, name, array)
-        _stamp(beside)
+        beside.write_bytes(sealed(whole + BLANK))
         if not np.array_equal(read_variables(beside)["G"], _named(transfer, axes)["G"], equal_nan=True):
             raise DataError(f"{path}: reading back gave something else than was written; nothing was saved")
 
@@ -136,8 +146,7 @@ def write_mat5(
     path: str | Path, transfer: TransferMatrix, axes: tuple[Axis, ...] = ("output", "input", "frequency")
 ) -> None:
     """As :func:`write_mat73` in version 5, up to 2 GB: one-sided G on its own frequencies; exact."""
-    with atomic_path(path) as beside:
-        savemat(beside, _named(transfer, axes), appendmat=False)
+    write_bytes(path, mat5(_named(transfer, axes)))
 
 
 def _named(transfer: TransferMatrix, axes: tuple[Axis, ...]) -> dict[str, Any]:
@@ -158,10 +167,3 @@ def _store(content: Any, name: str, array: Any) -> None:
         stored = pairs
     dataset = content.create_dataset(name, data=stored)
     dataset.attrs["MATLAB_class"] = np.bytes_("uint8" if array.dtype == np.uint8 else "double")
-
-
-def _stamp(file: Path) -> None:
-    """The text and version bytes by which MATLAB knows a 7.3 file."""
-    text = b"MATLAB 7.3 MAT-file, Platform: forearm_fem, HDF5 schema 1.00 .".ljust(116) + b"\0" * 8 + b"\x00\x02IM"
-    with file.open("rb+") as stream:
-        stream.write(text)

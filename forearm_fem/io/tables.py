@@ -11,7 +11,7 @@ from typing import NamedTuple
 from ..errors import DataError
 from ..metrics.strength import GROUPS
 from ..typing import FloatArray
-from .atomic import write_text
+from .sidefile import read_with_side, write_with_side
 
 _HEADER = ("target", "group", "method", "S")
 
@@ -36,12 +36,12 @@ def strength_rows(methods: Sequence[str], targets: Sequence[str], strengths: Flo
 
 
 def write_signal_strength_csv(path: str | Path, rows: Iterable[StrengthRow]) -> None:
-    """Write ``rows`` with every digit of S, so that reading gives the same floats."""
+    """Write ``rows`` with every digit of S, so that reading gives the same floats, and the checksum beside them."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(_HEADER)
     writer.writerows((r.target, r.group, r.method, repr(float(r.S))) for r in rows)
-    write_text(path, stream.getvalue())
+    write_with_side(path, stream.getvalue().encode())
 
 
 def read_signal_strength_csv(path: str | Path) -> tuple[StrengthRow, ...]:
@@ -55,7 +55,7 @@ def read_signal_strength_csv(path: str | Path) -> tuple[StrengthRow, ...]:
 
 def _read(path: str | Path) -> str:
     try:
-        return Path(path).read_text(encoding="utf-8")
+        return read_with_side(path).decode()
     except FileNotFoundError:
         raise DataError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as problem:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import json
 import logging
 import warnings
@@ -18,7 +19,8 @@ from ..measurement.declaration import RawMatrix, port_from
 from ..measurement.recording import Recording
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
-from .atomic import atomic_path
+from .atomic import atomic_path, write_bytes
+from .seal import BLANK, check_seals, sealed
 
 _GROUP = "G"
 
@@ -39,6 +41,7 @@ def write_tdms(path: str | Path, transfer: TransferMatrix) -> None:
         "spectrum": "one-sided",
         "ports": json.dumps(ports),
         "masked": int(transfer.valid is not None),
+        "sha256": BLANK.decode(),
     }
     parts = [
         tdms.GroupObject(_GROUP, properties=properties),
@@ -46,12 +49,21 @@ def write_tdms(path: str | Path, transfer: TransferMatrix) -> None:
     ]
     for o, i in np.ndindex(*transfer.values.shape[1:]):
         parts += _entry(tdms, transfer, o, i)
+    content = _sealed(tdms, _GROUP, parts)
     with atomic_path(path) as beside:
-        with tdms.TdmsWriter(str(beside)) as writer:
-            writer.write_segment(parts)
+        beside.write_bytes(content)
         back = _read(beside)
         if not np.array_equal(back.values, transfer.values, equal_nan=True):
             raise DataError(f"{path}: reading back gave something else than was written; nothing was saved")
+
+
+def _sealed(tdms: Any, group: str, parts: list[Any]) -> bytes:
+    """``parts`` as a file; its last channel ``sha256`` holds the bytes of a seal."""
+    memory = io.BytesIO()
+    end = tdms.ChannelObject(group, "sha256", np.frombuffer(BLANK, dtype=np.uint8))
+    with tdms.TdmsWriter(memory) as writer:
+        writer.write_segment([*parts, end])
+    return sealed(memory.getvalue())
 
 
 def _entry(tdms: Any, transfer: TransferMatrix, o: int, i: int) -> list[Any]:
@@ -119,8 +131,13 @@ def _nptdms() -> Any:
 
 
 def _open(file: Path) -> Any:
-    if file.read_bytes()[:4] != b"TDSm":
+    whole = file.read_bytes()
+    if whole[:4] != b"TDSm":
         raise DataError(f"{file}: is not a TDMS file; its first bytes are not 'TDSm'")
+    try:
+        check_seals(whole)
+    except DataError as problem:
+        raise DataError(f"{file}: {problem}") from None
     tdms = _nptdms()
     with _complaints() as complaints:
         content = tdms.TdmsFile.read(str(file))
@@ -243,5 +260,5 @@ def write_sweep_tdms(path: str | Path, recording: Recording) -> None:
     channels = [
         tdms.ChannelObject("sweep", name, np.ascontiguousarray(a), properties=properties) for name, a in pairs.items()
     ]
-    with atomic_path(path) as beside, tdms.TdmsWriter(str(beside)) as writer:
-        writer.write_segment(channels)
+    group = tdms.GroupObject("sweep", properties={"sha256": BLANK.decode()})
+    write_bytes(path, _sealed(tdms, "sweep", [group, *channels]))

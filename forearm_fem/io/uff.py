@@ -24,11 +24,13 @@ from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .atomic import atomic_path
+from .seal import BLANK, check_seals, sealed
 
 _MARK = "forearm_fem e^{+i omega t}"
 _DEVIATION = "standard deviation"
 _PRIVATE = 9158  # dataset number of our ports
 _END = f"{-1:6d}"
+_END_SEAL = "\n".join([_END, f"{_PRIVATE:6d}", BLANK.decode(), _END, ""]).encode("ascii")
 _DENOMINATOR: Mapping[str, int] = MappingProxyType({"V": 0, "N": 13, "m": 8})
 _NUMERATOR: Mapping[int, Quantity] = MappingProxyType({8: "displacement", 11: "velocity", 12: "acceleration"})
 
@@ -50,7 +52,7 @@ def write_uff(path: str | Path, transfer: TransferMatrix) -> None:
     for o, i in np.ndindex(*transfer.values.shape[1:]):
         blocks += _entry(transfer, valid[:, o, i], o, i)
     with atomic_path(path) as beside:
-        beside.write_bytes(b"".join(blocks))
+        beside.write_bytes(sealed(b"".join([*blocks, _END_SEAL])))
         _compare(path, transfer, valid, _guarded(beside))
 
 
@@ -67,6 +69,10 @@ def read_uff(path: str | Path) -> RawMatrix:
 def _guarded(file: Path) -> RawMatrix:
     if not file.is_file():
         raise DataError(f"{file}: no such file")
+    try:
+        check_seals(file.read_bytes())
+    except DataError as problem:
+        raise DataError(f"{file}: {problem}") from None
     try:
         return _read(file)
     except (DataError, MissingExtra):
@@ -92,7 +98,7 @@ def _header(transfer: TransferMatrix) -> bytes:
     """
     ports = {"outputs": [vars(p) for p in transfer.outputs], "inputs": [vars(p) for p in transfer.inputs]}
     text = json.dumps({"unit": transfer.unit, **ports}, ensure_ascii=True)
-    lines = [f"|{text[k : k + 72]}|" for k in range(0, len(text), 72)]
+    lines = [BLANK.decode(), *(f"|{text[k : k + 72]}|" for k in range(0, len(text), 72))]
     return "\n".join([_END, f"{_PRIVATE:6d}", _MARK, *lines, _END, ""]).encode("ascii")
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import struct
 import warnings
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from scipy.io import wavfile
 from ..errors import DataError
 from ..typing import FloatArray
 from .atomic import atomic_path
+from .seal import BLANK, check_seals, sealed
 
 
 def write_wav_drives(path: str | Path, signals: FloatArray, sample_rate: float) -> None:
@@ -30,10 +33,22 @@ def write_wav_drives(path: str | Path, signals: FloatArray, sample_rate: float) 
         raise DataError(
             f"{path}: a WAV file holds whole sample rates only, got {sample_rate:g} Hz; resample the drives"
         )
+    memory = io.BytesIO()
+    wavfile.write(memory, int(sample_rate), np.ascontiguousarray(signals.T, dtype="<f8"))
     with atomic_path(path) as beside:
-        wavfile.write(beside, int(sample_rate), np.ascontiguousarray(signals.T, dtype="<f8"))
+        beside.write_bytes(sealed(_commented(memory.getvalue())))
         if not np.array_equal(read_wav_drives(beside)[0], signals):
             raise DataError(f"{path}: reading back gave something else than was written; nothing was saved")
+
+
+def _commented(content: bytes) -> bytes:
+    """A WAV file with a blank seal as a comment (chunk LIST INFO ICMT, which players show or skip) before and after
+    its samples."""
+    comment = b"INFOICMT" + struct.pack("<I", len(BLANK) + 1) + BLANK + b"\0"
+    chunk = b"LIST" + struct.pack("<I", len(comment)) + comment
+    at = content.index(b"data")
+    whole = content[:at] + chunk + content[at:] + b"\0" * (len(content) % 2) + chunk
+    return whole[:4] + struct.pack("<I", len(whole) - 8) + whole[8:]
 
 
 def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tuple[FloatArray, float]:
@@ -43,6 +58,10 @@ def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tup
     file = Path(path)
     if not file.is_file():
         raise DataError(f"{file}: no such file")
+    try:
+        check_seals(file.read_bytes())
+    except DataError as problem:
+        raise DataError(f"{file}: {problem}") from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # scipy only warns of files that are cut short

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 import warnings
 from collections.abc import Callable, Iterator
@@ -22,7 +21,7 @@ from ..geometry.cache import cached_mesh
 from ..geometry.files import write_mesh
 from ..geometry.mesh import TissueMesh
 from ..geometry.quality import mesh_quality
-from ..io.atomic import write_text
+from ..io.jsonfiles import read_json, write_json
 from ..io.matlab import write_thesis_mat
 from ..io.netcdf import read_compliance, read_transfer, write_transfer
 from ..io.signals import stack, write_displacements, write_drives
@@ -94,7 +93,7 @@ def run_mesh(run: Run) -> TissueMesh | None:
         _tell(run, "mesh", 0)
         mesh = cached_mesh(run.scenario, base=run.base)
         write_mesh(mesh, run.out / "mesh.vtu")
-        write_text(run.out / "scenario.json", run.scenario.model_dump_json(indent=2))
+        write_json(run.out / "scenario.json", run.scenario.model_dump(mode="json"))
         _tell(run, "mesh", 1)
     return mesh
 
@@ -165,7 +164,7 @@ def versions() -> dict[str, str]:
 
 def _write_solution(run: Run, simulation: Simulation) -> None:
     scenario, transfer, out = run.scenario, simulation.transfer, run.out
-    write_text(out / "scenario.json", scenario.model_dump_json(indent=2))
+    write_json(out / "scenario.json", scenario.model_dump(mode="json"))
     write_transfer(out / "transfer.nc", transfer, simulation.compliance)
     if scenario.sweep.frequencies is None:
         write_thesis_mat(out / "transfer.mat", transfer, scenario.sweep.sample_rate, scenario.sweep.duration)
@@ -174,7 +173,7 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
     if simulation.solved is not None and simulation.solved.skin is not None:
         save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
     facts = {"facts": simulation.solved.facts if simulation.solved else {}, "mesh": _mesh_facts(run, simulation.mesh)}
-    write_text(out / "solution.json", json.dumps(facts, indent=2))
+    write_json(out / "solution.json", facts)
 
 
 def wavefield_of(simulation: Simulation) -> Wavefield:
@@ -196,7 +195,7 @@ def _rendered(run: Run, transfer: TransferMatrix, coarse: TransferMatrix | None)
         _write_rendering(run, rendering, transfer)
         error = _strength_error(run, rendering, coarse)
         run.notes += rendering.exceeded
-    write_text(run.out / "signal_strength_error.json", json.dumps(error, indent=2))
+    write_json(run.out / "signal_strength_error.json", error)
     return rendering
 
 
@@ -257,7 +256,7 @@ def _write_run(run: Run) -> None:
         "signal_strength_error": _read_json(run.out / "signal_strength_error.json"),
         "notes": list(dict.fromkeys(run.notes)),
     }
-    write_text(target, json.dumps(account, indent=2))
+    write_json(target, account)
 
 
 def _first_cost(cost: dict[str, float], before: dict[str, float] | None) -> dict[str, float]:
@@ -282,10 +281,9 @@ def _condition(transfer: TransferMatrix) -> dict[str, float]:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_json(path)
+    except DataError:
         return {}
-    return found if isinstance(found, dict) else {}
 
 
 def reclosed(run: Run) -> TransferMatrix:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,9 +54,15 @@ class Forecast:
         )
 
 
-def forecast(scenario: Scenario, *, base: Path = Path("."), mesh: TissueMesh | None = None) -> Forecast:
+def forecast(
+    scenario: Scenario,
+    *,
+    base: Path = Path("."),
+    mesh: TissueMesh | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Forecast:
     """Count unknowns on the scenario's mesh (made if need be) and estimate memory and time of the solve."""
-    mesh = mesh or cached_mesh(scenario, base=base)
+    mesh = mesh or cached_mesh(scenario, base=base, progress=progress)
     ports = place_ports(scenario, mesh)
     orders = element_orders(mesh, ports, scenario.element)
     unknowns = 3 * orders.spread.shape[1] + orders.spread_pressures.shape[1]

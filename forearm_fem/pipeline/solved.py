@@ -25,7 +25,8 @@ from ..geometry.cache import default_cache_dir
 from ..geometry.mesh import TissueMesh
 from ..geometry.place import place_ports
 from ..geometry.skin import skin_edges
-from ..io.atomic import atomic_path, write_text
+from ..io.atomic import atomic_path
+from ..io.jsonfiles import read_json, write_json
 from ..io.netcdf import read_compliance, write_compliance
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate
@@ -36,7 +37,7 @@ from .second_mesh import second_mesh
 from .skin_model import SkinModel, load_skin_model, save_skin_model
 
 _log = logging.getLogger("forearm_fem.pipeline")
-_DAMAGED = OSError, ValueError, KeyError, EOFError, BadZipFile
+_DAMAGED = DataError, OSError, ValueError, KeyError, EOFError, BadZipFile
 Progress = Callable[[str, int, int], None]
 
 
@@ -261,7 +262,7 @@ class _Store:
         try:
             with (self._folder / "field.npz").open("rb") as stream, np.load(stream) as field:
                 modes, states = field["modes"].astype(float), field["states"].astype(complex)
-            facts = json.loads((self._folder / "facts.json").read_text(encoding="utf-8"))
+            facts = read_json(self._folder / "facts.json")
         except _DAMAGED:
             return None
         ends = self.read("other_ends") if facts.get("ends_by") == "reduced model" else None
@@ -279,7 +280,7 @@ class _Store:
         try:
             with atomic_path(self._folder / "field.npz", durable=False) as target, open(target, "wb") as stream:
                 np.savez(stream, modes=solved.modes.astype(np.float32), states=solved.states.astype(np.complex64))
-            write_text(self._folder / "facts.json", json.dumps(solved.facts))
+            write_json(self._folder / "facts.json", solved.facts)
         except (DataError, OSError) as problem:
             _log.warning("the solution could not be kept for a later run: %s", problem)
         if solved.other_ends is not None:

@@ -1,0 +1,224 @@
+"""Files of every format of ours, ways to damage them, and what reading a damaged one comes to."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import signal
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from bad_files import CORNERS, TETRA
+from test_measurement_scene import INPUTS, OUTPUTS, RATE, wave_matrix
+
+from forearm_fem import io
+from forearm_fem.errors import ForearmError
+from forearm_fem.geometry.boundary import with_boundaries
+from forearm_fem.geometry.files import read_mesh, write_mesh
+from forearm_fem.geometry.mesh import TissueMesh
+from forearm_fem.geometry.prisms import oriented
+from forearm_fem.io.csvfiles import write_csv
+from forearm_fem.io.jsonfiles import read_json, write_json
+from forearm_fem.io.matlab_import import write_mat5, write_mat73
+from forearm_fem.io.recognise import read_measured
+from forearm_fem.io.reduced import ReducedFile, read_reduced, write_reduced
+from forearm_fem.io.seal import MARK
+from forearm_fem.io.tdms import read_sweep_tdms, write_sweep_tdms, write_tdms
+from forearm_fem.io.uff import write_uff
+from forearm_fem.io.wav import read_wav_drives, write_wav_drives
+from forearm_fem.measurement.declaration import Declaration, RecognitionWarning
+from forearm_fem.measurement.recording import Recording
+from forearm_fem.measurement.store import read_recording, write_recording
+from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield
+
+RNG = np.random.default_rng(0)
+G = dataclasses.replace(
+    wave_matrix(np.arange(10.0, 40.5, 2.0)), deviation=1e-8 * (1 + RNG.random((16, 9, 4))), provenance={"seed": 3}
+)
+DECLARED = Declaration(
+    unit="m/V", spectrum="one-sided", sign="+iwt", variable="G", frequency_variable="frequency_Hz",
+    valid_variable="valid", axes=("output", "input", "frequency"),
+)  # fmt: skip
+DRIVES = RNG.standard_normal((4, 100))
+SIGNALS = io.Signals(RNG.standard_normal((1, 2, 4, 50)), ("a",), ("1", "5"), tuple("wxyz"), np.arange(50) * 1e-4, "V")
+REDUCED = ReducedFile(
+    ("k", "m"), np.stack([np.eye(6), 2 * np.eye(6)]), RNG.standard_normal((6, 4)), np.ones(4), INPUTS, {"a": 1}, {}
+)
+FIELD = Wavefield(
+    np.arange(5.0) + 10, np.float64(np.float32(RNG.standard_normal((40, 3, 6)))), np.ones((5, 6, 4)) * (1 + 2j)
+)
+RECORDING = Recording("1", "A1", RATE, RNG.standard_normal(200), RNG.standard_normal((2, 200)))
+FACTS = {"seconds": 12.5, "errors": [{"band": 0.0123, "source": "truncation"}] * 4, "notes": ["one", "two"]}
+ROWS = io.strength_rows(("inverse filter", "funneling"), ("1", "5"), np.array([[1.25, 2.5], [0.125, 3.75]]))
+
+
+def _block() -> TissueMesh:
+    region = (CORNERS[TETRA].mean(axis=1)[:, 2] > -0.01).astype(np.int64)
+    bare = TissueMesh(CORNERS, oriented(CORNERS, TETRA), region, ("muscle", "fat"), {})
+    return with_boundaries(bare, 1e-6)
+
+
+MESH = _block()
+
+
+def _sweep(file: Path) -> Recording:
+    return read_sweep_tdms(file, drive="sweep/drive", response="sweep/response", output="1", input="A1", period=200)
+
+
+@dataclasses.dataclass(frozen=True)
+class Format:
+    """A kind of file: its name, how it is written, and how it is read."""
+
+    name: str
+    write: Callable[[Path], None]
+    read: Callable[[Path], Any]
+
+
+def _mat(file: Path) -> Any:
+    return read_measured(file, DECLARED, ports=(OUTPUTS, INPUTS))
+
+
+FORMATS = (
+    Format("transfer.nc", lambda p: io.write_transfer(p, G), io.read_transfer),
+    Format("drives.nc", lambda p: io.write_drives(p, SIGNALS), io.read_drives),
+    Format("reduced.nc", lambda p: write_reduced(p, REDUCED), read_reduced),
+    Format("mat5.mat", lambda p: write_mat5(p, G), _mat),
+    Format("thesis.mat", lambda p: io.write_thesis_mat(p, G, 200.0, 1.0), io.read_thesis_mat),
+    Format("mat73.mat", lambda p: write_mat73(p, G), _mat),
+    Format("drives.wav", lambda p: write_wav_drives(p, DRIVES, 1e4), read_wav_drives),
+    Format("G.csv", lambda p: write_csv(p, G), read_measured),
+    Format("G.tdms", lambda p: write_tdms(p, G), read_measured),
+    Format("sweep.tdms", lambda p: write_sweep_tdms(p, RECORDING), _sweep),
+    Format("G.uff", lambda p: write_uff(p, G), read_measured),
+    Format("wavefield.npz", lambda p: save_wavefield(FIELD, p), load_wavefield),
+    Format("recording.npz", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
+    Format("mesh.vtu", lambda p: write_mesh(MESH, p), read_mesh),
+    Format("mesh.msh", lambda p: write_mesh(MESH, p), read_mesh),
+    Format("run.json", lambda p: write_json(p, FACTS), read_json),
+    Format("signal_strength.csv", lambda p: io.write_signal_strength_csv(p, ROWS), io.read_signal_strength_csv),
+)
+
+
+def flipped_bit(content: bytearray, rng: np.random.Generator) -> bytearray:
+    content[int(rng.integers(len(content)))] ^= 1 << int(rng.integers(8))
+    return content
+
+
+def changed_bytes(content: bytearray, rng: np.random.Generator) -> bytearray:
+    for at in rng.integers(len(content), size=int(rng.integers(2, 9))):
+        content[int(at)] = int(rng.integers(256))
+    return content
+
+
+def changed_digit(content: bytearray, rng: np.random.Generator) -> bytearray:
+    """One decimal digit for another: the damage that text formats cannot see."""
+    digits = [k for k, c in enumerate(content) if chr(c) in "0123456789"]
+    if digits:
+        at = int(rng.choice(digits))
+        content[at] = ord("0") + (content[at] - ord("0") + 1 + int(rng.integers(8))) % 10
+    return content
+
+
+def cut(content: bytearray, rng: np.random.Generator) -> bytearray:
+    return content[: int(rng.integers(len(content)))]
+
+
+def zeroed(content: bytearray, rng: np.random.Generator) -> bytearray:
+    length = int(min(rng.choice([16, 64, 512]), len(content) // 2))
+    at = int(rng.integers(len(content) - length))
+    content[at : at + length] = bytes(length)
+    return content
+
+
+def swapped(content: bytearray, rng: np.random.Generator) -> bytearray:
+    length = int(min(rng.choice([8, 64, 256]), len(content) // 4))
+    a, b = sorted(int(k) for k in rng.choice(len(content) // length, 2, replace=False) * length)
+    content[a : a + length], content[b : b + length] = content[b : b + length], content[a : a + length]
+    return content
+
+
+def lost_bytes(content: bytearray, rng: np.random.Generator) -> bytearray:
+    at = int(rng.integers(len(content)))
+    del content[at : at + int(rng.choice([1, 8, 16]))]
+    return content
+
+
+KINDS = (flipped_bit, changed_bytes, changed_digit, cut, zeroed, swapped, lost_bytes)
+OUTCOMES = ("refused", "read unchanged", "silently changed", "traceback", "hang or crash")
+
+
+def damaged(content: bytes, number: int, rng: np.random.Generator) -> bytes:
+    """``content`` after the ``number``-th kind of damage, different from what it was."""
+    while True:
+        found = bytes(KINDS[number % len(KINDS)](bytearray(content), rng))
+        if found != content:
+            return found
+
+
+def without_seals(content: bytes) -> bytes:
+    """The file as somebody else would have written it."""
+    return content.replace(MARK, b"somebody_else's")
+
+
+def outcome(form: Format, file: Path, whole: Any) -> tuple[str, str]:
+    """One of :data:`OUTCOMES`, and what was said."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RecognitionWarning)
+            found = form.read(file)
+    except ForearmError as problem:
+        said = str(problem).replace(f"{file.parent}/", "")
+        return ("traceback" if "\n" in said or len(said) > 300 else "refused"), said
+    except Exception as problem:
+        return "traceback", f"{type(problem).__name__}: {problem}"
+    return ("read unchanged" if same(found, whole) else "silently changed"), ""
+
+
+def same(a: Any, b: Any) -> bool:
+    """Equal to the last bit, NaN equal to NaN; names of files apart."""
+    if isinstance(a, TissueMesh):
+        return (a.digest, a.region_names, list(a.facets)) == (b.digest, b.region_names, list(b.facets))
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
+    if dataclasses.is_dataclass(a) and not isinstance(a, type):
+        names = [f.name for f in dataclasses.fields(a) if f.name != "provenance"]
+        return type(a) is type(b) and all(same(getattr(a, n), getattr(b, n)) for n in names)
+    if isinstance(a, tuple | list):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, dict):
+        return list(a) == list(b) and all(same(a[k], b[k]) for k in a)
+    return bool(a == b)
+
+
+def campaign(form: Format, folder: Path, count: int, *, sealed: bool = True, limit: int = 20) -> list[tuple[str, str]]:
+    """Outcomes of ``count`` damaged files, each read in a process of its own that may take ``limit`` seconds."""
+    import os
+
+    file = folder / form.name
+    form.write(file)
+    whole, content = form.read(file), file.read_bytes()
+    content = content if sealed else without_seals(content)
+    for side in () if sealed else folder.glob("*.sha256"):
+        side.unlink()
+    rng, found = np.random.default_rng(29), []
+    for number in range(count):
+        file.write_bytes(damaged(content, number, rng))
+        ends = folder / "outcome.json"
+        ends.unlink(missing_ok=True)
+        child = os.fork()
+        if child == 0:
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(limit)
+            ends.write_text(json.dumps(outcome(form, file, whole)))
+            os._exit(0)
+        status = os.waitpid(child, 0)[1]
+        kind = KINDS[number % len(KINDS)].__name__
+        what, said = json.loads(ends.read_text()) if status == 0 else ("hang or crash", f"status {status}")
+        found.append((what, f"{kind}: {said}"))
+    return found

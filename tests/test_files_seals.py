@@ -1,0 +1,180 @@
+"""Checksums in files of every format, and disks that are full."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import meshio
+import nptdms
+import numpy as np
+import pytest
+import pyuff
+from scipy.io import loadmat, wavfile
+
+sys.path.insert(0, str(Path(__file__).parent))
+from damage import DRIVES, FACTS, FORMATS, KINDS, MESH, G, damaged, outcome, same, without_seals
+
+from forearm_fem.errors import DataError
+from forearm_fem.io.jsonfiles import read_json, write_json
+from forearm_fem.io.seal import BLANK, MARK, check_seals, sealed
+from forearm_fem.io.wav import write_wav_drives
+
+BY_NAME = {form.name: form for form in FORMATS}
+TEXT_SEALS = [n for n in BY_NAME if n not in ("transfer.nc", "drives.nc", "reduced.nc", "recording.npz")]
+
+
+@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
+def test_damage_is_refused_or_harmless(form, tmp_path):
+    """Every kind of damage once, on a file of each format; benchmarks/damage.py takes 60 files each."""
+    file = tmp_path / form.name
+    form.write(file)
+    whole, content = form.read(file), file.read_bytes()
+    rng = np.random.default_rng(1)
+    for number in range(len(KINDS)):
+        file.write_bytes(damaged(content, number, rng))
+        what, said = outcome(form, file, whole)
+        assert what in ("refused", "read unchanged"), (KINDS[number].__name__, what, said)
+
+
+@pytest.mark.parametrize("name", TEXT_SEALS)
+def test_numbers_of_a_file_are_protected_wherever_they_stand(name, tmp_path):
+    """One bit anywhere is noticed, the marks of the seals included; without seals the same file is read."""
+    form, file = BY_NAME[name], tmp_path / name
+    form.write(file)
+    whole, content = form.read(file), file.read_bytes()
+    for at in np.linspace(0, len(content) - 1, 25).astype(int):
+        changed = bytearray(content)
+        changed[at] ^= 1
+        file.write_bytes(bytes(changed))
+        what, said = outcome(form, file, whole)
+        assert what == "refused", (at, what, said)
+    if name != "signal_strength.csv":  # its seal lies beside it
+        assert MARK in content
+        file.write_bytes(without_seals(content))
+        if name != "run.json":  # there the key remains, and must hold a seal
+            assert same(form.read(file), whole)
+
+
+@pytest.mark.parametrize(
+    "name", [n for n in TEXT_SEALS if n not in ("run.json", "wavefield.npz", "signal_strength.csv")]
+)
+def test_damage_to_one_mark_is_convicted_by_another(name, tmp_path):
+    form, file = BY_NAME[name], tmp_path / name
+    form.write(file)
+    whole, content = form.read(file), file.read_bytes()
+    assert content.count(MARK) == 2
+    for at in (content.index(MARK), content.rindex(MARK)):
+        file.write_bytes(content[:at] + b"x" + content[at + 1 :])
+        assert outcome(form, file, whole)[0] == "refused"
+
+
+def test_a_seal_covers_all_but_itself():
+    content = sealed(b"head " + BLANK + b" 3.14 " + BLANK)
+    assert check_seals(content)
+    assert content.count(MARK) == 2
+    assert not check_seals(b"nothing of ours")
+    for other in (content.replace(b"3.14", b"3.15"), content[:-1], content.replace(b"head", b"heat")):
+        with pytest.raises(DataError, match="do not match its checksum"):
+            check_seals(other)
+
+
+def test_other_programs_read_sealed_files(tmp_path):
+    """MATLAB readers, h5py, npTDMS, pyuff, csv, a RIFF player and meshio find what was written."""
+    for name in TEXT_SEALS:
+        BY_NAME[name].write(tmp_path / name)
+    ours = G.values.transpose(1, 2, 0)
+    np.testing.assert_array_equal(loadmat(tmp_path / "mat5.mat")["G"], ours)
+    assert loadmat(tmp_path / "thesis.mat")["G"].shape == (9, 4, 200)
+    with h5py.File(tmp_path / "mat73.mat") as file:
+        np.testing.assert_array_equal(file["G"][()]["real"].T, ours.real)
+    with nptdms.TdmsFile.open(tmp_path / "G.tdms") as file:
+        np.testing.assert_array_equal(file["G"]["1<-1 re"][:], G.values[:, 0, 0].real)
+    uff = pyuff.UFF(str(tmp_path / "G.uff"))
+    first = next(k for k, kind in enumerate(uff.get_set_types()) if kind == 58)
+    np.testing.assert_array_equal(uff.read_sets(first)["data"], G.values[:, 0, 0])
+    with open(tmp_path / "G.csv", newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
+    assert float(rows[0]["real"]) == G.values[0, 0, 0].real
+    np.testing.assert_array_equal(wavfile.read(tmp_path / "drives.wav")[1].T, DRIVES)
+    for name in ("mesh.vtu", "mesh.msh"):
+        assert len(meshio.read(tmp_path / name).points) == len(MESH.points)
+    with np.load(tmp_path / "wavefield.npz") as store:
+        assert store["modes"].shape == (40, 3, 6)
+
+
+def test_samples_of_odd_length_keep_riff_chunks_even(tmp_path):
+    """A chunk of odd length would hide the comment behind it."""
+    write_wav_drives(tmp_path / "a.wav", np.ones((1, 3)), 1e4)
+    content = (tmp_path / "a.wav").read_bytes()
+    assert int.from_bytes(content[4:8], "little") == len(content) - 8
+    assert content[content.index(b"data") + 8 + 24 :].startswith(b"LIST")
+
+
+def test_a_csv_with_other_line_ends_is_the_same_and_an_edited_one_says_how(tmp_path):
+    form, file = BY_NAME["G.csv"], tmp_path / "G.csv"
+    form.write(file)
+    content, whole = file.read_bytes(), form.read(file)
+    file.write_bytes(content.replace(b"\n", b"\r\n"))
+    assert same(form.read(file), whole)
+    edited = content.replace(b"0.0133", b"0.0134")
+    file.write_bytes(edited)
+    with pytest.raises(DataError, match=r"edited it on purpose, delete its lines that begin with '# forearm_sha256:'"):
+        form.read(file)
+    file.write_bytes(b"\n".join(line for line in edited.split(b"\n") if not line.startswith(b"# " + MARK)))
+    assert form.read(file).outputs[0].position[0] == -0.0134
+
+
+def test_json_edited_on_purpose(tmp_path):
+    file = tmp_path / "run.json"
+    write_json(file, FACTS)
+    text = file.read_text()
+    file.write_text(text.replace("12.5", "13.5"))
+    with pytest.raises(DataError, match="delete its line 'sha256'"):
+        read_json(file)
+    file.write_text("\n".join(line for line in text.replace("12.5", "13.5").split("\n") if "sha256" not in line))
+    assert read_json(file)["seconds"] == 13.5
+    for bad in ("[1]", "{", "[" * 100000):
+        file.write_text(bad)
+        with pytest.raises(DataError):
+            read_json(file)
+
+
+def test_a_table_without_its_checksum_is_taken_as_it_is(tmp_path):
+    form, file = BY_NAME["signal_strength.csv"], tmp_path / "signal_strength.csv"
+    form.write(file)
+    file.write_text(file.read_text().replace("1.25", "1.35"))
+    with pytest.raises(DataError, match=r"delete signal_strength\.csv\.sha256 if you edited it on purpose"):
+        form.read(file)
+    (tmp_path / "signal_strength.csv.sha256").unlink()
+    assert form.read(file)[0].S == 1.35
+
+
+_FULL = """
+import resource, signal, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from damage import FORMATS
+from forearm_fem.errors import ForearmError
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # writes fail then, as on a full disk
+resource.setrlimit(resource.RLIMIT_FSIZE, (60, 60))
+for form in FORMATS:
+    try:
+        form.write(Path({folder!r}, form.name))
+        print(form.name, "written")
+    except ForearmError as problem:
+        if "cannot be written" not in str(problem) or chr(10) in str(problem) or len(str(problem)) > 300:
+            print(form.name, problem)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a limit on the size of files")
+def test_a_full_disk_ends_in_one_sentence_and_leaves_nothing(tmp_path):
+    """All writers in one process that may write 60 bytes a file; HDF5 crashed when such a process ended."""
+    script = _FULL.format(tests=str(Path(__file__).parent), folder=str(tmp_path))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert list(tmp_path.iterdir()) == []
