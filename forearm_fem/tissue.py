@@ -298,6 +298,8 @@ def _check_complete(path: str, spec: _Spec) -> None:
     if missing:
         raise ScenarioError(f"{path}: a {spec.model} tissue stated anew also needs {', '.join(missing)}")
     v = spec.values
+    if spec.model == "springpot" and v.get("eta", 1.0) == 0:
+        raise ScenarioError(f"{path}.eta: a springpot with eta = 0 has no stiffness; raise it or leave it out (1 Pa s)")
     if spec.model == "zener" and v["mu_infinity"] <= v["mu"]:
         raise ScenarioError(f"{path}.mu_infinity: must exceed mu = {v['mu']:g} Pa, is {v['mu_infinity']:g}")
 

@@ -39,9 +39,14 @@ from .simulation import Simulation, closed, render_transfer, simulate
 from .skin_model import save_skin_model
 from .solved import solve
 from .two_meshes import remaining_error
+from .unread import unread_notes
 from .wave_report import write_wave_report
 
 Progress = Callable[[str, int, int], None]
+_DERIVED = (
+    "transfer.mat", "wavefield.npz", "reduced.nc", "drives.nc", "displacements.nc", "signal_strength.csv",
+    "signal_strength_error.json", "report.md", "report.html", "waves.csv",
+)  # fmt: skip
 
 
 @dataclass
@@ -57,15 +62,20 @@ class Run:
 
     @classmethod
     def start(cls, scenario: Scenario, out: Path, base: Path, progress: Progress | None = None) -> Run:
-        """A run with empty accounts; the folder is made when the first file is written."""
-        return cls(scenario, out, base, progress, Ledger(), [])
+        """A run with empty accounts; the folder is made when the first file is written.
+
+        Keys that have no effect are its first notes; ScenarioError where a tissue is not whole.
+        """
+        return cls(scenario, out, base, progress, Ledger(), list(unread_notes(scenario)))
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Account for a stage and collect its accuracy warnings as notes."""
+        """Tell and account for a stage, and collect its accuracy warnings as notes."""
+        _tell(self, name, 0)
         with self.ledger.stage(name), warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", AccuracyWarning)
             yield
+        _tell(self, name, 1)
         self.notes += [str(w.message) for w in caught if issubclass(w.category, AccuracyWarning)]
 
 
@@ -90,11 +100,9 @@ def run_mesh(run: Run) -> TissueMesh | None:
     if run.scenario.engine == "layered":
         return None
     with run.stage("mesh"):
-        _tell(run, "mesh", 0)
-        mesh = cached_mesh(run.scenario, base=run.base)
+        mesh = cached_mesh(run.scenario, base=run.base, progress=lambda what: _tell_part(run, f"mesh: {what}"))
         write_mesh(mesh, run.out / "mesh.vtu")
         write_text(run.out / "scenario.json", run.scenario.model_dump_json(indent=2))
-        _tell(run, "mesh", 1)
     return mesh
 
 
@@ -164,6 +172,7 @@ def versions() -> dict[str, str]:
 
 def _write_solution(run: Run, simulation: Simulation) -> None:
     scenario, transfer, out = run.scenario, simulation.transfer, run.out
+    _remove_older(run)
     write_text(out / "scenario.json", scenario.model_dump_json(indent=2))
     write_transfer(out / "transfer.nc", transfer, simulation.compliance)
     if scenario.sweep.frequencies is None:
@@ -174,6 +183,22 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
         save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
     facts = {"facts": simulation.solved.facts if simulation.solved else {}, "mesh": _mesh_facts(run, simulation.mesh)}
     write_text(out / "solution.json", json.dumps(facts, indent=2))
+
+
+def _remove_older(run: Run) -> None:
+    """Take files of another scenario, which this one may not replace, out of the folder; a note says which."""
+    try:
+        before = read_transfer(run.out / "transfer.nc").provenance.get("scenario")
+    except DataError:
+        return
+    if before == run.scenario.model_dump(mode="json"):
+        return
+    stale = [n for n in _DERIVED if (run.out / n).is_file()]
+    stale += ["mesh.vtu"] if run.scenario.engine == "layered" and (run.out / "mesh.vtu").is_file() else []
+    for name in stale:
+        (run.out / name).unlink(missing_ok=True)
+    if stale:
+        run.notes.append(f"{run.out}: {', '.join(stale)} belonged to another scenario and were removed")
 
 
 def wavefield_of(simulation: Simulation) -> Wavefield:
@@ -191,7 +216,9 @@ def _forces(simulation: Simulation) -> ComplexArray:
 
 def _rendered(run: Run, transfer: TransferMatrix, coarse: TransferMatrix | None) -> Rendering:
     with run.stage("render"):
-        rendering = render_transfer(run.scenario, transfer, base=run.base)
+        rendering = render_transfer(
+            run.scenario, transfer, base=run.base, progress=lambda done, total, _: _tell_count(run, done, total)
+        )
         _write_rendering(run, rendering, transfer)
         error = _strength_error(run, rendering, coarse)
         run.notes += rendering.exceeded
@@ -305,3 +332,14 @@ def reclosed(run: Run) -> TransferMatrix:
 def _tell(run: Run, stage: str, done: int) -> None:
     if run.progress is not None:
         run.progress(stage, done, 1)
+
+
+def _tell_part(run: Run, stage: str) -> None:
+    """A part of a stage whose length is not known."""
+    if run.progress is not None:
+        run.progress(stage, 0, 0)
+
+
+def _tell_count(run: Run, done: int, total: int) -> None:
+    if run.progress is not None:
+        run.progress("drives", done, total)

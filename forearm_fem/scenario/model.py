@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .base import Part
+from .base import Name, Part, Within
 from .device import Device, Grid
 from .limb import CylinderLimb, ForearmLimb, Limb, SlabLimb, forearm_length
 from .measurement import MeasurementOptions
@@ -24,10 +24,10 @@ class Scenario(Part):
     """A limb, its tissues, a device, a sweep and what to render; SI units throughout."""
 
     schema_version: Literal[1] = 1
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")] = "scenario"
+    name: Name = "scenario"
     description: str = ""
     engine: Literal["fem", "layered"] = Field("fem", description="finite elements, or the semi-analytic flat twin")
-    accuracy: Annotated[float, Field(ge=1e-5, le=0.5)] = Field(
+    accuracy: Annotated[float, Within(1e-5, 0.5)] = Field(
         0.05, description="asked e_band of G; sets mesh sizes, truncation and reduction where left out"
     )
     limb: Limb = ForearmLimb()
