@@ -122,7 +122,7 @@ def progress_line(stage: str, done: int, total: int, seconds: float) -> str:
 
 
 def out_folder(out: Path | None, scenario: Scenario, overrides: Sequence[str] | None = None) -> Path:
-    """The folder asked for, else ``results/NAME``; what ``--set`` changes without a new name goes to ``NAME-XXXXXX``."""
+    """The folder asked for, else ``results/NAME``; what ``--set`` changes without a name, to ``NAME-XXXXXX``."""
     if out is not None:
         return out
     changed = apply_overrides({}, overrides or ())

@@ -22,7 +22,7 @@ from ..geometry.cache import cached_mesh
 from ..geometry.files import write_mesh
 from ..geometry.mesh import TissueMesh
 from ..geometry.quality import mesh_quality
-from ..io.atomic import write_text
+from ..io.atomic import atomic_path, write_text
 from ..io.matlab import write_thesis_mat
 from ..io.netcdf import read_compliance, read_transfer, write_transfer
 from ..io.signals import stack, write_displacements, write_drives
@@ -32,7 +32,7 @@ from ..scenario import Scenario
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import ComplexArray
 from ..wavefield import Wavefield, save_wavefield
-from .forecast import forecast, refuse_if_too_large
+from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
 from .resources import Ledger
 from .simulation import Simulation, closed, render_transfer, simulate
@@ -81,6 +81,7 @@ class Run:
 
 def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
+    refuse_if_signals_too_large(run.scenario)
     transfer, coarse = _solved(run)
     from ..report import write_report  # plotting is heavy and not needed by the other stages
 
@@ -117,6 +118,7 @@ def run_render(run: Run) -> Rendering:
     """Renderers on the folder's G (solved first where it is missing): drives, displacements and S."""
     if not run.scenario.rendering.methods:
         raise ScenarioError("rendering.methods is empty, so there is nothing to render; name a method or use `solve`")
+    refuse_if_signals_too_large(run.scenario)
     transfer, coarse = _solved(run)
     rendering = _rendered(run, transfer, coarse)
     _write_run(run)
@@ -221,7 +223,7 @@ def _rendered(run: Run, transfer: TransferMatrix, coarse: TransferMatrix | None)
         )
         _write_rendering(run, rendering, transfer)
         error = _strength_error(run, rendering, coarse)
-        run.notes += rendering.exceeded
+        run.notes += [*unknown_strengths(rendering), *rendering.exceeded]
     write_text(run.out / "signal_strength_error.json", json.dumps(error, indent=2))
     return rendering
 
@@ -236,6 +238,22 @@ def _write_rendering(run: Run, rendering: Rendering, transfer: TransferMatrix) -
     write_displacements(run.out / "displacements.nc", stack(moves, tuple(p.name for p in transfer.outputs), time, "m"))
     rows = strength_rows(rendering.methods, rendering.targets, rendering.strengths)
     write_signal_strength_csv(run.out / "signal_strength.csv", rows)
+    if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
+        with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:
+            beside.write_bytes((run.base / file).read_bytes())
+
+
+def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
+    """A sentence per method whose S is not known at some targets."""
+    missing = {
+        m: [t for t, s in zip(rendering.targets, row, strict=True) if not np.isfinite(s)]
+        for m, row in zip(rendering.methods, rendering.strengths, strict=True)
+    }
+    return tuple(
+        f"S of {method} is unknown at {', '.join(targets)}: nothing moves there, or nothing else does"
+        for method, targets in missing.items()
+        if targets
+    )
 
 
 def _strength_error(run: Run, rendering: Rendering, coarse: TransferMatrix | None) -> dict[str, Any]:

@@ -10,9 +10,11 @@ from pydantic import BaseModel
 from ..geometry.layout import layers_of
 from ..scenario import Scenario
 from ..scenario.limb import ForearmLimb, MeshLimb, SurfacesLimb, forearm_length
+from ..scenario.sweep import SolverOptions
 from ..tissue import KelvinVoigt, limb_tissue_keys, resolve_tissues
 
 _EXPANSIONS = ("solver.expansions", "solver.derivatives", "solver.point_derivatives", "solver.max_expansions")
+_SOLVER = tuple(key for key in SolverOptions.model_fields if key != "memory_limit")  # signals have a limit too
 _MOVING = ("mass", "gyration", "strap_stiffness", "strap_loss", "strap_radius")
 _SHAPE = ("length", "width", "depth", "symmetry", "circumference", "aspect", "diameter", "bones")
 
@@ -30,7 +32,7 @@ class _Unread:
 # the sweep, the mesh, the supports, the solver and the renderers.
 _RULES = (
     _Unread(
-        ("mesh", "solver", "supports", *(f"limb.{key}" for key in _SHAPE)),
+        ("mesh", "supports", *(f"limb.{key}" for key in _SHAPE), *(f"solver.{key}" for key in _SOLVER)),
         lambda s: s.engine == "layered",
         "engine = 'layered' has flat, endless layers and no mesh",
     ),

@@ -78,17 +78,21 @@ class Part(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _plain_text(cls, data: Any) -> Any:
-        for key, value in data.items() if isinstance(data, Mapping) else ():
-            for text in _texts(value):
-                if len(text) > LONGEST_TEXT:
-                    raise ValueError(f"{key}: expected a text of at most {LONGEST_TEXT} characters, got {len(text)}")
-                if any(not c.isprintable() and c not in "\n\t" for c in text):
-                    raise ValueError(f"{key}: expected text without control characters; retype it")
+        for key, text in _texts(data) if isinstance(data, Mapping) else ():
+            if len(text) > LONGEST_TEXT:
+                raise ValueError(f"{key}: expected a text of at most {LONGEST_TEXT} characters, got {len(text)}")
+            if any(not c.isprintable() and c not in "\n\t" for c in text):
+                raise ValueError(f"{key}: expected text without control characters; retype it")
         return data
 
 
-def _texts(value: Any) -> Iterator[str]:
-    """The text itself, or the texts directly inside a list or table, keys included."""
-    inside: list[Any] = [*value, *value.values()] if isinstance(value, Mapping) else []
-    inside = list(value) if isinstance(value, list | tuple) else inside
-    return (text for text in [value, *inside] if isinstance(text, str))
+def _texts(data: Mapping[Any, Any]) -> Iterator[tuple[str, str]]:
+    """Keys and texts of a table, of its lists and of the tables in it, whose own keys count as texts."""
+    for key, value in data.items():
+        if isinstance(value, str):
+            yield str(key), value
+        elif isinstance(value, list | tuple):
+            yield from ((str(key), text) for text in value if isinstance(text, str))
+        elif isinstance(value, Mapping):
+            yield from ((str(key), name) for name in value if isinstance(name, str))
+            yield from ((f"{key}.{name}", text) for name, text in value.items() if isinstance(text, str))

@@ -85,8 +85,10 @@ def _read_toml(file: Path) -> dict[str, Any]:
         raise ScenarioError(f"{file}: cannot be read as a text file ({problem})") from None
     except RecursionError:
         raise ScenarioError(f"{file}: not valid TOML: nested too deeply") from None
-    except ValueError as problem:  # TOMLDecodeError, and numbers of thousands of digits
+    except tomllib.TOMLDecodeError as problem:
         raise ScenarioError(f"{file}: not valid TOML: {problem}") from None
+    except ValueError:  # Python reads no more
+        raise ScenarioError(f"{file}: a number has more than 4300 digits") from None
 
 
 def _with_default_shape(data: Mapping[str, Any]) -> dict[str, Any]:
