@@ -49,6 +49,11 @@ _RULES = (
     _Unread(("grid.rows", "grid.columns", "grid.pitch"), lambda s: s.grid.points is not None, "grid.points is given"),
     _Unread(("sweep.f_min", "sweep.f_max"), lambda s: s.sweep.frequencies is not None, "sweep.frequencies is given"),
     _Unread(
+        ("sweep.duration", "sweep.sample_rate"),
+        lambda s: s.sweep.frequencies is not None and not s.rendering.methods,
+        "sweep.frequencies is given and nothing is rendered",
+    ),
+    _Unread(
         ("mesh.size_grid", "mesh.size_far", "mesh.grading", "mesh.sublayers"),
         lambda s: isinstance(s.limb, MeshLimb),
         "limb.shape = 'mesh' keeps the file's elements, and refines them only at contacts (mesh.size_contact)",

@@ -8,9 +8,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .base import Coordinate, Length, Mass, Part, Voltage, Within
+from .base import Length, Mass, Part, Voltage, Within
 
 NEAREST = 2e-4  # [m] between two grid points: closer ones are one place, and no mesh is that fine
+
+Place = Annotated[float, Within(-0.5, 0.5, "m")]  # in the device's own frame
 
 
 class VoiceCoil(Part):
@@ -63,7 +65,7 @@ class Device(Part):
     """Contacts on the volar skin, row by row: (-x,-y), (-x,+y), (+x,-y), (+x,+y)."""
 
     spacing: Annotated[float, Within(2e-4, 0.3, "m")] = Field(0.045, description="centre distance [m] (thesis III.A)")
-    contacts: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(max_length=100)] | None = Field(
+    contacts: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=100)] | None = Field(
         None, description="own contact centres (x, y) [m] instead of the 2x2 array"
     )
     rotation: Annotated[float, Within(-6.3, 6.3, "rad")] = Field(0.0, description="of the whole device about z [rad]")
@@ -105,7 +107,7 @@ class Grid(Part):
     pitch: Annotated[float, Within(2e-4, 0.1, "m")] = Field(
         13.3e-3, description="[m]; the thesis' 1.33 cm (its '4x4 cm' contradicts it)"
     )
-    points: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(max_length=2500)] | None = Field(
+    points: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=2500)] | None = Field(
         None, description="own points (x, y) [m] instead"
     )
 

@@ -49,7 +49,7 @@ class Scenario(Part):
         if not isinstance(limb, Mapping) or limb.get("shape", "forearm") != "forearm" or "length" in limb:
             return data
         accuracy = data.get("accuracy", cls.model_fields["accuracy"].default)
-        if not isinstance(accuracy, int | float):
+        if not isinstance(accuracy, int | float) or not 0 < accuracy < 1:
             return data  # refused below, with its own sentence
         return {**data, "limb": {"shape": "forearm", **limb, "length": forearm_length(accuracy)}}
 
