@@ -84,10 +84,6 @@ class Device(Part):
             raise ValueError("contacts is empty; give at least one (x, y) [m], or leave the key out for the 2x2 device")
         if unknown := set(self.out_of_contact) - known:
             raise ValueError(f"out_of_contact names {sorted(unknown)}, known are {sorted(known)}")
-        if known == set(self.out_of_contact):
-            raise ValueError(
-                "out_of_contact names every actuator, so nothing would move; leave at least one in contact"
-            )
         return self
 
     @property

@@ -70,3 +70,9 @@ class Scenario(Part):
         if unknown := (wanted | set(zeros)) - names:
             raise ValueError(f"rendering names the points {sorted(unknown)}, but the grid has 1..{len(names)}")
         return self
+
+    @model_validator(mode="after")
+    def _something_moves(self) -> Self:
+        if len(set(self.device.out_of_contact)) == len(self.device.centres):
+            raise ValueError("device.out_of_contact names every actuator: nothing would move; leave one in contact")
+        return self
