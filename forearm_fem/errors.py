@@ -4,8 +4,26 @@ The command line prints the message of a :class:`ForearmError` as one sentence a
 """
 
 
+LONGEST_SENTENCE = 300  # characters of a message
+
+
+def one_sentence(text: str, longest: int = LONGEST_SENTENCE) -> str:
+    """``text`` on one line of at most ``longest`` characters.
+
+    What is too long loses its middle: the key stands at the beginning, the remedy at the end.
+    """
+    line = "".join(c for c in " ".join(text.split()) if c.isprintable())
+    if len(line) <= longest:
+        return line
+    end = (longest - 5) // 2
+    return f"{line[: longest - 5 - end]} ... {line[-end:]}"
+
+
 class ForearmError(Exception):
-    """Any failure that a user can act upon."""
+    """Any failure that a user can act upon; its message is one line of at most 300 characters."""
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(one_sentence(str(message)))
 
 
 class ScenarioError(ForearmError):

@@ -19,6 +19,7 @@ def test_wrong_input_gets_one_sentence(case: Case, tmp_path: Path, monkeypatch: 
     for words in case.says:
         assert words in answer.sentence
     assert leftovers(tmp_path / "out") == list(case.left)
+    assert len(answer.sentence) <= 300
     assert documented().get(case.name) == answer.sentence, "run: python tests/bad_inputs.py"
 
 

@@ -12,7 +12,7 @@ from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.recognise import write_measured
 from forearm_fem.transfer import band_error
 
-NINE_TO_FOUR = "grid.points=[[0.0,0.0],[0.01,0.0]]"  # fewer points: 8 measurements instead of 36
+TWO_POINTS = "\n[grid]\npoints = [[0.0, 0.0], [0.01, 0.0]]\n"  # 8 measurements instead of 36
 
 
 @pytest.fixture(scope="module")
@@ -21,13 +21,12 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("lab")
     (folder / "small.toml").write_text(
         SMALL.replace('["5", "6"]', '["1", "2"]').replace("[rendering]", "[rendering]\nmethods = ['funneling']")
+        + TWO_POINTS
     )
-    assert cli("render", "small.toml", "--set", NINE_TO_FOUR, cwd=folder).code == 0
+    assert cli("render", "small.toml", cwd=folder).code == 0
     answer = cli(
         "calibrate",
         "small.toml",
-        "--set",
-        NINE_TO_FOUR,
         "--through",
         "results/small",
         "--snr",
@@ -48,13 +47,13 @@ def test_calibration_recovers_g(lab: Path) -> None:
 def test_calibration_resumes_without_measuring_again(lab: Path) -> None:
     folder = lab / "results/small/calibration"
     before = {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")}
-    answer = cli("calibrate", "small.toml", "--set", NINE_TO_FOUR, "--through", "results/small", "--snr", 40, cwd=lab)
+    answer = cli("calibrate", "small.toml", "--through", "results/small", "--snr", 40, cwd=lab)
     assert answer.code == 0
     assert {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")} == before
 
 
 def test_real_hardware_needs_a_declared_sensor(lab: Path) -> None:
-    answer = cli("calibrate", "small.toml", "--set", NINE_TO_FOUR, "--daq", "ni", cwd=lab)
+    answer = cli("calibrate", "small.toml", "--daq", "ni", cwd=lab)
     assert answer.code == 2
     assert "measurement.sensor" in answer.sentence
 
@@ -70,8 +69,6 @@ def test_two_engines_of_one_scenario_compare(lab: Path) -> None:
     cli(
         "solve",
         "small.toml",
-        "--set",
-        NINE_TO_FOUR,
         "--set",
         "tissues.preset=thesis",
         "--out",
@@ -101,10 +98,10 @@ def test_compare_refuses_what_holds_no_g(lab: Path, other: str) -> None:
 
 def test_fit_finds_the_modulus_and_rejects_unknown_names(lab: Path) -> None:
     common = ("fit", "small.toml", "results/small/calibration")
-    found = cli(*common, "skin.mu", "--frequencies", 6, "--set", NINE_TO_FOUR, cwd=lab)
+    found = cli(*common, "skin.mu", "--frequencies", 6, cwd=lab)
     assert found.code == 0, found.err
     assert "tissues.override.skin.mu" in found.out
-    wrong = cli(*common, "skin.colour", "--set", NINE_TO_FOUR, cwd=lab)
+    wrong = cli(*common, "skin.colour", cwd=lab)
     assert wrong.code == 2
     assert "skin.mu" in wrong.sentence
 
@@ -118,8 +115,6 @@ def test_play_obeys_the_voltage_limit(lab: Path) -> None:
         1,
         "--through",
         "results/small",
-        "--set",
-        NINE_TO_FOUR,
     )
     fine = cli(*common, "--scale", 0.1, cwd=lab)
     assert fine.code == 0, fine.err

@@ -11,6 +11,7 @@ from typing import Any
 from .. import __version__
 from ..errors import DataError, ForearmError
 from ..io.jsonfiles import read_json, write_json
+from ..io.lock import locked
 
 MARK = "member.json"
 
@@ -64,8 +65,9 @@ def _done(job: Job) -> dict[str, Any]:
 
     scenario = Scenario.model_validate_json(job.scenario)
     run = Run.start(scenario, Path(job.folder), Path(job.base))
-    {"solve": run_solve, "render": run_render, "run": run_all}[job.stage](run)
-    return summary(Path(job.folder))
+    with locked(job.folder):
+        {"solve": run_solve, "render": run_render, "run": run_all}[job.stage](run)
+        return summary(Path(job.folder))
 
 
 def summary(folder: Path) -> dict[str, Any]:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import signal
+import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,7 +25,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from ..errors import DataError
+from ..errors import DataError, one_sentence
 from ..scenario import Scenario, apply_overrides
 
 if TYPE_CHECKING:
@@ -32,7 +36,9 @@ console = Console(stderr=True)
 
 ScenarioFile = Annotated[Path, typer.Argument(help="scenario file, e.g. scenarios/thesis.toml")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=0.040")]
-OutFolder = Annotated[Path | None, typer.Option("--out", help="results folder; default results/NAME")]
+OutFolder = Annotated[
+    Path | None, typer.Option("--out", help="results folder; default results/NAME, after --set results/NAME-XXXXXX")
+]
 Declared = Annotated[
     list[str] | None,
     typer.Option("--declare", help="what a file does not say of itself, e.g. unit='mm/V' or sign='+iwt'"),
@@ -40,7 +46,11 @@ Declared = Annotated[
 
 
 class Display:
-    """A progress bar per stage with count and time left, on stderr."""
+    """A progress bar per stage with count and time left, on stderr.
+
+    A stage is shown before its work begins, so that none is silent even where compiled code holds the interpreter.
+    Where stderr is no terminal, the stage under way is told in lines instead: a second after it began, then every ten.
+    """
 
     def __init__(self) -> None:
         self._bars = Progress(
@@ -48,35 +58,95 @@ class Display:
             TextColumn("left"), TimeRemainingColumn(), console=console,
         )  # fmt: skip
         self._tasks: dict[str, TaskID] = {}
+        self._lines = None if console.is_terminal else Heartbeat()
 
     def __enter__(self) -> Display:
-        self._bars.start()
+        (self._lines or self._bars).start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bars.stop()
+        (self._lines or self._bars).stop()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Progress callback of the library."""
-        if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(stage, total=total)
-        self._bars.update(self._tasks[stage], completed=done, total=total)
+        """Progress callback of the library; a stage of unknown length has ``total`` 0."""
+        if self._lines is not None:
+            self._lines.tell(stage, done, total)
+            return
+        begins = stage not in self._tasks
+        if begins:
+            self._tasks[stage] = self._bars.add_task(stage, total=None)
+        self._bars.update(self._tasks[stage], completed=done, total=total or None)
+        if begins:
+            self._bars.refresh()
 
 
-def out_folder(out: Path | None, scenario: Scenario) -> Path:
-    """The folder asked for, else ``results/NAME``."""
-    return out or Path("results") / scenario.name
+class Heartbeat(threading.Thread):
+    """Lines on stderr that say which stage is under way, how far it is, and how long it may still take."""
+
+    FIRST, AGAIN = 1.0, 10.0  # seconds after a stage began, and after the last line
+
+    def __init__(self, write: Callable[[str], None] | None = None) -> None:
+        super().__init__(daemon=True)
+        self._write = write or (lambda line: console.print(line, highlight=False, markup=False, soft_wrap=True))
+        self._ended = threading.Event()
+        self._stage, self._done, self._total = "", 0, 0
+        self._began, self._due = 0.0, float("inf")
+
+    def tell(self, stage: str, done: int, total: int) -> None:
+        """Note how far ``stage`` is."""
+        if stage != self._stage:
+            now = time.monotonic()
+            self._began, self._due = now, now + self.FIRST
+        self._stage, self._done, self._total = stage, done, total
+        if total and done >= total:
+            self._due = float("inf")
+
+    def run(self) -> None:
+        """See :class:`threading.Thread`."""
+        while not self._ended.wait(0.1):
+            if (now := time.monotonic()) >= self._due:
+                self._due = now + self.AGAIN
+                self._write(progress_line(self._stage, self._done, self._total, now - self._began))
+
+    def stop(self) -> None:
+        """No more lines."""
+        self._ended.set()
+        self.join()
 
 
-def stage(asked: Scenario, file: Path, out: Path | None, work: Callable[[Run], Any]) -> Run:
-    """Run ``work`` on a new run with a progress display, then print its notes."""
+def progress_line(stage: str, done: int, total: int, seconds: float) -> str:
+    """E.g. ``zero search: 3 of 9, 12 s, about 24 s left``."""
+    count = f" {done} of {total}," if total > 1 else ""
+    left = f", about {seconds * (total - done) / done:.0f} s left" if 0 < done < total else ""
+    return f"{stage}:{count} {seconds:.0f} s{left}"
+
+
+def out_folder(out: Path | None, scenario: Scenario, overrides: Sequence[str] | None = None) -> Path:
+    """The folder asked for, else ``results/NAME``; what ``--set`` changes without a name, to ``NAME-XXXXXX``."""
+    if out is not None:
+        return out
+    changed = apply_overrides({}, overrides or ())
+    if "name" in changed:
+        return Path("results") / scenario.name
+    mark = hashlib.sha256(json.dumps(changed, sort_keys=True, default=str).encode()).hexdigest()[:6]
+    return Path("results") / (f"{scenario.name}-{mark}" if changed else scenario.name)
+
+
+@contextmanager
+def stage(
+    asked: Scenario, file: Path, out: Path | None, work: Callable[[Run], Any], overrides: Sequence[str] | None = None
+) -> Iterator[Run]:
+    """Run ``work`` on a new run with a progress display and print its notes; its folder stays locked in the block."""
+    from ..io.lock import locked
     from ..pipeline.folder import Run
 
-    with Display() as display:
-        job = Run.start(asked, out_folder(out, asked), file.parent, display)
-        work(job)
-    print_notes(job.notes)
-    return job
+    folder = out_folder(out, asked, overrides)
+    with locked(folder):
+        with Display() as display:
+            job = Run.start(asked, folder, file.parent, display)
+            work(job)
+        print_notes(job.notes)
+        yield job
 
 
 def print_notes(notes: Sequence[str]) -> None:
@@ -87,7 +157,7 @@ def print_notes(notes: Sequence[str]) -> None:
 
 def print_error(message: object) -> None:
     """One sentence on stderr, brackets in it not taken for markup."""
-    console.print(f"[red]error:[/red] {_plain(str(message))}", highlight=False, soft_wrap=True)
+    console.print(f"[red]error:[/red] {_plain(one_sentence(str(message)))}", highlight=False, soft_wrap=True)
 
 
 def _plain(text: str) -> str:

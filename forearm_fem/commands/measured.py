@@ -53,10 +53,13 @@ def calibrate(
     yes: Annotated[bool, typer.Option("--yes", help="do not wait for Enter at each point")] = False,
 ) -> None:
     """Measure G, one actuator and one point at a time; the same command resumes after a stop."""
+    from ..io.lock import locked
+
     asked = load_scenario(scenario, overrides=overrides or ())
-    folder = out or out_folder(None, asked) / "calibration"
-    virtual = _virtual(asked, scenario, through, snr, bits, latency, seed) if daq == "virtual" else None
-    result = _calibrated(asked, folder, daq, virtual, ask=daq == "ni" and not yes)
+    folder = out or out_folder(None, asked, overrides) / "calibration"
+    with locked(folder):
+        virtual = _virtual(asked, scenario, through, snr, bits, latency, seed, overrides) if daq == "virtual" else None
+        result = _calibrated(asked, folder, daq, virtual, ask=daq == "ni" and not yes)
     for finding in result.measured.findings:
         typer.echo(finding.sentence)
     valid = result.measured.transfer.valid
@@ -104,15 +107,16 @@ def _ask_operator(where: str, stop: Stop) -> bool:
 
 
 def _virtual(
-    asked: Scenario, file: Path, through: Path | None, snr: float, bits: int, latency: int, seed: int
-) -> VirtualSetup:
+    asked: Scenario, file: Path, through: Path | None, snr: float, bits: int, latency: int, seed: int,
+    overrides: Overrides,
+) -> VirtualSetup:  # fmt: skip
     from ..io.recognise import read_measured
     from ..measurement.commands import VirtualSetup
     from ..pipeline.folder import run_solve
 
     if through is None:
-        job = stage(asked, file, None, run_solve)
-        through = job.out
+        with stage(asked, file, None, run_solve, overrides) as job:
+            through = job.out
     return VirtualSetup(read_measured(transfer_file(through)), snr, bits, latency, seed)
 
 
@@ -134,7 +138,7 @@ def play(
 
     asked = load_scenario(scenario, overrides=overrides or ())
     signals = drives / "drives.nc" if drives.is_dir() else drives
-    virtual = _virtual(asked, scenario, through, snr, 16, 0, 0) if daq == "virtual" else None
+    virtual = _virtual(asked, scenario, through, snr, 16, 0, 0, overrides) if daq == "virtual" else None
     with noted(), stop_on_ctrl_c() as stop:
         played = run_play(
             asked, signals, daq=daq, virtual=virtual, method=method, target=target, scale=scale, repeats=repeats,
@@ -155,9 +159,10 @@ def compare(
 ) -> None:
     """How far apart two G are: per entry, overall, in S, in dispersion; table, figures, JSON."""
     from ..compare.commands import run_compare
+    from ..io.lock import locked
 
     folder = out or Path("results") / f"compare-{a.stem}-{b.stem}"
-    with noted():
+    with locked(folder), noted():
         result = run_compare(
             transfer_file(a), transfer_file(b), folder=folder, declaration_a=declaration(declare_a),
             declaration_b=declaration(declare_b), render=render,
@@ -177,10 +182,11 @@ def fit(
 ) -> None:
     """Fit parameters of a scenario (on its layered twin) to a measured G; says what the data cannot tell."""
     from ..compare.commands import run_fit
+    from ..io.lock import locked
 
     asked = load_scenario(scenario, overrides=overrides or ())
-    folder = out or out_folder(None, asked) / "fit"
-    with noted(), console.status("fitting"):
+    folder = out or out_folder(None, asked, overrides) / "fit"
+    with locked(folder), noted(), console.status("fitting"):
         result = run_fit(
             asked, transfer_file(measured), parameters, folder=folder, declaration=declaration(declare),
             frequencies=frequencies,

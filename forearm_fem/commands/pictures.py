@@ -24,8 +24,9 @@ def figures(
     if not results.is_dir():
         raise DataError(f"{results}: no such results folder; `forearm-fem run SCENARIO` makes one")
     from ..figures import make_figures
+    from ..io.lock import locked
 
-    with Display() as display, noted():
+    with locked(out or results), Display() as display, noted():
         written = make_figures(
             results, out, only=_listed(only), formats=_split(formats),
             progress=lambda done, total, _: display("figures", done, total),

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..scenario import Scenario, load_scenario
-from .common import OutFolder, Overrides, ScenarioFile, console, stage
+from .common import Display, OutFolder, Overrides, ScenarioFile, print_notes, stage
+
+if TYPE_CHECKING:
+    from ..pipeline.forecast import Forecast
 
 
 def run(
@@ -21,14 +24,19 @@ def run(
     """The main job: mesh, solve, render, figures and report."""
     asked = load_scenario(scenario, overrides=overrides or ())
     if dry_run:
-        _print_forecast(asked, scenario.parent)
+        from ..pipeline.unread import unread_notes
+
+        with Display() as display:
+            expected = _expected(asked, scenario.parent, display)
+        _print_forecast(asked, expected)
+        print_notes(unread_notes(asked))
         return
     from ..pipeline.folder import run_all
 
     _check_wavelet(asked, scenario.parent)
-    job = stage(asked, scenario, out, run_all)
-    typer.echo((job.out / "report.md").read_text(encoding="utf-8"))
-    typer.echo(f"results: {job.out}")
+    with stage(asked, scenario, out, run_all, overrides) as job:
+        typer.echo((job.out / "report.md").read_text(encoding="utf-8"))
+        typer.echo(f"results: {job.out}")
 
 
 def mesh(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
@@ -36,23 +44,24 @@ def mesh(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = N
     from ..pipeline.folder import run_mesh
 
     asked = load_scenario(scenario, overrides=overrides or ())
-    job = stage(asked, scenario, out, run_mesh)
-    _print_forecast(asked, scenario.parent)
-    if asked.engine != "layered":
-        typer.echo(f"mesh: {job.out / 'mesh.vtu'}")
+    with stage(asked, scenario, out, run_mesh, overrides) as job:
+        _print_forecast(asked, _expected(asked, scenario.parent))
+        if asked.engine != "layered":
+            typer.echo(f"mesh: {job.out / 'mesh.vtu'}")
 
 
 def solve(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
     """Solve for G and its errors, reusing what is there."""
     from ..pipeline.folder import run_solve
 
-    job = stage(load_scenario(scenario, overrides=overrides or ()), scenario, out, run_solve)
-    account = json.loads((job.out / "run.json").read_text(encoding="utf-8"))
-    for error in account["errors"]:
-        band, worst = ("unknown" if error[key] is None else f"{error[key]:.2e}" for key in ("band", "worst"))
-        typer.echo(f"{error['source']:15} band {band}  worst e(f) {worst}")
-    typer.echo(account["accuracy"])
-    typer.echo(f"G: {job.out / 'transfer.nc'}")
+    asked = load_scenario(scenario, overrides=overrides or ())
+    with stage(asked, scenario, out, run_solve, overrides) as job:
+        account = json.loads((job.out / "run.json").read_text(encoding="utf-8"))
+        for error in account["errors"]:
+            band, worst = ("unknown" if error[key] is None else f"{error[key]:.2e}" for key in ("band", "worst"))
+            typer.echo(f"{error['source']:15} band {band}  worst e(f) {worst}")
+        typer.echo(account["accuracy"])
+        typer.echo(f"G: {job.out / 'transfer.nc'}")
 
 
 def render(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
@@ -61,8 +70,9 @@ def render(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder =
 
     asked = load_scenario(scenario, overrides=overrides or ())
     _check_wavelet(asked, scenario.parent)
-    job = stage(asked, scenario, out, run_render)
-    typer.echo((job.out / "signal_strength.csv").read_text(encoding="utf-8"))
+    with stage(asked, scenario, out, run_render, overrides) as job:
+        typer.echo((job.out / "signal_strength.csv").read_text(encoding="utf-8"))
+        typer.echo(f"results: {job.out}")
 
 
 def _check_wavelet(asked: Scenario, base: Path) -> None:
@@ -72,15 +82,30 @@ def _check_wavelet(asked: Scenario, base: Path) -> None:
     wavelet(asked.rendering, asked.sweep, base)
 
 
-def _print_forecast(asked: Scenario, base: Path) -> None:
+def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Forecast | None:
+    """What the solve will cost, on the mesh, which is made if need be; None for the layered engine."""
+    if asked.engine == "layered":
+        return None
+    from ..geometry.cache import cached_mesh
     from ..pipeline.forecast import forecast
+
+    def tell(what: str) -> None:
+        if display is not None:
+            display(f"mesh: {what}", 0, 0)
+
+    tell("looking for a finished one")
+    mesh = cached_mesh(asked, base=base, progress=tell)
+    tell("counting unknowns")
+    return forecast(asked, base=base, mesh=mesh)
+
+
+def _print_forecast(asked: Scenario, expected: Forecast | None) -> None:
     from ..pipeline.frequencies import frequencies
 
     band = frequencies(asked.sweep)
-    if asked.engine == "layered":
+    if expected is None:
         typer.echo(f"layered half-space: no mesh, no unknowns; {len(band)} frequencies in about 2 s")
         return
-    expected = forecast(asked, base=base, progress=lambda text: console.print(f"mesh: {text}", highlight=False))
     typer.echo(f"tetrahedra       {expected.tetrahedra}")
     typer.echo(f"unknowns         {expected.unknowns} ({asked.element}, displacement and pressure)")
     typer.echo(f"memory           about {expected.memory_bytes / 1e9:.1f} GB")

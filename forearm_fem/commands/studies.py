@@ -40,11 +40,13 @@ def campaign(
 ) -> None:
     """Run many variants of a scenario; finished ones are skipped, failed ones do not stop the rest."""
     from ..campaign import load_campaign, run_campaign
+    from ..io.lock import locked
 
     asked = load_campaign(file)
-    with Display() as display, noted():
+    folder = out or Path("results") / asked.name
+    with locked(folder), Display() as display, noted():
         result = run_campaign(
-            asked, out or Path("results") / asked.name, scheduler=scheduler, workers=workers, progress=display
+            asked, folder, scheduler=scheduler, workers=workers, progress=display
         )
     typer.echo(result.table)
     print_notes([f"{m.name}: {m.problem}" for m in result.members if m.problem])

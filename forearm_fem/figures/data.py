@@ -89,7 +89,11 @@ class Results:
     @cached_property
     def run(self) -> Mapping[str, Any]:
         """Versions, times, memory, errors, warnings and mesh statistics of the run."""
-        return self._json("run.json")
+        account = self._json("run.json")
+        if missing := [key for key in ("program", "stages", "notes") if key not in account]:
+            file = self.folder / "run.json"
+            raise DataError(f"{file}: damaged, it has no '{missing[0]}'; {self.remedy('run.json')} anew")
+        return account
 
     @cached_property
     def transfer(self) -> TransferMatrix:
@@ -173,7 +177,8 @@ class Results:
         options, record = self.scenario.rendering.wavelet, self.record
         duration = record.n / record.sample_rate
         if options.file is not None:
-            return from_samples_file(options.file, record.sample_rate, duration)
+            kept = self.folder / f"wavelet{Path(options.file).suffix}"  # as the run found it in the scenario's folder
+            return from_samples_file(kept if kept.is_file() else options.file, record.sample_rate, duration)
         return ricker(options.peak, 1.0, record.sample_rate, duration)
 
     @cached_property

@@ -160,7 +160,9 @@ def plotter_for(size: tuple[int, int], *, off_screen: bool = True) -> Iterator[A
 
 def _opened(size: tuple[int, int], off_screen: bool) -> Any:
     if not off_screen and not has_display():
-        raise ForearmError("there is no display for a window; leave interactive off, or set DISPLAY")
+        raise ForearmError(
+            "there is no display for a window; set DISPLAY, or keep a picture: `forearm-fem show RESULTS --save a.png`"
+        )
     try:
         plotter: Any = pv.Plotter(off_screen=off_screen, window_size=list(size))
     except (RuntimeError, OSError, ImportError) as problem:

@@ -16,6 +16,7 @@ from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, Surfa
 from ..typing import FloatArray, IntArray
 from .bending import bent_middles, with_bends
 from .contacts import check_contact_areas, with_contacts, with_true_rims
+from .cramped import refuse_if_too_many, why_cramped
 from .extent import check_room
 from .imprint import imprint
 from .landing import FacetSkin
@@ -49,6 +50,7 @@ def build_mesh(
     """Tetrahedra of the scenario's limb, bent along its walls; ``scale`` multiplies every element size."""
     sizes, say = element_sizes(scenario, shear_speed, scale=scale), progress or _silent
     size = SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading)
+    refuse_if_too_many(scenario, size)
     for attempt in range(1, _ATTEMPTS + 1):
         try:
             mesh = _unmarked(scenario, base, size.with_facets(_FINER ** (attempt - 1)), say, attempt)
@@ -56,7 +58,8 @@ def build_mesh(
         except MeshError as problem:
             final = isinstance(scenario.limb, SlabLimb | MeshLimb) or isinstance(problem, MeshTimeout)
             if attempt == _ATTEMPTS or final:
-                raise
+                why = "" if isinstance(scenario.limb, MeshLimb) else why_cramped(scenario, size.layout)
+                raise (MeshError(why) if why else problem) from None
             _log.info("attempt %d at the mesh failed (%s); the next one will differ", attempt, problem)
     raise AssertionError("unreachable")
 

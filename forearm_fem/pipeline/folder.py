@@ -21,6 +21,7 @@ from ..geometry.cache import cached_mesh
 from ..geometry.files import write_mesh
 from ..geometry.mesh import TissueMesh
 from ..geometry.quality import mesh_quality
+from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
 from ..io.matlab import write_thesis_mat
 from ..io.netcdf import read_compliance, read_transfer, write_transfer
@@ -31,17 +32,22 @@ from ..scenario import Scenario
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import ComplexArray
 from ..wavefield import Wavefield, save_wavefield
-from .forecast import forecast, refuse_if_too_large
+from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
 from .resources import Ledger
 from .simulation import Simulation, closed, render_transfer, simulate
 from .skin_model import save_skin_model
 from .solved import solve
 from .two_meshes import remaining_error
+from .unread import unread_notes
 from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
 
 Progress = Callable[[str, int, int], None]
+_DERIVED = (
+    "transfer.mat", "wavefield.npz", "reduced.nc", "drives.nc", "displacements.nc", "signal_strength.csv",
+    "signal_strength_error.json", "report.md", "report.html", "waves.csv",
+)  # fmt: skip
 
 
 @dataclass
@@ -57,20 +63,26 @@ class Run:
 
     @classmethod
     def start(cls, scenario: Scenario, out: Path, base: Path, progress: Progress | None = None) -> Run:
-        """A run with empty accounts; the folder is made when the first file is written."""
-        return cls(scenario, out, base, progress, Ledger(), [])
+        """A run with empty accounts; the folder is made when the first file is written.
+
+        Keys that have no effect are its first notes; ScenarioError where a tissue is not whole.
+        """
+        return cls(scenario, out, base, progress, Ledger(), list(unread_notes(scenario)))
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Account for a stage and collect its accuracy warnings as notes."""
+        """Tell and account for a stage, and collect its accuracy warnings as notes."""
+        _tell(self, name, 0)
         with self.ledger.stage(name), warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", AccuracyWarning)
             yield
+        _tell(self, name, 1)
         self.notes += [str(w.message) for w in caught if issubclass(w.category, AccuracyWarning)]
 
 
 def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
+    refuse_if_signals_too_large(run.scenario)
     transfer, coarse = _solved(run)
     from ..report import write_report  # plotting is heavy and not needed by the other stages
 
@@ -90,11 +102,9 @@ def run_mesh(run: Run) -> TissueMesh | None:
     if run.scenario.engine == "layered":
         return None
     with run.stage("mesh"):
-        _tell(run, "mesh", 0)
-        mesh = cached_mesh(run.scenario, base=run.base)
+        mesh = cached_mesh(run.scenario, base=run.base, progress=lambda what: _tell_part(run, f"mesh: {what}"))
         write_mesh(mesh, run.out / "mesh.vtu")
         write_json(run.out / "scenario.json", run.scenario.model_dump(mode="json"))
-        _tell(run, "mesh", 1)
     return mesh
 
 
@@ -109,6 +119,7 @@ def run_render(run: Run) -> Rendering:
     """Renderers on the folder's G (solved first where it is missing): drives, displacements and S."""
     if not run.scenario.rendering.methods:
         raise ScenarioError("rendering.methods is empty, so there is nothing to render; name a method or use `solve`")
+    refuse_if_signals_too_large(run.scenario)
     transfer, coarse = _solved(run)
     rendering = _rendered(run, transfer, coarse)
     _write_run(run)
@@ -164,6 +175,7 @@ def versions() -> dict[str, str]:
 
 def _write_solution(run: Run, simulation: Simulation) -> None:
     scenario, transfer, out = run.scenario, simulation.transfer, run.out
+    _remove_older(run)
     write_json(out / "scenario.json", scenario.model_dump(mode="json"))
     write_transfer(out / "transfer.nc", transfer, simulation.compliance)
     if scenario.sweep.frequencies is None:
@@ -174,6 +186,22 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
         save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
     facts = {"facts": simulation.solved.facts if simulation.solved else {}, "mesh": _mesh_facts(run, simulation.mesh)}
     write_json(out / "solution.json", facts)
+
+
+def _remove_older(run: Run) -> None:
+    """Take files of another scenario, which this one may not replace, out of the folder; a note says which."""
+    try:
+        before = read_transfer(run.out / "transfer.nc").provenance.get("scenario")
+    except DataError:
+        return
+    if before == run.scenario.model_dump(mode="json"):
+        return
+    stale = [n for n in _DERIVED if (run.out / n).is_file()]
+    stale += ["mesh.vtu"] if run.scenario.engine == "layered" and (run.out / "mesh.vtu").is_file() else []
+    for name in stale:
+        (run.out / name).unlink(missing_ok=True)
+    if stale:
+        run.notes.append(f"{run.out}: {', '.join(stale)} belonged to another scenario and were removed")
 
 
 def wavefield_of(simulation: Simulation) -> Wavefield:
@@ -191,10 +219,12 @@ def _forces(simulation: Simulation) -> ComplexArray:
 
 def _rendered(run: Run, transfer: TransferMatrix, coarse: TransferMatrix | None) -> Rendering:
     with run.stage("render"):
-        rendering = render_transfer(run.scenario, transfer, base=run.base)
+        rendering = render_transfer(
+            run.scenario, transfer, base=run.base, progress=lambda done, total, _: _tell_count(run, done, total)
+        )
         _write_rendering(run, rendering, transfer)
         error = _strength_error(run, rendering, coarse)
-        run.notes += rendering.exceeded
+        run.notes += [*unknown_strengths(rendering), *rendering.exceeded]
     write_json(run.out / "signal_strength_error.json", error)
     return rendering
 
@@ -209,6 +239,22 @@ def _write_rendering(run: Run, rendering: Rendering, transfer: TransferMatrix) -
     write_displacements(run.out / "displacements.nc", stack(moves, tuple(p.name for p in transfer.outputs), time, "m"))
     rows = strength_rows(rendering.methods, rendering.targets, rendering.strengths)
     write_signal_strength_csv(run.out / "signal_strength.csv", rows)
+    if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
+        with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:
+            beside.write_bytes((run.base / file).read_bytes())
+
+
+def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
+    """A sentence per method whose S is not known at some targets."""
+    missing = {
+        m: [t for t, s in zip(rendering.targets, row, strict=True) if not np.isfinite(s)]
+        for m, row in zip(rendering.methods, rendering.strengths, strict=True)
+    }
+    return tuple(
+        f"S of {method} is unknown at {', '.join(targets)}: nothing moves there, or nothing else does"
+        for method, targets in missing.items()
+        if targets
+    )
 
 
 def _strength_error(run: Run, rendering: Rendering, coarse: TransferMatrix | None) -> dict[str, Any]:
@@ -297,3 +343,14 @@ def reclosed(run: Run) -> TransferMatrix:
 def _tell(run: Run, stage: str, done: int) -> None:
     if run.progress is not None:
         run.progress(stage, done, 1)
+
+
+def _tell_part(run: Run, stage: str) -> None:
+    """A part of a stage whose length is not known."""
+    if run.progress is not None:
+        run.progress(stage, 0, 0)
+
+
+def _tell_count(run: Run, done: int, total: int) -> None:
+    if run.progress is not None:
+        run.progress("drives", done, total)

@@ -31,6 +31,7 @@ _REST = 0.7e9  # bytes: libraries, and the operator of a scene of any size
 _SMALL = 15.0  # seconds that evaluating and certifying a reduced model takes for a mesh of any size
 _DERIVATIVES = 45  # about a rate, where 1e-4 is asked in 10-500 Hz
 _FROM_RATE = 1.6  # a sweep from a rate costs as much as so many expansions and certificates; measured with AVX-512
+_COPIES = 3  # of all signals: themselves, their spectra, and the array that is written
 _ESTIMATE = 1.2  # with the coarser mesh's solve
 
 
@@ -108,6 +109,20 @@ def refuse_if_too_large(forecast: Forecast, scenario: Scenario) -> None:
             f"the solve of {forecast.unknowns} unknowns needs about {forecast.memory_bytes / 1e9:.1f} GB, more than "
             f"solver.memory_limit = {scenario.solver.memory_limit / 1e9:.1f} GB; raise the limit "
             "or ask for a larger accuracy"
+        )
+
+
+def refuse_if_signals_too_large(scenario: Scenario) -> None:
+    """Raise :class:`SolverError` where drives and displacements of all targets would pass ``solver.memory_limit``."""
+    wanted, points = scenario.rendering, len(scenario.grid.places)
+    targets = points if wanted.targets == "all" else len(wanted.targets)
+    records = len(wanted.methods) * targets * (points + len(scenario.device.centres))
+    need = _COPIES * 8 * records * scenario.sweep.duration * scenario.sweep.sample_rate
+    if need > scenario.solver.memory_limit:
+        raise SolverError(
+            f"drives and displacements of {len(wanted.methods)} methods at {targets} targets need about "
+            f"{need / 1e9:.3g} GB, more than solver.memory_limit = {scenario.solver.memory_limit / 1e9:.3g} GB; name "
+            "fewer rendering.targets or shorten sweep.duration"
         )
 
 

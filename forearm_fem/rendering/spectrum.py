@@ -125,7 +125,9 @@ def place_on_bins(
     place = np.asarray(frequency, dtype=float) / record.df
     flat, known = values.reshape(len(values), -1), valid.reshape(len(values), -1)
     index = np.arange(max(1, int(np.ceil(place[0] - 1e-3))), min((record.n - 1) // 2, int(place[-1] + 1e-3)) + 1)
-    out, on = fill(place, np.where(known, flat, 0), known, index, record.df, interpolation or Interpolation())
+    out, on = np.zeros((0, flat.shape[1]), dtype=complex), np.zeros((0, flat.shape[1]), dtype=bool)
+    if len(index):
+        out, on = fill(place, np.where(known, flat, 0), known, index, record.df, interpolation or Interpolation())
     kept = on.any(axis=1)
     if not kept.any():
         raise DataError(

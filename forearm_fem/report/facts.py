@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -36,7 +38,7 @@ def scene_block(results: Results) -> Block:
         ["tissues", _tissues(s)],
         ["supports", f"bone {s.supports.bone}, underside {s.supports.underside}, cut ends {s.supports.ends}"],
         ["device", _device(s)],
-        ["grid", f"{len(results.transfer.outputs)} points, pitch {_mm(s.grid.pitch)}"],
+        ["grid", _grid(s, len(results.transfer.outputs))],
         ["sweep", f"{len(results.transfer.frequency)} frequencies, {results.transfer.frequency[0]:g} to "
                   f"{results.transfer.frequency[-1]:g} Hz"],
         ["engine", "finite elements" if s.engine == "fem" else "semi-analytic layered half-space (flat, no bone)"],
@@ -66,8 +68,23 @@ def _tissues(s: Scenario) -> str:
 def _device(s: Scenario) -> str:
     d = s.device
     absent = f"; out of contact: {', '.join(d.out_of_contact)}" if d.out_of_contact else ""
-    return (f"{len(d.centres)} actuators, {_mm(d.spacing)} apart, {d.drive} drive, cones of {_mm(2 * d.cone.radius)} "
+    apart = f"{_mm(d.spacing)} apart" if d.contacts is None else f"at own places{_nearest(d.contacts)}"
+    return (f"{len(d.centres)} actuators {apart}, {d.drive} drive, cones of {_mm(2 * d.cone.radius)} "
             f"diameter, {d.cone.contact} contact{absent}")  # fmt: skip
+
+
+def _grid(s: Scenario, count: int) -> str:
+    g = s.grid
+    if g.points is not None:
+        return f"{count} points at own places{_nearest(g.points)}"
+    return f"{count} points, pitch {_mm(g.pitch)}"
+
+
+def _nearest(places: Sequence[tuple[float, float]]) -> str:
+    """How far apart the two nearest of ``places`` (x, y) [m] are; nothing for one place."""
+    if len(places) < 2:
+        return ""
+    return f", the nearest {1e3 * min(math.dist(a, b) for a, b in combinations(places, 2)):.3g} mm apart"
 
 
 def mesh_block(results: Results) -> Block | None:

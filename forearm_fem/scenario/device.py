@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .base import Length, NonNegative, Part, Positive
+from .base import Length, Mass, Part, Voltage, Within
+
+NEAREST = 2e-4  # [m] between two grid points: closer ones are one place, and no mesh is that fine
+
+Place = Annotated[float, Within(-0.5, 0.5, "m")]  # in the device's own frame
 
 
 class VoiceCoil(Part):
     """Tectonic TEAX14C02-8, linear model (physics.md 4)."""
 
-    resistance: Positive = Field(7.8, description="Re [ohm], data sheet via a distributor")
-    inductance: NonNegative = Field(0.05e-3, description="Le [H]; 0.03-0.1 mH, irrelevant below 1 kHz")
-    force_factor: Positive = Field(2.4, description="Bl [T m], data sheet via a distributor")
-    moving_mass: Positive = Field(0.35e-3, description="Mms [kg]; derived, 0.2-0.6 g, low confidence")
-    resonance: Positive = Field(580.0, description="f0 of the free coil on its suspension [Hz], thesis")
-    quality: Positive = Field(3.0, description="mechanical quality factor Qms [-]; 2-6")
+    resistance: Annotated[float, Within(1e-4, 1e6, "ohm")] = Field(
+        7.8, description="Re [ohm], data sheet via a distributor"
+    )
+    inductance: Annotated[float, Within(1e-12, 1e3, "H", zero=True)] = Field(
+        0.05e-3, description="Le [H]; 0.03-0.1 mH, irrelevant below 1 kHz"
+    )
+    force_factor: Annotated[float, Within(1e-6, 1e4, "T m")] = Field(
+        2.4, description="Bl [T m], data sheet via a distributor"
+    )
+    moving_mass: Mass = Field(0.35e-3, description="Mms [kg]; derived, 0.2-0.6 g, low confidence")
+    resonance: Annotated[float, Within(1e-2, 1e5, "Hz")] = Field(
+        580.0, description="f0 of the free coil on its suspension [Hz], thesis"
+    )
+    quality: Annotated[float, Within(1e-3, 1e5)] = Field(3.0, description="mechanical quality factor Qms [-]; 2-6")
 
 
 class Cone(Part):
     """Rigid cone between coil and skin."""
 
-    mass: NonNegative = Field(0.4e-3, description="[kg]")
-    radius: Annotated[float, Field(gt=0, le=0.05)] = Field(
+    mass: Annotated[float, Within(1e-9, 1e3, "kg", zero=True)] = Field(0.4e-3, description="[kg]")
+    radius: Annotated[float, Within(1e-4, 0.05, "m")] = Field(
         3.5e-3, description="radius of the contact disc [m]; 14 mm face reduced fourfold in area -> 7 mm"
     )
     contact: Literal["bonded", "frictionless", "pressure"] = Field(
@@ -35,10 +49,14 @@ class Cone(Part):
 class Housing(Part):
     """Rigid shell shared by all actuators: heave, roll and pitch on strap and foam."""
 
-    mass: Positive = Field(0.090, description="4 x 12.5 g + 40 g shell [kg] (physics.md 9)")
+    mass: Mass = Field(0.090, description="4 x 12.5 g + 40 g shell [kg] (physics.md 9)")
     gyration: Length = Field(0.030, description="radius of gyration about x and y [m]; our estimate for a 70 mm shell")
-    strap_stiffness: NonNegative = Field(2000.0, description="strap and foam, total along z [N/m]; our estimate")
-    strap_loss: NonNegative = Field(0.2, description="loss factor of strap and foam [-]; our estimate")
+    strap_stiffness: Annotated[float, Within(1e-9, 1e12, "N/m", zero=True)] = Field(
+        2000.0, description="strap and foam, total along z [N/m]; our estimate"
+    )
+    strap_loss: Annotated[float, Within(1e-9, 1e3, zero=True)] = Field(
+        0.2, description="loss factor of strap and foam [-]; our estimate"
+    )
     strap_radius: Length = Field(0.035, description="lever of the strap's rotational stiffness [m]")
     fixed: bool = Field(False, description="hold the housing still: no mechanical cross-talk")
 
@@ -46,22 +64,24 @@ class Housing(Part):
 class Device(Part):
     """Contacts on the volar skin, row by row: (-x,-y), (-x,+y), (+x,-y), (+x,+y)."""
 
-    spacing: Annotated[float, Field(gt=0, le=0.3)] = Field(0.045, description="centre distance [m] (thesis III.A)")
-    contacts: tuple[tuple[float, float], ...] | None = Field(
+    spacing: Annotated[float, Within(2e-4, 0.3, "m")] = Field(0.045, description="centre distance [m] (thesis III.A)")
+    contacts: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=100)] | None = Field(
         None, description="own contact centres (x, y) [m] instead of the 2x2 array"
     )
-    rotation: float = Field(0.0, description="of the whole device about z [rad]")
+    rotation: Annotated[float, Within(-6.3, 6.3, "rad")] = Field(0.0, description="of the whole device about z [rad]")
     drive: Literal["voltage", "force", "displacement"] = "voltage"
     out_of_contact: tuple[str, ...] = Field((), description="names of actuators that do not touch, e.g. ['A1']")
     coil: VoiceCoil = VoiceCoil()
     cone: Cone = Cone()
     housing: Housing = Housing()
-    max_voltage: Positive = Field(2.5, description="per actuator [V]; 0.8 W in 7.8 ohm is 2.5 V rms")
-    max_power: Positive = Field(0.8, description="per actuator [W] (data sheet)")
+    max_voltage: Voltage = Field(2.5, description="per actuator [V]; 0.8 W in 7.8 ohm is 2.5 V rms")
+    max_power: Annotated[float, Within(1e-12, 1e6, "W")] = Field(0.8, description="per actuator [W] (data sheet)")
 
     @model_validator(mode="after")
     def _names(self) -> Self:
         known = {f"A{i + 1}" for i in range(len(self.centres))}
+        if self.contacts is not None and not self.contacts:
+            raise ValueError("contacts is empty; give at least one (x, y) [m], or leave the key out for the 2x2 device")
         if unknown := set(self.out_of_contact) - known:
             raise ValueError(f"out_of_contact names {sorted(unknown)}, known are {sorted(known)}")
         return self
@@ -70,18 +90,34 @@ class Device(Part):
     def centres(self) -> tuple[tuple[float, float], ...]:
         """Contact centres in the device's own frame (x, y) [m]."""
         half = self.spacing / 2
-        return self.contacts or ((-half, -half), (-half, half), (half, -half), (half, half))
+        if self.contacts is not None:
+            return self.contacts
+        return ((-half, -half), (-half, half), (half, -half), (half, half))
 
 
 class Grid(Part):
     """Points on the skin whose normal displacement is read, numbered from 1 row by row (rows along +x)."""
 
-    rows: Annotated[int, Field(ge=1, le=50)] = 3
-    columns: Annotated[int, Field(ge=1, le=50)] = 3
-    pitch: Annotated[float, Field(gt=0, le=0.1)] = Field(
+    rows: Annotated[int, Within(1, 50)] = 3
+    columns: Annotated[int, Within(1, 50)] = 3
+    pitch: Annotated[float, Within(2e-4, 0.1, "m")] = Field(
         13.3e-3, description="[m]; the thesis' 1.33 cm (its '4x4 cm' contradicts it)"
     )
-    points: tuple[tuple[float, float], ...] | None = Field(None, description="own points (x, y) [m] instead")
+    points: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=2500)] | None = Field(
+        None, description="own points (x, y) [m] instead"
+    )
+
+    @model_validator(mode="after")
+    def _apart(self) -> Self:
+        if self.points is not None and not self.points:
+            raise ValueError("points is empty; give at least one (x, y) [m], or leave the key out for rows and columns")
+        if close := _closest(self.points or ()):
+            i, j, gap = close
+            raise ValueError(
+                f"points {i + 1} and {j + 1} are {gap * 1e3:.3g} mm apart, expected {NEAREST * 1e3:g} mm or more; "
+                "move or remove one"
+            )
+        return self
 
     @property
     def places(self) -> tuple[tuple[float, float], ...]:
@@ -92,3 +128,16 @@ class Grid(Part):
         return tuple(
             ((r - x0) * self.pitch, (c - y0) * self.pitch) for r in range(self.rows) for c in range(self.columns)
         )
+
+
+def _closest(points: Sequence[tuple[float, float]]) -> tuple[int, int, float] | None:
+    """Indices and distance [m] of the first two points closer than :data:`NEAREST`; None where there are none."""
+    cells: dict[tuple[int, int], list[int]] = {}
+    for i, (x, y) in enumerate(points):
+        column, row = int(x // NEAREST), int(y // NEAREST)
+        beside = [j for a in (-1, 0, 1) for b in (-1, 0, 1) for j in cells.get((column + a, row + b), ())]
+        for j in beside:
+            if (gap := math.dist(points[j], (x, y))) < NEAREST * (1 - 1e-9):
+                return j, i, gap
+        cells.setdefault((column, row), []).append(i)
+    return None

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .base import Length, Part, Positive
+from .base import Coordinate, Length, Part, Within
 
 
 class LayerThickness(Part):
@@ -20,10 +20,14 @@ class Bone(Part):
     """A bone of circular section along the limb; its axis keeps its place relative to the limb's radius (taper)."""
 
     name: str
-    y: float = Field(description="axis offset across the limb [m]")
+    y: Coordinate = Field(description="axis offset across the limb [m]")
     depth: Length = Field(description="depth of its axis below the volar skin at the device [m]")
     diameter: Length = Field(description="[m]")
 
+
+Layers = Annotated[tuple[LayerThickness, ...], Field(max_length=50)]
+Bones = Annotated[tuple[Bone, ...], Field(max_length=20)]
+Unit = Annotated[float, Within(1e-9, 1e3, "m per unit")]
 
 # physics.md 1.3: dermis 1.0+-0.2 mm -> default 1.2 mm (section 9); skin+fat ring 3.0 mm (men).
 DEFAULT_LAYERS = (
@@ -49,13 +53,13 @@ class ForearmLimb(Part):
         description="length of the segment kept, centred on the device [m]; where a scenario leaves it out, as long as "
         "its accuracy needs: 0.12 to 0.24, the whole forearm",
     )
-    circumference: tuple[tuple[float, Positive], ...] = Field(
-        DEFAULT_CIRCUMFERENCE, description="pairs (x, circumference) [m]; x = 0 under the device"
-    )
-    aspect: Annotated[float, Field(ge=0.5, le=2.0)] = Field(1.0, description="width (y) over height (z) of the section")
-    layers: tuple[LayerThickness, ...] = DEFAULT_LAYERS
+    circumference: Annotated[
+        tuple[tuple[Coordinate, Annotated[float, Within(1e-3, 6.0, "m")]], ...], Field(max_length=1000)
+    ] = Field(DEFAULT_CIRCUMFERENCE, description="pairs (x, circumference) [m]; x = 0 under the device")
+    aspect: Annotated[float, Within(0.5, 2.0)] = Field(1.0, description="width (y) over height (z) of the section")
+    layers: Layers = DEFAULT_LAYERS
     core: str = Field("muscle", description="tissue inside the layers")
-    bones: tuple[Bone, ...] = DEFAULT_BONES
+    bones: Bones = DEFAULT_BONES
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -81,9 +85,9 @@ class CylinderLimb(Part):
     shape: Literal["cylinder"] = "cylinder"
     length: Length = 0.12
     diameter: Length = 0.072
-    layers: tuple[LayerThickness, ...] = DEFAULT_LAYERS
+    layers: Layers = DEFAULT_LAYERS
     core: str = "muscle"
-    bones: tuple[Bone, ...] = ()
+    bones: Bones = ()
 
 
 class SlabLimb(Part):
@@ -96,7 +100,7 @@ class SlabLimb(Part):
     symmetry: tuple[Literal["x", "y"], ...] = Field(
         (), description="planes through the device centre on which only a half (or quarter) is modelled"
     )
-    layers: tuple[LayerThickness, ...] = DEFAULT_LAYERS
+    layers: Layers = DEFAULT_LAYERS
     core: str = "muscle"
 
 
@@ -107,7 +111,7 @@ class SurfacesLimb(Part):
     surfaces: dict[str, str] = Field(
         description="tissue -> STL/OBJ/PLY file, relative to the scenario; 'bone' is a bone"
     )
-    unit: Positive = Field(1.0, description="metres per unit of the files (0.001 for millimetres)")
+    unit: Unit = Field(1.0, description="metres per unit of the files (0.001 for millimetres)")
 
 
 class MeshLimb(Part):
@@ -116,7 +120,7 @@ class MeshLimb(Part):
     shape: Literal["mesh"] = "mesh"
     file: str = Field(description="mesh file, relative to the scenario")
     regions: dict[str, str] = Field(description="region name or number in the file -> tissue ('bone' is a bone)")
-    unit: Positive = Field(1.0, description="metres per unit of the file")
+    unit: Unit = Field(1.0, description="metres per unit of the file")
 
 
 Limb = Annotated[ForearmLimb | CylinderLimb | SlabLimb | SurfacesLimb | MeshLimb, Field(discriminator="shape")]

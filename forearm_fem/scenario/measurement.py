@@ -6,10 +6,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .base import Fraction, NonNegative, Part, Positive
+from .base import Fraction, Part, Voltage, Within
 
 Quantity = Literal["displacement", "velocity", "acceleration"]
 Estimator = Literal["fourier", "H1", "H2", "Hv", "deconvolution"]
+Seconds = Annotated[float, Within(-100.0, 100.0, "s")]
 
 
 class SensorOptions(Part):
@@ -18,11 +19,11 @@ class SensorOptions(Part):
     """
 
     quantity: Quantity | None = Field(default=None, description="what the sensor's voltage is proportional to")
-    sensitivity: Positive | None = Field(
+    sensitivity: Annotated[float, Within(1e-12, 1e12, "V per m, m/s or m/s^2")] | None = Field(
         default=None, description="V per m, per m/s or per m/s^2 (OFV-5000 at 10 mm/s/V: 100 V per m/s)"
     )
     inverted: bool = Field(default=False, description="positive voltage means motion into the skin")
-    delay: float = Field(default=0.0, description="delay of the sensor's own electronics [s], removed from G")
+    delay: Seconds = Field(default=0.0, description="delay of the sensor's own electronics [s], removed from G")
 
 
 class DaqOptions(Part):
@@ -40,15 +41,19 @@ class DaqOptions(Part):
         default="/cDAQ1/ao/SampleClock",
         description="terminal that clocks the inputs, so that both are synchronous",
     )
-    input_range: Positive = Field(default=10.0, description="full scale of the inputs, plus and minus [V]")
-    output_range: Positive = Field(default=10.0, description="full scale of the outputs, plus and minus [V]")
-    amplifier_gain: Positive = Field(default=1.0, description="V at the actuator per V at the output")
-    latency: float = Field(
+    input_range: Voltage = Field(default=10.0, description="full scale of the inputs, plus and minus [V]")
+    output_range: Voltage = Field(default=10.0, description="full scale of the outputs, plus and minus [V]")
+    amplifier_gain: Annotated[float, Within(1e-6, 1e6)] = Field(
+        default=1.0, description="V at the actuator per V at the output"
+    )
+    latency: Seconds = Field(
         default=0.0, description="known delay from output to input [s], removed from G; 0 with a loopback"
     )
-    block: Annotated[int, Field(ge=16, le=1_000_000)] = Field(default=1000, description="samples exchanged at a time")
-    max_voltage: Positive = Field(default=2.5, description="at the actuator; a drive above it is refused [V]")
-    fade: NonNegative = Field(default=0.005, description="ramp at the start, the end and an emergency stop [s]")
+    block: Annotated[int, Within(16, 1_000_000)] = Field(default=1000, description="samples exchanged at a time")
+    max_voltage: Voltage = Field(default=2.5, description="at the actuator; a drive above it is refused [V]")
+    fade: Annotated[float, Within(1e-9, 100.0, "s", zero=True)] = Field(
+        default=0.005, description="ramp at the start, the end and an emergency stop [s]"
+    )
 
 
 class MeasurementOptions(Part):
@@ -58,11 +63,11 @@ class MeasurementOptions(Part):
     what is kept is periodic and the division by the drive's spectrum is free of leakage.
     """
 
-    amplitude: Positive = Field(default=1.0, description="of the sweep at the actuator [V]")
-    repeats: Annotated[int, Field(ge=1, le=1000)] = Field(
+    amplitude: Voltage = Field(default=1.0, description="of the sweep at the actuator [V]")
+    repeats: Annotated[int, Within(1, 1000)] = Field(
         default=4, description="periods kept; coherence and deviation need 2"
     )
-    lead_in: Annotated[int, Field(ge=0, le=100)] = Field(default=1, description="periods thrown away before")
+    lead_in: Annotated[int, Within(0, 100)] = Field(default=1, description="periods thrown away before")
     taper: Annotated[float, Field(ge=0, le=0.25)] = Field(
         default=0.01, description="part of the sweep faded in, and out"
     )
@@ -70,17 +75,19 @@ class MeasurementOptions(Part):
     regularisation: Annotated[float, Field(ge=0, lt=1)] = Field(
         default=1e-6, description="deconvolution: added to |X|^2, relative to its largest value"
     )
-    window: Positive | None = Field(default=None, description="deconvolution: part of the impulse response kept [s]")
+    window: Annotated[float, Within(1e-6, 1e4, "s")] | None = Field(
+        default=None, description="deconvolution: part of the impulse response kept [s]"
+    )
     energy_floor: Fraction = Field(
         default=2e-2, description="bins whose drive is below this part of its largest are masked"
     )
-    signal_floor: Positive = Field(
+    signal_floor: Annotated[float, Within(1e-6, 1e6)] = Field(
         default=2.0, description="entries below this many standard deviations are marked invalid"
     )
     min_coherence: Annotated[float, Field(ge=0, lt=1)] = Field(
         default=0.0, description="entries below are marked invalid"
     )
-    max_drift: Positive = Field(
+    max_drift: Annotated[float, Within(1e-9, 1e6)] = Field(
         default=0.05, description="change between the first and last repeat that is reported [-]"
     )
     sensor: SensorOptions = SensorOptions()

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .base import Part
+from .base import Name, Part, Within
 from .device import Device, Grid
 from .limb import CylinderLimb, ForearmLimb, Limb, SlabLimb, forearm_length
 from .measurement import MeasurementOptions
@@ -26,10 +26,10 @@ class Scenario(Part):
     """A limb, its tissues, a device, a sweep and what to render; SI units throughout."""
 
     schema_version: Literal[1] = 1
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")] = "scenario"
+    name: Name = "scenario"
     description: str = ""
     engine: Literal["fem", "layered"] = Field("fem", description="finite elements, or the semi-analytic flat twin")
-    accuracy: Annotated[float, Field(ge=1e-5, le=0.5)] = Field(
+    accuracy: Annotated[float, Within(1e-5, 0.5)] = Field(
         0.05, description="asked e_band of G; sets mesh sizes, truncation and reduction where left out"
     )
     limb: Limb = ForearmLimb()
@@ -51,7 +51,7 @@ class Scenario(Part):
         if not isinstance(limb, Mapping) or limb.get("shape", "forearm") != "forearm" or "length" in limb:
             return data
         accuracy = data.get("accuracy", cls.model_fields["accuracy"].default)
-        if not isinstance(accuracy, int | float):
+        if not isinstance(accuracy, int | float) or not 0 < accuracy < 1:
             return data  # refused below, with its own sentence
         return {**data, "limb": {"shape": "forearm", **limb, "length": forearm_length(accuracy)}}
 
@@ -72,4 +72,10 @@ class Scenario(Part):
         zeros = self.rendering.zeros if isinstance(self.rendering.zeros, tuple) else ()
         if unknown := (wanted | set(zeros)) - names:
             raise ValueError(f"rendering names the points {sorted(unknown)}, but the grid has 1..{len(names)}")
+        return self
+
+    @model_validator(mode="after")
+    def _something_moves(self) -> Self:
+        if len(set(self.device.out_of_contact)) == len(self.device.centres):
+            raise ValueError("device.out_of_contact names every actuator: nothing would move; leave one in contact")
         return self

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .base import Part, Positive
+from .base import Frequency, Part, Within
 
 Method = Literal["inverse filter", "funneling", "combination"]
 
@@ -14,7 +14,7 @@ Method = Literal["inverse filter", "funneling", "combination"]
 class WaveletOptions(Part):
     """Ricker wavelet, or samples from a file."""
 
-    peak: Positive = Field(250.0, description="frequency of the spectral peak [Hz]")
+    peak: Frequency = Field(250.0, description="frequency of the spectral peak [Hz]")
     file: str | None = Field(None, description="CSV, WAV or NPY samples at the sweep's rate, relative to the scenario")
 
 
@@ -29,6 +29,6 @@ class Rendering(Part):
         1e-12, description="relative to the largest singular value"
     )
     wavelet: WaveletOptions = WaveletOptions()
-    amplitude: Positive = Field(
+    amplitude: Annotated[float, Within(1e-6, 1e6, "V or 1e-6 m")] = Field(
         1.0, description="funneling: drive amplitude A in eq. 6 [V]; inverse filter: target peak [1e-6 m]"
     )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .base import NonNegative, Part
+from .base import Part, Within
 
 
 class Supports(Part):
@@ -14,6 +14,10 @@ class Supports(Part):
 
     bone: Literal["rigid", "elastic"] = Field("rigid", description="held still, or meshed as bone tissue")
     underside: Literal["free", "fixed", "foam"] = "free"
-    foam_stiffness: NonNegative = Field(2.0e5, description="foam spring per area [N/m^3]")
-    foam_damping: NonNegative = Field(1.0e3, description="foam dashpot per area [N s/m^3]")
+    foam_stiffness: Annotated[float, Within(1e-6, 1e15, "N/m^3", zero=True)] = Field(
+        2.0e5, description="foam spring per area [N/m^3]"
+    )
+    foam_damping: Annotated[float, Within(1e-6, 1e12, "N s/m^3", zero=True)] = Field(
+        1.0e3, description="foam dashpot per area [N s/m^3]"
+    )
     ends: Literal["absorb", "fixed", "free"] = Field("absorb", description="viscous dashpots rho c_s, clamped or free")

@@ -6,28 +6,36 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .base import NonNegative, Part, Positive
+from .base import Part, Within
+
+Modulus = Annotated[float, Within(0.1, 1e13, "Pa")]
+Viscosity = Annotated[float, Within(1e-9, 1e6, "Pa s", zero=True)]
+PerLength = Annotated[float, Within(1e-9, 1e9, "N/m", zero=True)]
 
 
 class TissueOverride(Part):
     """Replaces single values of a preset's tissue, or defines a new tissue when complete."""
 
-    density: Annotated[float, Field(ge=100, le=10000)] | None = Field(None, description="kg/m^3")
-    mu: Positive | None = Field(None, description="storage (shear) modulus [Pa]")
-    eta: NonNegative | None = Field(None, description="shear viscosity [Pa s]")
-    bulk: Positive | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
+    density: Annotated[float, Within(100, 10000, "kg/m^3")] | None = Field(None, description="kg/m^3")
+    mu: Modulus | None = Field(None, description="storage (shear) modulus [Pa]")
+    eta: Viscosity | None = Field(None, description="shear viscosity [Pa s]")
+    bulk: Modulus | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
     model: Literal["kelvin-voigt", "springpot", "zener"] | None = None
-    exponent: Annotated[float, Field(gt=0, lt=1)] | None = Field(None, description="springpot exponent [-]")
-    mu_infinity: Positive | None = Field(None, description="Zener high-frequency modulus [Pa]")
+    exponent: Annotated[float, Within(0.001, 0.999)] | None = Field(None, description="springpot exponent [-]")
+    mu_infinity: Modulus | None = Field(None, description="Zener high-frequency modulus [Pa]")
 
 
 class Membrane(Part):
     """Thin stiff sheet on the skin (epidermis) as a surface term, not tetrahedra; pre-stress included."""
 
-    stiffness: NonNegative = Field(0.0, description="in-plane shear stiffness mu*h [N/m]; 350 kPa x 80 um = 28 N/m")
-    viscosity: NonNegative = Field(0.0, description="in-plane eta*h [N s/m]")
-    tension: NonNegative = Field(0.0, description="pre-stress resultant [N/m]; 28-92 N/m (physics.md 2.5)")
-    mass: NonNegative = Field(0.0, description="mass per area [kg/m^2]; 80 um epidermis 0.088, tape 0.2-0.3")
+    stiffness: PerLength = Field(0.0, description="in-plane shear stiffness mu*h [N/m]; 350 kPa x 80 um = 28 N/m")
+    viscosity: Annotated[float, Within(1e-12, 1e6, "N s/m", zero=True)] = Field(
+        0.0, description="in-plane eta*h [N s/m]"
+    )
+    tension: PerLength = Field(0.0, description="pre-stress resultant [N/m]; 28-92 N/m (physics.md 2.5)")
+    mass: Annotated[float, Within(1e-9, 1e4, "kg/m^2", zero=True)] = Field(
+        0.0, description="mass per area [kg/m^2]; 80 um epidermis 0.088, tape 0.2-0.3"
+    )
 
 
 class Tissues(Part):

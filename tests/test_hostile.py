@@ -1,0 +1,40 @@
+"""A few of the hostile scenarios of hostile.py, others each day: one sentence or a result, nothing else."""
+
+from __future__ import annotations
+
+import pytest
+from hostile import LAYERED, Outcome, outcome, scenario_data
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from forearm_fem.errors import LONGEST_SENTENCE, DataError, one_sentence
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 10**9))
+def test_a_hostile_scenario_gets_a_sentence_or_a_result(seed: int) -> None:
+    found = outcome(scenario_data(seed, LAYERED), render=False)
+    assert found.kind in ("sentence", "ran"), found.text
+
+
+def test_the_judge_sees_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError
+
+    assert outcome(dict(LAYERED)) == Outcome("ran")
+    monkeypatch.setattr("hostile.solve_layered", broken)
+    assert outcome(dict(LAYERED)).kind == "traceback"
+
+
+@given(text=st.text(max_size=2000))
+def test_every_message_is_one_line_of_at_most_300_characters(text: str) -> None:
+    said = str(DataError(text))
+    assert len(said) <= LONGEST_SENTENCE
+    assert said.isprintable()
+
+
+def test_a_long_message_keeps_its_key_and_its_remedy() -> None:
+    said = one_sentence(f"device.spacing: {'x' * 5000}; use metres")
+    assert said.startswith("device.spacing: ")
+    assert said.endswith("; use metres")
+    assert one_sentence("short") == "short"
