@@ -40,6 +40,7 @@ def as_markdown(c: Comparison) -> str:
     s = summary(c)
     parts = [
         f"# {s['B']} against {s['A']}",
+        *(f"**Note:** {note}." for note in s["notes"]),
         _ground(s),
         _overall(s),
         _entries(s),
