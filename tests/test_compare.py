@@ -14,7 +14,7 @@ from forearm_fem.compare.commands import run_compare
 from forearm_fem.compare.common import common_ground
 from forearm_fem.compare.compare import compare, summary
 from forearm_fem.compare.crossplay import cross_play, wavelet_for
-from forearm_fem.compare.report import as_csv, as_json, as_markdown
+from forearm_fem.compare.report import as_csv, as_json, as_markdown, picture
 from forearm_fem.errors import DataError
 from forearm_fem.io.recognise import write_measured
 from forearm_fem.measurement.calibrate import calibrate
@@ -173,3 +173,17 @@ def test_what_cannot_be_rendered_is_said_not_raised():
     assert c.crossed is None
     assert c.not_crossed in as_markdown(c)
     assert summary(c)["signal_strength"]["missing"]
+
+
+def test_picture_names_its_axes_and_keeps_gaps():
+    valid = np.ones(A.values.shape, dtype=bool)
+    valid[10:20] = False
+    c = compare(A, replace(changed(A, 1.2), valid=valid), names=("first", "second"), render=False)
+    figure = picture(c)
+    drawn = [ax for ax in figure.axes if ax.axison and ax.get_title()]
+    assert [ax.get_title(loc="left") for ax in drawn] == ["a", "b", "c"]
+    assert all(ax.get_xlabel() and ax.get_ylabel() for ax in drawn)
+    a, b = (line.get_ydata() for line in drawn[0].lines)
+    assert np.isnan(a[10:20]).all()
+    assert np.isfinite(np.delete(b, range(10, 20))).all()
+    assert any("first" in t.get_text() and "second" in t.get_text() for t in figure.texts)

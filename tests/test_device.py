@@ -17,6 +17,7 @@ from forearm_fem.device import (
     propagate_errors,
     respond,
 )
+from forearm_fem.device.housing import lever_matrix
 from forearm_fem.errors import ScenarioError
 from forearm_fem.ports import Port
 from forearm_fem.scenario.device import Cone, Device, Housing, VoiceCoil
@@ -191,6 +192,17 @@ def test_fixed_housing_is_the_limit_of_a_heavy_one() -> None:
     errors = [relative_error(g, fixed).max() for g in heavy]
     assert errors[2] < 1e-5
     np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 100, rtol=0.1)  # error ~ 1 / mass
+
+
+def test_housing_moves_as_a_rigid_body() -> None:
+    """H q against z + theta x (r - mean), with actuators that no symmetry relates."""
+    housing, places = Housing(fixed=False), np.array([[0.0, 0.0, 0.0], [0.03, 0.002, 0.0], [-0.01, 0.05, 0.0]])
+    contacts = tuple(Port(f"A{k}", "contact", (x, y, z)) for k, (x, y, z) in enumerate(places.tolist()))
+    heave, roll, pitch = 1e-6, 2e-5, -3e-5
+    turned = np.cross([roll, pitch, 0.0], places - places.mean(axis=0))
+    q = np.array([heave, housing.gyration * roll, housing.gyration * pitch])
+    moved = lever_matrix(housing, contacts) @ q
+    np.testing.assert_allclose(moved, heave + turned[:, 2], rtol=1e-12)  # rounding
 
 
 def test_shared_housing_couples_actuators() -> None:

@@ -16,6 +16,7 @@ from scipy.io import loadmat
 
 from forearm_fem import io
 from forearm_fem.errors import DataError
+from forearm_fem.io.seal import check_seal, seal
 from forearm_fem.ports import Port
 from forearm_fem.transfer import Compliance, ErrorEstimate, TransferMatrix
 
@@ -269,6 +270,21 @@ def test_a_changed_byte_in_G_is_noticed(tmp_path: Path) -> None:
     file.write_bytes(bytes(content))
     with pytest.raises(DataError, match="damaged"):
         io.read_transfer(file)
+
+
+def test_any_changed_byte_breaks_the_seal(tmp_path: Path) -> None:
+    file = tmp_path / "sealed"
+    file.write_bytes(bytes(range(60)))
+    assert not check_seal(file)
+    seal(file)
+    assert check_seal(file)
+    whole = file.read_bytes()
+    for at in (0, 31, 59, len(whole) - 1):  # in the content and in the digest
+        damaged = bytearray(whole)
+        damaged[at] ^= 1
+        file.write_bytes(bytes(damaged))
+        with pytest.raises(DataError, match="do not match its checksum"):
+            check_seal(file)
 
 
 def test_random_damage_never_escapes_as_another_error(tmp_path: Path) -> None:

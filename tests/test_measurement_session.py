@@ -33,6 +33,7 @@ from forearm_fem.io.wav import write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected
 from forearm_fem.measurement.commands import VirtualSetup, run_calibration, run_play
 from forearm_fem.measurement.play import play
+from forearm_fem.measurement.store import read_recording
 from forearm_fem.measurement.virtual import Faults, VirtualDaq, VirtualOptions
 from forearm_fem.scenario import parse_scenario
 
@@ -111,6 +112,21 @@ def test_a_damaged_recording_is_measured_again(tmp_path):
     calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path, progress=seen.append)
     assert [p.reused for p in seen].count(False) == 1
     assert collected(plan_for(SCENE), tmp_path).missing == ()
+
+
+def test_a_recording_whose_numbers_were_changed_is_measured_again(tmp_path):
+    """A file that unpacks without complaint and holds other samples than were written."""
+    calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path)
+    victim = next(tmp_path.glob("G_2_A1*.npz"))
+    with np.load(victim) as content:
+        arrays = dict(content)
+    arrays["response"][0, 7] *= 1 + 1e-12
+    np.savez(victim, **arrays)
+    with pytest.raises(DataError, match="checksum"):
+        read_recording(victim)
+    seen = []
+    calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path, progress=seen.append)
+    assert [p.reused for p in seen].count(False) == 1
 
 
 def test_operator_is_asked_once_per_point_still_to_measure(tmp_path):

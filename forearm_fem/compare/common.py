@@ -13,6 +13,7 @@ from ..errors import DataError
 from ..ports import Port
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
+from .places import matched
 
 _SAME = 1e-6  # relative: frequencies closer than this are the same
 _GAP = 3.0  # an interval this much wider than the median one is a gap
@@ -26,7 +27,8 @@ class CommonGround:
 
     ``deviation_a`` and ``deviation_b`` (n, n_out, n_in), None if unknown. ``interpolated`` names the one
     that was splined to the other's frequencies ("", "a" or "b"); ``only_a`` and ``only_b`` are the parts of
-    the bands [Hz] that the other does not cover; ``covered`` [-] is the share of entries compared.
+    the bands [Hz] that the other does not cover; ``covered`` [-] is the share of entries compared. ``notes`` say where
+    ports were matched by place, where names and places disagree, and which entries one of the two lacks.
     """
 
     frequency: FloatArray
@@ -41,6 +43,7 @@ class CommonGround:
     interpolated: str
     only_a: tuple[tuple[float, float], ...]
     only_b: tuple[tuple[float, float], ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def covered(self) -> float:
@@ -58,25 +61,32 @@ def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
 
     Where all frequencies of the coarser grid are found in the finer one they are copied; otherwise the
     finer one is interpolated by a cubic spline to the coarser one's, never across a gap, an invalid sample
-    or beyond its ends. Ports are matched by name and may come in another order; positions may differ.
-    DataError for different units, ports without partner, or no common frequency.
+    or beyond its ends. Ports are matched by name, or by place where names differ, and may come in another order
+    (:func:`.places.matched`). DataError for different units, ports without partner, no common frequency, or no entry
+    known to both.
     """
     if a.unit != b.unit:
-        raise DataError(f"A is in {a.unit}, B in {b.unit}: these cannot be compared; drive both the same way")
+        raise DataError(
+            f"A is in {a.unit}, B in {b.unit}: these cannot be compared; make both with one device.drive "
+            "('voltage' gives m/V, 'force' m/N, 'displacement' m/m), or correct the unit declared"
+        )
     _check(a, "A")
     _check(b, "B")
-    b = _matched(a, b)
+    b, notes = _matched(a, b)
     coarse_is_a = _within(a, b) <= _within(b, a)
     coarse, fine = (a, b) if coarse_is_a else (b, a)
     frequency = _shared(coarse, fine)
     first, second = _at(coarse, frequency), _at(fine, frequency)
     ours, theirs = (first, second) if coarse_is_a else (second, first)
     splined = "" if second.copied else ("b" if coarse_is_a else "a")
+    valid = ours.valid & theirs.valid
+    if not valid.any():
+        raise DataError(_nothing_shared(ours.valid, theirs.valid))
     return CommonGround(
         frequency=frequency,
         a=ours.values,
         b=theirs.values,
-        valid=ours.valid & theirs.valid,
+        valid=valid,
         deviation_a=ours.deviation,
         deviation_b=theirs.deviation,
         outputs=a.outputs,
@@ -85,7 +95,28 @@ def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
         interpolated=splined,
         only_a=_uncovered(a.frequency, b.frequency),
         only_b=_uncovered(b.frequency, a.frequency),
+        notes=(*notes, *_lacking(ours.valid, theirs.valid, a)),
     )
+
+
+def _nothing_shared(ours: BoolArray, theirs: BoolArray) -> str:
+    """Why there is nothing to compare."""
+    shares = [f"{name} knows {100 * v.mean():.3g} %" for name, v in (("A", ours), ("B", theirs))]
+    return (
+        f"A and B know no entry in common: {' and '.join(shares)} of its entries at the common frequencies, the rest "
+        "is marked invalid or not finite; measure or solve it again"
+    )
+
+
+def _lacking(ours: BoolArray, theirs: BoolArray, g: TransferMatrix) -> tuple[str, ...]:
+    """Entries that one of the two knows at no common frequency, a sentence for each of A and B."""
+    said = []
+    for name, valid in (("A", ours), ("B", theirs)):
+        missing = [f"{g.outputs[o].name} <- {g.inputs[i].name}" for o, i in np.argwhere(~valid.any(axis=0))]
+        if missing:
+            more = f" and {len(missing) - 6} more" if len(missing) > 6 else ""
+            said.append(f"{name} knows nothing of {', '.join(missing[:6])}{more}: these are in no figure below")
+    return tuple(said)
 
 
 def _check(g: TransferMatrix, name: str) -> None:
@@ -96,11 +127,11 @@ def _check(g: TransferMatrix, name: str) -> None:
         raise DataError(f"the frequencies of {name} must increase, and there must be some")
 
 
-def _matched(a: TransferMatrix, b: TransferMatrix) -> TransferMatrix:
-    """``b`` with its ports in the order of ``a``'s."""
-    rows, columns = (_order(getattr(a, k), getattr(b, k), k) for k in ("outputs", "inputs"))
+def _matched(a: TransferMatrix, b: TransferMatrix) -> tuple[TransferMatrix, tuple[str, ...]]:
+    """``b`` with its ports in the order of ``a``'s, and what is to be said of the matching."""
+    (rows, first), (columns, second) = (matched(getattr(a, k), getattr(b, k), k) for k in ("outputs", "inputs"))
     pick = np.ix_(np.arange(len(b.frequency)), np.array(rows), np.array(columns))
-    return TransferMatrix(
+    ordered = TransferMatrix(
         b.frequency,
         b.values[pick],
         tuple(b.outputs[r] for r in rows),
@@ -109,15 +140,7 @@ def _matched(a: TransferMatrix, b: TransferMatrix) -> TransferMatrix:
         valid=None if b.valid is None else b.valid[pick],
         deviation=None if b.deviation is None else b.deviation[pick],
     )
-
-
-def _order(ours: tuple[Port, ...], theirs: tuple[Port, ...], what: str) -> list[int]:
-    names = [p.name for p in theirs]
-    if len(set(names)) != len(names) or sorted(names) != sorted(p.name for p in ours):
-        raise DataError(
-            f"the {what} of A and B differ ({', '.join(p.name for p in ours)} and {', '.join(names)}); rename them"
-        )
-    return [names.index(p.name) for p in ours]
+    return ordered, tuple(note for note in (first, second) if note)
 
 
 def _within(g: TransferMatrix, other: TransferMatrix) -> int:

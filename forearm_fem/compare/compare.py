@@ -14,6 +14,7 @@ from ..typing import ComplexArray, FloatArray
 from .agreement import Agreement, agreement
 from .common import CommonGround, common_ground
 from .crossplay import CrossPlay, try_cross_play
+from .readings import explained
 
 _TOGETHER = 0.5e-3  # m: points as far from the source as this count as one distance
 
@@ -25,7 +26,8 @@ class Comparison:
 
     ``waves_a`` and ``waves_b`` hold one fit per input by the thesis' estimator over the points sorted by
     distance, None where there are fewer than three distances. ``crossed`` is None with the reason in
-    ``not_crossed``.
+    ``not_crossed``. ``notes`` come before all figures: ports that do not lie where their names say, entries that are
+    missing, and the reading of B (:mod:`.readings`) that would make the two agree.
     """
 
     names: tuple[str, str]
@@ -37,6 +39,7 @@ class Comparison:
     condition_b: FloatArray
     crossed: CrossPlay | None
     not_crossed: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def compare(
@@ -57,6 +60,7 @@ def compare(
         _condition(ground, ground.b),
         crossed,
         why,
+        tuple(note for note in (*ground.notes, explained(ground)) if note),
     )
 
 
@@ -92,6 +96,7 @@ def summary(c: Comparison) -> dict[str, Any]:
         "A": c.names[0],
         "B": c.names[1],
         "unit": g.unit,
+        "notes": list(c.notes),
         "frequencies": {
             "common": len(g.frequency),
             "first_Hz": float(g.frequency[0]),

@@ -12,12 +12,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ..figures.style import ACTUATORS, GREY, INK, SIZE, decimal, letter, sign, single, styled
 from ..io.atomic import atomic_path, write_text
 from .agreement import fdac_matrix
 from .common import CommonGround
 from .compare import Comparison, summary
 from .crossplay import CrossPlay
 
+_SIDES = (("A", ACTUATORS[0], "-"), ("B", ACTUATORS[5], "--"))
 _COLUMNS = ("output", "input", "e", "dB_rms", "dB_bias", "phase_rad", "delay_s", "FRAC", "misfit_in_sigma")
 
 
@@ -40,6 +42,7 @@ def as_markdown(c: Comparison) -> str:
     s = summary(c)
     parts = [
         f"# {s['B']} against {s['A']}",
+        *(f"**Note:** {note}." for note in s["notes"]),
         _ground(s),
         _overall(s),
         _entries(s),
@@ -117,51 +120,78 @@ def _table(header: tuple[str, ...], rows: list[Any]) -> str:
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
 
 
+@styled
 def plot_overlay(ground: CommonGround, output: int, source: int, *, ax: Axes | None = None) -> Axes:
     """|G| of one entry of A and B over frequency; gaps stay gaps."""
-    ax = _axes(ax)
-    for name, values in (("A", ground.a), ("B", ground.b)):
+    ax = single(ax)
+    for (name, colour, line), values in zip(_SIDES, (ground.a, ground.b), strict=True):
         size = np.where(ground.valid[:, output, source], np.abs(values[:, output, source]), np.nan)
-        ax.loglog(ground.frequency, size, label=name, lw=1)
-    label = f"{ground.outputs[output].name} <- {ground.inputs[source].name}"
-    ax.set(xlabel="frequency [Hz]", ylabel=f"|G| [{ground.unit}]", title=label)
+        ax.loglog(ground.frequency, size, line, color=colour, label=name)
+    label = f"point {ground.outputs[output].name} from {ground.inputs[source].name}"
+    ax.set(xlabel="frequency (Hz)", ylabel=f"|G| ({ground.unit})", title=label)
     ax.legend()
+    _band(ax, ground)
     return ax
 
 
+@styled
 def plot_errors(c: Comparison, *, ax: Axes | None = None) -> Axes:
-    """e(f) over frequency."""
-    ax = _axes(ax)
-    ax.loglog(c.ground.frequency, c.agreement.per_frequency, lw=1)
-    ax.set(xlabel="frequency [Hz]", ylabel="e(f) [-]")
+    """e(f) over frequency, and e_band as a line across."""
+    ax = single(ax)
+    ax.loglog(c.ground.frequency, c.agreement.per_frequency, color=INK)
+    if c.agreement.band > 0:
+        ax.axhline(c.agreement.band, color=GREY, ls="--", lw=0.8, label=f"e_band {c.agreement.band:.2g}")
+        ax.legend()
+    ax.set(xlabel="frequency (Hz)", ylabel="e(f)", title="difference over largest |A|")
+    _band(ax, c.ground)
+    decimal(ax.yaxis)
     return ax
 
 
+@styled
 def plot_fdac(ground: CommonGround, *, ax: Axes | None = None) -> Axes:
-    """FDAC between all frequencies of A and B, at most 200 of each."""
-    ax = _axes(ax)
+    """FDAC between all frequencies of A and B, at most 200 of each; a ridge off the dotted diagonal is a shift."""
+    ax = single(ax)
     step = max(1, len(ground.frequency) // 200)
+    f = ground.frequency[::step]
     matrix = fdac_matrix(ground)[::step, ::step]
-    f = ground.frequency
-    image = ax.imshow(matrix, origin="lower", vmin=0, vmax=1, extent=(f[0], f[-1], f[0], f[-1]), aspect="auto")
-    ax.set(xlabel="frequency of B [Hz]", ylabel="frequency of A [Hz]", title="FDAC")
-    ax.figure.colorbar(image, ax=ax)
+    image = ax.pcolormesh(f, f, matrix, cmap=SIZE, vmin=0, vmax=1, shading="nearest", rasterized=True)
+    ax.plot(f[[0, -1]], f[[0, -1]], ":", color="white", lw=0.8)
+    ax.set(xlabel="frequency of B (Hz)", ylabel="frequency of A (Hz)", title="likeness of patterns (FDAC)")
+    ax.set_aspect("equal")
+    ax.grid(False)
+    ax.figure.colorbar(image, ax=ax, ticks=(0, 0.5, 1), shrink=0.9)
     return ax
 
 
+@styled
 def plot_cross_play(x: CrossPlay, *, ax: Axes | None = None) -> Axes:
-    """Mean S per method: own and crossed."""
-    ax = _axes(ax)
-    rows = {"A on A": x.a_on_a, "B on B": x.b_on_b, "A on B": x.a_on_b, "B on A": x.b_on_a}
+    """Mean S per method: full colours for each G's own drives, faint ones for those designed on the other."""
+    ax = single(ax)
+    (_, blue, _), (_, red, _) = _SIDES
+    rows = (
+        ("A on A", x.a_on_a, blue, 1.0), ("B on B", x.b_on_b, red, 1.0),
+        ("A on B", x.a_on_b, red, 0.4), ("B on A", x.b_on_a, blue, 0.4),
+    )  # fmt: skip
     place = np.arange(len(x.methods))
-    for k, (label, s) in enumerate(rows.items()):
-        heights = [_mean(row) or 0.0 for row in s]
-        ax.bar(place + 0.2 * (k - 1.5), heights, 0.18, label=label)
-    ax.set_xticks(place, x.methods)
-    ax.set(ylabel="S [-]")
-    ax.axhline(1, lw=0.5, color="0.5")
-    ax.legend()
+    for k, (label, s, colour, alpha) in enumerate(rows):
+        heights = [np.nan if (mean := _mean(row)) is None else mean for row in s]
+        ax.bar(place + 0.2 * (k - 1.5), heights, 0.18, label=label, color=colour, alpha=alpha)
+    ax.set_xticks(place, [m.replace(", ", ",\n") for m in x.methods])
+    ax.tick_params(axis="x", length=0)
+    ax.grid(False, axis="x")
+    ax.set(ylabel="signal strength S", title="drives of one played on the other")
+    ax.axhline(1, lw=0.6, color=GREY, zorder=0)
+    ax.margins(y=0.25)
+    ax.legend(ncols=2)
     return ax
+
+
+def _band(ax: Axes, ground: CommonGround) -> None:
+    """The common band over the whole width, with plain numbers."""
+    if len(ground.frequency) > 1:
+        ax.set_xlim(float(ground.frequency[0]), float(ground.frequency[-1]))
+    decimal(ax.xaxis)
 
 
 def save(c: Comparison, folder: str | Path) -> tuple[Path, ...]:
@@ -170,18 +200,25 @@ def save(c: Comparison, folder: str | Path) -> tuple[Path, ...]:
     texts = {"comparison.json": as_json(c), "comparison.csv": as_csv(c), "comparison.md": as_markdown(c)}
     for name, text in texts.items():
         write_text(target / name, text)
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    grid = figure.subplots(2, 2).ravel()
-    worst = np.unravel_index(np.argmax(np.nan_to_num(c.agreement.error)), c.agreement.error.shape)
-    plot_errors(c, ax=grid[0])
-    plot_overlay(c.ground, int(worst[0]), int(worst[1]), ax=grid[1])
-    plot_fdac(c.ground, ax=grid[2])
-    if c.crossed is not None:
-        plot_cross_play(c.crossed, ax=grid[3])
     with atomic_path(target / "comparison.png") as beside:
-        figure.savefig(beside, dpi=110)
+        picture(c).savefig(beside, dpi=200)
     return tuple(target / name for name in (*texts, "comparison.png"))
 
 
-def _axes(ax: Any) -> Axes:
-    return Figure(layout="constrained").add_subplot() if ax is None else ax
+@styled
+def picture(c: Comparison) -> Figure:
+    """All of the comparison on one figure: worst entry, e(f), FDAC, and S crossed where there is any."""
+    worst = np.unravel_index(np.argmax(np.nan_to_num(c.agreement.error)), c.agreement.error.shape)
+    figure = Figure(figsize=(7.0, 5.2), layout="constrained")
+    grid = figure.subplots(2, 2).ravel()
+    plot_overlay(c.ground, int(worst[0]), int(worst[1]), ax=grid[0])
+    plot_errors(c, ax=grid[1])
+    plot_fdac(c.ground, ax=grid[2])
+    if c.crossed is not None:
+        plot_cross_play(c.crossed, ax=grid[3])
+    else:
+        grid[3].set_axis_off()
+    for ax, text in zip(grid, "abcd" if c.crossed is not None else "abc", strict=False):
+        letter(ax, text)
+    sign(figure, f"A {c.names[0]}, B {c.names[1]}; a: the entry that differs most")
+    return figure

@@ -22,7 +22,6 @@ from ..typing import FloatArray
 from .calibrate import Plan, Progress, assembled, calibrate
 from .daq import Daq
 from .entry import Measured
-from .figures import save_live
 from .ni import NiDaq
 from .play import Played, play
 from .sweep import ExponentialSweep
@@ -78,6 +77,8 @@ def run_calibration(
 
     def after(step: Progress) -> None:
         if figure and not step.reused:
+            from .figures import save_live  # plotting is heavy, and who asks for no picture does not need it
+
             now = assembled(plan, step.entries, device.name)
             save_live(target / "live.png", now.transfer, now.coherence)
         if progress is not None:

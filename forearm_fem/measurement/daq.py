@@ -22,7 +22,8 @@ class Wiring:
     """What a session on the device needs: physical channels and rate.
 
     ``input_range`` and ``output_range`` [V] are plus and minus full scale. ``block`` samples are exchanged
-    at a time.
+    at a time. ``clock`` is what keeps outputs and inputs together: "inputs", "trigger" or a terminal
+    (``measurement.daq.clock``).
     """
 
     sample_rate: float
@@ -31,7 +32,7 @@ class Wiring:
     input_range: float = 10.0
     output_range: float = 10.0
     block: int = 2000
-    clock: str = ""
+    clock: str = "inputs"
 
 
 class Daq(Protocol):

@@ -1,8 +1,13 @@
 """National Instruments hardware through nidaqmx: analogue output and input on one clock.
 
-The inputs take their ticks from the output task's sample clock, so both run sample by sample. The output is
-streamed without regeneration behind two silent blocks; if the computer cannot keep up the driver stops with
-an error instead of repeating old samples. Tested against nidaqmx's task interface; not yet on a chassis
+The clock follows the input module, for sigma-delta inputs (NI 9234, ...) make their own and take no other: the outputs
+are updated by the input task's sample clock ("inputs"), or run on their own divider of the chassis' timebase from the
+input task's start trigger on ("trigger", for inputs that the chassis clocks too). Any other ``clock`` is a terminal
+from which the inputs take their ticks. The input task is reserved before its terminals are asked for: only then does
+the driver know them, and the rate that the module really makes.
+
+The output is streamed without regeneration behind two silent blocks; if the computer cannot keep up the driver stops
+with an error instead of repeating old samples. Tested against nidaqmx's task interface; not yet on a chassis
 (docs/measurement.md).
 """
 
@@ -21,6 +26,10 @@ from .daq import Wiring
 
 T = TypeVar("T")
 _QUEUED = 2  # silent blocks ahead of the signal
+_SAME = 1e-6  # relative: rates closer than this are the same
+FROM_INPUTS, FROM_TRIGGER = "inputs", "trigger"
+_OTHER_CLOCK = "try measurement.daq.clock = 'trigger' or 'inputs'"
+_NO_ROUTE = (-89120, -89136, -89137, -89138, -89139, -89140, -200368, -200369, -200370)
 
 
 class NiDaq:
@@ -57,7 +66,10 @@ class NiDaq:
         """The operator aims the laser; nothing to do here."""
 
     def open(self, wiring: Wiring) -> None:
-        """Create both tasks on one clock and start them on the queued silence."""
+        """Create both tasks on one clock and start them on the queued silence.
+
+        HardwareError, with the channels free again, for what the driver refuses and for another rate than asked for.
+        """
         self._wiring = wiring
         try:
             _named("opening the channels", lambda: self._configure(wiring))
@@ -92,7 +104,6 @@ class NiDaq:
 
     def _configure(self, wiring: Wiring) -> None:
         constants = self._module.constants
-        continuous = constants.AcquisitionType.CONTINUOUS
         buffer = (_QUEUED + 2) * wiring.block
         self._output, self._input = self._module.Task(), self._module.Task()
         for channel in wiring.outputs:
@@ -103,23 +114,47 @@ class NiDaq:
             self._input.ai_channels.add_ai_voltage_chan(
                 channel, min_val=-wiring.input_range, max_val=wiring.input_range
             )
-        self._output.timing.cfg_samp_clk_timing(wiring.sample_rate, sample_mode=continuous, samps_per_chan=buffer)
-        self._input.timing.cfg_samp_clk_timing(
-            wiring.sample_rate, source=wiring.clock, sample_mode=continuous, samps_per_chan=10 * buffer
-        )
-        self._check_rate(wiring)
+        self._synchronise(wiring, buffer)
         self._output.out_stream.regen_mode = constants.RegenerationMode.DONT_ALLOW_REGENERATION
         self._output.out_stream.output_buf_size = buffer
         self._output.write(_rows(np.zeros((len(wiring.outputs), self.ahead))), auto_start=False, timeout=10.0)
-        self._input.start()  # waits for the output's clock
-        self._output.start()
+        if wiring.clock in (FROM_INPUTS, FROM_TRIGGER):
+            self._output.start()  # waits for the inputs' clock or trigger
+            self._input.start()
+        else:
+            self._input.start()  # waits for the clock at the terminal
+            self._output.start()
 
-    def _check_rate(self, wiring: Wiring) -> None:
-        actual = float(self._output.timing.samp_clk_rate)
-        if abs(actual / wiring.sample_rate - 1) > 1e-6:
+    def _synchronise(self, wiring: Wiring, buffer: int) -> None:
+        """One clock, or one trigger and one timebase, for both tasks; HardwareError for another rate than asked for."""
+        constants, rate = self._module.constants, wiring.sample_rate
+        continuous = {"sample_mode": constants.AcquisitionType.CONTINUOUS}
+        led = wiring.clock in (FROM_INPUTS, FROM_TRIGGER)
+        source = {} if led else {"source": wiring.clock}
+        self._input.timing.cfg_samp_clk_timing(rate, samps_per_chan=10 * buffer, **continuous, **source)
+        if not led:
+            self._output.timing.cfg_samp_clk_timing(rate, samps_per_chan=buffer, **continuous)
+            self._check_rate(self._output, rate)
+            return
+        self._input.control(constants.TaskMode.TASK_RESERVE)
+        self._check_rate(self._input, rate)
+        source = {"source": self._input.timing.samp_clk_term} if wiring.clock == FROM_INPUTS else {}
+        self._output.timing.cfg_samp_clk_timing(rate, samps_per_chan=buffer, **continuous, **source)
+        if wiring.clock == FROM_TRIGGER:
+            self._output.triggers.start_trigger.cfg_dig_edge_start_trig(self._input.triggers.start_trigger.term)
+        self._output.control(constants.TaskMode.TASK_RESERVE)  # a route that the chassis lacks is refused here
+        if abs(float(self._output.timing.samp_clk_rate) / rate - 1) > _SAME:
             raise HardwareError(
-                f"the device runs at {actual:.6g} Hz instead of {wiring.sample_rate:.6g} Hz; "
-                f"set sweep.sample_rate = {actual:.6g} so that bins stay where they belong"
+                f"the outputs run at {self._output.timing.samp_clk_rate:.9g} Hz where the inputs run at {rate:.9g} Hz, "
+                f"so they would drift apart; set measurement.daq.clock = '{FROM_INPUTS}'"
+            )
+
+    def _check_rate(self, task: Any, wanted: float) -> None:
+        actual = float(task.timing.samp_clk_rate)
+        if abs(actual / wanted - 1) > _SAME:
+            raise HardwareError(
+                f"the device runs at {actual:.9g} Hz instead of {wanted:.6g} Hz; "
+                f"set sweep.sample_rate = {actual:.9g} so that bins stay where they belong"
             )
 
     def _silence(self, wiring: Wiring) -> None:
@@ -164,6 +199,8 @@ def _advice(code: int | None) -> str:
         -200290: "the outputs ran dry because the computer was too slow, use a larger daq.block; ",
         -200220: "no such device, check daq.outputs and daq.sensor against NI MAX; ",
         -200170: "no such channel, check daq.outputs and daq.sensor against NI MAX; ",
+        **dict.fromkeys(_NO_ROUTE, f"the chassis has no such route between the tasks, {_OTHER_CLOCK}; "),
+        -200077: f"the module takes no such value; if that is the clock, {_OTHER_CLOCK}; ",
         -50103: "another program holds the channels, close it; ",
     }
     return known.get(code, "") if code is not None else ""

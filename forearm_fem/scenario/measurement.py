@@ -38,8 +38,11 @@ class DaqOptions(Part):
         default=None, description="input channel wired to the drive; None: what was sent is trusted"
     )
     clock: str = Field(
-        default="/cDAQ1/ao/SampleClock",
-        description="terminal that clocks the inputs, so that both are synchronous",
+        default="inputs",
+        min_length=1,
+        description="what keeps outputs and inputs together: 'inputs' (the input module's sample clock updates the "
+        "outputs), 'trigger' (both on the chassis' timebase, the outputs started by the inputs' start trigger), or a "
+        "terminal that clocks the inputs, e.g. /cDAQ1/ao/SampleClock",
     )
     input_range: Voltage = Field(default=10.0, description="full scale of the inputs, plus and minus [V]")
     output_range: Voltage = Field(default=10.0, description="full scale of the outputs, plus and minus [V]")

@@ -1,0 +1,218 @@
+"""Mutation list: each promise broken once in a copy of the package, and the test that has to notice.
+
+``python benchmarks/mutate.py [--only NAME] [--list] [--jobs 2]`` reads ``tests/mutations/*.toml`` and, for each
+entry, changes one place of one file in a scratch copy of ``forearm_fem``, runs the named tests against the copy and
+expects them to fail. Before that the named tests must pass on an unchanged copy. Exit code 1 if a mutation survives or
+an entry is out of date.
+
+An entry has ``name``, ``file`` (from the repository's root, inside forearm_fem), ``old`` (text that occurs exactly
+once in it), ``new`` and ``tests`` (pytest's names). Copies keep their times, so compiled kernels are reused; a changed
+module that compiles kernels gets a fresh kernel cache, for numba does not see that a function inlined from another
+file changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = "forearm_fem"
+_KEYS = {"name", "file", "old", "new", "tests"}
+_TOO_LONG = 900.0  # s: a mutation that makes a test hang is noticed, too
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One place of ``file`` where ``old`` becomes ``new``, and the ``tests`` that must fail then."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one mutation: caught, or the sentence that says why not; and the seconds it took."""
+
+    mutation: Mutation
+    problem: str
+    seconds: float
+
+    @property
+    def caught(self) -> bool:
+        """Whether the tests failed."""
+        return not self.problem
+
+
+def load(root: Path = ROOT) -> list[Mutation]:
+    """All mutations below ``root``/tests/mutations, by file and order; ValueError for a misspelt or missing key."""
+    found = []
+    for file in sorted((root / "tests" / "mutations").glob("*.toml")):
+        for entry in tomllib.loads(file.read_text(encoding="utf-8")).get("mutation", []):
+            if set(entry) != _KEYS:
+                raise ValueError(f"{file.name}: '{entry.get('name', '?')}' needs exactly the keys {sorted(_KEYS)}")
+            found.append(Mutation(**{**entry, "tests": tuple(entry["tests"])}))
+    return found
+
+
+def problems(mutations: Sequence[Mutation], root: Path = ROOT) -> list[str]:
+    """What is out of date in the list, one sentence each: nothing is run."""
+    said = [p for m in mutations for p in _entry_problems(m, root)]
+    names = [m.name for m in mutations]
+    return [*said, *(f"{n}: the name occurs {names.count(n)} times" for n in sorted(set(names)) if names.count(n) > 1)]
+
+
+def _entry_problems(m: Mutation, root: Path) -> Iterable[str]:
+    source = root / m.file
+    if not m.file.startswith(f"{PACKAGE}/") or not source.is_file():
+        yield f"{m.name}: {m.file} is no file of {PACKAGE}"
+    elif (count := source.read_text(encoding="utf-8").count(m.old)) != 1:
+        yield f"{m.name}: `old` occurs {count} times in {m.file}, expected once"
+    if m.old == m.new:
+        yield f"{m.name}: `new` is `old`"
+    if not m.tests:
+        yield f"{m.name}: names no test"
+    for test in m.tests:
+        if not _defined(test, root):
+            yield f"{m.name}: {test} is no test of this repository"
+
+
+def _defined(test: str, root: Path) -> bool:
+    """Whether a function of a test's name is written in its file (a parameter in brackets is left to pytest)."""
+    path, *inner = test.split("[")[0].split("::")
+    file = root / path
+    if not file.is_file() or not inner:
+        return False
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return any(isinstance(n, ast.FunctionDef) and n.name == inner[-1] for n in ast.walk(tree))
+
+
+def copied(root: Path, folder: Path) -> Path:
+    """A copy of the package in ``folder``, compiled kernels and times included."""
+    shutil.copytree(root / PACKAGE, folder / PACKAGE)
+    return folder
+
+
+def attempt(m: Mutation, scratch: Path, root: Path = ROOT) -> Outcome:
+    """Break ``scratch``'s copy, run the tests from ``root``, mend the copy."""
+    began, target, original = time.perf_counter(), scratch / m.file, root / m.file
+    text = original.read_text(encoding="utf-8")
+    target.write_text(text.replace(m.old, m.new), encoding="utf-8")
+    try:
+        with tempfile.TemporaryDirectory() as kernels:
+            code, output = run_tests(m.tests, scratch, root, kernels=kernels if "njit" in text else None)
+    finally:
+        shutil.copy2(original, target)
+    problem = {0: "SURVIVED: its tests pass", 1: ""}.get(code, f"the tests did not run (exit code {code}): {output}")
+    return Outcome(m, problem, time.perf_counter() - began)
+
+
+def run_tests(tests: Sequence[str], scratch: Path, root: Path, kernels: str | None = None) -> tuple[int, str]:
+    """pytest's exit code for ``tests`` with the package of ``scratch``, and what it says failed; 1 also for a hang."""
+    where = {"PYTHONPATH": str(scratch), "PYTHONSAFEPATH": "1", "PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "Agg"}
+    environment = {**os.environ, **where, **({"NUMBA_CACHE_DIR": kernels} if kernels else {})}
+    with tempfile.TemporaryDirectory() as cache:
+        environment["FOREARM_FEM_CACHE"] = cache
+        command = [sys.executable, "-m", "pytest", "-x", "--no-header", "-p", "no:cacheprovider", "-m", "", *tests]
+        try:
+            done = subprocess.run(
+                command, cwd=root, env=environment, capture_output=True, text=True, timeout=_TOO_LONG, check=False
+            )
+        except subprocess.TimeoutExpired:
+            return 1, f"no end after {_TOO_LONG:g} s"
+    lines = done.stdout.splitlines()
+    named = [line for line in lines if line.startswith(("FAILED", "ERROR"))] or lines[-1:]
+    return done.returncode, "; ".join(named) or done.stderr.strip()[-300:]
+
+
+def _check_copy(scratch: Path, root: Path) -> None:
+    """RuntimeError if the tests would not see the copy."""
+    code = f"import {PACKAGE}; print({PACKAGE}.__file__)"
+    environment = {**os.environ, "PYTHONPATH": str(scratch), "PYTHONSAFEPATH": "1"}
+    where = subprocess.run(
+        [sys.executable, "-c", code], cwd=root, env=environment, capture_output=True, text=True, check=True
+    ).stdout.strip()
+    if not Path(where).is_relative_to(scratch):
+        raise RuntimeError(f"the tests would import {where}, not the copy; nothing was tried")
+
+
+def run(mutations: Sequence[Mutation], jobs: int = 1, root: Path = ROOT) -> list[Outcome]:
+    """Try all ``mutations`` on ``jobs`` scratch copies, printing each as it ends.
+
+    RuntimeError if the named tests fail without any.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        free: queue.Queue[Path] = queue.Queue()
+        for job in range(jobs):
+            free.put(copied(root, Path(folder).resolve() / str(job)))
+        first = Path(folder).resolve() / "0"
+        _check_copy(first, root)
+        code, last = run_tests(sorted({t for m in mutations for t in m.tests}), first, root)
+        if code:
+            raise RuntimeError(f"the named tests fail without any mutation, so nothing can be learned: {last}")
+
+        def one(m: Mutation) -> Outcome:
+            scratch = free.get()
+            try:
+                outcome = attempt(m, scratch, root)
+            finally:
+                free.put(scratch)
+            print(f"{'caught' if outcome.caught else outcome.problem:8} {outcome.seconds:6.1f} s  {m.name}", flush=True)
+            return outcome
+
+        with ThreadPoolExecutor(jobs) as pool:
+            return list(pool.map(one, mutations))
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """The outcomes as a Markdown table."""
+    lines = ["| mutation | file | caught by | s |", "| --- | --- | --- | --- |"]
+    for o in outcomes:
+        by = ", ".join(o.mutation.tests) if o.caught else f"**{o.problem}**"
+        lines.append(f"| {o.mutation.name} | {o.mutation.file} | {by} | {o.seconds:.0f} |")
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
+    """The command line; its exit code."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", metavar="TEXT", help="mutations whose name or file holds TEXT")
+    parser.add_argument("--list", action="store_true", help="print the names and stop")
+    parser.add_argument("--jobs", type=int, default=1, help="how many at once")
+    options = parser.parse_args(arguments)
+    chosen = [m for m in load(root) if not options.only or options.only in m.name or options.only in m.file]
+    if wrong := problems(chosen, root):
+        print("\n".join(wrong))
+        return 1
+    if options.list:
+        print("\n".join(f"{m.name}  ({m.file}; {', '.join(m.tests)})" for m in chosen))
+        return 0
+    if not chosen:
+        print("no mutation has that name")
+        return 1
+    try:
+        outcomes = run(chosen, max(1, options.jobs), root)
+    except RuntimeError as problem:
+        print(problem)
+        return 1
+    print(f"\n{table(outcomes)}\n\n{sum(o.caught for o in outcomes)} of {len(outcomes)} caught")
+    return 0 if all(o.caught for o in outcomes) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
