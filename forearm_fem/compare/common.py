@@ -4,7 +4,9 @@ sight.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -41,6 +43,7 @@ class CommonGround:
     interpolated: str
     only_a: tuple[tuple[float, float], ...]
     only_b: tuple[tuple[float, float], ...]
+    provenance: tuple[Mapping[str, Any], Mapping[str, Any]] = ({}, {})
 
     @property
     def covered(self) -> float:
@@ -65,6 +68,7 @@ def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
         raise DataError(f"A is in {a.unit}, B in {b.unit}: these cannot be compared; drive both the same way")
     _check(a, "A")
     _check(b, "B")
+    theirs_from = b.provenance
     b = _matched(a, b)
     coarse_is_a = _within(a, b) <= _within(b, a)
     coarse, fine = (a, b) if coarse_is_a else (b, a)
@@ -85,6 +89,7 @@ def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
         interpolated=splined,
         only_a=_uncovered(a.frequency, b.frequency),
         only_b=_uncovered(b.frequency, a.frequency),
+        provenance=(a.provenance, theirs_from),
     )
 
 

@@ -173,7 +173,8 @@ class Results:
         options, record = self.scenario.rendering.wavelet, self.record
         duration = record.n / record.sample_rate
         if options.file is not None:
-            return from_samples_file(options.file, record.sample_rate, duration)
+            kept = self.folder / f"wavelet{Path(options.file).suffix}"
+            return from_samples_file(kept if kept.is_file() else options.file, record.sample_rate, duration)
         return ricker(options.peak, 1.0, record.sample_rate, duration)
 
     @cached_property
