@@ -5,14 +5,17 @@ Run from the repository: python3 benchmarks/strength.py FOLDER [SCENE ...]; G of
 
 from __future__ import annotations
 
+import csv
 import pickle
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
-from forearm_fem.pipeline.simulation import simulate
+import numpy as np
+
+from forearm_fem.pipeline.simulation import account_of, render_transfer, simulate
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.transfer import band_error
 
 THIN, THICK = (("skin", 1.2e-3), ("fat", 3e-3)), (("skin", 1.5e-3), ("fat", 6e-3))
 # name: spacing of the actuators and pitch of the grid [m], layers, preset, accuracy
@@ -54,22 +57,39 @@ def pair(name: str, folder: Path) -> dict[str, Any]:
     """G by finite elements with its errors and companions, and the twin's, kept in ``folder``."""
     file = folder / f"{name.replace(' ', '_')}.pickle"
     if not file.is_file():
-        start = time.perf_counter()
         found = simulate(scene(name, "fem"))
-        kept = {"fine": found.transfer, "coarse": found.coarse, "notes": found.notes,
-                "twin": simulate(scene(name, "layered")).transfer}  # fmt: skip
-        if found.solved is not None and found.solved.other_ends is not None:
-            from forearm_fem.device import close_loop
-
-            kept["other"] = close_loop(found.solved.other_ends, found.scenario.device)
-        kept["seconds"] = time.perf_counter() - start
-        file.write_bytes(pickle.dumps(kept))
+        twin = simulate(scene(name, "layered")).transfer
+        file.write_bytes(pickle.dumps({"fine": found.transfer, "twin": twin}))
     return pickle.loads(file.read_bytes())
+
+
+def judged(name: str, folder: Path) -> tuple[list[Any], Any, Any]:
+    """A row of the table, and |log S / S twin| and half widths of every entry."""
+    found = pair(name, folder)
+    scenario, fine, twin = scene(name, "fem"), found["fine"], found["twin"]
+    rendering = render_transfer(scenario, fine)
+    account = account_of(scenario, fine, rendering)
+    true = np.abs(np.log(account.value / render_transfer(scenario, twin).strengths))
+    half = np.log(account.high / account.low) / 2
+    bands = {e.source: e.band for e in fine.errors}
+    row = [
+        name, bands["discretisation"], bands["truncation"], band_error(fine.values, twin.values),
+        float((true <= half).mean()), float(np.median(true)), float(np.median(half)),
+        float(np.median(half / true)), float((half < true / 2).sum()),
+    ]  # fmt: skip
+    return row, true, half
+
+
+HEADER = ["scene", "discretisation", "truncation", "true e_band", "within", "median error", "median half width",
+          "median of half width over error", "half width below half the error"]  # fmt: skip
 
 
 if __name__ == "__main__":
     place = Path(sys.argv[1])
     place.mkdir(exist_ok=True)
-    for wanted in sys.argv[2:] or SCENES:
-        found = pair(wanted, place)
-        print(wanted, round(found["seconds"]), [(e.source, round(e.band, 4)) for e in found["fine"].errors], flush=True)
+    rows, true, half = zip(*(judged(name, place) for name in sys.argv[2:] or SCENES), strict=True)
+    e, h = (np.concatenate([x.ravel() for x in each]) for each in (true, half))
+    total = ["all", "", "", "", (e <= h).mean(), np.median(e), np.median(h), np.median(h / e), (h < e / 2).sum()]
+    with (Path(__file__).parent / "results" / "strength.csv").open("w", newline="") as stream:
+        table = csv.writer(stream)
+        table.writerows([HEADER, *([f"{x:.4g}" if not isinstance(x, str) else x for x in r] for r in (*rows, total))])

@@ -55,7 +55,10 @@ def strength_rows(
     over = "record" if window is None else f"{window[0]:g} to {window[1]:g} s"
     groups = {t: label.split()[0].lower() for label, members in GROUPS for t in members}
     return tuple(
-        StrengthRow(t, groups.get(t, ""), m, *(float(s[i, j]) for s in (strengths, low, high, whole)), window=over)
+        StrengthRow(
+            t, groups.get(t, ""), m, float(strengths[i, j]), float(low[i, j]), float(high[i, j]),
+            float(whole[i, j]), over,
+        )
         for j, t in enumerate(targets)
         for i, m in enumerate(methods)
     )

@@ -16,7 +16,7 @@ from ..typing import FloatArray
 
 _DRAWS, _SEED = 12, 0
 _CORRELATION = 50.0  # Hz: errors of meshes and ends are smooth over about that much
-_HALF_WIDTH = 2.25  # rms changes of log S: 9 of 10 true errors lie within (docs/decisions/interval-of-s.md)
+_HALF_WIDTH = 2.0  # rms changes of log S: 9 of 10 true errors lie within (docs/decisions/interval-of-s.md)
 _LEAST_SPAN = 4.0  # of the window: the record that draws are made on
 
 
@@ -107,7 +107,7 @@ def interval(
     methods: Sequence[Renderer],
     wavelet: Wavelet,
 ) -> FloatArray:
-    """Half width (n_method, n_target) of the interval of log S: 2.25 times its rms change over draws of G's errors.
+    """Half width (n_method, n_target) of the interval of log S: twice its rms change over draws of G's errors.
 
     Each draw adds to G independent complex noise of every source's e(f) (:func:`perturbed`), smooth over 50 Hz, and
     aims anew. Two meshes agree at single frequencies by chance, so e(f) of the discretisation is its band value at

@@ -6,6 +6,7 @@ A hole rings through the whole record: 3 of 981 bins move S by 30 %.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,6 +15,7 @@ import numpy as np
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 
+Fit = Callable[[FloatArray, ComplexArray, FloatArray], ComplexArray]
 _SAFE = 0.1  # of the largest entry at a frequency: what a fit may miss at known bins that it did not see
 _MARGIN = 2.0  # a bin missing may lie worse than the known ones beside it
 _MOST_HOLES = 0.5  # of a band: fewer known bins than missing ones leave nothing to learn from
@@ -121,7 +123,8 @@ def _best_fit(
     asked = _like_holes(on, at)
     rest = np.setdiff1d(on, asked)
     best = (np.zeros(len(at), dtype=complex), np.inf)
-    for fit in (*(partial(_rational, level=level) for level in _LEVELS), _local):
+    fits: list[Fit] = [*(partial(_rational, level=level) for level in _LEVELS), _local]
+    for fit in fits:
         try:
             miss = float(np.max(np.abs(fit(f[rest], values[rest], f[asked]) - values[asked]) / size[asked]))
             if miss < best[1]:

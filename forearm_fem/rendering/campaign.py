@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -20,9 +19,8 @@ from .funneling import Funneling
 from .inverse_filter import InverseFilter
 from .limits import DriveReport, Limits, beyond_limits, check
 from .spectrum import Placed, place
-from .wavelet import Wavelet, ricker
+from .wavelet import Wavelet, Window, ricker, window_of
 
-Window = Literal["wavelet", "record"] | tuple[float, float]
 _MUCH_LOST = 0.1
 
 
@@ -123,13 +121,6 @@ def render_all(
                 progress(len(results), len(methods) * len(targets), f"{method.name} towards {target}")
     _warn_lost(results)
     return Rendering(names, targets, results, seconds, holes, limits or Limits())
-
-
-def window_of(window: Window, wavelet: Wavelet) -> tuple[float, float] | None:
-    """Seconds (start, end) of a window by name or as given; None for the whole record."""
-    if window == "record":
-        return None
-    return wavelet.window if window == "wavelet" else (float(window[0]), float(window[1]))
 
 
 def _render(

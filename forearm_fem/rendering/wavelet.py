@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.io import wavfile
@@ -13,6 +14,7 @@ from ..errors import DataError, ScenarioError
 from ..typing import ComplexArray, FloatArray
 from .spectrum import Record, to_spectrum, to_time
 
+Window = Literal["wavelet", "record"] | tuple[float, float]
 _HEARD = 1e-3  # of a wavelet's largest sample: where it begins and ends
 _ROOM = 0.05  # s before and after it: what moves later is the ringing of the band's edges (docs/decisions/)
 _OUTER = 0.1  # of f_max: where a taper falls
@@ -60,6 +62,13 @@ class Wavelet:
         shape = np.sin(np.pi / 2 * up) ** 2 * np.sin(np.pi / 2 * down) ** 2
         samples = to_time((self.spectrum * shape)[:, None], np.arange(len(f)), self.record)[0]
         return replace(self, samples=samples, name=f"{self.name}, tapered")
+
+
+def window_of(window: Window, wavelet: Wavelet) -> tuple[float, float] | None:
+    """Seconds (start, end) of a window by name or as given; None for the whole record."""
+    if window == "record":
+        return None
+    return wavelet.window if window == "wavelet" else (float(window[0]), float(window[1]))
 
 
 def ricker(

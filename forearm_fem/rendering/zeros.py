@@ -17,7 +17,7 @@ from ..typing import FloatArray
 from .drives import Aim, Renderer
 from .lattice import lattice
 from .spectrum import Placed, place, respond
-from .wavelet import Wavelet
+from .wavelet import Wavelet, Window, window_of
 
 _MOST_SETS = 200  # tried one by one
 _LOUDEST, _ROUNDS = 12, 2  # of an exchange
@@ -217,7 +217,7 @@ def best_zeros(
     wavelet: Wavelet,
     *,
     size: int = 4,
-    window: tuple[float, float] | None = None,
+    window: Window = "wavelet",
 ) -> ZeroSearch:
     """The ``size`` zero points that give ``renderer`` the largest S at output ``target``, searched as by
     :class:`SearchedZeros`.
@@ -231,5 +231,5 @@ def best_zeros(
     def aim(zeros: tuple[str, ...]) -> Aim:
         return renderer.with_zeros(zeros).aim(placed, target, spectrum)
 
-    ranking = SearchedZeros(size, window).ranking(placed, target, aim)
+    ranking = SearchedZeros(size, window_of(window, wavelet)).ranking(placed, target, aim)
     return ZeroSearch(ranking[0][0], ranking[0][1], ranking)
