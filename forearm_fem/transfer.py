@@ -15,7 +15,9 @@ from .errors import SolverError
 from .ports import Port
 from .typing import BoolArray, ComplexArray, FloatArray
 
-ErrorSource = Literal["discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature"]
+ErrorSource = Literal[
+    "discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature", "bridging"
+]
 
 
 @dataclass(frozen=True)
@@ -130,3 +132,13 @@ def relative_error(estimate: ComplexArray, truth: ComplexArray) -> FloatArray:
 def band_error(estimate: ComplexArray, truth: ComplexArray) -> float:
     """e_band = ||estimate - truth||_F / ||truth||_F over all frequencies and entries."""
     return float(np.sqrt(np.nansum(np.abs(estimate - truth) ** 2) / np.nansum(np.abs(truth) ** 2)))
+
+
+def relative_error_at(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray:
+    """e(f) (n,) [-] at ``frequency`` (n,) [Hz]: linear between the estimate's own, its ends beyond, or its band value.
+
+    NaN throughout for an estimate that could not be made.
+    """
+    if not estimate.per_frequency or not np.isfinite(estimate.band):
+        return np.full(len(frequency), estimate.band)
+    return np.interp(frequency, estimate.frequency, estimate.per_frequency)

@@ -238,7 +238,8 @@ def own_mesh(cold):
     box = block_mesh((4, 3, 1), (0.04, 0.03, 0.01), facets={}, bend=0.0)
     points = box.points - np.array([0.02, 0.015, 0.0])
     cells = [("tetra", box.tetrahedra)]
-    meshio.write(cold / "box.vtu", meshio.Mesh(points, cells, cell_data={"region": [np.ones(len(box.tetrahedra), int)]}))
+    region = [np.ones(len(box.tetrahedra), int)]
+    meshio.write(cold / "box.vtu", meshio.Mesh(points, cells, cell_data={"region": region}))
     limb = {"shape": "mesh", "file": "box.vtu", "regions": {"1": "muscle"}}
     device = {**SLAB["device"], "cone": {"contact": "pressure", "radius": 6e-3}}
     mesh, grid = {"size_far": 0.01, "min_quality": 1e-3}, {"points": [[0.01, 0.0]]}
@@ -257,5 +258,5 @@ def test_a_users_mesh_is_not_its_own_second_mesh(own_mesh, cold):
 
 def test_an_order_that_cannot_change_leaves_a_users_mesh_unknown(own_mesh, cold):
     mixed = parse_scenario({**own_mesh, "mesh": {"element": "P2/P3"}})
-    with pytest.raises(MeshError, match="set mesh.element to P2 or P3"):
+    with pytest.raises(MeshError, match=r"set mesh\.element to P2 or P3"):
         second_mesh(mixed, cached_mesh(parse_scenario({**SLAB})), base=cold)

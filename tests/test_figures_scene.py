@@ -69,7 +69,6 @@ def write_run(place: Path) -> None:
         "stages": {"solve": {"seconds": 1.0, "peak_memory_bytes": 2e8}},
         "notes": ["the numbers <b>are</b> synthetic"],
         "accuracy": "asked e_band <= 0.05, estimated 0.02: met",
-        "signal_strength_error": {"inverse filter": {"5": 0.01}},
     }
     (place / "run.json").write_text(json.dumps(account))
 

@@ -207,18 +207,24 @@ def test_matlab_refuses_frequencies_off_its_bins(tmp_path: Path, frequency: floa
 
 def test_signal_strength_csv(tmp_path: Path) -> None:
     values = np.array([[1 / 3, 1.31, np.inf], [0.63, 1e-17, 2.0]])
-    rows = io.strength_rows(("inverse filter", "funneling"), ("5", "1", "8"), values)
+    beside = [np.repeat([[s], [s + 0.3]], 3, axis=1) for s in (0.3, 0.4, 0.5)]
+    beside = ((beside[0], beside[1]), beside[2], (-0.1, 0.2))
+    rows = io.strength_rows(("inverse filter", "funneling"), ("5", "1", "8"), values, *beside)
     file = tmp_path / "signal_strength.csv"
     io.write_signal_strength_csv(file, rows)
     lines = file.read_text().splitlines()
     assert lines[:3] == [
-        "target,group,method,S",
-        "5,middle,inverse filter,0.3333333333333333",
-        "5,middle,funneling,0.63",
+        "target,group,method,S,S_low,S_high,S_record,window",
+        "5,middle,inverse filter,0.3333333333333333,0.3,0.4,0.5,-0.1 to 0.2 s",
+        "5,middle,funneling,0.63,0.6,0.7,0.8,-0.1 to 0.2 s",
     ]
     assert [r.group for r in rows] == ["middle"] * 2 + ["corners"] * 2 + ["edges"] * 2
     assert io.read_signal_strength_csv(file) == rows
     assert b"\r" not in file.read_bytes()
+    file.write_text("target,group,method,S\n5,middle,funneling,0.63\n")  # as written until 0.13.1
+    (older,) = io.read_signal_strength_csv(file)
+    assert older[:4] == ("5", "middle", "funneling", 0.63)
+    assert np.isnan(older.S_low)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,9 @@ def test_limits_exceeded_are_named(folder: Path, tmp_path: Path) -> None:  # noq
     scene["device"]["max_voltage"] = 0.1
     file.write_text(json.dumps(scene))
     lines = exceeded(Results.open(tmp_path / "run"))
-    assert any(re.match(r"funneling towards 5, A1: 0\.2\d+ V peak, limit 0\.1 V\.", x) for x in lines)
+    assert [x.split(":")[0] for x in lines] == ["inverse filter", "funneling", "combination"]  # each method once
+    said = r"funneling: \d+ of 36 drives exceed 0\.1 V peak, most of all \S+ V at A\d towards \d; rendering\.amplitude"
+    assert re.match(said, lines[1])
     assert exceeded(Results.open(folder)) == []
 
 

@@ -4,7 +4,9 @@ sight.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -44,6 +46,7 @@ class CommonGround:
     only_a: tuple[tuple[float, float], ...]
     only_b: tuple[tuple[float, float], ...]
     notes: tuple[str, ...] = ()
+    provenance: tuple[Mapping[str, Any], Mapping[str, Any]] = ({}, {})
 
     @property
     def covered(self) -> float:
@@ -72,6 +75,7 @@ def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
         )
     _check(a, "A")
     _check(b, "B")
+    theirs_from = b.provenance
     b, notes = _matched(a, b)
     coarse_is_a = _within(a, b) <= _within(b, a)
     coarse, fine = (a, b) if coarse_is_a else (b, a)
@@ -96,6 +100,7 @@ def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
         only_a=_uncovered(a.frequency, b.frequency),
         only_b=_uncovered(b.frequency, a.frequency),
         notes=(*notes, *_lacking(ours.valid, theirs.valid, a)),
+        provenance=(a.provenance, theirs_from),
     )
 
 

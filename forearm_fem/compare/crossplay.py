@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from ..errors import DataError, ForearmError
-from ..rendering import Renderer, Wavelet, drives, place, ricker, strengths, thesis_renderers
+from ..rendering import Renderer, Wavelet, Window, bridged, drives, place, ricker, strengths, thesis_renderers
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .common import CommonGround
@@ -44,26 +45,67 @@ def cross_play(
     methods: Sequence[Renderer] | None = None,
     targets: Sequence[str] | None = None,
     wavelet: Wavelet | None = None,
+    window: Window = "wavelet",
 ) -> CrossPlay:
     """S of ``methods`` (the thesis' three) at ``targets`` (all), own and crossed, on the common frequencies.
 
-    Bins that either lacks are driven on neither, so that only the values differ. Raises ForearmError where a
+    Without them, the renderers, targets, wavelet and window are those of the scenario in A's provenance, else of B's,
+    so that A on A is the S that A's run printed. Holes of either are bridged as in a run; bins that either still lacks
+    are driven on neither, so that only the values differ. Raises ForearmError where a
     renderer cannot work on this geometry or the frequencies lie too far apart.
     """
-    a, b = sides(ground)
-    shape = wavelet or wavelet_for(ground.frequency)
-    chosen = tuple(methods) if methods is not None else thesis_renderers()
-    aims = tuple(targets) if targets is not None else tuple(p.name for p in ground.outputs)
+    a, b = (bridged(g).transfer for g in sides(ground))
+    own = None if methods or wavelet else rendering_of(ground)
+    shape = own.wavelet if own else wavelet or wavelet_for(ground.frequency)
+    chosen = own.methods if own else tuple(methods) if methods is not None else thesis_renderers()
+    window = own.window if own else window
+    named = own.targets if own and targets is None else targets
+    aims = tuple(named) if named is not None else tuple(p.name for p in ground.outputs)
     placed = [place(g, shape.record) for g in (a, b)]
     for_a, for_b = ([[drives(m, p, t, shape) for t in aims] for m in chosen] for p in placed)
     return CrossPlay(
         tuple(m.name for m in chosen),
         aims,
-        a_on_a=strengths(a, aims, chosen, shape, fixed=for_a),
-        b_on_b=strengths(b, aims, chosen, shape, fixed=for_b),
-        a_on_b=strengths(b, aims, chosen, shape, fixed=for_a),
-        b_on_a=strengths(a, aims, chosen, shape, fixed=for_b),
+        a_on_a=strengths(a, aims, chosen, shape, fixed=for_a, window=window),
+        b_on_b=strengths(b, aims, chosen, shape, fixed=for_b, window=window),
+        a_on_b=strengths(b, aims, chosen, shape, fixed=for_a, window=window),
+        b_on_a=strengths(a, aims, chosen, shape, fixed=for_b, window=window),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Own:
+    """What a run rendered with."""
+
+    methods: tuple[Renderer, ...]
+    targets: tuple[str, ...] | None
+    wavelet: Wavelet
+    window: Window
+
+
+def rendering_of(ground: CommonGround) -> _Own | None:
+    """The rendering of the scenario that one side came from; None where neither names one, its wavelet's file is not
+    at hand, or its bins are not the common ones."""
+    from ..pipeline.renderers import renderers, unsuited, wavelet
+    from ..scenario import parse_scenario
+
+    for provenance in ground.provenance:
+        known = provenance.get("scenario")
+        if not isinstance(known, Mapping):
+            continue
+        try:
+            scenario = parse_scenario(dict(known))
+            options = scenario.rendering
+            shape = wavelet(options, scenario.sweep, Path("."))
+        except ForearmError:
+            continue
+        place = ground.frequency / shape.record.df
+        if not options.methods or not np.allclose(place, np.rint(place), rtol=0, atol=1e-3):
+            continue
+        targets = [p.name for p in ground.outputs] if options.targets == "all" else list(options.targets)
+        left_out = frozenset(unsuited(options, ground.outputs, ground.inputs, targets))
+        return _Own(tuple(renderers(options, shape, left_out)), tuple(targets), shape, options.window)
+    return None
 
 
 def sides(ground: CommonGround) -> tuple[TransferMatrix, TransferMatrix]:

@@ -20,16 +20,26 @@ from .data import Results
 from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled
 from .tables import Table, markdown
 
+WHO = ("here", "record", "thesis")  # columns of Table I: S over the window, over the whole record, and measured
+
 
 @dataclass(frozen=True, eq=False)
 class Strengths:
-    """S (n_method, n_target) [-] with the places of targets and actuators."""
+    """S (n_method, n_target) [-] with the places of targets and actuators.
+
+    ``low`` to ``high`` is the numerical interval, NaN where unknown; ``record`` is S over the whole record, ``window``
+    what ``values`` are taken over ("" in folders before 0.14).
+    """
 
     methods: tuple[str, ...]
     targets: tuple[str, ...]
     values: FloatArray
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
+    low: FloatArray
+    high: FloatArray
+    record: FloatArray
+    window: str
 
     def table(self) -> StrengthTable:
         """In the layout of Table I."""
@@ -38,22 +48,30 @@ class Strengths:
 
 def strengths(results: Results) -> Strengths:
     """S of a run, from signal_strength.csv."""
-    found = {(r.method, r.target): r.S for r in results.strengths}
+    found = {(r.method, r.target): r for r in results.strengths}
     methods, targets = (tuple(dict.fromkeys(key[i] for key in found)) for i in (0, 1))
-    values = np.array([[found.get((m, t), np.nan) for t in targets] for m in methods])
+
+    def column(name: str) -> FloatArray:
+        return np.array([[getattr(found.get((m, t)), name, np.nan) for t in targets] for m in methods], dtype=float)
+
     by_name = {p.name: p for p in results.transfer.outputs}
     if stray := [t for t in targets if t not in by_name]:
         raise DataError(f"{results.folder}: signal_strength.csv names the target {stray[0]}, which G has not; "
                         "`forearm-fem render` makes it anew")  # fmt: skip
     outputs = tuple(by_name[t] for t in targets)
-    return Strengths(methods, targets, values, outputs, results.transfer.inputs)
+    return Strengths(
+        methods, targets, column("S"), outputs, results.transfer.inputs,
+        column("S_low"), column("S_high"), column("S_record"), results.strengths[0].window,
+    )  # fmt: skip
 
 
 def strengths_table(data: Strengths) -> Table:
     """One line per target, a column per method."""
     places = positions(data.outputs)
-    columns = {"target": data.targets, "x_m": places[:, 0], "y_m": places[:, 1]}
-    return Table({**columns, **{f"S_{m}": s for m, s in zip(data.methods, data.values, strict=True)}})
+    columns: dict[str, Any] = {"target": data.targets, "x_m": places[:, 0], "y_m": places[:, 1]}
+    for prefix, values in (("S", data.values), ("S_low", data.low), ("S_high", data.high), ("S_record", data.record)):
+        columns |= {f"{prefix}_{m}": s for m, s in zip(data.methods, values, strict=True)}
+    return Table({**columns, "window": [data.window] * len(data.targets)})
 
 
 @styled
@@ -91,13 +109,15 @@ def _map(ax: Axes, data: Strengths, values: FloatArray, norm: TwoSlopeNorm) -> A
 
 
 def table_one_rows(data: Strengths) -> list[list[str]]:
-    """Rows of Table I: group, then simulated and thesis for each method."""
+    """Rows of Table I: group, then for each method S over the window, over the whole record, and the thesis'."""
     ours, theirs = data.table(), thesis_table()
+    record = signal_strength_table(data.methods, data.targets, data.record)
     rows = []
     for g, group in enumerate(ours.groups):
         row = [group]
         for m, method in enumerate(ours.methods):
-            row += [_cell(ours.mean[g, m], ours.std[g, m]), _thesis_cell(theirs, group, method)]
+            whole = _cell(record.mean[g, m], record.std[g, m]) if np.isfinite(record.mean[g, m]) else "–"
+            row += [_cell(ours.mean[g, m], ours.std[g, m]), whole, _thesis_cell(theirs, group, method)]
         rows.append(row)
     return rows
 
@@ -115,7 +135,7 @@ def _cell(mean: float, std: float) -> str:
 
 def table_one_markdown(data: Strengths) -> str:
     """Table I, simulated and thesis side by side."""
-    header = ["S", *(f"{m}, {who}" for m in data.methods for who in ("here", "thesis"))]
+    header = ["S", *(f"{m}, {who}" for m in data.methods for who in WHO)]
     return markdown(header, table_one_rows(data))
 
 
@@ -125,17 +145,20 @@ def table_one_extra(data: Strengths) -> dict[str, str]:
 
 
 def table_one_csv(data: Strengths) -> Table:
-    """Mean and standard deviation, here and in the thesis."""
+    """Mean and standard deviation, here over the window and over the record, and in the thesis."""
     ours, theirs = data.table(), thesis_table()
+    record = signal_strength_table(data.methods, data.targets, data.record)
     lines = [(g, m) for g in ours.groups for m in ours.methods]
-    columns: dict[str, list[float]] = {"here_mean": [], "here_std": [], "thesis_mean": [], "thesis_std": []}
+    sides = (("here", ours), ("here_record", record), ("thesis", theirs))
+    columns: dict[str, Any] = {f"{prefix}_{what}": [] for prefix, _ in sides for what in ("mean", "std")}
     for g, m in lines:
-        for prefix, table in (("here", ours), ("thesis", theirs)):
+        for prefix, table in sides:
             known = g in table.groups and m in table.methods
             at = (table.groups.index(g), table.methods.index(m)) if known else None
             columns[f"{prefix}_mean"].append(float(table.mean[at]) if at else np.nan)
             columns[f"{prefix}_std"].append(float(table.std[at]) if at else np.nan)
-    return Table({"group": [g for g, _ in lines], "method": [m for _, m in lines], **columns})
+    groups, methods = [g for g, _ in lines], [m for _, m in lines]
+    return Table({"group": groups, "method": methods, **columns, "window": [data.window] * len(lines)})
 
 
 @styled
@@ -146,7 +169,7 @@ def plot_table_one(data: Strengths, *, ax: Axes | None = None) -> FigureBase:
     _points(top, data)
     bottom.axis("off")
     cells = [[row[0], *row[1:]] for row in table_one_rows(data)]
-    header = ["", *(f"{m}\n{who}" for m in data.methods for who in ("here", "thesis"))]
+    header = ["", *(f"{m}\n{who}" for m in data.methods for who in WHO)]
     widths = [0.22, *[0.78 / (len(header) - 1)] * (len(header) - 1)]
     table = bottom.table(cells, colLabels=header, colWidths=widths, loc="center", cellLoc="center", edges="horizontal")
     table.auto_set_font_size(False)
@@ -170,6 +193,8 @@ def _points(ax: Axes, data: Strengths) -> None:
             ax.errorbar(x + 0.04, theirs.mean[rows, k], np.nan_to_num(theirs.std[rows, k]), fmt="o", mfc="w",
                         label=f"{method}, thesis P2", **look)  # fmt: skip
     ax.axhline(1, color=GREY, lw=0.8, ls="--")
+    if data.window:
+        ax.set_title(f"S over {data.window if data.window != 'record' else 'the whole record'}", fontsize=7)
     ax.set_xticks(place, ours.groups)
     ax.set(ylabel="signal strength S [-]", yscale="log")
     low, high = ax.get_ylim()

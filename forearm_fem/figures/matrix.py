@@ -14,7 +14,7 @@ from matplotlib.figure import FigureBase
 from ..compare.common import CommonGround, common_ground
 from ..metrics import condition_number, singular_values
 from ..ports import Port, distances
-from ..rendering import Placed, ThesisZeros
+from ..rendering import AutoZeros, Placed
 from ..rendering.drives import Aim
 from ..rendering.spectrum import BinValues, Record
 from ..transfer import TransferMatrix
@@ -121,14 +121,10 @@ def conditioning_of(transfer: TransferMatrix) -> Conditioning:
 
 
 def zero_points(transfer: TransferMatrix, target: str) -> tuple[str, ...]:
-    """The thesis' zero points for ``target``, none if the outputs form no rectangle."""
-    from ..errors import GeometryError
-
+    """The default zero points for ``target``: the thesis' for up to four actuators on a rectangular grid, else all."""
     bins = BinValues(Record(1.0, 4), np.array([1]), transfer.values[:1], np.ones(transfer.values[:1].shape, bool))
-    try:
-        return ThesisZeros().choose(Placed(bins, transfer.outputs, transfer.inputs, transfer.unit), target, _unused)
-    except GeometryError:
-        return ()
+    placed = Placed(bins, transfer.outputs, transfer.inputs, transfer.unit, np.full(1, np.nan))
+    return AutoZeros().choose(placed, target, _unused)
 
 
 def _unused(names: tuple[str, ...]) -> Aim:

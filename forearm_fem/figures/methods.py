@@ -84,9 +84,10 @@ def method(results: Results) -> Method:
 
 
 def _zeros(results: Results, target: str) -> tuple[str, ...]:
-    """Zero points named in the scenario, else the thesis' (a search's are not kept in the files)."""
-    asked = results.scenario.rendering.zeros
-    return tuple(z for z in asked if z != target) if isinstance(asked, tuple) else zero_points(results.transfer, target)
+    """Zero points on record for the inverse filter; in folders before 0.14, the default ones."""
+    known = (results.account.get("signal_strength") or {}).get("zeros") or {}
+    found = (known.get("inverse filter") or {}).get(target)
+    return tuple(found) if found else zero_points(results.transfer, target)
 
 
 def _measure(results: Results) -> Measured:

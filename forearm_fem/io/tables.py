@@ -1,35 +1,64 @@
-"""CSV of the signal strength S: ``target,group,method,S``."""
+"""CSV of the signal strength S: ``target,group,method,S,S_low,S_high,S_record,window``."""
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
+
+import numpy as np
 
 from ..errors import DataError
 from ..metrics.strength import GROUPS
 from ..typing import FloatArray
 from .sidefile import read_with_side, write_with_side
 
-_HEADER = ("target", "group", "method", "S")
+_HEADER = ("target", "group", "method", "S", "S_low", "S_high", "S_record", "window")
+_OLDER = _HEADER[:4]  # until 0.13.1
 
 
 class StrengthRow(NamedTuple):
-    """One line: S [-] of ``method`` aimed at ``target``; ``group`` is middle, edges, corners or empty."""
+    """One line: S [-] of ``method`` aimed at ``target``; ``group`` is middle, edges, corners or empty.
+
+    ``S_low`` to ``S_high`` is its numerical interval (NaN where unknown), ``S_record`` S over the whole record as in
+    the thesis, ``window`` what S is taken over: "record", or seconds "start to end".
+    """
 
     target: str
     group: str
     method: str
     S: float
+    S_low: float = math.nan
+    S_high: float = math.nan
+    S_record: float = math.nan
+    window: str = ""
 
 
-def strength_rows(methods: Sequence[str], targets: Sequence[str], strengths: FloatArray) -> tuple[StrengthRow, ...]:
-    """Lines for ``strengths`` (n_method, n_target), target by target; groups are those of a 3x3 grid."""
+def strength_rows(
+    methods: Sequence[str],
+    targets: Sequence[str],
+    strengths: FloatArray,
+    interval: tuple[FloatArray, FloatArray] | None = None,
+    record: FloatArray | None = None,
+    window: tuple[float, float] | None = None,
+) -> tuple[StrengthRow, ...]:
+    """Lines for ``strengths`` (n_method, n_target), target by target; groups are those of a 3x3 grid.
+
+    ``interval`` low and high and S over the ``record`` have the same shape; ``window`` [s], None for the record.
+    """
+    unknown = np.full(np.shape(strengths), np.nan)
+    low, high = interval or (unknown, unknown)
+    whole = unknown if record is None else record
+    over = "record" if window is None else f"{window[0]:g} to {window[1]:g} s"
     groups = {t: label.split()[0].lower() for label, members in GROUPS for t in members}
     return tuple(
-        StrengthRow(t, groups.get(t, ""), m, float(strengths[i, j]))
+        StrengthRow(
+            t, groups.get(t, ""), m, float(strengths[i, j]), float(low[i, j]), float(high[i, j]),
+            float(whole[i, j]), over,
+        )
         for j, t in enumerate(targets)
         for i, m in enumerate(methods)
     )
@@ -40,7 +69,8 @@ def write_signal_strength_csv(path: str | Path, rows: Iterable[StrengthRow]) -> 
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(_HEADER)
-    writer.writerows((r.target, r.group, r.method, repr(float(r.S))) for r in rows)
+    for r in rows:
+        writer.writerow((*r[:3], *(repr(float(s)) for s in (r.S, r.S_low, r.S_high, r.S_record)), r.window))
     write_with_side(path, stream.getvalue().encode())
 
 
@@ -48,7 +78,7 @@ def read_signal_strength_csv(path: str | Path) -> tuple[StrengthRow, ...]:
     """The rows as written; DataError for a missing file, another header or a line that does not fit."""
     lines = list(csv.reader(io.StringIO(_read(path))))
     header = lines[0] if lines else []
-    if tuple(header) != _HEADER:
+    if tuple(header) not in (_HEADER, _OLDER):
         raise DataError(f"{path}: expected the header {','.join(_HEADER)}, got '{','.join(header)}'")
     return tuple(_row(path, number, line) for number, line in enumerate(lines[1:], start=2))
 
@@ -64,9 +94,12 @@ def _read(path: str | Path) -> str:
 
 def _row(path: str | Path, number: int, line: list[str]) -> StrengthRow:
     try:
-        target, group, method, strength = line
-        return StrengthRow(target, group, method, float(strength))
+        target, group, method, *numbers = line
+        if len(numbers) == 1:
+            return StrengthRow(target, group, method, float(numbers[0]))
+        strength, low, high, record, window = numbers
+        return StrengthRow(target, group, method, float(strength), float(low), float(high), float(record), window)
     except ValueError:
         raise DataError(
-            f"{path}, line {number}: expected target,group,method,S with S a number, got {','.join(line)}"
+            f"{path}, line {number}: expected {','.join(_HEADER)} with S a number, got {','.join(line)}"
         ) from None

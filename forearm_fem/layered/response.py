@@ -75,7 +75,7 @@ def layered_compliance(
     layers : from the surface down, see :class:`Layer`; ``base`` says what carries the last.
     omega : (n_freq,) array, > 0 [rad/s], convention e^{+i omega t}.
     tolerance : error of the integrals relative to the largest |value| at each frequency.
-    terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask for. What they leave out
+    terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask. What they leave out
         is ``truncation`` of the result.
     progress : called with the fraction done.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import DataError
-from ..transfer import ErrorEstimate, TransferMatrix
+from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at
 from ..typing import ComplexArray, FloatArray
 
 _WAVES = 64  # random cosines that make up one perturbation
@@ -54,16 +54,18 @@ def signal_strength_uncertainty(
     if not sources or draws < 2 or not 0 < coverage < 1 or correlation <= 0:
         raise DataError("an interval of S needs error estimates of G, at least 2 draws, a coverage in (0, 1)")
     rng = np.random.default_rng(seed)
-    samples = np.stack([strength(_perturbed(transfer, sources, rng, correlation)) for _ in range(draws)])
+    samples = np.stack([strength(perturbed(transfer, sources, rng, correlation)) for _ in range(draws)])
     tail = (1 - coverage) / 2
     low, median, high = np.quantile(samples, [tail, 0.5, 1 - tail], axis=0)
     value = np.asarray(strength(transfer), dtype=float)
     return StrengthInterval(value, np.asarray(low), np.asarray(median), np.asarray(high), samples, coverage)
 
 
-def _perturbed(
-    transfer: TransferMatrix, sources: tuple[ErrorEstimate, ...], rng: np.random.Generator, correlation: float
+def perturbed(
+    transfer: TransferMatrix, sources: Sequence[ErrorEstimate], rng: np.random.Generator, correlation: float
 ) -> TransferMatrix:
+    """G plus one draw of its errors: complex noise per source, independent over entries, smooth over ``correlation``
+    [Hz], whose largest entry is e(f) of the largest of G at each frequency."""
     usable = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid & np.isfinite(transfer.values)
     scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
     change = np.zeros(transfer.values.shape, dtype=complex)
@@ -72,14 +74,6 @@ def _perturbed(
         noise /= np.abs(noise).max(axis=(1, 2), keepdims=True)
         change += (relative_error_at(source, transfer.frequency) * scale)[:, None, None] * noise
     return replace(transfer, values=transfer.values + change)
-
-
-def relative_error_at(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray:
-    """e(f) (n,) [-] at ``frequency`` (n,) [Hz]: linear between the estimate's own, its ends beyond, or its
-    band value."""
-    if not estimate.per_frequency:
-        return np.full(len(frequency), estimate.band)
-    return np.interp(frequency, estimate.frequency, estimate.per_frequency)
 
 
 def smooth_noise(

@@ -34,11 +34,12 @@ from ..typing import ComplexArray
 from ..wavefield import Wavefield, save_wavefield
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
+from .renderers import check_servable
 from .resources import Ledger
-from .simulation import Simulation, closed, render_transfer, simulate
+from .simulation import Simulation, account_of, closed, render_transfer, simulate
 from .skin_model import save_skin_model
 from .solved import solve
-from .two_meshes import remaining_error
+from .strengths import StrengthAccount
 from .unread import unread_notes
 from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
@@ -46,7 +47,7 @@ from .wave_report import write_wave_report
 Progress = Callable[[str, int, int], None]
 _DERIVED = (
     "transfer.mat", "wavefield.npz", "reduced.nc", "drives.nc", "displacements.nc", "signal_strength.csv",
-    "signal_strength_error.json", "report.md", "report.html", "waves.csv",
+    "signal_strength.json", "report.md", "report.html", "waves.csv",
 )  # fmt: skip
 
 
@@ -82,12 +83,13 @@ class Run:
 
 def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
+    check_servable(run.scenario)
     refuse_if_signals_too_large(run.scenario)
-    transfer, coarse = _solved(run)
+    transfer = _solved(run)
     from ..report import write_report  # plotting is heavy and not needed by the other stages
 
     if run.scenario.rendering.methods:
-        _rendered(run, transfer, coarse)
+        _rendered(run, transfer)
     _write_run(run)
     with run.stage("report"):
         if run.scenario.rendering.methods:
@@ -110,7 +112,7 @@ def run_mesh(run: Run) -> TissueMesh | None:
 
 def run_solve(run: Run) -> TransferMatrix:
     """Compliance and G with their errors: ``transfer.nc``, ``transfer.mat``, ``wavefield.npz``, ``run.json``."""
-    transfer, _ = _solved(run)
+    transfer = _solved(run)
     _write_run(run)
     return transfer
 
@@ -119,20 +121,20 @@ def run_render(run: Run) -> Rendering:
     """Renderers on the folder's G (solved first where it is missing): drives, displacements and S."""
     if not run.scenario.rendering.methods:
         raise ScenarioError("rendering.methods is empty, so there is nothing to render; name a method or use `solve`")
+    check_servable(run.scenario)
     refuse_if_signals_too_large(run.scenario)
-    transfer, coarse = _solved(run)
-    rendering = _rendered(run, transfer, coarse)
+    rendering = _rendered(run, _solved(run))
     _write_run(run)
     return rendering
 
 
-def _solved(run: Run) -> tuple[TransferMatrix, TransferMatrix | None]:
+def _solved(run: Run) -> TransferMatrix:
     mesh = run_mesh(run)
     with run.stage("solve"):
         simulation = _simulated(run, mesh)
     with run.stage("write"):
         _write_solution(run, simulation)
-    return simulation.transfer, simulation.coarse
+    return simulation.transfer
 
 
 def _simulated(run: Run, mesh: TissueMesh | None) -> Simulation:
@@ -217,19 +219,28 @@ def _forces(simulation: Simulation) -> ComplexArray:
     return np.asarray(contact_state(simulation.compliance, simulation.scenario.device).force)
 
 
-def _rendered(run: Run, transfer: TransferMatrix, coarse: TransferMatrix | None) -> Rendering:
+def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
     with run.stage("render"):
-        rendering = render_transfer(
-            run.scenario, transfer, base=run.base, progress=lambda done, total, _: _tell_count(run, done, total)
-        )
-        _write_rendering(run, rendering, transfer)
-        error = _strength_error(run, rendering, coarse)
-        run.notes += [*unknown_strengths(rendering), *rendering.exceeded]
-    write_json(run.out / "signal_strength_error.json", error)
+        rendering = render_transfer(run.scenario, transfer, base=run.base, progress=_said(run))
+        account = account_of(run.scenario, transfer, rendering, base=run.base)
+        _write_rendering(run, rendering, transfer, account)
+        said = (*unknown_strengths(rendering), *rendering.exceeded, rendering.bridged.sentence, account.unknown)
+        run.notes += [s for s in said if s]
+    write_json(run.out / "signal_strength.json", account.as_json())
     return rendering
 
 
-def _write_rendering(run: Run, rendering: Rendering, transfer: TransferMatrix) -> None:
+def _said(run: Run) -> Callable[[int, int, str], None]:
+    """The run's progress in the renderers' words: one bar for all, one for a search."""
+
+    def tell(done: int, total: int, what: str) -> None:
+        if run.progress is not None:
+            run.progress(what if what.startswith("zero points") else "render", done, total)
+
+    return tell
+
+
+def _write_rendering(run: Run, rendering: Rendering, transfer: TransferMatrix, account: StrengthAccount) -> None:
     first = next(iter(rendering.values()))
     time = first.drives.time
     signals = {key: r.drives.signals for key, r in rendering.items()}
@@ -237,7 +248,9 @@ def _write_rendering(run: Run, rendering: Rendering, transfer: TransferMatrix) -
     volts = transfer.unit.partition("/")[2]
     write_drives(run.out / "drives.nc", stack(signals, tuple(p.name for p in transfer.inputs), time, volts))
     write_displacements(run.out / "displacements.nc", stack(moves, tuple(p.name for p in transfer.outputs), time, "m"))
-    rows = strength_rows(rendering.methods, rendering.targets, rendering.strengths)
+    rows = strength_rows(
+        account.methods, account.targets, account.value, (account.low, account.high), account.record, account.window
+    )
     write_signal_strength_csv(run.out / "signal_strength.csv", rows)
     if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
         with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:
@@ -255,19 +268,6 @@ def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
         for method, targets in missing.items()
         if targets
     )
-
-
-def _strength_error(run: Run, rendering: Rendering, coarse: TransferMatrix | None) -> dict[str, Any]:
-    """Estimated error of each S: from its change on the coarser mesh, renderers designed anew."""
-    if coarse is None:
-        return {}
-    other = render_transfer(run.scenario, coarse, base=run.base)
-    own = np.abs(rendering.strengths)
-    change = remaining_error(np.abs(other.strengths - rendering.strengths) / own) * own
-    return {
-        m: dict(zip(rendering.targets, row.tolist(), strict=True))
-        for m, row in zip(rendering.methods, change, strict=True)
-    }
 
 
 def _mesh_facts(run: Run, mesh: TissueMesh | None) -> dict[str, Any]:
@@ -299,7 +299,7 @@ def _write_run(run: Run) -> None:
         "errors": [_error_entry(e) for e in transfer.errors],
         "accuracy": accuracy_verdict(run.scenario, transfer.errors),
         "condition_number": _condition(transfer),
-        "signal_strength_error": _read_json(run.out / "signal_strength_error.json"),
+        "signal_strength": _read_json(run.out / "signal_strength.json"),
         "notes": list(dict.fromkeys(run.notes)),
     }
     write_json(target, account)

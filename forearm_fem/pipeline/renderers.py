@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+from ..errors import GeometryError, ScenarioError
+from ..geometry.layout import layout_of
+from ..ports import Port
 from ..rendering import (
+    AutoZeros,
     Combination,
     Funneling,
     InverseFilter,
@@ -13,32 +18,51 @@ from ..rendering import (
     ThesisZeros,
     Wavelet,
     from_samples_file,
+    funneling_weights,
     ricker,
+    window_of,
 )
 from ..rendering.drives import Renderer
-from ..scenario.rendering import Rendering
+from ..rendering.lattice import lattice
+from ..scenario import Scenario
+from ..scenario.rendering import Method, Rendering
 from ..scenario.sweep import Sweep
 
 MICROMETRE = 1e-6
 
 
-def renderers(options: Rendering) -> list[Renderer]:
-    """One renderer per method asked for, in the scenario's order."""
-    zeros = _zeros(options)
-    rule = Regularisation(kind=options.regularisation, value=options.regularisation_value)
+def renderers(
+    options: Rendering,
+    shape: Wavelet,
+    left_out: frozenset[str] = frozenset(),
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Renderer]:
+    """One renderer per method asked for and not ``left_out``, in the scenario's order.
+
+    A search for zero points maximises S over the scenario's window of the wavelet ``shape`` and calls ``progress(done,
+    most)``.
+    """
+    zeros = _zeros(options, shape, progress)
+    rule = None
+    if options.regularisation != "auto":
+        rule = Regularisation(kind=options.regularisation, value=options.regularisation_value)
     peak = options.amplitude * MICROMETRE
     known: dict[str, Renderer] = {
         "inverse filter": InverseFilter(zeros=zeros, regularisation=rule, peak=peak),
         "funneling": Funneling(amplitude=options.amplitude),
         "combination": Combination(zeros=zeros, regularisation=rule, amplitude=options.amplitude),
     }
-    return [known[m] for m in options.methods]
+    return [known[m] for m in options.methods if m not in left_out]
 
 
-def _zeros(options: Rendering) -> ThesisZeros | SearchedZeros | tuple[str, ...]:
-    if options.zeros == "thesis":
-        return ThesisZeros()
-    return SearchedZeros() if options.zeros == "search" else tuple(options.zeros)
+def _zeros(
+    options: Rendering, shape: Wavelet, progress: Callable[[int, int], None] | None
+) -> AutoZeros | ThesisZeros | SearchedZeros | tuple[str, ...]:
+    if options.zeros == "search":
+        return SearchedZeros(window=window_of(options.window, shape), progress=progress)
+    if isinstance(options.zeros, tuple):
+        return options.zeros
+    return ThesisZeros() if options.zeros == "thesis" else AutoZeros()
 
 
 def wavelet(options: Rendering, sweep: Sweep, base: Path) -> Wavelet:
@@ -46,3 +70,51 @@ def wavelet(options: Rendering, sweep: Sweep, base: Path) -> Wavelet:
     if options.wavelet.file is not None:
         return from_samples_file(base / options.wavelet.file, sweep.sample_rate, sweep.duration)
     return ricker(options.wavelet.peak, sample_rate=sweep.sample_rate, duration=sweep.duration)
+
+
+def unsuited(
+    options: Rendering, outputs: tuple[Port, ...], inputs: tuple[Port, ...], targets: list[str]
+) -> dict[str, str]:
+    """Methods that cannot serve these ports, each with a sentence that names cause and remedy."""
+    by_name = {p.name: p for p in outputs}
+    found: dict[str, str] = {}
+    for method in options.methods:
+        try:
+            _check(method, options, outputs, inputs, [by_name[t] for t in targets if t in by_name])
+        except GeometryError as problem:
+            found[method] = f"{method} is left out: {problem}; {_remedy(method, str(problem))}"
+    return found
+
+
+def _check(
+    method: Method, options: Rendering, outputs: tuple[Port, ...], inputs: tuple[Port, ...], targets: list[Port]
+) -> None:
+    if method != "inverse filter":
+        for target in targets:
+            funneling_weights(inputs, target)
+    if method != "funneling" and options.zeros == "thesis":
+        lattice(outputs, "zero points by the corner rule, outputs")
+
+
+def _remedy(method: str, problem: str) -> str:
+    if "corner rule" in problem:
+        return "set rendering.zeros = 'auto', or name the points"
+    if "outside" in problem:
+        return "name rendering.targets inside it, or lower grid.pitch or raise device.spacing"
+    return "put device.contacts on a rectangle, or use the inverse filter"
+
+
+def check_servable(scenario: Scenario) -> dict[str, str]:
+    """:func:`unsuited` seen from above, before anything is solved; ScenarioError if no method is left."""
+    options = scenario.rendering
+    layout = layout_of(scenario)
+    outputs = tuple(Port(str(k + 1), "point", (float(x), float(y), 0.0)) for k, (x, y) in enumerate(layout.points))
+    inputs = tuple(
+        Port(f"A{k + 1}", "contact", (float(x), float(y), 0.0), radius=scenario.device.cone.radius)
+        for k, (x, y) in enumerate(layout.contacts)
+    )
+    targets = [p.name for p in outputs] if options.targets == "all" else list(options.targets)
+    found = unsuited(options, outputs, inputs, targets)
+    if options.methods and len(found) == len(options.methods):
+        raise ScenarioError(f"rendering: {next(iter(found.values()))}")
+    return found

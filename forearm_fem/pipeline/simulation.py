@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..device import close_loop
+from ..errors import AccuracyWarning, ScenarioError
 from ..geometry.cache import cached_mesh
 from ..geometry.mesh import TissueMesh
 from ..rendering import Limits, Rendering, render_all
@@ -18,8 +20,9 @@ from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
-from .renderers import renderers, wavelet
+from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
+from .strengths import StrengthAccount, strength_account
 from .two_meshes import estimated_errors
 
 Progress = Callable[[str, int, int], None]
@@ -95,15 +98,40 @@ def render_transfer(
     base: str | Path = ".",
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Rendering:
-    """The scenario's renderers on any G, simulated or measured."""
+    """The scenario's renderers on any G, simulated or measured.
+
+    Methods that cannot serve its ports are left out with an AccuracyWarning that names the remedy; ScenarioError if
+    none is left.
+    """
     wanted = scenario.rendering
+    shape = wavelet(wanted, scenario.sweep, Path(base))
     targets = [p.name for p in transfer.outputs] if wanted.targets == "all" else list(wanted.targets)
     device = scenario.device
     limits = Limits(device.max_voltage, device.max_power, device.coil.resistance) if transfer.unit == "m/V" else None
+    left_out = unsuited(wanted, transfer.outputs, transfer.inputs, targets)
+    if len(left_out) == len(wanted.methods):
+        raise ScenarioError(f"rendering: {next(iter(left_out.values()), 'rendering.methods is empty; name one')}")
+    for sentence in left_out.values():
+        warnings.warn(sentence, AccuracyWarning, stacklevel=2)
+
+    def searching(done: int, most: int) -> None:
+        if progress is not None:
+            progress(done, most, "zero points of one target")
+
     return render_all(
-        transfer, targets, renderers(wanted), wavelet(wanted, scenario.sweep, Path(base)), limits,
-        progress=progress,
+        transfer, targets, renderers(wanted, shape, frozenset(left_out), searching), shape, limits,
+        window=wanted.window, progress=progress,
     )  # fmt: skip
+
+
+def account_of(
+    scenario: Scenario, transfer: TransferMatrix, rendering: Rendering, *, base: str | Path = "."
+) -> StrengthAccount:
+    """Intervals and companions of every S of ``rendering``, which :func:`render_transfer` made of ``transfer``."""
+    shape = wavelet(scenario.rendering, scenario.sweep, Path(base))
+    left_out = frozenset(scenario.rendering.methods) - frozenset(rendering.methods)
+    measured = any(e.source == "measurement" for e in transfer.errors) or transfer.deviation is not None
+    return strength_account(rendering, renderers(scenario.rendering, shape, left_out), shape, measured)
 
 
 def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstimate:

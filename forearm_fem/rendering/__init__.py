@@ -6,6 +6,7 @@ reached = displacements(transfer, sent)
 everything = render_all(transfer)
 """
 
+from .bridging import Bridged, bridged
 from .campaign import Rendered, Rendering, render_all, strengths, thesis_renderers
 from .combination import Combination
 from .drives import Aim, Displacements, Drives, Renderer, displacements, drives, scale_to, scaled
@@ -13,18 +14,21 @@ from .funneling import Funneling, funneling_weights
 from .interpolation import Interpolation
 from .inverse_filter import InverseFilter
 from .inversion import Inversion, Regularisation, invert
-from .limits import DriveReport, Limits, check
+from .limits import DriveReport, Limits, beyond_limits, check
 from .spectrum import BinValues, Placed, Record, place, place_on_bins, respond, to_spectrum, to_time
-from .wavelet import Wavelet, from_samples_file, ricker
-from .zeros import SearchedZeros, ThesisZeros, ZeroSearch, best_zeros
+from .wavelet import Wavelet, Window, from_samples_file, ricker, window_of
+from .zeros import AutoZeros, FixedZeros, SearchedZeros, ThesisZeros, ZeroSearch, best_zeros
 
 __all__ = [
     "Aim",
+    "AutoZeros",
     "BinValues",
+    "Bridged",
     "Combination",
     "Displacements",
     "DriveReport",
     "Drives",
+    "FixedZeros",
     "Funneling",
     "Interpolation",
     "InverseFilter",
@@ -39,8 +43,11 @@ __all__ = [
     "SearchedZeros",
     "ThesisZeros",
     "Wavelet",
+    "Window",
     "ZeroSearch",
     "best_zeros",
+    "beyond_limits",
+    "bridged",
     "check",
     "displacements",
     "drives",
@@ -58,4 +65,5 @@ __all__ = [
     "thesis_renderers",
     "to_spectrum",
     "to_time",
+    "window_of",
 ]

@@ -12,13 +12,14 @@ from ..errors import AccuracyWarning, ScenarioError
 from ..metrics.strength import StrengthTable, signal_strength, signal_strength_table
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
+from .bridging import Bridged, bridged
 from .combination import Combination
 from .drives import Displacements, Drives, Renderer, displacements, drives
 from .funneling import Funneling
 from .inverse_filter import InverseFilter
-from .limits import DriveReport, Limits, check
+from .limits import DriveReport, Limits, beyond_limits, check
 from .spectrum import Placed, place
-from .wavelet import Wavelet, ricker
+from .wavelet import Wavelet, Window, ricker, window_of
 
 _MUCH_LOST = 0.1
 
@@ -35,11 +36,17 @@ class Rendered:
 
 @dataclass(frozen=True, eq=False)
 class Rendering(Mapping[tuple[str, str], Rendered]):
-    """Results by (method, target), e.g. ``rendering["funneling", "5"]``."""
+    """Results by (method, target), e.g. ``rendering["funneling", "5"]``.
+
+    ``window`` [s] is what S was taken over, None for the whole record; ``bridged`` is the G that was used.
+    """
 
     methods: tuple[str, ...]
     targets: tuple[str, ...]
     results: Mapping[tuple[str, str], Rendered]
+    window: tuple[float, float] | None
+    bridged: Bridged
+    limits: Limits
 
     def __getitem__(self, key: tuple[str, str]) -> Rendered:
         return self.results[key]
@@ -57,8 +64,16 @@ class Rendering(Mapping[tuple[str, str], Rendered]):
 
     @property
     def exceeded(self) -> tuple[str, ...]:
-        """A sentence per limit exceeded, with its method and target."""
-        return tuple(f"{m} towards {t}: {line}" for (m, t), r in self.items() for line in r.report.exceeded)
+        """A sentence per method and limit exceeded: how often, the worst case, and the remedy."""
+        first = next(iter(self.values()), None)
+        if first is None or not first.report.checked:
+            return ()
+        peak, power = (
+            np.array([[getattr(self[m, t].report, what) for t in self.targets] for m in self.methods])
+            for what in ("peak", "power")
+        )
+        channels = tuple(p.name for p in first.drives.inputs)
+        return beyond_limits(self.methods, self.targets, channels, peak, power, self.limits)
 
     def table(self) -> StrengthTable:
         """S in the layout of the thesis' Table I; needs targets "1".."9"."""
@@ -77,13 +92,14 @@ def render_all(
     wavelet: Wavelet | None = None,
     limits: Limits | None = None,
     *,
-    window: tuple[float, float] | None = None,
+    window: Window = "wavelet",
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Rendering:
     """Every renderer of ``methods`` at every target: drives, displacements, S and the drives' report.
 
     ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet``
-    the 250 Hz Ricker unless given. S is taken over ``window`` (start, end) [s], or the whole record.
+    the 250 Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window),
+    or "record", the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first.
     ``progress(done, total, what)`` is called after each. Warns (AccuracyWarning) when more than 10 % of the
     wavelet's energy falls on bins where G is unknown. Raises ScenarioError for two methods of one name or a
     target given twice, and as :func:`drives`.
@@ -95,15 +111,16 @@ def render_all(
     for what, given in (("method", names), ("target", targets)):
         if len(set(given)) != len(given):
             raise ScenarioError(f"a {what} is given twice: {', '.join(given)}; give each its own name")
-    placed = place(transfer, wavelet.record)
+    seconds, holes = window_of(window, wavelet), bridged(transfer)
+    placed = place(holes.transfer, wavelet.record)
     results: dict[tuple[str, str], Rendered] = {}
     for method in methods:
         for target in targets:
-            results[method.name, target] = _render(method, placed, target, wavelet, limits or Limits(), window)
+            results[method.name, target] = _render(method, placed, target, wavelet, limits or Limits(), seconds)
             if progress is not None:
                 progress(len(results), len(methods) * len(targets), f"{method.name} towards {target}")
     _warn_lost(results)
-    return Rendering(names, targets, results)
+    return Rendering(names, targets, results, seconds, holes, limits or Limits())
 
 
 def _render(
@@ -137,19 +154,20 @@ def strengths(
     methods: Sequence[Renderer],
     wavelet: Wavelet,
     *,
-    window: tuple[float, float] | None = None,
+    window: Window = "wavelet",
     fixed: Sequence[Sequence[Drives]] | None = None,
 ) -> FloatArray:
     """S (n_method, n_target) only, keeping no signals: for studies over many G.
 
     ``fixed`` (n_method x n_target drives) plays these drives on ``transfer`` instead of aiming anew: what a
-    device calibrated on another G would reach. Raises as :func:`render_all`.
+    device calibrated on another G would reach. Holes are not bridged. Raises as :func:`render_all`.
     """
+    seconds = window_of(window, wavelet)
     placed = place(transfer, wavelet.record)
     out = np.empty((len(methods), len(targets)))
     for m, method in enumerate(methods):
         for t, target in enumerate(targets):
             sent = fixed[m][t] if fixed is not None else drives(method, placed, target, wavelet)
             reached = displacements(placed, sent)
-            out[m, t] = signal_strength(reached.values, placed.row(target), time=reached.time, window=window)
+            out[m, t] = signal_strength(reached.values, placed.row(target), time=reached.time, window=seconds)
     return out

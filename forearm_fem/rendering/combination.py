@@ -12,7 +12,7 @@ from .funneling import Funneling
 from .inverse_filter import aim_at
 from .inversion import Regularisation
 from .spectrum import Placed
-from .zeros import ThesisZeros, Zeros
+from .zeros import AutoZeros, Zeros
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Combination:
     other options are the inverse filter's.
     """
 
-    zeros: Zeros = field(default_factory=ThesisZeros)
-    regularisation: Regularisation = field(default_factory=Regularisation)
+    zeros: Zeros = field(default_factory=AutoZeros)
+    regularisation: Regularisation | None = None
     amplitude: float = 1.0
     name: str = "combination"
 

@@ -11,7 +11,9 @@ from .drives import Aim
 from .funneling import absent_inputs, known_bins
 from .inversion import Regularisation, invert
 from .spectrum import Placed
-from .zeros import ThesisZeros, Zeros, chosen_zeros
+from .zeros import AutoZeros, Zeros, chosen_zeros, within_thesis
+
+_LEAST_ERROR = 0.02  # e(f): no G of an arm is known better, and what S gains from less is its own error
 
 
 @dataclass(frozen=True)
@@ -22,11 +24,13 @@ class InverseFilter:
     more control points than actuators this is least squares: neither target nor zeros are met exactly, and
     without damping the target reaches the share 1 - m^2 of what was asked, m = ``Drives.inversion.misfit``,
     which varies with frequency. So ``peak`` [m], which scales the wavelet, is not reached either: use
-    :func:`scale_to` for that. ``zeros`` is a rule or names of outputs.
+    :func:`scale_to` for that. ``zeros`` is a rule or names of outputs. ``regularisation`` None follows the number of
+    actuators: up to the thesis' four, the pseudo-inverse; more, the damping that G's own error asks for
+    (:class:`Regularisation`, "noise"), with e(f) of at least 0.02.
     """
 
-    zeros: Zeros = field(default_factory=ThesisZeros)
-    regularisation: Regularisation = field(default_factory=Regularisation)
+    zeros: Zeros = field(default_factory=AutoZeros)
+    regularisation: Regularisation | None = None
     peak: float = 1e-6
     name: str = "inverse filter"
 
@@ -40,7 +44,7 @@ class InverseFilter:
 
 
 def aim_at(
-    placed: Placed, target: str, displacement: ComplexArray, zeros: Zeros, regularisation: Regularisation
+    placed: Placed, target: str, displacement: ComplexArray, zeros: Zeros, regularisation: Regularisation | None
 ) -> Aim:
     """Drive spectra for ``displacement`` (n_bins,) [m/Hz] at output ``target`` and none at the zero points.
 
@@ -48,9 +52,11 @@ def aim_at(
     unknown or repeated control points and DataError if no bin is left.
     """
     placed.row(target)
+    few = within_thesis(placed)
+    rule = regularisation or (Regularisation() if few else Regularisation("noise", _LEAST_ERROR))
 
     def towards(names: tuple[str, ...]) -> Aim:
-        return _least_squares(placed, (target, *names), displacement, regularisation)
+        return _least_squares(placed, (target, *names), displacement, rule)
 
     return towards(chosen_zeros(zeros, placed, target, towards))
 
@@ -65,5 +71,7 @@ def _least_squares(
     wanted = np.zeros(matrix.shape[:2], dtype=complex)
     wanted[:, 0] = displacement[used]
     spectrum = np.zeros((len(used), len(placed.inputs)), dtype=complex)
-    spectrum[used], report = invert(matrix, wanted, regularisation, placed.bins.frequency[used])
+    spectrum[used], report = invert(
+        matrix, wanted, regularisation, placed.bins.frequency[used], placed.error[used]
+    )
     return Aim(spectrum, used, control[1:], report)

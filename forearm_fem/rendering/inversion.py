@@ -10,9 +10,9 @@ import numpy as np
 from ..errors import ScenarioError
 from ..typing import ComplexArray, FloatArray
 
-RegularisationKind = Literal["rcond", "tikhonov", "discrepancy", "lcurve"]
+RegularisationKind = Literal["rcond", "tikhonov", "discrepancy", "lcurve", "noise"]
 _ROUNDING = 4e-15  # relative to s_max: what an SVD of a few rows leaves of a singular value that is zero
-_KINDS = ("rcond", "tikhonov", "discrepancy", "lcurve")
+_KINDS = ("rcond", "tikhonov", "discrepancy", "lcurve", "noise")
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,8 @@ class Regularisation:
     known to about ``value``); a U that lies below that is left undriven.
     ``lcurve``: lambda at the corner of the L-curve (largest curvature of log|S| over log|misfit|), searched
     from value s_max to s_max.
+    ``noise``: lambda = e max |H| sqrt(rows), e the error stated for G at the frequency but at least ``value``: least
+    squares in the mean over errors of that size, so that nothing is driven on the strength of G's errors.
     In all kinds singular values below 4e-15 s_max are dropped: rounding.
     """
 
@@ -58,17 +60,24 @@ class Inversion:
 
 
 def invert(
-    matrix: ComplexArray, wanted: ComplexArray, regularisation: Regularisation, frequency: FloatArray
+    matrix: ComplexArray,
+    wanted: ComplexArray,
+    regularisation: Regularisation,
+    frequency: FloatArray,
+    error: FloatArray | None = None,
 ) -> tuple[ComplexArray, Inversion]:
     """S (n, q) minimising |H S - U| per frequency, and the report; H is ``matrix`` (n, c, q), U ``wanted``
-    (n, c).
+    (n, c), ``error`` (n,) the e(f) [-] stated for H, NaN or None where unknown.
 
     A zero column (dead actuator) gets no drive; equal columns share it evenly (minimum norm). Entries must be
     finite.
     """
     left, s, right = np.linalg.svd(matrix, full_matrices=False)
     beta = (left.conj().swapaxes(1, 2) @ wanted[:, :, None])[:, :, 0]
-    parameter = _parameter(s, beta, wanted, regularisation)
+    if regularisation.kind == "noise":
+        parameter = _noise(matrix, error, regularisation.value)
+    else:
+        parameter = _parameter(s, beta, wanted, regularisation)
     weights = _weights(s, parameter, regularisation.kind)
     drive = (right.conj().swapaxes(1, 2) @ (weights * beta)[:, :, None])[:, :, 0]
     drive *= matrix.any(axis=1)  # rounding would leave 1e-16 on a dead actuator
@@ -83,6 +92,11 @@ def invert(
         regularisation=regularisation,
     )
     return drive, report
+
+
+def _noise(matrix: ComplexArray, error: FloatArray | None, least: float) -> FloatArray:
+    stated = np.zeros(len(matrix)) if error is None else np.nan_to_num(error)
+    return np.asarray(np.maximum(stated, least) * np.abs(matrix).max(axis=(1, 2)) * np.sqrt(matrix.shape[1]))
 
 
 def _ratio(large: FloatArray, small: FloatArray) -> FloatArray:

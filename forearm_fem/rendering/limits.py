@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ from scipy.ndimage import uniform_filter1d
 from ..errors import ScenarioError
 from ..typing import FloatArray
 from .drives import Drives
+
+_ILL = 10.0  # times a limit: no amplitude is that far off
 
 
 @dataclass(frozen=True)
@@ -72,3 +75,35 @@ def _mean_square(drives: Drives, window: float | None) -> FloatArray:
         raise ScenarioError(f"the power's window of {window:g} s must hold 1 to {drives.record.n} samples")
     running = uniform_filter1d(drives.signals**2, samples, axis=1, mode="wrap")
     return np.asarray(np.maximum(running, 0).max(axis=1))
+
+
+def beyond_limits(
+    methods: Sequence[str],
+    targets: Sequence[str],
+    channels: Sequence[str],
+    peak: FloatArray,
+    power: FloatArray,
+    limits: Limits,
+) -> tuple[str, ...]:
+    """A sentence per method and limit exceeded by ``peak`` [V] or ``power`` [W] (n_method, n_target, n_channel).
+
+    The remedy is `rendering.amplitude`, in which everything is linear; an inverse filter beyond 10 times a limit is
+    badly conditioned, and is told so.
+    """
+    found = []
+    for m, method in enumerate(methods):
+        both = (peak[m], limits.voltage, "V", "peak"), (power[m], limits.power, "W", "power")
+        for values, most, unit, what in both:
+            t, k = divmod(int(np.argmax(values)), values.shape[1])
+            excess = float(values[t, k] / most)
+            if excess <= 1:
+                continue
+            share = 1 / (excess if what == "peak" else np.sqrt(excess))
+            remedy = f"rendering.amplitude times {np.floor(100 * share) / 100 or share:.2g} is within, and S stays"
+            if excess > _ILL and method != "funneling":
+                remedy += ", or rendering.regularisation = 'auto' damps what G hardly knows"
+            found.append(
+                f"{method}: {np.count_nonzero(values > most)} of {values.size} drives exceed {most:g} {unit} {what}, "
+                f"most of all {values[t, k]:.3g} {unit} at {channels[k]} towards {targets[t]}; {remedy}"
+            )
+    return tuple(found)

@@ -16,7 +16,7 @@ from scipy.fft import irfft, rfft
 
 from ..errors import DataError, ScenarioError
 from ..ports import Port
-from ..transfer import TransferMatrix
+from ..transfer import TransferMatrix, relative_error_at
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 from .interpolation import Interpolation, fill
 
@@ -154,12 +154,16 @@ def _checked(frequency: FloatArray, values: ComplexArray, valid: BoolArray | Non
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A transfer matrix on the bins of a record: ``bins.values`` (n_bins, n_out, n_in) in ``unit``."""
+    """A transfer matrix on the bins of a record: ``bins.values`` (n_bins, n_out, n_in) in ``unit``.
+
+    ``error`` (n_bins,) [-] is e(f) of all sources stated for it together, NaN where one is unknown or none is stated.
+    """
 
     bins: BinValues
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
     unit: str
+    error: FloatArray
 
     @property
     def record(self) -> Record:
@@ -189,7 +193,9 @@ def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation
         valid=transfer.valid,
         interpolation=interpolation,
     )
-    return Placed(bins, transfer.outputs, transfer.inputs, transfer.unit)
+    parts = [relative_error_at(e, bins.frequency) for e in transfer.errors]
+    error = np.linalg.norm(parts, axis=0) if parts else np.full(len(bins.index), np.nan)
+    return Placed(bins, transfer.outputs, transfer.inputs, transfer.unit, np.asarray(error))
 
 
 def respond(placed: Placed, spectrum: ComplexArray) -> FloatArray:

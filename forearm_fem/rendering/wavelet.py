@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.io import wavfile
 
 from ..errors import DataError, ScenarioError
 from ..typing import ComplexArray, FloatArray
-from .spectrum import Record, to_spectrum
+from .spectrum import Record, to_spectrum, to_time
+
+Window = Literal["wavelet", "record"] | tuple[float, float]
+_HEARD = 1e-3  # of a wavelet's largest sample: where it begins and ends
+_ROOM = 0.05  # s before and after it: what moves later is the ringing of the band's edges (docs/decisions/)
+_OUTER = 0.1  # of f_max: where a taper falls
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +42,33 @@ class Wavelet:
     def spectrum(self) -> ComplexArray:
         """One-sided spectrum (n_t // 2 + 1,) [1/Hz] on ``record.frequency``, phase referred to t = 0."""
         return to_spectrum(self.samples, self.record)
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """Start and end [s] of what S is taken over: the samples above 1e-3 of the largest, and 50 ms on either side.
+
+        Milliseconds rounded outwards, cut to the record. Longer records of the same wavelet have the same window.
+        """
+        heard = self.time[np.abs(self.samples) > _HEARD * np.abs(self.samples).max()]
+        start, end = np.floor(1e3 * (heard[0] - _ROOM)) / 1e3, np.ceil(1e3 * (heard[-1] + _ROOM)) / 1e3
+        return max(float(start), float(self.time[0])), min(float(end), float(self.time[-1]))
+
+    def tapered(self, first: float, last: float) -> Wavelet:
+        """The wavelet without sharp edges of the band ``first`` to ``last`` [Hz]: half cosines over the lowest octave
+        and the uppermost tenth, zero outside."""
+        f = self.record.frequency
+        up = np.clip((f - first) / first, 0, 1)
+        down = np.clip((last - f) / (_OUTER * last), 0, 1)
+        shape = np.sin(np.pi / 2 * up) ** 2 * np.sin(np.pi / 2 * down) ** 2
+        samples = to_time((self.spectrum * shape)[:, None], np.arange(len(f)), self.record)[0]
+        return replace(self, samples=samples, name=f"{self.name}, tapered")
+
+
+def window_of(window: Window, wavelet: Wavelet) -> tuple[float, float] | None:
+    """Seconds (start, end) of a window by name or as given; None for the whole record."""
+    if window == "record":
+        return None
+    return wavelet.window if window == "wavelet" else (float(window[0]), float(window[1]))
 
 
 def ricker(

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from itertools import combinations
 from math import comb
 from typing import Protocol, Self
 
 import numpy as np
 
-from ..errors import ScenarioError
-from ..metrics.strength import signal_strength
+from ..errors import GeometryError, ScenarioError
+from ..metrics.strength import area, signal_strength
 from ..transfer import TransferMatrix
+from ..typing import FloatArray
 from .drives import Aim, Renderer
 from .lattice import lattice
 from .spectrum import Placed, place, respond
-from .wavelet import Wavelet
+from .wavelet import Wavelet, Window, window_of
 
-_MOST_SETS = 20_000
+_MOST_SETS = 200  # tried one by one
+_LOUDEST, _ROUNDS = 12, 2  # of an exchange
+THESIS_ACTUATORS = 4
 
 
 class ZeroRule(Protocol):
@@ -50,16 +53,57 @@ class ThesisZeros:
         return tuple(chosen)
 
 
-@dataclass(frozen=True)
-class SearchedZeros:
-    """The set of ``size`` zero points with the largest S, by trying all of them.
+def within_thesis(placed: Placed) -> bool:
+    """Whether G has at most the thesis' four actuators (columns known on some bin count)."""
+    return int(np.count_nonzero(placed.bins.valid.any(axis=(0, 1)))) <= THESIS_ACTUATORS
 
-    S (eq. 9) over the ``window`` (start, end) [s], or the whole record. C(8, 4) = 70 sets for the thesis'
-    grid; raises ScenarioError beyond 20000 sets.
+
+@dataclass(frozen=True)
+class AutoZeros:
+    """The thesis' rule for its four actuators on a rectangular grid, else all other outputs.
+
+    With all others held still, least squares gives at each frequency the drive with the largest energy at the target
+    over the energy elsewhere, which no further actuator can make smaller. The corners alone leave the actuators
+    beyond four free to move whatever lies between.
     """
 
-    size: int = 4
+    def choose(self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
+        """Names of the zero points."""
+        if within_thesis(placed):
+            try:
+                return ThesisZeros().choose(placed, target, aim)
+            except GeometryError:  # no rectangle, so no corners
+                pass
+        return tuple(p.name for p in placed.outputs if p.name != target)
+
+
+@dataclass(frozen=True)
+class FixedZeros:
+    """Zero points by ``target``, as found before: for studies that aim anew but do not search anew."""
+
+    by_target: Mapping[str, tuple[str, ...]]
+
+    def choose(self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
+        """Names of the zero points; raises ScenarioError for a target without any on record."""
+        if target not in self.by_target:
+            raise ScenarioError(f"no zero points are on record for target '{target}'")
+        return self.by_target[target]
+
+
+@dataclass(frozen=True)
+class SearchedZeros:
+    """The set of ``size`` zero points with the largest S found; ``size`` None: as many as there are actuators, 4 at
+    least.
+
+    S (eq. 9) over the ``window`` (start, end) [s], or the whole record. Up to 200 sets are all tried (the thesis' grid
+    has C(8, 4) = 70). Beyond that, points are added one at a time and then exchanged one at a time while S rises, in
+    two rounds at most, each time among the 12 outputs that move most: a local best after at most 36 tries a point.
+    ``progress(done, most)`` counts the sets of one target. Raises ScenarioError for more zero points than outputs.
+    """
+
+    size: int | None = None
     window: tuple[float, float] | None = None
+    progress: Callable[[int, int], None] | None = field(default=None, repr=False, compare=False)
 
     def choose(self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
         """Names of the best zero points."""
@@ -68,20 +112,67 @@ class SearchedZeros:
     def ranking(
         self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]
     ) -> tuple[tuple[tuple[str, ...], float], ...]:
-        """All sets with their S, best first."""
-        row = placed.row(target)
+        """The sets tried with their S, best first."""
+        placed.row(target)
         others = [p.name for p in placed.outputs if p.name != target]
-        sets = comb(len(others), max(self.size, 0))
-        if self.size < 0 or not 1 <= sets <= _MOST_SETS:
-            raise ScenarioError(
-                f"searching {self.size} zero points among {len(others)} outputs is {sets} sets; "
-                f"allowed are 1 to {_MOST_SETS}"
-            )
-        scored = []
-        for zeros in combinations(others, self.size):
-            response = respond(placed, aim(zeros).spectrum)
-            scored.append((zeros, signal_strength(response, row, time=placed.record.time, window=self.window)))
-        return tuple(sorted(scored, key=lambda pair: -pair[1] if pair[1] == pair[1] else float("inf")))
+        size = self.size if self.size is not None else max(4, len(placed.inputs))
+        size = min(size, len(others)) if self.size is None else size
+        if not 0 <= size <= len(others):
+            raise ScenarioError(f"{size} zero points cannot be searched among {len(others)} outputs beside the target")
+        few = comb(len(others), size) <= _MOST_SETS
+        trial = _Trial(placed, target, aim, self, comb(len(others), size) if few else (_ROUNDS + 1) * size * _LOUDEST)
+        if few:
+            for zeros in combinations(others, size):
+                trial.strength(zeros)
+        else:
+            _exchange(trial, size, [p.name for p in placed.outputs])
+        found = [(zeros, s) for zeros, s in trial.found.items() if len(zeros) == size]
+        return tuple(sorted(found, key=lambda pair: -pair[1] if pair[1] == pair[1] else float("inf")))
+
+
+@dataclass
+class _Trial:
+    """Sets tried for one target, with S and the area of every output."""
+
+    placed: Placed
+    target: str
+    aim: Callable[[tuple[str, ...]], Aim]
+    rule: SearchedZeros
+    most: int
+    found: dict[tuple[str, ...], float] = field(default_factory=dict)
+    areas: dict[tuple[str, ...], FloatArray] = field(default_factory=dict)
+
+    def strength(self, zeros: tuple[str, ...]) -> float:
+        """S with these zero points; -inf where it is no number."""
+        if zeros not in self.found:
+            response, time = respond(self.placed, self.aim(zeros).spectrum), self.placed.record.time
+            row, window = self.placed.row(self.target), self.rule.window
+            self.found[zeros] = signal_strength(response, row, time=time, window=window)
+            self.areas[zeros] = area(response, time=time, window=window)
+            if self.rule.progress is not None:
+                self.rule.progress(len(self.found), self.most)
+        found = self.found[zeros]
+        return found if found == found else float("-inf")
+
+
+def _exchange(trial: _Trial, size: int, names: list[str]) -> None:
+    """Zero points added one at a time, then each exchanged for a better one while S rises."""
+
+    def best_with(rest: tuple[str, ...]) -> tuple[str, ...]:
+        trial.strength(rest)
+        loud = [names[i] for i in np.argsort(-trial.areas[rest]) if names[i] not in (trial.target, *rest)]
+        # names in the order of the outputs, so that a set met again is known
+        return max((tuple(sorted((*rest, n), key=names.index)) for n in loud[:_LOUDEST]), key=trial.strength)
+
+    chosen: tuple[str, ...] = ()
+    for _ in range(size):
+        chosen = best_with(chosen)
+    for _ in range(_ROUNDS):
+        before = chosen
+        for name in before:
+            chosen = max(chosen, best_with(tuple(n for n in chosen if n != name)), key=trial.strength)
+        if chosen == before:
+            return
 
 
 Zeros = ZeroRule | tuple[str, ...]
@@ -112,7 +203,7 @@ class Zeroed(Renderer, Protocol):
 
 @dataclass(frozen=True)
 class ZeroSearch:
-    """Best ``zeros`` and their ``strength`` S [-]; ``ranking`` has every set with its S, best first."""
+    """Best ``zeros`` and their ``strength`` S [-]; ``ranking`` has every set tried with its S, best first."""
 
     zeros: tuple[str, ...]
     strength: float
@@ -126,13 +217,13 @@ def best_zeros(
     wavelet: Wavelet,
     *,
     size: int = 4,
-    window: tuple[float, float] | None = None,
+    window: Window = "wavelet",
 ) -> ZeroSearch:
-    """The ``size`` zero points that give ``renderer`` the largest S at output ``target``, by exhaustive
-    search.
+    """The ``size`` zero points that give ``renderer`` the largest S at output ``target``, searched as by
+    :class:`SearchedZeros`.
 
     S is that of the same G the drives are computed from; a set that is best on a wrong G need not be on the
-    arm. Raises ScenarioError for too many sets or an unknown target.
+    arm. Raises ScenarioError for an impossible size or an unknown target.
     """
     placed = transfer if isinstance(transfer, Placed) else place(transfer, wavelet.record)
     spectrum = wavelet.spectrum[placed.bins.index]
@@ -140,5 +231,5 @@ def best_zeros(
     def aim(zeros: tuple[str, ...]) -> Aim:
         return renderer.with_zeros(zeros).aim(placed, target, spectrum)
 
-    ranking = SearchedZeros(size, window).ranking(placed, target, aim)
+    ranking = SearchedZeros(size, window_of(window, wavelet)).ranking(placed, target, aim)
     return ZeroSearch(ranking[0][0], ranking[0][1], ranking)

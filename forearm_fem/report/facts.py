@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from ..figures.data import Results
-from ..figures.judge import Strengths, strengths, table_one_rows
+from ..figures.judge import WHO, Strengths, strengths, table_one_rows
 from ..metrics import condition_number, thesis_table
-from ..rendering.limits import Limits
+from ..metrics.strength import GROUPS
+from ..rendering.limits import Limits, beyond_limits
 from ..scenario import Scenario
 from ..transfer import size_words
 from ..typing import FloatArray
@@ -159,19 +160,14 @@ def _power(values: FloatArray, resistance: float, unit: str) -> str:
 
 
 def exceeded(results: Results) -> list[str]:
-    """A sentence per actuator, method and target that passes a limit of the scenario."""
+    """A sentence per method that passes a limit of the scenario, with the remedy."""
     drives, device = results.drives, results.scenario.device
     if drives.unit != "V":
         return []
     limits = Limits(device.max_voltage, device.max_power, device.coil.resistance)
     peak = np.abs(drives.values).max(axis=3)
     power = np.mean(drives.values**2, axis=3) / limits.resistance
-    found = []
-    for values, most, unit, what in ((peak, limits.voltage, "V", "peak"), (power, limits.power, "W", "mean power")):
-        for m, t, k in np.argwhere(values > most):
-            where = f"{drives.methods[m]} towards {drives.targets[t]}, {drives.channels[k]}"
-            found.append(f"{where}: {values[m, t, k]:.3g} {unit} {what}, limit {most:g} {unit}.")
-    return found
+    return list(beyond_limits(drives.methods, drives.targets, drives.channels, peak, power, limits))
 
 
 def strength_block(results: Results) -> Block | None:
@@ -179,8 +175,20 @@ def strength_block(results: Results) -> Block | None:
     data = strengths(results)
     if not _is_thesis_grid(data):
         return None
-    header = ["S", *(f"{m}, {who}" for m in data.methods for who in ("here", "thesis"))]
-    return Block(header, table_one_rows(data), "Thesis: one participant (P2), measured with the laser vibrometer.")
+    header = ["S", *(f"{m}, {who}" for m in data.methods for who in WHO)]
+    note = (f"Here: S {window_words(data)}. Record: the same motion over the whole record of "
+            f"{results.scenario.sweep.duration:g} s, as the thesis sums it; that reading grows with the record, as the "
+            "edges of the band ring on. Thesis: one participant (P2), measured with the laser vibrometer.")  # fmt: skip
+    return Block(header, table_one_rows(data), note)
+
+
+def window_words(data: Strengths) -> str:
+    """What S is taken over."""
+    if not data.window:
+        return "over a window that the folder does not name"
+    if data.window == "record":
+        return "over the whole record, as in the thesis"
+    return f"over {data.window} about the wavelet's centre"
 
 
 def _is_thesis_grid(data: Strengths) -> bool:
@@ -188,27 +196,57 @@ def _is_thesis_grid(data: Strengths) -> bool:
 
 
 def by_target_block(results: Results) -> Block:
-    """S of every target with its estimated error, where there is one."""
+    """S of every target with its numerical interval, and what edges of the band and holes of G do to it."""
     data = strengths(results)
-    errors: Mapping[str, Mapping[str, float]] = results.account.get("signal_strength_error") or {}
+    account: Mapping[str, Any] = results.account.get("signal_strength") or {}
+    holes = _largest(account, "holes")[0] > 0
     rows = []
     for t, target in enumerate(data.targets):
-        cells = []
-        for m, method in enumerate(data.methods):
-            error = (errors.get(method) or {}).get(target)
-            cells.append(f"{data.values[m, t]:.2f}" + (f" ± {error:.2g}" if error is not None else ""))
+        cells = [
+            f"{data.values[m, t]:.2f} ({_span_of(data, m, t)}){_hole_words(account, method, target) if holes else ''}"
+            for m, method in enumerate(data.methods)
+        ]
         rows.append([target, *cells])
-    note = "± is the change of S on a coarser mesh, as estimated by the run." if errors else ""
-    return Block(["target", *data.methods], rows, note)
+    said = ["In brackets: S within the errors stated for G, nine in ten of them; how arms differ is not in it."]
+    said += [str(account["unknown"]).capitalize() + "."] if account.get("unknown") else []
+    said += [f"S is taken {window_words(data)}."]
+    edge, where = _largest(account, "edges")
+    if where:
+        said += [f"With the edges of the band tapered S changes by at most {edge:.0%} ({where})."]
+    if holes:
+        worst, at = _largest(account, "holes")
+        said += [f"Holes of G that could not be bridged may have cost up to {worst:.0%} of S ({at}), given per S."]
+    return Block(["target", *data.methods], rows, " ".join(said))
+
+
+def _span_of(data: Strengths, m: int, t: int) -> str:
+    low, high = data.low[m, t], data.high[m, t]
+    return f"{low:.2f} to {high:.2f}" if np.isfinite(low) and np.isfinite(high) else "unknown"
+
+
+def _hole_words(account: Mapping[str, Any], method: str, target: str) -> str:
+    cost = (account["methods"].get(method) or {}).get(target, {}).get("holes") or 0.0
+    return f", holes ± {cost:.2g}" if cost else ""
+
+
+def _largest(account: Mapping[str, Any], what: str) -> tuple[float, str]:
+    """Largest |``what``| over S, and where; 0 and "" where nothing is on record."""
+    found = [
+        (abs(entry[what]) / entry["value"], f"{method} towards {target}")
+        for method, row in (account.get("methods") or {}).items()
+        for target, entry in row.items()
+        if entry.get(what) is not None and entry.get("value")
+    ]
+    return max(found, default=(0.0, ""))
 
 
 def differences(results: Results) -> list[str]:
-    """A sentence for each entry of Table I that differs by more than the thesis' own spread and our error."""
+    """A sentence for each entry of Table I that differs by more than the thesis' own spread and our interval."""
     data = strengths(results)
     if not _is_thesis_grid(data):
         return []
     ours, theirs = data.table(), thesis_table()
-    error = _group_error(results, data)
+    error = _group_error(data)
     lines = []
     for g, group in enumerate(ours.groups):
         for m, method in enumerate(ours.methods):
@@ -219,26 +257,24 @@ def differences(results: Results) -> list[str]:
     return [line for line in lines if line]
 
 
-def _group_error(results: Results, data: Strengths) -> dict[tuple[str, str], float]:
-    """Mean estimated error of S over a group's targets."""
-    from ..metrics.strength import GROUPS
-
-    known: Mapping[str, Mapping[str, float]] = results.account.get("signal_strength_error") or {}
+def _group_error(data: Strengths) -> dict[tuple[str, str], float]:
+    """Mean half width of the intervals of S over a group's targets; NaN where one is unknown."""
     out = {}
     for label, members in GROUPS:
-        for method in data.methods:
-            found = [known[method][t] for t in members if t in known.get(method, {})]
-            if found:
-                out[label, method] = float(np.mean(found))
+        columns = [i for i, t in enumerate(data.targets) if t in members]
+        for m, method in enumerate(data.methods):
+            if columns:
+                out[label, method] = float(np.mean((data.high - data.low)[m, columns]) / 2)
     return out
 
 
 def _difference(group: str, method: str, ours: float, theirs: float, spread: float, error: float | None) -> str:
-    gap, room = abs(ours - theirs), (0.0 if np.isnan(spread) else spread) + (error or 0.0)
+    gap, room = abs(ours - theirs), float(np.nansum([spread, error if error is not None else np.nan]))
     if gap <= max(room, 0.05 * theirs):
         return ""
     way = "above" if ours > theirs else "below"
-    known = f"; our own estimated error is {error:.2g}" if error is not None else ""
+    stated = error is not None and np.isfinite(error)
+    known = f"; our own interval is ± {error:.2g}" if stated else "; our own interval is unknown"
     among = "one value, so its spread is unknown" if np.isnan(spread) else f"spread {spread:.2g}"
     side = " The verdict on focusing (S > 1) differs." if (ours > 1) != (theirs > 1) else ""
     return (f"{group}, {method}: {ours:.2f} here, {theirs:.2f} in the thesis ({among}); {gap / theirs:.0%} "

@@ -89,7 +89,7 @@ def _sections(results: Results, progress: Progress) -> list[Section]:
         Section("errors", "Estimated errors of G", facts.errors_block(results)),
         Section("transfer", "Transfer matrix G", facts.matrix_block(results), pictures=by_name.get("transfer", [])),
         Section("renderers", "Renderers", facts.renderer_block(results)),
-        Section("limits", "Limits", bullets=limits[:20], warn=True, paragraphs=[_limit_words(limits, results)]),
+        Section("limits", "Limits", bullets=limits, warn=True, paragraphs=[_limit_words(limits, results)]),
         Section("strength", "Signal strength S", facts.by_target_block(results)),
         Section("thesis", "Beside the thesis' Table I", strength, bullets=facts.differences(results),
                 paragraphs=[] if strength else ["The grid is not the thesis' 3 × 3, so there is no Table I."]),
@@ -108,8 +108,7 @@ def _limit_words(limits: list[str], results: Results) -> str:
         return "The drives are no voltages, so limits were not checked."
     if not limits:
         return "No drive exceeds the actuators' limits in voltage or mean power."
-    more = f" (the first 20 of {len(limits)})" if len(limits) > 20 else ""
-    return f"{len(limits)} limits are exceeded{more}; scale the drives down, S does not change."
+    return f"{len(limits)} limits are exceeded."
 
 
 def _pictures(results: Results, progress: Progress) -> tuple[list[tuple[str, Picture]], list[str]]:

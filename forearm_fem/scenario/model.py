@@ -72,6 +72,14 @@ class Scenario(Part):
         zeros = self.rendering.zeros if isinstance(self.rendering.zeros, tuple) else ()
         if unknown := (wanted | set(zeros)) - names:
             raise ValueError(f"rendering names the points {sorted(unknown)}, but the grid has 1..{len(names)}")
+        holding = {"inverse filter", "combination"} & set(self.rendering.methods)
+        if self.rendering.targets == "all" and zeros and holding:
+            raise ValueError(
+                f"rendering.zeros names point {zeros[0]}, but targets = 'all' aims at it, too; name the targets"
+            )
+        window, half = self.rendering.window, self.sweep.duration / 2
+        if not isinstance(window, str) and not (-half <= window[0] and window[1] <= half):
+            raise ValueError(f"rendering.window {list(window)} s reaches beyond the record of {-half:g} to {half:g} s")
         return self
 
     @model_validator(mode="after")

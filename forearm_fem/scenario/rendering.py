@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .base import Frequency, Part, Within
 
@@ -23,12 +23,45 @@ class Rendering(Part):
 
     targets: tuple[str, ...] | Literal["all"] = "all"
     methods: tuple[Method, ...] = ("inverse filter", "funneling", "combination")
-    zeros: Literal["thesis", "search"] | tuple[str, ...] = Field("thesis", description="zero points")
-    regularisation: Literal["rcond", "tikhonov", "lcurve", "discrepancy"] = "rcond"
+    zeros: Literal["auto", "thesis", "search"] | tuple[str, ...] = Field(
+        "auto",
+        description="zero points; auto: the thesis' corners for up to four actuators on a rectangular grid, else all "
+        "other points",
+    )
+    regularisation: Literal["auto", "rcond", "tikhonov", "lcurve", "discrepancy", "noise"] = Field(
+        "auto",
+        description="auto: rcond for up to four actuators, else noise: damping from G's stated error, 0.02 at least",
+    )
     regularisation_value: Annotated[float, Field(ge=0, lt=1)] = Field(
-        1e-12, description="relative to the largest singular value"
+        1e-12, description="relative to the largest singular value; noise: the least relative error of G"
+    )
+    window: Literal["wavelet", "record"] | tuple[float, float] = Field(
+        "wavelet",
+        description="what S is taken over: [start, end] in s about the wavelet's centre; wavelet: from 50 ms before it "
+        "to 50 ms after it; record: the whole record, as in the thesis, with which S grows",
     )
     wavelet: WaveletOptions = WaveletOptions()
     amplitude: Annotated[float, Within(1e-6, 1e6, "V or 1e-6 m")] = Field(
         1.0, description="funneling: drive amplitude A in eq. 6 [V]; inverse filter: target peak [1e-6 m]"
     )
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        zeros = self.zeros if isinstance(self.zeros, tuple) else ()
+        targets = self.targets if isinstance(self.targets, tuple) else ()
+        for what, names in (("targets", targets), ("zeros", zeros), ("methods", self.methods)):
+            if twice := sorted({n for n in names if names.count(n) > 1}):
+                raise ValueError(f"{what} names {', '.join(twice)} twice; name each once")
+        if self.targets != "all" and not targets and self.methods:
+            raise ValueError("targets is empty; name points, or set targets = 'all', or methods = [] to render nothing")
+        if both := sorted(set(zeros) & set(targets)):
+            raise ValueError(f"point {both[0]} is both a target and a zero point; take it out of either")
+        if self.regularisation == "auto" and self.regularisation_value != 1e-12:
+            raise ValueError("regularisation_value needs a regularisation by name, not 'auto'")
+        return self
+
+    @model_validator(mode="after")
+    def _window_increases(self) -> Self:
+        if not isinstance(self.window, str) and self.window[1] <= self.window[0]:
+            raise ValueError(f"window must be [start, end] in s with start < end, got {list(self.window)}")
+        return self

@@ -1,0 +1,172 @@
+"""What each S of a run is worth: its numerical interval, the thesis' reading, and what edges and holes do to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..metrics import perturbed, signal_strength
+from ..rendering import FixedZeros, Rendering, SearchedZeros, Wavelet, Window, strengths
+from ..rendering.drives import Renderer
+from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at
+from ..typing import FloatArray
+
+_DRAWS, _SEED = 12, 0
+_CORRELATION = 50.0  # Hz: errors of meshes and ends are smooth over about that much
+_HALF_WIDTH = 2.0  # rms changes of log S: 9 of 10 true errors lie within (docs/decisions/interval-of-s.md)
+_LEAST_SPAN = 4.0  # of the window: the record that draws are made on
+
+
+@dataclass(frozen=True, eq=False)
+class StrengthAccount:
+    """Arrays (n_method, n_target) [-]: S ``value``, its interval ``low`` to ``high`` (NaN where unknown), S over the
+    whole ``record``, the change of S with tapered band ``edges``, what ``holes`` of G may have cost (0 without any).
+
+    ``window`` [s] is what S is taken over, None for the record; ``zeros`` are the zero points by method and target;
+    ``unknown`` says why there is no interval.
+    """
+
+    methods: tuple[str, ...]
+    targets: tuple[str, ...]
+    window: tuple[float, float] | None
+    value: FloatArray
+    low: FloatArray
+    high: FloatArray
+    record: FloatArray
+    edges: FloatArray
+    holes: FloatArray
+    zeros: Mapping[str, Mapping[str, tuple[str, ...]]]
+    unknown: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """By method and target, in plain numbers; None where unknown."""
+        columns = ("value", "low", "high", "record", "edges", "holes")
+        table = {
+            m: {t: {c: _plain(getattr(self, c)[i, j]) for c in columns} for j, t in enumerate(self.targets)}
+            for i, m in enumerate(self.methods)
+        }
+        return {"window": self.window, "unknown": self.unknown, "methods": table, "zeros": self.zeros}
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def strength_account(
+    rendering: Rendering, methods: Sequence[Renderer], wavelet: Wavelet, measured: bool = False
+) -> StrengthAccount:
+    """Account of the S of ``rendering`` by ``methods`` (its renderers) with ``wavelet``.
+
+    The interval is for the errors stated for G, bridged holes included; ``measured`` G whose errors are not stated is
+    told so. Renderers aim anew in each draw, with zero points as found for the G printed.
+    """
+    kept = tuple(_with_found_zeros(m, rendering) for m in methods)
+    holes = rendering.bridged
+    window: Window = rendering.window if rendering.window is not None else "record"
+
+    def strength(g: TransferMatrix, shape: Wavelet = wavelet) -> FloatArray:
+        return strengths(g, rendering.targets, kept, shape, window=window)
+
+    g, value = holes.transfer, rendering.strengths
+    cost = np.abs(strength(holes.guess) - value) if holes.guess is not None else np.zeros_like(value)
+    errors = (*g.errors, *((holes.error,) if holes.error is not None else ()))
+    unknown = _why_unknown(errors, measured)
+    spread = np.full(value.shape, np.nan) if unknown else interval(g, errors, rendering, kept, wavelet)
+    tapered = wavelet.tapered(float(g.frequency[0]), float(g.frequency[-1]))
+    return StrengthAccount(
+        rendering.methods, rendering.targets, rendering.window, value,
+        value * np.exp(-spread) - cost, value * np.exp(spread) + cost, _over_record(rendering),
+        strength(g, tapered) - value, cost,
+        {m: {t: rendering[m, t].drives.zeros for t in rendering.targets} for m in rendering.methods}, unknown,
+    )  # fmt: skip
+
+
+def _with_found_zeros(method: Renderer, rendering: Rendering) -> Renderer:
+    """The renderer with the zero points that a search found: searching anew in each draw would take hours."""
+    if not isinstance(getattr(method, "zeros", None), SearchedZeros):
+        return method
+    found = {t: rendering[method.name, t].drives.zeros for t in rendering.targets}
+    return method.with_zeros(FixedZeros(found))  # type: ignore[attr-defined,no-any-return]
+
+
+def _why_unknown(errors: tuple[ErrorEstimate, ...], measured: bool) -> str:
+    if not errors:
+        kind = "a measured G states no error of its own" if measured else "G carries no error estimate"
+        return f"{kind}, so the interval of S is unknown"
+    lost = [e.source for e in errors if not np.isfinite(e.band)]
+    return f"the error by {', '.join(lost)} is unknown, and so is the interval of S" if lost else ""
+
+
+def interval(
+    transfer: TransferMatrix,
+    errors: tuple[ErrorEstimate, ...],
+    rendering: Rendering,
+    methods: Sequence[Renderer],
+    wavelet: Wavelet,
+) -> FloatArray:
+    """Half width (n_method, n_target) of the interval of log S: twice its rms change over draws of G's errors.
+
+    Each draw adds to G independent complex noise of every source's e(f) (:func:`perturbed`), smooth over 50 Hz, and
+    aims anew. Two meshes agree at single frequencies by chance, so e(f) of the discretisation is its band value at
+    least. Draws cancel at single targets by chance, so none gets less than the method's rms over its targets.
+    """
+    window: Window = rendering.window if rendering.window is not None else "record"
+    g, shape = _shorter(transfer, wavelet, rendering.window)
+    sources = tuple(_at_least_band(e, g.frequency) if e.source == "discretisation" else e for e in errors)
+    base = strengths(g, rendering.targets, methods, shape, window=window)
+    rng = np.random.default_rng(_SEED)
+    square = np.zeros(base.shape)
+    for _ in range(_DRAWS):
+        drawn = strengths(
+            perturbed(g, sources, rng, _CORRELATION), rendering.targets, methods, shape, window=window
+        )
+        square += np.log(drawn / base) ** 2 / _DRAWS
+    pooled = square.mean(axis=1, keepdims=True)
+    return np.asarray(_HALF_WIDTH * np.sqrt(np.maximum(square, pooled)))
+
+
+def _at_least_band(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
+    size = np.maximum(relative_error_at(error, frequency), error.band)
+    return replace(error, frequency=tuple(frequency.tolist()), per_frequency=tuple(size.tolist()))
+
+
+def _shorter(
+    transfer: TransferMatrix, wavelet: Wavelet, window: tuple[float, float] | None
+) -> tuple[TransferMatrix, Wavelet]:
+    """G on the bins of a shorter record that still holds four windows, and the wavelet in it.
+
+    S over a window hardly depends on the record, and a draw on a quarter of the bins costs a quarter.
+    """
+    record = wavelet.record
+    span = window[1] - window[0] if window is not None else record.n / record.sample_rate
+    most = int(record.n / record.sample_rate / (_LEAST_SPAN * span))
+    place = np.rint(transfer.frequency / record.df)
+    on_bins = np.allclose(place * record.df, transfer.frequency, rtol=0, atol=1e-3 * record.df)
+    fits = [m for m in range(2, most + 1) if record.n % (2 * m) == 0]
+    if not fits or not on_bins:
+        return transfer, wavelet
+    step = fits[-1]
+    rows = np.nonzero(place % step == 0)[0]
+    if len(rows) < 2:
+        return transfer, wavelet
+    n, middle = record.n // step, record.centre
+    cut = wavelet.samples[middle - n // 2 : middle - n // 2 + n]
+    if np.abs(cut).max() < np.abs(wavelet.samples).max():
+        return transfer, wavelet
+    thin = replace(
+        transfer, frequency=transfer.frequency[rows], values=transfer.values[rows],
+        valid=None if transfer.valid is None else transfer.valid[rows], contacts=None, deviation=None,
+    )  # fmt: skip
+    return thin, replace(wavelet, samples=cut, record=replace(record, n=n))
+
+
+def _over_record(rendering: Rendering) -> FloatArray:
+    return np.array(
+        [
+            [signal_strength(r.displacements.values, r.displacements.target_index) for r in row]
+            for row in ([rendering[m, t] for t in rendering.targets] for m in rendering.methods)
+        ]
+    )
