@@ -51,7 +51,9 @@ class Device(Part):
         None, description="own contact centres (x, y) [m] instead of the 2x2 array"
     )
     rotation: float = Field(0.0, description="of the whole device about z [rad]")
-    drive: Literal["voltage", "force", "displacement"] = "voltage"
+    drive: Literal["voltage", "force", "displacement"] = Field(
+        "voltage", description="what a unit drive is: 1 V at one amplifier, 1 N on one contact, or 1 m of one contact"
+    )
     out_of_contact: tuple[str, ...] = Field((), description="names of actuators that do not touch, e.g. ['A1']")
     coil: VoiceCoil = VoiceCoil()
     cone: Cone = Cone()
@@ -76,8 +78,8 @@ class Device(Part):
 class Grid(Part):
     """Points on the skin whose normal displacement is read, numbered from 1 row by row (rows along +x)."""
 
-    rows: Annotated[int, Field(ge=1, le=50)] = 3
-    columns: Annotated[int, Field(ge=1, le=50)] = 3
+    rows: Annotated[int, Field(ge=1, le=50)] = Field(3, description="number of rows, along x")
+    columns: Annotated[int, Field(ge=1, le=50)] = Field(3, description="number of columns, along y")
     pitch: Annotated[float, Field(gt=0, le=0.1)] = Field(
         13.3e-3, description="[m]; the thesis' 1.33 cm (its '4x4 cm' contradicts it)"
     )

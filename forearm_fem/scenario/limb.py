@@ -19,7 +19,7 @@ class LayerThickness(Part):
 class Bone(Part):
     """A bone of circular section along the limb; its axis keeps its place relative to the limb's radius (taper)."""
 
-    name: str
+    name: str = Field(description="for the report and for messages, e.g. radius")
     y: float = Field(description="axis offset across the limb [m]")
     depth: Length = Field(description="depth of its axis below the volar skin at the device [m]")
     diameter: Length = Field(description="[m]")
@@ -43,7 +43,7 @@ DEFAULT_BONES = (
 class ForearmLimb(Part):
     """Parametric segment: circumferences along the arm, elliptic sections, layers, muscle, radius and ulna."""
 
-    shape: Literal["forearm"] = "forearm"
+    shape: Literal["forearm"] = Field("forearm", description="a tapering forearm from circumferences")
     length: Length = Field(
         0.24,
         description="length of the segment kept, centred on the device [m]; where a scenario leaves it out, as long as "
@@ -53,9 +53,14 @@ class ForearmLimb(Part):
         DEFAULT_CIRCUMFERENCE, description="pairs (x, circumference) [m]; x = 0 under the device"
     )
     aspect: Annotated[float, Field(ge=0.5, le=2.0)] = Field(1.0, description="width (y) over height (z) of the section")
-    layers: tuple[LayerThickness, ...] = DEFAULT_LAYERS
+    layers: tuple[LayerThickness, ...] = Field(
+        DEFAULT_LAYERS, description="tissue layers from the outside inwards; without any the core reaches the surface"
+    )
     core: str = Field("muscle", description="tissue inside the layers")
-    bones: tuple[Bone, ...] = DEFAULT_BONES
+    bones: tuple[Bone, ...] = Field(
+        DEFAULT_BONES,
+        description="round bones along the limb, held still unless supports.bone is elastic; [] for none",
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -78,32 +83,36 @@ def forearm_length(accuracy: float) -> float:
 class CylinderLimb(Part):
     """A straight round limb without taper; bones optional."""
 
-    shape: Literal["cylinder"] = "cylinder"
+    shape: Literal["cylinder"] = Field("cylinder", description="a straight round limb")
     length: Length = 0.12
     diameter: Length = 0.072
-    layers: tuple[LayerThickness, ...] = DEFAULT_LAYERS
-    core: str = "muscle"
-    bones: tuple[Bone, ...] = ()
+    layers: tuple[LayerThickness, ...] = Field(
+        DEFAULT_LAYERS, description="tissue layers from the outside inwards; without any the core reaches the surface"
+    )
+    core: str = Field("muscle", description="tissue inside the layers")
+    bones: tuple[Bone, ...] = Field((), description="round bones along the limb, as for a forearm")
 
 
 class SlabLimb(Part):
     """A flat block: layers on a core down to ``depth``; its sides and bottom are the truncation."""
 
-    shape: Literal["slab"] = "slab"
+    shape: Literal["slab"] = Field("slab", description="a flat block")
     length: Length = Field(0.12, description="extent in x [m]")
     width: Length = Field(0.09, description="extent in y [m]")
     depth: Length = Field(0.04, description="total thickness [m]")
     symmetry: tuple[Literal["x", "y"], ...] = Field(
         (), description="planes through the device centre on which only a half (or quarter) is modelled"
     )
-    layers: tuple[LayerThickness, ...] = DEFAULT_LAYERS
-    core: str = "muscle"
+    layers: tuple[LayerThickness, ...] = Field(
+        DEFAULT_LAYERS, description="tissue layers from the outside inwards; without any the core reaches the surface"
+    )
+    core: str = Field("muscle", description="tissue below the layers, down to depth")
 
 
 class SurfacesLimb(Part):
     """The user's closed surfaces, one per tissue, the outer ones containing the inner ones."""
 
-    shape: Literal["surfaces"] = "surfaces"
+    shape: Literal["surfaces"] = Field("surfaces", description="closed surfaces from files, one per tissue")
     surfaces: dict[str, str] = Field(
         description="tissue -> STL/OBJ/PLY file, relative to the scenario; 'bone' is a bone"
     )
@@ -113,7 +122,7 @@ class SurfacesLimb(Part):
 class MeshLimb(Part):
     """The user's tetrahedral mesh, anything meshio reads, with named or numbered regions."""
 
-    shape: Literal["mesh"] = "mesh"
+    shape: Literal["mesh"] = Field("mesh", description="a tetrahedral mesh from a file")
     file: str = Field(description="mesh file, relative to the scenario")
     regions: dict[str, str] = Field(description="region name or number in the file -> tissue ('bone' is a bone)")
     unit: Positive = Field(1.0, description="metres per unit of the file")

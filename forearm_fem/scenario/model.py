@@ -23,9 +23,11 @@ _THIRD_ORDER_PAYS = 0.05  # accuracy of a slab; at 0.1 second order does in half
 class Scenario(Part):
     """A limb, its tissues, a device, a sweep and what to render; SI units throughout."""
 
-    schema_version: Literal[1] = 1
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")] = "scenario"
-    description: str = ""
+    schema_version: Literal[1] = Field(1, description="of this file's format; only 1 is known")
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")] = Field(
+        "scenario", description="letters, digits, dot, dash, underscore; results go to results/NAME"
+    )
+    description: str = Field("", description="a sentence for the report")
     engine: Literal["fem", "layered"] = Field("fem", description="finite elements, or the semi-analytic flat twin")
     accuracy: Annotated[float, Field(ge=1e-5, le=0.5)] = Field(
         0.05, description="asked e_band of G; sets mesh sizes, truncation and reduction where left out"

@@ -21,10 +21,14 @@ class WaveletOptions(Part):
 class Rendering(Part):
     """Renderers to run."""
 
-    targets: tuple[str, ...] | Literal["all"] = "all"
-    methods: tuple[Method, ...] = ("inverse filter", "funneling", "combination")
+    targets: tuple[str, ...] | Literal["all"] = Field("all", description="names of grid points to aim at, or all")
+    methods: tuple[Method, ...] = Field(("inverse filter", "funneling", "combination"), description="renderers to run")
     zeros: Literal["thesis", "search"] | tuple[str, ...] = Field("thesis", description="zero points")
-    regularisation: Literal["rcond", "tikhonov", "lcurve", "discrepancy"] = "rcond"
+    regularisation: Literal["rcond", "tikhonov", "lcurve", "discrepancy"] = Field(
+        "rcond",
+        description="how the inverse filter's least squares are held: cut off, damped, damped where the "
+        "L-curve bends, or as the noise of a measured G asks",
+    )
     regularisation_value: Annotated[float, Field(ge=0, lt=1)] = Field(
         1e-12, description="relative to the largest singular value"
     )

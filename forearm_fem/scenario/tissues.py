@@ -16,7 +16,9 @@ class TissueOverride(Part):
     mu: Positive | None = Field(None, description="storage (shear) modulus [Pa]")
     eta: NonNegative | None = Field(None, description="shear viscosity [Pa s]")
     bulk: Positive | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
-    model: Literal["kelvin-voigt", "springpot", "zener"] | None = None
+    model: Literal["kelvin-voigt", "springpot", "zener"] | None = Field(
+        None, description="law of the shear modulus; kelvin-voigt where left out"
+    )
     exponent: Annotated[float, Field(gt=0, lt=1)] | None = Field(None, description="springpot exponent [-]")
     mu_infinity: Positive | None = Field(None, description="Zener high-frequency modulus [Pa]")
 
@@ -36,5 +38,7 @@ class Tissues(Part):
     preset: Literal["default", "thesis", "zhang"] = Field(
         "default", description="default = preset O, thesis = K (thesis-matched), zhang = Z of physics.md 9"
     )
-    override: dict[str, TissueOverride] = Field(default_factory=dict)
+    override: dict[str, TissueOverride] = Field(
+        default_factory=dict, description="tissue -> values that differ from the preset, or a whole new tissue"
+    )
     membrane: Membrane = Membrane()
