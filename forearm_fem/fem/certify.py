@@ -70,7 +70,7 @@ def doubt(
     The change is the error of the model with one derivative fewer, and without its weak directions: an upper bound
     that says where a model is no approximation at all yet. ``wary`` probes nearly every bin: where resonances were not
     resolved before, they may hide between few probes. Where the change is small everywhere, the largest error is where
-    the derivatives alone change most (docs/decisions.md).
+    the derivatives alone change most (docs/decisions/0007).
     """
     probes = probe_frequencies(frequency, known, wary=wary)
     for f in compared:

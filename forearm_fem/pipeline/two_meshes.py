@@ -8,7 +8,7 @@ from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray
 
 COARSER = 2.0  # size ratio of the second mesh
-_RESOLVED, _UNRESOLVED = (0.15, 1.85), (0.5, 3.0)  # relative change and the order assumed there (docs/decisions.md)
+_RESOLVED, _UNRESOLVED = (0.15, 1.85), (0.5, 3.0)  # relative change and the order assumed there (docs/decisions/0015)
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
 
 

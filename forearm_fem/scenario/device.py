@@ -10,7 +10,7 @@ from .base import Length, NonNegative, Part, Positive
 
 
 class VoiceCoil(Part):
-    """Tectonic TEAX14C02-8, linear model (physics.md 4)."""
+    """Tectonic TEAX14C02-8, linear model (physics_data.md 4)."""
 
     resistance: Positive = Field(7.8, description="Re [ohm], data sheet via a distributor")
     inductance: NonNegative = Field(0.05e-3, description="Le [H]; 0.03-0.1 mH, irrelevant below 1 kHz")
@@ -35,7 +35,7 @@ class Cone(Part):
 class Housing(Part):
     """Rigid shell shared by all actuators: heave, roll and pitch on strap and foam."""
 
-    mass: Positive = Field(0.090, description="4 x 12.5 g + 40 g shell [kg] (physics.md 9)")
+    mass: Positive = Field(0.090, description="4 x 12.5 g + 40 g shell [kg] (physics_data.md 9)")
     gyration: Length = Field(0.030, description="radius of gyration about x and y [m]; our estimate for a 70 mm shell")
     strap_stiffness: NonNegative = Field(2000.0, description="strap and foam, total along z [N/m]; our estimate")
     strap_loss: NonNegative = Field(0.2, description="loss factor of strap and foam [-]; our estimate")

@@ -25,15 +25,15 @@ class Bone(Part):
     diameter: Length = Field(description="[m]")
 
 
-# physics.md 1.3: dermis 1.0+-0.2 mm -> default 1.2 mm (section 9); skin+fat ring 3.0 mm (men).
+# physics_data.md 1.3: dermis 1.0+-0.2 mm -> default 1.2 mm (section 9); skin+fat ring 3.0 mm (men).
 DEFAULT_LAYERS = (
     LayerThickness(tissue="skin", thickness=1.2e-3),
     LayerThickness(tissue="fat", thickness=3.0e-3),
 )
-# Shah et al. 2019 (physics.md 1.3): 24.5/24.2/22.7/19.7/17.1 cm at 0/4/8/12/16 cm from the proximal site;
+# Shah et al. 2019 (physics_data.md 1.3): 24.5/24.2/22.7/19.7/17.1 cm at 0/4/8/12/16 cm from the proximal site;
 # the device sits where the circumference is 22.7 cm, x grows towards the elbow.
 DEFAULT_CIRCUMFERENCE = ((-0.08, 0.171), (-0.04, 0.197), (0.0, 0.227), (0.04, 0.242), (0.08, 0.245))
-# physics.md 1.3 [D]/[R]: diameter 14 mm, inter-axis 25-30 mm, volar cover 12-20 (radius), 15-25 mm (ulna).
+# physics_data.md 1.3 [D]/[R]: diameter 14 mm, inter-axis 25-30 mm, volar cover 12-20 (radius), 15-25 mm (ulna).
 DEFAULT_BONES = (
     Bone(name="radius", y=-0.014, depth=0.023, diameter=0.014),
     Bone(name="ulna", y=0.014, depth=0.027, diameter=0.014),
@@ -70,7 +70,7 @@ class ForearmLimb(Part):
         return self
 
 
-# Estimated truncation error (e_band of G) of the default forearm cut to a length [m] (docs/decisions.md).
+# Estimated truncation error (e_band of G) of the default forearm cut to a length [m] (docs/decisions/0016).
 TRUNCATION = ((0.12, 0.040), (0.16, 0.022), (0.20, 0.014))
 WHOLE_FOREARM = 0.24
 

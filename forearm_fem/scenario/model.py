@@ -17,7 +17,7 @@ from .supports import Supports
 from .sweep import SolverOptions, Sweep
 from .tissues import Tissues
 
-_THIRD_ORDER_PAYS = 0.05  # accuracy of a slab; at 0.1 second order does in half the time (docs/decisions.md)
+_THIRD_ORDER_PAYS = 0.05  # accuracy of a slab; at 0.1 second order does in half the time (docs/decisions/0002)
 
 
 class Scenario(Part):

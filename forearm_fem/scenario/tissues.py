@@ -28,7 +28,7 @@ class Membrane(Part):
 
     stiffness: NonNegative = Field(0.0, description="in-plane shear stiffness mu*h [N/m]; 350 kPa x 80 um = 28 N/m")
     viscosity: NonNegative = Field(0.0, description="in-plane eta*h [N s/m]")
-    tension: NonNegative = Field(0.0, description="pre-stress resultant [N/m]; 28-92 N/m (physics.md 2.5)")
+    tension: NonNegative = Field(0.0, description="pre-stress resultant [N/m]; 28-92 N/m (physics_data.md 2.5)")
     mass: NonNegative = Field(0.0, description="mass per area [kg/m^2]; 80 um epidermis 0.088, tape 0.2-0.3")
 
 
@@ -36,7 +36,7 @@ class Tissues(Part):
     """Choice of tissue parameters."""
 
     preset: Literal["default", "thesis", "zhang"] = Field(
-        "default", description="default = preset O, thesis = K (thesis-matched), zhang = Z of physics.md 9"
+        "default", description="default = preset O, thesis = K (thesis-matched), zhang = Z of physics_data.md 9"
     )
     override: dict[str, TissueOverride] = Field(
         default_factory=dict, description="tissue -> values that differ from the preset, or a whole new tissue"
