@@ -1,4 +1,4 @@
-"""The directive ``commands``: every command of the command line with its arguments and options, as ``--help`` has them."""
+"""The directive ``commands``: every command with its arguments and options, as ``--help`` has them."""
 
 from __future__ import annotations
 

@@ -11,29 +11,13 @@ import re
 from typing import Any
 
 from docutils import nodes
+from dotted_names import found
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxRole
 
 _LOG = logging.getLogger(__name__)
-
-
-def found(name: str) -> Any:
-    """The object of a dotted name; LookupError where there is none."""
-    parts = name.split(".")
-    for end in range(len(parts), 0, -1):
-        try:
-            thing: Any = importlib.import_module(".".join(parts[:end]))
-        except ModuleNotFoundError:
-            continue
-        for part in parts[end:]:
-            fields = getattr(thing, "__dataclass_fields__", {}) | getattr(thing, "model_fields", {})
-            if not hasattr(thing, part) and part not in fields:
-                raise LookupError(f"{name}: nothing of that name")
-            thing = getattr(thing, part, None)
-        return thing
-    raise LookupError(f"{name}: no such module")
 
 
 class Place(SphinxRole):
