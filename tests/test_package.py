@@ -6,10 +6,12 @@ import os
 import re
 import subprocess
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from cli_runner import cli as run
+from pydantic import BaseModel
 
 import forearm_fem
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario, scenario_file, scenario_template
@@ -39,7 +41,28 @@ def test_template_is_valid_and_its_keys_are_the_defaults():
     assert parse_scenario(tomllib.loads(text)).name == "mine"
     every = re.sub(r"^# (\w+ = [^ #].*)$", r"\1", text, flags=re.MULTILINE)
     assert parse_scenario(tomllib.loads(every)) == Scenario(name="mine")
-    assert len(re.findall(r"^#? ?\w+ = ", every, flags=re.MULTILINE)) > 80  # uncommenting did uncomment
+    assert _keys_of(text) == {f"{path}{key}" for path, part in _parts(Scenario(), "") for key in part} - {
+        "schema_version"
+    }
+
+
+def _parts(part: BaseModel, path: str) -> Iterator[tuple[str, list[str]]]:
+    """Path of each table and the keys in it that hold a value."""
+    below = {k: v for k in type(part).model_fields if isinstance(v := getattr(part, k), BaseModel)}
+    yield path, [k for k in type(part).model_fields if k not in below]
+    for key, each in below.items():
+        yield from _parts(each, f"{path}{key}.")
+
+
+def _keys_of(text: str) -> set[str]:
+    """Dotted keys of a template, commented out or not."""
+    table, keys = "", set()
+    for line in text.splitlines():
+        if head := re.fullmatch(r"\[(.+)\]", line):
+            table = f"{head[1]}."
+        elif key := re.match(r"(?:# )?(\w+) =", line):
+            keys.add(table + key[1])
+    return keys
 
 
 def test_new_writes_once_and_never_over_a_file(tmp_path, monkeypatch, capsys):

@@ -29,6 +29,6 @@ axes.set_axis_off()
 # 25 mm away.
 phasor = motion(run, View(frequency=150.0, actuator="A1")).phasor
 size = np.abs(run.wavefield.modes[:, 2] @ phasor)
-away = np.linalg.norm(run.mesh.points - run.transfer.inputs[0].position, axis=1)
+away = np.linalg.norm(run.field_mesh.points - run.transfer.inputs[0].position, axis=1)
 ratio = float(size[away < 6e-3].max() / size[(away > 22e-3) & (away < 28e-3)].max())
 assert ratio > 3, ratio
