@@ -14,13 +14,14 @@ import forearm_fem  # noqa: E402
 
 project = "forearm_fem"
 author = "the forearm_fem authors"
-copyright = "2026, the forearm_fem authors"  # noqa: A001
+copyright = "2026, the forearm_fem authors"
 release = version = forearm_fem.__version__
 
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",
     "sphinx.ext.viewcode",
     "numpydoc",
     "sphinx_design",
@@ -38,6 +39,8 @@ nitpicky = False
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist", "fieldlist", "attrs_block"]
 myst_heading_anchors = 3
 myst_dmath_double_inline = True
+
+mathjax_path = "mathjax/tex-chtml.js"  # beside the pages: the manual is read without a network, too
 
 autodoc_typehints = "none"  # signatures name the types; doubled lists of them hide the sentences
 autodoc_member_order = "bysource"

@@ -16,8 +16,8 @@ data = target_waves(quick(), "1")
 plot_target(data)
 
 # %%
-# What this page promises: at t = 0 the inverse filter moves this corner most of all nine points. On this coarse scene it
-# does not manage that for the edges.
+# What this page promises: at t = 0 the inverse filter moves this corner most of all nine points. On this coarse scene
+# it does not manage that for the edges.
 shown = data.shown[0]
 now = np.abs(shown.values[:, int(np.argmin(np.abs(shown.time)))])
 ratio = float(now[data.row] / np.delete(now, data.row).max())

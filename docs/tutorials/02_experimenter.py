@@ -2,8 +2,8 @@
 The experimenter: a measured G beside a simulated one
 =====================================================
 
-You have a vibrometer, a data acquisition chassis and an arm. This page goes the whole way once with a *virtual* chassis,
-which plays the sweep through a known G and adds noise, converters and delay: the way to try a protocol before anybody
+You have a vibrometer, a data acquisition chassis and an arm. This page goes the whole way once with a *virtual*
+chassis, which plays the sweep through a known G and adds noise, converters and delay: the way to try a protocol before anybody
 puts an arm on a table. With hardware the two lines that name the device change, nothing else.
 """
 
@@ -55,8 +55,8 @@ comparison = run_compare(measured, believed, render=False)
 print("\n".join(comparison.text.splitlines()[:16]))
 
 # %%
-# **Fit** what differs. The data say which modulus it was, and with what interval; parameters that they cannot tell apart
-# are named.
+# **Fit** what differs. The data say which modulus it was, and with what interval; parameters that they cannot tell
+# apart are named.
 from forearm_fem.compare.commands import run_fit
 
 fitted = run_fit(parse_scenario(scene), measured, ["muscle.mu"], frequencies=12)
