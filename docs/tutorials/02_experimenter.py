@@ -3,8 +3,8 @@ The experimenter: a measured G beside a simulated one
 =====================================================
 
 You have a vibrometer, a data acquisition chassis and an arm. This page goes the whole way once with a *virtual*
-chassis, which plays the sweep through a known G and adds noise, converters and delay: the way to try a protocol before anybody
-puts an arm on a table. With hardware the two lines that name the device change, nothing else.
+chassis, which plays the sweep through a known G and adds noise, converters and delay: the way to try a protocol
+before anybody puts an arm on a table. With hardware the two lines that name the device change, nothing else.
 """
 
 # %%
