@@ -14,37 +14,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from public_rooms import PUBLIC, public_names
 from sphinx.application import Sphinx
 
 import forearm_fem
 
-# Room -> what it is for. What their ``__all__`` names is public; everything else may change without notice.
-PUBLIC = {
-    "forearm_fem": "The whole way in five names",
-    "forearm_fem.pipeline": "From a scenario to a results folder",
-    "forearm_fem.transfer": "What a solve or a measurement gives",
-    "forearm_fem.ports": "Contacts and points",
-    "forearm_fem.scenario": "Scenarios",
-    "forearm_fem.rendering": "Renderers",
-    "forearm_fem.metrics": "Numbers that judge a rendering or a matrix",
-    "forearm_fem.figures": "Figures",
-    "forearm_fem.io": "Files",
-    "forearm_fem.device": "The device's circuit and mechanics",
-    "forearm_fem.layered": "The semi-analytic twin",
-    "forearm_fem.campaign": "Campaigns",
-    "forearm_fem.errors": "Named failures",
-}
 _DEVELOPERS = ("forearm_fem.__main__",)
-
-
-def public_names(room: str) -> list[str]:
-    """The names of a public room: its ``__all__``, else the classes and functions that it defines itself."""
-    module = importlib.import_module(room)
-    names: list[str] = getattr(module, "__all__", None) or [
-        name for name, thing in vars(module).items()
-        if not name.startswith("_") and getattr(thing, "__module__", "") == room
-    ]  # fmt: skip
-    return [n for n in names if not n.startswith("__")]
 
 
 def _home(thing: Any, room: str, name: str) -> str:
@@ -102,7 +77,7 @@ def _modules() -> dict[str, list[str]]:
 def _room_page(room: str, modules: list[str]) -> str:
     lines = [room, "=" * len(room), ""]
     for name in modules:
-        lines += [name, "-" * len(name), "", f".. automodule:: {name}", "   :members:", "   :undoc-members:", ""]
+        lines += [name, "-" * len(name), "", f".. automodule:: {name}", "   :members:", "   :undoc-members:", "   :ignore-module-all:", ""]
     return "\n".join(lines)
 
 

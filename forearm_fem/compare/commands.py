@@ -21,6 +21,8 @@ from .compare import Comparison, compare, plain
 from .fit import FitResult, fit
 from .report import as_markdown, save
 
+__all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
+
 
 @dataclass(frozen=True, eq=False)
 class CompareResult:

@@ -41,6 +41,8 @@ from .solved import solve
 from .two_meshes import remaining_error
 from .wave_report import write_wave_report
 
+__all__ = ["Run", "run_all", "run_mesh", "run_render", "run_solve"]
+
 Progress = Callable[[str, int, int], None]
 
 
