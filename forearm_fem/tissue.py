@@ -57,7 +57,7 @@ class KelvinVoigt:
 class SpringPot:
     """Fractional element mu* = mu^(1-a) (i omega eta)^a with 0 < a < 1: constant loss angle a pi/2.
 
-    Klatt 2010 gives mu and a for eta = 1 Pa s (physics.md 1.2). Zero and not smooth at omega = 0.
+    Klatt 2010 gives mu and a for eta = 1 Pa s (physics_data.md 1.2). Zero and not smooth at omega = 0.
     """
 
     mu: float
@@ -146,11 +146,11 @@ class Tissue:
         return np.asarray(w * np.sqrt(self.density / self.modulus.at(w)))
 
     def wave_speed(self, omega: ArrayLike) -> FloatArray:
-        """Phase speed omega / Re k of a plane shear wave [m/s] (physics.md 8.1)."""
+        """Phase speed omega / Re k of a plane shear wave [m/s] (physics_data.md 8.1)."""
         return np.asarray(np.asarray(omega, dtype=float) / self.wavenumber(omega).real)
 
     def attenuation(self, omega: ArrayLike) -> FloatArray:
-        """Decay -Im k of a plane shear wave [1/m] (physics.md 8.1)."""
+        """Decay -Im k of a plane shear wave [1/m] (physics_data.md 8.1)."""
         return np.asarray(-self.wavenumber(omega).imag)
 
     def wavelength(self, omega: ArrayLike) -> FloatArray:
@@ -305,12 +305,12 @@ def _check_complete(path: str, spec: _Spec) -> None:
 
 
 def _density(value: float, low: float, high: float, spread: float) -> Sourced:
-    return Sourced(value, "kg/m^3", low, high, spread, "physics.md 9; range and spread: PMC3233242, 1.1")
+    return Sourced(value, "kg/m^3", low, high, spread, "physics_data.md 9; range and spread: PMC3233242, 1.1")
 
 
 def _soft(name: str, density: Sourced, mu: Sourced, eta: Sourced, note: str) -> TissueRecord:
-    """A soft tissue; its bulk modulus matters only in being large (physics.md 2.4)."""
-    bulk = Sourced(2.2e9, "Pa", 1e8, 3.1e9, 1.0, "physics.md 9 (rho c^2 of 1.1 gives 2.0-3.1 GPa)")
+    """A soft tissue; its bulk modulus matters only in being large (physics_data.md 2.4)."""
+    bulk = Sourced(2.2e9, "Pa", 1e8, 3.1e9, 1.0, "physics_data.md 9 (rho c^2 of 1.1 gives 2.0-3.1 GPa)")
     parameters = {"density": density, "mu": mu, "eta": eta, "bulk": bulk}
     return TissueRecord(name, "kelvin-voigt", MappingProxyType(parameters), note)
 
@@ -318,13 +318,13 @@ def _soft(name: str, density: Sourced, mu: Sourced, eta: Sourced, note: str) -> 
 def _bone() -> TissueRecord:
     """Cortical bone, E = 17 GPa, nu = 0.3: mu = E / 2(1 + nu), bulk = E / 3(1 - 2 nu)."""
     young, poisson = 17e9, 0.3
-    source = "physics.md 9: E 17 GPa, nu 0.3 (recalled; irrelevant detail)"
+    source = "physics_data.md 9: E 17 GPa, nu 0.3 (recalled; irrelevant detail)"
     mu = young / (2 * (1 + poisson))
     bulk = young / (3 * (1 - 2 * poisson))
     parameters = {
-        "density": Sourced(1860.0, "kg/m^3", 1800.0, 2200.0, 1.05, "physics.md 1.1, measured 1862+-101"),
+        "density": Sourced(1860.0, "kg/m^3", 1800.0, 2200.0, 1.05, "physics_data.md 1.1, measured 1862+-101"),
         "mu": Sourced(mu, "Pa", 0.65 * mu, 1.06 * mu, 1.2, source),
-        "loss": Sourced(0.02, "-", 0.01, 0.03, 1.5, "physics.md 1.1 (recalled)"),
+        "loss": Sourced(0.02, "-", 0.01, 0.03, 1.5, "physics_data.md 1.1 (recalled)"),
         "bulk": Sourced(bulk, "Pa", 0.65 * bulk, 1.06 * bulk, 1.2, source),
     }
     return TissueRecord("bone", "hysteretic", MappingProxyType(parameters), "nearly rigid beside flesh")
@@ -337,7 +337,7 @@ _RHO: Mapping[str, Sourced] = MappingProxyType(
         "muscle": _density(1060.0, 1042.0, 1074.0, 1.02),
     }
 )
-# name -> plausible range of mu [Pa] and eta [Pa s]; physics.md 9
+# name -> plausible range of mu [Pa] and eta [Pa s]; physics_data.md 9
 _RANGES: Mapping[str, tuple[float, float, float, float]] = MappingProxyType(
     {
         "skin": (8e3, 35e3, 2.0, 5.0),
@@ -348,7 +348,7 @@ _RANGES: Mapping[str, tuple[float, float, float, float]] = MappingProxyType(
 
 
 def _layered(name: str, mu: float, eta: float, source: str, note: str) -> TissueRecord:
-    """A layer with the ranges and spreads of physics.md 9 (mu x/÷ 1.8, eta x/÷ 1.6)."""
+    """A layer with the ranges and spreads of physics_data.md 9 (mu x/÷ 1.8, eta x/÷ 1.6)."""
     low, high, eta_low, eta_high = _RANGES[name]
     shear = Sourced(mu, "Pa", low, high, 1.8, source)
     viscosity = Sourced(eta, "Pa s", eta_low, eta_high, 1.6, source)
@@ -357,8 +357,8 @@ def _layered(name: str, mu: float, eta: float, source: str, note: str) -> Tissue
 
 def _zhang(name: str) -> TissueRecord:
     """Zhang et al. 2011, Med Eng Phys 33:31: one half-space for all soft tissue, mean +- SD of 30 people."""
-    source = "Zhang et al. 2011, forearm, 7.86+-1.86 kPa and 5.03+-0.60 Pa s (physics.md 1.2)"
-    density = Sourced(1050.0, "kg/m^3", 950.0, 1100.0, 1.02, "physics.md 8, the half-space computed there")
+    source = "Zhang et al. 2011, forearm, 7.86+-1.86 kPa and 5.03+-0.60 Pa s (physics_data.md 1.2)"
+    density = Sourced(1050.0, "kg/m^3", 950.0, 1100.0, 1.02, "physics_data.md 8, the half-space computed there")
     mu = Sourced(7860.0, "Pa", 6000.0, 9720.0, 1.24, source)
     eta = Sourced(5.03, "Pa s", 4.43, 5.63, 1.12, source)
     return _soft(name, density, mu, eta, "homogeneous half-space (preset Z)")
@@ -368,7 +368,7 @@ def _preset(*records: TissueRecord) -> Mapping[str, TissueRecord]:
     return MappingProxyType({r.name: r for r in (*records, _bone())})
 
 
-_O, _K = "physics.md 9, preset O", "physics.md 9, preset K (matched to the thesis, appendix A)"
+_O, _K = "physics_data.md 9, preset O", "physics_data.md 9, preset K (matched to the thesis, appendix A)"
 
 PRESETS: Mapping[str, Mapping[str, TissueRecord]] = MappingProxyType(
     {

@@ -1,4 +1,4 @@
-"""The closed loop against a slow per-frequency oracle, physical limits, and figures of physics.md 4."""
+"""The closed loop against a slow per-frequency oracle, physical limits, and figures of physics_data.md 4."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def test_cone_moves_the_peak_into_the_band() -> None:
     f = np.arange(100.0, 700.0, 0.5)
     loaded = free_air(f, coil=VoiceCoil(inductance=0.0))
     assert f[np.argmax(np.abs(f * loaded))] == pytest.approx(580 * np.sqrt(0.35 / 0.75), abs=0.5)
-    # displacement peak f0 sqrt(1 - 1 / (2 Qts^2)), physics.md 4: ~350 Hz and 105 um/V
+    # displacement peak f0 sqrt(1 - 1 / (2 Qts^2)), physics_data.md 4: ~350 Hz and 105 um/V
     assert f[np.argmax(np.abs(loaded))] == pytest.approx(350, abs=10)
     assert np.abs(loaded).max() == pytest.approx(105e-6, rel=0.1)
 
@@ -169,7 +169,7 @@ def test_cone_moves_the_peak_into_the_band() -> None:
 def test_low_frequency_stroke_on_skin() -> None:
     f = np.array([50.0, 100.0])
     stroke = np.abs(respond(skin(f, stiffness=166.0), Device(housing=Housing(fixed=True))).cone[:, 0, 0])
-    np.testing.assert_allclose(stroke, 64e-6, rtol=0.07)  # physics.md 4
+    np.testing.assert_allclose(stroke, 64e-6, rtol=0.07)  # physics_data.md 4
 
 
 def test_light_free_housing_rises_below_50_hz() -> None:

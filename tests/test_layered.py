@@ -42,7 +42,7 @@ PRESET_O = [
     Layer(3e-3, 950.0, voigt(5e3, 1.5), BULK),
     Layer(math.inf, 1060.0, voigt(1e4, 4.0), BULK),
 ]
-# physics.md section 8, um/N, rows 50, 100, 200, 400 Hz, columns RADII
+# physics_data.md section 8, um/N, rows 50, 100, 200, 400 Hz, columns RADII
 TABLE_HALF_SPACE = [
     [4933 - 2426j, -52.86 - 962.9j, -507.9 - 129.1j, -164.4 + 283.5j, 137.9 + 115.7j],
     [3070 - 3664j, -754.4 - 123.4j, 82.24 + 288.1j, 16.29 - 37.59j, 40.80 + 31.71j],

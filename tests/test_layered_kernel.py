@@ -129,7 +129,7 @@ def test_rayleigh_root_is_a_pole():
     root = rayleigh_wavenumber(omega, mu, 1050.0)
     u = miller_pursey_kernel(root * (1 + 1e-9), omega, mu, 1050.0, math.inf)
     assert np.abs(u * 2 * mu * root) > 1e7
-    assert root.real == pytest.approx(2 * np.pi * 200 / 3.14, rel=2e-3)  # physics.md 2.2, three digits
+    assert root.real == pytest.approx(2 * np.pi * 200 / 3.14, rel=2e-3)  # physics_data.md 2.2, three digits
     assert -root.imag == pytest.approx(141, rel=5e-3)
 
 

@@ -88,7 +88,7 @@ def test_ricker_is_the_thesis_formula():
     s = wavelet.time / sigma
     assert np.allclose(wavelet.samples, 3 * (1 - s**2) * np.exp(-(s**2) / 2), atol=1e-14)
     assert wavelet.samples[10000] == 3
-    # 500 Hz: 4 e^-3 = 20 % of the peak's spectrum (physics.md 0)
+    # 500 Hz: 4 e^-3 = 20 % of the peak's spectrum (physics_data.md 0)
     ratio = abs(wavelet.spectrum[1000]) / abs(wavelet.spectrum[500])
     assert ratio == pytest.approx(4 * np.exp(-3), rel=1e-9)
 

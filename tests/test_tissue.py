@@ -70,7 +70,7 @@ def test_springpot_refuses_expansion_at_zero() -> None:
 
 
 def test_springpot_reproduces_klatt() -> None:
-    # physics.md 1.2: |G*|(50 Hz) = 1.56 kPa for mu 2.68 kPa, alpha 0.253, eta 1 Pa s
+    # physics_data.md 1.2: |G*|(50 Hz) = 1.56 kPa for mu 2.68 kPa, alpha 0.253, eta 1 Pa s
     assert abs(SpringPot(2680.0, 0.253).at(2 * np.pi * 50)) == pytest.approx(1560, rel=5e-3)
 
 
@@ -86,7 +86,7 @@ def test_kelvin_voigt_wave_closed_form() -> None:
     mu, eta, rho = 7860.0, 5.03, 1050.0
     tissue = Tissue("z", rho, KelvinVoigt(mu, eta))
     m = np.hypot(mu, OMEGA * eta)
-    speed = np.sqrt(2 * m**2 / (rho * (mu + m)))  # physics.md 8.1
+    speed = np.sqrt(2 * m**2 / (rho * (mu + m)))  # physics_data.md 8.1
     decay = np.sqrt(rho * OMEGA**2 * (m - mu) / (2 * m**2))
     np.testing.assert_allclose(tissue.wave_speed(OMEGA), speed, rtol=1e-14)
     np.testing.assert_allclose(tissue.attenuation(OMEGA), decay, rtol=1e-12)  # m - mu cancels at 10 Hz

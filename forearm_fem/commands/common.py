@@ -26,7 +26,7 @@ from rich.progress import (
 )
 
 from ..errors import DataError, one_sentence
-from ..scenario import Scenario, apply_overrides
+from ..scenario import Scenario, apply_overrides, scenario_file
 
 if TYPE_CHECKING:
     from ..measurement.declaration import Declaration
@@ -34,7 +34,9 @@ if TYPE_CHECKING:
 
 console = Console(stderr=True)
 
-ScenarioFile = Annotated[Path, typer.Argument(help="scenario file, e.g. scenarios/thesis.toml")]
+ScenarioFile = Annotated[
+    Path, typer.Argument(callback=scenario_file, help="scenario file, or the name of one that comes along, e.g. thesis")
+]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=0.040")]
 OutFolder = Annotated[
     Path | None, typer.Option("--out", help="results folder; default results/NAME, after --set results/NAME-XXXXXX")

@@ -122,7 +122,7 @@ def _layer(tissue: Tissue, thickness: float) -> Layer:
 
 
 def common_parameters(scenario: Scenario, names: Sequence[str]) -> tuple[Parameter, ...]:
-    """Parameters with sourced ranges (physics.md 4 and 9) for short names: skin.mu, skin.eta, fat.mu, ...,
+    """Parameters with sourced ranges (physics_data.md 4 and 9) for short names: skin.mu, skin.eta, fat.mu, ...,
     coil.moving_mass, cone.mass, coil.resonance, coil.quality, fat.thickness, plus scale and delay (stage
     0)."""
     known = _known(scenario)

@@ -25,6 +25,8 @@ from .fit import FitResult, fit
 from .readings import best_reading, explained
 from .report import as_markdown, save
 
+__all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
+
 
 @dataclass(frozen=True, eq=False)
 class CompareResult:

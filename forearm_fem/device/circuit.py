@@ -1,4 +1,4 @@
-"""The voice coil as a lumped circuit (physics.md 4), one frequency axis at a time.
+"""The voice coil as a lumped circuit (physics_data.md 4), one frequency axis at a time.
 
 V = (Re + i omega Le) I + Bl i omega (x1 - x2), and the coil pushes the cone with Bl I. Positive voltage
 pushes outward, along the port's axis. Linear: no Le(x), no Bl(x), no heating of Re.

@@ -55,7 +55,7 @@ def doubt(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, kno
 
     The change is the error of the model with one derivative fewer, and without its weak directions: it says where a
     model is no approximation at all yet. Where the change is small everywhere, the largest error is where the
-    derivatives alone change most (docs/decisions.md).
+    derivatives alone change most (docs/decisions/0007).
     """
     probes = probe_frequencies(frequency, known)
     if not len(probes):

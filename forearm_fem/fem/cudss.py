@@ -2,7 +2,7 @@
 
 Factors stay on the device; matrices and right-hand sides go there and solutions come back. Written against
 nvmath-python 1.0 and tested with a stand-in that refuses what that refuses (tests/stand_in_nvmath.py); it has not been
-run on a device yet (docs/decisions.md).
+run on a device yet (docs/decisions/0013).
 """
 
 from __future__ import annotations

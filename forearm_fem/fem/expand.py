@@ -241,7 +241,7 @@ def derivative_orders(model: ForearmModel, options: SolverOptions) -> IntArray:
 def expansion_rate(frequency: FloatArray) -> float:
     """Rate [1/s] from which a band is spanned with the fewest derivatives: 100 Hz for 10-500 Hz.
 
-    The geometric mean of the band from 20 Hz on where it goes well beyond (docs/decisions.md).
+    The geometric mean of the band from 20 Hz on where it goes well beyond (docs/decisions/0005).
     """
     low = max(frequency[0], min(_LOWEST, frequency[-1] / 12))
     return float(2 * np.pi * np.sqrt(low * frequency[-1]))
@@ -251,7 +251,7 @@ def expansion_frequencies(frequency: FloatArray, options: SolverOptions) -> tupl
     """Middles of equal parts of the band in f^-0.2, from 30 Hz on where the band goes well beyond.
 
     Below, an expansion from above holds; far above, resonances are damped and one expansion reaches far
-    (docs/decisions.md).
+    (docs/decisions/0006).
     """
     count = min(options.expansions, len(frequency))
     low = max(frequency[0], min(_QUIET, frequency[-1] / 8)) ** _SPREAD

@@ -13,6 +13,8 @@ from ..wavefield import Wavefield
 from .data import Results
 from .targets import drive_series
 
+__all__ = ["Motion", "View", "motion"]
+
 Quantity = Literal["normal", "magnitude", "phase"]
 
 

@@ -26,6 +26,8 @@ from .scene import MM, cones_of
 from .show import Body, Look, body_of, colour_limit, default_view
 from .style import SIGNED
 
+__all__ = ["export_html"]
+
 _BULGE = 4.0  # mm: the largest motion as first drawn
 _FREQUENCIES = (50.0, 100.0, 200.0, 300.0, 400.0)
 

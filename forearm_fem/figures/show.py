@@ -30,6 +30,8 @@ from .scene import (
 )
 from .style import SIGNED, SIZE
 
+__all__ = ["Look", "animate", "render_still", "write_pvd"]
+
 Progress = Callable[[int, int, str], None]
 CAMERAS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {"oblique": (-0.75, -1.0, 0.95), "top": (0.0, -0.001, 1.0), "side": (0.0, -1.0, 0.25), "wrist": (-1.0, -0.12, 0.3)}

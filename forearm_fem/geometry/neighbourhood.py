@@ -10,11 +10,11 @@ from ..typing import BoolArray, FloatArray, IntArray
 from .layout import RIGID
 from .mesh import TissueMesh
 
-REACH, DEPTH = 0.03, 0.025  # [m] what third order gains beyond them on the forearm is in docs/decisions.md
+REACH, DEPTH = 0.03, 0.025  # [m] what third order gains beyond them on the forearm is in docs/decisions/0002
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 _UNIFORM = {"P1": 1, "P2": 2, "P3": 3}
 # Longest edge, relative to the usual edge between ports, up to which second order is enough: in the outermost tissue,
-# the one beneath, all deeper ones. Measured on the forearm (docs/decisions.md); fat's waves are 1.4 times shorter.
+# the one beneath, all deeper ones. Measured on the forearm (docs/decisions/0002); fat's waves are 1.4 times shorter.
 _SMALL = (0.0, 0.95, 1.42)
 
 

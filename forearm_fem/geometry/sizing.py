@@ -14,7 +14,7 @@ from ..typing import FloatArray
 from .layout import RIGID, Layout, layers_of
 from .neighbourhood import half_planes
 
-DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics.md 6
+DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics_data.md 6
 _CONTACT, _FAR = 0.8, 6.0  # relative to the size between contacts and grid
 _FARTHEST = 20e-3  # [m] in slabs: larger elements left 4 % at 100 Hz, and slivers in the columns under a contact
 _AT = 0.05  # accuracy; below, they and rims shrink with its fourth root: points 20 mm away felt the far elements first

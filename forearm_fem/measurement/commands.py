@@ -27,6 +27,8 @@ from .play import Played, play
 from .sweep import ExponentialSweep
 from .virtual import VirtualDaq, VirtualOptions, VirtualSensor, noise_for
 
+__all__ = ["CalibrationResult", "VirtualSetup", "run_calibration", "run_play"]
+
 DaqKind = Literal["virtual", "ni"]
 
 

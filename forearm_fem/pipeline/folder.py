@@ -44,6 +44,8 @@ from .unread import unread_notes
 from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
 
+__all__ = ["Run", "run_all", "run_mesh", "run_render", "run_solve"]
+
 Progress = Callable[[str, int, int], None]
 _DERIVED = (
     "transfer.mat", "wavefield.npz", "reduced.nc", "drives.nc", "displacements.nc", "signal_strength.csv",

@@ -15,7 +15,7 @@ _NEVER, _USUAL_TRIM, _USUAL_MMAP = -1, 128 * 1024, 65536
 def freed_memory_kept() -> Iterator[None]:
     """glibc maps large arrays one by one and unmaps them at once; inside, it takes them from its heap instead.
 
-    A tenth of the forearm's solve was spent on fresh pages (docs/decisions.md). At the end what is free goes back to
+    A tenth of the forearm's solve was spent on fresh pages (docs/decisions/0012). At the end what is free goes back to
     the system. Does nothing where the C library is another one.
     """
     library = ctypes.CDLL(None) if platform.libc_ver()[0] == "glibc" else None

@@ -26,7 +26,7 @@ from .strengths import StrengthAccount, strength_account
 from .two_meshes import estimated_errors
 
 Progress = Callable[[str, int, int], None]
-# Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions.md).
+# Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
 OTHER_ENDS, _OTHER = 0.5, "absorbing ends are clamped (or the reverse), on the coarser mesh"
 FREED_ENDS, _FREED = 0.5, "the absorbing ends are freed (by the reduced model)"
 

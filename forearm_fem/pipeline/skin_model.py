@@ -22,6 +22,8 @@ from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
 
+__all__ = ["SkinModel", "load_skin_model", "save_skin_model"]
+
 _MAY_CHANGE = {"tissues", "device", "name", "description"}
 _NOT_AFFINE = "the bulk modulus is not a parameter of the reduced model; solve the scenario anew"
 

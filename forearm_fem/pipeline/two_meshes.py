@@ -8,7 +8,7 @@ from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray
 
 COARSER = 2.0  # size ratio of the second mesh, where it can be made
-# Relative error, and the order assumed there: a change of 0.15 and of 0.5 with COARSER (docs/decisions.md).
+# Relative error, and the order assumed there: a change of 0.15 and of 0.5 with COARSER (docs/decisions/0015).
 _RESOLVED, _UNRESOLVED = (0.15 / (COARSER**1.85 - 1), 1.85), (0.5 / (COARSER**3 - 1), 3.0)
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
 

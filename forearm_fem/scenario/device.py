@@ -16,7 +16,7 @@ Place = Annotated[float, Within(-0.5, 0.5, "m")]  # in the device's own frame
 
 
 class VoiceCoil(Part):
-    """Tectonic TEAX14C02-8, linear model (physics.md 4)."""
+    """Tectonic TEAX14C02-8, linear model (physics_data.md 4)."""
 
     resistance: Annotated[float, Within(1e-4, 1e6, "ohm")] = Field(
         7.8, description="Re [ohm], data sheet via a distributor"
@@ -49,7 +49,7 @@ class Cone(Part):
 class Housing(Part):
     """Rigid shell shared by all actuators: heave, roll and pitch on strap and foam."""
 
-    mass: Mass = Field(0.090, description="4 x 12.5 g + 40 g shell [kg] (physics.md 9)")
+    mass: Mass = Field(0.090, description="4 x 12.5 g + 40 g shell [kg] (physics_data.md 9)")
     gyration: Length = Field(0.030, description="radius of gyration about x and y [m]; our estimate for a 70 mm shell")
     strap_stiffness: Annotated[float, Within(1e-9, 1e12, "N/m", zero=True)] = Field(
         2000.0, description="strap and foam, total along z [N/m]; our estimate"
@@ -69,7 +69,9 @@ class Device(Part):
         None, description="own contact centres (x, y) [m] instead of the 2x2 array"
     )
     rotation: Annotated[float, Within(-6.3, 6.3, "rad")] = Field(0.0, description="of the whole device about z [rad]")
-    drive: Literal["voltage", "force", "displacement"] = "voltage"
+    drive: Literal["voltage", "force", "displacement"] = Field(
+        "voltage", description="what a unit drive is: 1 V at one amplifier, 1 N on one contact, or 1 m of one contact"
+    )
     out_of_contact: tuple[str, ...] = Field((), description="names of actuators that do not touch, e.g. ['A1']")
     coil: VoiceCoil = VoiceCoil()
     cone: Cone = Cone()
@@ -98,8 +100,8 @@ class Device(Part):
 class Grid(Part):
     """Points on the skin whose normal displacement is read, numbered from 1 row by row (rows along +x)."""
 
-    rows: Annotated[int, Within(1, 50)] = 3
-    columns: Annotated[int, Within(1, 50)] = 3
+    rows: Annotated[int, Within(1, 50)] = Field(3, description="number of rows, along x")
+    columns: Annotated[int, Within(1, 50)] = Field(3, description="number of columns, along y")
     pitch: Annotated[float, Within(2e-4, 0.1, "m")] = Field(
         13.3e-3, description="[m]; the thesis' 1.33 cm (its '4x4 cm' contradicts it)"
     )

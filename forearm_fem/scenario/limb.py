@@ -19,7 +19,7 @@ class LayerThickness(Part):
 class Bone(Part):
     """A bone of circular section along the limb; its axis keeps its place relative to the limb's radius (taper)."""
 
-    name: str
+    name: str = Field(description="for the report and for messages, e.g. radius")
     y: Coordinate = Field(description="axis offset across the limb [m]")
     depth: Length = Field(description="depth of its axis below the volar skin at the device [m]")
     diameter: Length = Field(description="[m]")
@@ -29,15 +29,15 @@ Layers = Annotated[tuple[LayerThickness, ...], Field(max_length=50)]
 Bones = Annotated[tuple[Bone, ...], Field(max_length=20)]
 Unit = Annotated[float, Within(1e-9, 1e3, "m per unit")]
 
-# physics.md 1.3: dermis 1.0+-0.2 mm -> default 1.2 mm (section 9); skin+fat ring 3.0 mm (men).
+# physics_data.md 1.3: dermis 1.0+-0.2 mm -> default 1.2 mm (section 9); skin+fat ring 3.0 mm (men).
 DEFAULT_LAYERS = (
     LayerThickness(tissue="skin", thickness=1.2e-3),
     LayerThickness(tissue="fat", thickness=3.0e-3),
 )
-# Shah et al. 2019 (physics.md 1.3): 24.5/24.2/22.7/19.7/17.1 cm at 0/4/8/12/16 cm from the proximal site;
+# Shah et al. 2019 (physics_data.md 1.3): 24.5/24.2/22.7/19.7/17.1 cm at 0/4/8/12/16 cm from the proximal site;
 # the device sits where the circumference is 22.7 cm, x grows towards the elbow.
 DEFAULT_CIRCUMFERENCE = ((-0.08, 0.171), (-0.04, 0.197), (0.0, 0.227), (0.04, 0.242), (0.08, 0.245))
-# physics.md 1.3 [D]/[R]: diameter 14 mm, inter-axis 25-30 mm, volar cover 12-20 (radius), 15-25 mm (ulna).
+# physics_data.md 1.3 [D]/[R]: diameter 14 mm, inter-axis 25-30 mm, volar cover 12-20 (radius), 15-25 mm (ulna).
 DEFAULT_BONES = (
     Bone(name="radius", y=-0.014, depth=0.023, diameter=0.014),
     Bone(name="ulna", y=0.014, depth=0.027, diameter=0.014),
@@ -47,7 +47,7 @@ DEFAULT_BONES = (
 class ForearmLimb(Part):
     """Parametric segment: circumferences along the arm, elliptic sections, layers, muscle, radius and ulna."""
 
-    shape: Literal["forearm"] = "forearm"
+    shape: Literal["forearm"] = Field("forearm", description="a tapering forearm from circumferences")
     length: Length = Field(
         0.24,
         description="length of the segment kept, centred on the device [m]; where a scenario leaves it out, as long as "
@@ -57,9 +57,15 @@ class ForearmLimb(Part):
         tuple[tuple[Coordinate, Annotated[float, Within(1e-3, 6.0, "m")]], ...], Field(max_length=1000)
     ] = Field(DEFAULT_CIRCUMFERENCE, description="pairs (x, circumference) [m]; x = 0 under the device")
     aspect: Annotated[float, Within(0.5, 2.0)] = Field(1.0, description="width (y) over height (z) of the section")
-    layers: Layers = DEFAULT_LAYERS
+    layers: Layers = Field(
+        DEFAULT_LAYERS, description="tissue layers from the outside inwards; without any the core reaches the surface"
+    )
     core: str = Field("muscle", description="tissue inside the layers")
-    bones: Bones = DEFAULT_BONES
+    bones: Bones = Field(
+        DEFAULT_BONES,
+        description="round bones along the limb, held still unless supports.bone is elastic; [] for "
+        "none",
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -69,7 +75,7 @@ class ForearmLimb(Part):
         return self
 
 
-# Estimated truncation error (e_band of G) of the default forearm cut to a length [m] (docs/decisions.md).
+# Estimated truncation error (e_band of G) of the default forearm cut to a length [m] (docs/decisions/0016).
 TRUNCATION = ((0.12, 0.040), (0.16, 0.022), (0.20, 0.014))
 WHOLE_FOREARM = 0.24
 
@@ -82,32 +88,36 @@ def forearm_length(accuracy: float) -> float:
 class CylinderLimb(Part):
     """A straight round limb without taper; bones optional."""
 
-    shape: Literal["cylinder"] = "cylinder"
+    shape: Literal["cylinder"] = Field("cylinder", description="a straight round limb")
     length: Length = 0.12
     diameter: Length = 0.072
-    layers: Layers = DEFAULT_LAYERS
-    core: str = "muscle"
-    bones: Bones = ()
+    layers: Layers = Field(
+        DEFAULT_LAYERS, description="tissue layers from the outside inwards; without any the core reaches the surface"
+    )
+    core: str = Field("muscle", description="tissue inside the layers")
+    bones: Bones = Field((), description="round bones along the limb, as for a forearm")
 
 
 class SlabLimb(Part):
     """A flat block: layers on a core down to ``depth``; its sides and bottom are the truncation."""
 
-    shape: Literal["slab"] = "slab"
+    shape: Literal["slab"] = Field("slab", description="a flat block")
     length: Length = Field(0.12, description="extent in x [m]")
     width: Length = Field(0.09, description="extent in y [m]")
     depth: Length = Field(0.04, description="total thickness [m]")
     symmetry: tuple[Literal["x", "y"], ...] = Field(
         (), description="planes through the device centre on which only a half (or quarter) is modelled"
     )
-    layers: Layers = DEFAULT_LAYERS
-    core: str = "muscle"
+    layers: Layers = Field(
+        DEFAULT_LAYERS, description="tissue layers from the outside inwards; without any the core reaches the surface"
+    )
+    core: str = Field("muscle", description="tissue below the layers, down to depth")
 
 
 class SurfacesLimb(Part):
     """The user's closed surfaces, one per tissue, the outer ones containing the inner ones."""
 
-    shape: Literal["surfaces"] = "surfaces"
+    shape: Literal["surfaces"] = Field("surfaces", description="closed surfaces from files, one per tissue")
     surfaces: dict[str, str] = Field(
         description="tissue -> STL/OBJ/PLY file, relative to the scenario; 'bone' is a bone"
     )
@@ -117,7 +127,7 @@ class SurfacesLimb(Part):
 class MeshLimb(Part):
     """The user's tetrahedral mesh, anything meshio reads, with named or numbered regions."""
 
-    shape: Literal["mesh"] = "mesh"
+    shape: Literal["mesh"] = Field("mesh", description="a tetrahedral mesh from a file")
     file: str = Field(description="mesh file, relative to the scenario")
     regions: dict[str, str] = Field(description="region name or number in the file -> tissue ('bone' is a bone)")
     unit: Unit = Field(1.0, description="metres per unit of the file")

@@ -74,7 +74,11 @@ class MeasurementOptions(Part):
     taper: Annotated[float, Field(ge=0, le=0.25)] = Field(
         default=0.01, description="part of the sweep faded in, and out"
     )
-    estimator: Estimator = "H1"
+    estimator: Estimator = Field(
+        "H1",
+        description="of G from drive and response: fourier is the thesis' Y/X; H1 expects noise on the "
+        "response, H2 on the drive, Hv on both; deconvolution is regularised and windowed",
+    )
     regularisation: Annotated[float, Field(ge=0, lt=1)] = Field(
         default=1e-6, description="deconvolution: added to |X|^2, relative to its largest value"
     )

@@ -17,7 +17,7 @@ from .supports import Supports
 from .sweep import SolverOptions, Sweep
 from .tissues import Tissues
 
-# Accuracy of a slab under pressure discs; at 0.1 second order does in half the time (docs/decisions.md). Under rigid
+# Accuracy of a slab under pressure discs; at 0.1 second order does in half the time (docs/decisions/0002). Under rigid
 # ones it pays always: rims of small cones left 5 % of their receptance to second order (docs/decisions/rims.md).
 _THIRD_ORDER_PAYS = 0.05
 
@@ -25,9 +25,9 @@ _THIRD_ORDER_PAYS = 0.05
 class Scenario(Part):
     """A limb, its tissues, a device, a sweep and what to render; SI units throughout."""
 
-    schema_version: Literal[1] = 1
-    name: Name = "scenario"
-    description: str = ""
+    schema_version: Literal[1] = Field(1, description="of this file's format; only 1 is known")
+    name: Name = Field("scenario", description="letters, digits, dot, dash, underscore; results go to results/NAME")
+    description: str = Field("", description="a sentence for the report")
     engine: Literal["fem", "layered"] = Field("fem", description="finite elements, or the semi-analytic flat twin")
     accuracy: Annotated[float, Within(1e-5, 0.5)] = Field(
         0.05, description="asked e_band of G; sets mesh sizes, truncation and reduction where left out"

@@ -21,8 +21,8 @@ class WaveletOptions(Part):
 class Rendering(Part):
     """Renderers to run."""
 
-    targets: tuple[str, ...] | Literal["all"] = "all"
-    methods: tuple[Method, ...] = ("inverse filter", "funneling", "combination")
+    targets: tuple[str, ...] | Literal["all"] = Field("all", description="names of grid points to aim at, or all")
+    methods: tuple[Method, ...] = Field(("inverse filter", "funneling", "combination"), description="renderers to run")
     zeros: Literal["auto", "thesis", "search"] | tuple[str, ...] = Field(
         "auto",
         description="zero points; auto: the thesis' corners for up to four actuators on a rectangular grid, else all "

@@ -53,7 +53,10 @@ class SolverOptions(Part):
     precision: Literal["auto", "double", "single"] = Field(
         "auto", description="of the factors, all solves being refined; auto: single, double where that is not enough"
     )
-    sweep: Literal["reduced", "direct"] = "reduced"
+    sweep: Literal["reduced", "direct"] = Field(
+        "reduced",
+        description="reduced: a certified reduced model gives all bins; direct: a solve per bin, to check it",
+    )
     start: Literal["auto", "rate", "frequencies"] = Field(
         "auto",
         description="what the reduced model starts from; auto: derivatives about one real rate, expansion frequencies "

@@ -20,7 +20,9 @@ class TissueOverride(Part):
     mu: Modulus | None = Field(None, description="storage (shear) modulus [Pa]")
     eta: Viscosity | None = Field(None, description="shear viscosity [Pa s]")
     bulk: Modulus | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
-    model: Literal["kelvin-voigt", "springpot", "zener"] | None = None
+    model: Literal["kelvin-voigt", "springpot", "zener"] | None = Field(
+        None, description="law of the shear modulus; kelvin-voigt where left out"
+    )
     exponent: Annotated[float, Within(0.001, 0.999)] | None = Field(None, description="springpot exponent [-]")
     mu_infinity: Modulus | None = Field(None, description="Zener high-frequency modulus [Pa]")
 
@@ -32,7 +34,7 @@ class Membrane(Part):
     viscosity: Annotated[float, Within(1e-12, 1e6, "N s/m", zero=True)] = Field(
         0.0, description="in-plane eta*h [N s/m]"
     )
-    tension: PerLength = Field(0.0, description="pre-stress resultant [N/m]; 28-92 N/m (physics.md 2.5)")
+    tension: PerLength = Field(0.0, description="pre-stress resultant [N/m]; 28-92 N/m (physics_data.md 2.5)")
     mass: Annotated[float, Within(1e-9, 1e4, "kg/m^2", zero=True)] = Field(
         0.0, description="mass per area [kg/m^2]; 80 um epidermis 0.088, tape 0.2-0.3"
     )
@@ -42,7 +44,9 @@ class Tissues(Part):
     """Choice of tissue parameters."""
 
     preset: Literal["default", "thesis", "zhang"] = Field(
-        "default", description="default = preset O, thesis = K (thesis-matched), zhang = Z of physics.md 9"
+        "default", description="default = preset O, thesis = K (thesis-matched), zhang = Z of physics_data.md 9"
     )
-    override: dict[str, TissueOverride] = Field(default_factory=dict)
+    override: dict[str, TissueOverride] = Field(
+        default_factory=dict, description="tissue -> values that differ from the preset, or a whole new tissue"
+    )
     membrane: Membrane = Membrane()

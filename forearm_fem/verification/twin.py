@@ -36,7 +36,7 @@ PRESET_O = (
     Layer(3e-3, 950.0, KelvinVoigt(5e3, 1.5).at, BULK),
     Layer(math.inf, 1060.0, KelvinVoigt(1e4, 4.0).at, BULK),
 )
-# physics.md 8, um/N, rows TABLE_HZ, columns TABLE_RADII
+# physics_data.md 8, um/N, rows TABLE_HZ, columns TABLE_RADII
 TABLE_HALF_SPACE = (
     (4933 - 2426j, -52.86 - 962.9j, -507.9 - 129.1j, -164.4 + 283.5j, 137.9 + 115.7j),
     (3070 - 3664j, -754.4 - 123.4j, 82.24 + 288.1j, 16.29 - 37.59j, 40.80 + 31.71j),
@@ -66,11 +66,11 @@ def disc_means(layers: tuple[Layer, ...], frequency: float, radii: tuple[float, 
 
 
 def table_rows() -> Iterator[Row]:
-    """Both tables of physics.md 8; its own accuracy is 0.1 %, 1 % for far values at 400 Hz."""
+    """Both tables of physics_data.md 8; its own accuracy is 0.1 %, 1 % for far values at 400 Hz."""
     for name, layers, table in (("half-space", HALF_SPACE, TABLE_HALF_SPACE), ("preset O", PRESET_O, TABLE_O)):
         error = np.abs(disc_line(layers, TABLE_HZ, TABLE_RADII) * 1e6 / np.array(table) - 1)
         near, far = np.concatenate([error[:3].ravel(), error[3, :2]]), error[3, 2:]
-        case, reference = f"twin, table of {name}", "physics.md 8, independent code"
+        case, reference = f"twin, table of {name}", "physics_data.md 8, independent code"
         quantity = "u/F, each entry, 50-200 Hz and r <= 10 mm at 400 Hz"
         yield Row(case, reference, quantity, float(near.max()), 1e-3, "stated there")
         yield Row(case, reference, "u/F, each entry, r >= 20 mm at 400 Hz", float(far.max()), 1e-2, "stated there")

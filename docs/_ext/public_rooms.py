@@ -1,0 +1,38 @@
+"""The public rooms of the package: what their ``__all__`` names is public, all else may change without notice."""
+
+from __future__ import annotations
+
+import importlib
+
+PUBLIC = {
+    "forearm_fem": "The whole way in five names",
+    "forearm_fem.pipeline": "From a scenario to a results folder",
+    "forearm_fem.pipeline.folder": "The same, stage by stage",
+    "forearm_fem.pipeline.skin_model": "A solved limb without its mesh",
+    "forearm_fem.transfer": "What a solve or a measurement gives",
+    "forearm_fem.ports": "Contacts and points",
+    "forearm_fem.scenario": "Scenarios",
+    "forearm_fem.rendering": "Renderers",
+    "forearm_fem.metrics": "Numbers that judge a rendering or a matrix",
+    "forearm_fem.measurement.commands": "Calibration and playing",
+    "forearm_fem.compare.commands": "Comparing and fitting",
+    "forearm_fem.figures": "Figures",
+    "forearm_fem.figures.motion": "Waves in space: which",
+    "forearm_fem.figures.show": "Waves in space: stills and films",
+    "forearm_fem.figures.page": "Waves in space: a page for the browser",
+    "forearm_fem.io": "Files",
+    "forearm_fem.device": "The device's circuit and mechanics",
+    "forearm_fem.layered": "The semi-analytic twin",
+    "forearm_fem.campaign": "Campaigns",
+    "forearm_fem.errors": "Named failures",
+}
+
+
+def public_names(room: str) -> list[str]:
+    """The names of a public room: its ``__all__``, else the classes and functions that it defines itself."""
+    module = importlib.import_module(room)
+    names: list[str] = getattr(module, "__all__", None) or [
+        name for name, thing in vars(module).items()
+        if not name.startswith("_") and getattr(thing, "__module__", "") == room
+    ]  # fmt: skip
+    return [n for n in names if not n.startswith("__")]

@@ -1,0 +1,74 @@
+"""The manual: ``python -m sphinx -W -b html docs docs/_build/html`` (extra ``docs``)."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE.parent), str(HERE / "_ext"), str(HERE / "gallery")]
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import forearm_fem  # noqa: E402
+
+project = "forearm_fem"
+author = "the forearm_fem authors"
+copyright = "2026, the forearm_fem authors"
+release = version = forearm_fem.__version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",
+    "sphinx.ext.viewcode",
+    "numpydoc",
+    "sphinx_design",
+    "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
+    "places",
+    "public_api",
+    "scenario_keys",
+    "command_pages",
+]
+source_suffix = {".rst": "restructuredtext", ".md": "markdown"}
+exclude_patterns = ["_build", "gallery", "tutorials/*.py", "tutorials/GALLERY_HEADER.rst"]
+nitpicky = False
+
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist", "fieldlist", "attrs_block"]
+myst_heading_anchors = 3
+myst_dmath_double_inline = True
+
+mathjax_path = "mathjax/tex-chtml.js"  # beside the pages: the manual is read without a network, too
+
+autodoc_typehints = "none"  # signatures name the types; doubled lists of them hide the sentences
+autodoc_member_order = "bysource"
+autodoc_mock_imports = ["nvmath", "cupy"]
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": [str(HERE / "tutorials"), str(HERE / "gallery")],
+    "gallery_dirs": ["made/tutorials", "made/gallery"],
+    "filename_pattern": r"[\\/]\d\d_",
+    "ignore_pattern": r"common\.py",
+    "within_subsection_order": "FileNameSortKey",
+    "download_all_examples": False,
+    "remove_config_comments": True,
+    "min_reported_time": 1,
+    "image_scrapers": ("matplotlib",),
+    "abort_on_example_error": True,
+    "show_memory": False,
+    "reset_modules": (),
+    "copyfile_regex": r".*\.toml",
+}
+suppress_warnings = ["config.cache"]
+
+html_theme = "furo"
+html_title = f"forearm_fem {release}"
+html_static_path = ["_static"]
+html_css_files = ["manual.css"]
+html_show_sphinx = False
+html_copy_source = False
+templates_path: list[str] = []

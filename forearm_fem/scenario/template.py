@@ -1,0 +1,64 @@
+"""A commented scenario to start from: every key with its default and meaning, ready to be uncommented."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from .model import Scenario
+
+_WIDE = 100  # characters up to which a meaning stands beside its key
+
+
+def scenario_template(name: str) -> str:
+    """Text of a TOML file that is valid as it stands, with every key but ``name`` commented out.
+
+    Uncommenting all keys that show a value gives the default scenario again; keys without a value are those that are
+    left to the program. Not covered: shapes other than the forearm, and tables with names of the user's own, which have
+    a line each.
+    """
+    head = [
+        f"# {name}: a scenario of forearm_fem. Every key is optional: what stands behind # is its default.",
+        "# SI units. `forearm-fem schema` prints the same for editors; the manual explains each key.",
+        f"name = {json.dumps(name)}",
+    ]
+    return "\n".join([*head, *_table(Scenario(), "", ("schema_version", "name"))]) + "\n"
+
+
+def _table(part: BaseModel, path: str, left_out: tuple[str, ...] = ()) -> Iterator[str]:
+    """Lines of a part's own keys, then of the tables below it."""
+    deeper = []
+    for key, field in type(part).model_fields.items():
+        value = getattr(part, key)
+        if key in left_out:
+            continue
+        if isinstance(value, BaseModel):
+            deeper.append((f"{path}.{key}".lstrip("."), value))
+        else:
+            yield from _key(key, field, value)
+    for name, below in deeper:
+        yield from ("", f"[{name}]", *_table(below, name))
+
+
+def _key(key: str, field: FieldInfo, value: Any) -> Iterator[str]:
+    meaning = field.description or ""
+    line = f"# {key} =" if value is None or value == {} else f"# {key} = {_toml(value)}"
+    if len(line) + len(meaning) < _WIDE:
+        yield f"{line}  # {meaning}"
+    else:
+        yield from (f"## {meaning}", line)
+
+
+def _toml(value: Any) -> str:
+    """``value`` as TOML writes it in one line."""
+    if isinstance(value, BaseModel):
+        return _toml({k: v for k, v in value.model_dump().items() if v is not None})
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value)

@@ -1,0 +1,120 @@
+"""The manual's sources: every key described, every place in the code there, every link found."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import forearm_fem
+from forearm_fem.scenario import scenario_schema
+
+HOME = Path(__file__).parents[1]
+DOCS = HOME / "docs"
+PAGES = [p for p in DOCS.rglob("*.md") if not {"_build", "made"} & set(p.parts)]
+SCRIPTS = sorted((DOCS / "tutorials").glob("[0-9]*.py")) + sorted((DOCS / "gallery").glob("[0-9]*.py"))
+sys.path.insert(0, str(DOCS / "_ext"))  # the role ``place`` looks names up with the same function
+ROOTS = [HOME / "README.md", HOME / "CONTRIBUTING.md"]
+
+
+def _undescribed(part: dict, known: dict, path: str) -> list[str]:
+    missing = []
+    for name, entry in part.get("properties", {}).items():
+        refs = re.findall(r'"#/\$defs/(\w+)"', json.dumps(entry))
+        tables = [r for r in refs if "properties" in known[r]]
+        if not tables and not entry.get("description"):
+            missing.append(f"{path}{name}")
+        for each in tables:
+            missing += _undescribed(known[each], known, f"{path}{name}.")
+    return missing
+
+
+def test_every_scenario_key_is_described():
+    schema = json.loads(scenario_schema())
+    assert _undescribed(schema, schema["$defs"], "") == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(DOCS)))
+def test_places_named_on_a_page_are_in_the_code(page):
+    from dotted_names import found
+
+    for name in re.findall(r"\{place\}`(?:[^`<]*<)?([\w.]+)>?`", page.read_text(encoding="utf-8")):
+        found(name)
+
+
+@pytest.mark.parametrize("page", [*PAGES, *ROOTS], ids=lambda p: str(p.relative_to(HOME)))
+def test_links_to_files_lead_somewhere(page):
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+        if "://" not in target and "/made/" not in f"/{target}":
+            assert (page.parent / target).exists(), target
+
+
+def test_decisions_that_code_names_are_there():
+    known = {p.name[:4] for p in (DOCS / "decisions").glob("[0-9]*.md")}
+    named = set()
+    for file in [*(HOME / "forearm_fem").rglob("*.py"), *(HOME / "tests").glob("*.py")]:
+        named |= set(re.findall(r"docs/decisions/(\d{4})", file.read_text(encoding="utf-8")))
+    assert named
+    assert named <= known
+
+
+def test_sections_of_the_physics_data_that_code_cites_are_there():
+    page = (DOCS / "theory" / "physics_data.md").read_text(encoding="utf-8")
+    headings = set(re.findall(r"^#+ (\d(?:\.\d)?) ", page, re.MULTILINE)) | set(re.findall(r"\((8\.\d)\)", page))
+    for file in (HOME / "forearm_fem").rglob("*.py"):
+        for section in re.findall(r"physics_data\.md (\d(?:\.\d)?)", file.read_text(encoding="utf-8")):
+            assert section in headings, f"{file.name}: {section}"
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda p: p.stem)
+def test_pages_of_the_gallery_assert_a_number(script):
+    assert any(isinstance(node, ast.Assert) for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))))
+
+
+@pytest.mark.parametrize("script", [*SCRIPTS, DOCS / "gallery" / "common.py", HOME / "README.md"], ids=lambda p: p.stem)
+def test_examples_keep_to_the_public_api(script):
+    from public_rooms import PUBLIC, public_names
+
+    text = script.read_text(encoding="utf-8")
+    code = "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL)) if script.suffix == ".md" else text
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("forearm_fem"):
+            assert node.module in PUBLIC
+            assert {alias.name for alias in node.names} <= set(public_names(node.module)), node.module
+
+
+@pytest.mark.parametrize("script", SCRIPTS[:1], ids=lambda p: p.stem)
+def test_the_first_tutorial_runs(script, monkeypatch):
+    """Five seconds on the twin; all others run when the manual is built."""
+    monkeypatch.chdir(script.parent)
+    import matplotlib.pyplot as plt
+
+    runpy.run_path(str(script), run_name="__main__")
+    plt.close("all")
+
+
+def test_readme_is_short_and_every_sentence_has_two_numbers_at_most():
+    text = (HOME / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 120
+    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    prose = "\n".join(line for line in prose.splitlines() if not line.startswith(("|", "#", "!")))
+    prose = re.sub(r"\]\([^)]*\)|`[^`]*`", "", prose)
+    for sentence in re.split(r"(?<=[.:;])\s+", " ".join(prose.split())):
+        assert len(re.findall(r"\d[\d.,]*", sentence)) <= 2, sentence
+
+
+@pytest.mark.slow  # three minutes; CI builds the manual too
+def test_manual_builds_without_a_warning(tmp_path):
+    pytest.importorskip("sphinx")
+    command = [sys.executable, "-m", "sphinx", "-W", "-b", "html", str(DOCS), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "index.html").is_file()
+    assert forearm_fem.__version__ in (tmp_path / "index.html").read_text(encoding="utf-8")

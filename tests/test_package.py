@@ -1,0 +1,91 @@
+"""What comes with the package: scenarios by name, a scenario to start from, metadata, and a wheel that stands alone."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from cli_runner import cli as run
+from pydantic import BaseModel
+
+import forearm_fem
+from forearm_fem.scenario import Scenario, load_scenario, parse_scenario, scenario_file, scenario_template
+from forearm_fem.scenario.shipped import shipped_folder, shipped_scenarios
+
+HOME = Path(__file__).parents[1]
+
+
+def test_shipped_scenarios_are_found_by_name_and_load(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert {"thesis", "quick"} <= set(shipped_scenarios())
+    for name in shipped_scenarios():
+        assert load_scenario(scenario_file(name)).name
+    assert (shipped_folder("meshes") / "thesis.vtu").is_file()
+
+
+def test_a_file_of_ones_own_wins_over_a_shipped_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "thesis").write_text("name = 'mine'\n")
+    assert scenario_file("thesis") == Path("thesis")
+    assert scenario_file("quick.toml") == Path("quick.toml")  # a file that is missing is not replaced silently
+    assert scenario_file("no-such") == Path("no-such")
+
+
+def test_template_is_valid_and_its_keys_are_the_defaults():
+    text = scenario_template("mine")
+    assert parse_scenario(tomllib.loads(text)).name == "mine"
+    every = re.sub(r"^# (\w+ = [^ #].*)$", r"\1", text, flags=re.MULTILINE)
+    assert parse_scenario(tomllib.loads(every)) == Scenario(name="mine")
+    assert _keys_of(text) == {f"{path}{key}" for path, part in _parts(Scenario(), "") for key in part} - {
+        "schema_version"
+    }
+
+
+def _parts(part: BaseModel, path: str) -> Iterator[tuple[str, list[str]]]:
+    """Path of each table and the keys in it that hold a value."""
+    below = {k: v for k in type(part).model_fields if isinstance(v := getattr(part, k), BaseModel)}
+    yield path, [k for k in type(part).model_fields if k not in below]
+    for key, each in below.items():
+        yield from _parts(each, f"{path}{key}.")
+
+
+def _keys_of(text: str) -> set[str]:
+    """Dotted keys of a template, commented out or not."""
+    table, keys = "", set()
+    for line in text.splitlines():
+        if head := re.fullmatch(r"\[(.+)\]", line):
+            table = f"{head[1]}."
+        elif key := re.match(r"(?:# )?(\w+) =", line):
+            keys.add(table + key[1])
+    return keys
+
+
+def test_new_writes_once_and_never_over_a_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("new", "mine").code == 0
+    assert load_scenario(tmp_path / "mine.toml").name == "mine"
+    (tmp_path / "mine.toml").write_text("name = 'kept'\n")
+    assert run("new", "mine").code == 2
+    assert load_scenario(tmp_path / "mine.toml").name == "kept"
+    assert run("new", "../outside").code == 2
+    assert not (tmp_path.parent / "outside.toml").exists()
+
+
+def test_version_is_the_same_everywhere():
+    project = tomllib.loads((HOME / "pyproject.toml").read_text())["project"]
+    cited = re.search(r"^version: (.+)$", (HOME / "CITATION.cff").read_text(), re.MULTILINE)
+    assert project["version"] == forearm_fem.__version__ == cited[1].strip()
+    assert f"## {project['version']}" in (HOME / "CHANGELOG.md").read_text()
+
+
+@pytest.mark.slow  # two minutes, most of them pip's; needs a package index
+def test_wheel_runs_outside_the_clone():
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    done = subprocess.run([HOME / ".ci" / "wheel"], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "works outside the clone" in done.stdout
