@@ -1,7 +1,7 @@
 """Repeated-measures analysis of variance with one or two within-subject factors, corrected for sphericity.
 
 Each effect is a set of orthonormal contrasts of the cell means; its error is the scatter of the subjects about the mean
-contrast (Maxwell, Delaney and Kelley, Designing Experiments and Analyzing Data, ch. 13). The corrections are those of R's
+contrast (Maxwell, Delaney and Kelley, Designing Experiments and Analyzing Data, ch. 13). Corrections are those of R's
 car and afex, which differ from Python's packages for interactions of factors with more than two levels: there epsilon
 must come from the covariance of the interaction's own contrasts.
 """
@@ -99,9 +99,7 @@ def _parts(flat: FloatArray, contrasts: FloatArray) -> _Parts:
     scores = flat @ contrasts
     mean = scores.mean(axis=0)
     apart = scores - mean
-    return _Parts(
-        len(flat) * float(mean @ mean), float(np.sum(apart**2)), apart.T @ apart / (len(flat) - 1), len(flat)
-    )
+    return _Parts(len(flat) * float(mean @ mean), float(np.sum(apart**2)), apart.T @ apart / (len(flat) - 1), len(flat))
 
 
 def _effect(name: str, part: _Parts, errors: float) -> Effect:

@@ -135,7 +135,7 @@ def mixed_model(table: pd.DataFrame, value: str, factors: Sequence[str], subject
     columns = fit.fe_params, fit.bse_fe, fit.tvalues, fit.pvalues
     terms = tuple((n, *(float(c[n]) for c in columns)) for n in names)
     return MixedModel(
-        terms,  # type: ignore[arg-type]
+        terms,
         float(np.sqrt(fit.cov_re.iloc[0, 0])),
         float(np.sqrt(fit.scale)),
         bool(fit.converged),
