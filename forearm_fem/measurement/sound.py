@@ -147,7 +147,8 @@ def loopback(daq: Daq, wiring: Wiring, *, level: float = 0.1, seconds: float = 1
     k = int(np.argmax(np.abs(likeness)))
     shift = np.roll(sent[0], k)
     gain = float(got @ shift / (shift @ shift))
-    residual = float(np.linalg.norm(got - gain * shift) / max(float(np.linalg.norm(got)), 1e-300))
+    heard = float(np.linalg.norm(got))
+    residual = float(np.linalg.norm(got - gain * shift)) / heard if heard > 0 else 1.0
     if residual > 0.7:
         raise HardwareError(
             "the chirp did not come back: connect the first output to the first input with a cable, and check levels"

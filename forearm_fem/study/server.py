@@ -145,7 +145,7 @@ def application(
 
 _HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'",
+    "Content-Security-Policy": "default-src 'self'; img-src data:; script-src 'unsafe-inline'; style-src 'unsafe-inline'",
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
 }
@@ -199,7 +199,9 @@ def serve(
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))
+        listening.listen()  # before the addresses are told: an early browser then waits instead of being refused
     except OSError as problem:
+        listening.close()
         raise DataError(
             f"--port {port}: cannot be used ({problem.strerror}); take another, or 0 for a free one"
         ) from None
