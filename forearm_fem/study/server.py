@@ -145,7 +145,9 @@ def application(
 
 _HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'self'; img-src data:; script-src 'unsafe-inline'; style-src 'unsafe-inline'",
+    "Content-Security-Policy": (
+        "default-src 'self'; img-src data:; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
+    ),
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
 }
