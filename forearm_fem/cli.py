@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from . import __version__
-from .commands import about, measured, new, pictures, simulate, studies
+from .commands import about, measured, new, pictures, simulate, studies, study
 from .commands.common import console, print_error
 from .errors import ForearmError
 
@@ -26,6 +26,7 @@ for _command in (
     new.new, about.schema, about.doctor,
 ):  # fmt: skip
     app.command()(_command)
+app.add_typer(study.app, name="study")
 
 
 def main() -> None:

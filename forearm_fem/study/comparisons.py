@@ -1,0 +1,150 @@
+"""Comparisons after an analysis of variance, its assumptions, and what serves where they fail or cells are missing."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy import stats
+
+from ..errors import DataError, MissingExtra
+from ..typing import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Correction = Literal["bonferroni", "holm"]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Paired t test of two levels over subjects: ``difference`` first minus second, ``p`` corrected for all pairs.
+
+    ``d_z`` is the mean difference over its standard deviation (Cohen).
+    """
+
+    first: str
+    second: str
+    difference: float
+    t: float
+    df: int
+    p: float
+    d_z: float
+
+
+def pairwise(values: FloatArray, levels: Sequence[str], correction: Correction = "bonferroni") -> tuple[Pair, ...]:
+    """All pairs of the columns of ``values`` (n_subject, n_level), one mean per subject and level.
+
+    Raises DataError for missing values or fewer than two subjects.
+    """
+    cells = np.asarray(values, dtype=float)
+    if cells.ndim != 2 or len(cells) < 2 or not np.all(np.isfinite(cells)):
+        raise DataError(f"paired tests need a value per subject and level of two subjects or more, got {cells.shape}")
+    pairs = list(combinations(range(cells.shape[1]), 2))
+    apart = np.array([cells[:, i] - cells[:, j] for i, j in pairs])
+    spread = apart.std(axis=1, ddof=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        d_z = apart.mean(axis=1) / spread
+    t = d_z * np.sqrt(len(cells))
+    p = corrected(2 * stats.t.sf(np.abs(t), len(cells) - 1), correction)
+    return tuple(
+        Pair(levels[i], levels[j], float(a.mean()), float(t[k]), len(cells) - 1, float(p[k]), float(d_z[k]))
+        for k, ((i, j), a) in enumerate(zip(pairs, apart, strict=True))
+    )
+
+
+def corrected(p: FloatArray, correction: Correction) -> FloatArray:
+    """Probabilities (n,) corrected for n tests; NaN (no variation) stays NaN and counts as a test."""
+    p = np.asarray(p, dtype=float)
+    if correction == "bonferroni":
+        return np.minimum(len(p) * p, 1.0)
+    order = np.argsort(p)
+    stepped = np.maximum.accumulate((len(p) - np.arange(len(p))) * p[order])
+    result = np.empty_like(p)
+    result[order] = np.minimum(stepped, 1.0)
+    return result
+
+
+@dataclass(frozen=True)
+class Friedman:
+    """Friedman's rank test over subjects: chi-square, degrees of freedom, p, and Kendall's W as effect size."""
+
+    statistic: float
+    df: int
+    p: float
+    kendall_w: float
+
+
+def friedman(values: FloatArray) -> Friedman:
+    """Do the columns of ``values`` (n_subject, n_level) differ, by ranks within subjects? Needs three levels."""
+    if values.shape[1] < 3:
+        raise DataError(f"Friedman's test needs three levels or more, got {values.shape[1]}; use a paired test")
+    found = stats.friedmanchisquare(*values.T)
+    n, k = values.shape
+    return Friedman(float(found.statistic), k - 1, float(found.pvalue), float(found.statistic) / (n * (k - 1)))
+
+
+@dataclass(frozen=True)
+class Normality:
+    """Shapiro and Wilk's test of the residuals of the cell means (subject and cell effects removed)."""
+
+    w: float
+    p: float
+
+
+def residual_normality(values: FloatArray) -> Normality:
+    """Are residuals of ``values`` (n_subject, ...cells) about subjects and cells normal?"""
+    flat = values.reshape(len(values), -1)
+    residual = flat - flat.mean(axis=1, keepdims=True) - flat.mean(axis=0) + flat.mean()
+    found = stats.shapiro(residual.ravel()[:5000])  # its probability is tabulated for no more
+    return Normality(float(found.statistic), float(found.pvalue))
+
+
+@dataclass(frozen=True)
+class MixedModel:
+    """Linear mixed model value ~ factors with a random intercept per subject, fitted by REML to every trial.
+
+    ``terms`` hold (name, estimate, standard error, z, p) for treatment contrasts against the first levels;
+    ``subject_sd`` and ``residual_sd`` are standard deviations. ``converged`` False: do not quote it.
+    """
+
+    terms: tuple[tuple[str, float, float, float, float], ...]
+    subject_sd: float
+    residual_sd: float
+    converged: bool
+
+
+def mixed_model(table: pd.DataFrame, value: str, factors: Sequence[str], subject: str) -> MixedModel:
+    """Fit all main effects and interactions of ``factors``; missing trials need no special care.
+
+    MissingExtra without statsmodels (extra "study"); DataError where the model cannot be fitted.
+    """
+    formula = _statsmodels()
+    text = f"{value} ~ " + " * ".join(f"C({f})" for f in factors)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # convergence is reported by what is returned
+            fit = formula.mixedlm(text, table, groups=table[subject]).fit(reml=True)
+    except (np.linalg.LinAlgError, ValueError) as problem:
+        raise DataError(f"the mixed model of {value} cannot be fitted: {problem}") from None
+    names = list(fit.fe_params.index)
+    columns = fit.fe_params, fit.bse_fe, fit.tvalues, fit.pvalues
+    terms = tuple((n, *(float(c[n]) for c in columns)) for n in names)
+    return MixedModel(
+        terms,
+        float(np.sqrt(fit.cov_re.iloc[0, 0])),
+        float(np.sqrt(fit.scale)),
+        bool(fit.converged),
+    )
+
+
+def _statsmodels() -> Any:
+    try:
+        from statsmodels.formula import api
+    except ImportError:
+        raise MissingExtra("statsmodels", "study", "the mixed-effects model") from None
+    return api

@@ -1,0 +1,130 @@
+"""Pictures of a study: answers with their ellipses (figure 8), points chosen (figure 9), confusion, power."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse as Patch
+
+from ..figures.style import FAINT, INK, letter, method_colour, styled
+from ..ports import Port
+from ..typing import FloatArray
+from .analysis import Ellipse
+from .power import Power
+
+_MM = 1e3
+
+
+@styled
+def plot_ellipses(found: Sequence[Ellipse], grid: Sequence[Port]) -> Figure:
+    """One panel per target: mean answers of all methods with one-standard-deviation ellipses, the target a star.
+
+    Points lie as the page shows them: across the limb to the right, along it downwards.
+    """
+    targets = list(dict.fromkeys(e.target for e in found))
+    methods = list(dict.fromkeys(e.method for e in found))
+    rows, columns = _shape(len(targets))
+    figure = Figure(figsize=(7.1, 7.1 * rows / columns + 0.4), layout="constrained")
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    places = {p.name: _MM * np.array([p.position[1], p.position[0]]) for p in grid}
+    reach = 0.75 * _pitch(list(places.values()))
+    for ax, target in zip(axes, targets, strict=False):
+        _panel(ax, [e for e in found if e.target == target], methods, places)
+        letter(ax, target)
+    for ax in axes[len(targets) :]:
+        ax.set_visible(False)
+    xy = np.array(list(places.values()))
+    axes[0].set_xlim(xy[:, 0].min() - reach, xy[:, 0].max() + reach)
+    axes[0].set_ylim(xy[:, 1].max() + reach, xy[:, 1].min() - reach)
+    figure.supxlabel("across the limb [mm]")
+    figure.supylabel("along the limb [mm]")
+    handles = [Patch((0, 0), 1, 1, facecolor=method_colour(m, methods), alpha=0.6) for m in methods]
+    figure.legend(handles, methods, loc="outside upper center", ncols=len(methods))
+    return figure
+
+
+def _panel(ax: Axes, found: Sequence[Ellipse], methods: Sequence[str], places: dict[str, FloatArray]) -> None:
+    xy = np.array(list(places.values()))
+    ax.plot(xy[:, 0], xy[:, 1], ".", color=FAINT, ms=4)
+    for e in found:
+        colour = method_colour(e.method, methods)
+        values, vectors = np.linalg.eigh(np.nan_to_num(e.covariance[::-1, ::-1]))
+        width, height = 2 * _MM * np.sqrt(np.maximum(values[::-1], 0))
+        angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+        centre = _MM * e.mean[::-1]
+        ax.add_patch(Patch(tuple(centre), width, height, angle=angle, facecolor=colour, alpha=0.18, edgecolor=colour))
+        ax.plot(*centre, "o", color=colour, ms=4)
+    ax.plot(*places[found[0].target], "*", color="#B3261E", ms=9, zorder=5)
+    ax.set_aspect("equal")
+
+
+def _shape(count: int) -> tuple[int, int]:
+    columns = int(np.ceil(np.sqrt(count)))
+    return int(np.ceil(count / columns)), columns
+
+
+def _pitch(places: Sequence[FloatArray]) -> float:
+    if len(places) < 2:
+        return 10.0
+    xy = np.array(places)
+    apart = np.linalg.norm(xy[:, None] - xy[None], axis=2)
+    return float(apart[apart > 0].min())
+
+
+@styled
+def plot_points(table: pd.DataFrame) -> Figure:
+    """Points chosen per trial, participants' means as box plots: all trials, and those with the target inside."""
+    methods = list(dict.fromkeys(table["method"]))
+    figure = Figure(figsize=(7.1, 3.0), layout="constrained")
+    for ax, (title, part), sign in zip(
+        figure.subplots(1, 2, sharey=True),
+        (("all trials", table), ("target among the points chosen", table[table["inside"]])),
+        "ab",
+        strict=True,
+    ):
+        means = [part[part["method"] == m].groupby("participant")["points"].mean().to_numpy() for m in methods]
+        boxes = ax.boxplot([m if len(m) else [np.nan] for m in means], widths=0.5, patch_artist=True, showmeans=True)
+        for box, method in zip(boxes["boxes"], methods, strict=True):
+            box.set(facecolor=method_colour(method, methods), alpha=0.5)
+        for line in boxes["medians"]:
+            line.set(color=INK)
+        ax.set_xticks(range(1, len(methods) + 1), methods)
+        ax.set_title(title)
+        letter(ax, sign)
+    figure.axes[0].set_ylabel("points chosen, mean of a participant")
+    return figure
+
+
+@styled
+def plot_confusion(shares: dict[str, FloatArray], names: Sequence[str]) -> Figure:
+    """Share of answers to each target (row) that name each point (column), one panel per method."""
+    figure = Figure(figsize=(7.1, 2.9), layout="constrained")
+    axes = figure.subplots(1, len(shares), sharey=True, squeeze=False)[0]
+    top = max(0.01, float(np.nanmax(list(shares.values()))))
+    for ax, (method, values) in zip(axes, shares.items(), strict=True):
+        image = ax.imshow(values, vmin=0, vmax=top, cmap="cividis")
+        ax.set_title(method)
+        ax.set_xticks(range(len(names)), names)
+        ax.set_yticks(range(len(names)), names)
+        ax.set_xlabel("answered")
+    axes[0].set_ylabel("target")
+    figure.colorbar(image, ax=axes, label="share of answers", shrink=0.8)
+    return figure
+
+
+@styled
+def plot_power(curve: Sequence[Power], wanted: float = 0.8) -> Figure:
+    """Power against the number of participants, with 95 % intervals of the simulation."""
+    figure = Figure(figsize=(3.5, 2.6), layout="constrained")
+    ax = figure.subplots()
+    n = [p.participants for p in curve]
+    share = np.array([p.share for p in curve])
+    span = np.abs(np.array([[p.low, p.high] for p in curve]).T - share)
+    ax.errorbar(n, share, span, fmt="o-", ms=3, capsize=2)
+    ax.axhline(wanted, color=FAINT, lw=0.8)
+    ax.set(xlabel="participants", ylabel="share of studies with p < 0.05", ylim=(0, 1.02))
+    return figure

@@ -1,0 +1,107 @@
+"""How many participants and repetitions a study needs: whole studies drawn at random, through its own analysis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ..typing import FloatArray
+from .anova import repeated_measures
+from .comparisons import pairwise
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Supposed:
+    """What is supposed of the answers' errors [m], from a pilot study, a published one or simulated participants.
+
+    ``means`` (n_target, n_method) of the population, ``between`` the standard deviation of participants' own offsets,
+    ``cell`` that of their cells (the interaction that makes tests harder) and ``within`` that of single trials.
+    """
+
+    means: FloatArray
+    between: float
+    cell: float
+    within: float
+
+
+@dataclass(frozen=True)
+class Power:
+    """Share of ``studies`` drawn in which an effect was significant at ``alpha``, with its 95 % interval (Wilson)."""
+
+    participants: int
+    repetitions: int
+    share: float
+    low: float
+    high: float
+
+
+def power_curve(
+    supposed: Supposed,
+    participants: Sequence[int],
+    repetitions: int,
+    *,
+    test: str = "method",
+    studies: int = 1000,
+    alpha: float = 0.05,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> tuple[Power, ...]:
+    """Power of ``test`` for each number of participants.
+
+    ``test`` is "location", "method" or "location x method" (Greenhouse-Geisser), or "pairs": any two methods differ by
+    a Bonferroni-corrected paired test. With equal ``means`` the share is the rate of false alarms.
+    """
+    found = []
+    for done, count in enumerate(participants):
+        rng = np.random.default_rng([seed, count])
+        hits = sum(_significant(_study(supposed, count, repetitions, rng), test, alpha) for _ in range(studies))
+        low, high = stats.binomtest(hits, studies).proportion_ci(method="wilson")
+        found.append(Power(count, repetitions, hits / studies, float(low), float(high)))
+        if progress is not None:
+            progress("power", done + 1, len(participants))
+    return tuple(found)
+
+
+def needed(curve: Sequence[Power], power: float = 0.8) -> int | None:
+    """The least number of participants from which on the share stays at ``power``; None where it is not reached."""
+    enough = None
+    for point in sorted(curve, key=lambda p: -p.participants):
+        if point.share < power:
+            return enough
+        enough = point.participants
+    return enough
+
+
+def supposed_from(values: FloatArray, repetitions: int, within: float) -> Supposed:
+    """What a pilot's cell means ``values`` (n_participant, n_target, n_method) and trial scatter ``within`` suggest.
+
+    The scatter of cell means holds within^2 / repetitions of trial noise, which is taken off.
+    """
+    means = values.mean(axis=0)
+    own = values.mean(axis=(1, 2), keepdims=True)
+    rest = values - own - means + values.mean()
+    cells = values[0].size
+    cell = max(float(np.sum(rest**2)) / ((len(values) - 1) * (cells - 1)) - within**2 / repetitions, 0.0)
+    between = max(float(own.var(ddof=1)) - cell / cells - within**2 / (repetitions * cells), 0.0)
+    return Supposed(means, float(np.sqrt(between)), float(np.sqrt(cell)), within)
+
+
+def _study(supposed: Supposed, count: int, repetitions: int, rng: np.random.Generator) -> FloatArray:
+    """Cell means (n_participant, n_target, n_method) of one study drawn."""
+    shape = (count, *supposed.means.shape)
+    own = supposed.between * rng.standard_normal((count, 1, 1))
+    noise = np.hypot(supposed.cell, supposed.within / np.sqrt(repetitions)) * rng.standard_normal(shape)
+    return np.asarray(supposed.means + own + noise)
+
+
+def _significant(values: FloatArray, test: str, alpha: float) -> bool:
+    if test == "pairs":
+        names = [str(k) for k in range(values.shape[2])]
+        return any(pair.p < alpha for pair in pairwise(values.mean(axis=1), names))
+    effects = {e.name: e for e in repeated_measures(values, ("location", "method"))}
+    return effects[test].p_gg < alpha

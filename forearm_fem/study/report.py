@@ -1,0 +1,204 @@
+"""The analysis of a study as one page, with each figure's and table's numbers as CSV beside it."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib import resources
+from pathlib import Path
+
+import pandas as pd
+from jinja2 import Environment
+from matplotlib import style
+from matplotlib.figure import Figure
+
+from .. import __version__
+from ..errors import DataError
+from ..figures.style import SHEET, sign
+from ..io.atomic import atomic_path, write_text
+from ..ports import Port
+from ..report.facts import Block
+from ..report.write import Picture, Section
+from .adaptive import Track
+from .analysis import Tests, analyse, confusion, ellipses, with_errors
+from .comparisons import Correction
+from .figures import plot_confusion, plot_ellipses, plot_points
+from .plan import Study
+from .thesis import judged
+
+_SOURCE = f"forearm_fem {__version__}"
+
+
+@dataclass(frozen=True, eq=False)
+class Analysed:
+    """A task's analysis: ``sections`` of the page, ``tables`` by file name."""
+
+    sections: list[Section]
+    tables: dict[str, pd.DataFrame]
+
+
+def write_analysis(
+    study: Study, answers: dict[str, pd.DataFrame], grid: Sequence[Port], folder: Path,
+    *, correction: Correction = "bonferroni", compare_with_thesis: bool = False,
+) -> Path:  # fmt: skip
+    """``analysis/report.html`` and its CSVs in ``folder``; ``answers`` are tables by task. Returns the page's path."""
+    sections: list[Section] = []
+    tables: dict[str, pd.DataFrame] = {}
+    for task in study.tasks:
+        if task.name not in answers:
+            sections.append(Section(task.name, task.name, paragraphs=["Nobody has answered this task yet."]))
+            continue
+        done = (
+            _detection(answers[task.name], task.name, study)
+            if task.adaptive is not None
+            else _places(answers[task.name], task.name, grid, correction, several=task.answer == "several points")
+        )
+        sections += done.sections
+        tables |= done.tables
+    if compare_with_thesis:
+        lines = [v.sentence for v in judged()]
+        sections.append(Section("thesis", "Do the thesis' own degrees of freedom add up?", bullets=lines))
+    out = folder / "analysis"
+    for name, table in tables.items():
+        write_text(out / f"{name}.csv", table.to_csv(index=False))
+    for picture in (p for s in sections for p in s.pictures):
+        with atomic_path(out / f"{picture.name}.png") as target:
+            target.write_bytes(base64.b64decode(picture.data))
+    people = sorted({p for t in answers.values() for p in t["participant"]})
+    lead = f"{len(people)} participant(s); subjects are participants, repetitions are averaged within their cells."
+    source = resources.files("forearm_fem.report").joinpath("report.html.j2").read_text(encoding="utf-8")
+    page = Environment(autoescape=True, trim_blocks=True).from_string(source)
+    write_text(
+        out / "report.html", page.render(title=f"Study {study.name}", lead=lead, sections=sections, stamp=_SOURCE)
+    )
+    return out / "report.html"
+
+
+def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Correction, *, several: bool) -> Analysed:
+    main = with_errors(table, grid)
+    found = ellipses(main)
+    names = [p.name for p in grid]
+    shares = {m: confusion(main, names, m) for m in dict.fromkeys(main["method"])}
+    pictures = [
+        _picture(plot_ellipses(found, grid), f"{name}-ellipses", "Answers to each target: means and ellipses of one "
+                 "standard deviation over all trials, the target a star (figure 8 of the thesis)"),
+        _picture(plot_confusion(shares, names), f"{name}-confusion", "Which points were answered to which target"),
+    ]  # fmt: skip
+    if several:
+        pictures.append(_picture(plot_points(main), f"{name}-points", "Points chosen (figure 9 of the thesis)"))
+    sections = [Section(name, f"Task {name}", _counts(main), pictures=pictures)]
+    tables = {f"{name}-trials": main, f"{name}-ellipses": _ellipse_table(found)}
+    measures = {"error": "error of place (eq. 10) [m]"} | ({"points": "points chosen"} if several else {})
+    for measure, words in measures.items():
+        try:
+            tests = analyse(main, measure, correction=correction)
+        except DataError as problem:
+            sections.append(Section(f"{name}-{measure}", f"{name}: {words}", paragraphs=[f"Not analysed: {problem}."]))
+            continue
+        sections += _test_sections(name, words, tests, correction)
+        tables |= _test_tables(f"{name}-{measure}", tests)
+    return Analysed(sections, tables)
+
+
+def _counts(main: pd.DataFrame) -> Block:
+    rows = []
+    for method, part in main.groupby("method", sort=False):
+        rows.append([str(method), str(len(part)), f"{1e3 * part['error'].mean():.1f} mm",
+                     f"{100 * part['inside'].mean():.0f} %", f"{part['points'].mean():.2f}",
+                     f"{part['response_time'].median():.1f} s", str(int(part["late"].sum()))])  # fmt: skip
+    head = ["method", "trials", "mean error", "target among the answer", "points chosen", "median time", "late"]
+    return Block(head, rows, "Main trials; training is left out.")
+
+
+def _ellipse_table(found: Sequence[object]) -> pd.DataFrame:
+    rows = []
+    for e in found:
+        d = asdict(e)  # type: ignore[call-overload]
+        rows.append({"target": d["target"], "method": d["method"], "mean_x_m": d["mean"][0], "mean_y_m": d["mean"][1],
+                     "var_x_m2": d["covariance"][0, 0], "var_y_m2": d["covariance"][1, 1],
+                     "cov_xy_m2": d["covariance"][0, 1], "trials": d["count"]})  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _test_sections(name: str, words: str, tests: Tests, correction: Correction) -> list[Section]:
+    effects = [
+        [e.name, f"F({e.gg * e.df:.2f}, {e.gg * e.df_error:.1f}) = {e.f:.3f}", _p(e.p_gg), _p(e.p_hf), _p(e.p),
+         f"{e.gg:.3f}", _p(e.mauchly_p), f"{e.partial_eta2:.3f}", f"{e.generalised_eta2:.3f}"]
+        for e in tests.effects
+    ]  # fmt: skip
+    head = ["effect", "F (Greenhouse-Geisser)", "p (GG)", "p (HF)", "p (uncorrected)", "epsilon", "sphericity p",
+            "partial eta²", "generalised eta²"]  # fmt: skip
+    anova = Block(head, effects, f"{len(tests.participants)} participants with all cells. " + " ".join(tests.notes))
+    pairs = [[f"{p.first} - {p.second}", f"{p.difference:.4g}", f"t({p.df}) = {p.t:.2f}", _p(p.p), f"{p.d_z:.2f}"]
+             for p in tests.methods]  # fmt: skip
+    simple = [["methods at target " + n, f"{e.f:.2f}", _p(p)] for n, e, p in tests.simple_methods]
+    simple += [["targets by " + n, f"{e.f:.2f}", _p(p)] for n, e, p in tests.simple_locations]
+    sections = [
+        Section(f"{name}-anova-{tests.measure}", f"{name}: {words}, repeated measures", anova),
+        Section(f"{name}-pairs-{tests.measure}", f"{name}: {words}, pairs of methods",
+                Block(["pair", "difference", "paired test", f"p ({correction})", "d_z"], pairs)),
+        Section(f"{name}-simple-{tests.measure}", f"{name}: {words}, simple effects (Table II)",
+                Block(["effect", "F", f"p ({correction}, GG)"], simple)),
+    ]  # fmt: skip
+    if tests.friedman is not None:
+        f = tests.friedman
+        said = f"Friedman's rank test of the methods: chi²({f.df}) = {f.statistic:.2f}, p {_p(f.p)}, "
+        said += f"W = {f.kendall_w:.2f}."
+        said += f" Residuals: Shapiro and Wilk's W = {tests.normality.w:.3f}, p {_p(tests.normality.p)}."
+        sections[0].paragraphs.append(said)
+    if tests.mixed is not None:
+        rows = [[n, f"{b:.4g}", f"{s:.2g}", _p(p)] for n, b, s, _, p in tests.mixed.terms]
+        m = tests.mixed
+        note = f"Random intercepts per participant: sd {m.subject_sd:.3g}, residual {m.residual_sd:.3g}."
+        if not tests.mixed.converged:
+            note += " The fit did not converge: do not quote it."
+        sections.append(
+            Section(f"{name}-mixed-{tests.measure}", f"{name}: {words}, mixed model of all trials",
+                    Block(["term", "estimate", "standard error", "p"], rows, note))
+        )  # fmt: skip
+    return sections
+
+
+def _test_tables(name: str, tests: Tests) -> dict[str, pd.DataFrame]:
+    simple = [
+        {"effect": n, **asdict(e), "p_corrected": p} for n, e, p in (*tests.simple_methods, *tests.simple_locations)
+    ]
+    tables = {
+        f"{name}-anova": pd.DataFrame([asdict(e) for e in tests.effects]),
+        f"{name}-pairs": pd.DataFrame([asdict(p) for p in tests.methods]),
+        f"{name}-simple": pd.DataFrame(simple),
+    }
+    if tests.mixed is not None:
+        tables[f"{name}-mixed"] = pd.DataFrame(tests.mixed.terms, columns=["term", "estimate", "se", "z", "p"])
+    return tables
+
+
+def _detection(table: pd.DataFrame, name: str, study: Study) -> Analysed:
+    rows = []
+    for participant, part in table.groupby("participant"):
+        track = Track.of(study.task(name), part.to_dict("records"))
+        assert track is not None
+        rows += [{"participant": participant, **asdict(t)} for t in track.thresholds()]
+    found = pd.DataFrame(rows)
+    lines = [[str(m), f"{p['level'].mean():.1f} dB", f"{p['level'].std(ddof=1):.1f} dB" if len(p) > 1 else "unknown"]
+             for m, p in found.groupby("method")]  # fmt: skip
+    block = Block(
+        ["method", "mean threshold", "standard deviation over tracks"], lines, "Levels are re the stimulus' own."
+    )
+    return Analysed([Section(name, f"Task {name}: thresholds", block)], {f"{name}-thresholds": found})
+
+
+def _picture(figure: Figure, name: str, title: str) -> Picture:
+    sign(figure, _SOURCE)
+    stream = io.BytesIO()
+    with style.context(SHEET):
+        figure.savefig(stream, format="png", dpi=130)
+    return Picture(title, base64.b64encode(stream.getvalue()).decode(), name)
+
+
+def _p(value: float) -> str:
+    if value != value:
+        return "unknown"
+    return "< 0.001" if value < 1e-3 else f"{value:.3f}"

@@ -1,0 +1,243 @@
+"""From a study file to a session that plays, and to a rehearsal with simulated participants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from ..errors import DataError, HardwareError, MissingExtra
+from ..measurement.commands import planform_ports
+from ..measurement.daq import Daq
+from ..measurement.ni import NiDaq
+from ..measurement.sound import SoundCard
+from ..measurement.virtual import VirtualDaq, VirtualOptions
+from ..pipeline.renderers import wavelet
+from ..ports import Port
+from ..rendering.wavelet import Wavelet
+from ..scenario import Scenario, load_scenario
+from ..scenario.measurement import DaqOptions
+from ..transfer import TransferMatrix
+from .percept import Percept, SimulatedParticipant
+from .plan import Study, load_study
+from .session import Given, Player, Presented, Session
+from .stimuli import DevicePlayer, Stimulus, stimuli_for, transfer_of
+from .store import Store
+
+DaqKind = Literal["virtual", "ni", "sound"]
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A study file with its scenario, wavelet and folder of data."""
+
+    study: Study
+    scenario: Scenario
+    wavelet: Wavelet
+    base: Path
+    folder: Path
+
+    @classmethod
+    def of(cls, file: str | Path, folder: Path | None = None) -> Prepared:
+        """Everything that a study file names; data go to ``folder``, or beside the file into its name."""
+        path = Path(file)
+        study = load_study(path)
+        scenario = load_scenario(path.parent / study.scenario)
+        made = wavelet(scenario.rendering, scenario.sweep, (path.parent / study.scenario).parent)
+        return cls(study, scenario, made, path.parent, folder or path.parent / study.name)
+
+    def store(self) -> Store:
+        """The folder of data, opened or begun."""
+        return Store.open(self.folder, self.study)
+
+    def grid(self) -> tuple[Port, ...]:
+        """The scenario's grid points, seen from above."""
+        return planform_ports(self.scenario)[0]
+
+    def stimuli(self, transfer: TransferMatrix) -> dict[tuple[str, str], Stimulus]:
+        """Stimuli on a participant's G."""
+        return stimuli_for(transfer, self.scenario, self.study.stimuli, self.wavelet)
+
+
+def session_for(
+    prepared: Prepared, participant: str, task: str, *, consent: str = "", daq: DaqKind | Daq = "virtual"
+) -> tuple[Session, tuple[Port, ...]]:
+    """A session of an enrolled (or now enrolled) participant, with the grid; the task's earlier answers are kept.
+
+    Raises ScenarioError, DataError or HardwareError in one sentence for whatever prevents it.
+    """
+    asked = prepared.study.task(task)
+    transfer = transfer_of(prepared.study, prepared.base, participant)
+    stimuli = prepared.stimuli(transfer)
+    player = device_player(prepared, transfer, stimuli, daq)
+    store = prepared.store()
+    store.enrol(participant, consent=consent, added=datetime.now(UTC).date().isoformat())
+    return Session(store, participant, asked, transfer.outputs, player), transfer.outputs
+
+
+def device_player(
+    prepared: Prepared, transfer: TransferMatrix, stimuli: dict[tuple[str, str], Stimulus], daq: DaqKind | Daq
+) -> DevicePlayer:
+    """A player through the virtual device, NI hardware, a sound card, or a device of one's own."""
+    options = prepared.scenario.measurement.daq
+    rate = prepared.wavelet.record.sample_rate
+    if isinstance(daq, str):
+        options = _wired(options, transfer, daq)
+        daq = _device(daq, options, transfer, prepared.wavelet)
+    return DevicePlayer(daq, stimuli, rate, options, prepared.study.stimuli)
+
+
+def _wired(options: DaqOptions, transfer: TransferMatrix, daq: DaqKind) -> DaqOptions:
+    """The scenario's channels; a virtual device has its own, a sound card numbers them."""
+    n = len(transfer.inputs)
+    if daq == "virtual":
+        return options.model_copy(update={"outputs": tuple(f"virtual/ao{i}" for i in range(n))})
+    if daq == "sound" and not all(c.isdigit() for c in options.outputs):
+        return options.model_copy(update={"outputs": tuple(str(i + 1) for i in range(n)), "sensor": "1"})
+    if len(options.outputs) != n:
+        raise HardwareError(f"measurement.daq.outputs names {len(options.outputs)} channels, G has {n} actuators")
+    return options
+
+
+def _device(kind: DaqKind, options: DaqOptions, transfer: TransferMatrix, wave: Wavelet) -> Daq:
+    if kind == "ni":
+        return NiDaq(options.block, input_range=options.input_range)
+    if kind == "sound":
+        return SoundCard(options.block, volts_out=options.output_range, volts_in=options.input_range)
+    record = wave.record
+    device = VirtualDaq(transfer, record.sample_rate, record.n / record.sample_rate, VirtualOptions())
+    device.aim(transfer.outputs[0].name)
+    return device
+
+
+def answers_of(store: Store, task: str) -> pd.DataFrame:
+    """All answers to a task, with ``participant``, withdrawn ones left out; DataError if there is none."""
+    active = [p["participant_id"] for p in store.people() if p["status"] == "active"]
+    rows = [
+        {"participant": name.removeprefix("sub-"), **row}
+        for name in active
+        for row in store.answers(name.removeprefix("sub-"), task)
+    ]
+    if not rows:
+        raise DataError(f"{store.folder}: nobody has answered task '{task}' yet; `forearm-fem study run` it first")
+    return typed(pd.DataFrame(rows))
+
+
+_NUMBERS = (
+    "onset", "duration", "trial", "block", "repetition", "level", "response_x", "response_y", "response_area",
+    "response_time", "late", "presentations", "peak_voltage", "session",
+)  # fmt: skip
+
+
+def typed(table: pd.DataFrame) -> pd.DataFrame:
+    """A table of strings with its numbers as numbers; ``n/a`` is missing. DataError for a number that is none."""
+    result = table.replace("n/a", np.nan)
+    for name in (n for n in _NUMBERS if n in result):
+        try:
+            result[name] = pd.to_numeric(result[name])
+        except (ValueError, TypeError) as problem:
+            raise DataError(f"column {name}: {str(problem)[:120]}; expected a number or n/a") from None
+    return result
+
+
+def rehearse(
+    prepared: Prepared,
+    transfer: TransferMatrix,
+    participants: int,
+    percept: Percept,
+    *,
+    seed: int = 0,
+    through_device: bool = False,
+    progress: Progress | None = None,
+) -> Store:
+    """Let simulated participants do every task of the study; their answers look like anybody's, marked in ``note``.
+
+    All share one G here. ``through_device`` plays every stimulus through the virtual device too (slower).
+    """
+    store, stimuli = prepared.store(), prepared.stimuli(transfer)
+    player: Player = device_player(prepared, transfer, stimuli, "virtual") if through_device else _silent(prepared)
+    places = np.array([p.position[:2] for p in transfer.outputs])
+    today = datetime.now(UTC).date().isoformat()
+    for k in range(participants):
+        name, rng = f"{k + 1:02d}", np.random.default_rng([seed, k])
+        store.enrol(name, consent=today, added=today, note="simulated")
+        person = SimulatedParticipant(
+            percept.varied(rng), stimuli, prepared.wavelet.record.sample_rate, places, transfer.outputs, rng
+        )
+        for task in prepared.study.tasks:
+            _answer_all(Session(store, name, task, transfer.outputs, player, _Clock()), person)
+        if progress is not None:
+            progress("simulated participants", k + 1, participants)
+    return store
+
+
+def _answer_all(session: Session, person: SimulatedParticipant) -> None:
+    while (waiting := session.view()["waiting"]) != "done":
+        if waiting != "stimulus":
+            session.start()
+            continue
+        session.present()
+        trial = session.current
+        assert trial is not None
+        session.answer(answer_of(person, session.task.answer, trial.method, trial.target, session.level))
+
+
+def answer_of(person: SimulatedParticipant, kind: str, method: str, target: str, level: float) -> Given:
+    """What a simulated participant gives to a stimulus."""
+    if kind == "yes or no":
+        return Given(yes=person.detects(method, target, level))
+    if kind == "one point":
+        return Given(points=(person.one_point(method, target),))
+    if kind == "several points":
+        return Given(points=person.several_points(method, target))
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return Given(strokes=person.place(method, target) + 0.5 * person.percept.blur * circle)
+
+
+def _silent(prepared: Prepared) -> Player:
+    """A player for rehearsals without a device: nothing sounds and no time passes."""
+    seconds = prepared.study.stimuli.lead + prepared.study.stimuli.tail
+
+    def play(method: str, target: str, level: float) -> Presented:
+        return Presented(seconds, float("nan"))
+
+    return play
+
+
+class _Clock:
+    """Time that passes by an hour at each look, so that breaks are over at once."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def __call__(self) -> float:
+        self._now += 3600.0
+        return self._now
+
+
+def statuses(store: Store, participants: Sequence[str] | None = None) -> list[tuple[str, str, int, int]]:
+    """(participant, task, answered, planned) of all enrolled participants."""
+    from .order import trials
+
+    names = participants or [p["participant_id"].removeprefix("sub-") for p in store.people()]
+    return [
+        (name, task.name, len(store.answers(name, task.name)), len(trials(store.study, task, name)))
+        for name in names
+        for task in store.study.tasks
+    ]
+
+
+def require_study_extra() -> None:
+    """MissingExtra where the packages of the extra "study" are not installed."""
+    from importlib.util import find_spec
+
+    for package in ("pandas", "statsmodels", "questplus", "starlette", "uvicorn"):
+        if find_spec(package) is None:
+            raise MissingExtra(package, "study", "a study with people")

@@ -1,0 +1,109 @@
+"""Stimuli of one participant: drives on that participant's G, levelled as the study says, played within limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import HardwareError, ScenarioError
+from ..io.recognise import read_measured
+from ..measurement.daq import Daq
+from ..measurement.play import play
+from ..pipeline.renderers import renderers
+from ..rendering.drives import Drives, drives, scale_to
+from ..rendering.drives import displacements as reached
+from ..rendering.spectrum import place
+from ..rendering.wavelet import Wavelet
+from ..scenario import Scenario
+from ..scenario.measurement import DaqOptions
+from ..transfer import TransferMatrix
+from ..typing import FloatArray
+from .plan import Stimuli, Study
+from .session import Presented
+
+_MICROMETRE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Stimulus:
+    """``signals`` (n_actuator, n) [V] for one wavelet and ``moved`` (n_point, n) [m], the skin's answer by G."""
+
+    signals: FloatArray
+    moved: FloatArray
+
+
+def transfer_of(study: Study, base: Path, participant: str) -> TransferMatrix:
+    """G of a participant as the study file says; ScenarioError naming the file and what makes it."""
+    file = base / study.transfer.replace("{participant}", participant)
+    if not file.exists():
+        raise ScenarioError(
+            f"{file}: no G for participant {participant}; calibrate into its folder "
+            "(`forearm-fem calibrate SCENARIO --out FOLDER`), or name a simulated one in the study's `transfer`"
+        )
+    return read_measured(file)
+
+
+def stimuli_for(
+    transfer: TransferMatrix,
+    scenario: Scenario,
+    options: Stimuli,
+    wavelet: Wavelet,
+) -> dict[tuple[str, str], Stimulus]:
+    """A stimulus for each method and target of ``options``.
+
+    Signals keep ``options.lead`` seconds before the wavelet's centre and ``options.tail`` after. Raises ScenarioError
+    for a G that is not in m/V, and as the renderers do.
+    """
+    if transfer.unit != "m/V":
+        raise ScenarioError(f"stimuli need a G in m/V, got {transfer.unit}; set device.drive = 'voltage'")
+    chosen = {r.name: r for r in renderers(scenario.rendering.model_copy(update={"methods": options.methods}))}
+    placed = place(transfer, wavelet.record)
+    time = wavelet.record.time
+    kept = (time >= -options.lead) & (time <= options.tail)
+    result: dict[tuple[str, str], Stimulus] = {}
+    for method in options.methods:
+        for target in options.targets:
+            made_drives = _levelled(drives(chosen[method], placed, target, wavelet), transfer, options)
+            moved = reached(placed, made_drives).values
+            result[method, target] = Stimulus(made_drives.signals[:, kept], moved[:, kept])
+    return result
+
+
+def _levelled(made: Drives, transfer: TransferMatrix, options: Stimuli) -> Drives:
+    level = options.level
+    if level.rule == "as rendered" or level.value is None:
+        return made
+    if level.rule == "drive peak":
+        return scale_to(made, drive_peak=level.value)
+    return scale_to(made, transfer, target_peak=level.value * _MICROMETRE)
+
+
+class DevicePlayer:
+    """Plays stimuli through a device within its limits; the session calls it."""
+
+    def __init__(
+        self, daq: Daq, stimuli: Mapping[tuple[str, str], Stimulus], rate: float, options: DaqOptions, how: Stimuli
+    ) -> None:
+        self._daq, self._stimuli, self._rate, self._options, self._how = daq, stimuli, rate, options, how
+        self._refuse_loud()
+
+    def __call__(self, method: str, target: str, level: float) -> Presented:
+        """Play ``how.repeats`` wavelets at ``level`` [dB]; HardwareError where the device fails."""
+        signals = 10 ** (level / 20) * self._stimuli[method, target].signals
+        done = play(self._daq, signals, self._rate, self._options, repeats=self._how.repeats, pause=self._how.pause)
+        if done.stopped:
+            raise HardwareError("the stimulus was cut short; press start to present it again")
+        return Presented(done.seconds, float(done.peak.max()))
+
+    def _refuse_loud(self) -> None:
+        """Before a session, not in the middle of it."""
+        peaks = {key: float(np.abs(s.signals).max()) for key, s in self._stimuli.items()}
+        loudest = max(peaks, key=peaks.__getitem__)
+        if peaks[loudest] > self._options.max_voltage:
+            raise HardwareError(
+                f"{loudest[0]} towards {loudest[1]} needs {peaks[loudest]:.3g} V, the limit is "
+                f"{self._options.max_voltage:g} V; lower stimuli.level or rendering.amplitude"
+            )

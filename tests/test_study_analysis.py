@@ -1,0 +1,225 @@
+"""What is made of answers: errors, ellipses, confusion, simulated participants, power, and the thesis' own figures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_study_session import GRID
+from typer.testing import CliRunner
+
+pd = pytest.importorskip("pandas")
+pytest.importorskip("statsmodels")
+
+from forearm_fem.cli import app  # noqa: E402
+from forearm_fem.errors import DataError  # noqa: E402
+from forearm_fem.study.analysis import analyse, cell_means, confusion, ellipses, with_errors  # noqa: E402
+from forearm_fem.study.percept import Percept, SimulatedParticipant, felt, pooled, sensitivity  # noqa: E402
+from forearm_fem.study.power import Supposed, needed, power_curve, supposed_from  # noqa: E402
+from forearm_fem.study.stimuli import Stimulus  # noqa: E402
+from forearm_fem.study.tables import foreign_table  # noqa: E402
+from forearm_fem.study.thesis import judged  # noqa: E402
+
+PLACES = np.array([p.position[:2] for p in GRID])
+NAMES = [p.name for p in GRID]
+
+
+def answers(people=6, repetitions=2, seed=0):
+    """Answers of people who err by 8 mm, by two methods at all targets."""
+    rng, rows = np.random.default_rng(seed), []
+    for person in range(people):
+        for method in ("funneling", "inverse filter"):
+            for k, target in enumerate(NAMES):
+                for _ in range(repetitions):
+                    x, y = PLACES[k] + rng.normal(scale=8e-3, size=2)
+                    near = NAMES[int(np.argmin(np.hypot(*(PLACES - (x, y)).T)))]
+                    rows.append({"participant": f"{person:02d}", "phase": "main", "method": method, "target": target,
+                                 "response": near, "response_x": x, "response_y": y})  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def test_errors_are_distances_and_training_is_left_out():
+    table = answers()
+    table.loc[0, "phase"] = "training"
+    main = with_errors(table, GRID)
+    assert len(main) == len(table) - 1
+    row = main.iloc[5]
+    k = NAMES.index(row["target"])
+    assert row["error"] == pytest.approx(np.hypot(row["response_x"] - PLACES[k, 0], row["response_y"] - PLACES[k, 1]))
+    with pytest.raises(DataError, match="target '12' is no point"):
+        with_errors(table.assign(target="12"), GRID)
+
+
+def test_ellipses_recover_mean_and_covariance():
+    """9,000 answers about (2, -1) mm with a known covariance: four standard errors of their estimates."""
+    rng, n = np.random.default_rng(3), 9000
+    true = np.array([[9.0, 4.0], [4.0, 16.0]]) * 1e-6
+    xy = rng.multivariate_normal([2e-3, -1e-3], true, size=n)
+    table = pd.DataFrame({"target": "5", "method": "m", "response_x": xy[:, 0], "response_y": xy[:, 1]})
+    (found,) = ellipses(table)
+    assert found.mean == pytest.approx([2e-3, -1e-3], abs=4 * 4e-3 / np.sqrt(n))
+    assert found.covariance == pytest.approx(true, abs=4 * 16e-6 * np.sqrt(2 / n))
+
+
+def test_confusion_shares_add_up_and_split_answers_of_several_points():
+    table = pd.DataFrame({"method": "m", "target": ["1", "1", "2"], "response": ["1", "1 2", "3"]})
+    shares = confusion(table, NAMES, "m")
+    assert shares[0, :2].tolist() == [0.75, 0.25]
+    assert shares[1, 2] == 1.0
+    assert np.isnan(shares[3]).all()
+
+
+def test_missing_cells_leave_a_participant_to_the_mixed_model():
+    table = with_errors(answers(), GRID)
+    lacking = table[~((table["participant"] == "03") & (table["target"] == "5") & (table["method"] == "funneling"))]
+    tests = analyse(lacking, "error")
+    assert tests.left_out == ("03",)
+    assert len(tests.participants) == 5
+    assert any("03" in note for note in tests.notes)
+    assert tests.mixed is not None
+    assert tests.effects[0].df_error == 8 * 4
+
+
+def test_repetitions_are_no_subjects():
+    """Twice the repetitions leave the degrees of freedom alone: the thesis counted each as a subject."""
+    few, many = (analyse(with_errors(answers(repetitions=r), GRID), "error", mixed=False) for r in (1, 4))
+    assert [e.df_error for e in few.effects] == [e.df_error for e in many.effects] == [40.0, 5.0, 40.0]
+
+
+def test_the_thesis_counted_sixty_subjects():
+    """All six tests fit 60 rows (20 participants x 3 repetitions) and none fits 20; probabilities follow from F."""
+    verdicts = judged()
+    assert [v.subjects for v in verdicts] == [60] * 6
+    assert all(0.7 < v.epsilon <= 1 for v in verdicts)
+    assert all(abs(v.p - v.claim.p) < 2e-3 for v in verdicts)
+
+
+def test_sensitivity_follows_verrillo():
+    """-12 dB per octave below 220 Hz, +9 above, of the threshold: displacement counts by the reciprocal."""
+    level = 20 * np.log10(sensitivity(np.array([55.0, 110.0, 220.0, 440.0])))
+    assert level == pytest.approx([-24.0, -12.0, 0.0, -9.0], abs=1e-9)
+
+
+def test_felt_amplitude_of_a_sine_is_its_weighted_rms():
+    t = np.arange(2000) / 10_000
+    found = felt(np.array([1e-6 * np.sin(2 * np.pi * 220 * t), 1e-6 * np.sin(2 * np.pi * 110 * t)]), 10_000.0)
+    assert found == pytest.approx(np.array([1, 10 ** (-12 / 20)]) * 1e-6 / np.sqrt(2), rel=1e-6)
+
+
+def test_pooling_keeps_a_uniform_field_and_spreads_a_peak():
+    assert pooled(np.full(9, 2.0), PLACES, 5e-3) == pytest.approx(np.full(9, 4.0))
+    peak = pooled(np.eye(9)[4], PLACES, 5e-3)
+    assert np.argmax(peak) == 4
+    assert 0 < peak[0] < peak[1] < peak[4]
+
+
+def responder(moved, **percept):
+    stimuli = {("m", "5"): Stimulus(np.zeros((4, 10)), moved)}
+    options = {"blur": 1e-6, "lapse": 0.0, "pooling": 1e-4, **percept}
+    return SimulatedParticipant(Percept(**options), stimuli, 1000.0, PLACES, GRID, np.random.default_rng(0))
+
+
+def test_limits_of_the_simulated_participant():
+    """Without blur and lapses a spot at one point is felt there; with lapses alone answers spread over the grid;
+    with no motion at all nothing is detected, with much everything."""
+    moved = np.outer(np.eye(9)[7], 1e-6 * np.sin(np.arange(10)))
+    sure = responder(moved)
+    assert {sure.one_point("m", "5") for _ in range(20)} == {"8"}
+    assert sure.several_points("m", "5") == ("8",)
+    lost = responder(moved, lapse=1.0)
+    assert len({lost.one_point("m", "5") for _ in range(300)}) == 9
+    assert not any(sure.detects("m", "5", -300.0) for _ in range(50))
+    assert all(sure.detects("m", "5", 200.0) for _ in range(50))
+
+
+def test_a_blurrier_participant_errs_more():
+    moved = np.outer(np.eye(9)[4], 1e-6 * np.sin(np.arange(10)))
+    means = []
+    for blur in (2e-3, 8e-3, 20e-3):
+        person = responder(moved, blur=blur)
+        means.append(np.mean([np.hypot(*(person.place("m", "5") - PLACES[4])) for _ in range(400)]))
+    # Rayleigh: blur sqrt(pi / 2), standard error of 400 draws 2.6 %
+    assert means == pytest.approx(np.array([2e-3, 8e-3, 20e-3]) * np.sqrt(np.pi / 2), rel=0.11)
+
+
+def test_power_is_the_level_without_an_effect_and_one_with_a_large_one():
+    """Without an effect 5 % of 300 studies (2.6 sd: 1.7 to 8.3 %); an effect of three standard errors is found."""
+    flat = Supposed(np.zeros((9, 3)), 2e-3, 1e-3, 6e-3)
+    (none,) = power_curve(flat, [12], 3, studies=300)
+    assert 0.017 <= none.share <= 0.083
+    strong = Supposed(flat.means + np.array([0, 2e-3, 4e-3]), 2e-3, 1e-3, 6e-3)
+    (found,) = power_curve(strong, [12], 3, studies=100)
+    assert found.share > 0.95
+    curve = power_curve(Supposed(flat.means + np.array([0, 0, 1e-3]), 2e-3, 1e-3, 6e-3), [4, 12, 40], 3, studies=100)
+    assert curve[0].share < curve[1].share < curve[2].share
+    assert needed(curve) == 40
+
+
+def test_a_pilot_gives_back_what_it_was_drawn_from():
+    """200 participants of known scatter: standard deviations within 15 %, as estimates from so many are."""
+    rng = np.random.default_rng(1)
+    true = Supposed(rng.normal(scale=2e-3, size=(9, 3)), 2e-3, 3e-3, 6e-3)
+    values = true.means + 2e-3 * rng.standard_normal((200, 1, 1))
+    values = values + np.hypot(3e-3, 6e-3 / np.sqrt(3)) * rng.standard_normal(values.shape)
+    found = supposed_from(values, 3, 6e-3)
+    assert found.between == pytest.approx(2e-3, rel=0.15)
+    assert found.cell == pytest.approx(3e-3, rel=0.15)
+
+
+def test_other_peoples_tables_are_read_by_a_declared_mapping(tmp_path):
+    file = tmp_path / "theirs.csv"
+    file.write_text("who,condition,goal,said\nanna,ift,1,1 2\nben,ift,2,\n")
+    mapping = ["participant=who", "method=condition", "target=goal", "response=said"]
+    table = foreign_table(file, mapping, GRID)
+    assert table["response_y"][0] == pytest.approx(-0.005)
+    assert np.isnan(table["response_x"][1])
+    with pytest.raises(DataError, match="no column is called 'participant'"):
+        foreign_table(file, mapping[1:], GRID)
+    with pytest.raises(DataError, match="expected ours=theirs"):
+        foreign_table(file, ["method=nothing"], GRID)
+    file.write_text("who,condition,goal,said\nanna,ift,1,77\n")
+    with pytest.raises(DataError, match="line 2: '77' is no grid point"):
+        foreign_table(file, mapping, GRID)
+
+
+def test_cell_means_put_ten_after_nine():
+    table = pd.DataFrame({"participant": ["10", "9"], "target": ["1", "1"], "method": ["a", "a"], "error": [1.0, 2.0]})
+    values, people, *_ = cell_means(table, "error")
+    assert people == ["9", "10"]
+    assert values[:, 0, 0].tolist() == [2.0, 1.0]
+
+
+_SCENE = """
+name = "flat"
+engine = "layered"
+[device.cone]
+contact = "pressure"
+[sweep]
+sample_rate = 2000.0
+duration = 0.2
+"""
+
+
+def test_a_rehearsed_study_is_analysed_from_the_command_line(tmp_path):
+    """new -> rehearse on the layered twin's G -> analyse -> power: files made, figures opened, no traceback."""
+    from PIL import Image
+
+    (tmp_path / "flat.toml").write_text(_SCENE)
+    run = CliRunner().invoke
+    solved = run(app, ["solve", str(tmp_path / "flat.toml"), "--out", str(tmp_path / "g")])
+    assert solved.exit_code == 0, solved.output
+    made = run(app, ["study", "new", "pilot", "--scenario", "flat.toml", "--folder", str(tmp_path)])
+    assert made.exit_code == 0, made.output
+    file = tmp_path / "pilot.toml"
+    text = file.read_text().replace('["1", "2", "3", "4", "5", "6", "7", "8", "9"]', '["1", "5", "9"]')
+    file.write_text(text.replace("training = 1", "training = 0"))
+    done = run(app, ["study", "rehearse", str(file), "--transfer", str(tmp_path / "g"), "--participants", "4"])
+    assert done.exit_code == 0, done.output
+    data = tmp_path / "pilot-rehearsal"
+    done = run(app, ["study", "analyse", str(file), "--data", str(data), "--thesis"])
+    assert done.exit_code == 0, done.output
+    page = (data / "analysis" / "report.html").read_text()
+    assert "repetitions were counted as subjects" in page
+    for name in ("identification-ellipses", "identification-confusion", "confidence-points"):
+        with Image.open(data / "analysis" / f"{name}.png") as picture:
+            assert picture.size[0] > 400
+    assert "04  confidence: 27 of 27" in run(app, ["study", "status", str(file), "--data", str(data)]).output

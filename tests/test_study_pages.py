@@ -1,0 +1,235 @@
+"""The pages' server: who may see and do what. The pages themselves are tried in a browser below."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import socket
+import threading
+import time
+import urllib.request
+
+import pytest
+from test_study_session import GRID, opened, small
+
+from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.study.server import Secrets, application, serve, texts
+
+pytest.importorskip("starlette")
+pytest.importorskip("httpx2")
+HOST = "127.0.0.1:8000"
+KEYS = Secrets("them", "us")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.fixture
+def session(tmp_path):
+    return opened(tmp_path, small())
+
+
+@pytest.fixture
+def client(session):
+    from starlette.testclient import TestClient
+
+    app = application(session, GRID, texts("en", None), KEYS, beep=False, hosts=(HOST,))
+    return TestClient(app, base_url=f"http://{HOST}")
+
+
+def test_a_trial_through_the_server_is_on_disk(client, session):
+    client.post("/api/them/start")
+    client.post("/api/them/present")
+    reply = client.post("/api/them/answer", json={"points": ["5"]})
+    assert reply.status_code == 200
+    assert reply.json()["answered"] == 1
+    assert session._store.answers("01", "places")[0]["response"] == "5"
+
+
+def test_the_participant_is_blind_and_cannot_steer(client):
+    client.post("/api/them/start")
+    for text in (client.get("/api/them/state").text, client.get("/api/them/setup").text):
+        assert "funneling" not in text
+        assert "target" not in text
+    assert client.get("/api/us/state").json()["trial"]["method"] == "funneling"
+    for what in ("pause", "repeat"):
+        assert client.post(f"/api/them/{what}").status_code == 404
+    for what in ("present", "answer"):
+        assert client.post(f"/api/us/{what}", json={}).status_code == 404
+    assert client.get("/e/them").status_code == 404
+
+
+def test_strangers_get_nothing(client):
+    """Another origin, another host name, a guessed key, a path outside the pages."""
+    assert client.post("/api/them/start", headers={"Origin": "http://evil.example"}).status_code == 403
+    assert client.post("/api/them/start", headers={"Origin": f"http://{HOST}"}).status_code == 200
+    assert client.get("/api/them/state", headers={"Host": "evil.example"}).status_code == 400
+    assert client.get("/api/guess/state").status_code == 404
+    for path in ("/", "/etc/passwd", "/p/../../etc/passwd", "/p/them/../server.py", "/pages/participant.html"):
+        assert client.get(path).status_code in (404, 405)
+
+
+@pytest.mark.parametrize("body", [b"{", b"[]", b'{"points": 3}', b'{"outline": "x"}', b"{}", b'{"points": ["99"]}'])
+def test_unreadable_answers_are_refused_in_a_sentence(client, session, body):
+    client.post("/api/them/start")
+    client.post("/api/them/present")
+    reply = client.post("/api/them/answer", content=body)
+    assert reply.status_code in (400, 409)
+    assert reply.json()["problem"]
+    assert session._store.answers("01", "places") == []
+
+
+def test_two_browsers_cannot_answer_one_trial_twice(client, session):
+    client.post("/api/them/start")
+    client.post("/api/them/present")
+    assert client.post("/api/them/answer", json={"points": ["5"]}).status_code == 200
+    assert client.post("/api/them/answer", json={"points": ["5"]}).status_code == 409
+    assert len(session._store.answers("01", "places")) == 1
+
+
+def test_languages_and_own_texts(tmp_path):
+    assert set(texts("de", tmp_path)) == set(texts("en", tmp_path)) == set(texts("nl", tmp_path))
+    (tmp_path / "own.toml").write_text('begin = "Go!"')
+    assert texts("own.toml", tmp_path)["begin"] == "Go!"
+    (tmp_path / "bad.toml").write_text('begn = "Go!"')
+    with pytest.raises(ScenarioError, match="no text is called 'begn'"):
+        texts("bad.toml", tmp_path)
+    with pytest.raises(ScenarioError, match="neither en, de, nl nor"):
+        texts("fr", tmp_path)
+
+
+@contextlib.contextmanager
+def served(session, **options):
+    """The pages' addresses while they are served in a thread."""
+    pytest.importorskip("uvicorn")
+    addresses, stop = [], threading.Event()
+    options = {"beep": False, **options}
+
+    def run():
+        serve(
+            session, GRID, texts("en", None), announce=lambda *both: addresses.append(both), stop=stop.is_set, **options
+        )
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    deadline = time.monotonic() + 30
+    while not addresses and time.monotonic() < deadline:
+        time.sleep(0.02)
+    try:
+        yield addresses[0]
+    finally:
+        stop.set()
+        thread.join(10)
+
+
+def test_only_this_machine_can_reach_the_page(session):
+    """The socket listens on the loopback address alone: this machine's other address refuses."""
+    with served(session) as (theirs, _):
+        assert urllib.request.urlopen(theirs, timeout=20).status == 200
+        port = int(theirs.split(":")[2].split("/")[0])
+        own = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
+        for address in own - {"127.0.0.1", "127.0.1.1"}:
+            with pytest.raises(OSError, match=r"refused|unreachable|timed out"):
+                socket.create_connection((address, port), timeout=2)
+        with pytest.raises(DataError, match=f"--port {port}: cannot be used"):
+            serve(session, GRID, texts("en", None), beep=False, port=port, announce=lambda *_: None)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    sync_api = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine")
+    with sync_api.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield chromium
+        chromium.close()
+
+
+def _page(browser, address):
+    page = browser.new_page(viewport={"width": 900, "height": 700})
+    problems = []
+    page.on("pageerror", lambda e: problems.append(str(e)))
+    page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+    page.goto(address)
+    if "/p/" in address:
+        page.locator("body[data-waiting]").wait_for()
+    return page, problems
+
+
+def test_a_whole_session_in_a_browser_by_keys_and_clicks(browser, session):
+    """Keypad digits and clicks in turn, to the end; a page closed in the middle and opened again goes on."""
+    plan = session._trials
+    with served(session) as (theirs, _):
+        page, problems = _page(browser, theirs)
+        page.keyboard.press("Space")
+        for k, trial in enumerate(plan):
+            if k == 2:
+                page.close()
+                page, problems = _page(browser, theirs)
+            if session.view()["waiting"] == "break":
+                page.locator("#go").click()
+            page.locator("#arm").wait_for(state="visible")
+            if k % 2:
+                page.keyboard.press(trial.target)
+            else:
+                page.locator(f"#arm g[data-name='{trial.target}']").click()
+            page.locator(f"body[data-answered='{k + 1}']").wait_for()
+        page.locator("body[data-waiting='done']").wait_for()
+        assert problems == []
+        page.close()
+    rows = session._store.answers("01", "places")
+    assert [r["response"] for r in rows] == [t.target for t in plan]
+
+
+def test_several_points_and_drawings_in_a_browser(browser, tmp_path):
+    several = opened(tmp_path / "a", small(answer="several points"))
+    with served(several) as (theirs, _):
+        page, problems = _page(browser, theirs)
+        page.keyboard.press("Space")
+        page.locator("#arm").wait_for(state="visible")
+        for key in ("4", "5", "6", "6"):
+            page.keyboard.press(key)
+        page.keyboard.press("Enter")
+        page.locator("body[data-answered='1']").wait_for()
+        assert problems == []
+        page.close()
+    assert several._store.answers("01", "places")[0]["response"] == "4 5"
+    drawing = opened(tmp_path / "b", small(answer="drawing"))
+    with served(drawing) as (theirs, _):
+        page, problems = _page(browser, theirs)
+        page.keyboard.press("Space")
+        box = page.locator("#arm").bounding_box()
+        page.locator("#arm").wait_for(state="visible")
+        box = page.locator("#arm").bounding_box()
+        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        scale = box["width"] / 38.0  # the page shows 9 mm around the grid of 20 mm
+        page.mouse.move(middle[0] + 2 * scale, middle[1] - 4 * scale)
+        page.mouse.down()
+        for u, v in ((10, -4), (10, 4), (2, 4)):
+            page.mouse.move(middle[0] + u * scale, middle[1] + v * scale)
+        page.mouse.up()
+        page.keyboard.press("Enter")
+        page.locator("body[data-answered='1']").wait_for()
+        assert problems == []
+        page.close()
+    row = drawing._store.answers("01", "places")[0]
+    assert float(row["response_x"]) == pytest.approx(0.0, abs=1e-4)  # a pixel is 0.07 mm
+    assert float(row["response_y"]) == pytest.approx(6e-3, abs=1e-4)
+    assert float(row["response_area"]) == pytest.approx(64e-6, rel=0.03)
+
+
+def test_the_experimenter_pauses_and_the_participant_waits(browser, session):
+    with served(session) as (theirs, ours):
+        page, _ = _page(browser, theirs)
+        lead, problems = _page(browser, ours)
+        page.keyboard.press("Space")
+        page.locator("#arm").wait_for(state="visible")
+        lead.locator("#pause").click()
+        page.get_by_text("Paused").wait_for()
+        lead.locator("#start").click()
+        page.locator("#arm").wait_for(state="visible")
+        page.keyboard.press("5")
+        page.locator("body[data-answered='1']").wait_for()
+        assert problems == []
+        page.close()
+        lead.close()
+    assert session._store.answers("01", "places")[0]["presentations"] == "2"

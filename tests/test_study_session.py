@@ -1,0 +1,310 @@
+"""A study's order, what a session keeps, and that no answer is lost, doubled or misplaced."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from forearm_fem.errors import DataError, HardwareError, ScenarioError
+from forearm_fem.ports import Port
+from forearm_fem.study.order import trials
+from forearm_fem.study.plan import Adaptive, Order, Stimuli, Study, Task, load_study
+from forearm_fem.study.session import Given, Presented, Session
+from forearm_fem.study.store import Store
+
+GRID = tuple(
+    Port(str(3 * r + c + 1), "point", (0.01 * (r - 1), 0.01 * (c - 1), 0.0)) for r in range(3) for c in range(3)
+)
+
+
+def study(**changes):
+    return Study(name="pilot", scenario="thesis.toml", **changes)
+
+
+def small(**task):
+    options = {"name": "places", "repetitions": 2, "blocks": 2, "training": 0, "break_seconds": 0.0, **task}
+    return study(stimuli=Stimuli(methods=("funneling",), targets=("1", "5", "9")), tasks=(Task(**options),))
+
+
+def silent(method, target, level):
+    return Presented(0.2, 1.0)
+
+
+def opened(folder, plan, player=silent, participant="01"):
+    store = Store.open(folder, plan)
+    store.enrol(participant, consent="2026-11-24", added="2026-11-24")
+    return Session(store, participant, plan.tasks[0], GRID, player)
+
+
+def answer_one(session, name="5"):
+    session.start()
+    session.present()
+    session.answer(Given(points=(name,)))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from(["mixed", "one after the other"]), st.integers(1, 3))
+def test_every_block_holds_everything_equally_and_no_target_twice_in_a_row(seed, methods, per_block):
+    """The thesis' 81 trials, and others: what any seed must keep."""
+    task = Task(name="identification", repetitions=3 * per_block, blocks=3, training=0)
+    plan = study(order=Order(seed=seed, methods=methods), tasks=(task,))
+    order = trials(plan, task, "07")
+    assert len(order) == 81 * per_block
+    for block in (1, 2, 3):
+        counts = Counter((t.method, t.target) for t in order if t.block == block)
+        assert len(counts) == 27
+        assert set(counts.values()) == {per_block}
+    assert all(a.target != b.target for a, b in itertools.pairwise(order))
+    assert order == trials(plan, task, "07")
+    assert order != trials(plan, task, "08")
+
+
+def test_methods_one_after_the_other_are_balanced_over_participants():
+    """Three participants begin with three methods; six run through each method first twice."""
+    plan = study(order=Order(methods="one after the other"))
+    firsts = [trials(plan, plan.tasks[0], f"{k:02d}")[0].method for k in range(1, 7)]
+    assert sorted(Counter(firsts[:3]).values()) == [1, 1, 1]
+    assert sorted(Counter(firsts).values()) == [2, 2, 2]
+
+
+def test_an_order_that_cannot_be_is_named():
+    plan = study(stimuli=Stimuli(targets=("5",)))
+    with pytest.raises(ScenarioError, match="no_target_twice cannot be met with 1 target"):
+        trials(plan, plan.tasks[0], "01")
+
+
+def test_a_session_goes_on_at_the_same_trial(tmp_path):
+    plan = small()
+    first = opened(tmp_path, plan)
+    for _ in range(2):
+        answer_one(first)
+    second = opened(tmp_path, plan)
+    assert second.current == first.current
+    assert second.view()["answered"] == 2
+    while second.view()["waiting"] != "done":
+        answer_one(second)
+    rows = Store.open(tmp_path, plan).answers("01", "places")
+    assert [int(r["trial"]) for r in rows] == list(range(1, 7))
+    assert {r["session"] for r in rows} == {"1", "2"}
+
+
+@pytest.mark.parametrize("cut", [1, 5, 40])
+def test_a_line_cut_short_is_presented_anew(tmp_path, cut):
+    """A power cut in the middle of a line: that trial counts as never answered, the others stay."""
+    plan = small()
+    session = opened(tmp_path, plan)
+    answer_one(session)
+    answer_one(session)
+    file = session._store.events_file("01", "places")
+    file.write_bytes(file.read_bytes()[:-cut])
+    again = opened(tmp_path, plan)
+    assert again.view()["answered"] == 1
+    answer_one(again)
+    assert [r["trial"] for r in again._store.answers("01", "places")] == ["1", "2"]
+
+
+_KILLED = """
+import os, sys, signal, threading, random
+sys.path.insert(0, sys.argv[3])
+import test_study_session as t
+plan = t.small(repetitions=8, blocks=1)
+session = t.opened(sys.argv[1], plan)
+moment = random.Random(int(sys.argv[2])).uniform(0.0, 0.06)
+threading.Timer(moment, lambda: os.kill(os.getpid(), signal.SIGKILL)).start()
+while session.view()["waiting"] != "done":
+    t.answer_one(session, "5")
+    print(session.view()["answered"], flush=True)
+"""
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(20, marks=pytest.mark.slow)])
+def test_killed_at_random_moments_no_answer_is_lost_or_doubled(tmp_path, count):
+    """What the session said was answered is on disk after SIGKILL, in the order planned, each trial once."""
+    plan = small(repetitions=8, blocks=1)
+    expected = trials(plan, plan.tasks[0], "01")
+    said = 0
+    for seed in range(count):
+        done = subprocess.run(
+            [sys.executable, "-c", _KILLED, str(tmp_path), str(seed), os.path.dirname(__file__)],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        said = max([said, *map(int, done.stdout.split())])
+        session = opened(tmp_path, plan)
+        rows = session._store.answers("01", "places")
+        assert len(rows) >= said
+        assert [(r["trial"], r["target"]) for r in rows] == [(str(t.number), t.target) for t in expected[: len(rows)]]
+
+
+def test_a_changed_study_file_is_refused(tmp_path):
+    answer_one(opened(tmp_path, small()))
+    with pytest.raises(DataError, match="the study file was changed after data were taken"):
+        Store.open(tmp_path, small(repetitions=4))
+
+
+def test_answers_that_were_not_asked_are_refused_and_nothing_is_written(tmp_path):
+    session = opened(tmp_path, small())
+    with pytest.raises(DataError, match="no stimulus is due"):
+        session.present()
+    session.start()
+    with pytest.raises(DataError, match="no answer is due"):
+        session.answer(Given(points=("5",)))
+    session.present()
+    for bad, words in ((("5", "6"), "choose one point"), ((), "choose one point"), (("10",), "no grid point")):
+        with pytest.raises(DataError, match=words):
+            session.answer(Given(points=bad))
+    assert session._store.answers("01", "places") == []
+    session.answer(Given(points=("5",)))
+    with pytest.raises(DataError, match="no answer is due"):
+        session.answer(Given(points=("5",)))
+    assert len(session._store.answers("01", "places")) == 1
+
+
+def test_a_dead_device_pauses_and_the_stimulus_comes_again(tmp_path):
+    fails = iter([True, False])
+
+    def player(method, target, level):
+        if next(fails, False):
+            raise HardwareError("the device stopped answering; check its cable")
+        return Presented(0.2, 1.0)
+
+    session = opened(tmp_path, small(), player)
+    trial = session.current
+    session.start()
+    with pytest.raises(HardwareError):
+        session.present()
+    assert session.view()["waiting"] == "pause"
+    assert "check its cable" in session.view()["problem"]
+    answer_one(session)
+    row = session._store.answers("01", "places")[0]
+    assert row["target"] == trial.target
+    assert row["presentations"] == "1"  # only what was played counts
+
+
+def test_pause_repeat_and_break(tmp_path):
+    now = [0.0]
+    plan = small(break_seconds=30.0)
+    store = Store.open(tmp_path, plan)
+    store.enrol("01", consent="2026-11-24", added="2026-11-24")
+    session = Session(store, "01", plan.tasks[0], GRID, silent, clock=lambda: now[0])
+    session.start()
+    session.present()
+    session.repeat()
+    session.present()
+    session.pause()
+    assert session.view()["waiting"] == "pause"
+    session.start()
+    session.present()
+    session.answer(Given(points=("1",)))
+    assert store.answers("01", "places")[0]["presentations"] == "3"
+    answer_one(session)
+    answer_one(session)
+    assert session.view()["waiting"] == "break"
+    with pytest.raises(DataError, match="30 s longer"):
+        session.start()
+    now[0] = 31.0
+    session.start()
+    assert session.view()["waiting"] == "stimulus"
+
+
+def test_late_answers_are_kept_and_marked(tmp_path):
+    now = [0.0]
+    plan = small(answer_seconds=5.0)
+    store = Store.open(tmp_path, plan)
+    store.enrol("01", consent="2026-11-24", added="2026-11-24")
+    session = Session(store, "01", plan.tasks[0], GRID, silent, clock=lambda: now[0])
+    for wait in (4.0, 6.0):
+        session.start()
+        session.present()
+        now[0] += wait
+        session.answer(Given(points=("1",)))
+    assert [r["late"] for r in store.answers("01", "places")] == ["0", "1"]
+
+
+def test_what_pages_see_tells_neither_method_nor_target(tmp_path):
+    session = opened(tmp_path, small())
+    session.start()
+    session.present()
+    text = json.dumps(session.view())
+    assert "funneling" not in text
+    assert "target" not in text
+
+
+def test_drawings_give_centroid_and_area(tmp_path):
+    """A rectangle of 10 by 4 mm about (3, -2) mm, drawn either way round: exact by the shoelace formula."""
+    corners = np.array([[-5, -2], [5, -2], [5, 2], [-5, 2]]) * 1e-3 + [3e-3, -2e-3]
+    for k, outline in enumerate((corners, corners[::-1])):
+        session = opened(tmp_path / str(k), small(answer="drawing"))
+        session.start()
+        session.present()
+        session.answer(Given(strokes=outline))
+        row = session._store.answers("01", "places")[0]
+        assert float(row["response_x"]) == pytest.approx(3e-3, rel=1e-5)
+        assert float(row["response_y"]) == pytest.approx(-2e-3, rel=1e-5)
+        assert float(row["response_area"]) == pytest.approx(40e-6, rel=1e-5)
+
+
+def test_consent_and_withdrawal(tmp_path):
+    store = Store.open(tmp_path, small())
+    with pytest.raises(DataError, match="no consent is recorded"):
+        store.enrol("01", consent="", added="2026-11-24")
+    answer_one(opened(tmp_path, small()))
+    store.withdraw("01")
+    assert not store.events_file("01", "places").exists()
+    assert store.people()[0]["status"] == "withdrawn"
+    with pytest.raises(DataError, match="was withdrawn"):
+        store.enrol("01", consent="2026-11-24", added="2026-11-24")
+
+
+def test_quest_tracks_find_a_known_threshold_and_survive_a_restart(tmp_path):
+    """A responder with its threshold at -17 dB, slope 3.5: the posterior after 40 trials is within three deviations."""
+    pytest.importorskip("questplus")
+    plan = study(
+        stimuli=Stimuli(methods=("funneling",), targets=("5",)),
+        order=Order(no_target_twice=False),
+        tasks=(Task(name="detect", answer="yes or no", repetitions=1, blocks=1, training=0, adaptive=Adaptive()),),
+    )
+    rng = np.random.default_rng(4)
+    session = opened(tmp_path, plan)
+    for k in range(40):
+        if k == 15:
+            before = session._track.thresholds()
+            session = opened(tmp_path, plan)
+            assert session._track.thresholds() == before
+        session.start()
+        session.present()
+        chance = 0.05 + 0.93 * (1 - np.exp(-(10 ** (3.5 * (session.level + 17) / 20))))
+        session.answer(Given(yes=bool(rng.random() < chance)))
+    (found,) = session._track.thresholds()
+    assert abs(found.level + 17) < 3 * found.deviation
+    assert found.deviation < 3.0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name = 'a b'\nscenario = 'x'", "name"),
+        ("name = 'a'\nscenario = 'x'\nwhat = 1", "what: Extra inputs"),
+        ("name = 'a'\nscenario = 'x'\n[[tasks]]\nname = 't'\nrepetitions = 3\nblocks = 2", "does not divide"),
+        ("name = 'a'\nscenario = 'x'\n[[tasks]]\nname = 't'\nanswer = 'yes or no'", "go together"),
+        ("name = 'a'\nscenario = 'x'\n[stimuli]\ntargets = []", "targets"),
+        ("name = 'a'\nscenario = 'x'\n[stimuli]\ntargets = ['1', '1']", "names one twice"),
+        ("name = 'a'\nscenario = 'x'\n[stimuli.level]\nrule = 'drive peak'", "need one"),
+        ("name = ", "not valid TOML"),
+    ],
+)
+def test_bad_study_files_get_one_sentence(tmp_path, text, words):
+    file = tmp_path / "bad.toml"
+    file.write_text(text)
+    with pytest.raises(ScenarioError, match=words) as problem:
+        load_study(file)
+    assert len(str(problem.value)) - len(str(tmp_path)) < 300
+    assert "\n" not in str(problem.value)
