@@ -193,7 +193,7 @@ class Expander:
         if not (made.sharp or sharp_modes(made.reduced, frequency, _SHARP) >= _SEVERAL):
             return doubt(self.model, made.reduced, frequency, known, wary=any(c.wary for c in made.certificates))
         bound = ResidualBound(self._ready(float(frequency[-1])), expansion_rate(frequency))
-        bounds = bound.errors(made.reduced, frequency, pole_residue(made.reduced))
+        bounds = bound.errors(made.reduced, frequency, pole_residue(made.reduced, frequency))
         return most_doubtful_bin(bounds, frequency, known)
 
     @property

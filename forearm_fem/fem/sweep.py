@@ -153,7 +153,7 @@ def _swept(model: ForearmModel, made: Made, frequency: FloatArray, tolerance: fl
     small, change = made.reduced, 0.0
     if not wary and not made.rate:  # derivatives about a rate are few enough, and hold for other moduli too
         small, change = _second_stage(model, made.reduced, frequency, tolerance or _UNCERTIFIED)
-    fast = pole_residue(small)
+    fast = pole_residue(small, frequency)
     values = small.compliance(frequency) if fast is None else fast.compliance(frequency)
     return SweepResult(
         values,
