@@ -47,4 +47,5 @@ def test_ends_of_every_law_absorb(modulus):
     absorbed, free = (
         direct_sweep(held_block(2, tissue=tissue, ends=e), band, DIRECT).values for e in ("absorb", "free")
     )
-    assert np.abs(absorbed - free).max() > 0.1 * np.abs(free).max()
+    to_points = np.s_[0, 1:, 0]
+    assert np.abs(absorbed - free)[to_points].max() > 0.1 * np.abs(free)[to_points].max()
