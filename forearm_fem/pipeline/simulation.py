@@ -16,6 +16,7 @@ from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, relative_error
 from .frequencies import frequencies
 from .layered_engine import solve_layered
+from .model_notes import model_notes, resolution_notes
 from .renderers import renderers, wavelet
 from .solved import Solved, solve
 from .two_meshes import COARSER, estimated_errors
@@ -61,7 +62,8 @@ def simulate(
         transfer = close_loop(compliance, scenario.device)
         return Simulation(scenario, None, compliance, transfer, notes=_flat_notes(scenario))
     mesh = mesh or cached_mesh(scenario, base=Path(base))
-    return closed(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
+    result = closed(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
+    return replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
 
 
 def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
@@ -76,7 +78,8 @@ def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
         elif coarse:
             errors.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
-    return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, solved.problems)
+    notes = (*solved.problems, *model_notes(solved.facts))
+    return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, notes)
 
 
 def render(simulation: Simulation, *, progress: Callable[[int, int, str], None] | None = None) -> Rendering:
