@@ -11,6 +11,7 @@ from forearm_fem.fem.bounds import ResidualBound, sharp_modes
 from forearm_fem.fem.direct import make_solver
 from forearm_fem.fem.expand import expansion_rate
 from forearm_fem.fem.sweep import direct_sweep, reduced_sweep
+from forearm_fem.pipeline.model_notes import model_notes
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
@@ -81,3 +82,25 @@ def test_damped_tissue_takes_no_bounds():
     swept = reduced_sweep(damped, BAND[::4], SolverOptions(), tolerance=1e-4)
     assert not swept.certificates[-1].wary
     assert sharp_modes(swept.reduced, BAND, 0.03) == 0
+
+
+@pytest.mark.parametrize("eta", [0.0, 1e-6])
+def test_lossless_scenes_are_refused_at_once(eta):
+    """Peaks narrower than any bin: before, a bare LinAlgError, or an overflow on the way to an error."""
+    with pytest.raises(SolverError, match="takes up energy"):
+        reduced_sweep(held_block(1, tissue=flesh(eta=eta, bulk=2.2e9), ends="free"), BAND, SolverOptions())
+
+
+def test_unstable_poles_are_counted_and_double_precision_has_none():
+    """Single-precision solves make the stiffness of weak directions negative: nine poles of this block's default."""
+    nearly = held_block(2, tissue=flesh(bulk=2.2e9))
+    band = np.linspace(10.0, 500.0, 60)
+    single, double = (reduced_sweep(nearly, band, SolverOptions(precision=p)) for p in ("auto", "double"))
+    assert double.poles is not None
+    assert double.poles.poles.real.max() < 0
+    assert double.unstable_poles == 0
+    assert single.poles is not None
+    assert single.unstable_poles == np.sum(single.poles.poles.real > 0)
+    assert model_notes({"unstable_poles": double.unstable_poles}) == ()
+    (note,) = model_notes({"unstable_poles": 9})
+    assert "9 unstable poles" in note

@@ -25,7 +25,8 @@ class Certificate:
 
     ``change`` is the largest change of the model, of so many ``expansions``, by one derivative and its weak directions,
     over the band; ``frequency`` is where the model was doubted most (:func:`doubt`). Where resonances are sharp
-    (``wary``) ``change`` is a bound of the error at every bin instead (:mod:`.bounds`), largest at ``frequency``.
+    ``change`` is a bound of the error at every bin instead (:mod:`.bounds`), largest at ``frequency``. ``wary`` says
+    that resonances are sharp, or that the change is, or was before, too large for one true error to speak for the band.
     """
 
     frequency: float
@@ -37,20 +38,22 @@ class Certificate:
     @property
     def bound(self) -> float:
         """The error; the change, too, where one true error cannot speak for the band."""
-        return max(self.error, self.change) if self.wary or self.change > DOUBTFUL else self.error
+        return max(self.error, self.change) if self.wary else self.error
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Where the reduced model is doubted most, and its largest ``change`` anywhere (relative to the largest entry), or
-    the largest bound of its error at any bin where resonances are sharp (``wary``)."""
+    """Where the reduced model is doubted most, and its largest ``change`` anywhere (relative to the largest entry) or,
+    where resonances are sharp, the largest bound of its error; ``wary`` says that this is stated, too."""
 
     frequency: float
     change: float
     wary: bool = False
 
 
-def doubt(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, known: Sequence[float]) -> Doubt | None:
+def doubt(
+    model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, known: Sequence[float], *, wary: bool = False
+) -> Doubt | None:
     """The most doubtful of the probed frequencies that are not ``known``; None if none is left.
 
     The change is the error of the model with one derivative fewer, and without its weak directions: it says where a
@@ -62,9 +65,10 @@ def doubt(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, kno
         return None
     values = _watched(model, reduced, probes)
     change = place = relative_error(_watched(model, reduced.lower(), probes), values)
-    if change.max() <= DOUBTFUL:
+    if not wary and change.max() <= DOUBTFUL:
         place = relative_error(_watched(model, reduced.lower(_ROUNDING), probes), values)
-    return Doubt(float(probes[int(np.argmax(place))]), float(change.max()))
+    largest = float(change.max())
+    return Doubt(float(probes[int(np.argmax(place))]), largest, wary or largest > DOUBTFUL)
 
 
 def most_doubtful_bin(bounds: FloatArray, frequency: FloatArray, known: Sequence[float]) -> Doubt | None:

@@ -42,6 +42,27 @@ class Polynomial:
         return np.array((terms + [0.0] * n)[: n + 1], dtype=complex)
 
 
+@dataclass(frozen=True)
+class Impedance:
+    """theta = i omega sqrt(density mu*(omega)): shear waves of a ``modulus`` that leave through a plane."""
+
+    density: float
+    modulus: Coefficient
+
+    def at(self, omega: FloatArray) -> ComplexArray:
+        """See :class:`Coefficient`."""
+        w = np.asarray(omega, dtype=float)
+        return np.asarray(1j * w * np.sqrt(self.density * self.modulus.at(w)))
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """See :class:`Coefficient`; the root of a series, term by term."""
+        squared, root = self.density * self.modulus.taylor(omega0, n), np.zeros(n + 1, dtype=complex)
+        root[0] = np.sqrt(squared[0])
+        for k in range(1, n + 1):
+            root[k] = (squared[k] - root[1:k] @ root[1:k][::-1]) / (2 * root[0])
+        return np.asarray(1j * (omega0 * root + np.concatenate([[0.0], root[:-1]])))
+
+
 def is_polynomial(coefficient: Coefficient) -> bool:
     """Whether it is a real polynomial in i omega of second degree at most (a hysteretic modulus is a complex one).
 

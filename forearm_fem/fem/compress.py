@@ -12,6 +12,8 @@ from ..typing import ComplexArray, FloatArray
 from .coefficients import is_polynomial, polynomial_weights
 from .reduce import ReducedModel
 
+_BAND = np.linspace(10.0, 500.0, 50)  # [Hz]
+_PROBES = 5  # bins at which poles and residues are compared with the model they stand for
 _AT_ONCE = 100  # frequencies: their weights, as many times all poles, stay in the cache (2000: a third longer)
 
 
@@ -68,12 +70,12 @@ class Modes(PoleResidue):
         return np.moveaxis(np.tensordot(self.shapes, amplitudes, 1), 1, 0)
 
 
-def pole_residue(reduced: ReducedModel) -> Modes | None:
+def pole_residue(reduced: ReducedModel, frequency: FloatArray = _BAND) -> Modes | None:
     """Diagonalised reduced pencil, or None where a modulus is not Kelvin-Voigt or the diagonalisation is inaccurate.
 
     Every coefficient must be a polynomial of second degree in omega (Kelvin-Voigt, springs, dashpots, masses). With
     s = i omega: (K + s C + s^2 M) q = f, companion form s [q, s q]; the result is checked against direct reduced
-    solves and refused above 1e-8.
+    solves at bins of ``frequency`` (n,) [Hz], where it will be used, and refused above 1e-8.
     """
     if not all(is_polynomial(c) for c in reduced.coefficients):
         return None
@@ -81,7 +83,7 @@ def pole_residue(reduced: ReducedModel) -> Modes | None:
     stiffness, damping, mass = (np.tensordot(w, reduced.matrices, 1) for w in polynomial_weights(taylor))
     poles, shapes, right = _companion(stiffness, damping, mass, reduced.functionals)
     result = Modes(poles, reduced.functionals.T @ shapes, right, reduced.shares, shapes)
-    return result if _agrees(result, reduced) else None
+    return result if _agrees(result, reduced, frequency) else None
 
 
 def _companion(
@@ -98,8 +100,8 @@ def _companion(
     return values * rate, vectors[:r], np.linalg.solve(vectors, source) * rate
 
 
-def _agrees(result: PoleResidue, reduced: ReducedModel) -> bool:
-    probes = np.array([10.0, 60.0, 230.0, 500.0])
+def _agrees(result: PoleResidue, reduced: ReducedModel, frequency: FloatArray) -> bool:
+    probes = frequency[np.unique(np.linspace(0, len(frequency) - 1, _PROBES).astype(int))]
     exact, fast = reduced.compliance(probes), result.compliance(probes)
     scale = np.nanmax(np.abs(exact), axis=(1, 2))
     return bool(np.all(np.nanmax(np.abs(exact - fast), axis=(1, 2)) < 1e-8 * scale))

@@ -187,21 +187,14 @@ class Expander:
     def most_doubtful(self, made: Made, frequency: FloatArray) -> Doubt | None:
         """Where to certify next; None where no bin is left that was not compared or expanded about.
 
-        Where resonances are, or were seen to be, unresolved it is the bin with the largest bound.
+        Where resonances are sharp it is the bin with the largest bound.
         """
         known = [*(c.frequency for c in made.certificates), *(e.frequency for e in made.expansions)]
-        if not self._needs_bounds(made, frequency):
-            worst = doubt(self.model, made.reduced, frequency, known)
-            if worst is None or worst.change <= DOUBTFUL:
-                return worst
+        if not (made.sharp or sharp_modes(made.reduced, frequency, _SHARP) >= _SEVERAL):
+            return doubt(self.model, made.reduced, frequency, known, wary=any(c.wary for c in made.certificates))
         bound = ResidualBound(self._ready(float(frequency[-1])), expansion_rate(frequency))
-        bounds = bound.errors(made.reduced, frequency, pole_residue(made.reduced))
+        bounds = bound.errors(made.reduced, frequency, pole_residue(made.reduced, frequency))
         return most_doubtful_bin(bounds, frequency, known)
-
-    def _needs_bounds(self, made: Made, frequency: FloatArray) -> bool:
-        if made.sharp or made.certificates:
-            return made.sharp or made.certificates[-1].wary
-        return sharp_modes(made.reduced, frequency, _SHARP) >= _SEVERAL
 
     @property
     def solver(self) -> str:

@@ -20,7 +20,7 @@ from ..tissue import Tissue
 from ..typing import FloatArray, IntArray
 from .assembly import TissueMatrices, constrained_matrices
 from .boundary import facet_gradients, facet_mass, facet_membrane
-from .coefficients import Coefficient
+from .coefficients import Coefficient, is_polynomial
 from .constraints import Constraints, RigidDisc, constraints
 from .loads import force_share, port_functional
 from .operator import AffineOperator, affine_operator
@@ -210,6 +210,12 @@ def _enlarged(matrix: csr_array, n: int) -> csr_array:
 
 
 def _pressure_scale(displacement: list[tuple[csr_array, Coefficient]], divergence: csr_array) -> float:
-    """Pascals per pressure unknown that make the coupling as large as a typical stiffness."""
-    stiffness = sum(np.abs(complex(c.at(np.array(0.0)))) * m.diagonal() for m, c in displacement)
+    """Pascals per pressure unknown that make the coupling as large as a typical stiffness.
+
+    That is the static one; at 100 Hz where a modulus is no polynomial, as a springpot has no static stiffness.
+    """
+    stiffness = sum(
+        np.abs(complex(c.at(np.array(0.0 if is_polynomial(c) else 2 * np.pi * 100.0)))) * m.diagonal()
+        for m, c in displacement
+    )
     return float(np.median(stiffness) / np.median(np.abs(divergence.data)))

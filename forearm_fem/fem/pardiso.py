@@ -7,6 +7,7 @@ tissue has them; nearly incompressible limbs are factorised a quarter faster wit
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
 import sysconfig
 from functools import lru_cache
@@ -33,7 +34,9 @@ _MESSAGES = {
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL | None:
-    """The MKL runtime, or None where it is not installed."""
+    """The MKL runtime, or None where it is not installed or FOREARM_FEM_MKL is "off" in the environment."""
+    if os.environ.get("FOREARM_FEM_MKL") == "off":
+        return None
     for candidate in _candidates():
         try:
             return ctypes.CDLL(candidate)

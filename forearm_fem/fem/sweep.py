@@ -20,6 +20,7 @@ from .reduce import ReducedModel
 
 _SHARE = 1e-3  # of what is asked of the reduced model: the residual that its solves are refined to
 _UNCERTIFIED = 1e-5  # what the second stage may cost where nothing else is known
+_LOSSLESS = 1e-4  # loss factor of every term below which no reduced model is tried
 _USELESS = 0.5  # a stated error above this says that the model tells nothing
 
 
@@ -49,6 +50,14 @@ class SweepResult:
     def factorisations(self) -> int:
         """How many the reduced model took, certificates included."""
         return bool(self.rate) + len({*self.expansions, *(c.frequency for c in self.certificates)})
+
+    @property
+    def unstable_poles(self) -> int:
+        """Poles of the reduced model in the right half-plane, far outside the band: it is good for frequencies there.
+
+        Single-precision solves leave more in the pressures of weak directions than there is (docs/decisions.md).
+        """
+        return 0 if self.poles is None else int(np.sum(self.poles.poles.real > 0))
 
     @property
     def reduction_error(self) -> float:
@@ -103,8 +112,22 @@ def reduced_sweep(
     None nothing is certified and no factorisation is spent on it. Raises SolverError where the stated error is above
     0.5.
     """
+    _refuse_lossless(model, frequency)
     residual = ENOUGH if tolerance is None else min(ENOUGH, _SHARE * tolerance)
     work = Expander(model, options, snapshots, residual)
+    try:
+        return _reduced(work, frequency, options, tolerance, progress)
+    except np.linalg.LinAlgError as problem:
+        raise SolverError(
+            f"the reduced model breaks down in this band ({problem}); set solver.sweep = 'direct', or give the tissues "
+            "more viscosity (tissues.override)"
+        ) from None
+
+
+def _reduced(
+    work: Expander, frequency: FloatArray, options: SolverOptions, tolerance: float | None, progress: Progress | None
+) -> SweepResult:
+    model = work.model
     begun = work.about_rate(frequency, tolerance, progress) if starts_from_rate(model, options) else None
     if begun is None:
         begun = work.about_frequencies(expansion_frequencies(frequency, options), progress)
@@ -112,6 +135,18 @@ def reduced_sweep(
     work.release()
     result = replace(_swept(model, done, frequency, tolerance), solver=work.solver)
     return result if tolerance is None else _usable(result)
+
+
+def _refuse_lossless(model: ForearmModel, frequency: FloatArray) -> None:
+    """Raise SolverError where no term loses a ten-thousandth of what it keeps: peaks are then narrower than any bin."""
+    theta = [complex(t.coefficient.at(np.array(2 * np.pi * frequency[-1]))) for t in model.operator.terms]
+    loss = max(abs(t.imag) / abs(t) for t in theta if t)
+    if loss < _LOSSLESS:
+        raise SolverError(
+            f"nothing in this scene takes up energy (largest loss factor {loss:.1g}, needed {_LOSSLESS:g}): its "
+            "resonances are narrower than any bin; give the tissues viscosity (tissues.override), let supports.ends "
+            "absorb, or set solver.sweep = 'direct'"
+        )
 
 
 def _certified(
@@ -153,7 +188,7 @@ def _swept(model: ForearmModel, made: Made, frequency: FloatArray, tolerance: fl
     small, change = made.reduced, 0.0
     if not wary and not made.rate:  # derivatives about a rate are few enough, and hold for other moduli too
         small, change = _second_stage(model, made.reduced, frequency, tolerance or _UNCERTIFIED)
-    fast = pole_residue(small)
+    fast = pole_residue(small, frequency)
     values = small.compliance(frequency) if fast is None else fast.compliance(frequency)
     return SweepResult(
         values,

@@ -9,7 +9,7 @@ import numpy as np
 from ..scenario.supports import Supports
 from ..scenario.tissues import Membrane
 from ..tissue import Tissue
-from .coefficients import Coefficient, Polynomial
+from .coefficients import Coefficient, Impedance, Polynomial, is_polynomial
 
 _ONE = Polynomial(1.0)
 
@@ -36,9 +36,12 @@ def term_coefficient(name: str, tissues: Mapping[str, Tissue], supports: Support
 def _of_tissue(kind: str, tissue: Tissue) -> Coefficient:
     if kind == "shear":
         return tissue.modulus
-    return {"mass": Polynomial(inertia=tissue.density), "dashpots": Polynomial(rate=_impedance(tissue))}[kind]
+    return {"mass": Polynomial(inertia=tissue.density), "dashpots": _dashpots(tissue)}[kind]
 
 
-def _impedance(tissue: Tissue) -> float:
-    """rho c_s of the static modulus [Pa s/m] (Lysmer and Kuhlemeyer 1969)."""
-    return float(np.sqrt(tissue.density * np.abs(tissue.modulus.at(np.array([0.0]))[0])))
+def _dashpots(tissue: Tissue) -> Coefficient:
+    """i omega rho c_s (Lysmer and Kuhlemeyer 1969): of the static modulus where it is Kelvin-Voigt, which keeps A a
+    polynomial; else sqrt(rho mu*(omega)), as a springpot has no static modulus."""
+    if is_polynomial(tissue.modulus):
+        return Polynomial(rate=float(np.sqrt(tissue.density * np.abs(tissue.modulus.at(np.array([0.0]))[0]))))
+    return Impedance(tissue.density, tissue.modulus)

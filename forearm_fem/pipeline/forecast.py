@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SolverError
+from ..fem.coefficients import is_polynomial
 from ..fem.factor import choose_backend
 from ..fem.orders import element_orders
 from ..geometry.cache import cached_mesh
@@ -67,7 +68,8 @@ def forecast(
     ports = place_ports(scenario, mesh)
     orders = element_orders(mesh, ports, scenario.element)
     unknowns = 3 * orders.spread.shape[1] + orders.spread_pressures.shape[1]
-    factorisations = _FROM_RATE if scenario.solver.start != "frequencies" else scenario.solver.expansions + 1.0
+    rate = _starts_from_rate(scenario, mesh)
+    factorisations = _FROM_RATE if rate else scenario.solver.expansions + 1.0
     if scenario.solver.sweep == "direct":
         factorisations = len(frequencies(scenario.sweep))
     single = 1.0 if scenario.solver.precision == "double" else 0.5
@@ -76,7 +78,7 @@ def forecast(
     return Forecast(
         len(mesh.tetrahedra),
         unknowns,
-        _factor_bytes(scenario, unknowns) + _REST + _basis_bytes(scenario, unknowns, ports),
+        _factor_bytes(scenario, unknowns) + _REST + _basis_bytes(scenario, unknowns, ports, rate=rate),
         one * factorisations * 2.2 + _SMALL if scenario.solver.sweep == "reduced" else one * factorisations * 1.2,
         resolution(scenario, mesh),
     )
@@ -90,13 +92,20 @@ def _factor_bytes(scenario: Scenario, unknowns: int) -> float:
     return double / 2 * (_FRONTS if choose_backend(scenario.solver.backend, unknowns) == "multifrontal" else 1.0)
 
 
-def _basis_bytes(scenario: Scenario, unknowns: int, ports: Sequence[Port]) -> float:
+def _starts_from_rate(scenario: Scenario, mesh: TissueMesh) -> bool:
+    """Whether the sweep will, as :func:`.expand.starts_from_rate` finds on the assembled model."""
+    tissues = resolve_tissues(scenario)
+    able = all(is_polynomial(tissues[name].modulus) for name in mesh.region_names)
+    return able and scenario.solver.start != "frequencies"
+
+
+def _basis_bytes(scenario: Scenario, unknowns: int, ports: Sequence[Port], *, rate: bool) -> float:
     """Reduced basis, the columns that are added to it, and their snapshots: about 2.5 times an expansion's."""
     solver = scenario.solver
     if solver.sweep == "direct":
         return 0.0
     contacts = sum(p.kind == "contact" for p in ports)
-    if solver.start != "frequencies":
+    if rate:
         return 1.3 * 8 * unknowns * _DERIVATIVES * len(ports)
     columns = contacts * (solver.derivatives + 1) + (len(ports) - contacts) * (solver.point_derivatives + 1)
     return 2.5 * 8 * unknowns * 2 * columns * solver.expansions

@@ -20,6 +20,7 @@ from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
+from .model_notes import model_notes, resolution_notes
 from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
@@ -67,7 +68,8 @@ def simulate(
         transfer = finite(close_loop(compliance, scenario.device))
         return Simulation(scenario, None, compliance, transfer, notes=flat_notes(compliance))
     mesh = mesh or cached_mesh(scenario, base=Path(base))
-    return closed(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
+    result = closed(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
+    return replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
 
 
 def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
@@ -82,8 +84,9 @@ def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
         elif coarse:
             errors.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
-    notes = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
-    return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, (*notes, *_idle_sizes(scenario)))
+    unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
+    notes = (*unknown, *model_notes(solved.facts), *_idle_sizes(scenario))
+    return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, notes)
 
 
 def render(simulation: Simulation, *, progress: Callable[[int, int, str], None] | None = None) -> Rendering:

@@ -44,7 +44,7 @@ class SkinModel:
 
     def compliance(self, frequency: FloatArray) -> Compliance:
         """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself."""
-        values = (self.poles or pole_residue(self.reduced) or self.reduced).compliance(frequency)
+        values = (self.poles or pole_residue(self.reduced, frequency) or self.reduced).compliance(frequency)
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         values[:, points, points] = np.nan
         return Compliance(np.asarray(frequency, dtype=float), values, self.ports)

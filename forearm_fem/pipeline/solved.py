@@ -139,6 +139,7 @@ def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) ->
         "derivatives": sweep.derivatives,
         "expansion_frequencies": list(sweep.expansions),
         "certificates": [asdict(c) for c in sweep.certificates],
+        "unstable_poles": sweep.unstable_poles,
         "reduced_size": sweep.reduced.size if sweep.reduced else 0,
     }
     modes, states = np.zeros((0, 3, 0)), np.zeros((len(frequency), 0, 0), dtype=complex)

@@ -1,0 +1,27 @@
+"""What a reader of the results should know of the finite-element model behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..geometry.mesh import TissueMesh
+from ..scenario import Scenario
+from .forecast import forecast
+from .frequencies import frequencies
+
+
+def resolution_notes(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
+    """A sentence for each tissue whose waves the mesh carries with too few nodes."""
+    return forecast(scenario, mesh=mesh).sentences(float(frequencies(scenario.sweep)[-1]))
+
+
+def model_notes(facts: Mapping[str, Any]) -> tuple[str, ...]:
+    """That the reduced model is good for frequencies of the band only, where it has unstable poles."""
+    count = facts.get("unstable_poles", 0)
+    if not count:
+        return ()
+    return (
+        f"the reduced model has {count} unstable poles far outside the band: use it (reduced.nc) at frequencies of the "
+        "band only, not beyond and not in time; solver.precision = 'double' makes one without",
+    )
