@@ -37,7 +37,7 @@ STACKS: Mapping[str, tuple[tuple[str, float], ...]] = {
 DIAMETERS = 2, 3, 4, 7, 15  # mm
 CONTACTS, DRIVES = ("bonded", "frictionless"), ("voltage", "displacement")
 ACCURACIES = 0.3, 0.1, 0.05, 0.025
-BINS = np.round(np.geomspace(150, 500, 14), 1).tolist()  # [Hz] below 150 Hz waves reach the sides of a slab this wide
+BINS = np.round(np.geomspace(150, 500, 12), 1).tolist()  # [Hz] below 150 Hz waves reach the sides of a slab this wide
 POINTS = (0.010, 0.0), (0.014, 0.004), (0.020, 0.0), (0.0318, 0.0)  # [m]
 
 

@@ -38,6 +38,10 @@ class MeshError(ForearmError):
     """A mesh is open, inverted, of bad quality, or lacks a region."""
 
 
+class MeshTooLarge(MeshError):
+    """A mesh has more elements than the scenario allows: a finer one is no remedy."""
+
+
 class SolverError(ForearmError):
     """A factorisation or a solve failed, or would not fit in memory."""
 

@@ -235,14 +235,14 @@ def test_the_default_quality_leaves_keys_as_they_were():
 @pytest.fixture
 def own_mesh(cold):
     """A box of 40 x 30 x 10 mm as a user's file; its scenario."""
-    box = block_mesh((4, 3, 1), (0.04, 0.03, 0.01), facets={}, bend=0.0)
+    box = block_mesh((8, 6, 2), (0.04, 0.03, 0.01), facets={}, bend=0.0)
     points = box.points - np.array([0.02, 0.015, 0.0])
     cells = [("tetra", box.tetrahedra)]
     region = [np.ones(len(box.tetrahedra), int)]
     meshio.write(cold / "box.vtu", meshio.Mesh(points, cells, cell_data={"region": region}))
     limb = {"shape": "mesh", "file": "box.vtu", "regions": {"1": "muscle"}}
-    device = {**SLAB["device"], "cone": {"contact": "pressure", "radius": 6e-3}}
-    mesh, grid = {"size_far": 0.01, "min_quality": 1e-3}, {"points": [[0.01, 0.0]]}
+    device = {**SLAB["device"], "cone": {"contact": "pressure", "radius": 3.5e-3}}
+    mesh, grid = {"size_far": 0.01, "min_quality": 1e-3, "element": "P1"}, {"points": [[0.01, 0.0]]}
     return {**SLAB, "limb": limb, "mesh": mesh, "grid": grid, "device": device, "sweep": {"frequencies": [100.0]}}
 
 
@@ -250,10 +250,19 @@ def test_a_users_mesh_is_not_its_own_second_mesh(own_mesh, cold):
     """It stated 0 where third order on the same mesh differed by 0.024; no size acts on it, so the order changes."""
     result = simulate(parse_scenario(own_mesh), base=cold)
     assert result.coarse is not None
-    assert result.coarse.provenance["ratio"] == pytest.approx(2 / 3)
+    assert result.coarse.provenance["ratio"] == pytest.approx(1 / 2)
+    second = second_mesh(parse_scenario({**own_mesh, "mesh": {"element": "P2"}}), result.mesh, base=cold)
+    assert (second.scenario.element, second.ratio) == ("P3", pytest.approx(2 / 3))
     change = np.abs(result.coarse.values - result.transfer.values).max() / np.abs(result.transfer.values).max()
     assert result.transfer.errors[0].band > 0.5 * change > 1e-4
     assert any("mesh.size_far" in note for note in result.notes)
+
+
+def test_our_own_refinement_is_not_blamed_on_a_users_mesh(own_mesh, cold):
+    wide = {"contact": "pressure", "radius": 8e-3}
+    with pytest.raises(MeshError, match="the mesh itself is sound, but following the contacts' rims"):
+        cached_mesh(parse_scenario({**own_mesh, "device": {**SLAB["device"], "cone": wide}, "mesh": {"min_quality": 0.4}}),
+                    base=cold)  # fmt: skip
 
 
 def test_an_order_that_cannot_change_leaves_a_users_mesh_unknown(own_mesh, cold):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import MeshError
+from ..errors import MeshError, MeshTooLarge
 from ..ports import Port
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, SurfacesLimb
@@ -35,6 +35,7 @@ from .usermesh import user_mesh
 
 Progress = Callable[[str], None]
 _ATTEMPTS = 3  # meshes of curved limbs begin with random numbers: others may succeed where some did not
+_CONTACT_SIZES = 1.0, 0.7, 0.5, 1.4  # sizes under contacts that are tried in turn on a user's mesh
 _FINER = 0.75  # with facets so much narrower each time: few wide ones may not enclose what lies inside
 _log = logging.getLogger("forearm_fem.geometry")
 
@@ -51,17 +52,38 @@ def build_mesh(
     sizes, say = element_sizes(scenario, shear_speed, scale=scale), progress or _silent
     size = SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading)
     refuse_if_too_many(scenario, size)
+    if isinstance(scenario.limb, MeshLimb):
+        return _on_users_mesh(scenario, scenario.limb, base, size, say, scale)
     for attempt in range(1, _ATTEMPTS + 1):
         try:
             mesh = _unmarked(scenario, base, size.with_facets(_FINER ** (attempt - 1)), say, attempt)
             return with_bends(scenario, _marked(scenario, mesh, size, say, scale))
         except MeshError as problem:
-            final = isinstance(scenario.limb, SlabLimb | MeshLimb) or isinstance(problem, MeshTimeout)
-            if attempt == _ATTEMPTS or final:
-                why = "" if isinstance(scenario.limb, MeshLimb) else why_cramped(scenario, size.layout)
+            if attempt == _ATTEMPTS or isinstance(scenario.limb, SlabLimb) or isinstance(problem, MeshTimeout):
+                why = why_cramped(scenario, size.layout)
                 raise (MeshError(why) if why else problem) from None
             _log.info("attempt %d at the mesh failed (%s); the next one will differ", attempt, problem)
     raise AssertionError("unreachable")
+
+
+def _on_users_mesh(
+    scenario: Scenario, limb: MeshLimb, base: Path, size: SizeField, say: Progress, scale: float
+) -> TissueMesh:
+    """The user's mesh with the contacts in it; what our own refinement spoils is tried with other sizes, then told."""
+    keep_bone = scenario.supports.bone == "elastic"
+    mesh = user_mesh(limb, base, size.layout, scenario.mesh.min_quality, keep_bone=keep_bone)
+    problem: MeshError | None = None
+    for factor in _CONTACT_SIZES:
+        try:
+            return with_bends(scenario, _marked(scenario, mesh, size.with_contact(factor), say, scale))
+        except MeshTooLarge:
+            raise
+        except MeshError as found:
+            problem = problem or found
+    raise MeshError(
+        "the mesh itself is sound, but following the contacts' rims in it makes elements flat or inverted; set "
+        "mesh.size_contact near the length of the skin's edges there, use smaller ones, or lower mesh.min_quality"
+    ) from problem
 
 
 def _silent(text: str) -> None:
@@ -76,8 +98,7 @@ def _unmarked(scenario: Scenario, base: Path, size: SizeField, say: Progress, at
     if isinstance(limb, ForearmLimb | CylinderLimb):
         ports_on(scenario, tube_of(limb).volar)  # complain about misplaced ports before the long work
         return _tube_mesh(tube_of(limb), size, say, keep_bone=keep_bone, seed=attempt)
-    if isinstance(limb, MeshLimb):
-        return user_mesh(limb, base, size.layout, scenario.mesh.min_quality, keep_bone=keep_bone)
+    assert isinstance(limb, SurfacesLimb)
     return _nested_mesh(scenario, limb, base, size, say)
 
 

@@ -110,7 +110,8 @@ def _projected(points: FloatArray, edges: IntArray, port: Port) -> tuple[FloatAr
 def _nearest(points: FloatArray, edges: IntArray, port: Port) -> FloatArray:
     """The point of each edge nearest to the axis."""
     start, d = _projected(points, edges, port)
-    t = np.clip(-(start * d).sum(axis=1) / (d**2).sum(axis=1), 0, 1)[:, None]
+    length = (d**2).sum(axis=1)  # none of an edge along the axis
+    t = np.clip(-(start * d).sum(axis=1) / np.where(length > 0, length, 1.0), 0, 1)[:, None]
     return np.asarray(points[edges[:, 0]] * (1 - t) + points[edges[:, 1]] * t)
 
 

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..errors import MeshError
+from ..errors import MeshError, MeshTooLarge
 from ..ports import Port, positions
 from ..typing import FloatArray, IntArray
 from .curved import true_volumes
@@ -71,7 +71,7 @@ def check_mesh(mesh: TissueMesh, min_quality: float = 0.0) -> None:
     """Raise :class:`MeshError` for the first thing wrong with ``mesh``; return quietly when it is sound."""
     _check_arrays(mesh)
     _check_regions(mesh)
-    _check_shape(mesh, min_quality)
+    check_shape(mesh, min_quality)
     _check_duplicates(mesh)
     _check_faces(mesh)
     _check_hanging(mesh)
@@ -79,9 +79,9 @@ def check_mesh(mesh: TissueMesh, min_quality: float = 0.0) -> None:
 
 
 def check_count(mesh: TissueMesh, most: float) -> None:
-    """Raise :class:`MeshError` where ``mesh`` has more tetrahedra than ``most``."""
+    """Raise :class:`MeshTooLarge` where ``mesh`` has more tetrahedra than ``most``."""
     if len(mesh.tetrahedra) > most:
-        raise MeshError(
+        raise MeshTooLarge(
             f"the mesh has {len(mesh.tetrahedra)} tetrahedra, mesh.max_elements allows {most:g}; "
             "raise it, or enlarge mesh.size_grid and mesh.size_contact"
         )
@@ -112,7 +112,8 @@ def _check_regions(mesh: TissueMesh) -> None:
         raise MeshError(f"region '{empty}' contains no tetrahedron; remove it or use smaller elements")
 
 
-def _check_shape(mesh: TissueMesh, min_quality: float) -> None:
+def check_shape(mesh: TissueMesh, min_quality: float) -> None:
+    """Raise :class:`MeshError` where a tetrahedron is inverted, flat, or of less mean ratio than ``min_quality``."""
     inverted = int((mesh.volumes <= 0).sum())
     if inverted:
         raise MeshError(

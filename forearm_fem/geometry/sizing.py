@@ -123,6 +123,11 @@ class SizeField:
         sizes = replace(self.sizes, facet=factor * self.sizes.facet, wall=factor * self.sizes.wall)
         return replace(self, sizes=sizes)
 
+    def with_contact(self, factor: float) -> SizeField:
+        """The same with elements and rims of contacts ``factor`` times as large."""
+        sizes = replace(self.sizes, contact=factor * self.sizes.contact, rim=factor * self.sizes.rim)
+        return replace(self, sizes=sizes)
+
     def __call__(self, xy: FloatArray, depth: FloatArray | float = 0.0) -> FloatArray:
         """Wanted edge length (n,) at ``xy`` (n, 2) and ``depth`` (n,) below the skin."""
         s = self.sizes
