@@ -35,6 +35,7 @@ def test_every_message_is_one_line_of_at_most_300_characters(text: str) -> None:
 
 def test_a_long_message_keeps_its_key_and_its_remedy() -> None:
     said = one_sentence(f"device.spacing: {'x' * 5000}; use metres")
+    assert len(said) == LONGEST_SENTENCE
     assert said.startswith("device.spacing: ")
     assert said.endswith("; use metres")
     assert one_sentence("short") == "short"
