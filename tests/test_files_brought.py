@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from forearm_fem.geometry.quality import check_mesh, mesh_quality
 from forearm_fem.geometry.surfaces import read_surfaces
 from forearm_fem.geometry.topology import boundary_faces
 from forearm_fem.geometry.usermesh import user_mesh
-from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario import load_scenario, parse_scenario
 
 WRONG = [case for case in BROUGHT if case.says]
 VALID_MESHES = [case for case in MESHES if not case.says]
@@ -170,3 +171,16 @@ def test_meshing_that_took_too_long_is_not_tried_again(tmp_path, monkeypatch):
     with pytest.raises(ForearmError, match="did not finish"):
         build_mesh(parse_scenario(case.scenario()), base=tmp_path)
     assert len(tries) == 1
+
+
+def test_the_sample_arm_is_sound_and_small():
+    """scenarios/own_arm.toml names files that exist, nest, and hold the device; volumes follow from their half axes."""
+    file = Path(__file__).parents[1] / "scenarios" / "own_arm.toml"
+    scenario = load_scenario(file)
+    found = read_surfaces(scenario.limb, file.parent)
+    assert [s.tissue for s in found] == ["skin", "fat", "muscle", "bone"]
+    # ellipse of 40 x 32 mm; 0.3 % is what tapering (15 %, squared, over 3) adds less what 40 sides lack
+    assert found[0].volume == pytest.approx(np.pi * 0.04 * 0.032 * 0.16, rel=0.01)
+    assert found[3].volume == pytest.approx(2 * np.pi * 0.007**2 * 0.16, rel=0.03)  # 16 sides lack 2.6 %
+    size = sum(f.stat().st_size for f in (file.parent / ".." / "meshes" / "sample").glob("*.stl"))
+    assert size < 300e3

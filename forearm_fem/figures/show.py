@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from ..errors import DataError, MissingExtra
-from ..io.atomic import atomic_path, write_text
+from ..io.atomic import atomic_path, write_bytes, write_text
 from ..ports import Port
 from ..typing import FloatArray, IntArray
 from .data import Results
@@ -348,8 +348,7 @@ def write_pvd(
     for k, at in enumerate(moved.steps):
         grid.point_data["displacement"] = moved.displacement(found.wavefield.modes[: len(found.mesh.points)], k)
         name = f"{target.stem}/{k:04d}.vtu"
-        with atomic_path(target.parent / name) as beside:
-            grid.save(beside)
+        write_bytes(target.parent / name, _vtu(grid))
         time = at if moved.phasor is None else np.degrees(at)
         lines.append(f'    <DataSet timestep="{time:.9g}" file="{name}"/>')
         if progress is not None:
@@ -357,3 +356,13 @@ def write_pvd(
     head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
     write_text(target, head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n")
     return target
+
+
+def _vtu(grid: Any) -> bytes:
+    """The contents of a .vtu file: VTK crashes the process where it writes to a full disk itself."""
+    writer = import_module("vtkmodules.vtkIOXML").vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(grid)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    return str(writer.GetOutputString()).encode()
