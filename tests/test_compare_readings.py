@@ -100,7 +100,7 @@ def test_a_mistake_is_named_on_another_limb_too(other, mistake):
 
 
 def test_honest_pairs_are_told_nothing():
-    """Every ordered pair of eight limbs, 30 dB of noise on one: e_band up to 9, and no mistake in any."""
+    """Every ordered pair of eight limbs, 30 dB of noise on one: e_band up to 9.8, and no mistake in any."""
     for seed, (a, b) in enumerate(permutations(LIMBS, 2)):
         assert explained(common_ground(limb(a), noisy(limb(b), seed))) == "", (a, b)
 
