@@ -19,6 +19,7 @@ from sphinx.application import Sphinx
 
 import forearm_fem
 
+_EVERYTHING = ("   :members:", "   :undoc-members:", "   :ignore-module-all:")
 _DEVELOPERS = ("forearm_fem.__main__",)
 
 
@@ -77,7 +78,7 @@ def _modules() -> dict[str, list[str]]:
 def _room_page(room: str, modules: list[str]) -> str:
     lines = [room, "=" * len(room), ""]
     for name in modules:
-        lines += [name, "-" * len(name), "", f".. automodule:: {name}", "   :members:", "   :undoc-members:", "   :ignore-module-all:", ""]
+        lines += [name, "-" * len(name), "", f".. automodule:: {name}", *_EVERYTHING, ""]
     return "\n".join(lines)
 
 
@@ -138,10 +139,17 @@ def link_home(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
     return domain.resolve_xref(env, node["refdoc"], app.builder, "obj", name, node, content)
 
 
+def without_way_back(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:
+    """Sources link to descriptions by the name of their room, which public names do not have: leave those links out."""
+    if page.startswith("_modules/") and "body" in context:
+        context["body"] = re.sub(r'<a class="viewcode-back"[^>]*>.*?</a>', "", context["body"])
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Write the pages first; leave doubles out; find public names by where they live."""
     app.connect("builder-inited", write_pages, priority=100)
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-docstring", plain, priority=100)
     app.connect("missing-reference", link_home)
+    app.connect("html-page-context", without_way_back)
     return {"parallel_read_safe": True}
