@@ -10,6 +10,6 @@ setup(
     package_data={
         "forearm_fem": ["**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "py.typed"],
         "forearm_fem._data.scenarios": ["*.toml"],
-        "forearm_fem._data.meshes": ["*.vtu", "*.json"],
+        "forearm_fem._data.meshes": ["*.vtu", "*.json", "sample/*.stl"],
     },
 )

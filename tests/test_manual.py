@@ -19,7 +19,7 @@ HOME = Path(__file__).parents[1]
 DOCS = HOME / "docs"
 PAGES = [p for p in DOCS.rglob("*.md") if not {"_build", "made"} & set(p.parts)]
 SCRIPTS = sorted((DOCS / "tutorials").glob("[0-9]*.py")) + sorted((DOCS / "gallery").glob("[0-9]*.py"))
-sys.path.insert(0, str(DOCS / "_ext"))  # the role ``place`` looks names up with the same function
+sys.path[:0] = [str(DOCS / "_ext"), str(DOCS)]  # the role ``place`` looks names up with the same function
 ROOTS = [HOME / "README.md", HOME / "CONTRIBUTING.md"]
 
 
@@ -108,6 +108,14 @@ def test_readme_is_short_and_every_sentence_has_two_numbers_at_most():
     prose = re.sub(r"\]\([^)]*\)|`[^`]*`", "", prose)
     for sentence in re.split(r"(?<=[.:;])\s+", " ".join(prose.split())):
         assert len(re.findall(r"\d[\d.,]*", sentence)) <= 2, sentence
+
+
+def test_broken_links_of_a_built_page_are_found(tmp_path):
+    from check_links import broken
+
+    (tmp_path / "a.html").write_text('<p id="here"><a href="b.html#there">1</a><a href="#here">2</a><img src="c.png">')
+    (tmp_path / "b.html").write_text('<p id="there"><a href="a.html#gone">1</a><a href="https://example.org/x">2</a>')
+    assert broken(tmp_path) == ["a.html: c.png", "b.html: a.html#gone"]
 
 
 @pytest.mark.slow  # three minutes; CI builds the manual too

@@ -33,7 +33,7 @@ class Place(SphinxRole):
             _LOG.warning("place: %s", problem, location=self.get_location())
         code = nodes.literal(text, text, classes=["xref", "py"])
         link = addnodes.pending_xref(
-            "", code, refdomain="py", reftype="obj", reftarget=name, refdoc=self.env.docname, refwarn=False
+            "", code, refdomain="py", reftype="obj", reftarget=name, refdoc=self.env.docname, refwarn=True
         )
         return [link], []
 

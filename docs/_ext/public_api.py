@@ -7,7 +7,6 @@ described once: public ones on the public page, all others where they live.
 from __future__ import annotations
 
 import importlib
-import pkgutil
 import re
 import sys
 from pathlib import Path
@@ -15,10 +14,12 @@ from types import ModuleType
 from typing import Any
 
 from public_rooms import PUBLIC, public_names
+from pydantic import BaseModel
 from sphinx.application import Sphinx
 
 import forearm_fem
 
+_EVERYTHING = ("   :members:", "   :undoc-members:", "   :ignore-module-all:")
 _DEVELOPERS = ("forearm_fem.__main__",)
 
 
@@ -65,19 +66,21 @@ def _room_of(name: str) -> str:
 
 
 def _modules() -> dict[str, list[str]]:
-    """Room -> its modules."""
+    """Room -> its modules, found as files, for not every room has an ``__init__``."""
+    home = Path(forearm_fem.__file__).parent
     rooms: dict[str, list[str]] = {}
-    for found in pkgutil.walk_packages(forearm_fem.__path__, "forearm_fem."):
-        if found.name not in _DEVELOPERS:
-            room = found.name.split(".")[1] if found.name.count(".") > 1 or found.ispkg else "top level"
-            rooms.setdefault(room, []).append(found.name)
+    for file in sorted(home.rglob("*.py")):
+        parts = file.relative_to(home.parent).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        if name not in (*_DEVELOPERS, "forearm_fem"):
+            rooms.setdefault(parts[1] if len(parts) > 2 else "top level", []).append(name)
     return rooms
 
 
 def _room_page(room: str, modules: list[str]) -> str:
     lines = [room, "=" * len(room), ""]
     for name in modules:
-        lines += [name, "-" * len(name), "", f".. automodule:: {name}", "   :members:", "   :undoc-members:", "   :ignore-module-all:", ""]
+        lines += [name, "-" * len(name), "", f".. automodule:: {name}", *_EVERYTHING, ""]
     return "\n".join(lines)
 
 
@@ -122,20 +125,33 @@ def _escaped(text: str) -> str:
 
 
 def link_home(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
-    """A link to where a thing lives finds the public name it is described under."""
+    """A link to where a thing lives finds the public name it is described under, else what it is a part of."""
     if node.get("refdomain") != "py":
         return None
     described: dict[str, tuple[str, Any]] = app.forearm_described  # type: ignore[attr-defined]
-    target = node["reftarget"]
-    head, tail = target, ""
-    while head and head not in described:
+    head, tail = node["reftarget"], ""
+    while head.startswith("forearm_fem."):
+        names = [described[head][0] + tail, described[head][0]] if head in described else [head]
+        for name in names:
+            domain = env.get_domain("py")
+            if found := domain.resolve_xref(env, node["refdoc"], app.builder, "obj", name, node, content):
+                return found
         head, _, part = head.rpartition(".")
         tail = f".{part}{tail}"
-    if not head:
-        return None
-    name = described[head][0] + tail
-    domain = env.get_domain("py")
-    return domain.resolve_xref(env, node["refdoc"], app.builder, "obj", name, node, content)
+    return None
+
+
+def short_signature(
+    app: Sphinx, what: str, name: str, thing: Any, options: Any, signature: str, returns: str
+) -> tuple[str, str] | None:
+    """Scenarios and their parts take keys; which ones has a page of its own."""
+    return ("(**keys)", "") if isinstance(thing, type) and issubclass(thing, BaseModel) else None
+
+
+def without_way_back(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:
+    """Sources link to descriptions by the name of their room, which public names do not have: leave those links out."""
+    if page.startswith("_modules/") and "body" in context:
+        context["body"] = re.sub(r'<a class="viewcode-back"[^>]*>.*?</a>', "", context["body"])
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
@@ -143,5 +159,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("builder-inited", write_pages, priority=100)
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-docstring", plain, priority=100)
+    app.connect("autodoc-process-signature", short_signature)
     app.connect("missing-reference", link_home)
+    app.connect("html-page-context", without_way_back)
     return {"parallel_read_safe": True}
