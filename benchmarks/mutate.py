@@ -1,11 +1,10 @@
-"""Mutation list: each promise broken once in a copy of the package, and the test that has to notice.
+"""Mutation list: each promise broken once in a copy of the repository, and the test that has to notice.
 
 ``python benchmarks/mutate.py [--only NAME] [--list] [--jobs 2]`` reads ``tests/mutations/*.toml`` and, for each
-entry, changes one place of one file in a scratch copy of ``forearm_fem``, runs the named tests against the copy and
-expects them to fail. Before that the named tests must pass on an unchanged copy. Exit code 1 if a mutation survives or
+entry, changes one place of one file in a scratch copy, runs the named tests there and expects them to fail. Before that the named tests must pass on an unchanged copy. Exit code 1 if a mutation survives or
 an entry is out of date.
 
-An entry has ``name``, ``file`` (from the repository's root, inside forearm_fem), ``old`` (text that occurs exactly
+An entry has ``name``, ``file`` (from the repository's root), ``old`` (text that occurs exactly
 once in it), ``new`` and ``tests`` (pytest's names). Copies keep their times, so compiled kernels are reused; a changed
 module that compiles kernels gets a fresh kernel cache, for numba does not see that a function inlined from another
 file changed.
@@ -79,8 +78,8 @@ def problems(mutations: Sequence[Mutation], root: Path = ROOT) -> list[str]:
 
 def _entry_problems(m: Mutation, root: Path) -> Iterable[str]:
     source = root / m.file
-    if not m.file.startswith(f"{PACKAGE}/") or not source.is_file():
-        yield f"{m.name}: {m.file} is no file of {PACKAGE}"
+    if not source.is_file():
+        yield f"{m.name}: {m.file} is no file of this repository"
     elif (count := source.read_text(encoding="utf-8").count(m.old)) != 1:
         yield f"{m.name}: `old` occurs {count} times in {m.file}, expected once"
     if m.old == m.new:
@@ -97,32 +96,33 @@ def _defined(test: str, root: Path) -> bool:
     path, *inner = test.split("[")[0].split("::")
     file = root / path
     if not file.is_file() or not inner:
-        return False
+        return file.is_file()
     tree = ast.parse(file.read_text(encoding="utf-8"))
     return any(isinstance(n, ast.FunctionDef) and n.name == inner[-1] for n in ast.walk(tree))
 
 
 def copied(root: Path, folder: Path) -> Path:
-    """A copy of the package in ``folder``, compiled kernels and times included."""
-    shutil.copytree(root / PACKAGE, folder / PACKAGE)
+    """A copy of the repository in ``folder``, compiled kernels and times included."""
+    left_out = shutil.ignore_patterns(".git", "_build", "results", ".venv", ".*_cache")
+    shutil.copytree(root, folder, ignore=left_out)
     return folder
 
 
 def attempt(m: Mutation, scratch: Path, root: Path = ROOT) -> Outcome:
-    """Break ``scratch``'s copy, run the tests from ``root``, mend the copy."""
+    """Break ``scratch``'s copy, run its tests, mend it."""
     began, target, original = time.perf_counter(), scratch / m.file, root / m.file
     text = original.read_text(encoding="utf-8")
     target.write_text(text.replace(m.old, m.new), encoding="utf-8")
     try:
         with tempfile.TemporaryDirectory() as kernels:
-            code, output = run_tests(m.tests, scratch, root, kernels=kernels if "njit" in text else None)
+            code, output = run_tests(m.tests, scratch, kernels=kernels if "njit" in text else None)
     finally:
         shutil.copy2(original, target)
     problem = {0: "SURVIVED: its tests pass", 1: ""}.get(code, f"the tests did not run (exit code {code}): {output}")
     return Outcome(m, problem, time.perf_counter() - began)
 
 
-def run_tests(tests: Sequence[str], scratch: Path, root: Path, kernels: str | None = None) -> tuple[int, str]:
+def run_tests(tests: Sequence[str], scratch: Path, kernels: str | None = None) -> tuple[int, str]:
     """pytest's exit code for ``tests`` with the package of ``scratch``, and what it says failed; 1 also for a hang."""
     where = {"PYTHONPATH": str(scratch), "PYTHONSAFEPATH": "1", "PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "Agg"}
     environment = {**os.environ, **where, **({"NUMBA_CACHE_DIR": kernels} if kernels else {})}
@@ -131,7 +131,7 @@ def run_tests(tests: Sequence[str], scratch: Path, root: Path, kernels: str | No
         command = [sys.executable, "-m", "pytest", "-x", "--no-header", "-p", "no:cacheprovider", "-m", "", *tests]
         try:
             done = subprocess.run(
-                command, cwd=root, env=environment, capture_output=True, text=True, timeout=_TOO_LONG, check=False
+                command, cwd=scratch, env=environment, capture_output=True, text=True, timeout=_TOO_LONG, check=False
             )
         except subprocess.TimeoutExpired:
             return 1, f"no end after {_TOO_LONG:g} s"
@@ -140,12 +140,12 @@ def run_tests(tests: Sequence[str], scratch: Path, root: Path, kernels: str | No
     return done.returncode, "; ".join(named) or done.stderr.strip()[-300:]
 
 
-def _check_copy(scratch: Path, root: Path) -> None:
+def _check_copy(scratch: Path) -> None:
     """RuntimeError if the tests would not see the copy."""
     code = f"import {PACKAGE}; print({PACKAGE}.__file__)"
     environment = {**os.environ, "PYTHONPATH": str(scratch), "PYTHONSAFEPATH": "1"}
     where = subprocess.run(
-        [sys.executable, "-c", code], cwd=root, env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], cwd=scratch, env=environment, capture_output=True, text=True, check=True
     ).stdout.strip()
     if not Path(where).is_relative_to(scratch):
         raise RuntimeError(f"the tests would import {where}, not the copy; nothing was tried")
@@ -161,8 +161,8 @@ def run(mutations: Sequence[Mutation], jobs: int = 1, root: Path = ROOT) -> list
         for job in range(jobs):
             free.put(copied(root, Path(folder).resolve() / str(job)))
         first = Path(folder).resolve() / "0"
-        _check_copy(first, root)
-        code, last = run_tests(sorted({t for m in mutations for t in m.tests}), first, root)
+        _check_copy(first)
+        code, last = run_tests(sorted({t for m in mutations for t in m.tests}), first)
         if code:
             raise RuntimeError(f"the named tests fail without any mutation, so nothing can be learned: {last}")
 

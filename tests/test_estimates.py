@@ -261,8 +261,8 @@ def test_a_users_mesh_is_not_its_own_second_mesh(own_mesh, cold):
 def test_our_own_refinement_is_not_blamed_on_a_users_mesh(own_mesh, cold):
     wide = {"contact": "pressure", "radius": 8e-3}
     with pytest.raises(MeshError, match="the mesh itself is sound, but following the contacts' rims"):
-        cached_mesh(parse_scenario({**own_mesh, "device": {**SLAB["device"], "cone": wide}, "mesh": {"min_quality": 0.4}}),
-                    base=cold)  # fmt: skip
+        device = {**SLAB["device"], "cone": wide}
+        cached_mesh(parse_scenario({**own_mesh, "device": device, "mesh": {"min_quality": 0.4}}), base=cold)
 
 
 def test_an_order_that_cannot_change_leaves_a_users_mesh_unknown(own_mesh, cold):

@@ -137,8 +137,6 @@ _TOLD = ("engine", "device.max_voltage", "device.max_power", "solver.memory_limi
 
 @pytest.mark.parametrize("key", [k for k in KEYS if k not in _TOLD])
 def test_no_key_is_silent_in_the_layered_engine(key: str) -> None:
-    if key == "tissues.membrane.viscosity":
-        pytest.xfail("the layered engine leaves the membrane's viscosity out")
     told, notes = layered_answer(with_key(LAYERED, key, other_value(key, KEYS[key])))
     assert told != reference()[0] or notes != reference()[1]
 
