@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from forearm_fem.cli import app
 from forearm_fem.errors import GeometryError, MeshError, SolverError
+from forearm_fem.fem.terms import term_coefficient
 from forearm_fem.geometry.cache import cached_mesh, mesh_key
 from forearm_fem.geometry.quality import mean_ratio
 from forearm_fem.geometry.sizing import element_sizes
@@ -23,8 +24,11 @@ from forearm_fem.pipeline.simulation import closed, simulate
 from forearm_fem.pipeline.solved import Solved, solve_key
 from forearm_fem.pipeline.verdict import accuracy_verdict
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario.supports import Supports
+from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.transfer import Compliance, ErrorEstimate, total_error
 from forearm_fem.verification.blocks import block_mesh
+from forearm_fem.verification.scenes import flesh
 
 SLAB = {
     "name": "small",
@@ -181,6 +185,27 @@ def test_truncation_counts_half_the_change_of_freed_ends():
     assert 0.08 < error.band < 0.25  # 0.2 of change; true over change was seen from 0.05 to 1
 
 
+def test_absorbing_ends_pull_as_the_endless_medium_does():
+    """A plane shear wave u e^(i w t - i k x) needs the traction mu i k u = i w rho c_s u at its end."""
+    tissue, omega = flesh(eta=0.0), np.array([2 * np.pi * 100.0])
+    pull = term_coefficient("dashpots block", {"block": tissue}, Supports(), Membrane()).at(omega)
+    k = omega / np.asarray(tissue.wave_speed(omega))
+    assert pull == pytest.approx(1j * k * np.asarray(tissue.modulus.at(omega)))  # exact for a lossless medium
+
+
+def test_truncation_listens_to_its_neighbours():
+    """Where the waves from the ends cancel by chance, the frequencies beside it speak."""
+    scenario = parse_scenario(SLAB)
+    ports = simulate(scenario.model_copy(update={"engine": "layered"})).compliance.ports
+    frequency, values = np.array([95.0, 100.0, 105.0]), np.ones((3, 2, 2), dtype=complex)
+    own = Compliance(frequency, values, ports)
+    freed = Compliance(frequency, np.array([1.2, 1.0, 1.2])[:, None, None] * values, ports)
+    modes, states = np.zeros((0, 3, 0)), np.zeros((3, 0, 0), dtype=complex)
+    solved = Solved(own, None, freed, modes, states, {"ends_by": "reduced model"})
+    (error,) = closed(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
+    assert error.per_frequency[1] > 0.8 * error.per_frequency[0] > 0.05
+
+
 def test_supports_are_part_of_a_solves_key(cold):
     scenario = parse_scenario(SLAB)
     mesh = cached_mesh(scenario)
@@ -237,8 +262,7 @@ def own_mesh(cold):
     """A box of 40 x 30 x 10 mm as a user's file; its scenario."""
     box = block_mesh((8, 6, 2), (0.04, 0.03, 0.01), facets={}, bend=0.0)
     points = box.points - np.array([0.02, 0.015, 0.0])
-    cells = [("tetra", box.tetrahedra)]
-    region = [np.ones(len(box.tetrahedra), int)]
+    cells, region = [("tetra", box.tetrahedra)], [np.ones(len(box.tetrahedra), int)]
     meshio.write(cold / "box.vtu", meshio.Mesh(points, cells, cell_data={"region": region}))
     limb = {"shape": "mesh", "file": "box.vtu", "regions": {"1": "muscle"}}
     device = {**SLAB["device"], "cone": {"contact": "pressure", "radius": 3.5e-3}}
@@ -259,10 +283,10 @@ def test_a_users_mesh_is_not_its_own_second_mesh(own_mesh, cold):
 
 
 def test_our_own_refinement_is_not_blamed_on_a_users_mesh(own_mesh, cold):
-    wide = {"contact": "pressure", "radius": 8e-3}
+    device = {**SLAB["device"], "cone": {"contact": "pressure", "radius": 8e-3}}
+    scenario = parse_scenario({**own_mesh, "device": device, "mesh": {"min_quality": 0.4}})
     with pytest.raises(MeshError, match="the mesh itself is sound, but following the contacts' rims"):
-        device = {**SLAB["device"], "cone": wide}
-        cached_mesh(parse_scenario({**own_mesh, "device": device, "mesh": {"min_quality": 0.4}}), base=cold)
+        cached_mesh(scenario, base=cold)
 
 
 def test_an_order_that_cannot_change_leaves_a_users_mesh_unknown(own_mesh, cold):

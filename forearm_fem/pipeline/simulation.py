@@ -17,14 +17,14 @@ from ..rendering import Limits, Rendering, render_all
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb
 from ..tissue import resolve_tissues
-from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error
+from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
 from .model_notes import model_notes, resolution_notes
 from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
-from .two_meshes import estimated_errors
+from .two_meshes import change_around, estimated_errors
 
 Progress = Callable[[str, int, int], None]
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
@@ -153,7 +153,10 @@ def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstima
 def _truncation(
     transfer: TransferMatrix, own: TransferMatrix, other: TransferMatrix, share: float, method: str
 ) -> ErrorEstimate:
-    """A ``share`` of the change of G when the ends are changed, tested against longer limbs and the endless twin."""
+    """A ``share`` of the change of G when the ends are changed, tested against longer limbs and the endless twin.
+
+    Waves from the ends cancel at some frequencies by chance, so e(f) listens to its neighbours as two meshes' does.
+    """
     same = own.values[np.searchsorted(own.frequency, other.frequency)]
     change = np.linalg.norm(other.values - same, axis=(1, 2)) / np.linalg.norm(same, axis=(1, 2))
     weight = np.linalg.norm(transfer.values, axis=(1, 2)) ** 2
@@ -163,7 +166,7 @@ def _truncation(
         float(np.sqrt(np.sum(weight * spread**2) / np.sum(weight))),
         f"{share:g} of the change of G when {method}",
         tuple(other.frequency.tolist()),
-        tuple((share * relative_error(other.values, same)).tolist()),
+        tuple((share * change_around(other.values, same, other.frequency)).tolist()),
     )
 
 

@@ -37,9 +37,14 @@ def estimated_errors(
     size = np.linalg.norm(own, axis=(1, 2))
     change = np.linalg.norm(other - own, axis=(1, 2)) / size
     band = np.linalg.norm(remaining_error(change, ratio) * size) / np.linalg.norm(size)
+    return float(band), remaining_error(change_around(other, own, frequency), ratio)
+
+
+def change_around(other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:
+    """e(f) (n_frequency,) of ``other`` beside ``own``, there or over the third of an octave on either side."""
     worst, largest = relative_error(other, own), np.abs(own).max(axis=(1, 2))
     around = np.sqrt(_around((worst * largest) ** 2, frequency) / _around(largest**2, frequency))
-    return float(band), remaining_error(np.maximum(worst, around), ratio)
+    return np.asarray(np.maximum(worst, around))
 
 
 def _around(values: FloatArray, frequency: FloatArray) -> FloatArray:
