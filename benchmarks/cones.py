@@ -145,7 +145,7 @@ def table_of(found: Sequence[Line]) -> str:
         f"of all bins state less than half their e(f); receptance under the cone at accuracy 0.05 and better: "
         f"{100 * max(fine, default=np.nan):.2g} % at worst.\n\n"
     )
-    names = "stack", "cone mm", "contact", "asked", "drive", "element", "unknowns", "true e_band", "stated", "ratio"
+    names = "stack", "cone mm", "contact", "asked", "drive", "element", "unknowns", "true e_band", "stated", "effectivity"
     head = [*names, "bins below half", "least e(f) ratio", "receptance"]
     rows = [
         f"| {x.stack} | {x.diameter_mm:g} | {x.contact} | {x.accuracy:g} | {x.drive} | {x.element} | {x.unknowns} | "

@@ -77,12 +77,14 @@ def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
     transfer = finite(close_loop(solved.compliance, scenario.device))
     coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None
     errors = [*solved.unknown, *([_discretisation(transfer, coarse)] if coarse else [])]
-    if solved.other_ends:
+    truncations = []
+    if solved.freed:
+        freed = finite(close_loop(solved.freed, scenario.device))
+        truncations.append(_truncation(transfer, transfer, freed, FREED_ENDS, _FREED))
+    if solved.other_ends and coarse:
         other = finite(close_loop(solved.other_ends, scenario.device))
-        if solved.facts.get("ends_by") == "reduced model":
-            errors.append(_truncation(transfer, transfer, other, FREED_ENDS, _FREED))
-        elif coarse:
-            errors.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
+        truncations.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
+    errors += sorted(truncations, key=lambda e: e.band)[-1:]  # either may hide what the other shows
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     notes = (*unknown, *model_notes(solved.facts), *_idle_sizes(scenario))

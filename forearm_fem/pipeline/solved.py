@@ -29,6 +29,7 @@ from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
 from ..io.netcdf import read_compliance, write_compliance
 from ..scenario import Scenario
+from ..scenario.limb import SlabLimb
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
@@ -45,8 +46,8 @@ Progress = Callable[[str, int, int], None]
 class Solved:
     """All compliances of a scenario on one mesh.
 
-    ``coarse`` is on the second mesh (None where no estimate was asked or could be made); ``other_ends`` has free ends
-    on the same mesh, or other ends on the second one at a few frequencies (None where neither could be). ``unknown``
+    ``coarse`` is on the second mesh (None where no estimate was asked or could be made); ``freed`` has free ends on
+    the same mesh, ``other_ends`` other ends on the second one at a few frequencies (None where not asked). ``unknown``
     are the estimates that were asked for and could not be made. ``modes`` (n_point, 3, r) and ``states``
     (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit contact force; empty for a direct
     sweep. ``facts`` are for the report; ``skin`` is the reduced model without its modes.
@@ -54,12 +55,13 @@ class Solved:
 
     compliance: Compliance
     coarse: Compliance | None
-    other_ends: Compliance | None
+    freed: Compliance | None
     modes: FloatArray
     states: ComplexArray
     facts: dict[str, Any]
     unknown: tuple[ErrorEstimate, ...] = ()
     skin: SkinModel | None = None
+    other_ends: Compliance | None = None
 
 
 def solve(
@@ -77,24 +79,26 @@ def _solve(
     main = _main_part(store, scenario, mesh, frequency, progress)
     if not scenario.solver.discretisation_estimate:
         return main
-    cut = main.other_ends is None and len(mesh.facets.get("end", ())) > 0  # and nothing cheaper shows what that costs
+    # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
+    unseen = main.freed is None or isinstance(scenario.limb, SlabLimb)
+    cut = unseen and len(mesh.facets.get("end", ())) > 0
     try:
         second = second_mesh(scenario, mesh, base=base)
         coarse = store.compliance(
             f"second-{second.label}",
             lambda: second_compliance(second, frequency, progress=_named(progress, "coarser mesh")),
         )
-        ends = main.other_ends
+        clamped = None
         if cut:
             _tell(progress, "truncation estimate", 0)
-            ends = store.compliance(f"other_ends-{second.label}", lambda: other_ends(second, frequency))
+            clamped = store.compliance(f"other_ends-{second.label}", lambda: other_ends(second, frequency))
             _tell(progress, "truncation estimate", 1)
     except ForearmError as problem:
         reason = f"not estimated: {problem}"
         missing = [ErrorEstimate("discretisation", np.nan, reason)]
         missing += [ErrorEstimate("truncation", np.nan, reason)] if cut else []
         return replace(main, unknown=tuple(missing))
-    return replace(main, coarse=coarse, other_ends=ends)
+    return replace(main, coarse=coarse, other_ends=clamped)
 
 
 def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> str:
@@ -266,7 +270,7 @@ class _Store:
             facts = read_json(self._folder / "facts.json")
         except _DAMAGED:
             return None
-        ends = self.read("other_ends") if facts.get("ends_by") == "reduced model" else None
+        ends = self.read("freed") if facts.get("ends_by") == "reduced model" else None
         skin = self._skin() if facts.get("reduced_size") else None
         return None if compliance is None else Solved(compliance, None, ends, modes, states, facts, skin=skin)
 
@@ -284,8 +288,8 @@ class _Store:
             write_json(self._folder / "facts.json", solved.facts)
         except (DataError, OSError) as problem:
             _log.warning("the solution could not be kept for a later run: %s", problem)
-        if solved.other_ends is not None:
-            self.write("other_ends", solved.other_ends)
+        if solved.freed is not None:
+            self.write("freed", solved.freed)
         if solved.skin is not None:
             save_skin_model(self._folder / "reduced.nc", solved.skin)
         self.write("compliance", solved.compliance)
