@@ -60,6 +60,7 @@ sphinx_gallery_conf = {
     "image_scrapers": ("matplotlib",),
     "abort_on_example_error": True,
     "show_memory": False,
+    "write_computation_times": False,
     "reset_modules": (),
     "copyfile_regex": r".*\.toml",
 }
