@@ -1,0 +1,135 @@
+"""A whole study through the real pages: simulated participants click and type in headless Chromium, answers are analysed.
+
+``python benchmarks/study_in_browser.py STUDY.toml G --participants 20 [--at-once 4] [--kill 20]``. Stimuli play through
+the virtual device; every session is a process of its own (`forearm-fem study run`), killed at random moments ``--kill``
+times in all and started again. Prints answers lost, doubled or out of order (none is allowed) and the seconds from the
+last answer to the report. Needs the extras study and test, and Chromium.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import re
+import shutil
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+
+def main() -> None:
+    """Run all sessions, then the analysis."""
+    options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    options.add_argument("study", type=Path)
+    options.add_argument("transfer", type=Path)
+    options.add_argument("--participants", type=int, default=20)
+    options.add_argument("--at-once", type=int, default=2)
+    options.add_argument("--kill", type=int, default=20)
+    options.add_argument("--only", type=int, help="answers per session and participant, to try the script")
+    chosen = options.parse_args()
+    per_person = [
+        chosen.kill // chosen.participants + (k < chosen.kill % chosen.participants) for k in range(chosen.participants)
+    ]
+    began = time.perf_counter()
+    with ProcessPoolExecutor(chosen.at_once) as pool:
+        jobs = [
+            pool.submit(person, chosen.study, chosen.transfer, k, per_person[k], chosen.only)
+            for k in range(chosen.participants)
+        ]
+        problems = [line for job in jobs for line in job.result()]
+    answered = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "forearm_fem", "study", "analyse", str(chosen.study)], check=True)
+    print(
+        f"{chosen.participants} participants in {answered - began:.0f} s; report {time.perf_counter() - answered:.1f} s later"
+    )
+    print("\n".join(problems) or "no answer lost, doubled or out of order")
+    sys.exit(bool(problems))
+
+
+def person(study: Path, transfer: Path, number: int, kills: int, only: int | None) -> list[str]:
+    """All tasks of one simulated participant; what is wrong with what lies on disk afterwards."""
+    from playwright.sync_api import sync_playwright
+
+    from forearm_fem.study.order import trials
+    from forearm_fem.study.percept import Percept, SimulatedParticipant
+    from forearm_fem.study.run import Prepared
+    from forearm_fem.study.stimuli import transfer_of
+
+    prepared, name, rng = Prepared.of(study), f"{number + 1:02d}", np.random.default_rng([7, number])
+    place = study.parent / prepared.study.transfer.replace("{participant}", name)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(transfer, place)
+    matrix = transfer_of(prepared.study, prepared.base, name)
+    mind = SimulatedParticipant(
+        Percept().varied(rng), prepared.stimuli(matrix), prepared.wavelet.record.sample_rate,
+        np.array([p.position[:2] for p in matrix.outputs]), matrix.outputs, rng,
+    )  # fmt: skip
+    problems = []
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
+        for task in prepared.study.tasks:
+            order = trials(prepared.study, task, name)[:only]
+            moments = set(random.Random(number).sample(range(1, len(order)), min(kills, len(order) - 1)))
+            said: list[tuple[str, ...]] = []
+            while len(said) < len(order):
+                said += _sitting(browser, study, name, task, order, said, moments, mind)
+            rows = prepared.store().answers(name, task.name)
+            kept = [(r["trial"], r["method"], r["target"], r["response"]) for r in rows]
+            expected = [(str(t.number), t.method, t.target, " ".join(a)) for t, a in zip(order, said, strict=False)]
+            if kept != expected:
+                problems.append(f"participant {name}, {task.name}: {len(kept)} answers on disk, {len(expected)} given")
+        browser.close()
+    return problems
+
+
+def _sitting(browser, study, name, task, order, said, moments, mind):  # type: ignore[no-untyped-def]
+    """One process and one page, until the task is done or the process is killed; the answers given in it."""
+    command = [sys.executable, "-u", "-m", "forearm_fem", "study", "run", str(study), "--participant", name, "--task", task.name,
+               "--consent", "2026-11-24"]  # fmt: skip
+    serving = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    address = next(m[1] for line in serving.stdout if (m := re.match(r"participant:\s+(\S+)", line)))
+    page, given = browser.new_page(viewport={"width": 900, "height": 700}), []
+    page.goto(address)
+    try:
+        while len(said) + len(given) < len(order):
+            trial = order[len(said) + len(given)]
+            page.locator(
+                "body[data-waiting='answer'], body[data-waiting='start'], body[data-waiting='break']"
+            ).wait_for()
+            if page.locator("body[data-waiting='answer']").count() == 0:
+                page.locator("#go").click()
+                page.locator("body[data-waiting='answer']").wait_for()
+            answer = (mind.one_point if task.answer == "one point" else lambda *a: mind.several_points(*a))(
+                trial.method, trial.target
+            )
+            answer = (answer,) if isinstance(answer, str) else answer
+            ordered = sorted(answer, key=lambda _: random.random())
+            for k, point in enumerate(ordered):
+                page.keyboard.press(point) if (len(given) + k) % 2 else page.locator(
+                    f"#arm g[data-name='{point}']"
+                ).click()
+            if task.answer != "one point":
+                page.locator("#go").click()
+            count = len(said) + len(given) + 1
+            page.locator(f"body[data-answered='{count}']").wait_for()
+            given.append(tuple(ordered))
+            if count in moments:
+                moments.discard(count)
+                time.sleep(random.random() * 0.8)  # anywhere between the answer and the next stimulus
+                serving.kill()
+                break
+    finally:
+        page.close()
+        serving.kill()
+        serving.wait()
+    return given
+
+
+if __name__ == "__main__":
+    main()
