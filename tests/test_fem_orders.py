@@ -186,7 +186,9 @@ def test_second_order_is_enough_where_rigid_contacts_made_deep_elements_small() 
 def test_limbs_have_third_order_around_the_ports_unless_told_otherwise() -> None:
     assert Scenario().element == "P2/P3"
     assert parse_scenario({"limb": {"shape": "slab"}}).element == "P2/P3"
-    assert parse_scenario({"limb": {"shape": "slab"}, "accuracy": 0.1}).element == "P2"
+    assert parse_scenario({"limb": {"shape": "slab"}, "accuracy": 0.1}).element == "P2/P3"  # rims of rigid cones
+    pressure = {"cone": {"contact": "pressure"}}
+    assert parse_scenario({"limb": {"shape": "slab"}, "accuracy": 0.1, "device": pressure}).element == "P2"
     assert parse_scenario({"limb": {"shape": "slab"}, "mesh": {"size_grid": 2e-3}}).element == "P2"
     assert parse_scenario({"mesh": {"element": "P2"}}).element == "P2"
     assert element_sizes(Scenario()).grid > 2 * element_sizes(parse_scenario({"mesh": {"element": "P2"}})).grid

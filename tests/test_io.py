@@ -222,6 +222,9 @@ def test_signal_strength_csv(tmp_path: Path) -> None:
     assert io.read_signal_strength_csv(file) == rows
     assert b"\r" not in file.read_bytes()
     file.write_text("target,group,method,S\n5,middle,funneling,0.63\n")  # as written until 0.13.1
+    with pytest.raises(DataError, match="checksum"):
+        io.read_signal_strength_csv(file)
+    (tmp_path / "signal_strength.csv.sha256").unlink()
     (older,) = io.read_signal_strength_csv(file)
     assert older[:4] == ("5", "middle", "funneling", 0.63)
     assert np.isnan(older.S_low)

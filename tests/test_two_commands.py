@@ -70,7 +70,7 @@ def test_a_killed_command_leaves_no_lock_that_blocks(scene: Path, holder: subpro
 
 def test_two_commands_at_once_each_print_their_own_g_or_refuse(scene: Path) -> None:
     program = [sys.executable, "-m", "forearm_fem", "render", "small.toml", "--out", "one"]
-    spacings = (0.04, 0.06)
+    spacings = (0.04, 0.05)
     running = [
         subprocess.Popen([*program, "--set", f"device.spacing={s}"], cwd=scene, text=True,
                          stdout=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -95,7 +95,7 @@ def test_a_lock_of_this_process_holds_too_and_leaves_nothing(tmp_path: Path) -> 
 
 def test_what_is_set_has_a_folder_of_its_own() -> None:
     scenario = Scenario()
-    plain, near, far = (out_folder(None, scenario, o) for o in ([], ["device.spacing=0.04"], ["device.spacing=0.06"]))
+    plain, near, far = (out_folder(None, scenario, o) for o in ([], ["device.spacing=0.04"], ["device.spacing=0.05"]))
     assert plain == Path("results/scenario")
     assert len({plain, near, far}) == 3
     assert near == out_folder(None, scenario, ["device.spacing = 0.040"])  # the value counts, not how it is written
@@ -105,10 +105,10 @@ def test_what_is_set_has_a_folder_of_its_own() -> None:
 
 def test_files_of_another_scenario_leave_the_folder(scene: Path) -> None:
     cli("render", "small.toml", "--out", "one", cwd=scene)
-    answer = cli("solve", "small.toml", "--set", "device.spacing=0.06", "--out", "one", cwd=scene)
+    answer = cli("solve", "small.toml", "--set", "device.spacing=0.05", "--out", "one", cwd=scene)
     assert "drives.nc" in answer.err
     assert not {"drives.nc", "displacements.nc", "signal_strength.csv"} & set(leftovers(scene / "one"))
-    assert {abs(p.position[0]) for p in read_transfer(scene / "one/transfer.nc").inputs} == {0.03}
+    assert {abs(p.position[0]) for p in read_transfer(scene / "one/transfer.nc").inputs} == {0.025}
 
 
 def test_figures_find_the_wavelet_wherever_they_are_made(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -16,7 +16,7 @@ from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, Surfa
 from ..typing import FloatArray, IntArray
 from .bending import bent_middles, with_bends
 from .contacts import check_contact_areas, with_contacts, with_true_rims
-from .cramped import refuse_if_too_many, why_cramped
+from .cramped import why_cramped
 from .extent import check_room
 from .imprint import imprint
 from .landing import FacetSkin
@@ -51,7 +51,6 @@ def build_mesh(
     """Tetrahedra of the scenario's limb, bent along its walls; ``scale`` multiplies every element size."""
     sizes, say = element_sizes(scenario, shear_speed, scale=scale), progress or _silent
     size = SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading)
-    refuse_if_too_many(scenario, size)
     if isinstance(scenario.limb, MeshLimb):
         return _on_users_mesh(scenario, scenario.limb, base, size, say, scale)
     for attempt in range(1, _ATTEMPTS + 1):

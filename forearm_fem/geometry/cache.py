@@ -18,11 +18,12 @@ from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.mesh import MeshOptions
 from .bending import with_bends
 from .build import Progress, build_mesh
+from .cramped import refuse_if_too_many
 from .files import read_mesh, write_mesh
 from .layout import RIGID, layout_of
 from .mesh import TissueMesh
 from .quality import check_count
-from .sizing import element_sizes
+from .sizing import SizeField, element_sizes
 
 _QUALITY = MeshOptions().min_quality
 GENERATOR = 7  # raise when the same scenario would give another mesh
@@ -44,6 +45,8 @@ def cached_mesh(
     ``base`` is the scenario file's folder. A file that cannot be read or whose contents changed is logged and
     passed over. Meshes come out the same each time, but for the user's surfaces: fTetWild is not repeatable.
     """
+    sizes = element_sizes(scenario, shear_speed, scale=scale)
+    refuse_if_too_many(scenario, SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading))
     key = mesh_key(scenario, base=base, scale=scale, shear_speed=shear_speed)
     for folder in shipped_folders(base, shipped_dir):
         if (found := _look_up(folder, key)) is not None:

@@ -54,7 +54,7 @@ def punch_stiffness(contact: str, side: float, *, rim: float = 1.0) -> float:
     """
     sizes = {"size_grid": 6e-3, "size_contact": 1.2e-3, "size_far": 0.1 * side, "grading": 0.6}
     scenario = quarter_slab(
-        (), side=side, depth=side / 2, mesh=sizes, ends="fixed", contact=contact,
+        (0.008,), side=side, depth=side / 2, mesh=sizes, ends="fixed", contact=contact,
         override={"muscle": {"bulk": "incompressible", "eta": 0.0}},
     )  # fmt: skip
     value = slab_response(slab_model(scenario, scale=rim), [1e-3])[0, 0]
