@@ -55,7 +55,7 @@ VALUES: Mapping[str, Any] = {
     "rendering.regularisation_value": 0.95,
     "rendering.targets": ["6"],
     "rendering.wavelet.file": "nowhere.csv",
-    "rendering.window": "record",
+    "rendering.window": [-0.002, 0.004],
     "rendering.zeros": ["1", "2", "3", "4"],
     "solver.memory_limit": 1e6,
     "sweep.frequencies": [100.0, 110.0],
