@@ -33,7 +33,7 @@ from forearm_fem.bench.isolated import threads
 from forearm_fem.bench.scene import exact, quarter
 from forearm_fem.bench.tables import read_rows, record_machine, write_csv
 from forearm_fem.bench.text import write_page
-from forearm_fem.fem.space import mixed_space
+from forearm_fem.fem.space.numbering import mixed_space
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.tissue import resolve_tissues
 

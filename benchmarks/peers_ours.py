@@ -17,15 +17,15 @@ import numpy as np
 from forearm_fem import __version__
 from forearm_fem.bench.isolated import clock
 from forearm_fem.bench.scene import options, quarter
-from forearm_fem.fem.assembly import reference_tensors, tissue_matrices
-from forearm_fem.fem.compiled import import_compiled
-from forearm_fem.fem.factor import make_factor, refined_solve
-from forearm_fem.fem.model import ForearmModel, build_model
-from forearm_fem.fem.space import mixed_space
-from forearm_fem.fem.sweep import reduced_sweep
+from forearm_fem.fem.assembly.model import ForearmModel, build_model
+from forearm_fem.fem.assembly.tissues import reference_tensors, tissue_matrices
+from forearm_fem.fem.kernels.compiled import import_compiled
+from forearm_fem.fem.linear.factor import make_factor, refined_solve
+from forearm_fem.fem.reduction.sweep import reduced_sweep
+from forearm_fem.fem.space.numbering import mixed_space
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.mesh import TissueMesh
-from forearm_fem.geometry.place import place_ports
+from forearm_fem.geometry.device.place import place_ports
+from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.tissue import resolve_tissues
 
 BINS = np.arange(10.0, 500.25, 0.5)  # Hz

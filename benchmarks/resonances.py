@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from forearm_fem.errors import SolverError
-from forearm_fem.fem.sweep import direct_sweep, reduced_sweep
+from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block

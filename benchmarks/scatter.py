@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from forearm_fem.fem.sweep import direct_sweep
+from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.pipeline.fem_engine import fem_model
 from forearm_fem.ports import Port

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from forearm_fem.fem.direct import DirectSolver, make_solver
-from forearm_fem.fem.model import ForearmModel
+from forearm_fem.fem.assembly.model import ForearmModel
+from forearm_fem.fem.linear.direct import DirectSolver, make_solver
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.io.netcdf import read_compliance
 from forearm_fem.pipeline.fem_engine import fem_model

@@ -9,7 +9,7 @@ import sys
 import psutil
 
 from . import __version__
-from .fem.factor import available_backends
+from .fem.linear.factor import available_backends
 
 _PICTURE = (
     "import pyvista as pv; pv.OFF_SCREEN = True; p = pv.Plotter(off_screen=True, window_size=(40, 40)); "

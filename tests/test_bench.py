@@ -18,8 +18,8 @@ from forearm_fem.bench import asked, error, isolated, plots, reduced, run, scene
 from forearm_fem.bench.run import Table, run_bench
 from forearm_fem.bench.tables import Row, read_rows, record_machine, write_csv
 from forearm_fem.errors import AccuracyWarning, DataError, SolverError
-from forearm_fem.fem.certify import Certificate
-from forearm_fem.fem.sweep import SweepResult
+from forearm_fem.fem.reduction.certificate import Certificate
+from forearm_fem.fem.reduction.sweep import SweepResult
 from forearm_fem.scenario.sweep import SolverOptions
 
 

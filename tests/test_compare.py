@@ -10,11 +10,11 @@ import pytest
 from test_measurement_scene import RATE, SENSOR, SWEEP, device_for, part, plan_for, wave_matrix
 
 from forearm_fem.compare.agreement import agreement, fdac_matrix
-from forearm_fem.compare.commands import run_compare
 from forearm_fem.compare.common import common_ground
 from forearm_fem.compare.compare import compare, summary
 from forearm_fem.compare.crossplay import cross_play, wavelet_for
 from forearm_fem.compare.report import as_csv, as_json, as_markdown, picture
+from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import DataError
 from forearm_fem.io.recognise import write_measured
 from forearm_fem.measurement.calibrate import calibrate

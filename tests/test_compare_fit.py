@@ -12,9 +12,9 @@ import pytest
 from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
 
 from forearm_fem.compare.adapters import ScenarioModel, common_parameters, layered_compliance_of
-from forearm_fem.compare.commands import run_fit
 from forearm_fem.compare.fit import fit, scale_and_delay
 from forearm_fem.compare.parameters import Parameter
+from forearm_fem.compare.run import run_fit
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.ports import distances
 from forearm_fem.scenario import parse_scenario

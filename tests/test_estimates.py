@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 
 from forearm_fem.cli import app
 from forearm_fem.errors import GeometryError, MeshError, SolverError
-from forearm_fem.fem.terms import term_coefficient
+from forearm_fem.fem.assembly.terms import term_coefficient
 from forearm_fem.geometry.cache import cached_mesh, mesh_key
-from forearm_fem.geometry.quality import mean_ratio
-from forearm_fem.geometry.sizing import element_sizes
+from forearm_fem.geometry.device.sizing import element_sizes
+from forearm_fem.geometry.mesh.quality import mean_ratio
 from forearm_fem.pipeline import second_mesh as module
 from forearm_fem.pipeline.folder import Run, run_all
 from forearm_fem.pipeline.second_mesh import second_mesh

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array, random_array
 from skfem.refdom import RefTet
 
-from forearm_fem.fem import assembly, boundary
-from forearm_fem.fem.assembly import reference_tensors, tissue_matrices
-from forearm_fem.fem.constraints import tangents
-from forearm_fem.fem.elements import ElementTetP3, _orders_agree, tabulate
-from forearm_fem.fem.space import mixed_space
-from forearm_fem.fem.sparse import added, congruent, projected
+from forearm_fem.fem.assembly import boundary
+from forearm_fem.fem.assembly import tissues as assembly
+from forearm_fem.fem.assembly.tissues import reference_tensors, tissue_matrices
+from forearm_fem.fem.kernels.sparse import added, congruent, projected
+from forearm_fem.fem.space.constraints import tangents
+from forearm_fem.fem.space.elements import ElementTetP3, _orders_agree, tabulate
+from forearm_fem.fem.space.numbering import mixed_space
 from forearm_fem.verification.blocks import block_mesh
 
 SAME = 1e-13  # both sum the same numbers in double precision, in another order

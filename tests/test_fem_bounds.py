@@ -7,10 +7,10 @@ import pytest
 import scipy.linalg
 
 from forearm_fem.errors import SolverError
-from forearm_fem.fem.bounds import ResidualBound, sharp_modes
-from forearm_fem.fem.direct import make_solver
-from forearm_fem.fem.expand import expansion_rate
-from forearm_fem.fem.sweep import direct_sweep, reduced_sweep
+from forearm_fem.fem.linear.direct import make_solver
+from forearm_fem.fem.reduction.bounds import ResidualBound, sharp_modes
+from forearm_fem.fem.reduction.expansion import expansion_rate
+from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.pipeline.model_notes import model_notes
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import relative_error

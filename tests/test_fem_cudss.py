@@ -10,11 +10,11 @@ import pytest
 import stand_in_nvmath
 
 from forearm_fem.errors import SolverError
-from forearm_fem.fem import cudss
-from forearm_fem.fem import factor as factors
-from forearm_fem.fem.cudss import CudssFactor
-from forearm_fem.fem.factor import make_factor, refined_solve
-from forearm_fem.fem.sweep import direct_sweep, reduced_sweep
+from forearm_fem.fem.linear import cudss
+from forearm_fem.fem.linear import factor as factors
+from forearm_fem.fem.linear.cudss import CudssFactor
+from forearm_fem.fem.linear.factor import make_factor, refined_solve
+from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import held_block

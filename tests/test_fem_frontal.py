@@ -8,19 +8,21 @@ from numba.extending import get_cython_function_address
 from scipy.sparse import csr_array, triu
 
 from forearm_fem.errors import SolverError
-from forearm_fem.fem import factor as factors
-from forearm_fem.fem.coefficients import rate_weights
-from forearm_fem.fem.direct import make_solver
-from forearm_fem.fem.factor import CautiousFactor, make_factor, refined_solve
-from forearm_fem.fem.frontal import blas, panels
-from forearm_fem.fem.frontal.factor import MultifrontalFactor, scales
-from forearm_fem.fem.frontal.parts import divided
-from forearm_fem.fem.frontal.supernodes import analyse
-from forearm_fem.fem.operator import WeightedSum
-from forearm_fem.fem.ordering import nested_dissection
-from forearm_fem.fem.pardiso import PardisoFactor, library
+from forearm_fem.fem.assembly.coefficients import rate_weights
+from forearm_fem.fem.assembly.operator import WeightedSum
+from forearm_fem.fem.linear import factor as factors
+from forearm_fem.fem.linear.direct import make_solver
+from forearm_fem.fem.linear.factor import CautiousFactor, make_factor, refined_solve
+from forearm_fem.fem.linear.multifrontal import blas, panels
+from forearm_fem.fem.linear.multifrontal.factor import MultifrontalFactor, scales
+from forearm_fem.fem.linear.multifrontal.parts import divided
+from forearm_fem.fem.linear.multifrontal.supernodes import analyse
+from forearm_fem.fem.linear.ordering import nested_dissection
+from forearm_fem.fem.linear.pardiso import PardisoFactor, library
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.verification.scenes import flesh, held_block
+
+FACTOR = "forearm_fem.fem.linear.multifrontal.factor"
 
 OMEGA = 2 * np.pi * 100
 pytestmark = pytest.mark.skipif(not factors._compiles(), reason="numba or pymetis is not installed")
@@ -195,9 +197,9 @@ def test_parts_hold_every_front_once(factor, threads):
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_any_number_of_threads_gives_the_same(model, upper, factor, threads, monkeypatch):
-    monkeypatch.setattr("forearm_fem.fem.frontal.factor.divided", lambda symbolic, _: divided(symbolic, threads))
-    monkeypatch.setattr("forearm_fem.fem.frontal.factor._MANY_ROWS", 0)
-    monkeypatch.setattr("forearm_fem.fem.frontal.factor.thread_count", lambda: threads)
+    monkeypatch.setattr(FACTOR + ".divided", lambda symbolic, _: divided(symbolic, threads))
+    monkeypatch.setattr(FACTOR + "._MANY_ROWS", 0)
+    monkeypatch.setattr(FACTOR + ".thread_count", lambda: threads)
     order = nested_dissection(upper, model.operator.n_displacements)
     other = MultifrontalFactor(upper, model.operator.n_displacements, order)
     other.factorise(upper.data)
@@ -332,9 +334,9 @@ def dissected(rows: np.ndarray) -> list[int]:
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_deep_tree_of_fronts(threads, monkeypatch):
     """Remainders are stacked and moved many times: ten levels, where random patterns have two or three."""
-    monkeypatch.setattr("forearm_fem.fem.frontal.factor.divided", lambda symbolic, _: divided(symbolic, threads))
-    monkeypatch.setattr("forearm_fem.fem.frontal.factor._MANY_ROWS", 0)
-    monkeypatch.setattr("forearm_fem.fem.frontal.factor.thread_count", lambda: threads)
+    monkeypatch.setattr(FACTOR + ".divided", lambda symbolic, _: divided(symbolic, threads))
+    monkeypatch.setattr(FACTOR + "._MANY_ROWS", 0)
+    monkeypatch.setattr(FACTOR + ".thread_count", lambda: threads)
     full, order = grid(48), np.array(dissected(np.arange(48**2).reshape(48, 48)))
     factor = MultifrontalFactor(upper_of(full), len(full), order)
     assert depth(factor.symbolic.parent) >= 8

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from forearm_fem.errors import SolverError
-from forearm_fem.fem.coefficients import rate_weights
-from forearm_fem.fem.direct import ENOUGH, DirectSolver, make_solver, watched
-from forearm_fem.fem.expand import expansion_rate
-from forearm_fem.fem.krylov import Chunk, RateSpace
-from forearm_fem.fem.model import ForearmModel
-from forearm_fem.fem.reduce import empty_model, with_last_columns
-from forearm_fem.fem.sweep import direct_sweep, reduced_sweep
+from forearm_fem.fem.assembly.coefficients import rate_weights
+from forearm_fem.fem.assembly.model import ForearmModel
+from forearm_fem.fem.linear.direct import ENOUGH, DirectSolver, make_solver, watched
+from forearm_fem.fem.reduction.expansion import expansion_rate
+from forearm_fem.fem.reduction.rate_space import Chunk, RateSpace
+from forearm_fem.fem.reduction.reduced_model import empty_model, with_last_columns
+from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.tissue import Hysteretic, KelvinVoigt, Tissue
 from forearm_fem.transfer import relative_error

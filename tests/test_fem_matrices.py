@@ -9,15 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array, random_array, triu
 
-from forearm_fem.fem import assembly, sparse
-from forearm_fem.fem import basis as bases
-from forearm_fem.fem import factor as factors
-from forearm_fem.fem import matrices as kept
-from forearm_fem.fem import operator as operators
-from forearm_fem.fem.coefficients import Polynomial
-from forearm_fem.fem.matrices import SymmetricMatrices
-from forearm_fem.fem.operator import affine_operator
-from forearm_fem.fem.sweep import reduced_sweep
+from forearm_fem.fem.assembly import operator as operators
+from forearm_fem.fem.assembly import tissues as assembly
+from forearm_fem.fem.assembly.coefficients import Polynomial
+from forearm_fem.fem.assembly.operator import affine_operator
+from forearm_fem.fem.kernels import matrices as kept
+from forearm_fem.fem.kernels import sparse
+from forearm_fem.fem.kernels.matrices import SymmetricMatrices
+from forearm_fem.fem.linear import factor as factors
+from forearm_fem.fem.reduction import basis as bases
+from forearm_fem.fem.reduction.sweep import reduced_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.verification.scenes import flesh, held_block
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array, csr_array
 
-from forearm_fem.fem import ordering
-from forearm_fem.fem.compiled import compiled
-from forearm_fem.fem.ordering import alike, nested_dissection
-from forearm_fem.fem.pardiso import PardisoFactor, library
+from forearm_fem.fem.kernels.compiled import compiled
+from forearm_fem.fem.linear import ordering
+from forearm_fem.fem.linear.ordering import alike, nested_dissection
+from forearm_fem.fem.linear.pardiso import PardisoFactor, library
 from forearm_fem.verification.scenes import flesh, held_block
 
 pytestmark = [

@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array, eye_array
 
-from forearm_fem.fem.assembly import constrained_matrices, reference_tensors, tissue_matrices
-from forearm_fem.fem.elements import tabulate
-from forearm_fem.fem.loads import edge_middles
-from forearm_fem.fem.orders import Orders, graded_orders, uniform_orders
-from forearm_fem.geometry.contacts import facet_area
-from forearm_fem.geometry.mesh import TissueMesh
-from forearm_fem.geometry.neighbourhood import DEPTH, REACH, tetrahedron_orders, tissue_depths, usual_edge
-from forearm_fem.geometry.refine import refine
-from forearm_fem.geometry.sizing import element_sizes
-from forearm_fem.geometry.skin import skin_edges, with_finer_skin
+from forearm_fem.fem.assembly.loads import edge_middles
+from forearm_fem.fem.assembly.tissues import constrained_matrices, reference_tensors, tissue_matrices
+from forearm_fem.fem.space.elements import tabulate
+from forearm_fem.fem.space.orders import Orders, graded_orders, uniform_orders
+from forearm_fem.geometry.device.contacts import facet_area
+from forearm_fem.geometry.device.neighbourhood import DEPTH, REACH, tetrahedron_orders, tissue_depths, usual_edge
+from forearm_fem.geometry.device.sizing import element_sizes
+from forearm_fem.geometry.mesh.refinement import refine
+from forearm_fem.geometry.mesh.subdivision import skin_edges, with_finer_skin
+from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.verification.blocks import FACES, block_mesh

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from forearm_fem.errors import GeometryError
-from forearm_fem.fem.boundary import facet_load
-from forearm_fem.fem.model import build_model
-from forearm_fem.fem.sweep import direct_sweep
-from forearm_fem.geometry import sizing
-from forearm_fem.geometry.mesh import TissueMesh
+from forearm_fem.fem.assembly.boundary import facet_load
+from forearm_fem.fem.assembly.model import build_model
+from forearm_fem.fem.reduction.sweep import direct_sweep
+from forearm_fem.geometry.device import sizing
+from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.ports import Port
 from forearm_fem.scenario.supports import Supports
 from forearm_fem.scenario.tissues import Membrane

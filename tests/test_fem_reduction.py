@@ -7,15 +7,15 @@ import pytest
 from scipy.sparse import csr_array
 
 from forearm_fem.errors import SolverError
-from forearm_fem.fem import basis as bases
-from forearm_fem.fem.basis import Basis, orthonormal_extension, real_columns
-from forearm_fem.fem.certify import doubt, probe_frequencies
-from forearm_fem.fem.compress import compressed, pole_residue
-from forearm_fem.fem.direct import make_solver
-from forearm_fem.fem.expand import expansion_frequencies
-from forearm_fem.fem.pardiso import library
-from forearm_fem.fem.reduce import empty_model, extend, with_last_columns
-from forearm_fem.fem.sweep import direct_sweep, reduced_sweep
+from forearm_fem.fem.linear.direct import make_solver
+from forearm_fem.fem.linear.pardiso import library
+from forearm_fem.fem.reduction import basis as bases
+from forearm_fem.fem.reduction.basis import Basis, orthonormal_extension, real_columns
+from forearm_fem.fem.reduction.certificate import doubt, probe_frequencies
+from forearm_fem.fem.reduction.expansion import expansion_frequencies
+from forearm_fem.fem.reduction.poles import compressed, pole_residue
+from forearm_fem.fem.reduction.reduced_model import empty_model, extend, with_last_columns
+from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
 from forearm_fem.transfer import relative_error

@@ -8,14 +8,14 @@ import pytest
 from scipy.sparse import csr_array
 
 from forearm_fem.errors import SolverError
-from forearm_fem.fem import factor as factors
-from forearm_fem.fem.coefficients import Polynomial
-from forearm_fem.fem.direct import make_solver
-from forearm_fem.fem.factor import SuperLUFactor, make_factor, refined_solve
-from forearm_fem.fem.operator import affine_operator
-from forearm_fem.fem.pardiso import PardisoFactor, library
-from forearm_fem.fem.sweep import direct_sweep
-from forearm_fem.fem.symmetric import SymmetricMatrix
+from forearm_fem.fem.assembly.coefficients import Polynomial
+from forearm_fem.fem.assembly.operator import affine_operator
+from forearm_fem.fem.kernels.symmetric import SymmetricMatrix
+from forearm_fem.fem.linear import factor as factors
+from forearm_fem.fem.linear.direct import make_solver
+from forearm_fem.fem.linear.factor import SuperLUFactor, make_factor, refined_solve
+from forearm_fem.fem.linear.pardiso import PardisoFactor, library
+from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block

@@ -14,9 +14,9 @@ from forearm_fem.device import close_loop, contact_state
 from forearm_fem.figures import Results
 from forearm_fem.figures.patch import volar_patch
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.files import write_mesh
-from forearm_fem.geometry.mesh import TissueMesh
-from forearm_fem.geometry.place import place_ports
+from forearm_fem.geometry.device.place import place_ports
+from forearm_fem.geometry.mesh.files import write_mesh
+from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.io import (
     stack,
     strength_rows,

@@ -10,16 +10,18 @@ import pytest
 from bad_meshes import BROUGHT, FINE, FINE_TETRA, MESHES, SURFACES, Brought
 
 from forearm_fem.errors import ForearmError, GeometryError, MeshError
-from forearm_fem.geometry import build, crossing, nearby, surfaces, tetwild
+from forearm_fem.geometry import build
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.geometry.cells import joined
-from forearm_fem.geometry.layout import layout_of
-from forearm_fem.geometry.mesh import TissueMesh
-from forearm_fem.geometry.nearby import meeting
-from forearm_fem.geometry.quality import check_mesh, mesh_quality
-from forearm_fem.geometry.surfaces import read_surfaces
-from forearm_fem.geometry.topology import boundary_faces
-from forearm_fem.geometry.usermesh import user_mesh
+from forearm_fem.geometry.device.layout import layout_of
+from forearm_fem.geometry.mesh import nearby
+from forearm_fem.geometry.mesh.nearby import meeting
+from forearm_fem.geometry.mesh.quality import check_mesh, mesh_quality
+from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
+from forearm_fem.geometry.mesh.topology import boundary_faces
+from forearm_fem.geometry.user import crossing, surfaces, tetwild
+from forearm_fem.geometry.user.cells import joined
+from forearm_fem.geometry.user.meshes import user_mesh
+from forearm_fem.geometry.user.surfaces import read_surfaces
 from forearm_fem.scenario import load_scenario, parse_scenario
 
 WRONG = [case for case in BROUGHT if case.says]

@@ -36,6 +36,7 @@ from test_measurement_scene import (
 
 from forearm_fem.errors import ForearmError
 from forearm_fem.io.csvfiles import write_csv
+from forearm_fem.io.declaration import Declaration, RecognitionWarning
 from forearm_fem.io.matlab_import import write_mat73
 from forearm_fem.io.netcdf import write_transfer
 from forearm_fem.io.recognise import read_measured
@@ -44,7 +45,6 @@ from forearm_fem.io.tdms import read_sweep_tdms, write_tdms
 from forearm_fem.io.uff import write_uff
 from forearm_fem.io.wav import read_wav_drives, write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected, record
-from forearm_fem.measurement.declaration import Declaration, RecognitionWarning
 from forearm_fem.measurement.diagnostics import diagnose
 from forearm_fem.measurement.entry import entry
 from forearm_fem.measurement.play import play

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forearm_fem.geometry import bending
-from forearm_fem.geometry.bending import bent, with_bends
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import cached_mesh
-from forearm_fem.geometry.curved import bent_jacobians, bent_places, straight_jacobians, true_volumes
-from forearm_fem.geometry.mesh import Bends
-from forearm_fem.geometry.topology import EDGES
-from forearm_fem.geometry.tube import tube_of
+from forearm_fem.geometry.limb import bending
+from forearm_fem.geometry.limb.bending import bent, with_bends
+from forearm_fem.geometry.limb.tube import tube_of
+from forearm_fem.geometry.mesh.curved import bent_jacobians, bent_places, straight_jacobians, true_volumes
+from forearm_fem.geometry.mesh.tissue_mesh import Bends
+from forearm_fem.geometry.mesh.topology import EDGES
 from forearm_fem.scenario import parse_scenario
 
 COARSE = {"size_grid": 5e-3, "size_contact": 3e-3, "size_far": 12e-3}

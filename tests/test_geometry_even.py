@@ -10,16 +10,16 @@ from scipy.spatial import Delaunay
 
 from forearm_fem.errors import MeshError
 from forearm_fem.geometry.build import build_mesh, limb_volume
-from forearm_fem.geometry.chart import Chart, spread
-from forearm_fem.geometry.core import _bone_wall, _check_tubes
-from forearm_fem.geometry.curved import true_volumes
-from forearm_fem.geometry.filling import Shell, fill
-from forearm_fem.geometry.prisms import oriented, stack_prisms
-from forearm_fem.geometry.quality import check_mesh
-from forearm_fem.geometry.sizing import element_sizes
-from forearm_fem.geometry.slivers import without_slivers
-from forearm_fem.geometry.topology import boundary_faces, mean_ratios
-from forearm_fem.geometry.tube import lattice, tube_of
+from forearm_fem.geometry.device.sizing import element_sizes
+from forearm_fem.geometry.limb.chart import Chart, spread
+from forearm_fem.geometry.limb.core import _bone_wall, _check_tubes
+from forearm_fem.geometry.limb.filling import Shell, fill
+from forearm_fem.geometry.limb.prisms import oriented, stack_prisms
+from forearm_fem.geometry.limb.slivers import without_slivers
+from forearm_fem.geometry.limb.tube import lattice, tube_of
+from forearm_fem.geometry.mesh.curved import true_volumes
+from forearm_fem.geometry.mesh.quality import check_mesh
+from forearm_fem.geometry.mesh.topology import boundary_faces, mean_ratios
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 
 ROOT = Path(__file__).parents[1]

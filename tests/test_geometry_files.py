@@ -14,13 +14,13 @@ import pytest
 import trimesh
 
 from forearm_fem.errors import GeometryError, MeshError
-from forearm_fem.geometry import tetwild
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import cached_mesh, default_cache_dir, mesh_key
-from forearm_fem.geometry.contacts import facet_area
-from forearm_fem.geometry.files import read_mesh, write_mesh
-from forearm_fem.geometry.place import place_ports
-from forearm_fem.geometry.quality import check_mesh, mesh_quality
+from forearm_fem.geometry.device.contacts import facet_area
+from forearm_fem.geometry.device.place import place_ports
+from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
+from forearm_fem.geometry.mesh.quality import check_mesh, mesh_quality
+from forearm_fem.geometry.user import tetwild
 from forearm_fem.scenario import parse_scenario
 
 SLAB = {

@@ -7,12 +7,12 @@ import pytest
 
 from forearm_fem.errors import GeometryError
 from forearm_fem.geometry.build import build_mesh, limb_volume
-from forearm_fem.geometry.contacts import facet_area, from_axis
-from forearm_fem.geometry.place import place_ports
-from forearm_fem.geometry.quality import check_mesh, mesh_quality
-from forearm_fem.geometry.refine import refine, refine_skin, rim_edges
-from forearm_fem.geometry.sizing import element_sizes
-from forearm_fem.geometry.tube import tube_of
+from forearm_fem.geometry.device.contacts import facet_area, from_axis
+from forearm_fem.geometry.device.place import place_ports
+from forearm_fem.geometry.device.sizing import element_sizes
+from forearm_fem.geometry.limb.tube import tube_of
+from forearm_fem.geometry.mesh.quality import check_mesh, mesh_quality
+from forearm_fem.geometry.mesh.refinement import refine, refine_skin, rim_edges
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.limb import ForearmLimb
 

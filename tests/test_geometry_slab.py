@@ -9,12 +9,12 @@ import pytest
 
 from forearm_fem.errors import GeometryError, MeshError
 from forearm_fem.geometry.build import build_mesh, limb_volume
-from forearm_fem.geometry.contacts import facet_area, from_axis
-from forearm_fem.geometry.place import place_ports
-from forearm_fem.geometry.quality import check_mesh, mean_ratio, mesh_quality, nodes_per_wavelength
-from forearm_fem.geometry.refine import onto_circle, refine, refine_rims, rim_edges
-from forearm_fem.geometry.sizing import SECOND, element_sizes
-from forearm_fem.geometry.topology import FACES, keys
+from forearm_fem.geometry.device.contacts import facet_area, from_axis
+from forearm_fem.geometry.device.place import place_ports
+from forearm_fem.geometry.device.sizing import SECOND, element_sizes
+from forearm_fem.geometry.mesh.quality import check_mesh, mean_ratio, mesh_quality, nodes_per_wavelength
+from forearm_fem.geometry.mesh.refinement import onto_circle, refine, refine_rims, rim_edges
+from forearm_fem.geometry.mesh.topology import FACES, keys
 from forearm_fem.scenario import Scenario, parse_scenario
 
 COARSE = {"size_grid": 4e-3, "size_contact": 2e-3, "size_far": 12e-3}
@@ -330,7 +330,7 @@ def test_a_hanging_vertex_is_found(quarter):
     tets[t] = np.where(tets[t] == b, new, tets[t])
     tets[-1] = np.where(tets[-1] == a, new, tets[-1])
     points = np.vstack([m.points, m.points[[a, b]].mean(axis=0)])
-    from forearm_fem.geometry.topology import boundary_faces
+    from forearm_fem.geometry.mesh.topology import boundary_faces
 
     faces, _ = boundary_faces(tets)
     hung = _with(m, points=points, tetrahedra=tets, region=np.append(m.region, m.region[t]), facets={"skin": faces})

@@ -23,7 +23,8 @@ from forearm_fem.compare.adapters import ScenarioModel, layered_compliance_of
 from forearm_fem.compare.compare import compare
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.measurement.calibrate import calibrate, collected
-from forearm_fem.measurement.commands import (
+from forearm_fem.measurement.estimators import fourier_division, predicted_deviation, spectra
+from forearm_fem.measurement.run import (
     VirtualSetup,
     calibration_plan,
     planform_ports,
@@ -31,7 +32,6 @@ from forearm_fem.measurement.commands import (
     virtual_device,
     with_loopback,
 )
-from forearm_fem.measurement.estimators import fourier_division, predicted_deviation, spectra
 from forearm_fem.measurement.sweep import ExponentialSweep, excited
 from forearm_fem.measurement.virtual import VirtualSensor, noise_for
 from forearm_fem.metrics import signal_strength

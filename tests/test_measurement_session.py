@@ -31,8 +31,8 @@ from forearm_fem.errors import DataError, HardwareError, ScenarioError
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.wav import write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected
-from forearm_fem.measurement.commands import VirtualSetup, run_calibration, run_play
 from forearm_fem.measurement.play import play
+from forearm_fem.measurement.run import VirtualSetup, run_calibration, run_play
 from forearm_fem.measurement.store import read_recording
 from forearm_fem.measurement.virtual import Faults, VirtualDaq, VirtualOptions
 from forearm_fem.scenario import parse_scenario

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from forearm_fem.fem import direct, expand, krylov, sweep
-from forearm_fem.fem.expand import Expansion
-from forearm_fem.fem.factor import available_backends
-from forearm_fem.geometry.skin import with_finer_skin
+from forearm_fem.fem.linear import direct
+from forearm_fem.fem.linear.factor import available_backends
+from forearm_fem.fem.reduction import expansion as expand
+from forearm_fem.fem.reduction import rate_space as krylov
+from forearm_fem.fem.reduction import sweep
+from forearm_fem.fem.reduction.expansion import Expansion
+from forearm_fem.geometry.mesh.subdivision import with_finer_skin
 from forearm_fem.io.matlab import read_thesis_mat
 from forearm_fem.io.netcdf import read_compliance, read_transfer
 from forearm_fem.pipeline import folder

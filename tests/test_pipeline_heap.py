@@ -9,7 +9,7 @@ import numpy as np
 import psutil
 import pytest
 
-from forearm_fem.pipeline.heap import freed_memory_kept
+from forearm_fem.pipeline.malloc import freed_memory_kept
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library than glibc")

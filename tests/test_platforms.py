@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from forearm_fem.fem import factor as factors
+from forearm_fem.fem.linear import factor as factors
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 OPTIONAL = ("pymetis", "mkl", "nvmath", "nidaqmx", "pyuff", "nptdms", "imageio", "trame", "dask", "distributed")

@@ -18,8 +18,8 @@ from pydantic.fields import FieldInfo
 from forearm_fem.errors import AccuracyWarning, ForearmError
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import mesh_key
-from forearm_fem.geometry.mesh import TissueMesh
-from forearm_fem.geometry.quality import mesh_quality
+from forearm_fem.geometry.mesh.quality import mesh_quality
+from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.pipeline import solved
 from forearm_fem.pipeline.folder import accuracy_verdict
 from forearm_fem.pipeline.forecast import forecast, refuse_if_signals_too_large

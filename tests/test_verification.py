@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from forearm_fem.errors import GeometryError
-from forearm_fem.geometry.curved import true_volumes
+from forearm_fem.geometry.mesh.curved import true_volumes
 from forearm_fem.verification import cases, hard, slabs, twin
 from forearm_fem.verification.blocks import block_mesh, shell_mesh
 from forearm_fem.verification.hard_rows import HardCase, Outcome

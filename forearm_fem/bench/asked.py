@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from time import process_time
 
-from ..fem.model import ForearmModel
-from ..fem.sweep import reduced_sweep
-from ..geometry.sizing import element_sizes
+from ..fem.assembly.model import ForearmModel
+from ..fem.reduction.sweep import reduced_sweep
+from ..geometry.device.sizing import element_sizes
 from ..pipeline.fem_engine import reduction_tolerance
 from ..pipeline.resources import Ledger
 from ..pipeline.two_meshes import COARSER, estimated_errors

@@ -9,7 +9,7 @@ from time import perf_counter, process_time
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator
 
-from ..fem.sweep import direct_sweep, reduced_sweep
+from ..fem.reduction.sweep import direct_sweep, reduced_sweep
 from ..layered import Disc, layered_compliance
 from ..pipeline.layered_engine import flat_layers
 from ..pipeline.resources import Ledger

@@ -14,7 +14,7 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from ..errors import SolverError
-from ..fem.compiled import import_compiled
+from ..fem.kernels.compiled import import_compiled
 
 A = TypeVar("A")
 R = TypeVar("R")

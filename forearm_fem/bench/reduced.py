@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..fem.direct import DirectSolver, make_solver
-from ..fem.model import ForearmModel
-from ..fem.sweep import SweepResult, reduced_sweep
+from ..fem.assembly.model import ForearmModel
+from ..fem.linear.direct import DirectSolver, make_solver
+from ..fem.reduction.sweep import SweepResult, reduced_sweep
 from ..geometry.build import build_mesh
 from ..pipeline.fem_engine import fem_model
 from ..pipeline.frequencies import frequencies

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..fem.factor import make_factor, refined_solve
+from ..fem.linear.factor import make_factor, refined_solve
 from ..pipeline.resources import Ledger
 from ..verification.scenes import slab_model
 from .isolated import clock

@@ -29,7 +29,7 @@ from ..errors import DataError, one_sentence
 from ..scenario import Scenario, apply_overrides, scenario_file
 
 if TYPE_CHECKING:
-    from ..measurement.declaration import Declaration
+    from ..io.declaration import Declaration
     from ..pipeline.folder import Run
 
 console = Console(stderr=True)
@@ -196,7 +196,7 @@ def declaration(items: Sequence[str] | None) -> Declaration | None:
         return None
     from pydantic import ValidationError
 
-    from ..measurement.declaration import Declaration
+    from ..io.declaration import Declaration
 
     try:
         return Declaration.model_validate(apply_overrides({}, items))

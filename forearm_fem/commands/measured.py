@@ -27,7 +27,7 @@ from .common import (
 
 if TYPE_CHECKING:
     from ..measurement.calibrate import Progress
-    from ..measurement.commands import CalibrationResult, VirtualSetup
+    from ..measurement.run import CalibrationResult, VirtualSetup
 
 DaqChoice = Annotated[Literal["virtual", "ni"], typer.Option("--daq", help="virtual: through a G; ni: a cDAQ")]
 Through = Annotated[
@@ -71,7 +71,7 @@ def calibrate(
 def _calibrated(
     asked: Scenario, folder: Path, daq: Literal["virtual", "ni"], virtual: VirtualSetup | None, *, ask: bool
 ) -> CalibrationResult:
-    from ..measurement.commands import run_calibration
+    from ..measurement.run import run_calibration
 
     with Display() as display, noted(), stop_on_ctrl_c() as stop:
 
@@ -111,7 +111,7 @@ def _virtual(
     overrides: Overrides,
 ) -> VirtualSetup:  # fmt: skip
     from ..io.recognise import read_measured
-    from ..measurement.commands import VirtualSetup
+    from ..measurement.run import VirtualSetup
     from ..pipeline.folder import run_solve
 
     if through is None:
@@ -134,7 +134,7 @@ def play(
     snr: Snr = 60.0,
 ) -> None:
     """Send drive signals, faded and within the voltage limit; Ctrl-C ramps down, twice cuts."""
-    from ..measurement.commands import run_play
+    from ..measurement.run import run_play
 
     asked = load_scenario(scenario, overrides=overrides or ())
     signals = drives / "drives.nc" if drives.is_dir() else drives
@@ -158,7 +158,7 @@ def compare(
     render: Annotated[bool, typer.Option(help="play the drives designed on one through the other")] = True,
 ) -> None:
     """How far apart two G are: per entry, overall, in S, in dispersion; table, figures, JSON."""
-    from ..compare.commands import run_compare
+    from ..compare.run import run_compare
     from ..io.lock import locked
 
     folder = out or Path("results") / f"compare-{a.stem}-{b.stem}"
@@ -181,7 +181,7 @@ def fit(
     frequencies: Annotated[int, typer.Option(min=2, help="of the measured bins, evenly spread")] = 24,
 ) -> None:
     """Fit parameters of a scenario (on its layered twin) to a measured G; says what the data cannot tell."""
-    from ..compare.commands import run_fit
+    from ..compare.run import run_fit
     from ..io.lock import locked
 
     asked = load_scenario(scenario, overrides=overrides or ())

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..device.loop import close_loop
 from ..errors import ScenarioError
-from ..geometry.layout import layers_of
+from ..geometry.device.layout import layers_of
 from ..layered import Layer, layered_compliance
 from ..pipeline.layered_engine import flat_disc, flat_surface
 from ..ports import Port

@@ -11,10 +11,10 @@ from types import MappingProxyType
 from typing import Any
 
 from ..errors import DataError
-from ..geometry.bending import with_bends
-from ..geometry.files import read_mesh
-from ..geometry.mesh import TissueMesh
-from ..geometry.skin import with_finer_skin
+from ..geometry.limb.bending import with_bends
+from ..geometry.mesh.files import read_mesh
+from ..geometry.mesh.subdivision import with_finer_skin
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io import (
     Signals,
     StrengthRow,

@@ -14,9 +14,9 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import FigureBase
 from matplotlib.patches import Patch
 
-from ..geometry.curved import true_volumes
-from ..geometry.mesh import TissueMesh
-from ..geometry.neighbourhood import tetrahedron_orders
+from ..geometry.device.neighbourhood import tetrahedron_orders
+from ..geometry.mesh.curved import true_volumes
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port, positions
 from ..tissue import resolve_tissues
 from ..typing import FloatArray

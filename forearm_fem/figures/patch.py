@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.tri import Triangulation
 
 from ..errors import DataError
-from ..geometry.mesh import TissueMesh
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port, positions
 from ..typing import ComplexArray, FloatArray, IntArray
 from ..wavefield import Wavefield

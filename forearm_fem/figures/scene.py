@@ -14,7 +14,7 @@ import pyvista as pv
 import vtk
 
 from ..errors import ForearmError
-from ..geometry.mesh import TissueMesh
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..typing import FloatArray, IntArray
 from .style import INK, TISSUES

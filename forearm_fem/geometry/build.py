@@ -14,24 +14,24 @@ from ..ports import Port
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, SurfacesLimb
 from ..typing import FloatArray, IntArray
-from .bending import bent_middles, with_bends
-from .contacts import check_contact_areas, with_contacts, with_true_rims
-from .cramped import why_cramped
-from .extent import check_room
-from .imprint import imprint
-from .landing import FacetSkin
-from .layout import RIGID, layout_of
-from .limb import limb_mesh, underside
-from .mesh import TissueMesh
-from .place import place_ports, ports_on, true_skin
-from .quality import check_count, check_mesh
-from .refine import midpoints, refine_near, refine_rims, refine_skin
-from .sizing import WIDEST, SizeField, Sizes, SpaceField, element_sizes
-from .slab import slab_mesh
-from .surfaces import read_surfaces, surfaces_mesh
-from .tetwild import MeshTimeout
-from .tube import Tube, tube_of
-from .usermesh import user_mesh
+from .device.contacts import check_contact_areas, with_contacts, with_true_rims
+from .device.cramped import why_cramped
+from .device.imprint import imprint
+from .device.landing import FacetSkin
+from .device.layout import RIGID, layout_of
+from .device.place import place_ports, ports_on, true_skin
+from .device.sizing import WIDEST, SizeField, Sizes, SpaceField, element_sizes
+from .limb.bending import bent_middles, with_bends
+from .limb.layered import limb_mesh, underside
+from .limb.slab import slab_mesh
+from .limb.tube import Tube, tube_of
+from .mesh.quality import check_count, check_mesh
+from .mesh.refinement import midpoints, refine_near, refine_rims, refine_skin
+from .mesh.tissue_mesh import TissueMesh
+from .user.extent import check_room
+from .user.meshes import user_mesh
+from .user.surfaces import read_surfaces, surfaces_mesh
+from .user.tetwild import MeshTimeout
 
 Progress = Callable[[str], None]
 _ATTEMPTS = 3  # meshes of curved limbs begin with random numbers: others may succeed where some did not

@@ -16,14 +16,14 @@ from ..io.atomic import write_text
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.mesh import MeshOptions
-from .bending import with_bends
 from .build import Progress, build_mesh
-from .cramped import refuse_if_too_many
-from .files import read_mesh, write_mesh
-from .layout import RIGID, layout_of
-from .mesh import TissueMesh
-from .quality import check_count
-from .sizing import SizeField, element_sizes
+from .device.cramped import refuse_if_too_many
+from .device.layout import RIGID, layout_of
+from .device.sizing import SizeField, element_sizes
+from .limb.bending import with_bends
+from .mesh.files import read_mesh, write_mesh
+from .mesh.quality import check_count
+from .mesh.tissue_mesh import TissueMesh
 
 _QUALITY = MeshOptions().min_quality
 GENERATOR = 7  # raise when the same scenario would give another mesh

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..scenario import Scenario, load_scenario
 from .cache import ship_mesh
-from .quality import mesh_quality
+from .mesh.quality import mesh_quality
 
 
 def main(arguments: list[str] | None = None) -> None:

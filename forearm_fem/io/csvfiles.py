@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError
-from ..measurement.declaration import RawMatrix, port_from
 from ..ports import Port
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .atomic import write_bytes
+from .declaration import RawMatrix, port_from
 from .seal import BLANK, MARK, check_seals, sealed
 
 _COLUMNS = ("frequency_Hz", "output", "input", "real", "imag", "valid", "deviation")

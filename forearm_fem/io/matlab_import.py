@@ -15,10 +15,10 @@ import numpy as np
 from scipy.io import loadmat
 
 from ..errors import DataError
-from ..measurement.declaration import Axis, Declaration, RawMatrix, RecognitionWarning
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, FloatArray
 from .atomic import atomic_path, write_bytes
+from .declaration import Axis, Declaration, RawMatrix, RecognitionWarning
 from .matlab import mat5, stamped
 from .seal import BLANK, check_seals, sealed
 

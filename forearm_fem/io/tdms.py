@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError, MissingExtra
-from ..measurement.declaration import RawMatrix, port_from
-from ..measurement.recording import Recording
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .atomic import atomic_path, write_bytes
+from .declaration import RawMatrix, port_from
+from .recording import Recording
 from .seal import BLANK, check_seals, sealed
 
 _GROUP = "G"

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError, MissingExtra
-from ..measurement.declaration import RawMatrix, port_from
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .atomic import atomic_path
+from .declaration import RawMatrix, port_from
 from .seal import BLANK, check_seals, sealed
 
 _MARK = "forearm_fem e^{+i omega t}"

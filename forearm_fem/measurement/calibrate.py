@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError, HardwareError
+from ..io.recording import Recording
 from ..ports import Port
 from ..scenario.measurement import MeasurementOptions
 from .daq import Daq, Session, Wiring
 from .diagnostics import Finding
 from .entry import Entry, Measured, assemble, entry
-from .recording import Recording
 from .store import Folder, digest_of
 from .sweep import ExponentialSweep
 

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.fft import irfft, rfft
 from scipy.stats import f as fisher
 
+from ..io.recording import Recording
 from ..typing import BoolArray, FloatArray
-from .recording import Recording
 
 Severity = Literal["error", "warning"]
 _ROUNDING = 1e-28  # of an energy: below it is rounding, not noise

@@ -10,13 +10,13 @@ import numpy as np
 from scipy.fft import rfftfreq
 
 from ..errors import DataError
+from ..io.recording import Recording
 from ..ports import Port
 from ..scenario.measurement import MeasurementOptions, Quantity
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .diagnostics import Finding, diagnose
 from .estimators import Estimate, estimate, spectra
-from .recording import Recording
 from .sweep import excited
 
 POWERS: Mapping[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}

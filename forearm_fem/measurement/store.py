@@ -17,7 +17,7 @@ import numpy as np
 
 from ..errors import DataError
 from ..io.atomic import atomic_path, write_text
-from .recording import Recording
+from ..io.recording import Recording
 
 _VERSION = 1
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..fem.coefficients import Polynomial
-from ..fem.expand import Snapshots
-from ..fem.model import ForearmModel, build_model
-from ..fem.sweep import SweepResult, direct_sweep, reduced_sweep
-from ..geometry.mesh import TissueMesh
-from ..geometry.place import place_ports
+from ..fem.assembly.coefficients import Polynomial
+from ..fem.assembly.model import ForearmModel, build_model
+from ..fem.reduction.expansion import Snapshots
+from ..fem.reduction.sweep import SweepResult, direct_sweep, reduced_sweep
+from ..geometry.device.place import place_ports
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..scenario import Scenario
 from ..scenario.supports import Supports
 from ..tissue import Tissue, resolve_tissues

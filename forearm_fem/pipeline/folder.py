@@ -18,9 +18,9 @@ from ..device import close_loop, contact_state, respond
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..geometry.build import limb_volume
 from ..geometry.cache import cached_mesh
-from ..geometry.files import write_mesh
-from ..geometry.mesh import TissueMesh
-from ..geometry.quality import mesh_quality
+from ..geometry.mesh.files import write_mesh
+from ..geometry.mesh.quality import mesh_quality
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
 from ..io.matlab import write_thesis_mat

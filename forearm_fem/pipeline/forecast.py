@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SolverError
-from ..fem.coefficients import is_polynomial
-from ..fem.factor import choose_backend
-from ..fem.orders import element_orders
+from ..fem.assembly.coefficients import is_polynomial
+from ..fem.linear.factor import choose_backend
+from ..fem.space.orders import element_orders
 from ..geometry.cache import cached_mesh
-from ..geometry.mesh import TissueMesh
-from ..geometry.place import place_ports
-from ..geometry.quality import Resolution, nodes_per_wavelength
+from ..geometry.device.place import place_ports
+from ..geometry.mesh.quality import Resolution, nodes_per_wavelength
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..scenario import Scenario
 from ..tissue import resolve_tissues

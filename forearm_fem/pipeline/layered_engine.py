@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import ScenarioError
-from ..geometry.layout import layers_of, layout_of
-from ..geometry.place import parametric_skin, ports_on
+from ..geometry.device.layout import layers_of, layout_of
+from ..geometry.device.place import parametric_skin, ports_on
 from ..layered import Disc, Layer, Surface, layered_compliance
 from ..ports import Port
 from ..scenario import Scenario

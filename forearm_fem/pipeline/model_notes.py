@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..geometry.mesh import TissueMesh
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..scenario import Scenario
 from .forecast import forecast
 from .frequencies import frequencies

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import GeometryError, ScenarioError
-from ..geometry.layout import layout_of
+from ..geometry.device.layout import layout_of
 from ..ports import Port
 from ..rendering import (
     AutoZeros,

@@ -9,9 +9,9 @@ import numpy as np
 
 from ..errors import ForearmError, MeshError
 from ..geometry.cache import cached_mesh
-from ..geometry.layout import RIGID
-from ..geometry.mesh import TissueMesh
-from ..geometry.refine import rim_edges
+from ..geometry.device.layout import RIGID
+from ..geometry.mesh.refinement import rim_edges
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb
 from .two_meshes import COARSER

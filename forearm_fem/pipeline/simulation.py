@@ -12,7 +12,7 @@ import numpy as np
 from ..device import close_loop
 from ..errors import AccuracyWarning, ScenarioError
 from ..geometry.cache import cached_mesh
-from ..geometry.mesh import TissueMesh
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..rendering import Limits, Rendering, render_all
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb

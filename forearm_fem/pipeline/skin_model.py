@@ -10,10 +10,10 @@ import numpy as np
 
 from ..device import close_loop
 from ..errors import ScenarioError
-from ..fem.basis import Basis
-from ..fem.compress import PoleResidue, pole_residue
-from ..fem.reduce import ReducedModel
-from ..fem.terms import term_coefficient
+from ..fem.assembly.terms import term_coefficient
+from ..fem.reduction.basis import Basis
+from ..fem.reduction.poles import PoleResidue, pole_residue
+from ..fem.reduction.reduced_model import ReducedModel
 from ..io.reduced import POLES, ReducedFile, read_reduced, write_reduced
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario

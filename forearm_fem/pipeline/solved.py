@@ -17,14 +17,14 @@ from scipy.sparse import csr_array, eye_array, kron, vstack
 
 from .. import __version__
 from ..errors import DataError, ForearmError
-from ..fem.basis import Basis
-from ..fem.expand import Expansion
-from ..fem.krylov import Chunk, Pairs
-from ..fem.loads import edge_middles
+from ..fem.assembly.loads import edge_middles
+from ..fem.reduction.basis import Basis
+from ..fem.reduction.expansion import Expansion
+from ..fem.reduction.rate_space import Chunk, Pairs
 from ..geometry.cache import default_cache_dir
-from ..geometry.mesh import TissueMesh
-from ..geometry.place import place_ports
-from ..geometry.skin import skin_edges
+from ..geometry.device.place import place_ports
+from ..geometry.mesh.subdivision import skin_edges
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
 from ..io.netcdf import read_compliance, write_compliance
@@ -33,7 +33,7 @@ from ..scenario.limb import SlabLimb
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
-from .heap import freed_memory_kept
+from .malloc import freed_memory_kept
 from .second_mesh import second_mesh
 from .skin_model import SkinModel, load_skin_model, save_skin_model
 
@@ -192,7 +192,7 @@ class _Store:
         self._folder = folder
 
     def get(self, frequency: float) -> Expansion | None:
-        """An expansion of an interrupted sweep; see :class:`forearm_fem.fem.sweep.Snapshots`."""
+        """An expansion of an interrupted sweep; see :class:`forearm_fem.fem.reduction.sweep.Snapshots`."""
         try:
             with self._snapshot(f"{frequency:g}").open("rb") as stream, np.load(stream) as data:
                 series = tuple(data[f"order{k}"] for k in range(int(data["count"])))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pydantic import BaseModel
 
-from ..geometry.layout import layers_of
+from ..geometry.device.layout import layers_of
 from ..scenario import Scenario
 from ..scenario.limb import ForearmLimb, MeshLimb, SurfacesLimb, forearm_length
 from ..scenario.sweep import SolverOptions

@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 
 from ..errors import DataError, HardwareError, MissingExtra
-from ..measurement.commands import planform_ports
 from ..measurement.daq import Daq
 from ..measurement.ni import NiDaq
+from ..measurement.run import planform_ports
 from ..measurement.sound import SoundCard
 from ..measurement.virtual import VirtualDaq, VirtualOptions
 from ..pipeline.renderers import wavelet

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..geometry.mesh import Bends, TissueMesh
-from ..geometry.prisms import oriented, stack_prisms
-from ..geometry.topology import EDGES, boundary_faces
+from ..geometry.limb.prisms import oriented, stack_prisms
+from ..geometry.mesh.tissue_mesh import Bends, TissueMesh
+from ..geometry.mesh.topology import EDGES, boundary_faces
 from ..typing import FloatArray, IntArray
 
 FACES = ("x0", "x1", "y0", "y1", "z0", "z1")

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..fem.compress import pole_residue
-from ..fem.sweep import direct_sweep, reduced_sweep
+from ..fem.reduction.poles import pole_residue
+from ..fem.reduction.sweep import direct_sweep, reduced_sweep
 from ..scenario.sweep import SolverOptions
 from ..transfer import relative_error
 from .closed import free_block_error, punch_stiffness, shear_bar_errors, sphere_errors

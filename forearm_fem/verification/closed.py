@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..fem.boundary import facet_load
-from ..fem.model import build_model
-from ..fem.sweep import direct_sweep
+from ..fem.assembly.boundary import facet_load
+from ..fem.assembly.model import build_model
+from ..fem.reduction.sweep import direct_sweep
 from ..layered import kelvin_voigt_shear_wave
 from ..ports import Port
 from ..scenario.supports import Supports

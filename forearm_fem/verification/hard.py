@@ -10,10 +10,10 @@ import numpy as np
 import scipy.linalg
 
 from ..errors import ForearmError
-from ..fem.model import ForearmModel, build_model
-from ..fem.sweep import direct_sweep
+from ..fem.assembly.model import ForearmModel, build_model
+from ..fem.reduction.sweep import direct_sweep
 from ..geometry.build import build_mesh
-from ..geometry.mesh import TissueMesh
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..layered import Disc, Layer, layered_compliance
 from ..pipeline.two_meshes import COARSER, remaining_error
 from ..ports import Port

@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from ..fem.model import ForearmModel
-from ..fem.sweep import direct_sweep, reduced_sweep
+from ..fem.assembly.model import ForearmModel
+from ..fem.reduction.sweep import direct_sweep, reduced_sweep
 from ..scenario.sweep import SolverOptions
 from ..transfer import relative_error
 from ..typing import FloatArray

@@ -14,11 +14,11 @@ import numpy as np
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet, RefTri
 
-from ..fem.boundary import facet_normals
-from ..fem.elements import tabulate
-from ..fem.factor import make_factor, refined_solve
-from ..fem.model import build_model
-from ..fem.space import MixedSpace, facet_points
+from ..fem.assembly.boundary import facet_normals
+from ..fem.assembly.model import build_model
+from ..fem.linear.factor import make_factor, refined_solve
+from ..fem.space.elements import tabulate
+from ..fem.space.numbering import MixedSpace, facet_points
 from ..scenario.supports import Supports
 from ..scenario.tissues import Membrane
 from ..tissue import KelvinVoigt, Tissue

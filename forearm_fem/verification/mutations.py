@@ -16,10 +16,11 @@ from unittest import mock
 import numpy as np
 
 from ..errors import ForearmError
-from ..fem import assembly, loads
-from ..fem.coefficients import Polynomial
-from ..fem.operator import AffineOperator, WeightedSum
-from ..fem.space import MixedSpace
+from ..fem.assembly import loads
+from ..fem.assembly import tissues as assembly
+from ..fem.assembly.coefficients import Polynomial
+from ..fem.assembly.operator import AffineOperator, WeightedSum
+from ..fem.space.numbering import MixedSpace
 from . import cases, slabs
 from .rows import Row
 

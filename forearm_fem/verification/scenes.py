@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ..fem.factor import make_factor, refined_solve
-from ..fem.model import ForearmModel, build_model
-from ..fem.sweep import direct_sweep
+from ..fem.assembly.model import ForearmModel, build_model
+from ..fem.linear.factor import make_factor, refined_solve
+from ..fem.reduction.sweep import direct_sweep
 from ..geometry.build import build_mesh
-from ..geometry.mesh import TissueMesh
-from ..geometry.place import place_ports
+from ..geometry.device.place import place_ports
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..layered import Base, Disc, Layer, layered_compliance
 from ..pipeline.layered_engine import flat_layers, flat_surface
 from ..ports import Port

@@ -1,0 +1,221 @@
+"""What `forearm-fem compare` and `fit` do, as plain functions; the command line only prints."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..device.loop import UNITS
+from ..errors import DataError
+from ..io.atomic import write_text
+from ..io.declaration import Declaration
+from ..io.netcdf import write_transfer
+from ..io.recognise import read_measured
+from ..ports import Port
+from ..scenario import Scenario
+from ..transfer import TransferMatrix
+from .adapters import ComplianceOf, ScenarioModel, common_parameters, layered_compliance_of
+from .common import common_ground
+from .compare import Comparison, compare, plain
+from .fit import FitResult, fit
+from .readings import best_reading, explained
+from .report import as_markdown, save
+
+__all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
+
+
+@dataclass(frozen=True, eq=False)
+class CompareResult:
+    """The comparison, its table as text and the files written (none without a folder)."""
+
+    comparison: Comparison
+    text: str
+    files: tuple[Path, ...]
+
+
+def run_compare(
+    a: str | Path | TransferMatrix,
+    b: str | Path | TransferMatrix,
+    *,
+    folder: str | Path | None = None,
+    declaration_a: Declaration | None = None,
+    declaration_b: Declaration | None = None,
+    render: bool = True,
+) -> CompareResult:
+    """Compare B against A, each a file of any kind known or a TransferMatrix; write into ``folder`` if
+    given.
+    """
+    first, second = _load(a, declaration_a), _load(b, declaration_b)
+    names = (_name(a, "A"), _name(b, "B"))
+    result = compare(first, second, names=names, render=render)
+    files = save(result, folder) if folder is not None else ()
+    return CompareResult(result, as_markdown(result), files)
+
+
+def _load(what: str | Path | TransferMatrix, declaration: Declaration | None) -> TransferMatrix:
+    return what if isinstance(what, TransferMatrix) else read_measured(what, declaration)
+
+
+def _name(what: str | Path | TransferMatrix, otherwise: str) -> str:
+    if isinstance(what, TransferMatrix):
+        return otherwise
+    file = Path(what)
+    return file.resolve().parent.name if file.name == "transfer.nc" else file.name
+
+
+@dataclass(frozen=True, eq=False)
+class FitCommandResult:
+    """The fit, the fitted scenario's model of G on the frequencies used, a text and the files written."""
+
+    fit: FitResult
+    model: TransferMatrix
+    text: str
+    files: tuple[Path, ...]
+
+
+def run_fit(
+    scenario: Scenario,
+    measured: str | Path | TransferMatrix,
+    parameters: Sequence[str],
+    *,
+    folder: str | Path | None = None,
+    declaration: Declaration | None = None,
+    frequencies: int = 24,
+    compliance_of: ComplianceOf | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> FitCommandResult:
+    """Fit ``parameters`` (short names of :func:`common_parameters`) of ``scenario`` to a measured G.
+
+    ``frequencies`` of its bins are used, spread evenly; the layered twin answers unless ``compliance_of``
+    is given (a reduced FE model, say, on these frequencies). Actuators of the device that were not measured are there
+    all the same. Writes fit.json, fit.md and fitted.nc into ``folder``; their notes say which reading of the data
+    (:mod:`.readings`) would make model and data agree. DataError for a G without valid entries, of another drive than
+    ``device.drive``, or of inputs that the device does not have.
+    """
+    data = thinned(_load(measured, declaration), frequencies)
+    _check_drive(scenario, data)
+    skin = compliance_of or layered_compliance_of(data.frequency, data.outputs, all_inputs(scenario, data))
+    whole = ScenarioModel(scenario, skin)
+
+    def model(values: Mapping[str, float]) -> TransferMatrix:
+        return answering(whole(values), data)
+
+    chosen = common_parameters(scenario, parameters)
+    result = fit(model, data, chosen, progress=progress)
+    best = model({n: v for n, v in result.values.items() if n not in ("scale", "delay")})
+    start = model({p.name: p.start for p in chosen if p.name not in ("scale", "delay")})
+    notes = _explained(data, (start, best))
+    text = fit_text(result, notes)
+    files = () if folder is None else _save_fit(Path(folder), result, best, text, notes)
+    return FitCommandResult(result, best, text, files)
+
+
+def _check_drive(scenario: Scenario, data: TransferMatrix) -> None:
+    """DataError where the scenario's drive gives another unit than the data have."""
+    if (unit := UNITS[scenario.device.drive]) != data.unit:
+        drive = next((d for d, u in UNITS.items() if u == data.unit), None)
+        remedy = f"set device.drive = '{drive}', or correct the unit declared" if drive else "correct the unit declared"
+        raise DataError(
+            f"the measured G is in {data.unit}, but device.drive = '{scenario.device.drive}' gives {unit}; {remedy}"
+        )
+
+
+def all_inputs(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:
+    """The device's actuators A1, A2, ... as ports: where they were measured, at the place that the data give.
+
+    DataError for inputs that the device does not have.
+    """
+    own = {
+        f"A{k + 1}": Port(f"A{k + 1}", "contact", (float(x), float(y), 0.0), radius=scenario.device.cone.radius)
+        for k, (x, y) in enumerate(scenario.device.centres)
+    }
+    if strange := [p.name for p in data.inputs if p.name not in own]:
+        raise DataError(
+            f"the measured G has the inputs {', '.join(strange)[:80]}, the scenario's device {', '.join(own)[:80]}; "
+            "name each input after its actuator, or give the device as many (device.contacts)"
+        )
+    return tuple((own | {p.name: p for p in data.inputs}).values())
+
+
+def answering(model: TransferMatrix, data: TransferMatrix) -> TransferMatrix:
+    """The rows and columns of ``model`` that ``data`` have, in their order; DataError where one is missing."""
+    names = [p.name for p in model.outputs], [p.name for p in model.inputs]
+    wanted = [p.name for p in data.outputs], [p.name for p in data.inputs]
+    for known, asked in zip(names, wanted, strict=True):
+        if missing := [n for n in asked if n not in known]:
+            raise DataError(f"the model has no {', '.join(missing)[:100]}; it has {', '.join(known)[:100]}")
+    rows, columns = ([k.index(n) for n in w] for k, w in zip(names, wanted, strict=True))
+    return replace(
+        model,
+        values=model.values[:, rows][:, :, columns],
+        outputs=tuple(model.outputs[r] for r in rows),
+        inputs=tuple(model.inputs[c] for c in columns),
+        contacts=None if model.contacts is None else model.contacts[:, columns][:, :, columns],
+        errors=(),
+    )
+
+
+def _explained(data: TransferMatrix, models: tuple[TransferMatrix, ...]) -> tuple[str, ...]:
+    """The reading of the data (B) that brings them to one of the ``models`` (A), or a ratio that none explains."""
+    grounds = [common_ground(model, data) for model in models]
+    readings = [r.sentence for g in grounds if (r := best_reading(g)) is not None]
+    sentence = readings[0] if readings else explained(grounds[-1])
+    return (f"model A, data B: {sentence}",) if sentence else ()
+
+
+def thinned(measured: TransferMatrix, n: int) -> TransferMatrix:
+    """At most ``n`` of the frequencies with valid entries, evenly spread, ends included."""
+    finite = np.isfinite(measured.values)
+    usable = finite if measured.valid is None else measured.valid & finite
+    rows = np.nonzero(usable.any(axis=(1, 2)))[0]
+    if len(rows) == 0:
+        raise DataError(
+            "the measured G has no valid entry to fit to: all are marked invalid or not finite; measure again"
+        )
+    pick = rows[np.unique(np.linspace(0, len(rows) - 1, min(n, len(rows))).round().astype(int))]
+    return replace(
+        measured,
+        frequency=measured.frequency[pick],
+        values=measured.values[pick],
+        contacts=None,
+        valid=None if measured.valid is None else measured.valid[pick],
+        deviation=None if measured.deviation is None else measured.deviation[pick],
+    )
+
+
+def fit_text(result: FitResult, notes: Sequence[str] = ()) -> str:
+    """Table of the parameters, below it ``notes`` and what the fit says of itself."""
+    lines = ["| parameter | value | 95 % interval | unit |", "|---|---|---|---|"]
+    for p in result.parameters:
+        low, high = result.interval[p.name]
+        lines.append(f"| {p.name} | {result.values[p.name]:.4g} | {low:.4g} to {high:.4g} | {p.unit or '-'} |")
+    chi = "unknown (no standard deviations)" if np.isnan(result.chi2) else f"{result.chi2:.2f}"
+    lines += [
+        "",
+        f"reduced chi^2 {chi}; misfit {100 * result.e_band:.2g} % of the data's norm; {result.n_data} numbers.",
+    ]
+    return "\n".join([*lines, *notes, *result.sentences]) + "\n"
+
+
+def _save_fit(
+    folder: Path, result: FitResult, best: TransferMatrix, text: str, notes: Sequence[str]
+) -> tuple[Path, ...]:
+    content = {
+        "values": dict(result.values),
+        "deviation": {k: plain(v) for k, v in result.deviation.items()},
+        "interval_95": {k: [plain(x) for x in v] for k, v in result.interval.items()},
+        "correlation": [[plain(x) for x in row] for row in result.correlation],
+        "singular_values": [plain(x) for x in result.singular_values],
+        "chi2_reduced": plain(result.chi2),
+        "e_band": plain(result.e_band),
+        "identified": result.identified,
+        "sentences": [*notes, *result.sentences],
+    }
+    write_text(folder / "fit.json", json.dumps(content, indent=1, allow_nan=False))
+    write_text(folder / "fit.md", text)
+    write_transfer(folder / "fitted.nc", best)
+    return folder / "fit.json", folder / "fit.md", folder / "fitted.nc"

@@ -1,0 +1,1 @@
+"""From tissues and boundaries to the operator: real matrices, and scalars of frequency."""

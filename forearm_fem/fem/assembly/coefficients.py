@@ -1,0 +1,101 @@
+"""Scalar functions of frequency that multiply the operator's real matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ...typing import ComplexArray, FloatArray
+
+
+class Coefficient(Protocol):
+    """theta(omega) and its Taylor coefficients; time dependence e^{+i omega t}."""
+
+    def at(self, omega: FloatArray) -> ComplexArray:
+        """Values (n,) at angular frequencies (n,) [rad/s]."""
+        ...
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """Coefficients c_0 ... c_n of theta(omega0 + d) = sum_k c_k d^k."""
+        ...
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """theta = constant + i omega rate - omega^2 inertia: springs, dashpots and masses."""
+
+    constant: float = 0.0
+    rate: float = 0.0
+    inertia: float = 0.0
+
+    def at(self, omega: FloatArray) -> ComplexArray:
+        """See :class:`Coefficient`."""
+        w = np.asarray(omega, dtype=float)
+        return self.constant + 1j * w * self.rate - w**2 * self.inertia
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """See :class:`Coefficient`."""
+        terms = [complex(self.at(np.array(omega0))), 1j * self.rate - 2 * omega0 * self.inertia, -self.inertia]
+        return np.array((terms + [0.0] * n)[: n + 1], dtype=complex)
+
+
+@dataclass(frozen=True)
+class Impedance:
+    """theta = i omega sqrt(density mu*(omega)): shear waves of a ``modulus`` that leave through a plane."""
+
+    density: float
+    modulus: Coefficient
+
+    def at(self, omega: FloatArray) -> ComplexArray:
+        """See :class:`Coefficient`."""
+        w = np.asarray(omega, dtype=float)
+        return np.asarray(1j * w * np.sqrt(self.density * self.modulus.at(w)))
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """See :class:`Coefficient`; the root of a series, term by term."""
+        squared, root = self.density * self.modulus.taylor(omega0, n), np.zeros(n + 1, dtype=complex)
+        root[0] = np.sqrt(squared[0])
+        for k in range(1, n + 1):
+            root[k] = (squared[k] - root[1:k] @ root[1:k][::-1]) / (2 * root[0])
+        return np.asarray(1j * (omega0 * root + np.concatenate([[0.0], root[:-1]])))
+
+
+def is_polynomial(coefficient: Coefficient) -> bool:
+    """Whether it is a real polynomial in i omega of second degree at most (a hysteretic modulus is a complex one).
+
+    Asked at 1 rad/s: at zero a springpot has no series, and a hysteretic modulus is real.
+    """
+    value, slope, curvature, rest = coefficient.taylor(1.0, 3)
+    odd = (value - slope + curvature).imag, (slope - 2 * curvature).real, curvature.imag
+    return not rest and bool(np.abs(odd).max() <= 1e-12 * abs(value))
+
+
+def polynomial_weights(taylor: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weights (n,) of 1, i omega and -omega^2 from Taylor coefficients (n, 3) about zero."""
+    return taylor[:, 0].real, (taylor[:, 1] / 1j).real, (-taylor[:, 2]).real
+
+
+def rate_weights(coefficients: Sequence[Coefficient], rate: float) -> FloatArray:
+    """Weights (3, n_term) of A_0, A_1 and A_2 in A(s) = A_0 + A_1 d + A_2 d^2 with s = ``rate`` (1 + d) for i omega.
+
+    For Kelvin-Voigt moduli; at a real rate [1/s] all are real.
+    """
+    constant, slope, inertia = polynomial_weights(np.array([c.taylor(0.0, 2) for c in coefficients]))
+    first, second = rate * slope, rate**2 * inertia
+    return np.array([constant + first + second, first + 2 * second, second])
+
+
+def grouped(coefficients: Sequence[Coefficient]) -> list[tuple[FloatArray, Coefficient]]:
+    """As few sums of terms as A(omega) can be made of: weights (n_term,), and what each sum is multiplied with.
+
+    All polynomial terms together are a constant, i omega and -omega^2; each other term stays alone.
+    """
+    alone = [not is_polynomial(c) for c in coefficients]
+    about_zero = [np.zeros(3) if out else c.taylor(0.0, 2) for c, out in zip(coefficients, alone, strict=True)]
+    units = (Polynomial(constant=1.0), Polynomial(rate=1.0), Polynomial(inertia=1.0))
+    common = zip(polynomial_weights(np.array(about_zero)), units, strict=True)
+    others = zip(np.eye(len(alone))[alone], [c for c, out in zip(coefficients, alone, strict=True) if out], strict=True)
+    return [(weights, c) for weights, c in common if weights.any()] + list(others)

@@ -1,0 +1,221 @@
+"""From a mesh, tissues and supports to the operator and the port vectors: all that the solvers need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import block_array, csc_array, csr_array
+
+from ...geometry.mesh.tissue_mesh import TissueMesh
+from ...ports import Port
+from ...scenario.supports import Supports
+from ...scenario.tissues import Membrane
+from ...tissue import Tissue
+from ...typing import FloatArray, IntArray
+from ..kernels.sparse import added, congruent
+from ..space.constraints import Constraints, RigidDisc, constraints
+from ..space.numbering import MixedSpace
+from ..space.orders import Orders, element_orders
+from .boundary import facet_gradients, facet_mass, facet_membrane
+from .coefficients import Coefficient, is_polynomial
+from .loads import force_share, port_functional
+from .operator import AffineOperator, affine_operator
+from .terms import term_coefficient
+from .tissues import TissueMatrices, constrained_matrices
+
+_AT_A_TIME = 2  # tissues: each needs room for its matrices before constraints
+
+
+@dataclass(frozen=True)
+class ForearmModel:
+    """Operator A(omega), port functionals and shares of force.
+
+    ``functionals`` (n, n_port): displacement of port i is f_i . x; a unit force on port j loads the system with
+    ``shares[j]`` f_j (shares differ from 1 on symmetry planes only).
+    """
+
+    space: MixedSpace
+    constraints: Constraints
+    operator: AffineOperator
+    ports: tuple[Port, ...]
+    functionals: FloatArray
+    shares: FloatArray
+
+    def displacements(self, x: NDArray[Any]) -> NDArray[Any]:
+        """Displacement components (n_nodes, 3, ...) of solutions ``x`` (n, ...), constraints undone."""
+        full = self.constraints.transform @ x[: self.operator.n_displacements]
+        return np.asarray(full.reshape(self.space.n_nodes, 3, *x.shape[1:]))
+
+    @cached_property
+    def degrees_of_freedom(self) -> tuple[int, int]:
+        """Displacement and pressure unknowns that are solved for."""
+        return self.operator.n_displacements, self.operator.n - self.operator.n_displacements
+
+
+Matrices = list[tuple[str, csr_array]]
+
+
+def build_model(
+    mesh: TissueMesh,
+    ports: tuple[Port, ...],
+    tissues: Mapping[str, Tissue],
+    supports: Supports,
+    membrane: Membrane,
+    *,
+    element: str = "P2",
+) -> ForearmModel:
+    """Assemble everything; raises GeometryError for contacts that the mesh cannot carry."""
+    orders = element_orders(mesh, ports, element)
+    space, kept = orders.high, _constraints(orders, ports, supports)
+    rules = Constraints(orders.carried(kept.transform), kept.masters)
+    order = _order(space, rules)
+    kept, rules = kept.renumbered(order), rules.renumbered(order)
+    names = mesh.region_names
+    with ThreadPoolExecutor(_AT_A_TIME) as pool:  # sparse products and sums run without Python's lock
+        parts = list(pool.map(lambda region: constrained_matrices(orders, region, kept.transform), range(len(names))))
+    displacement = _shear_and_mass(names, parts) + _boundaries(space, supports, membrane, rules.transform)
+    operator = _with_pressure(
+        names, parts, tissues, displacement, lambda name: term_coefficient(name, tissues, supports, membrane)
+    )
+    functionals = np.zeros((operator.n, len(ports)))
+    for i, port in enumerate(ports):
+        functionals[: operator.n_displacements, i] = _functional(space, port, rules)
+    shares = np.array([force_share(space, p) for p in ports])
+    return ForearmModel(space, rules, operator, ports, functionals, shares)
+
+
+def _order(space: MixedSpace, rules: Constraints) -> IntArray:
+    """Unknowns tissue by tissue, in each along the longest side, interfaces between their tissues.
+
+    Products with a tissue's matrices then find rows together, and more of x in the cache.
+    """
+    columns = csc_array(rules.transform)
+    node = columns.indices[columns.indptr[:-1]] // 3  # one that moves with each unknown
+    side = int(np.argmax(np.ptp(space.node_points, axis=0)))
+    return np.asarray(np.lexsort((space.node_points[node, side], _tissue(space)[node])))
+
+
+def _tissue(space: MixedSpace) -> IntArray:
+    """First plus last of the regions (n_nodes,) that each node belongs to."""
+    first, last = np.full(space.n_nodes, len(space.mesh.region_names)), np.zeros(space.n_nodes, dtype=np.int64)
+    for region in range(len(space.mesh.region_names)):
+        mine = space.nodes[space.mesh.region == region].ravel()
+        first[mine], last[mine] = np.minimum(first[mine], region), region
+    return np.asarray(first + last)
+
+
+def _functional(space: MixedSpace, port: Port, rules: Constraints) -> FloatArray:
+    if port.name in rules.masters and port.kind == "contact":
+        return np.asarray(np.eye(1, rules.transform.shape[1], rules.masters[port.name])[0])
+    return np.asarray(rules.transform.T @ port_functional(space, port))
+
+
+def _constraints(orders: Orders, ports: tuple[Port, ...], supports: Supports) -> Constraints:
+    """Rules for the kept nodes; those that no tetrahedron has are held, because nothing else does."""
+    facets = orders.high.mesh.facets
+    held = [facets[name] for name in _held(supports) if name in facets and len(facets[name])]
+    nodes = [orders.unused(), *(orders.kept_on(f) for f in held)]
+    planes = {
+        axis: orders.kept_on(facets[name]) for name, axis in (("symmetry x", 0), ("symmetry y", 1)) if name in facets
+    }
+    discs = tuple(_disc(orders, p) for p in ports if _is_rigid(p))
+    return constraints(orders.spread.shape[1], np.unique(np.concatenate(nodes)), planes, discs)
+
+
+def _held(supports: Supports) -> list[str]:
+    names = ["bone"] if supports.bone == "rigid" else []
+    names += ["end"] if supports.ends == "fixed" else []
+    return names + (["underside"] if supports.underside == "fixed" else [])
+
+
+def _is_rigid(port: Port) -> bool:
+    return port.kind == "contact" and port.contact != "pressure"
+
+
+def _disc(orders: Orders, port: Port) -> RigidDisc:
+    facets = orders.high.mesh.facets.get(f"contact {port.name}", np.zeros((0, 3), dtype=np.int64))
+    nodes = orders.kept_on(facets) if len(facets) else np.zeros(0, dtype=np.int64)
+    return RigidDisc(port.name, nodes, np.array(port.axis), port.contact == "bonded")
+
+
+def _shear_and_mass(names: tuple[str, ...], parts: list[TissueMatrices]) -> Matrices:
+    result: Matrices = []
+    for name, part in zip(names, parts, strict=True):
+        result += [(f"shear {name}", part.shear), (f"mass {name}", part.mass)]
+    return result
+
+
+def _boundaries(space: MixedSpace, supports: Supports, membrane: Membrane, transform: csr_array) -> Matrices:
+    facets = space.mesh.facets
+    result: Matrices = []
+    if supports.ends == "absorb" and len(facets.get("end", ())):
+        result += _dashpots(space, facets["end"])
+    if supports.underside == "foam" and len(facets.get("underside", ())):
+        result.append(("foam", facet_mass(space, facets["underside"])))
+    skin = facets["skin"]
+    if membrane.mass:
+        result.append(("skin mass", facet_mass(space, skin)))
+    if membrane.tension:
+        result.append(("skin tension", facet_gradients(space, skin)))
+    if membrane.stiffness or membrane.viscosity:
+        result.append(("skin membrane", facet_membrane(space, skin)))
+    return [(name, congruent(matrix, transform)) for name, matrix in result]
+
+
+def _dashpots(space: MixedSpace, facets: IntArray) -> Matrices:
+    """Viscous dashpots in all directions on the cut ends, per tissue.
+
+    The shear impedance is taken for the normal direction too: rho c_p would be a wall at 10-500 Hz.
+    """
+    tets, _ = space.owners(facets)
+    regions = space.mesh.region[tets]
+    result: Matrices = []
+    for region, name in enumerate(space.mesh.region_names):
+        mine = facets[regions == region]
+        if len(mine):
+            result.append((f"dashpots {name}", facet_mass(space, mine)))
+    return result
+
+
+def _with_pressure(
+    names: tuple[str, ...],
+    parts: list[TissueMatrices],
+    tissues: Mapping[str, Tissue],
+    displacement: Matrices,
+    coefficient: Callable[[str], Coefficient],
+) -> AffineOperator:
+    """Saddle system [[K, -B^T], [-B, -M_p/bulk]] with pressures scaled to the size of the stiffness."""
+    divergence = added([part.divergence for part in parts])
+    storage = added([part.pressure_mass / tissues[name].bulk for name, part in zip(names, parts, strict=True)])
+    n_p, n_u = divergence.shape
+    scale = _pressure_scale([(m, coefficient(name)) for name, m in displacement], divergence)
+    whole: Matrices = [(name, _enlarged(m, n_u + n_p)) for name, m in displacement]
+    coupling = csr_array(block_array([[None, -scale * divergence.T], [-scale * divergence, None]]))
+    whole.append(("incompressibility", coupling))
+    compressed = csr_array(block_array([[csr_array((n_u, n_u)), None], [None, -(scale**2) * storage]]))
+    whole.append(("compression", compressed))
+    return affine_operator([(name, m, coefficient(name)) for name, m in whole], n_u, scale)
+
+
+def _enlarged(matrix: csr_array, n: int) -> csr_array:
+    """The matrix with empty rows and columns up to ``n``."""
+    indptr = np.concatenate([matrix.indptr, np.full(n - matrix.shape[0], matrix.indptr[-1])])
+    return csr_array((matrix.data, matrix.indices, indptr), shape=(n, n))
+
+
+def _pressure_scale(displacement: list[tuple[csr_array, Coefficient]], divergence: csr_array) -> float:
+    """Pascals per pressure unknown that make the coupling as large as a typical stiffness.
+
+    That is the static one; at 100 Hz where a modulus is no polynomial, as a springpot has no static stiffness.
+    """
+    stiffness = sum(
+        np.abs(complex(c.at(np.array(0.0 if is_polynomial(c) else 2 * np.pi * 100.0)))) * m.diagonal()
+        for m, c in displacement
+    )
+    return float(np.median(stiffness) / np.median(np.abs(divergence.data)))

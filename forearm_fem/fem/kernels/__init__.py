@@ -1,0 +1,1 @@
+"""Compiled products and sums of matrices; what each computes is tested against an obvious version."""

@@ -1,0 +1,160 @@
+"""Real symmetric matrices of one size that are multiplied with the same columns, all in one pass over the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from ...typing import ComplexArray, FloatArray, IntArray
+from .compiled import compiled
+from .threads import in_threads, thread_count
+
+_LANES = 8  # doubles that a row needs at least
+_PIECES = 4  # for each thread, of as much work
+_LARGE = 100_000  # entries below which threads gain nothing
+
+
+@dataclass(frozen=True)
+class SymmetricMatrices:
+    """Matrices A_t, whole, one behind the other.
+
+    ``indptr`` (n_matrix, n + 1) point into the ``indices`` and ``data`` (nnz of all).
+    """
+
+    indptr: IntArray
+    indices: IntArray
+    data: FloatArray
+
+    @classmethod
+    def from_uppers(cls, uppers: Sequence[csr_array]) -> SymmetricMatrices:
+        """The symmetric matrices with these upper triangles, columns ascending in each row."""
+        parts = in_threads(_whole, uppers)
+        starts = np.cumsum([0, *(len(indices) for _, indices, _ in parts)])
+        indptr = np.array([own + start for (own, _, _), start in zip(parts, starts, strict=False)], dtype=np.int64)
+        return cls(indptr, *(np.concatenate([part[k] for part in parts]) for k in (1, 2)))
+
+    @property
+    def n(self) -> int:
+        """Rows and columns of each matrix."""
+        return int(self.indptr.shape[1]) - 1
+
+    def one(self, t: int) -> csr_array:
+        """Matrix A_t for scipy."""
+        start, end = self.indptr[t, 0], self.indptr[t, -1]
+        return csr_array((self.data[start:end], self.indices[start:end], self.indptr[t] - start), shape=(self.n,) * 2)
+
+    def touching(self, rows: slice) -> list[int]:
+        """Which matrices have entries in ``rows``."""
+        return np.flatnonzero(self.indptr[:, rows.stop] > self.indptr[:, rows.start]).tolist()
+
+    def products(self, x: NDArray[Any]) -> Callable[[int, slice], FloatArray]:
+        """What gives some rows (m, k) of A_t x, for t and these rows.
+
+        ``x`` (n, k) are real columns, in single or double precision.
+
+        Raises ValueError for another n, beyond which compiled code would read.
+        """
+        self._check(x)
+        kernels, k = compiled("rows"), x.shape[1]
+        if kernels is None:
+            return lambda t, rows: np.asarray(self.one(t)[rows] @ x)
+        wide = _wide(x)
+
+        def product(t: int, rows: slice) -> FloatArray:
+            y = np.empty((rows.stop - rows.start, wide.shape[1]))
+            kernels.some_rows((rows.start, rows.stop), self.indptr[t], self.indices, self.data, wide, y)
+            return y[:, :k]
+
+        return product
+
+    def real_sum(self, weights: FloatArray, columns: Sequence[FloatArray]) -> FloatArray:
+        """sum_j sum_t ``weights[j, t]`` A_t x_j (n, k) for real ``columns`` x_j (n, k), all of one width.
+
+        Raises ValueError for other shapes, beyond which compiled code would read.
+        """
+        self._check(columns[0], *(x for x in columns if x.shape != columns[0].shape))
+        kernels, k = compiled("rows"), columns[0].shape[1]
+        if kernels is None:
+            used = [(t, j) for j, t in np.argwhere(weights)]
+            return np.asarray(sum((weights[j, t] * (self.one(t) @ columns[j]) for t, j in used), np.zeros((self.n, k))))
+        sources = [_wide(x) for x in columns]
+        total, addresses = np.empty((self.n, sources[0].shape[1])), np.array([x.ctypes.data for x in sources])
+
+        def work(piece: tuple[int, int]) -> None:
+            kernels.weighted_rows(piece, self.indptr, self.indices, self.data, addresses, weights, total)
+
+        self._in_pieces(work, self._work)
+        return total[:, :k]
+
+    def add_products_in_place(self, totals: Sequence[ComplexArray], weights: ComplexArray, x: ComplexArray) -> None:
+        """Add sum_t ``weights[o, t]`` A_t x to ``totals[o]`` (n, k), for complex columns ``x`` (n, k).
+
+        Raises ValueError for other shapes, beyond which compiled code would read and write.
+        """
+        self._check(x, *(total for total in totals if total.shape != x.shape))
+        kernels, k = compiled("rows"), x.shape[1]
+        if kernels is None or not all(total.flags.c_contiguous for total in totals):
+            return self._added_by_scipy(totals, weights, x)
+        pairs = _wide(np.ascontiguousarray(x).view(float))
+        narrow = pairs.shape[1] > 2 * k  # fewer columns than the kernel takes
+        sums = [np.zeros((self.n, _LANES // 2), complex) for _ in totals] if narrow else totals
+        addresses, weights = np.array([s.ctypes.data for s in sums]), np.ascontiguousarray(weights, dtype=complex)
+
+        def work(piece: tuple[int, int]) -> None:
+            kernels.add_weighted_rows(
+                piece, self.indptr, self.indices, self.data, pairs.ctypes.data, pairs.shape[1], weights, addresses
+            )
+
+        self._in_pieces(work, self._work)
+        if narrow:
+            for total, found in zip(totals, sums, strict=True):
+                total += found[:, :k]
+        return None
+
+    def _check(self, x: NDArray[Any], *others: NDArray[Any]) -> None:
+        if len(x) != self.n or others:
+            shapes = " and ".join(str(each.shape) for each in (x, *others))
+            raise ValueError(f"matrices of {self.n} columns were given arrays of {shapes}")
+
+    def _added_by_scipy(self, totals: Sequence[ComplexArray], weights: ComplexArray, x: ComplexArray) -> None:
+        for t in range(len(self.indptr)):
+            y = self.one(t) @ x
+            for total, weight in zip(totals, weights[:, t], strict=True):
+                total += weight * y
+
+    @cached_property
+    def _work(self) -> IntArray:
+        """Entries (n,) in all rows up to each."""
+        return np.asarray((self.indptr[:, 1:] - self.indptr[:, :1]).sum(axis=0))
+
+    def _in_pieces(self, work: Callable[[tuple[int, int]], None], done: IntArray) -> None:
+        """``work`` on ranges of rows in threads; ``done`` (m,) says how much there is to do up to each row."""
+        if not len(done) or done[-1] < _LARGE:
+            return work((0, len(done)))
+        count = _PIECES * thread_count()
+        cuts = np.searchsorted(done, done[-1] * np.arange(1, count) / count).tolist()
+        in_threads(work, list(zip([0, *cuts], [*cuts, len(done)], strict=True)))
+        return None
+
+
+def _wide(x: NDArray[Any]) -> NDArray[Any]:
+    """``x`` (n, k) by rows, with columns of zeros where it has fewer than the kernels take."""
+    missing = _LANES - x.shape[1]
+    return np.ascontiguousarray(np.pad(x, ((0, 0), (0, missing))) if missing > 0 else x)
+
+
+def _whole(upper: csr_array) -> tuple[IntArray, IntArray, FloatArray]:
+    """Row starts, columns and values of the symmetric matrix with this upper triangle."""
+    if (kernels := compiled("rows")) is not None:
+        start, columns, values = kernels.mirrored(upper.indptr, upper.indices, upper.data)
+        return start, columns, values
+    diagonal = csr_array((upper.diagonal(), (np.arange(len(upper.indptr) - 1),) * 2), shape=upper.shape)
+    full = csr_array(upper + upper.T - diagonal)
+    full.sort_indices()
+    return full.indptr, full.indices.astype(np.int32), full.data

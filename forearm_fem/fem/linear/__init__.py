@@ -1,0 +1,1 @@
+"""Direct solvers behind one interface, and the order of elimination."""

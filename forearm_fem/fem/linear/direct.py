@@ -1,0 +1,113 @@
+"""Direct solves at single frequencies, and their derivatives there, from one factorisation each."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import SolverError
+from ...scenario.sweep import SolverOptions
+from ...typing import ComplexArray, FloatArray, IntArray
+from ..assembly.model import ForearmModel
+from ..assembly.operator import WeightedSum
+from .factor import Factor, Solution, make_factor, refined_solve
+from .taylor import TaylorRecursion
+
+_log = logging.getLogger("forearm_fem.fem")
+ENOUGH = 1e-7  # relative residual: its error in G is stated as that of the linear solve
+
+
+@dataclass(frozen=True)
+class DirectSolver:
+    """One analysed factorisation, reused for every frequency.
+
+    ``tolerance`` is the relative residual to refine to; where factors leave more than 1e-7 and ``safe`` is set, the
+    factorisation is repeated with matching, and then in double precision.
+    """
+
+    model: ForearmModel
+    factor: Factor
+    tolerance: float = 1e-11
+    safe: bool = False
+
+    def at(self, frequency: float) -> Solution:
+        """Solutions (n, n_port) for a unit force on each port; the factor stays for more right-hand sides."""
+        omega = 2 * np.pi * frequency
+        self.factor.factorise(self.model.operator.data(omega))
+        return self._solve(self.model.operator.at(omega), self.model.functionals.astype(complex))
+
+    def about_rate(self, weights: FloatArray, forces: FloatArray) -> Solution:
+        """Real solutions (n, b) for ``forces`` (n, b) where the terms have real ``weights``; the factor stays."""
+        operator = self.model.operator
+        self.factor.factorise(operator.combine(weights.tolist()))
+        return self._solve(WeightedSum(operator.matrices, weights), forces)
+
+    def taylor(self, frequency: float, start: ComplexArray, orders: IntArray) -> list[ComplexArray]:
+        """Taylor coefficients in omega of the solutions about ``frequency``; column i to order ``orders[i]``.
+
+        Coefficient k has the columns with order k or more (:mod:`.taylor`). Refined once: what is left enters the
+        reduced model squared (see :mod:`.reduce`), but unrefined single precision gave it unstable poles. The
+        refinement of one coefficient is solved together with the next one, because reading the factors is what a
+        solve costs; the next one lacks what this changes, which is left to its own refinement.
+        """
+        recursion = TaylorRecursion(self.model.operator, 2 * np.pi * frequency, orders)
+        recursion.add(start, 0)
+        series, pending = [start], np.zeros((len(start), 0), dtype=complex)
+        for k in range(1, int(orders.max()) + 1):
+            right = recursion.right(k)
+            both = self.factor.solve(np.hstack([right, pending]))
+            x, correction = (np.ascontiguousarray(part) for part in np.split(both, [right.shape[1]], axis=1))
+            if correction.shape[1]:
+                series[-1] = series[-1] + correction
+                recursion.add(correction, k - 1)
+            product = recursion.add(x, k, product=self.factor.single)
+            if product is not None:
+                pending = recursion.right(k) - product
+            series.append(x)
+        if pending.shape[1]:
+            series[-1] = series[-1] + self.factor.solve(pending)
+        return series
+
+    def _solve(self, matrix: WeightedSum, right: NDArray[Any]) -> Solution:
+        while self.safe:
+            try:
+                solution = refined_solve(self.factor, matrix, right, tolerance=self.tolerance)
+                if solution.residual <= ENOUGH:
+                    return solution
+            except SolverError as problem:
+                _log.info("%s", problem)
+            if not self.factor.harden():
+                break
+            how = "single precision with matching" if self.factor.single else "double precision"
+            _log.warning("the factors were not accurate enough at this frequency; %s from here on", how)
+        return refined_solve(self.factor, matrix, right, tolerance=self.tolerance)
+
+    def solve_error(self, solution: Solution) -> float:
+        """Error of the watched compliances caused by the residual, relative to the largest of them."""
+        block = np.ix_(*watched(self.model))
+        change = np.abs(solution.values.T @ solution.rest)[block]
+        return float(change.max() / np.abs(self.model.functionals.T @ solution.values)[block].max())
+
+    def compliance(self, solution: Solution) -> ComplexArray:
+        """Compliance (n_port, n_port) [m/N] from solutions."""
+        return np.asarray((self.model.functionals.T @ solution.values) * self.model.shares)
+
+
+def make_solver(model: ForearmModel, options: SolverOptions, frequency: float) -> DirectSolver:
+    """Analyse the pattern once for all frequencies."""
+    single = options.precision != "double"
+    safe, omega = options.precision == "auto", 2 * np.pi * frequency
+    zeros = (model.operator.data(omega)[model.operator.diagonal_positions] == 0).any()  # incompressible tissue
+    factor = make_factor(model.operator, omega, options.backend, single=single, matching=bool(zeros) or not safe)
+    return DirectSolver(model, factor, 1e-9 if single else 1e-11, safe)
+
+
+def watched(model: ForearmModel) -> tuple[list[int], list[int]]:
+    """Rows and columns whose error counts: grid points (else contacts) for forces on contacts (else points)."""
+    contacts = [i for i, p in enumerate(model.ports) if p.kind == "contact"]
+    points = [i for i, p in enumerate(model.ports) if p.kind == "point"]
+    return points or contacts, contacts or points

@@ -1,0 +1,243 @@
+"""One small interface to direct solvers, with refinement to double precision and a checked residual."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array, csr_array
+from scipy.sparse.linalg import splu
+
+from ...errors import SolverError
+from ...typing import ComplexArray, FloatArray, IntArray
+from ..assembly.operator import AffineOperator
+from ..kernels.compiled import compiled
+from . import cudss, pardiso
+from .ordering import nested_dissection
+
+_log = logging.getLogger("forearm_fem.fem")
+Backend = Literal["auto", "multifrontal", "pardiso", "superlu", "cudss"]
+Columns = NDArray[Any]  # complex, or real where the matrix is
+
+
+class Multiplied(Protocol):
+    """A matrix that residuals are worked out with."""
+
+    def product(self, x: Columns) -> Columns:
+        """The matrix times columns (n, k)."""
+        ...
+
+
+class Factor(Protocol):
+    """What every direct solver offers; the pattern is analysed once, values change with frequency."""
+
+    @property
+    def name(self) -> str:
+        """The solver that is at work now, as ``solver.backend`` calls it."""
+        ...
+
+    @property
+    def single(self) -> bool:
+        """Whether the factors are in single precision now."""
+        ...
+
+    def factorise(self, data: ComplexArray | FloatArray) -> None:
+        """Numerical factorisation for upper-triangle values on the analysed pattern, complex or real."""
+        ...
+
+    def solve(self, right: Columns) -> Columns:
+        """Solutions (n, k) for right-hand sides (n, k), all real where the matrix is."""
+        ...
+
+    def harden(self) -> bool:
+        """Factorise the same matrix more accurately; False where that cannot be done."""
+        ...
+
+    def release(self) -> None:
+        """Give memory back."""
+        ...
+
+
+class SuperLUFactor:
+    """SciPy's SuperLU: a fallback for small scenes (n below about 3e4); it stores both triangles."""
+
+    name = "superlu"
+    single = False
+
+    def __init__(self, upper: csr_array) -> None:
+        self._indptr, self._indices, self._shape = upper.indptr, upper.indices, upper.shape
+        self.n = int(upper.shape[0])
+
+    def factorise(self, data: ComplexArray | FloatArray) -> None:
+        """See :class:`Factor`."""
+        upper = csr_array((data.astype(complex), self._indices, self._indptr), shape=self._shape)
+        self._real = not np.iscomplexobj(data)
+        full = csc_array(upper + upper.T)
+        full.setdiag(upper.diagonal())
+        try:
+            self._lu = splu(full, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": False})
+        except RuntimeError as problem:
+            raise SolverError(f"SuperLU: {problem}: the system is singular at this frequency") from None
+
+    def solve(self, right: Columns) -> Columns:
+        """See :class:`Factor`."""
+        x = self._lu.solve(np.ascontiguousarray(right, dtype=complex))
+        return np.asarray(x.real if self._real else x)
+
+    def harden(self) -> bool:
+        """See :class:`Factor`; this one is in double precision."""
+        return False
+
+    def release(self) -> None:
+        """See :class:`Factor`."""
+        self._lu = None
+
+
+class CautiousFactor:
+    """The multifrontal factorisation, replaced by PARDISO with matching once it was not accurate enough."""
+
+    def __init__(self, upper: csr_array, n_displacements: int, order: IntArray) -> None:
+        from .multifrontal.factor import MultifrontalFactor
+
+        self._indptr, self._indices, self._shape = upper.indptr, upper.indices, upper.shape
+        self.now: Factor = MultifrontalFactor(upper, n_displacements, order)
+
+    @property
+    def name(self) -> str:
+        """See :class:`Factor`."""
+        return self.now.name
+
+    @property
+    def single(self) -> bool:
+        """See :class:`Factor`."""
+        return self.now.single
+
+    def factorise(self, data: ComplexArray | FloatArray) -> None:
+        """See :class:`Factor`."""
+        self._data = data
+        self.now.factorise(data)
+
+    def solve(self, right: Columns) -> Columns:
+        """See :class:`Factor`."""
+        return self.now.solve(right)
+
+    def harden(self) -> bool:
+        """See :class:`Factor`; False where PARDISO is not installed or has done all it can."""
+        if isinstance(self.now, pardiso.PardisoFactor):
+            return self.now.harden()
+        if pardiso.library() is None:
+            return False
+        self.now.release()
+        upper = csr_array((self._data, self._indices, self._indptr), shape=self._shape)
+        self.now = pardiso.PardisoFactor(upper, single=True)
+        self.now.factorise(self._data)
+        return True
+
+    def release(self) -> None:
+        """See :class:`Factor`."""
+        self.now.release()
+
+
+def _compiles() -> bool:
+    """Whether METIS and numba are there, and a place for what numba compiles."""
+    return importlib.util.find_spec("pymetis") is not None and compiled("frontal.factor") is not None
+
+
+def available_backends() -> tuple[str, ...]:
+    """Direct solvers found on this machine, the preferred one first; cuDSS serves only where it is asked for."""
+    found = (
+        ("multifrontal", _compiles()),
+        ("pardiso", pardiso.library() is not None),
+        ("superlu", True),
+        ("cudss", cudss.available()),
+    )
+    return tuple(name for name, there in found if there)
+
+
+SUPERLU_LIMIT = 40_000
+
+
+def choose_backend(backend: Backend, n: int, *, single: bool = True) -> str:
+    """The solver to use for ``n`` unknowns; refuses SuperLU where it would not finish.
+
+    ``single`` says that factors in single precision and without matching will do, the only ones that the multifrontal
+    solver makes.
+    """
+    if backend == "multifrontal" and not (single and _compiles()):
+        raise SolverError(
+            "solver.backend = 'multifrontal' needs numba and pymetis, and factorises in single precision what needs no "
+            "matching (solver.precision = 'auto', no exactly incompressible tissue); set solver.backend = 'auto'"
+        )
+    if backend == "cudss":
+        cudss.require()
+    able = [name for name in available_backends() if single or name != "multifrontal"]
+    chosen = able[0] if backend == "auto" else backend
+    if chosen == "superlu" and n > SUPERLU_LIMIT:
+        raise SolverError(
+            f"SuperLU does not finish in reasonable time for {n} unknowns (limit {SUPERLU_LIMIT}); "
+            "install MKL (python3 -m pip install mkl) or coarsen the mesh (accuracy, mesh.size_grid)"
+        )
+    return chosen
+
+
+def make_factor(
+    operator: AffineOperator, omega: float, backend: Backend, *, single: bool, matching: bool = True
+) -> Factor:
+    """Analysed, not yet factorised, solver for the operator's pattern; see :class:`.pardiso.PardisoFactor`."""
+    upper = operator.upper(operator.data(omega))
+    chosen = choose_backend(backend, operator.n, single=single and not matching)
+    if chosen == "superlu":
+        return SuperLUFactor(upper)
+    if chosen == "cudss":
+        return cudss.CudssFactor(upper, single=single and not matching)
+    order = None if matching else nested_dissection(upper, operator.n_displacements)
+    small = order is None and backend == "auto" and pardiso.library() is not None
+    if chosen == "multifrontal" and not small:
+        return CautiousFactor(upper, operator.n_displacements, np.arange(operator.n) if order is None else order)
+    return pardiso.PardisoFactor(upper, order, single=single, matching=matching)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Solutions (n, k), what is left of the right-hand sides (n, k), and the largest relative residual."""
+
+    values: Columns
+    rest: Columns
+    residual: float
+
+
+def refined_solve(
+    factor: Factor, matrix: Multiplied, right: Columns, *, tolerance: float = 1e-12, rounds: int = 6
+) -> Solution:
+    """Solve with iterative refinement in double precision until the relative residual is below ``tolerance``.
+
+    The residual is measured column by column against the right-hand side. Stops early when a round gains less than a
+    factor two; raises :class:`SolverError` where the residual stays above 1e-6 (a number that cannot be trusted).
+    """
+    scale = np.linalg.norm(right, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    x = factor.solve(right)
+    rest = right - matrix.product(x)
+    residual = float((np.linalg.norm(rest, axis=0) / scale).max())
+    for _ in range(rounds):
+        if residual <= tolerance:
+            break
+        candidate = x + factor.solve(rest)
+        rest_new = right - matrix.product(candidate)
+        residual_new = float((np.linalg.norm(rest_new, axis=0) / scale).max())
+        if not residual_new < residual:
+            break
+        gained = residual_new < residual / 2
+        x, rest, residual = candidate, rest_new, residual_new
+        if not gained:
+            break
+    if not residual < 1e-6:
+        raise SolverError(
+            f"linear solve left a relative residual of {residual:.1e}; the system is singular or badly scaled here: "
+            "hold the limb (supports), leave out the frequency of an undamped resonance, or mend slivers in the mesh"
+        )
+    return Solution(x, rest, residual)

@@ -1,0 +1,198 @@
+"""The multifrontal factorisation behind the interface of direct solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from ....errors import SolverError
+from ....typing import ComplexArray, FloatArray, IntArray
+from ...kernels.threads import in_threads, thread_count
+from .blas import BLOCK, arguments
+from .fronts import Scratch, Store, block_entries, factorise_part, scratch_entries
+from .parts import Part, Parts, divided
+from .substitution import LANES, Local, backward, forward, gather, scatter
+from .supernodes import Symbolic, analyse
+
+_MANY_ROWS = 20_000  # below, starting threads costs what they save
+PRESSURES = 0.3  # entries that couple pressures are scaled to this at most; 0.1 and 1 leave more of point forces
+
+
+class MultifrontalFactor:
+    """One analysis, any number of factorisations in single precision of matrices with the same pattern.
+
+    ``upper`` is the upper triangle in CSR, every diagonal entry stored; its first ``n_displacements`` unknowns are
+    displacements, the others pressures, and ``order`` (n,) is that of elimination (:mod:`..ordering`). Every matrix is
+    scaled: displacements by their diagonal, pressures by what couples them to displacements. Real matrices are
+    factorised in real numbers, half the memory, and right-hand sides must be real then. Solving
+    raises :class:`SolverError` where a block of pivots was singular. Not thread-safe.
+    """
+
+    name = "multifrontal"
+    single = True
+
+    def __init__(self, upper: csr_array, n_displacements: int, order: IntArray) -> None:
+        self.n = int(upper.shape[0])
+        self.symbolic = analyse(upper, order)
+        self._indptr, self._indices, self._n_displacements = upper.indptr, upper.indices, n_displacements
+        self._parts = divided(self.symbolic, thread_count())
+        self._whole: _Memory | None = None
+        self._memory: _Memory | None = None
+
+    def factorise(self, data: ComplexArray | FloatArray) -> None:
+        """See :class:`..factor.Factor`."""
+        number = np.complex64 if np.iscomplexobj(data) else np.float32
+        scale = scales(self._indptr, self._indices, data, self._n_displacements)
+        self._scale = scale[self.symbolic.order]
+        self._whole = self._whole or _Memory.of(self.symbolic, self._parts)
+        memory = self._memory = self._whole.of_numbers(number)
+        fronts, entries, remainder = self.symbolic.fronts, self.symbolic.entries, self._parts.remainder
+
+        def work(part: Part) -> int:
+            scratch = memory.scratch[part.number]
+            return int(
+                factorise_part(part, fronts, entries, data, self._scale, memory.store, remainder, memory.stack, scratch)
+            )
+
+        self._singular = sum(in_threads(work, self._parts.subtrees)) + work(self._parts.top)
+
+    def solve(self, right: NDArray[Any]) -> NDArray[Any]:
+        """See :class:`..factor.Factor`."""
+        if self._memory is None:
+            raise SolverError("there are no factors: factorise before solving")
+        if self._singular:
+            raise SolverError(f"blocks of pivots are singular in single precision (n = {self.n})")
+        number = self._memory.store.panels.dtype.type
+        kind = float if number is np.float32 else complex
+        columns = np.ascontiguousarray(right.reshape(self.n, -1), dtype=kind)
+        x = np.empty((self.n, -(-columns.shape[1] // LANES) * LANES), number)
+        self._by_rows(lambda a, b: gather(columns, self.symbolic.order, self._scale, x, a, b))
+        fronts, owner, memory = self.symbolic.fronts, self._parts.owner, self._memory
+        locals_ = [self._local(part, x.shape[1]) for part in (*self._parts.subtrees, self._parts.top)]
+        whole, top = (0, x.shape[1]), self._parts.top
+
+        def down(part: Part) -> NDArray[Any]:
+            others = np.zeros_like(x)
+            forward(part, fronts, memory.store, owner, x, others, locals_[part.number], whole)
+            return others
+
+        def over_the_top(some: tuple[int, int]) -> None:
+            forward(top, fronts, memory.store, owner, x, x, locals_[top.number], some)
+            backward(top, fronts, memory.store, x, locals_[top.number], some)
+
+        def up(part: Part) -> None:
+            backward(part, fronts, memory.store, x, locals_[part.number], whole)
+
+        subtrees, above = self._parts.subtrees, owner == top.number
+        for others in in_threads(down, subtrees):
+            x[above] += others[above]
+        in_threads(over_the_top, _shared(x.shape[1], len(subtrees)))
+        in_threads(up, subtrees)
+        solution = np.empty_like(columns)
+        self._by_rows(lambda a, b: scatter(x, self.symbolic.order, self._scale, solution, a, b))
+        return solution.reshape(right.shape)
+
+    def harden(self) -> bool:
+        """See :class:`..factor.Factor`; this one cannot."""
+        return False
+
+    def release(self) -> None:
+        """See :class:`..factor.Factor`."""
+        self._memory = self._whole = None
+
+    @property
+    def entries(self) -> int:
+        """Entries of the factors as they are stored, a supernode's own square included."""
+        return int(panel_entries(self.symbolic).sum())
+
+    def _by_rows(self, work: Callable[[int, int], None]) -> None:
+        """``work`` on ranges of rows, one for each thread where there are enough."""
+        cuts = np.linspace(0, self.n, thread_count() + 1 if self.n > _MANY_ROWS else 2).astype(int).tolist()
+        in_threads(lambda rows: work(*rows), list(pairwise(cuts)))
+
+    def _local(self, part: Part, count: int) -> Local:
+        rows = self.symbolic.remaining[part.supernodes].max(initial=0)
+        assert self._memory is not None
+        number = self._memory.store.panels.dtype
+        return Local(np.empty((rows, count), number), np.empty((BLOCK, count), number))
+
+
+@dataclass(frozen=True)
+class _Memory:
+    """What is kept between factorisations: the factors, the stack of remainders, and each part's scratch."""
+
+    store: Store
+    stack: NDArray[Any]
+    scratch: tuple[Scratch, ...]
+
+    def of_numbers(self, number: type[np.complex64] | type[np.float32]) -> _Memory:
+        """The same memory for such numbers; of real ones it takes half."""
+        store, stack = self.store, self.stack
+        kept = Store(_seen_as(store.panels, number), store.start, _seen_as(store.inverses, number), store.block)
+        scratch = tuple(
+            Scratch(arguments(number), each.place, _seen_as(each.outer, number), _seen_as(each.under, number))
+            for each in self.scratch
+        )
+        return _Memory(kept, _seen_as(stack, number), scratch)
+
+    @classmethod
+    def of(cls, symbolic: Symbolic, parts: Parts) -> _Memory:
+        panels, blocks = panel_entries(symbolic), block_entries(symbolic.columns)
+        store = Store(
+            np.empty(panels.sum(), np.complex64),
+            np.concatenate([[0], np.cumsum(panels)]),
+            np.empty(blocks.sum(), np.complex64),
+            np.concatenate([[0], np.cumsum(blocks)]),
+        )
+        scratch = tuple(_scratch(symbolic, part) for part in (*parts.subtrees, parts.top))
+        return cls(store, np.empty(parts.stack, np.complex64), scratch)
+
+
+def _seen_as(memory: NDArray[Any], number: type[np.complex64] | type[np.float32]) -> NDArray[Any]:
+    return memory.view(number)[: len(memory)]
+
+
+def panel_entries(symbolic: Symbolic) -> IntArray:
+    """Entries (n_supernode,) of each supernode's panel."""
+    return np.asarray(symbolic.columns * (symbolic.columns + symbolic.remaining))
+
+
+def _scratch(symbolic: Symbolic, part: Part) -> Scratch:
+    some = part.supernodes
+    outer, under = scratch_entries(symbolic.columns[some], symbolic.remaining[some])
+    place = np.empty(len(symbolic.order), np.int32)
+    return Scratch(arguments(np.complex64), place, np.empty(outer, np.complex64), np.empty(under, np.complex64))
+
+
+def _shared(columns: int, threads: int) -> list[tuple[int, int]]:
+    """Right-hand sides from and up to, whole vectors, for each thread that gets any."""
+    cuts = np.linspace(0, columns // LANES, threads + 1).round().astype(int) * LANES
+    return [(int(a), int(b)) for a, b in pairwise(cuts) if a < b]
+
+
+@njit(cache=True)
+def scales(indptr: IntArray, indices: IntArray, data: ComplexArray | FloatArray, n_displacements: int) -> FloatArray:
+    """Factors (n,) for rows and columns: displacements have a diagonal of 1 then, pressures a largest coupling of 0.3.
+
+    Unknowns that have neither keep their scale.
+    """
+    n = len(indptr) - 1
+    scale, largest = np.ones(n), np.zeros(n)
+    for i in range(n_displacements):
+        diagonal = abs(data[indptr[i]])
+        scale[i] = 1 / np.sqrt(diagonal) if diagonal > 0 else 1.0
+    for i in range(n_displacements):
+        for p in range(indptr[i], indptr[i + 1]):
+            j = indices[p]
+            if j >= n_displacements:
+                largest[j] = max(largest[j], abs(data[p]) * scale[i])
+    for j in range(n_displacements, n):
+        scale[j] = PRESSURES / largest[j] if largest[j] > 0 else 1.0
+    return scale

@@ -1,0 +1,213 @@
+"""Numerical factorisation of fronts: assembly, elimination block by block, and what is left for the parent.
+
+Fronts are stored by columns. A supernode's ``panel`` holds its k columns of a front with k + m rows; the remainder,
+m by m, lies on a stack. Only lower triangles are worked out.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ....typing import FloatArray, IntArray
+from .blas import BLOCK, SECOND, Arguments, invert_block, set_product, subtract_product
+from .parts import Part, lowest_child
+from .supernodes import Fronts
+from .tree import Entries
+
+_OUTER = 512  # columns that are eliminated before the panel's others hear of them
+_TILE, _NARROW = 256, 64  # a triangle is worked out in tiles of so many columns, those on its diagonal in narrow strips
+
+
+class Store(NamedTuple):
+    """Factors: each supernode's panel from ``panels[start[s]]`` on, its inverted blocks from ``inverses[block[s]]``.
+
+    complex64, or float32 for real matrices.
+    """
+
+    panels: NDArray[Any]
+    start: IntArray
+    inverses: NDArray[Any]
+    block: IntArray
+
+
+class Scratch(NamedTuple):
+    """What one thread needs: the ``place`` (n,) of unknowns in its front, D L^T of a panel's current ``outer`` columns
+    and of all columns ``under`` the panel."""
+
+    call: Arguments
+    place: NDArray[np.int32]
+    outer: NDArray[Any]
+    under: NDArray[Any]
+
+
+def block_entries(columns: IntArray) -> IntArray:
+    """Entries of the inverted blocks (n_supernode,) of supernodes with so many columns."""
+    return np.asarray(columns // BLOCK * BLOCK**2 + (columns % BLOCK) ** 2)
+
+
+def scratch_entries(columns: IntArray, remaining: IntArray) -> tuple[int, int]:
+    """Sizes of ``outer`` and ``under`` in :class:`Scratch` for these fronts."""
+    outer = (columns + remaining) * np.minimum(columns, _OUTER)
+    return int(outer.max(initial=1)), int((columns * remaining).max(initial=1))
+
+
+@njit(cache=True, nogil=True)
+def factorise_part(
+    part: Part, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: Store, remainder: IntArray,
+    stack: NDArray[Any], scratch: Scratch,
+) -> int:  # fmt: skip
+    """Factorise a part's fronts of the matrix with values ``data`` (nnz,), rows and columns multiplied by ``scale``.
+
+    Returns how many blocks were singular.
+    """
+    singular, free = 0, part.begin
+    for s in part.supernodes:
+        k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
+        _placed(s, fronts, scratch.place)
+        _start_panel(s, fronts, entries, data, scale, store, scratch.place)
+        for c in range(m):
+            stack[free + c * m + c : free + (c + 1) * m] = 0
+        child = fronts.child[s]
+        while child != -1:
+            _add_child(s, child, remainder[child], free, fronts, store, stack, scratch.place)
+            child = fronts.following[child]
+        singular += _eliminate(k, m, store, s, stack.ctypes.data + stack.itemsize * free, scratch)
+        lowest = lowest_child(s, fronts, remainder, part.begin, free)
+        _moved(stack, free, lowest, m)
+        remainder[s] = lowest
+        free = lowest + m * m
+    return singular
+
+
+@njit(cache=True, nogil=True)
+def _placed(s: int, fronts: Fronts, place: NDArray[np.int32]) -> None:
+    k = 0
+    for i in range(fronts.first[s], fronts.first[s + 1]):
+        place[i] = k
+        k += 1
+    for p in range(fronts.below[s], fronts.below[s + 1]):
+        place[fronts.rows[p]] = k
+        k += 1
+
+
+@njit(cache=True, nogil=True)
+def _start_panel(
+    s: int, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: Store, place: NDArray[np.int32]
+) -> None:
+    """The panel with A's own entries."""
+    size = fronts.first[s + 1] - fronts.first[s] + fronts.below[s + 1] - fronts.below[s]
+    store.panels[store.start[s] : store.start[s + 1]] = 0
+    column = store.start[s]
+    for j in range(fronts.first[s], fronts.first[s + 1]):
+        for p in range(entries.start[j], entries.start[j + 1]):
+            i = entries.row[p]
+            store.panels[column + place[i]] = data[entries.source[p]] * (scale[i] * scale[j])
+        column += size
+
+
+@njit(cache=True, nogil=True)
+def _add_child(
+    s: int, child: int, source: int, target: int, fronts: Fronts, store: Store, stack: NDArray[Any],
+    place: NDArray[np.int32],
+) -> None:  # fmt: skip
+    """Add a child's remainder to the panel and the remainder of its parent ``s``."""
+    k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
+    rows = fronts.rows[fronts.below[child] : fronts.below[child + 1]]
+    for c in range(len(rows)):
+        column = place[rows[c]]
+        if column < k:
+            to, base = store.panels, store.start[s] + column * (k + m)
+        else:
+            to, base = stack, target + (column - k) * m - k
+        for r in range(c, len(rows)):
+            to[base + place[rows[r]]] += stack[source + r]
+        source += len(rows)
+
+
+@njit(cache=True, nogil=True)
+def _moved(stack: NDArray[Any], source: int, target: int, m: int) -> None:
+    """Move a lower triangle down the stack."""
+    if source == target:
+        return
+    for c in range(m):
+        for r in range(c * m + c, (c + 1) * m):
+            stack[target + r] = stack[source + r]
+
+
+@njit(cache=True, nogil=True)
+def _eliminate(k: int, m: int, store: Store, s: int, remainder: int, scratch: Scratch) -> int:
+    """Eliminate a front's first k unknowns; its panel becomes L, with D's inverted blocks beside it.
+
+    ``remainder`` is the address of the other m by m, which becomes the Schur complement.
+    """
+    size, call, singular, bytes_ = k + m, scratch.call, 0, store.panels.itemsize
+    panel = store.panels.ctypes.data + bytes_ * store.start[s]
+    outer, under = scratch.outer.ctypes.data, scratch.under.ctypes.data
+    inverse = store.block[s]
+    for o in range(0, k, _OUTER):
+        end = min(o + _OUTER, k)
+        for j in range(o, end, BLOCK):
+            width = min(BLOCK, end - j)
+            singular += not _block(store, store.start[s] + j * (size + 1), size, width, inverse, call)
+            inverse += width * width
+            _kept(store.panels, store.start[s] + j * size, j + width, size, width, (j - o) * size, k, m, j, scratch)
+            rest, at = size - j - width, outer + bytes_ * ((j - o) * size + j + width)
+            below = panel + bytes_ * (j * size + j + width)
+            set_product(call, (rest, width, width), at, size, call.block.ctypes.data, width, below, size)
+            right = panel + bytes_ * (j + width) * (size + 1)
+            subtract_product(call, (rest, end - j - width, width), below, size, at, size, right, size, SECOND)
+        left, at = panel + bytes_ * (o * size + end), outer + bytes_ * end
+        right = panel + bytes_ * end * (size + 1)
+        _subtract_lower(call, size - end, k - end, end - o, left, size, at, size, right, size)
+    left = panel + bytes_ * k
+    _subtract_lower(call, m, m, k, left, size, under, m, remainder, m)
+    return singular
+
+
+@njit(cache=True, nogil=True)
+def _subtract_lower(
+    call: Arguments, rows: int, columns: int, inner: int, a: int, lda: int, b: int, ldb: int, c: int, ldc: int
+) -> None:
+    """C -= A B^T where C (rows, columns) lies on or below its diagonal, and a little above."""
+    bytes_ = call.scalars.itemsize
+    for t in range(0, columns, _TILE):
+        end = min(t + _TILE, columns)
+        for j in range(t, end, _NARROW):
+            shape = (end - j, min(_NARROW, end - j), inner)
+            target = c + bytes_ * j * (ldc + 1)
+            subtract_product(call, shape, a + bytes_ * j, lda, b + bytes_ * j, ldb, target, ldc, SECOND)
+        target = c + bytes_ * (t * ldc + end)
+        subtract_product(
+            call, (rows - end, end - t, inner), a + bytes_ * end, lda, b + bytes_ * t, ldb, target, ldc, SECOND
+        )
+
+
+@njit(cache=True, nogil=True)
+def _block(store: Store, corner: int, size: int, width: int, inverse: int, call: Arguments) -> bool:
+    """Invert the diagonal block at ``corner`` of the panels into ``call.block`` and the store."""
+    for c in range(width):
+        for r in range(c, width):
+            value = store.panels[corner + c * size + r]
+            call.block[c * width + r] = value
+            call.block[r * width + c] = value
+    regular = invert_block(call, width)
+    for q in range(width * width):
+        store.inverses[inverse + q] = call.block[q]
+    return regular
+
+
+@njit(cache=True, nogil=True)
+def _kept(
+    panels: NDArray[Any], source: int, low: int, size: int, width: int, target: int, k: int, m: int, j: int,
+    scratch: Scratch,
+) -> None:  # fmt: skip
+    """Copy what is below a block before L takes its place: L D, by which other columns change."""
+    for c in range(width):
+        for r in range(low, size):
+            scratch.outer[target + c * size + r] = panels[source + c * size + r]
+        for r in range(k, size):
+            scratch.under[(j + c) * m + r - k] = panels[source + c * size + r]

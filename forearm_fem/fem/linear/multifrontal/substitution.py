@@ -1,0 +1,101 @@
+"""Forward and backward substitution with the factors of :mod:`.fronts`, for many right-hand sides at once.
+
+Right-hand sides are (n, count) by rows, with zeros up to a multiple of eight: a supernode's own are next to each other.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ....typing import FloatArray, IntArray
+from .blas import BLOCK
+from .fronts import Store
+from .panels import subtract_product, subtract_transposed
+from .parts import Part
+from .supernodes import Fronts
+
+LANES = 8  # numbers in a vector
+
+
+class Local(NamedTuple):
+    """Right-hand sides (rows, count) below one supernode, and those of one block of pivots."""
+
+    below: NDArray[Any]
+    block: NDArray[Any]
+
+
+@njit(cache=True, nogil=True)
+def gather(right: NDArray[Any], order: IntArray, scale: FloatArray, x: NDArray[Any], begin: int, end: int) -> None:
+    """Rows of ``right`` (n, count) in the order of elimination, scaled, to rows ``begin`` to ``end`` of ``x``, whose
+    further columns become zero."""
+    count = right.shape[1]
+    for i in range(begin, end):
+        for c in range(count):
+            x[i, c] = right[order[i], c] * scale[i]
+        x[i, count:] = 0
+
+
+@njit(cache=True, nogil=True)
+def scatter(x: NDArray[Any], order: IntArray, scale: FloatArray, right: NDArray[Any], begin: int, end: int) -> None:
+    """Rows ``begin`` to ``end`` of ``x`` back in the usual order to ``right`` (n, count), scaled."""
+    for i in range(begin, end):
+        for c in range(right.shape[1]):
+            right[order[i], c] = x[i, c] * scale[i]
+
+
+@njit(cache=True, nogil=True)
+def forward(
+    part: Part, fronts: Fronts, store: Store, owner: NDArray[np.int32], x: NDArray[Any],
+    others: NDArray[Any], local: Local, some: tuple[int, int],
+) -> None:  # fmt: skip
+    """L x = b for a part's columns; what it gives to unknowns of other parts is added to ``others`` (n, count).
+
+    Right-hand sides from ``some[0]`` up to ``some[1]``, multiples of eight.
+    """
+    bytes_ = x.itemsize
+    row, skipped, width = bytes_ * x.shape[1], bytes_ * some[0], bytes_ * (some[1] - some[0])
+    below = local.below.ctypes.data + skipped
+    for s in part.supernodes:
+        k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
+        size, panel = k + m, store.panels.ctypes.data + bytes_ * store.start[s]
+        own = x.ctypes.data + row * fronts.first[s] + skipped
+        local.below[:m, some[0] : some[1]] = 0
+        for j in range(0, k, BLOCK):
+            e, column = min(j + BLOCK, k), panel + bytes_ * j * size
+            left = column + bytes_ * e
+            subtract_product(bytes_, k - e, e - j, left, bytes_ * size, own + row * j, own + row * e, row, width)
+            subtract_product(bytes_, m, e - j, column + bytes_ * k, bytes_ * size, own + row * j, below, row, width)
+        for i in range(m):
+            to = fronts.rows[fronts.below[s] + i]
+            target = x if owner[to] == part.number else others
+            for c in range(some[0], some[1]):
+                target[to, c] += local.below[i, c]
+
+
+@njit(cache=True, nogil=True)
+def backward(part: Part, fronts: Fronts, store: Store, x: NDArray[Any], local: Local, some: tuple[int, int]) -> None:
+    """D L^T x = b for a part's columns, those above them known; see :func:`forward`."""
+    bytes_ = x.itemsize
+    row, skipped, width = bytes_ * x.shape[1], bytes_ * some[0], bytes_ * (some[1] - some[0])
+    below, block = local.below.ctypes.data + skipped, local.block.ctypes.data + skipped
+    for s in part.supernodes[::-1]:
+        k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
+        first, size, panel = fronts.first[s], k + m, store.panels.ctypes.data + bytes_ * store.start[s]
+        own = x.ctypes.data + row * first + skipped
+        for i in range(m):
+            local.below[i, some[0] : some[1]] = x[fronts.rows[fronts.below[s] + i], some[0] : some[1]]
+        inverse = store.inverses.ctypes.data + bytes_ * store.block[s + 1]
+        for j in range((k - 1) // BLOCK * BLOCK, -1, -BLOCK):
+            e, column = min(j + BLOCK, k), panel + bytes_ * j * size
+            pivots, target = e - j, own + row * j
+            inverse -= bytes_ * pivots * pivots
+            local.block[:pivots, some[0] : some[1]] = -x[first + j : first + e, some[0] : some[1]]
+            x[first + j : first + e, some[0] : some[1]] = 0
+            left = column + bytes_ * e
+            subtract_product(bytes_, pivots, pivots, inverse, bytes_ * pivots, block, target, row, width)
+            subtract_transposed(bytes_, k - e, pivots, left, bytes_ * size, own + row * e, target, row, width)
+            subtract_transposed(bytes_, m, pivots, column + bytes_ * k, bytes_ * size, below, target, row, width)

@@ -1,0 +1,1 @@
+"""Reduced models: what spans them, how they are certified, their poles, the sweep."""

@@ -1,0 +1,199 @@
+"""Orthonormal columns of a reduced space, kept in blocks as they came, and how new ones are made orthonormal to them.
+
+Columns are long: fresh memory for them costs as much time as the arithmetic. So old blocks are never copied, and new
+columns are changed where they lie, piece by piece (docs/decisions/0012). Blocks may be kept in single precision; all
+that is worked out with them is in double.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from ...typing import ComplexArray, FloatArray, IntArray
+from ..kernels.compiled import compiled
+from ..kernels.threads import in_threads, thread_count
+
+Columns = NDArray[np.floating[Any]]  # in single or double precision
+_PIECE = 512  # rows at a time: what is worked out with them stays in the cache
+_FEW = 32  # columns up to which compiled code is faster than BLAS, on processors with short registers too
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Columns (n, r): the ``blocks`` (n, k_i) side by side, times ``directions`` (sum of k_i, r) where given."""
+
+    blocks: tuple[Columns, ...] = ()
+    directions: FloatArray | None = None
+
+    def with_block(self, block: Columns) -> Basis:
+        """These columns and those of ``block`` (n, k) behind them."""
+        assert self.directions is None, "a space that was compressed is not extended"
+        return Basis((*self.blocks, block))
+
+    def combined(self, directions: FloatArray) -> Basis:
+        """Combinations of the columns by ``directions`` (r, s), which are not worked out."""
+        return Basis(self.blocks, directions if self.directions is None else self.directions @ directions)
+
+    def seen_by(self, matrix: csr_array) -> FloatArray:
+        """Product (m, r) of a sparse matrix (m, k) with the first k rows."""
+        whole = np.hstack([matrix @ block[: matrix.shape[1]] for block in self.blocks])
+        return whole if self.directions is None else np.asarray(whole @ self.directions)
+
+    def inner(self, columns: FloatArray) -> FloatArray:
+        """Products (r, k) of the blocks' first m rows with ``columns`` (m, k)."""
+        products = self.inner_of(lambda rows: [(0, columns[rows])], (len(columns), 1, columns.shape[1]))
+        return np.asarray(products[0])
+
+    def inner_of(
+        self, given: Callable[[slice], Iterable[tuple[int, FloatArray]]], shape: tuple[int, int, int]
+    ) -> FloatArray:
+        """Products (t, r, k) of the blocks' first m rows with t times columns (m, k) that are ``given`` by rows.
+
+        ``shape`` is (m, t, k). Which of them are not zero there, and these rows of them, is asked for once for each
+        piece of rows, so that they need not be kept.
+        """
+        count, several, width = shape
+
+        def work(pieces: Sequence[slice]) -> FloatArray:
+            totals = np.zeros((several, int(self._starts[-1]), _padded(width)))
+            for rows in pieces:
+                found = list(given(rows))
+                for block, (start, end) in zip(self.blocks, pairwise(self._starts), strict=True):
+                    _add_inner(block[rows], found, totals[:, start:end])
+            return totals
+
+        totals = in_threads(work, _shared(count))
+        return np.asarray(sum(totals[1:], totals[0])[:, :, :width])
+
+    def subtract_in_place(self, columns: FloatArray, known: FloatArray) -> None:
+        """``columns`` (n, k) less the combination ``known`` (r, k) of the blocks."""
+        factors = -np.pad(known, ((0, 0), (0, _padded(known.shape[1]) - known.shape[1])))
+
+        def work(pieces: Sequence[slice]) -> None:
+            for rows in pieces:
+                for block, (start, end) in zip(self.blocks, pairwise(self._starts), strict=True):
+                    _add_combination(block[rows], factors[start:end], columns[rows])
+
+        in_threads(work, _shared(len(columns)))
+
+    def combination(self, known: FloatArray) -> FloatArray:
+        """The combination ``known`` (r, k) of the blocks' columns, (n, k)."""
+        total = np.zeros((len(self.blocks[0]), known.shape[1]))
+        self.subtract_in_place(total, -known)
+        return total
+
+    @cached_property
+    def _starts(self) -> IntArray:
+        """Columns before each block, and in all of them."""
+        return np.cumsum([0, *(block.shape[1] for block in self.blocks)])
+
+
+def _padded(width: int) -> int:
+    """Columns (of sums) that compiled code takes for so many, all zero beyond."""
+    kernels = compiled("tall")
+    return width if kernels is None or width > _FEW else -(-width // kernels.PAIR) * kernels.PAIR
+
+
+def _add_inner(block: Columns, found: Sequence[tuple[int, FloatArray]], totals: FloatArray) -> None:
+    """Add block^T y to ``totals[t]`` for each (t, y) that was ``found``."""
+    kernels = compiled("tall") if totals.shape[2] <= _FEW else None
+    whole = block if kernels is not None else block.astype(float, copy=False)
+    for t, y in found:
+        if kernels is not None:
+            kernels.add_inner(whole, y, totals[t])
+        else:
+            totals[t] += whole.T @ y
+
+
+def _add_combination(block: Columns, factors: FloatArray, total: FloatArray) -> None:
+    """Add block factors to ``total`` (m, k); ``factors`` may have more columns, which are zero."""
+    kernels = compiled("tall") if factors.shape[1] <= _FEW else None
+    if kernels is not None:
+        kernels.add_combination(block, factors, total)
+    else:
+        total += block.astype(float, copy=False) @ factors
+
+
+def _pieces(count: int) -> Iterator[slice]:
+    return (slice(i, min(i + _PIECE, count)) for i in range(0, count, _PIECE))
+
+
+def _shared(count: int) -> list[list[slice]]:
+    """Pieces of so many rows, shared by the threads in turn."""
+    pieces, threads = list(_pieces(count)), thread_count()
+    return [pieces[k::threads] for k in range(threads)]
+
+
+def real_columns(blocks: Sequence[ComplexArray]) -> FloatArray:
+    """Real and imaginary parts (n, 2 sum of k) of complex ``blocks`` (n, k), one block after the other."""
+    columns = np.empty((len(blocks[0]), 2 * sum(block.shape[1] for block in blocks)))
+    start = 0
+    for block in blocks:
+        for part in (block.real, block.imag):
+            columns[:, start : start + block.shape[1]] = part
+            start += block.shape[1]
+    return columns
+
+
+def orthonormal_extension(
+    basis: Basis, columns: FloatArray, widths: Sequence[int], n_u: int, *, drop: float
+) -> tuple[FloatArray, FloatArray]:
+    """New columns, orthonormal in their displacements to ``basis`` and each other, pressures following along.
+
+    ``columns`` (n, k) are used up; they are taken in turn, as many at a time as ``widths`` say. Directions whose
+    independent part is below ``drop`` of a column's length are left out: what rounding leaves of them would only add
+    noise, and columns shorter than 1e-14 of their block's longest are rounding alone. The second result are the
+    coordinates of all columns, scaled to unit length, in the basis and the new directions together.
+    """
+    _scale_in_place(columns, widths, n_u)
+    known = basis.inner(columns[:n_u])
+    basis.subtract_in_place(columns, known)
+    gram = columns[:n_u].T @ columns[:n_u]
+    directions = _directions(gram, widths, drop)
+    new = _combined_in_place(columns, directions)
+    basis.subtract_in_place(new, basis.inner(new[:n_u]))  # weak directions had rounding of known ones left
+    half = np.linalg.inv(np.linalg.cholesky(new[:n_u].T @ new[:n_u])).T
+    return new @ half, np.vstack([known, (directions @ half).T @ gram])
+
+
+def _scale_in_place(columns: FloatArray, widths: Sequence[int], n_u: int) -> None:
+    """Displacements of each column to unit length, negligible columns to zero."""
+    norms = np.sqrt(np.einsum("ij,ij->j", columns[:n_u], columns[:n_u]))
+    ends = np.cumsum(widths)
+    longest = np.repeat([norms[e - w : e].max(initial=0.0) for e, w in zip(ends, widths, strict=True)], widths)
+    kept = norms > 1e-14 * longest
+    columns *= np.where(kept, 1 / np.where(kept, norms, 1.0), 0.0)
+
+
+def _combined_in_place(columns: FloatArray, directions: FloatArray) -> FloatArray:
+    """columns @ directions (n, m), standing where the first m columns stood."""
+    new = columns[:, : directions.shape[1]]
+    for rows in _pieces(len(columns)):
+        new[rows] = columns[rows] @ directions
+    return new
+
+
+def _directions(gram: FloatArray, widths: Sequence[int], drop: float) -> FloatArray:
+    """Combinations (k, m) of columns, none longer than 1, that are orthonormal by their products ``gram`` (k, k).
+
+    Column blocks of the given ``widths`` in turn, directions weaker than ``drop`` left out. Their products are known
+    to 1e-16, so the weakest directions kept come out orthonormal to 1e-16 / drop^2 only: see the caller.
+    """
+    chosen, starts = np.zeros((len(gram), 0)), np.cumsum([0, *widths[:-1]])
+    for start, width in zip(starts, widths, strict=True):
+        rest = np.eye(len(gram))[:, start : start + width]
+        for _ in range(2):
+            rest = rest - chosen @ (chosen.T @ (gram @ rest))
+            values, vectors = np.linalg.eigh(rest.T @ gram @ rest)
+            keep = values > drop**2
+            rest = rest @ (vectors[:, keep] / np.sqrt(values[keep]))
+        chosen = np.hstack([chosen, rest])
+    return chosen

@@ -1,0 +1,260 @@
+"""What reduced models are made of: derivatives of solutions about a rate or frequencies, kept between runs."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from ...errors import SolverError
+from ...scenario.sweep import SolverOptions
+from ...typing import ComplexArray, FloatArray, IntArray
+from ..assembly.coefficients import is_polynomial
+from ..assembly.model import ForearmModel
+from ..linear.direct import DirectSolver, make_solver, watched
+from .bounds import ResidualBound, sharp_modes
+from .certificate import DOUBTFUL, Certificate, Doubt, doubt, largest_change, most_doubtful_bin
+from .poles import pole_residue
+from .rate_space import Chunk, RateSpace
+from .reduced_model import ReducedModel, empty_model, extend, with_last_columns
+
+_log = logging.getLogger("forearm_fem.fem")
+Progress = Callable[[str, int, int], None]
+_QUIET, _SPREAD = 30.0, -0.2  # [Hz] flesh on bone hardly resonates below; expansions are even in f^-0.2 above it
+_LOWEST = 20.0  # [Hz] below, what a rate further up spans is enough
+_AT_ONCE = 5  # derivatives about a rate between two looks at what the last of them changed
+_AT_LEAST, _SLOW = 20, 60  # derivatives about a rate before the first look, and before resonances are called sharp
+_SHARP, _SEVERAL = 0.03, 3  # loss factor below which a mode may pass unseen between probes; one or two do not
+_SURE = 1e-2  # of the tolerance: what derivatives may change where resonances are sharp, for the bound to pass soon
+_MOST = 1000  # columns about a rate where resonances are sharp; beyond, solves at all bins are no dearer
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """Direct solutions at ``frequency`` with Taylor coefficients: ``series[k]`` (n, n_port or fewer) for order k."""
+
+    frequency: float
+    series: tuple[ComplexArray, ...]
+    residual: float
+    solve_error: float
+
+
+class Snapshots(Protocol):
+    """Where expansions are kept between runs, so that an interrupted sweep loses none that was finished."""
+
+    def get(self, frequency: float) -> Expansion | None:
+        """What was stored for a frequency, or None."""
+        ...
+
+    def put(self, expansion: Expansion) -> None:
+        """Store an expansion for good."""
+        ...
+
+    def chunks(self) -> tuple[Chunk, ...]:
+        """What was stored of the space about a rate, in order."""
+        ...
+
+    def put_chunk(self, number: int, chunk: Chunk) -> None:
+        """Store a chunk, the ``number``-th from 0, for good."""
+        ...
+
+
+@dataclass(frozen=True)
+class Made:
+    """A reduced model and what it was made from: a ``rate`` [1/s] with so many ``derivatives``, and ``expansions``.
+
+    These come without their vectors. ``sharp`` says that resonances were, and are, not trusted without a bound at every
+    bin. ``residual`` is the largest of any solution, ``solve_error`` what it causes in G.
+    """
+
+    reduced: ReducedModel
+    rate: float = 0.0
+    derivatives: int = 0
+    expansions: tuple[Expansion, ...] = ()
+    certificates: tuple[Certificate, ...] = ()
+    residual: float = 0.0
+    solve_error: float = 0.0
+    sharp: bool = False
+
+    def with_certificate(self, certificate: Certificate, truth: Expansion) -> Made:
+        """The same after a comparison with ``truth``."""
+        return replace(self, certificates=(*self.certificates, certificate)).after(truth)
+
+    def after(self, solved: Expansion) -> Made:
+        """The same with the errors of further solves."""
+        worst, error = max(self.residual, solved.residual), max(self.solve_error, solved.solve_error)
+        return replace(self, residual=worst, solve_error=error)
+
+
+class Expander:
+    """Makes expansions, or takes them from the store; factorises only when it must."""
+
+    def __init__(self, model: ForearmModel, options: SolverOptions, store: Snapshots | None, residual: float) -> None:
+        self.model, self._options, self._store, self._residual = model, options, store, residual
+        self.orders = derivative_orders(model, options)
+        self._solver: DirectSolver | None = None
+
+    def direct(self, frequency: float) -> Expansion:
+        """Direct solutions without derivatives, taken from a stored expansion where there is one."""
+        if self._store is not None and (stored := self._store.get(frequency)) is not None:
+            return stored
+        solution = self._ready(frequency).at(frequency)
+        error = self._ready(frequency).solve_error(solution)
+        return Expansion(frequency, (solution.values,), solution.residual, error)
+
+    def expand(self, frequency: float, start: Expansion | None = None) -> Expansion:
+        """Solutions and derivatives; ``start`` are direct solutions whose factorisation is still held."""
+        start = start or self.direct(frequency)
+        if len(start.series) > self.orders.max():
+            return start
+        solver = self._ready(frequency)
+        series = solver.taylor(frequency, start.series[0], self.orders)
+        result = Expansion(frequency, tuple(series), start.residual, start.solve_error)
+        if self._store is not None:
+            self._store.put(result)
+        return result
+
+    def extended(self, made: Made, frequency: float, start: Expansion | None = None) -> Made:
+        """``made`` with an expansion about ``frequency``."""
+        expansion = self.expand(frequency, start)
+        reduced = extend(made.reduced, self.model, expansion.series, self.orders)
+        noted = (*made.expansions, replace(expansion, series=()))
+        return replace(made, reduced=reduced, expansions=noted).after(expansion)
+
+    def about_frequencies(self, planned: Sequence[float], progress: Progress | None) -> Made:
+        """The model expanded about the ``planned`` frequencies."""
+        made = Made(empty_model(self.model))
+        for i, f in enumerate(planned):
+            made = self.extended(made, f)
+            tell(progress, "expansion frequencies", i + 1, len(planned))
+        return made
+
+    def about_rate(self, frequency: FloatArray, tolerance: float | None, progress: Progress | None) -> Made | None:
+        """The model on derivatives about :func:`expansion_rate`, as many as are needed.
+
+        That is until the last five change nothing above ``tolerance``, all that are allowed where it is None. Where
+        a mode in the band loses little, or sixty derivatives do not resolve it, resonances are sharp: see
+        :meth:`_about_rate_with_care`.
+        """
+        most, rate = self._options.rate_derivatives, expansion_rate(frequency)
+        stored = self._store.chunks() if self._store is not None else ()
+        space = RateSpace(self._ready(float(frequency[-1])), self.model.functionals, rate, stored)
+        reduced, derivatives = empty_model(self.model), 0
+        for number in range(-(-most // _AT_ONCE)):
+            chunk = stored[number] if number < len(stored) else space.more(min(_AT_ONCE, most - derivatives))
+            if self._store is not None and number >= len(stored):
+                self._store.put_chunk(number, chunk)
+            if not chunk.columns.shape[1]:
+                break
+            reduced, derivatives = with_last_columns(reduced, self.model, chunk.columns), chunk.derivatives
+            tell(progress, "derivatives", derivatives, most)
+            if tolerance is not None and derivatives >= _AT_LEAST:
+                if derivatives == _AT_LEAST and sharp_modes(reduced, frequency, _SHARP) >= _SEVERAL:
+                    return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
+                change = largest_change(self.model, reduced, frequency)
+                if change <= tolerance:
+                    break
+                if change > DOUBTFUL and derivatives >= _SLOW:
+                    return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
+        return Made(reduced, rate, derivatives, residual=space.residual)
+
+    def _about_rate_with_care(self, frequency: FloatArray, wanted: float, progress: Progress | None) -> Made | None:
+        """The model about the rate where resonances are sharp, in double precision from the start.
+
+        What single-precision solves leave is magnified by the resonances: in double precision half the derivatives
+        do (docs/decisions/sharp-resonances.md). None where a thousand columns do not
+        resolve the band to what is ``wanted``.
+        """
+        _log.warning("resonances of this band are sharp: their derivatives are made in double precision")
+        self.release()
+        self._solver, self._options = None, self._options.model_copy(update={"precision": "double"})
+        space = RateSpace(self._ready(float(frequency[-1])), self.model.functionals, expansion_rate(frequency))
+        reduced, change = empty_model(self.model), np.inf
+        while change > wanted and reduced.size < _MOST:
+            chunk = space.more(_AT_ONCE)
+            if not chunk.columns.shape[1]:
+                change = 0.0
+                break
+            reduced = with_last_columns(reduced, self.model, chunk.columns)
+            tell(progress, "derivatives", chunk.derivatives, chunk.derivatives)
+            if chunk.derivatives >= _AT_LEAST:
+                change = largest_change(self.model, reduced, frequency)
+        made = Made(reduced, expansion_rate(frequency), space.derivatives, residual=space.residual, sharp=True)
+        return made if change <= wanted else None
+
+    def most_doubtful(self, made: Made, frequency: FloatArray) -> Doubt | None:
+        """Where to certify next; None where no bin is left that was not compared or expanded about.
+
+        Where resonances are sharp it is the bin with the largest bound.
+        """
+        known = [*(c.frequency for c in made.certificates), *(e.frequency for e in made.expansions)]
+        if not (made.sharp or sharp_modes(made.reduced, frequency, _SHARP) >= _SEVERAL):
+            return doubt(self.model, made.reduced, frequency, known, wary=any(c.wary for c in made.certificates))
+        bound = ResidualBound(self._ready(float(frequency[-1])), expansion_rate(frequency))
+        bounds = bound.errors(made.reduced, frequency, pole_residue(made.reduced, frequency))
+        return most_doubtful_bin(bounds, frequency, known)
+
+    @property
+    def solver(self) -> str:
+        """The direct solver at work, empty where none was needed."""
+        return "" if self._solver is None else self._solver.factor.name
+
+    def release(self) -> None:
+        """Give the factor's memory back."""
+        if self._solver is not None:
+            self._solver.factor.release()
+
+    def _ready(self, frequency: float) -> DirectSolver:
+        if self._solver is None:
+            made = make_solver(self.model, self._options, frequency)
+            self._solver = replace(made, tolerance=max(made.tolerance, self._residual))
+        return self._solver
+
+
+def starts_from_rate(model: ForearmModel, options: SolverOptions) -> bool:
+    """Whether the reduced model starts from a rate; SolverError where that is asked for and moduli do not allow it."""
+    able = all(is_polynomial(t.coefficient) for t in model.operator.terms)
+    if options.start == "rate" and not able:
+        raise SolverError(
+            "solver.start = 'rate' needs Kelvin-Voigt tissue: other moduli are no polynomials of the rate; "
+            "set solver.start = 'auto'"
+        )
+    return able and options.start != "frequencies"
+
+
+def derivative_orders(model: ForearmModel, options: SolverOptions) -> IntArray:
+    """How many derivatives (n_port,) are kept of each port's solution: the watched forces' more than the others'."""
+    orders = np.full(len(model.ports), min(options.point_derivatives, options.derivatives))
+    orders[watched(model)[1]] = options.derivatives
+    return orders
+
+
+def expansion_rate(frequency: FloatArray) -> float:
+    """Rate [1/s] from which a band is spanned with the fewest derivatives: 100 Hz for 10-500 Hz.
+
+    The geometric mean of the band from 20 Hz on where it goes well beyond (docs/decisions/0005).
+    """
+    low = max(frequency[0], min(_LOWEST, frequency[-1] / 12))
+    return float(2 * np.pi * np.sqrt(low * frequency[-1]))
+
+
+def expansion_frequencies(frequency: FloatArray, options: SolverOptions) -> tuple[float, ...]:
+    """Middles of equal parts of the band in f^-0.2, from 30 Hz on where the band goes well beyond.
+
+    Below, an expansion from above holds; far above, resonances are damped and one expansion reaches far
+    (docs/decisions/0006).
+    """
+    count = min(options.expansions, len(frequency))
+    low = max(frequency[0], min(_QUIET, frequency[-1] / 8)) ** _SPREAD
+    high = frequency[-1] ** _SPREAD
+    wanted = (low + (high - low) * (np.arange(count) + 0.5) / count) ** (1 / _SPREAD)
+    return tuple(sorted({float(frequency[np.argmin(np.abs(frequency - f))]) for f in wanted}))
+
+
+def tell(progress: Progress | None, stage: str, done: int, total: int) -> None:
+    """Report progress where anyone listens."""
+    if progress is not None:
+        progress(stage, done, total)

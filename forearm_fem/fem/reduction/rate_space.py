@@ -1,0 +1,193 @@
+"""Second-order Krylov space about a real rate: from one factorisation, all that solutions over a wide band consist of.
+
+With s = s_0 (1 + d) and real s_0 the dynamic stiffness is A_0 + A_1 d + A_2 d^2, all real, and the derivatives of
+solutions are x_k = -A_0^-1 (A_1 x_(k-1) + A_2 x_(k-2)). These soon are nearly parallel, so pairs (x_k, x_(k-1)) are
+made orthonormal to all pairs before them and go on from there. Both halves are combinations of the same columns, so
+pairs are kept as coordinates in these (two-level orthogonal Arnoldi: Lu, Su and Bai, SIAM J. Matrix Anal. Appl. 37,
+2016).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...typing import FloatArray
+from ..assembly.coefficients import rate_weights
+from ..linear.direct import ENOUGH, DirectSolver
+from .basis import Basis, Columns
+
+_REFINED = 8  # first derivatives, which are refined once: what solves leave in them reaches all others
+_CAREFUL = 1e-5  # of a solution: all are refined where refinement changes more
+_EXACT = 1e-9  # of a solution: none is where refinement changes less
+_BEFORE = 1e-3  # what x_(k-1) counts in a pair; 1 leaves columns that are errors of solves, 0 breaks down without loss
+_NOTHING = 1e-7  # of a derivative's length: a remainder below is what solves leave
+_ROUNDING = 1e-12  # of a pair's length: a remainder below is rounding
+_AGAIN = 0.3  # of a derivative's length: known columns are subtracted twice from remainders below
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Orthonormal pairs of combinations of columns: the ``upper`` halves (r, m), and what came before these."""
+
+    upper: FloatArray
+    lower: FloatArray
+
+    @property
+    def count(self) -> int:
+        """How many pairs m there are."""
+        return int(self.upper.shape[1])
+
+    def padded(self, rows: int) -> Pairs:
+        """The same pairs where there are more columns, ``rows`` in all."""
+        more = ((0, rows - len(self.upper)), (0, 0))
+        return Pairs(np.pad(self.upper, more), np.pad(self.lower, more))
+
+    def and_then(self, others: Pairs) -> Pairs:
+        """These pairs, then others of as many or more columns."""
+        own = self.padded(len(others.upper))
+        return Pairs(np.hstack([own.upper, others.upper]), np.hstack([own.lower, others.lower]))
+
+    def last(self, count: int) -> Pairs:
+        """The last ``count`` pairs."""
+        first = self.count - count
+        return Pairs(self.upper[:, first:], self.lower[:, first:])
+
+    def remainder(self, others: Pairs) -> Pairs:
+        """Orthonormal pairs that ``others``, of as many or more columns, add to these."""
+        own, new = self.padded(len(others.upper)), others
+        lengths = np.sqrt(_products_of(others, others).diagonal())
+        for _ in range(2):
+            known = _products_of(own, new)
+            new = Pairs(new.upper - own.upper @ known, new.lower - own.lower @ known)
+        directions = _directions(_products_of(new, new), lengths, _ROUNDING)
+        return Pairs(new.upper @ directions, new.lower @ directions)
+
+
+def _products_of(some: Pairs, others: Pairs) -> FloatArray:
+    """Products (m, k) of pairs with others."""
+    return np.asarray(some.upper.T @ others.upper + _BEFORE**2 * (some.lower.T @ others.lower))
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """New ``columns`` (n, m) of the space, orthonormal in their displacements, each with its own pressure.
+
+    ``pairs`` are the new ones in all columns so far, ``last`` is how many of them the last of all ``derivatives`` gave,
+    ``residual`` what was left of the forces.
+    """
+
+    columns: Columns
+    pairs: Pairs
+    last: int
+    derivatives: int
+    residual: float
+
+
+class RateSpace:
+    """Grows the space of ``forces`` (n, b) about ``rate`` [1/s], some derivatives at a time.
+
+    ``chunks`` of an interrupted sweep are continued. Moduli must be Kelvin-Voigt. Columns are orthonormal to 1e-4, as
+    far as single-precision solves need it.
+    """
+
+    def __init__(self, solver: DirectSolver, forces: FloatArray, rate: float, chunks: tuple[Chunk, ...] = ()) -> None:
+        self._solver, self._forces = solver, forces
+        self._weights = rate_weights([t.coefficient for t in solver.model.operator.terms], rate)
+        self._basis, self._pairs = Basis(tuple(c.columns for c in chunks)), Pairs(np.zeros((0, 0)), np.zeros((0, 0)))
+        self._last, self.derivatives, self.residual = 0, 0, 0.0
+        for chunk in chunks:
+            self._pairs = self._pairs.and_then(chunk.pairs)
+            self._last, self.derivatives, self.residual = chunk.last, chunk.derivatives, chunk.residual
+        self._start: FloatArray | None = None
+        self._correction = np.inf
+
+    def more(self, count: int) -> Chunk:
+        """The next ``count`` derivatives; fewer columns, or none, once what the forces can reach is exhausted."""
+        if self._start is None:
+            self._start = self._first_solution()
+        known, old = self._basis, self._pairs
+        columns, end = np.empty((len(self._forces), count * self._forces.shape[1]), self._number), 0
+        for _ in range(count):
+            if self.derivatives and not self._last:
+                break
+            new = self._extended(self._derivative() if self.derivatives else self._start)
+            columns[:, end : end + new.shape[1]] = new
+            end += new.shape[1]
+            self._basis = known.with_block(columns[:, :end])
+        pairs = self._pairs.last(self._pairs.count - old.count)
+        return Chunk(columns[:, :end], pairs, self._last, self.derivatives, self.residual)
+
+    @property
+    def _number(self) -> type[np.float32] | type[np.float64]:
+        """What columns are kept in: rounding to single precision is a tenth of what single-precision solves leave."""
+        rough = self._solver.factor.single and self._solver.tolerance >= ENOUGH
+        return np.float32 if rough else np.float64
+
+    def _first_solution(self) -> FloatArray:
+        """Factorise and solve for the forces."""
+        solution = self._solver.about_rate(self._weights[0], self._forces)
+        self.residual = solution.residual
+        return solution.values
+
+    def _derivative(self) -> FloatArray:
+        """The next derivative (n, last) of the solutions that the last pairs stand for."""
+        latest, one, two = self._pairs.last(self._last), self._weights[1], self._weights[2]
+        both = self._basis.combination(np.hstack([latest.upper, 2 * latest.upper + latest.lower]))
+        # A_1 x_(k-1) + A_2 x_(k-2) so that masses, whose part of A_1 is twice that of A_2, take one product and not two
+        right = -self._product(np.array([one - 2 * two, two]), both[:, : self._last], both[:, self._last :])
+        x = self._solved(right)
+        if self._needs_refining():
+            change = self._solved(right - self._product(self._weights[:1], x))
+            x = x + change
+            n_u = self._solver.model.operator.n_displacements
+            self._correction = float(np.linalg.norm(change[:n_u]) / np.linalg.norm(x[:n_u]))
+        return x
+
+    def _needs_refining(self) -> bool:
+        """The first derivatives; all where much is asked or factors are poor, none in double precision."""
+        early = self.derivatives < _REFINED or self._solver.tolerance < ENOUGH
+        return self._correction > _CAREFUL or (early and self._correction > _EXACT)
+
+    def _extended(self, x: FloatArray) -> FloatArray:
+        """Columns that the derivative ``x`` (n, b) of the last pairs adds to the space; its pairs are noted."""
+        n_u, rest = self._solver.model.operator.n_displacements, x.copy()
+        lengths, coordinates = np.linalg.norm(x[:n_u], axis=0), np.zeros((len(self._pairs.upper), x.shape[1]))
+        for _ in range(2):
+            known = self._basis.inner(rest[:n_u])
+            self._basis.subtract_in_place(rest, known)
+            coordinates += known
+            gram = _gram(rest[:n_u])
+            if (np.sqrt(gram.diagonal()) >= _AGAIN * lengths).all():
+                break
+        directions = _directions(gram, lengths, _NOTHING)
+        directions = directions @ np.linalg.inv(np.linalg.cholesky(_gram(rest[:n_u] @ directions))).T
+        upper = np.vstack([coordinates, directions.T @ gram])
+        before = self._pairs.last(self._last).upper if self.derivatives else np.zeros((0, x.shape[1]))
+        lower = np.pad(before, ((0, len(upper) - len(before)), (0, 0)))
+        new = self._pairs.remainder(Pairs(upper, lower))
+        self._pairs, self._last, self.derivatives = self._pairs.and_then(new), new.count, self.derivatives + 1
+        return np.asarray(rest @ directions)
+
+    def _product(self, weights: FloatArray, *columns: FloatArray) -> FloatArray:
+        """sum_j sum_t ``weights[j, t]`` A_t x_j for the ``columns`` x_j (n, k)."""
+        return self._solver.model.operator.matrices.real_sum(weights, columns)
+
+    def _solved(self, right: FloatArray) -> FloatArray:
+        return np.asarray(self._solver.factor.solve(right))
+
+
+def _gram(x: FloatArray) -> FloatArray:
+    return np.asarray(x.T @ x)
+
+
+def _directions(gram: FloatArray, lengths: FloatArray, nothing: float) -> FloatArray:
+    """Combinations (b, k) of columns with these products that are orthonormal, without those that are ``nothing``.
+
+    Columns are compared with the ``lengths`` (b,) that they had.
+    """
+    scale = np.where(lengths > 0, 1 / np.where(lengths > 0, lengths, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(scale[:, None] * gram * scale)
+    keep = values > nothing**2
+    return np.asarray(scale[:, None] * vectors[:, keep] / np.sqrt(values[keep]))

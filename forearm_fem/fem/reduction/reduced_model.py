@@ -1,0 +1,180 @@
+"""Structure-preserving reduced model on displacements with their pressures, and their frequency derivatives.
+
+Each basis vector is a displacement together with its own pressure, made orthonormal in the displacements: the saddle
+system projected on such pairs is as good as the condensed one, because solutions obey B u = -S p. Kept in saddle form
+it is stationary, so that what solves leave of B u + S p enters squared: single-precision factors are enough
+(docs/decisions/0004). Every term stays real symmetric, which keeps reciprocity and passivity; the span of the real and
+the imaginary parts is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...typing import ComplexArray, FloatArray, IntArray
+from ..assembly.coefficients import Coefficient, grouped
+from ..assembly.model import ForearmModel
+from ..assembly.operator import AffineOperator
+from ..kernels.matrices import SymmetricMatrices
+from .basis import Basis, Columns, orthonormal_extension, real_columns
+
+_DROP = 1e-5  # of a snapshot's length: weaker directions carry what single-precision solves leave, and cost time
+
+
+@dataclass(frozen=True)
+class ReducedModel:
+    """Compliance of all ports at any frequency from small real matrices.
+
+    ``matrices`` (n_term, r, r) of the operator's terms ``names`` with ``coefficients``; ``functionals`` (r, n_port).
+    ``basis`` holds the columns (n, r) that give displacements and scaled pressures. ``low`` (r, m) are coordinates of
+    all snapshots but the highest derivative of each port: :meth:`lower` is the model without these.
+    """
+
+    names: tuple[str, ...]
+    coefficients: tuple[Coefficient, ...]
+    matrices: FloatArray
+    functionals: FloatArray
+    shares: FloatArray
+    basis: Basis = field(repr=False)
+    low: FloatArray = field(repr=False)
+
+    @property
+    def size(self) -> int:
+        """Dimension r of the reduced space."""
+        return len(self.functionals)
+
+    def states(self, frequency: FloatArray) -> ComplexArray:
+        """Reduced solutions (n_frequency, r, n_port) for a unit force on each port."""
+        omega = 2 * np.pi * np.asarray(frequency, dtype=float)
+        sums = grouped(self.coefficients)
+        flat = np.array([np.tensordot(weights, self.matrices, 1).ravel() for weights, _ in sums])
+        theta = np.array([np.broadcast_to(c.at(omega), omega.shape) for _, c in sums])
+        right = self.functionals.astype(complex)
+        rows = [np.linalg.solve(_combined(w, flat).reshape(self.size, self.size), right) for w in theta.T]
+        return np.array(rows)
+
+    def compliance(self, frequency: FloatArray) -> ComplexArray:
+        """Compliance (n_frequency, n_port, n_port) [m/N]; columns of forces without a symmetric solution are NaN."""
+        values = np.einsum("ri,frj->fij", self.functionals, self.states(frequency), optimize=True)
+        return np.asarray(values * self.shares)
+
+    def lower(self, drop: float = _DROP) -> ReducedModel:
+        """The model that one derivative fewer per expansion would have given.
+
+        Directions weaker than ``drop`` of the strongest are left out: much more than the derivatives alone where
+        expansions lie close together or reach far.
+        """
+        values, vectors = np.linalg.eigh(self.low @ self.low.T)
+        return self.projected(vectors[:, values > drop**2 * values[-1]])
+
+    def projected(self, directions: FloatArray) -> ReducedModel:
+        """The model on the span of orthonormal ``directions`` (r, s) of this space."""
+        return replace(
+            self,
+            matrices=np.array([_symmetric(directions.T @ m @ directions) for m in self.matrices]),
+            functionals=directions.T @ self.functionals,
+            basis=self.basis.combined(directions),
+            low=directions.T @ self.low,
+        )
+
+    def changed(self, coefficients: Mapping[str, Coefficient]) -> ReducedModel:
+        """The same space with other coefficients for some terms, such as "shear muscle".
+
+        The error for them is not certified: it grows with the change (docs/decisions/0014). Raises KeyError for a name
+        that is no term.
+        """
+        if unknown := set(coefficients) - set(self.names):
+            raise KeyError(f"no term is called {sorted(unknown)[0]!r}; there are {', '.join(self.names)}")
+        own = zip(self.names, self.coefficients, strict=True)
+        return replace(self, coefficients=tuple(coefficients.get(name, c) for name, c in own))
+
+
+def _combined(weights: ComplexArray, parts: FloatArray) -> ComplexArray:
+    """weights @ parts, without a complex copy of the ``parts`` (k, m)."""
+    total = np.empty(parts.shape[1], dtype=complex)
+    total.real, total.imag = weights.real @ parts, weights.imag @ parts
+    return total
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    return (matrix + matrix.T) / 2
+
+
+def empty_model(model: ForearmModel) -> ReducedModel:
+    """A reduced model of dimension zero, to be extended."""
+    terms = model.operator.terms
+    return ReducedModel(
+        tuple(t.name for t in terms),
+        tuple(t.coefficient for t in terms),
+        np.zeros((len(terms), 0, 0)),
+        np.zeros((0, len(model.ports))),
+        model.shares,
+        Basis(),
+        np.zeros((0, 0)),
+    )
+
+
+def extend(
+    reduced: ReducedModel,
+    model: ForearmModel,
+    snapshots: Sequence[ComplexArray],
+    orders: IntArray | None = None,
+    *,
+    drop: float = _DROP,
+) -> ReducedModel:
+    """Add solutions and derivatives to the space: ``snapshots[k]`` (n, k_column) of derivative order k.
+
+    ``orders`` (n_port,) are the highest orders of each port's solution, the same for all where left out.
+    """
+    operator = model.operator
+    orders = np.full(snapshots[0].shape[1], len(snapshots) - 1) if orders is None else orders
+    widths = [2 * block.shape[1] for block in snapshots]
+    highest = [np.tile(orders[orders >= k] == k, 2) for k in range(len(snapshots))]
+    added, coordinates = orthonormal_extension(
+        reduced.basis, real_columns(snapshots), widths, operator.n_displacements, drop=drop
+    )
+    return with_columns(reduced, model, added, coordinates[:, ~np.concatenate(highest)])
+
+
+def with_columns(reduced: ReducedModel, model: ForearmModel, added: Columns, low: FloatArray) -> ReducedModel:
+    """The space with orthonormal ``added`` columns (n, k); ``low`` (r + k, m) are the lower model's snapshots in it."""
+    old = np.vstack([reduced.low, np.zeros((added.shape[1], reduced.low.shape[1]))])
+    return replace(
+        reduced,
+        matrices=_extended_matrices(reduced, model.operator, added),
+        functionals=np.vstack([reduced.functionals, Basis((added,)).inner(model.functionals)]),
+        basis=reduced.basis.with_block(added),
+        low=np.hstack([old, low]),
+    )
+
+
+def with_last_columns(reduced: ReducedModel, model: ForearmModel, added: Columns) -> ReducedModel:
+    """The space with orthonormal columns ``added`` (n, k), without which the lower model is all there was."""
+    nothing = np.zeros((reduced.size + added.shape[1], 0))
+    return with_columns(replace(reduced, low=np.eye(reduced.size)), model, added, nothing)
+
+
+def _extended_matrices(reduced: ReducedModel, operator: AffineOperator, added: Columns) -> FloatArray:
+    """Projected matrices of all terms; only products with the added columns are new."""
+    old, basis = reduced.size, reduced.basis.with_block(added)
+    total = old + added.shape[1]
+    matrices = np.zeros((len(operator.terms), total, total))
+    matrices[:, :old, :old] = reduced.matrices
+    for matrix, columns in zip(matrices, _projected(basis, operator.matrices, added), strict=True):
+        matrix[:, old:] = columns
+        matrix[old:, :old] = columns[:old].T
+        matrix[old:, old:] = _symmetric(columns[old:])
+    return matrices
+
+
+def _projected(basis: Basis, matrices: SymmetricMatrices, added: Columns) -> FloatArray:
+    """Products (n_term, r, k) of the basis with A_t times the ``added`` columns (n, k), in one pass over the rows."""
+    product = matrices.products(added)
+
+    def given(rows: slice) -> Iterator[tuple[int, FloatArray]]:
+        return ((t, product(t, rows)) for t in matrices.touching(rows))
+
+    return basis.inner_of(given, (matrices.n, len(matrices.indptr), added.shape[1]))

@@ -1,0 +1,216 @@
+"""The sweep: a greedy reduced model certified on direct solves, or a direct solve per frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...errors import SolverError
+from ...scenario.sweep import SolverOptions
+from ...transfer import relative_error
+from ...typing import ComplexArray, FloatArray
+from ..assembly.model import ForearmModel
+from ..linear.direct import ENOUGH, make_solver, watched
+from .certificate import Certificate, certified, probe_frequencies
+from .expansion import Expander, Made, Progress, Snapshots, expansion_frequencies, starts_from_rate, tell
+from .poles import Modes, compressed, pole_residue
+from .reduced_model import ReducedModel
+
+_SHARE = 1e-3  # of what is asked of the reduced model: the residual that its solves are refined to
+_UNCERTIFIED = 1e-5  # what the second stage may cost where nothing else is known
+_LOSSLESS = 1e-4  # loss factor of every term below which no reduced model is tried
+_USELESS = 0.5  # a stated error above this says that the model tells nothing
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """Compliance (n_frequency, n_port, n_port) [m/N] and what certifies it.
+
+    ``residual`` is the largest relative residual of any solve, ``solve_error`` the error of the compliance that it
+    causes, relative to the largest watched entry: x_i . r_j, exact to first order as A is symmetric. ``rate``
+    [1/s] is where the model started, with so many ``derivatives``; 0 where it started from frequencies.
+    """
+
+    values: ComplexArray
+    residual: float
+    solve_error: float = 0.0
+    reduced: ReducedModel | None = None
+    expansions: tuple[float, ...] = ()
+    certificates: tuple[Certificate, ...] = ()
+    poles: Modes | None = None
+    compression: float = 0.0
+    least: float = 0.0
+    solver: str = ""
+    rate: float = 0.0
+    derivatives: int = 0
+
+    @property
+    def factorisations(self) -> int:
+        """How many the reduced model took, certificates included."""
+        return bool(self.rate) + len({*self.expansions, *(c.frequency for c in self.certificates)})
+
+    @property
+    def unstable_poles(self) -> int:
+        """Poles of the reduced model in the right half-plane, far outside the band: it is good for frequencies there.
+
+        Single-precision solves leave more in the pressures of weak directions than there is (docs/decisions.md).
+        """
+        return 0 if self.poles is None else int(np.sum(self.poles.poles.real > 0))
+
+    @property
+    def reduction_error(self) -> float:
+        """Error stated for the reduced model by its last certificate.
+
+        Where resonances are sharp that is a bound at every bin, and ``least``, the tolerance, is stated at least:
+        poles and residues, and the solves, have errors of their own. Certificates are of the whole space; what the
+        second stage changes (``compression``) comes on top.
+        """
+        return max(self.certificates[-1].bound, self.least) + self.compression
+
+    def states(self, frequency: FloatArray, ports: Sequence[int]) -> ComplexArray:
+        """Reduced solutions (n_frequency, r, n_chosen) for a unit force on the chosen ``ports``, shares undone."""
+        if self.poles is not None:
+            return self.poles.states(frequency, ports)
+        assert self.reduced is not None
+        return np.asarray(self.reduced.states(frequency)[:, :, ports] * self.reduced.shares[ports])
+
+
+def direct_sweep(
+    model: ForearmModel, frequency: FloatArray, options: SolverOptions, *, progress: Progress | None = None
+) -> SweepResult:
+    """Factorise and solve at every frequency (n,) [Hz]."""
+    solver = make_solver(model, options, float(frequency[-1]))
+    values, residual, error = [], 0.0, 0.0
+    for i, f in enumerate(frequency):
+        solution = solver.at(float(f))
+        values.append(solver.compliance(solution))
+        residual, error = max(residual, solution.residual), max(error, solver.solve_error(solution))
+        tell(progress, "direct solves", i + 1, len(frequency))
+    solver.factor.release()
+    return SweepResult(np.array(values), residual, error, solver=solver.factor.name)
+
+
+def reduced_sweep(
+    model: ForearmModel,
+    frequency: FloatArray,
+    options: SolverOptions,
+    *,
+    tolerance: float | None = 1e-4,
+    progress: Progress | None = None,
+    snapshots: Snapshots | None = None,
+) -> SweepResult:
+    """Sweep by a reduced model that is certified between the places it was made from.
+
+    Where all moduli are Kelvin-Voigt and resonances not sharp it starts from derivatives about a real rate
+    (:mod:`.krylov`), else from :func:`.expand.expansion_frequencies`. Then the most doubtful frequency
+    (:mod:`.certify`) is solved directly: that true error certifies the model, and where it exceeds ``tolerance`` the
+    solution and its derivatives extend it (``max_expansions`` frequencies in all; the certificates say what was
+    reached). Solves are refined to a thousandth of ``tolerance``, to 1e-7 at least. Where resonances are sharp the
+    model is made in double precision, and a bound at every bin (:mod:`.bounds`) must pass as well. With ``tolerance``
+    None nothing is certified and no factorisation is spent on it. Raises SolverError where the stated error is above
+    0.5.
+    """
+    _refuse_lossless(model, frequency)
+    residual = ENOUGH if tolerance is None else min(ENOUGH, _SHARE * tolerance)
+    work = Expander(model, options, snapshots, residual)
+    try:
+        return _reduced(work, frequency, options, tolerance, progress)
+    except np.linalg.LinAlgError as problem:
+        raise SolverError(
+            f"the reduced model breaks down in this band ({problem}); set solver.sweep = 'direct', or give the tissues "
+            "more viscosity (tissues.override)"
+        ) from None
+
+
+def _reduced(
+    work: Expander, frequency: FloatArray, options: SolverOptions, tolerance: float | None, progress: Progress | None
+) -> SweepResult:
+    model = work.model
+    begun = work.about_rate(frequency, tolerance, progress) if starts_from_rate(model, options) else None
+    if begun is None:
+        begun = work.about_frequencies(expansion_frequencies(frequency, options), progress)
+    done = begun if tolerance is None else _certified(work, begun, frequency, options, tolerance, progress)
+    work.release()
+    result = replace(_swept(model, done, frequency, tolerance), solver=work.solver)
+    return result if tolerance is None else _usable(result)
+
+
+def _refuse_lossless(model: ForearmModel, frequency: FloatArray) -> None:
+    """Raise SolverError where no term loses a ten-thousandth of what it keeps: peaks are then narrower than any bin."""
+    theta = [complex(t.coefficient.at(np.array(2 * np.pi * frequency[-1]))) for t in model.operator.terms]
+    loss = max(abs(t.imag) / abs(t) for t in theta if t)
+    if loss < _LOSSLESS:
+        raise SolverError(
+            f"nothing in this scene takes up energy (largest loss factor {loss:.1g}, needed {_LOSSLESS:g}): its "
+            "resonances are narrower than any bin; give the tissues viscosity (tissues.override), let supports.ends "
+            "absorb, or set solver.sweep = 'direct'"
+        )
+
+
+def _certified(
+    work: Expander,
+    begun: Made,
+    frequency: FloatArray,
+    options: SolverOptions,
+    tolerance: float,
+    progress: Progress | None,
+) -> Made:
+    """``begun`` with certificates, and with further expansions until these are good enough or no more are allowed."""
+    made = begun
+    while True:
+        used = [e.frequency for e in made.expansions]
+        worst = work.most_doubtful(made, frequency)
+        if worst is None:
+            return made
+        truth = work.direct(worst.frequency)
+        found = certified(made.reduced, work.model, truth.series[0], worst, len(used))
+        made = made.with_certificate(found, truth)
+        tell(progress, "certificates", len(made.certificates), len(made.certificates))
+        if found.bound <= tolerance or len(used) >= options.max_expansions:
+            return made
+        made = work.extended(made, worst.frequency, truth)
+
+
+def _usable(result: SweepResult) -> SweepResult:
+    if result.certificates and result.reduction_error > _USELESS:
+        raise SolverError(
+            f"the reduced model of {len(result.expansions)} expansion frequencies may be wrong by "
+            f"{result.reduction_error:.2g} times G: it does not resolve the resonances of this band; raise "
+            "solver.max_expansions, narrow the band, or set solver.sweep = 'direct'"
+        )
+    return result
+
+
+def _swept(model: ForearmModel, made: Made, frequency: FloatArray, tolerance: float | None) -> SweepResult:
+    wary = made.sharp or any(c.wary for c in made.certificates)
+    small, change = made.reduced, 0.0
+    if not wary and not made.rate:  # derivatives about a rate are few enough, and hold for other moduli too
+        small, change = _second_stage(model, made.reduced, frequency, tolerance or _UNCERTIFIED)
+    fast = pole_residue(small, frequency)
+    values = small.compliance(frequency) if fast is None else fast.compliance(frequency)
+    return SweepResult(
+        values,
+        made.residual,
+        made.solve_error,
+        small,
+        tuple(e.frequency for e in made.expansions),
+        made.certificates,
+        fast,
+        change,
+        (tolerance or 0.0) if wary else 0.0,
+        rate=made.rate,
+        derivatives=made.derivatives,
+    )
+
+
+def _second_stage(
+    model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, tolerance: float
+) -> tuple[ReducedModel, float]:
+    """The compressed model and what that changes at the watched ports over the band; as it was where that is much."""
+    small = compressed(reduced, frequency, drop=max(0.1 * tolerance, 1e-9))  # directions cost about their own size
+    probes = probe_frequencies(frequency, ())[::2]
+    block = np.ix_(range(len(probes)), *watched(model))
+    change = float(relative_error(small.compliance(probes)[block], reduced.compliance(probes)[block]).max())
+    return (small, change) if change <= tolerance else (reduced, 0.0)

@@ -1,0 +1,1 @@
+"""Elements, orders and the numbering of unknowns."""

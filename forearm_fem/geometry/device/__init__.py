@@ -1,0 +1,1 @@
+"""Where the device meets the limb: places, rims and element sizes."""

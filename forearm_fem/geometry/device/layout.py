@@ -1,0 +1,62 @@
+"""Where contacts and grid points lie in the plane, and which layers a limb has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ...errors import GeometryError
+from ...scenario import Scenario
+from ...scenario.limb import CylinderLimb, ForearmLimb, LayerThickness, Limb, SlabLimb
+from ...typing import FloatArray
+
+RIGID = ("bonded", "frictionless")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Contact centres (n, 2) and grid points (m, 2) [m] in limb coordinates, and the contacts' radius [m]."""
+
+    contacts: FloatArray
+    points: FloatArray
+    radius: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the contacts: A1, A2, ..."""
+        return tuple(f"A{i + 1}" for i in range(len(self.contacts)))
+
+
+def layout_of(scenario: Scenario) -> Layout:
+    """Contacts and points of the device, rotated by its angle; raises when two contacts overlap."""
+    device = scenario.device
+    c, s = np.cos(device.rotation), np.sin(device.rotation)
+    turn = np.array([[c, s], [-s, c]])  # row vectors times this: counter-clockwise seen from above
+    contacts = _tidy(np.array(device.centres, dtype=float).reshape(-1, 2) @ turn)
+    points = _tidy(np.array(scenario.grid.places, dtype=float).reshape(-1, 2) @ turn)
+    layout = Layout(contacts, points, device.cone.radius)
+    _check_overlap(layout)
+    return layout
+
+
+def layers_of(limb: Limb) -> tuple[LayerThickness, ...]:
+    """Layers of a parametric limb from the skin inwards; none for the user's own surfaces or mesh."""
+    return limb.layers if isinstance(limb, ForearmLimb | CylinderLimb | SlabLimb) else ()
+
+
+def _tidy(xy: FloatArray) -> FloatArray:
+    """Rotation leaves rounding of 1e-18 m; symmetry planes want exact zeros."""
+    return np.asarray(np.where(np.abs(xy) < 1e-12, 0.0, xy))
+
+
+def _check_overlap(layout: Layout) -> None:
+    for (a, pa), (b, pb) in combinations(zip(layout.names, layout.contacts, strict=True), 2):
+        apart = float(np.linalg.norm(pa - pb))
+        if apart < 2.1 * layout.radius:
+            raise GeometryError(
+                f"contacts {a} and {b} are {apart * 1e3:.3g} mm apart, but discs of radius "
+                f"{layout.radius * 1e3:.3g} mm need {2.1 * layout.radius * 1e3:.3g} mm; "
+                "increase device.spacing or reduce device.cone.radius"
+            )

@@ -1,0 +1,82 @@
+"""The part of a mesh that waves pass on their way from contacts to points, and the order of elements there."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from ...ports import Port
+from ...typing import BoolArray, FloatArray, IntArray
+from ..mesh.tissue_mesh import TissueMesh
+from .layout import RIGID
+
+REACH, DEPTH = 0.03, 0.025  # [m] what third order gains beyond them on the forearm is in docs/decisions/0002
+_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+_UNIFORM = {"P1": 1, "P2": 2, "P3": 3}
+# Longest edge, relative to the usual edge between ports, up to which second order is enough: in the outermost tissue,
+# the one beneath, all deeper ones. Measured on the forearm (docs/decisions/0002); fat's waves are 1.4 times shorter.
+_SMALL = (0.0, 0.95, 1.42)
+
+
+def tetrahedron_orders(mesh: TissueMesh, ports: tuple[Port, ...], element: str) -> IntArray:
+    """Order of displacements (n_tet,) in each tetrahedron: with "P2/P3" third around the ports, second elsewhere."""
+    if element in _UNIFORM:
+        return np.full(len(mesh.region), _UNIFORM[element])
+    third = near_ports(mesh, ports, REACH, DEPTH)
+    if any(p.contact in RIGID for p in ports):
+        third &= ~_small(mesh, ports)
+    return np.where(third, 3, 2)
+
+
+def near_ports(mesh: TissueMesh, ports: tuple[Port, ...], reach: float, depth: float) -> BoolArray:
+    """Tetrahedra (n_tet,) around the ports: seen along z at most about ``reach`` [m] outside the hull of all contacts
+    and points, and at most ``depth`` [m] below the lowest of them."""
+    centre = mesh.points[mesh.tetrahedra].mean(axis=1)
+    if not ports:
+        return np.zeros(len(centre), dtype=bool)
+    places = np.array([p.position[:2] for p in ports])
+    planes = half_planes(places, np.array([p.radius for p in ports]) + reach)
+    around = (centre[:, :2] @ planes[:, :2].T + planes[:, 2] <= 0).all(axis=1)
+    return np.asarray(around & (centre[:, 2] >= min(p.position[2] for p in ports) - depth))
+
+
+def _small(mesh: TissueMesh, ports: tuple[Port, ...]) -> BoolArray:
+    """Tetrahedra (n_tet,) beneath the outermost tissue that the rims of rigid contacts made smaller than waves ask."""
+    corners = mesh.points[mesh.tetrahedra]
+    longest = np.max([np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in _EDGES], axis=0)
+    depth = np.minimum(tissue_depths(mesh), len(_SMALL) - 1)[mesh.region]
+    return np.asarray(longest < usual_edge(mesh, ports) * np.array(_SMALL)[depth])
+
+
+def tissue_depths(mesh: TissueMesh) -> IntArray:
+    """How many tissues (n_region,) lie between each tissue and the skin's surface."""
+    depth = np.full(len(mesh.region_names), len(mesh.region_names))
+    touched, here = np.isin(mesh.tetrahedra, mesh.facets["skin"]).sum(axis=1) >= 3, 0
+    while touched.any():
+        depth[np.unique(mesh.region[touched])] = here
+        reached = np.isin(mesh.tetrahedra, mesh.tetrahedra[depth[mesh.region] <= here]).any(axis=1)
+        touched, here = reached & (depth[mesh.region] > here), here + 1
+    return depth
+
+
+def usual_edge(mesh: TissueMesh, ports: tuple[Port, ...]) -> float:
+    """Median edge [m] of the skin between the ports, away from contacts; zero where nothing is."""
+    facets = mesh.facets["skin"]
+    edges = np.unique(np.sort(np.vstack([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [0, 2]]]), axis=1), axis=0)
+    ends = mesh.points[edges]
+    middle = ends.mean(axis=1)
+    xy, volar = middle[:, :2], middle[:, 2] > min(p.position[2] for p in ports) - DEPTH
+    planes = half_planes(np.array([p.position[:2] for p in ports]), np.array([p.radius for p in ports]))
+    chosen = volar & (xy @ planes[:, :2].T + planes[:, 2] <= 0).all(axis=1)
+    for port in (p for p in ports if p.kind == "contact"):
+        chosen &= np.linalg.norm(xy - port.position[:2], axis=1) > 2 * port.radius
+    lengths = np.linalg.norm(ends[chosen, 1] - ends[chosen, 0], axis=1)
+    return float(np.median(lengths)) if len(lengths) else 0.0
+
+
+def half_planes(places: FloatArray, radii: FloatArray) -> FloatArray:
+    """Half planes (k, 3) a x + b y + c <= 0 around the hull of circles of ``radii`` (n,) about ``places`` (n, 2)."""
+    turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    around = [p + r * circle for p, r in zip(places, radii, strict=True)]
+    return np.asarray(ConvexHull(np.vstack(around)).equations) if around else np.zeros((0, 3))

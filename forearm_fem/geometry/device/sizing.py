@@ -1,0 +1,193 @@
+"""Element sizes: from the scenario's accuracy, its highest frequency and its slowest shear wave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ...scenario import Scenario
+from ...scenario.limb import SlabLimb
+from ...typing import FloatArray
+from .layout import RIGID, Layout, layers_of
+from .neighbourhood import half_planes
+
+DEFAULT_SHEAR_SPEED = 2.2  # [m/s] slowest default tissue (fat, low end) at 500 Hz, physics_data.md 6
+_CONTACT, _FAR = 0.8, 6.0  # relative to the size between contacts and grid
+_FARTHEST = 20e-3  # [m] in slabs: larger elements left 4 % at 100 Hz, and slivers in the columns under a contact
+_AT = 0.05  # accuracy; below, they and rims shrink with its fourth root: points 20 mm away felt the far elements first
+_FACET, _WIDEST_FACET = 0.4, 2 * np.pi / 9  # [rad] at accuracy 0.05, and at most
+WIDEST = 0.6  # elements under a contact are at most this many radii
+_INTO_CORE = 2.2  # the core lies under the layers, where fields are smooth: sizes grow faster there
+_THROUGH = 0.8  # a sublayer is at most about this much of the size between contacts and grid
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """What the element pair changes: elements per shear wavelength, under contacts (in radii), at rigid rims
+    (relative to the size between contacts and grid, and in radii at most), on the limb's wall (facets relative to a
+    bone's), and :attr:`Sizes.rim_lead`."""
+
+    per_wavelength: float
+    widest: float
+    rim: float
+    widest_rim: float
+    wall: float
+    rim_lead: float
+
+
+SECOND = _Rule(0.885, WIDEST, 0.45, 0.3, 1.0, 0.03)  # default forearm: 0.885 * 4.4 mm * 0.05**(1/4) = 1.84 mm
+GRADED = _Rule(1.8, 0.43, 0.4, 0.43, 1.25, 0.025)  # third order around the ports: elements twice as large
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Edge lengths [m] under contacts, between contacts and grid, far away and at rigid rims.
+
+    ``sublayers`` counts the element layers through each tissue layer, from the skin inwards; ``facet`` is the angle
+    [rad] that one facet of a bone spans at most where it is near, ``wall`` one of the limb's wall. A rigid disc is
+    drawn in by ``rim_lead`` times its rim's edges.
+    """
+
+    contact: float
+    grid: float
+    far: float
+    rim: float
+    facet: float = _FACET
+    wall: float = _FACET
+    rim_lead: float = SECOND.rim_lead
+    sublayers: tuple[int, ...] = ()
+
+
+def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = None, *, scale: float = 1.0) -> Sizes:
+    """Sizes for ``scenario``; explicit mesh options win, ``scale`` multiplies every size: what two meshes share their
+    difference does not show.
+
+    ``shear_speed`` maps tissues to their shear wave speed at ``f_max`` [m/s]. Outputs of P2 elements converge
+    like h^4, hence h = 0.885 lambda_min accuracy^(1/4), and twice that with third order around the ports.
+    """
+    options, radius = scenario.mesh, scenario.device.cone.radius
+    rule = GRADED if scenario.element == "P2/P3" else SECOND
+    frequencies = scenario.sweep.frequencies
+    f_max = frequencies[-1] if frequencies else scenario.sweep.f_max
+    wavelength = min(shear_speed.values(), default=DEFAULT_SHEAR_SPEED) if shear_speed else DEFAULT_SHEAR_SPEED
+    grid = float(np.clip(rule.per_wavelength * wavelength / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
+    grid = scale * (options.size_grid or grid)
+    contact = min(_CONTACT * grid, scale * rule.widest * radius)
+    contact = scale * options.size_contact if options.size_contact else contact
+    finest = min(1.0, (scenario.accuracy / _AT) ** 0.25)
+    coarsest = _FARTHEST * finest
+    farthest = scale * coarsest if isinstance(scenario.limb, SlabLimb) else np.inf
+    far = scale * options.size_far if options.size_far else min(_FAR * grid, farthest)
+    rim = min(rule.rim * grid, contact, scale * finest * rule.widest_rim * radius)
+    counts = _counts(scenario, grid, scale)
+    facet = min(_FACET * (scenario.accuracy / 0.05) ** 0.25, _WIDEST_FACET)
+    wall = min(rule.wall * facet, _WIDEST_FACET)
+    return Sizes(contact, grid, max(far, grid), rim, scale * facet, scale * wall, rule.rim_lead, counts)
+
+
+def _counts(scenario: Scenario, grid: float, scale: float) -> tuple[int, ...]:
+    """Element layers through each tissue layer; under a rigid disc none thicker than its field is wide there."""
+    cone, options = scenario.device.cone, scenario.mesh
+    rigid, depth = cone.contact in RIGID, 0.0
+    counts: list[int] = []
+    least = 2 if rigid and isinstance(scenario.limb, SlabLimb) else 1  # no change shows the error of one on both meshes
+    for layer in layers_of(scenario.limb):
+        size = 0.5 * grid if rigid and not counts else grid  # a rigid rim needs two elements through the skin
+        size = min(size, 0.9 * scale * (cone.radius + depth)) if rigid else size
+        asked = options.sublayers.get(layer.tissue)
+        count = asked / scale if asked else max(layer.thickness / (_THROUGH * size), least / scale)
+        counts.append(max(1, round(count)))
+        depth += layer.thickness
+    return tuple(counts)
+
+
+@dataclass(frozen=True)
+class SizeField:
+    """Edge length wanted at a place given by (x, y) and depth below the skin [m]."""
+
+    sizes: Sizes
+    layout: Layout
+    grading: float
+    half_planes: FloatArray
+
+    @classmethod
+    def around(cls, layout: Layout, sizes: Sizes, grading: float) -> SizeField:
+        """Field that is fine near contacts and inside the hull of all ports, and grows away from them."""
+        return cls(sizes, layout, grading, _hull(layout, sizes.grid))
+
+    def with_facets(self, factor: float) -> SizeField:
+        """The same with facets of bones and walls ``factor`` times as wide."""
+        sizes = replace(self.sizes, facet=factor * self.sizes.facet, wall=factor * self.sizes.wall)
+        return replace(self, sizes=sizes)
+
+    def with_contact(self, factor: float) -> SizeField:
+        """The same with elements and rims of contacts ``factor`` times as large."""
+        sizes = replace(self.sizes, contact=factor * self.sizes.contact, rim=factor * self.sizes.rim)
+        return replace(self, sizes=sizes)
+
+    def __call__(self, xy: FloatArray, depth: FloatArray | float = 0.0) -> FloatArray:
+        """Wanted edge length (n,) at ``xy`` (n, 2) and ``depth`` (n,) below the skin."""
+        s = self.sizes
+        outside = np.max(xy @ self.half_planes[:, :2].T + self.half_planes[:, 2], axis=1, initial=-np.inf)
+        near = s.grid + self.grading * np.hypot(np.maximum(outside, 0), depth)
+        for centre in self.layout.contacts:
+            away = np.maximum(np.linalg.norm(xy - centre, axis=1) - self.layout.radius - 0.5 * s.contact, 0)
+            near = np.minimum(near, s.contact + self.grading * np.hypot(away, depth))
+        return np.asarray(np.minimum(near, s.far))
+
+
+@dataclass(frozen=True)
+class SpaceField:
+    """Edge length wanted at points in space: fine near contacts and the patch of ports, growing away from
+    them."""
+
+    sizes: Sizes
+    grading: float
+    contacts: cKDTree
+    patch: cKDTree
+
+    @classmethod
+    def on(cls, field: SizeField, surface: Callable[[FloatArray], FloatArray]) -> SpaceField:
+        """Field around the ports' places on ``surface``, a map from (x, y) (n, 2) to points (n, 3) or NaN."""
+        patch = _covering(field)
+        discs = np.vstack([c + field.layout.radius * _disc() for c in field.layout.contacts])
+        return cls(field.sizes, _INTO_CORE * field.grading, _tree(surface(discs)), _tree(surface(patch)))
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """Wanted edge length (n,) at ``points`` (n, 3)."""
+        s = self.sizes
+        near = s.grid + self.grading * np.maximum(self.patch.query(points)[0] - 0.5 * s.grid, 0)
+        under = s.contact + self.grading * np.maximum(self.contacts.query(points)[0] - 0.5 * s.contact, 0)
+        return np.asarray(np.minimum(np.minimum(near, under), s.far))
+
+
+def _tree(points: FloatArray) -> cKDTree:
+    return cKDTree(points[np.isfinite(points).all(axis=1)])
+
+
+def _disc() -> FloatArray:
+    """Points (n, 2) covering the unit disc."""
+    x = np.linspace(-1, 1, 13)
+    xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    return np.asarray(xy[np.linalg.norm(xy, axis=1) <= 1])
+
+
+def _covering(field: SizeField) -> FloatArray:
+    """Points (n, 2) at most one size apart that cover the hull of all ports."""
+    step = field.sizes.grid / 2
+    places = np.vstack([field.layout.contacts, field.layout.points])
+    reach = field.layout.radius + field.sizes.grid
+    low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+    x, y = (np.linspace(a, b, max(2, int((b - a) / step))) for a, b in zip(low, high, strict=True))
+    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside = (xy @ field.half_planes[:, :2].T + field.half_planes[:, 2] <= 0).all(axis=1)
+    return np.asarray(xy[inside])
+
+
+def _hull(layout: Layout, margin: float) -> FloatArray:
+    """Half planes (k, 3) around all contacts and points, padded so that there is an area."""
+    radii = [layout.radius + margin] * len(layout.contacts) + [margin] * len(layout.points)
+    return half_planes(np.vstack([layout.contacts, layout.points]), np.array(radii))

@@ -1,0 +1,1 @@
+"""Parametric limbs and slabs meshed: layers of exact thickness around a core."""

@@ -1,0 +1,204 @@
+"""Tetrahedra of the muscle core: even triangles on its surface, graded tetrahedra inside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import MeshError
+from ...typing import BoolArray, FloatArray, IntArray
+from ..device.layout import Layout
+from ..device.sizing import Sizes
+from ..mesh.topology import boundary_faces, keys
+from .chart import Chart, Place, spread
+from .filling import Shell, fill
+from .tube import BoneAxis, Tube
+
+_BONE_FACET = 2.0  # far from contacts, relative to the facets near them: eight at accuracy 0.05
+_BONE_SHARE = 0.5  # of the size around: a contact over 4 mm of muscle felt the octagon by 2 % at 60 Hz
+_BONE_WIDEST = 2 * np.pi / 4  # a limit that both meshes of an error estimate reach hides what it costs
+_PER_GAP = 2.2  # edges on two surfaces near one another, relative to the gap: longer ones would reach across
+_INSET = 0.5  # grid of points on the cut ends: how many spacings they keep from walls
+Size3 = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class Core:
+    """Core mesh; ``lateral`` (m, 3) are the triangles on which layers grow, ``angle`` (n_point,) their columns.
+
+    ``bone`` (n_tet,) numbers the bone each tetrahedron lies in, -1 for muscle.
+    """
+
+    points: FloatArray
+    tetrahedra: IntArray
+    bone: IntArray
+    lateral: IntArray
+    angle: FloatArray
+    on_bone: BoolArray
+
+
+def core_mesh(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, *, elastic: bool, seed: int = 1) -> Core:
+    """Mesh of everything inside the layers; bones are left out unless ``elastic``. The same at every call.
+
+    Columns of the layers stand on the core's surface, so its triangles are what the skin gets: they are spread evenly,
+    with rings under the contacts of ``layout`` and a column through each of its points.
+    """
+    shell = _shell(tube, size, sizes, layout, elastic)
+    points, tetrahedra = fill(shell, size, lambda p, gap: _inside(tube, p, gap), seed=seed)
+    return _named(tube, shell, points, tetrahedra, elastic)
+
+
+def _shell(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, elastic: bool) -> Shell:
+    """Points on the core's wall, the bones' walls, the cut ends and, where they are ``elastic``, inside the bones.
+
+    Surfaces are the wall, each bone (with what is inside it) and the two ends.
+    """
+    x, angle = _wall(tube, size, sizes.wall, layout)
+    parts = [tube.place(x, angle, tube.thickness)]
+    parts += [_bone_wall(tube, bone, size, sizes.facet) for bone in tube.bones]
+    parts += [_end(tube, parts[0], side) for side in (-1, 1)]
+    surface = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
+    if elastic:
+        marrow = [_marrow(tube, bone) for bone in tube.bones]
+        surface = np.concatenate([surface, np.repeat(1 + np.arange(len(marrow)), [len(p) for p in marrow])])
+        parts += marrow
+    points, n_bone = np.vstack(parts), len(tube.bones)
+    on = surface[:, None] == np.arange(n_bone + 3)
+    on[:, n_bone + 1] |= points[:, 0] == -tube.length / 2
+    on[:, n_bone + 2] |= points[:, 0] == tube.length / 2
+    closed = np.array([True] + [not elastic] * n_bone + [True, True])
+    return Shell(points, on, closed)
+
+
+def _wall(tube: Tube, size: Size3, widest: float, layout: Layout) -> Place:
+    """Columns' x and angle on the core's wall: sizes are those of the skin above, where the device presses."""
+
+    def wanted(x: FloatArray, angle: FloatArray) -> FloatArray:
+        under = tube.place(x, angle, tube.thickness)
+        arc = widest * np.linalg.norm(under[:, 1:], axis=1)
+        gap = (_from_bones(tube, under) - _radii(tube)).min(axis=1)
+        return np.asarray(np.minimum.reduce([size(under), arc, _PER_GAP * gap]))
+
+    return spread(
+        Chart.of_skin(tube),
+        wanted,
+        circles=_on_skin(tube, layout.contacts),
+        radius=layout.radius,
+        fixed=_on_skin(tube, layout.points),
+    )
+
+
+def _on_skin(tube: Tube, xy: FloatArray) -> Place | None:
+    if not len(xy):
+        return None
+    skin, _ = tube.volar(xy)
+    return xy[:, 0], tube.angle_of(skin)
+
+
+def _bone_wall(tube: Tube, bone: BoneAxis, size: Size3, facet: float) -> FloatArray:
+    """Points (n, 3) on a bone's wall, closer together where the limb's wall or another bone is near."""
+    narrow, wide = (min(factor * facet, _BONE_WIDEST) * bone.radius for factor in (1.0, _BONE_FACET))
+    others = [k for k, each in enumerate(tube.bones) if each is not bone]
+
+    def place(x: FloatArray, angle: FloatArray) -> FloatArray:
+        ring = bone.radius * np.column_stack([np.sin(angle), np.cos(angle)])
+        return np.column_stack([x, tube.bone_centre(bone, x) + ring])
+
+    def wanted(x: FloatArray, angle: FloatArray) -> FloatArray:
+        at = place(x, angle)
+        gaps = np.column_stack([_below(tube, at), (_from_bones(tube, at) - _radii(tube))[:, others]])
+        arc = np.clip(_BONE_SHARE * size(at), narrow, wide)
+        return np.asarray(np.minimum(arc, _PER_GAP * gaps.min(axis=1)))
+
+    return place(*spread(Chart.of_bone(tube, bone), wanted))
+
+
+def _below(tube: Tube, points: FloatArray) -> FloatArray:
+    """Depth (n,) [m] of points (n, 3) below the core's wall, negative outside."""
+    skin = tube.place(points[:, 0], tube.angle_of(points), 0.0)
+    inward = skin[:, 1:] - points[:, 1:]
+    sign = np.sign((skin[:, 1:] * inward).sum(axis=1))
+    return np.asarray(sign * np.linalg.norm(inward, axis=1) - tube.thickness)
+
+
+def _inside(tube: Tube, points: FloatArray, gap: FloatArray) -> BoolArray:
+    """Points (n, 3) in the muscle and at least ``gap`` (n,) from its walls, bones and ends."""
+    clear = (np.abs(points[:, 0]) < tube.length / 2 - gap) & (_below(tube, points) > gap)
+    return np.asarray(clear & (_from_bones(tube, points) > _radii(tube) + gap[:, None]).all(axis=1))
+
+
+def _end(tube: Tube, wall: FloatArray, side: int) -> FloatArray:
+    """Points (n, 3) of a triangular grid on a cut end, as far apart as the wall's points around it."""
+    rim = wall[wall[:, 0] == side * tube.length / 2]
+    h = float(np.median(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1)))
+    reach = float(np.abs(rim[:, 1:]).max())
+    rows = np.arange(-reach, reach, h)
+    grid = np.stack(np.meshgrid(rows, rows * np.sqrt(3) / 2 * 1.2), axis=-1)
+    grid[1::2, :, 0] += h / 2
+    plane = np.column_stack([np.full(rows.size**2, side * tube.length / 2), grid.reshape(-1, 2)])
+    clear = _below(tube, plane) > _INSET * h
+    clear &= (_from_bones(tube, plane) > _radii(tube) + _INSET * h).all(axis=1)
+    return np.asarray(plane[clear])
+
+
+def _marrow(tube: Tube, bone: BoneAxis) -> FloatArray:
+    """Points (n, 3) along a bone's axis, ends included, no closer than its radius: bone hardly deforms."""
+    x = np.linspace(-tube.length / 2, tube.length / 2, max(2, round(tube.length / bone.radius)) + 1)
+    return np.column_stack([x, tube.bone_centre(bone, x)])
+
+
+def _named(tube: Tube, shell: Shell, points: FloatArray, tetrahedra: IntArray, elastic: bool) -> Core:
+    """What lies where: the wall's triangles and columns, bones, and the points on these."""
+    n_bone = len(tube.bones)
+    on = shell.on_of(len(points))
+    in_bone = on[:, 1 : n_bone + 1]
+    bone = _which(in_bone[tetrahedra])
+    faces, _ = boundary_faces(tetrahedra)
+    lateral = faces[on[faces, 0].all(axis=1) & (_which(on[faces][:, :, n_bone + 1 :]) < 0)]
+    walls = _bone_walls(tetrahedra, bone, in_bone, on[:, n_bone + 1 :])
+    _check_tubes([lateral, *walls])
+    column = np.unique(lateral)
+    angle, on_bone = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
+    angle[column] = tube.angle_of(points[column])
+    for faces in walls:
+        on_bone[faces] = not elastic
+    return Core(points, tetrahedra, bone, lateral, angle, on_bone)
+
+
+def _which(corners_on: BoolArray) -> IntArray:
+    """The first surface (m,) that all corners of a cell lie on, from flags (m, n_corner, n_surface); -1 for none."""
+    whole = np.asarray(corners_on.all(axis=1))
+    return np.asarray(
+        np.where(whole.any(axis=1), whole.argmax(axis=1), -1) if whole.shape[1] else np.full(len(whole), -1)
+    )
+
+
+def _bone_walls(tetrahedra: IntArray, bone: IntArray, in_bone: BoolArray, on_end: BoolArray) -> list[IntArray]:
+    """Faces (m, 3) of each bone's wall, towards the muscle's outside; ``on_end`` (n_point, 2) marks the cut ends."""
+    faces, _ = boundary_faces(tetrahedra[bone < 0])
+    faces = faces[_which(on_end[faces]) < 0]
+    return [faces[of[faces].all(axis=1)] for of in in_bone.T]
+
+
+def _check_tubes(walls: list[IntArray]) -> None:
+    """Raise :class:`MeshError` unless each set of faces (m, 3) is one unbroken tube: V - E + F = 0."""
+    for faces in walls:
+        n = int(faces.max(initial=0)) + 1
+        edges = np.unique(keys(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), n))
+        if not len(faces) or len(np.unique(faces)) - len(edges) + len(faces) != 0:
+            raise MeshError(
+                "points on the limb's wall or on a bone are too far apart to be joined; set mesh.size_far smaller, or "
+                "leave more muscle between bones and wall"
+            )
+
+
+def _from_bones(tube: Tube, points: FloatArray) -> FloatArray:
+    """Distance (n, n_bone) [m] from each bone's axis within the section."""
+    away = [np.linalg.norm(points[:, 1:] - tube.bone_centre(b, points[:, 0]), axis=1) for b in tube.bones]
+    return np.column_stack(away) if away else np.full((len(points), 1), np.inf)
+
+
+def _radii(tube: Tube) -> FloatArray:
+    return np.array([b.radius for b in tube.bones] or [0.0])

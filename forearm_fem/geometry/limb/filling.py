@@ -1,0 +1,121 @@
+"""Tetrahedra between given boundary points: graded points inside, pushed apart by springs, joined by Delaunay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import Delaunay, cKDTree
+
+from ...errors import MeshError
+from ...typing import BoolArray, FloatArray, IntArray
+from ..mesh.topology import EDGES, boundary_faces, keys
+from .prisms import oriented
+from .slivers import without_slivers
+from .springs import spring_forces
+
+Size = Callable[[FloatArray], FloatArray]
+Allowed = Callable[[FloatArray, FloatArray], BoolArray]
+_ROUNDS, _STEP, _STRETCH = 40, 0.2, 1.15  # of the springs, see planar.py
+_GROWTH = 0.66  # of the sizes inside, per metre away from the boundary's own spacing
+_CLOSE = 0.6  # of its size: how near to a boundary point an inner one may start; below it faces would be lost
+_PER_CELL = 0.72  # points per size^3 and lattice that the springs spread about a size apart
+_REPAIRS = 4
+
+
+@dataclass(frozen=True)
+class Shell:
+    """Boundary points (n, 3) [m], the surfaces (n, n_surface) each lies on, and which of these end the mesh.
+
+    Behind ``closed`` (n_surface,) surfaces nothing is meshed: tetrahedra with all corners on one are dropped.
+    """
+
+    points: FloatArray
+    on: BoolArray
+    closed: BoolArray
+
+    def behind(self, tetrahedra: IntArray) -> BoolArray:
+        """Tetrahedra (m,) with all corners on one closed surface: flat ones on it, or inside a hole."""
+        on = self.on_of(int(tetrahedra.max()) + 1)
+        return np.asarray((on[tetrahedra].all(axis=1) & self.closed).any(axis=1))
+
+    def on_of(self, n: int) -> BoolArray:
+        """``on`` for the first ``n`` points of a mesh (n, n_surface); inner points lie on none."""
+        return np.vstack([self.on, np.zeros((max(n - len(self.on), 0), self.on.shape[1]), dtype=bool)])
+
+
+def fill(shell: Shell, size: Size, allowed: Allowed, *, seed: int = 1) -> tuple[FloatArray, IntArray]:
+    """Points (n, 3), the shell's first, and positive tetrahedra (m, 4) of edges about ``size(points)`` [m].
+
+    ``allowed(points, gaps)`` tells which points lie inside by their gap at least. Springs after Persson and Strang
+    (2004), slivers removed by :func:`.slivers.without_slivers`. The same at every call with one ``seed``. Raises
+    :class:`MeshError` where a surface of the shell is not made of faces: its points were too far apart.
+    """
+    wanted = _graded(shell, size)
+    rng = np.random.default_rng(seed)
+    points = _relaxed(shell, _scattered(shell, wanted, allowed, rng), wanted, allowed)
+    movable = np.arange(len(points)) >= len(shell.points)
+    for _ in range(_REPAIRS):
+        tetrahedra = oriented(points, _joined(shell, points))
+        points = without_slivers(points, tetrahedra, movable, wanted, rng)
+    _check(shell, tetrahedra)
+    return points, tetrahedra
+
+
+def _graded(shell: Shell, size: Size) -> Size:
+    """``size``, but growing away from the boundary points from their own spacing."""
+    tree = cKDTree(shell.points)
+    spacing = tree.query(shell.points, 7)[0][:, 1:].mean(axis=1)
+
+    def wanted(points: FloatArray) -> FloatArray:
+        away, nearest = tree.query(points)
+        return np.asarray(np.minimum(size(points), spacing[nearest] + _GROWTH * away))
+
+    return wanted
+
+
+def _scattered(shell: Shell, size: Size, allowed: Allowed, rng: np.random.Generator) -> FloatArray:
+    """Points of a fine body-centred lattice kept with probability ~ 1/h^3, away from the boundary."""
+    finest = float(size(shell.points).min())
+    low, high = shell.points.min(axis=0), shell.points.max(axis=0)
+    axes = [np.arange(a, b, finest) for a, b in zip(low, high, strict=True)]
+    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    lattice = np.vstack([lattice, lattice + finest / 2])
+    lattice = lattice[allowed(lattice, np.full(len(lattice), finest / 2))]
+    h = size(lattice)
+    kept = rng.random(len(h)) < _PER_CELL * (finest / h) ** 3
+    lattice, h = lattice[kept], h[kept]
+    clear = cKDTree(shell.points).query(lattice)[0] > _CLOSE * h
+    return np.asarray(lattice[clear & allowed(lattice, 0.5 * h)])
+
+
+def _relaxed(shell: Shell, inner: FloatArray, size: Size, allowed: Allowed) -> FloatArray:
+    """Shell and inner points, these moved by the forces of springs along the edges."""
+    points, n = np.vstack([shell.points, inner]), len(shell.points)
+    for _ in range(_ROUNDS):
+        edges = _edges(_joined(shell, points))
+        moved = inner + _STEP * spring_forces(points, edges, size(points[edges].mean(axis=1)), _STRETCH)[n:]
+        legal = allowed(moved, 0.45 * size(moved))
+        inner = np.where(legal[:, None], moved, inner)
+        points = np.vstack([shell.points, inner])
+    return points
+
+
+def _edges(tetrahedra: IntArray) -> IntArray:
+    n = int(tetrahedra.max()) + 1
+    found = np.unique(keys(tetrahedra[:, EDGES].reshape(-1, 2), n))
+    return np.column_stack([found // n, found % n])
+
+
+def _joined(shell: Shell, points: FloatArray) -> IntArray:
+    tetrahedra = np.asarray(Delaunay(points).simplices, dtype=np.int64)
+    return tetrahedra[~shell.behind(tetrahedra)]
+
+
+def _check(shell: Shell, tetrahedra: IntArray) -> None:
+    """Raise :class:`MeshError` where a boundary face lies on none of the surfaces."""
+    faces, _ = boundary_faces(tetrahedra)
+    on = shell.on_of(int(faces.max()) + 1)
+    if not (on[faces].all(axis=1) & shell.closed).any(axis=1).all():
+        raise MeshError("points on the limb's surfaces are too far apart to be joined; set mesh.size_far smaller")

@@ -1,0 +1,223 @@
+"""The analytic limb: elliptic sections along x, layers of exact thickness, bones that follow the taper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.special import ellipe
+
+from ...errors import GeometryError
+from ...scenario.limb import Bone, CylinderLimb, ForearmLimb, LayerThickness
+from ...typing import FloatArray, IntArray
+
+_SLOPE_STEP = 1e-5  # [m] for the derivative of the profile
+
+
+@dataclass(frozen=True)
+class BoneAxis:
+    """A bone of circular section; ``y``, ``z`` [m] place its axis at x = 0, from where it follows the
+    taper."""
+
+    name: str
+    y: float
+    z: float
+    radius: float
+
+
+@dataclass(frozen=True)
+class Tube:
+    """Limb with its axis on y = z = 0: at each x an ellipse of half height b(x) and half width aspect * b(x).
+
+    ``stations`` (n,) and ``heights`` (n,) [m] are joined by a monotone cubic (smooth normals) and continued
+    as constants. A point of the limb has coordinates x, angle (0 = volar, towards +y) and depth [m] below the
+    skin. Depth runs inside the section x = const, stretched so that layers are as thick as asked for when
+    measured along the surface's normal; cut ends therefore stay plane.
+    """
+
+    stations: FloatArray
+    heights: FloatArray
+    aspect: float
+    length: float
+    layers: tuple[LayerThickness, ...]
+    core: str
+    bones: tuple[BoneAxis, ...]
+
+    @property
+    def thickness(self) -> float:
+        """All layers together [m]."""
+        return sum(layer.thickness for layer in self.layers)
+
+    @cached_property
+    def _profile(self) -> PchipInterpolator | None:
+        return PchipInterpolator(self.stations, self.heights) if len(self.stations) > 1 else None
+
+    def height(self, x: FloatArray) -> FloatArray:
+        """Half height b (n,) [m] of the section at ``x`` (n,)."""
+        if self._profile is None:
+            return np.full(np.shape(x), self.heights[0])
+        return np.asarray(self._profile(np.clip(x, self.stations[0], self.stations[-1])))
+
+    def normal(self, x: FloatArray, angle: FloatArray) -> FloatArray:
+        """Outward unit normal (n, 3) of the skin."""
+        slope = (self.height(x + _SLOPE_STEP) - self.height(x - _SLOPE_STEP)) / (2 * _SLOPE_STEP)
+        raw = np.column_stack([-slope, np.sin(angle) / self.aspect, np.cos(angle)])
+        return np.asarray(raw / np.linalg.norm(raw, axis=1)[:, None])
+
+    def place(self, x: FloatArray, angle: FloatArray, depth: FloatArray | float) -> FloatArray:
+        """Points (n, 3) at ``x``, ``angle`` and ``depth`` (n,) below the skin."""
+        normal, b = self.normal(x, angle), self.height(x)
+        inward = normal[:, 1:] / (normal[:, 1:] ** 2).sum(axis=1, keepdims=True)
+        section = np.column_stack([self.aspect * b * np.sin(angle), b * np.cos(angle)])
+        return np.column_stack([x, section - np.reshape(depth, (-1, 1)) * inward])
+
+    def angle_of(self, points: FloatArray) -> FloatArray:
+        """Angle (n,) of the column that passes through each point (n, 3): foot of the normal in its
+        section."""
+        b = self.height(points[:, 0])
+        a, y, z = self.aspect * b, points[:, 1], points[:, 2]
+        angle = np.arctan2(y / a, z / b)
+        if self.aspect == 1:
+            return np.asarray(angle)
+        for _ in range(30):  # Newton on (p - s) . s' = 0
+            s, c = np.sin(angle), np.cos(angle)
+            value = (y - a * s) * a * c - (z - b * c) * b * s
+            slope = -((a * c) ** 2) - (b * s) ** 2 - (y - a * s) * a * s - (z - b * c) * b * c
+            angle = angle - np.clip(value / slope, -0.3, 0.3)
+        return np.asarray(angle)
+
+    def depth_of(self, points: FloatArray, angle: FloatArray) -> FloatArray:
+        """Depth (n,) [m] of points (n, 3) below the skin, in the columns at their ``angle`` (n,)."""
+        skin = self.place(points[:, 0], angle, 0.0)
+        return np.asarray(((skin - points)[:, 1:] * self.normal(points[:, 0], angle)[:, 1:]).sum(axis=1))
+
+    def volar(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points (n, 3) and outward normals (n, 3) of the volar skin over ``xy`` (n, 2); NaN off the limb."""
+        x, y = xy.T
+        with np.errstate(invalid="ignore"):
+            angle = np.arcsin(y / (self.aspect * self.height(x)))
+        angle = np.where(np.abs(x) <= self.length / 2, angle, np.nan)
+        return self.place(x, angle, 0.0), self.normal(x, angle)
+
+    def bone_centre(self, bone: BoneAxis, x: FloatArray) -> FloatArray:
+        """(y, z) of the bone's axis (n, 2) at ``x`` (n,): its offset shrinks with the section."""
+        scale = self.height(x) / self.height(np.zeros(1))
+        return np.column_stack([bone.y * scale, bone.z * scale])
+
+    def section_area(self, x: float, depth: float) -> float:
+        """Area [m^2] inside the surface at ``depth``, in the section at ``x``."""
+        angle = np.linspace(0, 2 * np.pi, 721)[:-1]
+        _, y, z = self.place(np.full(720, x), angle, depth).T
+        return float(abs(np.dot(y, np.roll(z, -1)) - np.dot(z, np.roll(y, -1))) / 2)
+
+    def volumes(self, *, bones_kept: bool) -> Mapping[str, float]:
+        """Exact volume [m^3] of every region (quadrature along x)."""
+        depths = np.concatenate([[0], np.cumsum([layer.thickness for layer in self.layers])])
+        at, weight = np.polynomial.legendre.leggauss(40)
+        inside = [
+            sum(
+                w * self.length / 2 * self.section_area(self.length / 2 * t, d) for t, w in zip(at, weight, strict=True)
+            )
+            for d in depths
+        ]
+        bone = sum(np.pi * b.radius**2 for b in self.bones) * self.length
+        total: dict[str, float] = {}
+        for layer, outer, inner in zip(self.layers, inside[:-1], inside[1:], strict=True):
+            total[layer.tissue] = total.get(layer.tissue, 0.0) + outer - inner
+        total[self.core] = total.get(self.core, 0.0) + inside[-1] - bone
+        return {**total, "bone": float(bone)} if bones_kept and self.bones else total
+
+
+def tube_of(limb: ForearmLimb | CylinderLimb) -> Tube:
+    """The analytic limb of a scenario; raises :class:`GeometryError` when it cannot exist."""
+    if isinstance(limb, CylinderLimb):
+        stations, heights, aspect = np.zeros(1), np.array([limb.diameter / 2]), 1.0
+    else:
+        aspect = limb.aspect
+        stations, around = np.array(limb.circumference, dtype=float).T
+        heights = around / (4 * max(aspect, 1.0) * ellipe(1 - min(aspect, 1 / aspect) ** 2))
+    bare = Tube(stations, heights, aspect, limb.length, limb.layers, limb.core, ())
+    volar = float(bare.height(np.zeros(1))[0])
+    bones = tuple(_bone_axis(bone, volar) for bone in limb.bones)
+    tube = Tube(stations, heights, aspect, limb.length, limb.layers, limb.core, bones)
+    check_tube(tube)
+    return tube
+
+
+def _bone_axis(bone: Bone, volar: float) -> BoneAxis:
+    return BoneAxis(bone.name, bone.y, volar - bone.depth, bone.diameter / 2)
+
+
+_CLEARANCE = 1e-3  # [m] of muscle around a bone, or elements become needles
+
+
+def check_tube(tube: Tube) -> None:
+    """Raise :class:`GeometryError` when layers or bones do not fit."""
+    x = np.linspace(-tube.length / 2, tube.length / 2, 201)
+    _check_layers(tube, x)
+    for bone in tube.bones:
+        _check_inside(tube, bone, x)
+    for i, first in enumerate(tube.bones):
+        for second in tube.bones[i + 1 :]:
+            _check_apart(tube, first, second, x)
+
+
+def _check_layers(tube: Tube, x: FloatArray) -> None:
+    """The inward offset of an ellipse exists up to its smallest radius of curvature."""
+    b = tube.height(x)
+    a = tube.aspect * b
+    tightest = float(np.min(np.minimum(a, b) ** 2 / np.maximum(a, b)))
+    if tube.thickness > 0.9 * tightest:
+        raise GeometryError(
+            f"the layers are {tube.thickness * 1e3:.3g} mm thick together, but the limb bends with a "
+            "radius of "
+            f"{tightest * 1e3:.3g} mm at its tightest; thin the layers, enlarge the limb or bring aspect "
+            "nearer 1"
+        )
+
+
+def _check_inside(tube: Tube, bone: BoneAxis, x: FloatArray) -> None:
+    angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)
+    centres = tube.bone_centre(bone, x)
+    gap = np.inf
+    for at, centre in zip(x[::10], centres[::10], strict=True):
+        wall = tube.place(np.full(180, at), angle, tube.thickness)[:, 1:]
+        away = float(np.linalg.norm(wall - centre, axis=1).min()) - bone.radius
+        inside = _in_section(wall, centre)
+        gap = min(gap, away if inside else -np.inf)
+    if gap < _CLEARANCE:
+        raise GeometryError(
+            f"bone '{bone.name}' does not lie inside the {tube.core} with {_CLEARANCE * 1e3:g} mm to spare "
+            f"(its axis at y = {bone.y * 1e3:.3g} mm, diameter {2e3 * bone.radius:.3g} mm); move it "
+            "towards the "
+            "middle (y, depth), make it thinner, or shorten the segment"
+        )
+
+
+def _in_section(wall: FloatArray, centre: FloatArray) -> bool:
+    """Whether ``centre`` (2,) lies inside the convex section with vertices ``wall`` (n, 2)."""
+    along = np.roll(wall, -1, axis=0) - wall
+    towards = centre - wall
+    side = along[:, 0] * towards[:, 1] - along[:, 1] * towards[:, 0]
+    return bool((side > 0).all() or (side < 0).all())
+
+
+def _check_apart(tube: Tube, first: BoneAxis, second: BoneAxis, x: FloatArray) -> None:
+    apart = np.linalg.norm(tube.bone_centre(first, x) - tube.bone_centre(second, x), axis=1).min()
+    gap = float(apart) - first.radius - second.radius
+    if gap < _CLEARANCE:
+        how = f"overlap by {-gap * 1e3:.3g} mm" if gap < 0 else f"come within {gap * 1e3:.3g} mm of each other"
+        raise GeometryError(
+            f"bones '{first.name}' and '{second.name}' {how}, expected {_CLEARANCE * 1e3:g} mm "
+            f"of {tube.core} between them; move them apart or make them thinner"
+        )
+
+
+def lattice(n: int, m: int) -> IntArray:
+    """Triangles (2 n m, 3) of a tube of n rings spacings and m points around: vertex (i, j) is i m + j."""
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
+    here, right = i * m + j, i * m + (j + 1) % m
+    return np.vstack([np.column_stack([here, here + m, right]), np.column_stack([right, here + m, right + m])])

@@ -1,0 +1,1 @@
+"""The mesh that everything after geometry works on: its shape, quality, files and refinement."""

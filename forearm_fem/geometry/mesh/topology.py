@@ -1,0 +1,43 @@
+"""Faces and edges of tetrahedra as integer tables, and their shape."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...typing import BoolArray, FloatArray, IntArray
+
+# Faces of a positive tetrahedron, normals outwards; edges in lexicographic order.
+FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+SIDES = np.array([[0, 1], [1, 2], [2, 0]])  # of a triangle
+
+
+def keys(rows: IntArray, n_point: int) -> IntArray:
+    """One integer per row of vertex numbers (n, k), whatever their order (k <= 3)."""
+    ordered = np.sort(np.asarray(rows, dtype=np.int64), axis=1)
+    key = ordered[:, 0]
+    for column in ordered.T[1:]:
+        key = key * n_point + column
+    return np.asarray(key)
+
+
+def boundary_faces(tetrahedra: IntArray) -> tuple[IntArray, IntArray]:
+    """Faces (m, 3) that belong to one tetrahedron only, normals outwards, and that tetrahedron (m,)."""
+    faces = tetrahedra[:, FACES].reshape(-1, 3)
+    _, inverse, count = np.unique(keys(faces, int(tetrahedra.max()) + 1), return_inverse=True, return_counts=True)
+    single = np.flatnonzero(count[inverse] == 1)
+    return faces[single], single // 4
+
+
+def is_member(rows: IntArray, of: IntArray, n_point: int) -> BoolArray:
+    """Which ``rows`` (n, k) occur among ``of`` (m, k), whatever the order within a row."""
+    return np.asarray(np.isin(keys(rows, n_point), keys(of, n_point)))
+
+
+def mean_ratios(points: FloatArray, tetrahedra: IntArray) -> FloatArray:
+    """Mean-ratio quality (n_tet,): 12 (3 V)^(2/3) / sum of squared edges; 1 regular, 0 flat, negative inverted."""
+    corner = points[tetrahedra]
+    a, b, c = (corner[:, 1:] - corner[:, :1]).transpose(1, 0, 2)
+    half_volume = np.einsum("ij,ij->i", np.cross(a, b), c) / 2  # 3 V
+    squared = ((corner[:, EDGES[:, 0]] - corner[:, EDGES[:, 1]]) ** 2).sum(axis=(1, 2))
+    return np.asarray(12 * np.sign(half_volume) * np.abs(half_volume) ** (2 / 3) / squared)

@@ -1,0 +1,1 @@
+"""The user's own surfaces and meshes: read, checked, cut into tissues."""

@@ -1,0 +1,142 @@
+"""Whether somebody else's tetrahedra make one whole body; what is wrong is named by the cell's number in the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ...errors import MeshError
+from ...typing import FloatArray, IntArray
+from ..mesh.topology import FACES, SIDES, boundary_faces, keys, mean_ratios
+from .shells import place
+
+_JOINED = 1e-7  # of the body's size: vertices closer than this are one
+_HOLE = 24  # fewer facets around a cavity are cells that were lost, not a bone that was left out
+
+
+def check_indices(file: Path, cells: IntArray, count: int) -> None:
+    """Raise :class:`MeshError` for ``cells`` (m, 4) that name vertices beyond ``count``, one twice, or a set twice."""
+    wrong = np.flatnonzero((cells < 0).any(axis=1) | (cells >= count).any(axis=1))
+    if len(wrong):
+        named = cells[wrong[0]]
+        vertex = int(named[(named < 0) | (named >= count)][0])
+        raise MeshError(
+            f"{file}: {len(wrong)} tetrahedra name vertices that are not in the file, the first is number {wrong[0]} "
+            f"with vertex {vertex} of {count}; export the mesh again"
+        )
+    ordered = np.sort(cells, axis=1)
+    _check_distinct(file, ordered)
+    _, first, inverse, often = np.unique(ordered, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    if (often > 1).any():
+        again = np.setdiff1d(np.arange(len(cells)), first)
+        raise MeshError(
+            f"{file}: {len(again)} tetrahedra occur twice, the first is number {again[0]}, the same as "
+            f"{first[inverse.ravel()[again[0]]]}; remove duplicate cells"
+        )
+
+
+def _check_distinct(file: Path, ordered: IntArray) -> None:
+    twice = np.flatnonzero((ordered[:, 1:] == ordered[:, :-1]).any(axis=1))
+    if len(twice):
+        raise MeshError(
+            f"{file}: {len(twice)} tetrahedra have no volume, as two of their corners are one vertex; the first is "
+            f"number {twice[0]}; remove them"
+        )
+
+
+def joined(points: FloatArray, cells: IntArray) -> tuple[FloatArray, IntArray]:
+    """Points that are used, those that coincide made one, and ``cells`` (m, 4) of them.
+
+    Programs that mesh tissue by tissue double the vertices between them: the tissues would not be joined.
+    """
+    used, cells = np.unique(cells, return_inverse=True)
+    points, cells = points[used], cells.reshape(-1, 4)
+    pairs = cKDTree(points).query_pairs(_JOINED * float(np.ptp(points, axis=0).max()), output_type="ndarray")
+    if not len(pairs):
+        return points, cells
+    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
+    _, first, label = np.unique(connected_components(graph, directed=False)[1], return_index=True, return_inverse=True)
+    return points[first], label[cells]
+
+
+def check_body(file: Path, points: FloatArray, cells: IntArray, least: float) -> None:
+    """Raise :class:`MeshError` unless positively oriented ``cells`` (m, 4) fill one body without flaws, each of a mean
+    ratio of at least ``least``.
+
+    Not seen: cells lost at the surface, which leave a dent; and what touches without sharing vertices.
+    """
+    _check_distinct(file, np.sort(cells, axis=1))
+    ratio = mean_ratios(points, cells)
+    if (flat := np.flatnonzero(ratio < least)).size:
+        worst = int(ratio.argmin())
+        raise MeshError(
+            f"{file}: {len(flat)} tetrahedra are flatter than mesh.min_quality = {least:g} allows, the worst is number "
+            f"{worst} at {place(points[cells[worst]])} with quality {max(ratio[worst], 0):.1g}; remesh there"
+        )
+    _check_faces(file, points, cells)
+    _check_boundary(file, points, cells)
+
+
+def _check_faces(file: Path, points: FloatArray, cells: IntArray) -> None:
+    """At most two cells share a face, from either side of it; all hang together by faces."""
+    faces = cells[:, FACES].reshape(-1, 3)
+    _, inverse, often = np.unique(keys(faces, len(points)), return_inverse=True, return_counts=True)
+    order = np.argsort(inverse, kind="stable")
+    if often.max() > 2:
+        owners = order[inverse[order] == int(often.argmax())] // 4
+        raise MeshError(
+            f"{file}: tetrahedra {', '.join(map(str, owners[:4]))} all share one face, at most two can; remove cells "
+            "that overlap"
+        )
+    shared = order[np.repeat(often == 2, often)].reshape(-1, 2)
+    same = shared[_turns(faces[shared[:, 0]]) == _turns(faces[shared[:, 1]])]
+    if len(same):
+        a, b = same[0] // 4
+        raise MeshError(
+            f"{file}: tetrahedra {a} and {b} lie on the same side of the face they share, at "
+            f"{place(points[cells[a]])} ({len(same)} such pairs); the mesh is folded over: remesh"
+        )
+    graph = coo_array((np.ones(len(shared), dtype=np.int8), tuple((shared // 4).T)), shape=(len(cells),) * 2)
+    parts, label = connected_components(graph, directed=False)
+    if parts > 1:
+        sizes = np.bincount(label)
+        first = int(np.flatnonzero(label == sizes.argmin())[0])
+        raise MeshError(
+            f"{file}: falls into {parts} parts that share no face, the smallest of {sizes.min()} tetrahedra, number "
+            f"{first} among them, at {place(points[cells[first]])}; join the parts or remove them"
+        )
+
+
+def _turns(faces: IntArray) -> IntArray:
+    """+1 or -1 (n,): which way round the faces (n, 3) name their vertices."""
+    a, b, c = faces.T
+    return np.asarray(np.sign((b - a) * (c - b) * (a - c)))
+
+
+def _check_boundary(file: Path, points: FloatArray, cells: IntArray) -> None:
+    """The boundary is closed surfaces that do not touch themselves; cavities are large enough to be meant."""
+    faces, owner = boundary_faces(cells)
+    sides = faces[:, SIDES].reshape(-1, 2)
+    _, inverse, often = np.unique(keys(sides, len(points)), return_inverse=True, return_counts=True)
+    if (often != 2).any():
+        at = int(owner[int(np.flatnonzero(often[inverse] != 2)[0]) // 3])
+        raise MeshError(
+            f"{file}: the boundary touches itself along {int((often != 2).sum())} edges, the first of tetrahedron {at} "
+            f"at {place(points[cells[at]])}; cells are missing there, or parts meet in an edge only"
+        )
+    order = np.argsort(inverse, kind="stable").reshape(-1, 2) // 3
+    graph = coo_array((np.ones(len(order), dtype=np.int8), tuple(order.T)), shape=(len(faces),) * 2)
+    piece = connected_components(graph, directed=False)[1]
+    a, b, c = points[faces].transpose(1, 0, 2)
+    volume = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6)
+    facets = np.bincount(piece)
+    if (small := np.flatnonzero((volume < 0) & (facets < _HOLE))).size:
+        where = points[faces[piece == small[0]]].reshape(-1, 3)
+        raise MeshError(
+            f"{file}: {len(small)} cavities, the first at {place(where)} with {facets[small[0]]} facets; tetrahedra "
+            f"are missing there (a bone that is left out has {_HOLE} facets or more)"
+        )

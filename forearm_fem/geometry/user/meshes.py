@@ -1,0 +1,181 @@
+"""The user's own tetrahedral mesh: regions named or numbered in the file become tissues."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import MeshError
+from ...scenario.limb import MeshLimb
+from ...typing import FloatArray, IntArray
+from ..device.layout import Layout
+from ..limb.prisms import oriented
+from ..mesh.files import check_mesh_seals, read_quietly
+from ..mesh.tissue_mesh import TissueMesh
+from .boundary import with_boundaries, without_bone
+from .cells import check_body, check_indices, joined
+from .extent import check_extent, check_room
+
+_NUMBERED = ("gmsh:physical", "region", "medit:ref", "cell_tags", "gmsh:geometrical", "material", "subdomain")
+_KINDS = ("tetra", "tetra10")
+_MIDDLES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))  # whose middles the nodes 4 to 9 of a tetra10 are (VTK)
+_BENT = 1e-3  # of an edge: a middle further off its chord than this is meant
+
+
+def user_mesh(limb: MeshLimb, base: Path, layout: Layout, least: float, *, keep_bone: bool) -> TissueMesh:
+    """Mesh of ``limb.file``: tissues by ``limb.regions``, metres, positive tetrahedra, named boundaries.
+
+    It must have room for the device of ``layout`` and no cell of a quality below ``least``. Cells may turn either way
+    round, and vertices between tissues may be doubled. Raises :class:`MeshError` or :class:`GeometryError` with the
+    number of the cell or vertex at fault, counted from 0 over all tetrahedra.
+    """
+    file = base / limb.file
+    if not file.is_file():
+        raise MeshError(f"{file}: no such mesh file; limb.file is relative to the scenario's folder")
+    check_mesh_seals(file)
+    read = read_quietly(file)
+    tetrahedra = _tetrahedra(file, read)
+    points = _points(file, read) * limb.unit
+    check_indices(file, tetrahedra, len(points))
+    names = tuple(dict.fromkeys(limb.regions.values()))
+    region = _tissues(file, limb, _labels(file, read, limb, len(tetrahedra)), names)
+    check_extent(file, points[np.unique(tetrahedra)], limb.unit)
+    _check_straight(file, read, points)
+    points, tetrahedra = joined(points, tetrahedra)
+    tetrahedra = oriented(points, tetrahedra)
+    check_body(file, points, tetrahedra, least)
+    mesh = TissueMesh(points, tetrahedra, region, names, {})
+    mesh = mesh if keep_bone else without_bone(mesh)
+    check_room(file, mesh.points, layout, limb.unit)
+    return with_boundaries(mesh, 1e-6 * float(np.ptp(points[:, 0])))
+
+
+def _points(file: Path, read: Any) -> FloatArray:
+    points = np.asarray(read.points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise MeshError(f"{file}: points have {points.shape[-1]} coordinates, need 3; give a volume mesh")
+    return points
+
+
+def _tetrahedra(file: Path, read: Any) -> IntArray:
+    """Corner nodes of all tetrahedra; the middles of quadratic ones are looked at by :func:`_check_straight`."""
+    blocks = [c.data[:, :4] for c in read.cells if c.type in _KINDS and len(c.data)]
+    others = {c.type for c in read.cells} - {*_KINDS, "vertex"} - {k for k in _kinds(read) if k.startswith(_FLAT_KINDS)}
+    if others:
+        raise MeshError(
+            f"{file}: contains {_some(sorted(others))} cells, but only tetrahedra can be used; split them"
+        )
+    if not blocks:
+        kinds = _some(sorted(_kinds(read))) or "nothing"
+        raise MeshError(f"{file}: contains no tetrahedra (only {kinds}); mesh the volume, not the surface")
+    return np.vstack(blocks).astype(np.int64)
+
+
+_FLAT_KINDS = ("line", "triangle", "quad", "polygon")
+
+
+def _kinds(read: Any) -> set[str]:
+    return {str(c.type) for c in read.cells}
+
+
+def _check_straight(file: Path, read: Any, points: FloatArray) -> None:
+    """Edges of quadratic tetrahedra must be straight, as the elements made of them will be."""
+    start = 0
+    for block in read.cells:
+        if block.type == "tetra10" and len(block.data):
+            nodes = np.asarray(block.data, dtype=np.int64)
+            if nodes.min() < 0 or nodes.max() >= len(points):
+                raise MeshError(f"{file}: tetra10 cells name middles that are not in the file; export the mesh again")
+            a, b = (points[nodes[:, k]] for k in np.array(_MIDDLES).T)
+            off = np.linalg.norm(points[nodes[:, 4:]] - (a + b) / 2, axis=2) / np.linalg.norm(a - b, axis=2)
+            bent = np.flatnonzero(~(off < _BENT).all(axis=1))
+            if len(bent):
+                raise MeshError(
+                    f"{file}: {len(bent)} tetra10 cells have bent edges, the first is number {start + bent[0]}, off "
+                    f"its chord by {100 * off[bent[0]].max():.2g} % of its length; export straight ones (first order)"
+                )
+        start += len(block.data) if block.type in _KINDS else 0
+
+
+def _labels(file: Path, read: Any, limb: MeshLimb, count: int) -> list[str]:
+    """Region name or number of every tetrahedron, as text; names of groups win over numbers."""
+    chosen = [i for i, c in enumerate(read.cells) if c.type in _KINDS and len(c.data)]
+    key = next((k for k in _NUMBERED if k in read.cell_data), None)
+    if key is None:
+        return _from_sets(file, read, limb, chosen, count)
+    numbers = np.concatenate([_numbers(file, key, read.cell_data[key][i]) for i in chosen])
+    if len(numbers) != count:
+        raise MeshError(f"{file}: cell data '{key}' has {len(numbers)} entries for {count} tetrahedra; need one each")
+    _check_whole(file, key, numbers)
+    named = {int(tag[0]): name for name, tag in read.field_data.items() if int(tag[1]) == 3}
+    return [named.get(k, str(k)) for k in numbers.astype(np.int64).tolist()]
+
+
+def _numbers(file: Path, key: str, values: Any) -> Any:
+    """One number a cell (n,), from (n,) or (n, 1)."""
+    found = np.asarray(values)
+    if found.dtype.kind not in "iufb" or found.ndim > 2 or found.shape[1:] not in ((), (1,)):
+        raise MeshError(
+            f"{file}: cell data '{key}' has the shape {found.shape} and type {found.dtype}, expected one number for "
+            "each tetrahedron"
+        )
+    return found.reshape(len(found))
+
+
+def _check_whole(file: Path, key: str, numbers: Any) -> None:
+    broken = np.flatnonzero(~np.isfinite(numbers) | (numbers != np.round(numbers)))
+    if len(broken):
+        raise MeshError(
+            f"{file}: cell data '{key}' of {len(broken)} tetrahedra are no whole numbers, the first is "
+            f"{numbers[broken[0]]:g} of number {broken[0]}; give each region a whole number"
+        )
+
+
+def _from_sets(file: Path, read: Any, limb: MeshLimb, chosen: list[int], count: int) -> list[str]:
+    """Names of the cell sets: of those in limb.regions if there are any, as files hold sets of other kinds too."""
+    sets = {n: m for n, m in read.cell_sets.items() if n in limb.regions} or dict(read.cell_sets)
+    labels = [""] * count
+    start = 0
+    for i in chosen:
+        for name, members in sets.items():
+            for k in np.asarray(members[i] if members[i] is not None else [], dtype=np.int64):
+                if labels[start + int(k)] not in ("", name):
+                    raise MeshError(
+                        f"{file}: tetrahedron {start + int(k)} is in the sets '{labels[start + int(k)]}' and "
+                        f"'{name}'; name only one of them in limb.regions, or make them disjoint"
+                    )
+                labels[start + int(k)] = name
+        start += len(read.cells[i].data)
+    if "" in labels:
+        found = _some([*read.cell_data, *read.cell_sets])
+        raise MeshError(
+            f"{file}: {labels.count('')} tetrahedra carry no region, the first is number {labels.index('')}; expected "
+            f"cell data such as {', '.join(_NUMBERED[:3])} or named cell sets, found {found or 'none'}"
+        )
+    return labels
+
+
+def _tissues(file: Path, limb: MeshLimb, label: list[str], names: tuple[str, ...]) -> IntArray:
+    unknown = sorted(set(label) - set(limb.regions))
+    if unknown:
+        raise MeshError(
+            f"{file}: regions {_some(unknown)} have no tissue, the first is of tetrahedron {label.index(unknown[0])}; "
+            f"add them to limb.regions (it maps {_some(limb.regions) or 'nothing'})"
+        )
+    absent = sorted(set(limb.regions) - set(label))
+    if absent:
+        raise MeshError(
+            f"{file}: limb.regions names {_some(absent)}, but the file holds {_some(sorted(set(label)))}; "
+            "correct the name or number"
+        )
+    number = {key: names.index(tissue) for key, tissue in limb.regions.items()}
+    return np.array([number[k] for k in label], dtype=np.int64)
+
+
+def _some(names: Iterable[str]) -> str:
+    """The first names, short enough for a sentence."""
+    short = [name if len(name) <= 20 else f"{name[:19]}..." for name in names]
+    return ", ".join(short[:3]) + (f" and {len(short) - 3} more" if len(short) > 3 else "")

@@ -1,0 +1,203 @@
+"""The user's closed surfaces, one per tissue: read, checked, meshed, and cut into regions."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyvista
+import trimesh
+
+from ...errors import GeometryError
+from ...scenario.limb import SurfacesLimb
+from ...typing import FloatArray, IntArray
+from ..limb.core import Size3
+from ..mesh.tissue_mesh import TissueMesh
+from ..mesh.topology import boundary_faces
+from .boundary import with_boundaries, without_bone
+from .crossing import crossing_faces
+from .extent import check_extent
+from .levelset import cut_along
+from .shells import check_one_body, check_vertices, closed, place
+from .tetwild import background_grid, tetrahedralise
+
+_REGULAR = 0.1179  # volume of a regular tetrahedron over its edge cubed
+_THINNEST = 5e-5  # m: a layer that is nowhere thicker is a surface given twice
+_PER_WIDTH = 0.25  # edge length over the smallest extent of an inner body
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A closed triangulated surface with outward normals; everything inside belongs to ``tissue`` or deeper
+    ones."""
+
+    tissue: str
+    vertices: FloatArray
+    faces: IntArray
+
+    @cached_property
+    def volume(self) -> float:
+        """Enclosed volume [m^3]."""
+        a, b, c = self.vertices[self.faces].transpose(1, 0, 2)
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+    @cached_property
+    def shell(self) -> Any:
+        """The same surface for VTK."""
+        padded = np.column_stack([np.full(len(self.faces), 3), self.faces])
+        return pyvista.PolyData(self.vertices, padded.ravel())
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Signed distance (n,) [m] of ``points`` (n, 3), negative inside."""
+        cloud = pyvista.PolyData(np.ascontiguousarray(points))
+        return np.asarray(cloud.compute_implicit_distance(self.shell)["implicit_distance"], dtype=float)
+
+    def closest(self, points: FloatArray) -> FloatArray:
+        """Closest points (n, 3) on the surface."""
+        return np.asarray(self.shell.find_closest_cell(points, return_closest_point=True)[1], dtype=float)
+
+
+def read_surfaces(limb: SurfacesLimb, base: Path) -> tuple[Surface, ...]:
+    """Checked surfaces, the outermost first; raises :class:`GeometryError` naming the file or tissue at fault."""
+    if not limb.surfaces:
+        raise GeometryError("limb.surfaces is empty; give at least one closed surface, e.g. {skin = 'skin.stl'}")
+    found = [_read(tissue, base / file, limb.unit) for tissue, file in limb.surfaces.items()]
+    found.sort(key=lambda s: -s.volume)
+    if found[0].tissue == "bone":
+        raise GeometryError("the largest surface is the bone's; give the surface of the tissue around it too")
+    check_one_body(found[0].tissue, found[0].vertices, found[0].faces)
+    for surface in found:
+        _check_self(surface)
+    for i, outer in enumerate(found):
+        for inner in found[i + 1 :]:
+            _check_nested(outer, inner)
+    return tuple(found)
+
+
+def _read(tissue: str, file: Path, unit: float) -> Surface:
+    if not file.is_file():
+        raise GeometryError(
+            f"{file}: no such surface for '{tissue}'; limb.surfaces is relative to the scenario's folder"
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            body = trimesh.load_mesh(file, process=False)
+    except Exception as problem:
+        said = " ".join(str(problem).split())[:100]
+        raise GeometryError(f"{file}: cannot be read as STL, OBJ or PLY ({said})") from None
+    if not isinstance(body, trimesh.Trimesh) or not len(body.faces):
+        raise GeometryError(f"{file}: holds no triangles; export a triangulated surface")
+    check_vertices(file, np.asarray(body.vertices, dtype=float), np.asarray(body.faces, dtype=np.int64))
+    body.merge_vertices(merge_tex=True, merge_norm=True)
+    vertices, faces = np.asarray(body.vertices, dtype=float) * unit, np.asarray(body.faces, dtype=np.int64)
+    check_extent(file, vertices, unit)
+    return Surface(tissue, vertices, closed(file, tissue, vertices, faces))
+
+
+def _check_self(surface: Surface) -> None:
+    pairs = crossing_faces(surface.vertices[surface.faces], None, surface.faces)
+    if len(pairs):
+        raise GeometryError(
+            f"the surface of '{surface.tissue}' crosses itself in {len(pairs)} pairs of triangles, the first at "
+            f"{place(surface.vertices[surface.faces[pairs[0, 0]]])}; repair it"
+        )
+
+
+def _check_nested(outer: Surface, inner: Surface) -> None:
+    pairs = crossing_faces(outer.vertices[outer.faces], inner.vertices[inner.faces], None)
+    if len(pairs):
+        raise GeometryError(
+            f"the surfaces of '{outer.tissue}' and '{inner.tissue}' cross in {len(pairs)} pairs of triangles, the "
+            f"first at {place(inner.vertices[inner.faces[pairs[0, 1]]])}; one must lie inside the other"
+        )
+    slack = 1e-6 * float(np.ptp(outer.vertices, axis=0).max())
+    away = outer.distance(inner.vertices)
+    both_bones = outer.tissue.startswith("bone") and inner.tissue.startswith("bone")
+    if away.max() > slack and not (both_bones and away.min() > -slack):
+        raise GeometryError(
+            f"the surface of '{inner.tissue}' reaches {away.max() * 1e3:.3g} mm out of '{outer.tissue}'; "
+            "each smaller surface must lie inside every larger one (is limb.unit right?)"
+        )
+    depth = -float(outer.distance(inner.vertices[inner.faces].mean(axis=1)).min())
+    if not both_bones and max(depth, -float(away.min())) < _THINNEST:
+        raise GeometryError(
+            f"the surfaces of '{outer.tissue}' and '{inner.tissue}' are the same to {_THINNEST * 1e3:g} mm, so "
+            f"nothing is left for '{outer.tissue}'; give '{inner.tissue}' its own surface, or leave it out"
+        )
+
+
+def surfaces_mesh(
+    surfaces: tuple[Surface, ...], size: Size3, far: float, most: float, say: Callable[[str], None], *, keep_bone: bool
+) -> TissueMesh:
+    """Outermost surface by fTetWild, boundary moved onto it, regions cut along the inner surfaces.
+
+    Interfaces are plane within elements: exact to h^2 / (8 R), see :func:`.levelset.cut_along`. Raises
+    :class:`GeometryError` before the long work where ``size`` asks for more than ``most`` tetrahedra.
+    """
+    outer = surfaces[0]
+    low, high = outer.vertices.min(axis=0), outer.vertices.max(axis=0)
+    grid, cells = background_grid(low, high, float((high - low).max()) / 40)
+    wanted = np.minimum.reduce([size(grid), *(_size_around(inner, grid) for inner in surfaces[1:])])
+    _check_count(outer, grid, wanted, most)
+    points, tetrahedra = tetrahedralise(outer.vertices, outer.faces, grid, cells, wanted, far)
+    mesh = _on_surface(
+        TissueMesh(points, tetrahedra, np.zeros(len(tetrahedra), dtype=np.int64), (outer.tissue,), {}), outer
+    )
+    for inner in surfaces[1:]:
+        say(f"cutting along the surface of {inner.tissue}")
+        mesh = _with_region(mesh, _stretched(inner, low[0], high[0]))
+    mesh = mesh if keep_bone else without_bone(mesh)
+    return with_boundaries(mesh, 1e-3 * float(high[0] - low[0]))
+
+
+def _check_count(outer: Surface, grid: FloatArray, wanted: FloatArray, most: float) -> None:
+    """Refuse what would take hours: a limb in the wrong unit, or sizes meant for a smaller one."""
+    inside = outer.distance(grid) < 0
+    cell = float(np.ptp(outer.vertices, axis=0).max() / 40) ** 3
+    count = float((cell / (_REGULAR * wanted[inside] ** 3)).sum())
+    if count > most:
+        raise GeometryError(
+            f"a limb of {np.ptp(outer.vertices[:, 0]):.2g} m would need about {count:.2g} tetrahedra, "
+            f"mesh.max_elements allows {most:.2g}; enlarge mesh.size_far and mesh.size_grid, or correct limb.unit"
+        )
+
+
+def _size_around(inner: Surface, places: FloatArray) -> FloatArray:
+    """Edge lengths (n,) that resolve a slender inner body such as a bone, growing away from it."""
+    width = float(np.ptp(inner.vertices, axis=0).min())
+    return np.asarray(_PER_WIDTH * width + 0.5 * np.abs(inner.distance(places)))
+
+
+def _on_surface(mesh: TissueMesh, outer: Surface) -> TissueMesh:
+    """Boundary vertices moved to the closest points of the surface where that flattens nothing."""
+    rim = np.unique(boundary_faces(mesh.tetrahedra)[0])
+    moved = mesh.points.copy()
+    moved[rim] = outer.closest(mesh.points[rim])
+    trial = replace(mesh, points=moved)
+    bad = np.intersect1d(mesh.tetrahedra[trial.volumes < 0.2 * mesh.volumes], rim)
+    moved[bad] = mesh.points[bad]
+    return replace(mesh, points=moved)
+
+
+def _stretched(inner: Surface, low: float, high: float) -> Surface:
+    """Caps that coincide with the limb's cut ends pushed out, or distances there would be to the cap."""
+    reach, length = 0.1 * (high - low), high - low
+    x = inner.vertices[:, 0]
+    moved = inner.vertices.copy()
+    moved[:, 0] += reach * ((x > high - 1e-4 * length).astype(float) - (x < low + 1e-4 * length))
+    return Surface(inner.tissue, moved, inner.faces)
+
+
+def _with_region(mesh: TissueMesh, inner: Surface) -> TissueMesh:
+    mesh, inside = cut_along(mesh, inner.distance, name=inner.tissue)
+    if not inside.any():
+        raise GeometryError(f"no element lies inside the surface of '{inner.tissue}'; set mesh.size_grid smaller")
+    names = tuple(dict.fromkeys([*mesh.region_names, inner.tissue]))
+    region = np.where(inside, names.index(inner.tissue), mesh.region)
+    return replace(mesh, region=region, region_names=names)

@@ -1,0 +1,311 @@
+"""What a file of somebody else must say, or be told, before its numbers become a G: nothing is guessed
+silently.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from ..errors import DataError
+from ..measurement.entry import to_displacement
+from ..ports import Port
+from ..scenario.base import Part, Positive
+from ..scenario.measurement import Quantity
+from ..transfer import TransferMatrix
+from ..typing import BoolArray, ComplexArray, FloatArray
+from .units import parse_unit
+
+Axis = Literal["frequency", "output", "input"]
+Spectrum = Literal["one-sided", "two-sided"]
+Sign = Literal["+iwt", "-iwt"]
+_HERMITIAN = 1e-6  # of the largest value: how far a two-sided spectrum may be from G(-f) = conj G(f)
+
+
+class RecognitionWarning(UserWarning):
+    """Something about a file was recognised, not declared; ``what`` names it and ``chosen`` is what was
+    taken.
+    """
+
+    def __init__(self, file: str, what: str, chosen: str) -> None:
+        super().__init__(f"{file}: {what} recognised as {chosen}; declare it to be sure")
+        self.file, self.what, self.chosen = file, what, chosen
+
+
+class PortDeclaration(Part):
+    """A port of a measured G: its name and place [m]."""
+
+    name: str
+    position: tuple[float, float, float]
+    radius: float = 0.0
+
+
+class Declaration(Part):
+    """What the user knows about a file. Left out: the file must say it itself, or a DataError asks."""
+
+    quantity: Quantity | None = Field(
+        default=None, description="what the numerator is; not needed where the unit says it"
+    )
+    unit: str | None = Field(default=None, description="motion over drive as stored, e.g. mm/V, (mm/s)/V, m/s^2/N")
+    arbitrary_gain: bool = Field(
+        default=False, description="the scale is unknown: shapes and S are meaningful, microns are not"
+    )
+    spectrum: Spectrum | None = Field(
+        default=None, description="two-sided: FFT order, negative frequencies in the upper half"
+    )
+    sign: Sign | None = Field(default=None, description="time dependence; numpy's and MATLAB's fft give +iwt")
+    axes: tuple[Axis, ...] | None = Field(default=None, description="order of the array's axes")
+    variable: str | None = Field(default=None, description="name of the array in a MATLAB file")
+    frequency_variable: str | None = Field(
+        default=None, description="name of the frequency vector in a MATLAB file [Hz]"
+    )
+    valid_variable: str | None = Field(default=None, description="name of a mask of G's shape in a MATLAB file")
+    sample_rate: Positive | None = Field(
+        default=None, description="[Hz]; bin k lies at k sample_rate / bins (two-sided)"
+    )
+    band: tuple[Positive, Positive] | None = Field(default=None, description="keep these frequencies only [Hz]")
+    outputs: tuple[PortDeclaration, ...] | None = None
+    inputs: tuple[PortDeclaration, ...] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RawMatrix:
+    """A file's content before it is understood; whatever the file says about itself, None where it is silent.
+
+    ``values`` in the order of ``axes``; ``frequency`` (n,) [Hz] as stored. ``deviation`` is in the file's
+    unit.
+    """
+
+    name: str
+    values: ComplexArray
+    frequency: FloatArray | None = None
+    axes: tuple[Axis, ...] | None = None
+    unit: str | None = None
+    quantity: Quantity | None = None
+    spectrum: Spectrum | None = None
+    sign: Sign | None = None
+    outputs: tuple[Port, ...] | None = None
+    inputs: tuple[Port, ...] | None = None
+    valid: BoolArray | None = None
+    deviation: FloatArray | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+Ports = tuple[tuple[Port, ...], tuple[Port, ...]]
+
+
+def port_from(fields: Mapping[str, Any]) -> Port:
+    """A port from its fields as JSON holds them (lists for tuples)."""
+    plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()}
+    return Port(**plain)
+
+
+def _rows(result: Any, rows: Any) -> dict[str, Any]:
+    """The arrays over frequency of ``result`` at ``rows``."""
+    return {k: None if (a := getattr(result, k)) is None else a[rows] for k in ("values", "valid", "deviation")}
+
+
+def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = None) -> TransferMatrix:
+    """G in metres per drive from ``raw`` and what is declared about it.
+
+    ``ports`` (outputs, inputs) serve where neither the file nor the declaration has any. Raises DataError
+    for what nobody says, and where file and declaration contradict each other.
+    """
+    outputs, inputs = _ports(raw, declaration, ports)
+    ordered = _ordered(raw, declaration, len(outputs), len(inputs))
+    frequency = _frequency(ordered, declaration)
+    one_sided = _one_sided(ordered, frequency, _agreed(raw, declaration, "spectrum"))
+    transfer = _metres(one_sided, declaration, outputs, inputs)
+    return _banded(transfer, declaration.band, raw.name)
+
+
+def _agreed(raw: RawMatrix, declaration: Declaration, key: str, needed: bool = True) -> Any:
+    """What the file says, or the declaration; DataError if they differ, or if ``needed`` and neither says
+    it.
+    """
+    said, declared = getattr(raw, key), getattr(declaration, key)
+    if said is not None and declared is not None and said != declared:
+        raise DataError(
+            f"{raw.name}: the file says {key} = {said}, the declaration {declared}; correct the declaration"
+        )
+    if said is None and declared is None and needed:
+        raise DataError(f"{raw.name}: does not say its {key}; declare {key} = {_CHOICES[key]}")
+    value = said if said is not None else declared
+    if value is not None and value not in _ALLOWED.get(key, (value,)):
+        raise DataError(f"{raw.name}: says {key} = {value!r}, which is unknown; correct the file to {_CHOICES[key]}")
+    return value
+
+
+_ALLOWED: Mapping[str, tuple[Any, ...]] = {
+    "quantity": ("displacement", "velocity", "acceleration"),
+    "spectrum": ("one-sided", "two-sided"),
+    "sign": ("+iwt", "-iwt"),
+}
+_CHOICES = {
+    "quantity": "'displacement', 'velocity' or 'acceleration'",
+    "unit": "motion over drive, e.g. 'mm/V' or '(mm/s)/V'",
+    "spectrum": "'one-sided' or 'two-sided'",
+    "sign": "'+iwt' (fft of numpy and MATLAB) or '-iwt'",
+}
+
+
+def _ports(raw: RawMatrix, declaration: Declaration, ports: Ports | None) -> Ports:
+    outputs = raw.outputs or _declared(declaration.outputs, "point") or (ports[0] if ports else None)
+    inputs = raw.inputs or _declared(declaration.inputs, "contact") or (ports[1] if ports else None)
+    if outputs is None or inputs is None:
+        raise DataError(
+            f"{raw.name}: does not say which points and actuators it belongs to; declare outputs and inputs "
+            "with name and position, or name the scenario that was measured"
+        )
+    return outputs, inputs
+
+
+def _declared(ports: tuple[PortDeclaration, ...] | None, kind: Literal["point", "contact"]) -> tuple[Port, ...] | None:
+    if ports is None:
+        return None
+    return tuple(Port(p.name, kind, p.position, radius=p.radius) for p in ports)
+
+
+def _ordered(raw: RawMatrix, declaration: Declaration, n_out: int, n_in: int) -> RawMatrix:
+    """``raw`` in the order (frequency, output, input)."""
+    axes = _agreed(raw, declaration, "axes", needed=False) or recognised_axes(raw, n_out, n_in)
+    if sorted(axes) != ["frequency", "input", "output"] or raw.values.ndim != 3:
+        raise DataError(
+            f"{raw.name}: an array of shape {raw.values.shape} cannot have the axes {', '.join(axes)}; "
+            "name frequency, output and input once each"
+        )
+    order = [axes.index(a) for a in ("frequency", "output", "input")]
+    turned = {k: _turned(getattr(raw, k), order) for k in ("values", "valid", "deviation")}
+    result = replace(raw, axes=("frequency", "output", "input"), **turned)
+    if result.values.shape[1:] != (n_out, n_in):
+        raise DataError(
+            f"{raw.name}: holds {result.values.shape[1]} outputs and {result.values.shape[2]} inputs, "
+            f"expected {n_out} and {n_in}; declare the axes or the ports"
+        )
+    return result
+
+
+def _turned(array: Any, order: list[int]) -> Any:
+    return None if array is None else np.ascontiguousarray(np.transpose(array, order))
+
+
+def recognised_axes(raw: RawMatrix, n_out: int, n_in: int) -> tuple[Axis, ...]:
+    """Axes told from their lengths, with a RecognitionWarning; DataError where lengths leave a choice."""
+    shape = raw.values.shape
+    n_frequency = max(shape, default=0) if raw.frequency is None else len(raw.frequency)
+    wanted: dict[Axis, int] = {"frequency": n_frequency, "output": n_out, "input": n_in}
+    found: list[Axis] = [a for length in shape for a in wanted if wanted[a] == length]
+    if len(shape) != 3 or len(found) != 3 or len(set(found)) != 3:
+        raise DataError(
+            f"{raw.name}: the axes of shape {shape} cannot be told apart for "
+            f"{n_out} outputs and {n_in} inputs; "
+            "declare axes, e.g. ['output', 'input', 'frequency']"
+        )
+    warnings.warn(RecognitionWarning(raw.name, f"axes of shape {shape}", ", ".join(found)), stacklevel=4)
+    return tuple(found)
+
+
+def _frequency(raw: RawMatrix, declaration: Declaration) -> FloatArray:
+    n = len(raw.values)
+    if raw.frequency is not None:
+        frequency = np.asarray(raw.frequency, dtype=float).ravel()
+        if len(frequency) != n:
+            raise DataError(
+                f"{raw.name}: {len(frequency)} frequencies for {n} matrices; the file is cut short or mixed up"
+            )
+        if not np.all(np.isfinite(frequency)):
+            raise DataError(f"{raw.name}: some frequencies are not finite; repair the frequency vector")
+        return frequency
+    if declaration.sample_rate is None:
+        raise DataError(f"{raw.name}: has no frequency vector; declare sample_rate in Hz, or frequency_variable")
+    if _agreed(raw, declaration, "spectrum") == "two-sided":
+        return np.arange(n) * declaration.sample_rate / n
+    return np.arange(n) * declaration.sample_rate / (2 * (n - 1))
+
+
+def _one_sided(raw: RawMatrix, frequency: FloatArray, spectrum: Spectrum) -> RawMatrix:
+    """The positive frequencies; a two-sided array must mirror itself, a one-sided one must not."""
+    mirrored = _mirror_error(raw.values)
+    if spectrum == "two-sided":
+        if mirrored > _HERMITIAN:
+            raise DataError(
+                f"{raw.name}: declared two-sided, but its upper half is not the "
+                f"conjugate mirror of the lower one "
+                f"(off by {mirrored:.1e}); it is one-sided, in another bin order, or damaged"
+            )
+        keep = slice(1, (len(frequency) + 1) // 2)
+    else:
+        if mirrored < _HERMITIAN and len(frequency) > 8:
+            raise DataError(
+                f"{raw.name}: declared one-sided, but its upper half mirrors the lower "
+                f"one; declare spectrum = 'two-sided'"
+            )
+        keep = slice(int(frequency[0] == 0), None)
+    kept = frequency[keep]
+    if len(kept) == 0 or kept[0] <= 0 or np.any(np.diff(kept) <= 0):
+        raise DataError(
+            f"{raw.name}: the frequencies must be positive and increase; sort them, or declare the spectrum"
+        )
+    return replace(raw, frequency=kept, **_rows(raw, keep))
+
+
+def _mirror_error(values: ComplexArray) -> float:
+    """max |G_k - conj G_(n-k)| / max |G|, 1 for nothing to compare."""
+    finite = np.where(np.isfinite(values), values, 0)
+    size = float(np.abs(finite).max(initial=0.0))
+    if len(values) < 4 or size == 0:
+        return 1.0
+    return float(np.abs(finite[1:] - finite[:0:-1].conj()).max() / size)
+
+
+def _metres(
+    raw: RawMatrix, declaration: Declaration, outputs: tuple[Port, ...], inputs: tuple[Port, ...]
+) -> TransferMatrix:
+    assert raw.frequency is not None
+    unit = parse_unit(_agreed(raw, declaration, "unit"))
+    quantity = _agreed(raw, declaration, "quantity", needed=False) or unit.quantity
+    if quantity != unit.quantity:
+        raise DataError(
+            f"{raw.name}: a {quantity} cannot have the unit '{raw.unit or declaration.unit}'; correct one of them"
+        )
+    sign = _agreed(raw, declaration, "sign")
+    factor = unit.factor * to_displacement(raw.frequency, quantity)[:, None, None]
+    values = (raw.values.conj() if sign == "-iwt" else raw.values) * factor
+    deviation = None if raw.deviation is None else raw.deviation * np.abs(factor)
+    said = declaration.model_dump(mode="json", exclude_none=True, exclude={"outputs", "inputs"})
+    gain = {"gain": "arbitrary"} if declaration.arbitrary_gain else {}
+    return TransferMatrix(
+        frequency=raw.frequency,
+        values=values,
+        outputs=outputs,
+        inputs=inputs,
+        unit=unit.si,
+        valid=_usable(raw),
+        deviation=deviation,
+        provenance={"source": "file", "file": raw.name, "declared": said, **gain, **raw.provenance},
+    )
+
+
+def _usable(raw: RawMatrix) -> BoolArray | None:
+    """The file's mask; entries that are not finite, and frequencies at which all of G is zero, are never
+    usable.
+    """
+    dark = ~np.isfinite(raw.values) | np.all(raw.values == 0, axis=(1, 2), keepdims=True)
+    usable = ~dark if raw.valid is None else raw.valid & ~dark
+    return None if usable.all() and raw.valid is None else np.asarray(usable)
+
+
+def _banded(transfer: TransferMatrix, band: tuple[float, float] | None, name: str) -> TransferMatrix:
+    low, high = band or (0.0, np.inf)
+    keep = (transfer.frequency >= low - 1e-9) & (transfer.frequency <= high + 1e-9)
+    if not keep.any():
+        raise DataError(f"{name}: no frequency lies in the declared band {low:g} to {high:g} Hz")
+    cut = _rows(transfer, keep)
+    if cut["valid"] is not None and not cut["valid"].any():
+        raise DataError(f"{name}: every entry is zero or not finite; the file holds no measurement")
+    return replace(transfer, frequency=transfer.frequency[keep], **cut)
