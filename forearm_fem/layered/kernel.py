@@ -48,7 +48,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Surface:
-    """A thin sheet on the free surface, with the terms of the finite elements' :mod:`forearm_fem.fem.assembly.boundary`.
+    """A thin sheet on the free surface, with the terms of :mod:`forearm_fem.fem.assembly.boundary`.
 
     ``tension`` [N/m] adds T k^2 to all stiffnesses (geometric stiffness, the integral of grad u : grad v), ``mass``
     [kg/m^2] subtracts m w^2 from all. ``membrane`` [N/m] + i w ``viscosity`` [N s/m] is the in-plane

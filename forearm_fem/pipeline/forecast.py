@@ -93,7 +93,7 @@ def _factor_bytes(scenario: Scenario, unknowns: int) -> float:
 
 
 def _starts_from_rate(scenario: Scenario, mesh: TissueMesh) -> bool:
-    """Whether the sweep will, as :func:`.expand.starts_from_rate` finds on the assembled model."""
+    """Whether the sweep will, as ``expansion.starts_from_rate`` finds on the assembled model."""
     tissues = resolve_tissues(scenario)
     able = all(is_polynomial(tissues[name].modulus) for name in mesh.region_names)
     return able and scenario.solver.start != "frequencies"

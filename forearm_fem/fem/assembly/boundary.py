@@ -10,7 +10,7 @@ from skfem.refdom import RefTri
 from ...typing import FloatArray, IntArray
 from ..space.elements import tabulate
 from ..space.numbering import MixedSpace, facet_points
-from .tissues import _scatter, _scatter_blocks
+from .tissues import scatter, scatter_blocks
 
 _MORE = 2  # degrees of the rule beyond what is exact on plane facets: the measure of bent ones is no polynomial
 
@@ -29,7 +29,7 @@ def facet_mass(space: MixedSpace, facets: IntArray) -> csr_array:
     total = csr_array(shape)
     for tets, values, _, measure, _ in _by_local_facet(space, facets):
         block = np.einsum("aq,bq,eq->eab", values, values, measure, optimize=True)
-        total = total + _scatter(space.nodes[tets], space.nodes[tets], block, shape)
+        total = total + scatter(space.nodes[tets], space.nodes[tets], block, shape)
     return csr_array(kron(total, np.eye(3), format="csr"))
 
 
@@ -39,7 +39,7 @@ def facet_gradients(space: MixedSpace, facets: IntArray) -> csr_array:
     total = csr_array(shape)
     for tets, _, slopes, measure, _ in _by_local_facet(space, facets):
         d = np.einsum("eaiq,ebiq,eq->eab", slopes, slopes, measure, optimize=True)
-        total = total + _scatter(space.nodes[tets], space.nodes[tets], d, shape)
+        total = total + scatter(space.nodes[tets], space.nodes[tets], d, shape)
     return csr_array(kron(total, np.eye(3), format="csr"))
 
 
@@ -56,7 +56,7 @@ def facet_membrane(space: MixedSpace, facets: IntArray) -> csr_array:
         tangential = np.eye(3) - normal[..., None] * normal[..., None, :]
         trace = np.einsum("eqij,eaqk,ebqk,eq->ijeab", tangential, *[slopes.swapaxes(2, 3)] * 2, measure, optimize=True)
         blocks = np.swapaxes(d, 0, 1) + 2 * d + trace  # slopes are tangential themselves
-        total = total + _scatter_blocks(space.nodes[tets], space.nodes[tets], blocks, shape)
+        total = total + scatter_blocks(space.nodes[tets], space.nodes[tets], blocks, shape)
     return csr_array(total)
 
 

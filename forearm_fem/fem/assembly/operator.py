@@ -66,7 +66,7 @@ class AffineOperator:
     def combine(self, weights: Sequence[complex]) -> NDArray[Any]:
         """Upper-triangle values of a weighted sum of the terms, real where all weights are."""
         factors = np.array(weights)
-        data, patterns = np.zeros(len(self.indices), dtype=factors.dtype), compiled("patterns")
+        data, patterns = np.zeros(len(self.indices), dtype=factors.dtype), compiled("kernels.triple_products")
         for term, weight in zip(self.terms, factors, strict=True):
             if patterns is None:
                 data[term.positions] += weight * term.values
@@ -127,7 +127,7 @@ def affine_operator(
 
 
 def _sorted_upper(matrix: csr_array) -> csr_array:
-    if (patterns := compiled("patterns")) is not None:
+    if (patterns := compiled("kernels.triple_products")) is not None:
         start, columns, values = patterns.sorted_upper(matrix.indptr, matrix.indices, matrix.data)
         return csr_array((values, columns, start), shape=matrix.shape)
     upper = csr_array(triu(matrix, format="csr"))
@@ -138,7 +138,7 @@ def _sorted_upper(matrix: csr_array) -> csr_array:
 def _together(uppers: Sequence[csr_array]) -> tuple[csr_array, list[IntArray]]:
     """The pattern of all ``uppers`` and the diagonal, values of no meaning, and where the entries of each are in it."""
     eye = csr_array(eye_array(uppers[0].shape[0], format="csr"))
-    if (patterns := compiled("patterns")) is None:
+    if (patterns := compiled("kernels.triple_products")) is None:
         pattern = _union(eye, uppers)
         return pattern, [_positions(upper, pattern) for upper in uppers]
     indptr, indices, places = patterns.merged(*stacked([*uppers, eye]))

@@ -2,7 +2,7 @@
 
 On an affine tetrahedron every integral is a fixed tensor of the reference element contracted with the Jacobian,
 D_ij = |J| sum_ab (J^-1)_ai (J^-1)_bj R_ab, so no quadrature loop is left (design.md: 125 s -> seconds). Where edges
-bend there is one (:mod:`.bent`). Equality with scikit-fem's own forms is tested to 1e-13.
+bend there is one (:mod:`forearm_fem.fem.space.bent`). Equality with scikit-fem's own forms is tested to 1e-13.
 """
 
 from __future__ import annotations
@@ -74,15 +74,15 @@ def tissue_matrices(
     inverse = np.asarray(np.linalg.inv(jacobian), dtype=float)
     volume = np.abs(np.asarray(np.linalg.det(jacobian), dtype=float))
     volume[space.is_bent[chosen]] = 0.0  # these are added piece by piece
-    build = _by_sorting if compiled("scatter") is None else _by_kernels
+    build = _by_sorting if compiled("kernels.scatter") is None else _by_kernels
     return build(space, chosen, inverse, volume, reference)
 
 
 def _by_kernels(
     space: MixedSpace, chosen: IntArray, inverse: FloatArray, volume: FloatArray, reference: ReferenceTensors
 ) -> TissueMatrices:
-    """With the compiled kernels of :mod:`.scatter`."""
-    kernels: Any = compiled("scatter")
+    """With the compiled kernels of :mod:`forearm_fem.fem.kernels.scatter`."""
+    kernels: Any = compiled("kernels.scatter")
     nodes, pressures = (n[chosen].astype(np.int32) for n in (space.nodes, space.pressures))
     n, n_u, n_p = space.n_nodes, space.n_displacements, space.n_pressures
     pairs, mixed = kernels.pattern(nodes, nodes, n, n), kernels.pattern(pressures, nodes, n_p, n)
@@ -122,12 +122,12 @@ def _by_sorting(
         blocks[:, :, bent[piece]], divergence[:, bent[piece]] = part.shear, part.divergence
         mass[bent[piece]], storage[bent[piece]] = part.mass, part.pressure_mass
     n, n_u, n_p = space.n_nodes, space.n_displacements, space.n_pressures
-    parts = [_scatter(pressures, 3 * nodes + i, divergence[i], (n_p, n_u)) for i in range(3)]
+    parts = [scatter(pressures, 3 * nodes + i, divergence[i], (n_p, n_u)) for i in range(3)]
     return TissueMatrices(
-        _scatter_blocks(nodes, nodes, blocks, (n, n)),
-        csr_array(kron(_scatter(nodes, nodes, mass, (n, n)), np.eye(3), format="csr")),
+        scatter_blocks(nodes, nodes, blocks, (n, n)),
+        csr_array(kron(scatter(nodes, nodes, mass, (n, n)), np.eye(3), format="csr")),
         csr_array(parts[0] + parts[1] + parts[2]),
-        _scatter(pressures, pressures, storage, (n_p, n_p)),
+        scatter(pressures, pressures, storage, (n_p, n_p)),
     )
 
 
@@ -167,14 +167,14 @@ def shear_blocks(inverse: FloatArray, volume: FloatArray, reference: FloatArray)
     return np.asarray(whole.reshape(3, 3, len(volume), nb, nb))
 
 
-def _scatter(rows: IntArray, columns: IntArray, values: FloatArray, shape: tuple[int, int]) -> csr_array:
+def scatter(rows: IntArray, columns: IntArray, values: FloatArray, shape: tuple[int, int]) -> csr_array:
     """Sum element matrices (n_tet, nr, nc) into a CSR matrix."""
     order, start, row, column = element_pattern(rows, columns, shape[1])
     data = np.add.reduceat(values.reshape(-1)[order], start)
     return csr_array((data, column, _row_pointer(row, shape[0])), shape=shape)
 
 
-def _scatter_blocks(rows: IntArray, columns: IntArray, blocks: FloatArray, shape: tuple[int, int]) -> csr_array:
+def scatter_blocks(rows: IntArray, columns: IntArray, blocks: FloatArray, shape: tuple[int, int]) -> csr_array:
     """Sum 3x3 element blocks (3, 3, n_tet, nr, nc) into a CSR matrix of three times the shape."""
     order, start, row, column = element_pattern(rows, columns, shape[1])
     data = np.empty((len(row), 3, 3))

@@ -10,15 +10,20 @@ from types import ModuleType
 import numpy as np
 
 _log = logging.getLogger("forearm_fem.fem")
-MODULES = ("patterns", "rows", "tall", "frontal.factor")
+MODULES = (
+    "kernels.triple_products", "kernels.sparse_times_few", "kernels.skinny_products", "linear.multifrontal.factor",
+)  # fmt: skip
+_ROOM = __package__.rpartition(".")[0]
 
 
 @lru_cache
 def compiled(module: str) -> ModuleType | None:
-    """A module of this package by name, or None where numba or a place for what it compiles is missing."""
+    """A module by its name below ``fem``, or None where numba or a place for what it compiles is missing."""
     try:
-        return importlib.import_module(f"{__package__}.{module}")
+        return importlib.import_module(f"{_ROOM}.{module}")
     except (ImportError, RuntimeError) as problem:
+        if isinstance(problem, ImportError) and (problem.name or "").startswith(_ROOM):
+            raise  # a module of ours that is not there would only make everything slow
         _log.info("%s is not compiled: %s", module, problem)
         return None
 
@@ -28,6 +33,6 @@ def import_compiled() -> None:
     the first call of a kernel."""
     for module in MODULES:
         compiled(module)
-    if (patterns := compiled("patterns")) is not None:
+    if (patterns := compiled("kernels.triple_products")) is not None:
         none = np.empty(0)
         patterns.add_at(none.astype(complex), none.astype(np.int64), 0j, none)

@@ -61,7 +61,7 @@ class SymmetricMatrices:
         Raises ValueError for another n, beyond which compiled code would read.
         """
         self._check(x)
-        kernels, k = compiled("rows"), x.shape[1]
+        kernels, k = compiled("kernels.sparse_times_few"), x.shape[1]
         if kernels is None:
             return lambda t, rows: np.asarray(self.one(t)[rows] @ x)
         wide = _wide(x)
@@ -79,7 +79,7 @@ class SymmetricMatrices:
         Raises ValueError for other shapes, beyond which compiled code would read.
         """
         self._check(columns[0], *(x for x in columns if x.shape != columns[0].shape))
-        kernels, k = compiled("rows"), columns[0].shape[1]
+        kernels, k = compiled("kernels.sparse_times_few"), columns[0].shape[1]
         if kernels is None:
             used = [(t, j) for j, t in np.argwhere(weights)]
             return np.asarray(sum((weights[j, t] * (self.one(t) @ columns[j]) for t, j in used), np.zeros((self.n, k))))
@@ -98,7 +98,7 @@ class SymmetricMatrices:
         Raises ValueError for other shapes, beyond which compiled code would read and write.
         """
         self._check(x, *(total for total in totals if total.shape != x.shape))
-        kernels, k = compiled("rows"), x.shape[1]
+        kernels, k = compiled("kernels.sparse_times_few"), x.shape[1]
         if kernels is None or not all(total.flags.c_contiguous for total in totals):
             return self._added_by_scipy(totals, weights, x)
         pairs = _wide(np.ascontiguousarray(x).view(float))
@@ -151,7 +151,7 @@ def _wide(x: NDArray[Any]) -> NDArray[Any]:
 
 def _whole(upper: csr_array) -> tuple[IntArray, IntArray, FloatArray]:
     """Row starts, columns and values of the symmetric matrix with this upper triangle."""
-    if (kernels := compiled("rows")) is not None:
+    if (kernels := compiled("kernels.sparse_times_few")) is not None:
         start, columns, values = kernels.mirrored(upper.indptr, upper.indices, upper.data)
         return start, columns, values
     diagonal = csr_array((upper.diagonal(), (np.arange(len(upper.indptr) - 1),) * 2), shape=upper.shape)

@@ -1,4 +1,4 @@
-"""Element matrices summed into sparse ones in compiled code; :mod:`.assembly` has the same in NumPy, by sorting.
+"""Element matrices summed into sparse ones in compiled code; ``tissues`` has the same in NumPy, by sorting.
 
 Patterns are those of node pairs: 3x3 blocks share one, and so do shear and mass.
 """
@@ -170,7 +170,7 @@ def _combine(total: FloatArray, weights: FloatArray, parts: FloatArray) -> None:
 
 @njit(cache=True, nogil=True)
 def _shear_weights(inverse: FloatArray, volume: float) -> FloatArray:
-    """Of the products of gradients (9, ab) in the block's entries (9, ij); see :func:`.assembly.shear_blocks`."""
+    """Of the products of gradients (9, ab) in the block's entries (9, ij); see ``tissues.shear_blocks``."""
     metric = np.empty((3, 3, 9))
     for i in range(3):
         for j in range(3):

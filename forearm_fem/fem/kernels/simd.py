@@ -1,6 +1,6 @@
 """Vectors of a processor's registers in compiled code: numba alone does not keep sums of several columns in them.
 
-Memory is given by its address, as in :mod:`.frontal.blas`. Where registers are shorter the compiler takes several.
+Memory is given by its address, as in ``multifrontal.blas``. Where registers are shorter the compiler takes several.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from .compiled import compiled
 
 def added(matrices: Sequence[csr_array]) -> csr_array:
     """Sum of matrices (n, m) with ascending columns; without compiled code zeros are dropped."""
-    patterns: Any = compiled("patterns")
+    patterns: Any = compiled("kernels.triple_products")
     if patterns is None:
         return csr_array(sum(matrices))
     indptr, indices, places = patterns.merged(*stacked(matrices))
@@ -49,7 +49,7 @@ def projected(left: csr_array, matrix: csr_array, right: csr_array) -> csr_array
 
 
 def _transposed_product(a: csr_array, b: csr_array, c: csr_array) -> csr_array:
-    patterns: Any = compiled("patterns")
+    patterns: Any = compiled("kernels.triple_products")
     if patterns is None:
         return csr_array((a @ b @ c).T)
     shape = (c.shape[1], a.shape[0])

@@ -1,4 +1,4 @@
-"""Sums and products of sparse matrices in compiled code; :mod:`.operator` and :mod:`.sparse` have the same by scipy."""
+"""Sums and products of sparse matrices in compiled code; ``operator`` and :mod:`.sparse` have the same by scipy."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class DirectSolver:
         """Taylor coefficients in omega of the solutions about ``frequency``; column i to order ``orders[i]``.
 
         Coefficient k has the columns with order k or more (:mod:`.taylor`). Refined once: what is left enters the
-        reduced model squared (see :mod:`.reduce`), but unrefined single precision gave it unstable poles. The
+        reduced model squared (see ``reduced_model``), but unrefined single precision gave it unstable poles. The
         refinement of one coefficient is solved together with the next one, because reading the factors is what a
         solve costs; the next one lacks what this changes, which is left to its own refinement.
         """

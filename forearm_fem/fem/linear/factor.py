@@ -144,7 +144,7 @@ class CautiousFactor:
 
 def _compiles() -> bool:
     """Whether METIS and numba are there, and a place for what numba compiles."""
-    return importlib.util.find_spec("pymetis") is not None and compiled("frontal.factor") is not None
+    return importlib.util.find_spec("pymetis") is not None and compiled("linear.multifrontal.factor") is not None
 
 
 def available_backends() -> tuple[str, ...]:

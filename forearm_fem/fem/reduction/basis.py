@@ -98,13 +98,13 @@ class Basis:
 
 def _padded(width: int) -> int:
     """Columns (of sums) that compiled code takes for so many, all zero beyond."""
-    kernels = compiled("tall")
+    kernels = compiled("kernels.skinny_products")
     return width if kernels is None or width > _FEW else -(-width // kernels.PAIR) * kernels.PAIR
 
 
 def _add_inner(block: Columns, found: Sequence[tuple[int, FloatArray]], totals: FloatArray) -> None:
     """Add block^T y to ``totals[t]`` for each (t, y) that was ``found``."""
-    kernels = compiled("tall") if totals.shape[2] <= _FEW else None
+    kernels = compiled("kernels.skinny_products") if totals.shape[2] <= _FEW else None
     whole = block if kernels is not None else block.astype(float, copy=False)
     for t, y in found:
         if kernels is not None:
@@ -115,7 +115,7 @@ def _add_inner(block: Columns, found: Sequence[tuple[int, FloatArray]], totals: 
 
 def _add_combination(block: Columns, factors: FloatArray, total: FloatArray) -> None:
     """Add block factors to ``total`` (m, k); ``factors`` may have more columns, which are zero."""
-    kernels = compiled("tall") if factors.shape[1] <= _FEW else None
+    kernels = compiled("kernels.skinny_products") if factors.shape[1] <= _FEW else None
     if kernels is not None:
         kernels.add_combination(block, factors, total)
     else:

@@ -104,8 +104,8 @@ def reduced_sweep(
     """Sweep by a reduced model that is certified between the places it was made from.
 
     Where all moduli are Kelvin-Voigt and resonances not sharp it starts from derivatives about a real rate
-    (:mod:`.krylov`), else from :func:`.expand.expansion_frequencies`. Then the most doubtful frequency
-    (:mod:`.certify`) is solved directly: that true error certifies the model, and where it exceeds ``tolerance`` the
+    (``rate_space``), else from ``expansion.expansion_frequencies``. Then the most doubtful frequency
+    (``certificate``) is solved directly: that true error certifies the model, and where it exceeds ``tolerance`` the
     solution and its derivatives extend it (``max_expansions`` frequencies in all; the certificates say what was
     reached). Solves are refined to a thousandth of ``tolerance``, to 1e-7 at least. Where resonances are sharp the
     model is made in double precision, and a bound at every bin (:mod:`.bounds`) must pass as well. With ``tolerance``

@@ -19,7 +19,7 @@ _AT_ONCE = 250  # tetrahedra, whose matrices stay in the cache
 
 @dataclass(frozen=True)
 class BentMatrices:
-    """Element matrices of k tetrahedra: ``shear`` (3, 3, k, nb, nb) as :func:`.assembly.shear_blocks` has them,
+    """Element matrices of k tetrahedra: ``shear`` (3, 3, k, nb, nb) as ``tissues.shear_blocks`` has them,
     ``mass`` (k, nb, nb), ``divergence`` (3, k, npb, nb) and ``pressure_mass`` (k, npb, npb)."""
 
     shear: FloatArray

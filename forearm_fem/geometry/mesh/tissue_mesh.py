@@ -53,7 +53,7 @@ class TissueMesh:
     exist "bone" (surface of a bone left out of the mesh), "end" (cut ends; a slab's sides and bottom),
     "underside" (the part of "skin" that may rest on foam), "contact A1" ... (part of "skin" under a cone, exactly
     inside the disc's rim), "symmetry x" and "symmetry y". ``bends`` follow from these and the scenario's limb
-    (:mod:`.bending`): files do not hold them.
+    (:mod:`forearm_fem.geometry.limb.bending`): files do not hold them.
     """
 
     points: FloatArray
