@@ -104,8 +104,8 @@ def test_membrane_viscosity_is_part_of_the_skin():
 
 @pytest.mark.slow
 def test_two_discs_in_finite_elements():
-    """Two bonded discs 14 mm apart on a slab of third order, 400 Hz: the discs are 0.5 % too stiff there (rims), all the
-    rest of the contacts' columns is within that, too. 74 s on a busy machine."""
+    """Two bonded discs 14 mm apart on a slab of third order, 400 Hz: the discs are 0.5 % too stiff there (rims), and
+    the rest of the contacts' columns is within that. 74 s on a busy machine."""
     changes = {
         "accuracy": 0.05,
         "limb": {"length": 0.06, "width": 0.046, "depth": 0.02, "symmetry": ["y"],
