@@ -75,8 +75,8 @@ def layered_compliance(
     layers : from the surface down, see :class:`Layer`; ``base`` says what carries the last.
     omega : (n_freq,) array, > 0 [rad/s], convention e^{+i omega t}.
     tolerance : error of the integrals relative to the largest |value| at each frequency.
-    terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask. What they leave out
-        is ``truncation`` of the result.
+    terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask for. What they
+        leave out is ``truncation`` of the result; NaN with ``orders`` = 0 where a disc is not alone.
     progress : called with the fraction done.
 
     Not covered: tilt and sideways motion of rigid discs, tangential loads, anisotropy, omega = 0. With

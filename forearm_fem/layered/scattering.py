@@ -81,14 +81,14 @@ class Galerkin:
 
     def compliance(self, integrals: ComplexArray) -> tuple[ComplexArray, FloatArray]:
         """Ports' displacement per force (n_freq, ports, ports) [m/N], and over the largest of them what the series
-        still lack (n_freq,)."""
+        still lack (n_freq,): NaN, unknown, where there are neighbours and no azimuthal orders for them."""
         a, top = self.matrix(integrals), int(self.order.max())
         whole = self._condensed(a, self.order <= top)
         if self.order.size == self.ports:
             return whole, np.zeros(len(a))
         lacking = self.terms / 2 * _change(whole, self._condensed(a, ~self.last))
-        if top == 0:
-            return whole, lacking
+        if top == 0:  # exact of a disc alone; with neighbours nothing tells what leaving out their waves costs
+            return whole, lacking if self.ports == 1 else np.full(len(a), np.nan)
         lower = self._condensed(a, self.order < top)
         step = _change(whole, lower)
         if top == 1:
