@@ -2,7 +2,7 @@
 
     python3 benchmarks/rigid_discs.py
 
-Prints four tables; the figures of docs/decisions/rigid-discs-in-the-twin.md are from here.
+Prints four tables; the figures of docs/decisions/0025 are from here.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from ..typing import FloatArray
 
 _DRAWS, _SEED = 12, 0
 _CORRELATION = 50.0  # Hz: errors of meshes and ends are smooth over about that much
-_HALF_WIDTH = 2.0  # rms changes of log S: 9 of 10 true errors lie within (docs/decisions/interval-of-s.md)
+_HALF_WIDTH = 2.0  # rms changes of log S: 9 of 10 true errors lie within (docs/decisions/0027)
 _LEAST_SPAN = 4.0  # of the window: the record that draws are made on
 
 

@@ -18,7 +18,7 @@ from .sweep import SolverOptions, Sweep
 from .tissues import Tissues
 
 # Accuracy of a slab under pressure discs; at 0.1 second order does in half the time (docs/decisions/0002). Under rigid
-# ones it pays always: rims of small cones left 5 % of their receptance to second order (docs/decisions/rims.md).
+# ones it pays always: rims of small cones left 5 % of their receptance to second order (docs/decisions/0026).
 _THIRD_ORDER_PAYS = 0.05
 
 

@@ -165,7 +165,7 @@ class Expander:
         """The model about the rate where resonances are sharp, in double precision from the start.
 
         What single-precision solves leave is magnified by the resonances: in double precision half the derivatives
-        do (docs/decisions/sharp-resonances.md). None where a thousand columns do not
+        do (docs/decisions/0028). None where a thousand columns do not
         resolve the band to what is ``wanted``.
         """
         _log.warning("resonances of this band are sharp: their derivatives are made in double precision")
