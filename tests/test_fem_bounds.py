@@ -134,6 +134,18 @@ def test_condensed_pressures_equal_pairs_where_these_are_exact():
     assert condensed(storage, storage) == pytest.approx(2 * storage, rel=1e-9)
 
 
+def test_incompressible_tissue_keeps_each_displacements_own_pressure():
+    """Its pressures have no energy by which the best could be told; without any, errors of solves enter unsquared."""
+    nothing_gives = held_block(1, tissue=flesh())
+    columns = np.random.default_rng(0).normal(size=(nothing_gives.operator.n, 3))
+    reduced = with_last_columns(empty_model(nothing_gives), nothing_gives, columns)
+    found = reduced.matrices[reduced.names.index("incompressibility")]
+    operator = nothing_gives.operator
+    weights = np.array([float(t.name == "incompressibility") for t in operator.terms])
+    whole = columns.T @ operator.multiply(operator.combine(weights.tolist()), columns)
+    assert found == pytest.approx(whole, rel=1e-12, abs=1e-12 * np.abs(whole).max())
+
+
 @pytest.mark.parametrize("stiffness", [(1.0, 2.0, 3.0, 4.0), (1.0, -2.0, 3.0, -1e-3), (-1.0, -1.0, -1.0, 0.0)])
 def test_unstable_poles_are_counted_as_they_are(stiffness):
     """As many as directions of negative stiffness; a direction without any, as of a free body, is none."""
