@@ -4,8 +4,8 @@ Each basis vector is a displacement together with its own pressure, made orthono
 system projected on such pairs is as good as the condensed one, because solutions obey B u = -S p. Kept in saddle form
 it is stationary, so that what solves leave of B u + S p enters squared: single-precision factors are enough
 (docs/decisions/0004). Where tissue is compressible the pressures are then those that suit best within the span of all
-of them, which keeps the stiffness positive whatever solves leave (:func:`condensed`). Every term stays real symmetric,
-which keeps reciprocity and passivity; the span of the real and the imaginary parts is used.
+of them, which keeps the stiffness positive whatever solves leave (docs/decisions/stable-reduced-models.md). Every term
+stays real symmetric, which keeps reciprocity and passivity; the span of the real and the imaginary parts is used.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ class SkinModel:
         """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself.
 
         Raises ReductionError for frequencies more than 5 % beyond the band where the model has unstable poles, as it
-        may for incompressible tissue, and in files of version 0.13.0 or older.
+        may for incompressible tissue, and in files of older versions.
         """
         _check_stable(self, np.asarray(frequency, dtype=float))
         values = (self.poles or pole_residue(self.reduced, frequency) or self.reduced).compliance(frequency)
