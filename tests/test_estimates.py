@@ -282,6 +282,16 @@ def test_a_users_mesh_is_not_its_own_second_mesh(own_mesh, cold):
     assert any("mesh.size_far" in note for note in result.notes)
 
 
+def test_a_model_with_limits_says_so_to_who_solves_in_python(own_mesh, cold):
+    """Too few nodes a wavelength, and unstable poles: what the command line says is in the result, too."""
+    scenario = parse_scenario({**own_mesh, "sweep": {"frequencies": [100.0, 3000.0]}, "solver": {"sweep": "direct"}})
+    result = simulate(scenario, base=cold)
+    assert any("nodes per shear wavelength" in note for note in result.notes)
+    assert not any("unstable" in note for note in result.notes)
+    unstable = replace(result.solved, facts={**result.solved.facts, "unstable_poles": 9})
+    assert any("9 unstable poles" in note for note in closed(scenario, result.mesh, unstable).notes)
+
+
 def test_our_own_refinement_is_not_blamed_on_a_users_mesh(own_mesh, cold):
     device = {**SLAB["device"], "cone": {"contact": "pressure", "radius": 8e-3}}
     scenario = parse_scenario({**own_mesh, "device": device, "mesh": {"min_quality": 0.4}})

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.errors import DataError, ReductionError, ScenarioError
 from forearm_fem.io import reduced as reduced_io
 from forearm_fem.pipeline.folder import Run, run_solve
 from forearm_fem.pipeline.skin_model import load_skin_model, save_skin_model
@@ -98,6 +98,24 @@ def test_other_moduli_follow_without_a_mesh(solved, tmp_path):
 def test_what_it_cannot_follow_is_refused(solved, change, key):
     with pytest.raises(ScenarioError, match=f"^{key}"):
         load_skin_model(solved[0] / "reduced.nc").changed([change])
+
+
+def test_unstable_model_is_refused_outside_its_band(solved, tmp_path):
+    """From the file alone: as of a version that kept pressures that were noise; 5 % beyond are allowed."""
+    folder, _ = solved
+    model = load_skin_model(folder / "reduced.nc")
+    assert model.reduced.negative_directions() == 0
+    assert np.isfinite(model.transfer(np.array([5.0, 900.0])).values).all()  # stable: whoever asks is told elsewhere
+    matrices = model.reduced.matrices.copy()
+    matrices[model.reduced.names.index("compression")][-1, -1] -= 10 * np.abs(matrices).max()
+    save_skin_model(tmp_path / "bad.nc", replace(model, reduced=replace(model.reduced, matrices=matrices)))
+    bad = load_skin_model(tmp_path / "bad.nc")
+    bad.compliance(np.array([39.0, 200.0, 410.0]))
+    for f in (30.0, 450.0):
+        with pytest.raises(ReductionError, match=f"{f:g} Hz is outside the band .* unstable poles"):
+            bad.compliance(np.array([200.0, f]))
+        with pytest.raises(ReductionError):
+            bad.changed(["tissues.override.muscle.mu=12000.0"]).transfer(np.array([f]))
 
 
 def test_damaged_file_is_refused(solved, tmp_path):

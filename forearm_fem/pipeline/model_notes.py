@@ -17,7 +17,10 @@ def resolution_notes(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
 
 
 def model_notes(facts: Mapping[str, Any]) -> tuple[str, ...]:
-    """That the reduced model is good for frequencies of the band only, where it has unstable poles."""
+    """That the reduced model is good for frequencies of the band only, where it has unstable poles.
+
+    That takes incompressible tissue and single precision; outside the band such a model refuses (:mod:`.skin_model`).
+    """
     count = facts.get("unstable_poles", 0)
     if not count:
         return ()

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..device import close_loop
-from ..errors import ScenarioError
+from ..errors import ReductionError, ScenarioError
 from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.poles import PoleResidue, pole_residue
@@ -21,10 +21,12 @@ from ..scenario.load import apply_overrides
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
+from .frequencies import frequencies
 
 __all__ = ["SkinModel", "load_skin_model", "save_skin_model"]
 
 _MAY_CHANGE = {"tissues", "device", "name", "description"}
+_BEYOND = 1.05  # ratio to the ends of the band up to which a model with unstable poles is trusted
 _NOT_AFFINE = "the bulk modulus is not a parameter of the reduced model; solve the scenario anew"
 
 
@@ -43,7 +45,12 @@ class SkinModel:
     poles: PoleResidue | None = None
 
     def compliance(self, frequency: FloatArray) -> Compliance:
-        """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself."""
+        """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself.
+
+        Raises ReductionError for frequencies more than 5 % beyond the band where the model has unstable poles, as it
+        may for incompressible tissue, and in files of older versions.
+        """
+        _check_stable(self, np.asarray(frequency, dtype=float))
         values = (self.poles or pole_residue(self.reduced, frequency) or self.reduced).compliance(frequency)
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         values[:, points, points] = np.nan
@@ -86,6 +93,18 @@ def load_skin_model(path: str | Path) -> SkinModel:
     bare = ReducedModel(content.names, (), content.matrices, content.functionals, content.shares, Basis(), low)
     poles = PoleResidue(**content.poles, shares=content.shares) if content.poles else None
     return SkinModel(scenario, content.ports, with_scenario(bare, scenario), poles)
+
+
+def _check_stable(model: SkinModel, frequency: FloatArray) -> None:
+    band = frequencies(model.scenario.sweep)
+    low, high = band.min() / _BEYOND, band.max() * _BEYOND
+    beyond = frequency[(frequency < low) | (frequency > high)]
+    if len(beyond) and (count := model.reduced.negative_directions()):
+        raise ReductionError(
+            f"{beyond[0]:g} Hz is outside the band of this reduced model, {band.min():g} to {band.max():g} Hz, and "
+            f"the model has {count} unstable poles there: solve a wider band (sweep.f_min, sweep.f_max), or anew with "
+            "solver.precision = 'double'"
+        )
 
 
 def _check_followable(before: Scenario, after: Scenario, terms: Sequence[str]) -> None:

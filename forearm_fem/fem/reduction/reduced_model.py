@@ -3,8 +3,9 @@
 Each basis vector is a displacement together with its own pressure, made orthonormal in the displacements: the saddle
 system projected on such pairs is as good as the condensed one, because solutions obey B u = -S p. Kept in saddle form
 it is stationary, so that what solves leave of B u + S p enters squared: single-precision factors are enough
-(docs/decisions/0004). Every term stays real symmetric, which keeps reciprocity and passivity; the span of the real and
-the imaginary parts is used.
+(docs/decisions/0004). Where tissue is compressible the pressures are then those that suit best within the span of all
+of them, which keeps the stiffness positive whatever solves leave (docs/decisions/0033). Every term
+stays real symmetric, which keeps reciprocity and passivity; the span of the real and the imaginary parts is used.
 """
 
 from __future__ import annotations
@@ -15,13 +16,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...typing import ComplexArray, FloatArray, IntArray
-from ..assembly.coefficients import Coefficient, grouped
+from ..assembly.coefficients import Coefficient, grouped, is_polynomial, polynomial_weights
 from ..assembly.model import ForearmModel
 from ..assembly.operator import AffineOperator
-from ..kernels.matrices import SymmetricMatrices
 from .basis import Basis, Columns, orthonormal_extension, real_columns
 
 _DROP = 1e-5  # of a snapshot's length: weaker directions carry what single-precision solves leave, and cost time
+_SAME = 1e-10  # of the strongest pressures' energy, each of unit energy: weaker combinations of them are rounding
+_COUPLING, _STORAGE = "incompressibility", "compression"  # terms that hold pressures
+_NEGATIVE = 1e-12  # of the stiffest direction: what rounding leaves of one without stiffness
+_TYPICAL = 2 * np.pi * 100.0  # [rad/s] where moduli that have no static value are looked at
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,9 @@ class ReducedModel:
 
     ``matrices`` (n_term, r, r) of the operator's terms ``names`` with ``coefficients``; ``functionals`` (r, n_port).
     ``basis`` holds the columns (n, r) that give displacements and scaled pressures. ``low`` (r, m) are coordinates of
-    all snapshots but the highest derivative of each port: :meth:`lower` is the model without these.
+    all snapshots but the highest derivative of each port: :meth:`lower` is the model without these. ``coupling`` (r, r)
+    are products of each column's pressure with the divergence of each displacement, which only :func:`with_columns`
+    needs.
     """
 
     names: tuple[str, ...]
@@ -40,6 +46,7 @@ class ReducedModel:
     shares: FloatArray
     basis: Basis = field(repr=False)
     low: FloatArray = field(repr=False)
+    coupling: FloatArray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
 
     @property
     def size(self) -> int:
@@ -61,6 +68,15 @@ class ReducedModel:
         values = np.einsum("ri,frj->fij", self.functionals, self.states(frequency), optimize=True)
         return np.asarray(values * self.shares)
 
+    def negative_directions(self) -> int:
+        """Directions of negative stiffness, as many as there are unstable poles (Kelvin, Tait and Chetaev), any law.
+
+        Moduli that are no polynomials are taken at 100 Hz, as a springpot has no static stiffness.
+        """
+        held = np.array([_static(c) for c in self.coefficients])
+        values = np.linalg.eigvalsh(np.tensordot(held, self.matrices, 1))
+        return int(np.sum(values < -_NEGATIVE * np.abs(values).max(initial=0.0)))
+
     def lower(self, drop: float = _DROP) -> ReducedModel:
         """The model that one derivative fewer per expansion would have given.
 
@@ -78,6 +94,7 @@ class ReducedModel:
             functionals=directions.T @ self.functionals,
             basis=self.basis.combined(directions),
             low=directions.T @ self.low,
+            coupling=directions.T @ self.coupling @ directions,
         )
 
     def changed(self, coefficients: Mapping[str, Coefficient]) -> ReducedModel:
@@ -90,6 +107,13 @@ class ReducedModel:
             raise KeyError(f"no term is called {sorted(unknown)[0]!r}; there are {', '.join(self.names)}")
         own = zip(self.names, self.coefficients, strict=True)
         return replace(self, coefficients=tuple(coefficients.get(name, c) for name, c in own))
+
+
+def _static(coefficient: Coefficient) -> float:
+    """What a term keeps without inertia."""
+    if not is_polynomial(coefficient):
+        return float(complex(coefficient.at(np.array(_TYPICAL))).real)
+    return float(polynomial_weights(coefficient.taylor(0.0, 2)[None])[0][0])
 
 
 def _combined(weights: ComplexArray, parts: FloatArray) -> ComplexArray:
@@ -142,12 +166,16 @@ def extend(
 def with_columns(reduced: ReducedModel, model: ForearmModel, added: Columns, low: FloatArray) -> ReducedModel:
     """The space with orthonormal ``added`` columns (n, k); ``low`` (r + k, m) are the lower model's snapshots in it."""
     old = np.vstack([reduced.low, np.zeros((added.shape[1], reduced.low.shape[1]))])
+    matrices, coupling = _extended_matrices(reduced, model.operator, added)
+    if _compressible(model.operator):
+        matrices[reduced.names.index(_COUPLING)] = condensed(coupling, -matrices[reduced.names.index(_STORAGE)])
     return replace(
         reduced,
-        matrices=_extended_matrices(reduced, model.operator, added),
+        matrices=matrices,
         functionals=np.vstack([reduced.functionals, Basis((added,)).inner(model.functionals)]),
         basis=reduced.basis.with_block(added),
         low=np.hstack([old, low]),
+        coupling=coupling,
     )
 
 
@@ -157,24 +185,66 @@ def with_last_columns(reduced: ReducedModel, model: ForearmModel, added: Columns
     return with_columns(replace(reduced, low=np.eye(reduced.size)), model, added, nothing)
 
 
-def _extended_matrices(reduced: ReducedModel, operator: AffineOperator, added: Columns) -> FloatArray:
-    """Projected matrices of all terms; only products with the added columns are new."""
+def condensed(coupling: FloatArray, storage: FloatArray) -> FloatArray:
+    """The coupling's matrix (r, r) with which pressures are the best in their span: S + G^T S^+ G.
+
+    ``coupling`` G and ``storage`` S (r, r) are products of all pressures with divergences and, by what they compress,
+    with each other. With each displacement's own pressure it were G + G^T, less than this by (G - S)^T S^+ (G - S):
+    nothing for exact solutions, squares of what solves leave, and in weak directions, of which single precision leaves
+    noise only, what had made the stiffness negative. Here S cancels against the compression's term, -S, and
+    G^T S^+ G is an energy.
+    """
+    lengths = np.sqrt(np.maximum(storage.diagonal(), 0.0))
+    unit = np.where(lengths > 0, 1 / np.where(lengths > 0, lengths, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(unit[:, None] * storage * unit)
+    keep = values > _SAME * values.max(initial=0.0)
+    seen = ((unit[:, None] * vectors[:, keep]) / np.sqrt(values[keep])).T @ coupling
+    return np.asarray(_symmetric(storage) + seen.T @ seen)
+
+
+def _compressible(operator: AffineOperator) -> bool:
+    """Whether all pressures compress something: where tissue is incompressible their energy says nothing of them."""
+    storage = next(t for t in operator.terms if t.name == _STORAGE)
+    return bool((operator.term_matrix(storage).diagonal()[operator.n_displacements :] < 0).all())
+
+
+def _extended_matrices(
+    reduced: ReducedModel, operator: AffineOperator, added: Columns
+) -> tuple[FloatArray, FloatArray]:
+    """Projected matrices of all terms, and their coupling; only products with the added columns are new."""
     old, basis = reduced.size, reduced.basis.with_block(added)
     total = old + added.shape[1]
-    matrices = np.zeros((len(operator.terms), total, total))
+    matrices, coupling = np.zeros((len(operator.terms), total, total)), np.zeros((total, total))
+    columns = _projected(basis, operator, added)
+    coupling[:old, :old] = reduced.coupling
+    coupling[old:], coupling[:, old:] = columns[reduced.names.index(_COUPLING)].T, columns[-1]
     matrices[:, :old, :old] = reduced.matrices
-    for matrix, columns in zip(matrices, _projected(basis, operator.matrices, added), strict=True):
-        matrix[:, old:] = columns
-        matrix[old:, :old] = columns[:old].T
-        matrix[old:, old:] = _symmetric(columns[old:])
-    return matrices
+    for matrix, new in zip(matrices, columns[:-1], strict=True):
+        matrix[:, old:] = new
+        matrix[old:, :old] = new[:old].T
+        matrix[old:, old:] = _symmetric(new[old:])
+    matrices[reduced.names.index(_COUPLING)] = coupling + coupling.T
+    return matrices, coupling
 
 
-def _projected(basis: Basis, matrices: SymmetricMatrices, added: Columns) -> FloatArray:
-    """Products (n_term, r, k) of the basis with A_t times the ``added`` columns (n, k), in one pass over the rows."""
-    product = matrices.products(added)
+def _projected(basis: Basis, operator: AffineOperator, added: Columns) -> FloatArray:
+    """Products (n_term + 1, r, k) of the basis with A_t times the ``added`` columns (n, k), in one pass over the rows.
+
+    The coupling's stand in two parts: that of the displacements' rows in its place, that of the pressures' last.
+    """
+    matrices, product, first = operator.matrices, operator.matrices.products(added), operator.n_displacements
+    coupling, pressures = [t.name for t in operator.terms].index(_COUPLING), len(operator.terms)
 
     def given(rows: slice) -> Iterator[tuple[int, FloatArray]]:
-        return ((t, product(t, rows)) for t in matrices.touching(rows))
+        for t in matrices.touching(rows):
+            y = product(t, rows)
+            if t != coupling or rows.stop <= first:
+                yield t, y
+            elif rows.start >= first:
+                yield pressures, y
+            else:
+                upper = np.arange(rows.start, rows.stop)[:, None] < first
+                yield coupling, np.where(upper, y, 0.0)
+                yield pressures, np.where(upper, 0.0, y)
 
-    return basis.inner_of(given, (matrices.n, len(matrices.indptr), added.shape[1]))
+    return basis.inner_of(given, (matrices.n, pressures + 1, added.shape[1]))

@@ -55,9 +55,9 @@ class SweepResult:
     def unstable_poles(self) -> int:
         """Poles of the reduced model in the right half-plane, far outside the band: it is good for frequencies there.
 
-        Single-precision solves leave more in the pressures of weak directions than there is (docs/decisions.md).
+        None where all tissue is compressible (:func:`.reduce.condensed`).
         """
-        return 0 if self.poles is None else int(np.sum(self.poles.poles.real > 0))
+        return 0 if self.reduced is None else self.reduced.negative_directions()
 
     @property
     def reduction_error(self) -> float:
