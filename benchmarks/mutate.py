@@ -194,9 +194,9 @@ def page(mutations: Sequence[Mutation]) -> str:
         "# Mutations: each promise broken once",
         "",
         f"{len(mutations)} places where the code is broken on purpose, and the test that fails then. The list is in "
-        "`tests/mutations/*.toml`; `python benchmarks/mutate.py` tries all of it in copies of the repository and prints "
-        "what was caught, `python benchmarks/mutate.py --page` writes this page. A test fails where the page or an entry "
-        "is out of date.",
+        "`tests/mutations/*.toml`; `python benchmarks/mutate.py` tries all of it in copies of the repository and "
+        "prints what was caught, `python benchmarks/mutate.py --page` writes this page. A test fails where the page or "
+        "an entry is out of date.",
         "",
         "| broken promise | file | caught by |",
         "| --- | --- | --- |",
