@@ -188,13 +188,34 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
+def page(mutations: Sequence[Mutation]) -> str:
+    """docs/mutations.md: every mutation with the test that has to notice it; nothing is run."""
+    lines = [
+        "# Mutations: each promise broken once",
+        "",
+        f"{len(mutations)} places where the code is broken on purpose, and the test that fails then. The list is in "
+        "`tests/mutations/*.toml`; `python benchmarks/mutate.py` tries all of it in copies of the repository and "
+        "prints what was caught, `python benchmarks/mutate.py --page` writes this page. A test fails where the page or "
+        "an entry is out of date.",
+        "",
+        "| broken promise | file | caught by |",
+        "| --- | --- | --- |",
+    ]
+    lines += [f"| {m.name} | {m.file} | {', '.join(t.removeprefix('tests/') for t in m.tests)} |" for m in mutations]
+    return "\n".join(lines) + "\n"
+
+
 def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
     """The command line; its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", metavar="TEXT", help="mutations whose name or file holds TEXT")
     parser.add_argument("--list", action="store_true", help="print the names and stop")
     parser.add_argument("--jobs", type=int, default=1, help="how many at once")
+    parser.add_argument("--page", action="store_true", help="write docs/mutations.md and stop")
     options = parser.parse_args(arguments)
+    if options.page:
+        (root / "docs" / "mutations.md").write_text(page(load(root)), encoding="utf-8")
+        return 0
     chosen = [m for m in load(root) if not options.only or options.only in m.name or options.only in m.file]
     if wrong := problems(chosen, root):
         print("\n".join(wrong))

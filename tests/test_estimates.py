@@ -26,7 +26,7 @@ from forearm_fem.pipeline.verdict import accuracy_verdict
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.supports import Supports
 from forearm_fem.scenario.tissues import Membrane
-from forearm_fem.transfer import Compliance, ErrorEstimate, total_error
+from forearm_fem.transfer import Compliance, ErrorEstimate, relative_error, total_error
 from forearm_fem.verification.blocks import block_mesh
 from forearm_fem.verification.scenes import flesh
 
@@ -204,6 +204,29 @@ def test_truncation_listens_to_its_neighbours():
     solved = Solved(own, None, freed, modes, states, {"ends_by": "reduced model"})
     (error,) = closed(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
     assert error.per_frequency[1] > 0.8 * error.per_frequency[0] > 0.05
+
+
+def test_truncation_is_what_either_change_of_ends_shows_at_each_frequency():
+    """Ends that reflect like free ones change nothing when freed, like clamped ones nothing when clamped."""
+    scenario = parse_scenario(SLAB)
+    ports = simulate(scenario.model_copy(update={"engine": "layered"})).compliance.ports
+    frequency = np.array([50.0, 200.0, 400.0])
+    share, back = np.array([1.0, 0.0, -1.0]), 0.1  # r of the ends, E of what comes back from free ones
+
+    def ends(r):
+        return Compliance(frequency, (1 + r * back)[:, None, None] * np.ones((3, 2, 2)) + 0j, ports)
+
+    own, freed, clamped = ends(share), ends(np.ones(3)), ends(-np.ones(3))
+    coarse = replace(own, provenance={"ratio": 2.0})
+    modes, states = np.zeros((0, 3, 0)), np.zeros((3, 0, 0), dtype=complex)
+    solved = Solved(own, coarse, freed, modes, states, {"ends_by": "reduced model"}, other_ends=clamped)
+    found = closed(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
+    (error,) = [e for e in found if e.source == "truncation"]
+    exact, true = np.ones((3, 2, 2)), (1 + share * back)[:, None, None] * np.ones((3, 2, 2))
+    assert (np.array(error.per_frequency) >= 0.85 * relative_error(true, exact)).all()  # G is not linear in C
+    assert max(error.per_frequency) < 0.15
+    assert "freed" in error.method
+    assert "clamped" in error.method
 
 
 def test_supports_are_part_of_a_solves_key(cold):

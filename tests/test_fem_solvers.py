@@ -195,6 +195,28 @@ def test_superlu_refuses_what_it_would_not_finish():
         factors.choose_backend("superlu", 100_000)
 
 
+@pytest.mark.parametrize(
+    ("machine", "system", "single", "compiles", "said", "not_said"),
+    [
+        ("x86_64", "linux", True, True, "pip install mkl", "there is no MKL"),
+        ("AMD64", "win32", False, False, "pip install mkl", "there is no MKL"),
+        ("arm64", "darwin", True, False, "pymetis and numba", "install mkl"),
+        ("aarch64", "linux", False, True, "solver.precision = 'auto'", "install mkl"),
+        ("x86_64", "darwin", True, True, "coarsen the mesh", "MKL"),
+    ],
+)
+def test_the_solver_advised_is_one_that_this_machine_can_have(
+    monkeypatch, machine, system, single, compiles, said, not_said
+):
+    monkeypatch.setattr(factors.platform, "machine", lambda: machine)
+    monkeypatch.setattr(factors.sys, "platform", system)
+    monkeypatch.setattr(factors, "_compiles", lambda: compiles)
+    with pytest.raises(SolverError) as caught:
+        factors.choose_backend("superlu", 100_000, single=single)
+    assert said in str(caught.value)
+    assert not_said not in str(caught.value)
+
+
 def test_without_mkl_and_numba_superlu_serves(monkeypatch):
     monkeypatch.setattr(factors.pardiso, "library", lambda: None)
     monkeypatch.setattr(factors, "_compiles", lambda: False)

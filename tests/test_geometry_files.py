@@ -261,6 +261,13 @@ def test_unusable_mesh_files_are_refused(tmp_path, cells, data, regions, message
         build_mesh(parse_scenario({**USER, "limb": limb}), base=tmp_path)
 
 
+def test_a_missing_pytetwild_is_not_blamed_on_the_sizes(monkeypatch, tmp_path):
+    monkeypatch.setattr(tetwild, "find_spec", lambda name: None)
+    with pytest.raises(MeshError, match="pip install pytetwild") as caught:
+        tetwild._run(str(tmp_path))
+    assert "size" not in str(caught.value)
+
+
 def test_missing_mesh_file_is_named(tmp_path):
     limb = {"shape": "mesh", "file": "absent.msh", "regions": {"1": "skin"}}
     with pytest.raises(MeshError, match=r"absent\.msh: no such mesh file"):

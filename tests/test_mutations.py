@@ -27,6 +27,10 @@ def test_every_mutation_still_fits_the_code_and_names_tests_that_exist(mutate):
     assert mutate.problems(mutations) == []
 
 
+def test_the_manual_s_table_is_current(mutate):
+    assert (ROOT / "docs" / "mutations.md").read_text(encoding="utf-8") == mutate.page(mutate.load())
+
+
 ENTRY = """[[mutation]]
 name = "{name}"
 file = "forearm_fem/sums.py"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forearm_fem.compare.commands import run_compare
 from test_rendering import BAND, actuators, grid, waves
 
 from forearm_fem.compare.common import common_ground
@@ -117,6 +118,24 @@ def test_figures_find_the_wavelet_s_file_in_the_results(tmp_path):
     assert np.abs(Results.open(tmp_path / "out").wavelet.samples).max() == 1
 
 
+@pytest.mark.parametrize("near", [True, False])
+def test_compare_finds_the_wavelet_s_file_in_a_results_folder_or_says_that_it_did_not(tmp_path, monkeypatch, near):
+    (tmp_path / "scene").mkdir()
+    np.save(tmp_path / "scene" / "w.npy", np.hanning(100) * np.sin(np.arange(100) / 4))
+    scenario = parse_scenario({**TWIN, "rendering": {"wavelet": {"file": "w.npy"}, "targets": ["5"]}})
+    run_render(Run.start(scenario, tmp_path / "out", tmp_path / "scene"))
+    monkeypatch.chdir(tmp_path)  # the file is not here
+    own = Results.open(tmp_path / "out").strengths[0]
+    if not near:
+        (tmp_path / "out" / "wavelet.npy").unlink()
+        with pytest.warns(AccuracyWarning, match="not what its run printed"):
+            run_compare(*[tmp_path / "out" / "transfer.nc"] * 2)
+        return
+    crossed = run_compare(*[tmp_path / "out" / "transfer.nc"] * 2).comparison.crossed
+    assert crossed.targets == ("5",)
+    assert crossed.a_on_a[crossed.methods.index(own.method), 0] == pytest.approx(own.S, rel=1e-9)
+
+
 # ---------------------------------------------------------------- interval
 
 
@@ -160,13 +179,37 @@ def test_an_unknown_source_leaves_the_interval_unknown_and_says_so():
     shape, methods = ricker(duration=0.25), (InverseFilter(),)
     for errors, said in (
         ((MESH, ErrorEstimate("truncation", float("nan"), "none")), "the error by truncation is unknown"),
-        ((), "G carries no error estimate"),
+        ((), "G carries no error estimate"),  # neither has a deviation
     ):
         g = replace(waves(BINS), errors=errors)
         found = strength_account(render_all(g, ("5",), methods, shape), methods, shape)
         assert said in found.unknown
         assert np.isnan(found.low).all()
         assert np.isnan(found.high).all()
+
+
+def test_the_deviation_of_a_measured_g_makes_the_interval_of_s():
+    """Errors drawn as the deviation says stay within nine times in ten; twice the deviation is twice the interval."""
+    g, shape, methods = waves(BINS), ricker(duration=0.25), (InverseFilter(),)
+    deviation = np.full(g.values.shape, 0.02) * np.abs(g.values).max(axis=(1, 2), keepdims=True)
+
+    def found(values, size):
+        measured = replace(g, values=values, deviation=size)
+        return strength_account(render_all(measured, TARGETS, methods, shape), methods, shape, measured=True)
+
+    rng, true, inside = np.random.default_rng(5), strengths(g, TARGETS, methods, shape), []
+    for _ in range(4):
+        noise = (rng.normal(size=g.values.shape) + 1j * rng.normal(size=g.values.shape)) / np.sqrt(2)
+        account = found(g.values + deviation * noise, deviation)
+        inside.append((account.low <= true) & (true <= account.high))
+    assert np.mean(inside) >= 0.9  # 36 cases
+    assert "no systematic one is stated" in account.unknown
+    small, large = (found(g.values, k * deviation) for k in (0.01, 0.02))
+    grown = np.log(large.high / large.value) / np.log(small.high / small.value)
+    assert ((grown > 1.8) & (grown < 4.2)).all()  # the spread is linear in the noise, the fall of S quadratic
+    none = found(g.values, np.full(g.values.shape, np.nan))
+    assert "states neither an error nor a deviation" in none.unknown
+    assert np.isnan(none.low).all()
 
 
 def test_draws_on_a_shorter_record_give_the_same_interval(monkeypatch):
@@ -231,10 +274,16 @@ def test_what_cannot_be_bridged_stays_open_and_its_cost_is_stated():
     assert np.allclose(account.high - plain.high, account.holes)  # the interval holds it
 
 
-def test_the_ends_of_the_band_are_not_holes():
+def test_the_ends_of_the_band_are_not_holes_but_are_said():
     g = waves(BINS)
     found = bridged(with_holes(g, slice(0, 5)))
-    assert (found.filled, found.left, found.sentence) == (0, 0, "")
+    assert (found.filled, found.left, found.ends) == (0, 0, 5 * 9 * 4)
+    assert found.sentence == "G misses 180 values at the ends of its band, which are not bridged and not driven"
+    both = bridged(with_holes(g, [0, 40]))
+    assert (both.filled, both.ends) == (36, 36)
+    assert "36 are bridged" in both.sentence
+    assert "at the ends of its band" in both.sentence
+    assert bridged(g).sentence == ""
 
 
 # ---------------------------------------------------------------- more actuators

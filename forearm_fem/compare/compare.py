@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,13 +45,19 @@ class Comparison:
 
 
 def compare(
-    a: TransferMatrix, b: TransferMatrix, *, names: tuple[str, str] = ("A", "B"), render: bool = True
+    a: TransferMatrix,
+    b: TransferMatrix,
+    *,
+    names: tuple[str, str] = ("A", "B"),
+    render: bool = True,
+    folders: Sequence[Path] = (),
 ) -> Comparison:
-    """Everything about how far ``b`` is from ``a``; ``render`` False leaves the cross-play out (the slow
-    part).
+    """Everything about how far ``b`` is from ``a``; ``render`` False leaves the cross-play out (the slow part).
+
+    A wavelet's file that a scenario in their provenance names is looked for in ``folders``, then in the current one.
     """
     ground = common_ground(a, b)
-    crossed, why = try_cross_play(ground) if render else (None, "not asked for")
+    crossed, why = try_cross_play(ground, folders) if render else (None, "not asked for")
     return Comparison(
         names,
         ground,

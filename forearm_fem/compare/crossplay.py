@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import DataError, ForearmError
+from ..errors import AccuracyWarning, DataError, ForearmError
 from ..rendering import Renderer, Wavelet, Window, bridged, drives, place, ricker, strengths, thesis_renderers
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .common import CommonGround
+
+if TYPE_CHECKING:
+    from ..scenario import Scenario
 
 _PER_PEAK = 16.0  # samples per period of the wavelet's peak frequency
 
@@ -46,16 +51,17 @@ def cross_play(
     targets: Sequence[str] | None = None,
     wavelet: Wavelet | None = None,
     window: Window = "wavelet",
+    folders: Sequence[Path] = (),
 ) -> CrossPlay:
     """S of ``methods`` (the thesis' three) at ``targets`` (all), own and crossed, on the common frequencies.
 
     Without them, the renderers, targets, wavelet and window are those of the scenario in A's provenance, else of B's,
-    so that A on A is the S that A's run printed. Holes of either are bridged as in a run; bins that either still lacks
-    are driven on neither, so that only the values differ. Raises ForearmError where a
-    renderer cannot work on this geometry or the frequencies lie too far apart.
+    so that A on A is the S that A's run printed; its wavelet's file is looked for in ``folders`` too.
+    Holes of either are bridged as in a run; bins that either still lacks are driven on neither, so that only the values
+    differ. Raises ForearmError where a renderer cannot work on this geometry or the frequencies lie too far apart.
     """
     a, b = (bridged(g).transfer for g in sides(ground))
-    own = None if methods or wavelet else rendering_of(ground)
+    own = None if methods or wavelet else rendering_of(ground, folders)
     shape = own.wavelet if own else wavelet or wavelet_for(ground.frequency)
     chosen = own.methods if own else tuple(methods) if methods is not None else thesis_renderers()
     window = own.window if own else window
@@ -83,10 +89,10 @@ class _Own:
     window: Window
 
 
-def rendering_of(ground: CommonGround) -> _Own | None:
-    """The rendering of the scenario that one side came from; None where neither names one, its wavelet's file is not
-    at hand, or its bins are not the common ones."""
-    from ..pipeline.renderers import renderers, unsuited, wavelet
+def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> _Own | None:
+    """The rendering of the scenario that one side came from; None where neither names one, its wavelet's file is in
+    none of ``folders`` and not in the current one (said by an AccuracyWarning), or its bins are not the common ones."""
+    from ..pipeline.renderers import renderers, unsuited
     from ..scenario import parse_scenario
 
     for provenance in ground.provenance:
@@ -96,8 +102,9 @@ def rendering_of(ground: CommonGround) -> _Own | None:
         try:
             scenario = parse_scenario(dict(known))
             options = scenario.rendering
-            shape = wavelet(options, scenario.sweep, Path("."))
-        except ForearmError:
+            shape = _kept_wavelet(scenario, folders)
+        except ForearmError as problem:
+            _say_other_renderers(str(known.get("name", "")), problem)
             continue
         place = ground.frequency / shape.record.df
         if not options.methods or not np.allclose(place, np.rint(place), rtol=0, atol=1e-3):
@@ -106,6 +113,27 @@ def rendering_of(ground: CommonGround) -> _Own | None:
         left_out = frozenset(unsuited(options, ground.outputs, ground.inputs, targets))
         return _Own(tuple(renderers(options, shape, left_out)), tuple(targets), shape, options.window)
     return None
+
+
+def _kept_wavelet(scenario: Scenario, folders: Sequence[Path]) -> Wavelet:
+    """The scenario's wavelet; of a file the copy that a run keeps in its folder, else the file itself."""
+    from ..pipeline.renderers import wavelet
+
+    if (file := scenario.rendering.wavelet.file) is None:
+        return wavelet(scenario.rendering, scenario.sweep, Path("."))
+    places = [p for folder in folders for p in (folder / f"wavelet{Path(file).suffix}", folder / file)]
+    found = next((p for p in places if p.is_file()), Path(file))
+    own = scenario.rendering.wavelet.model_copy(update={"file": str(found.resolve())})
+    return wavelet(scenario.rendering.model_copy(update={"wavelet": own}), scenario.sweep, Path("."))
+
+
+def _say_other_renderers(name: str, problem: ForearmError) -> None:
+    warnings.warn(
+        f"the renderers of scenario '{name}' could not be used ({problem}): unless the other G names a scenario, S in "
+        "this comparison is of the thesis' renderers and the 250 Hz Ricker wavelet, not what its run printed",
+        AccuracyWarning,
+        stacklevel=4,
+    )
 
 
 def sides(ground: CommonGround) -> tuple[TransferMatrix, TransferMatrix]:
@@ -128,9 +156,9 @@ def wavelet_for(frequency: FloatArray, peak: float = 250.0) -> Wavelet:
     return ricker(peak, sample_rate=n * df, duration=1 / df)
 
 
-def try_cross_play(ground: CommonGround) -> tuple[CrossPlay | None, str]:
+def try_cross_play(ground: CommonGround, folders: Sequence[Path] = ()) -> tuple[CrossPlay | None, str]:
     """:func:`cross_play`, or None and the sentence that says why there is none."""
     try:
-        return cross_play(ground), ""
+        return cross_play(ground, folders=folders), ""
     except ForearmError as problem:
         return None, str(problem)

@@ -51,7 +51,8 @@ def run_compare(
     """
     first, second = _load(a, declaration_a), _load(b, declaration_b)
     names = (_name(a, "A"), _name(b, "B"))
-    result = compare(first, second, names=names, render=render)
+    folders = [Path(g).resolve().parent for g in (a, b) if not isinstance(g, TransferMatrix)]
+    result = compare(first, second, names=names, render=render, folders=folders)
     files = save(result, folder) if folder is not None else ()
     return CompareResult(result, as_markdown(result), files)
 

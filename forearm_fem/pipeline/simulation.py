@@ -17,7 +17,7 @@ from ..rendering import Limits, Rendering, render_all
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb
 from ..tissue import resolve_tissues
-from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite
+from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error_at
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
 from .model_notes import model_notes, resolution_notes
@@ -84,7 +84,7 @@ def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
     if solved.other_ends and coarse:
         other = finite(close_loop(solved.other_ends, scenario.device))
         truncations.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
-    errors += sorted(truncations, key=lambda e: e.band)[-1:]  # either may hide what the other shows
+    errors += [_either(truncations)] if truncations else []
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     notes = (*unknown, *model_notes(solved.facts), *_idle_sizes(scenario))
@@ -149,6 +149,21 @@ def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstima
         "1.85 where that is below 0.058, 3 above 0.071",
         tuple(fine.frequency.tolist()),
         tuple(error.tolist()),
+    )
+
+
+def _either(estimates: list[ErrorEstimate]) -> ErrorEstimate:
+    """The largest of ``estimates`` at each frequency: with ends that reflect a share r of -1 (clamped) to 1 (free), and
+    E what comes back from free ones, they err by |r| E and change by (1 - r) E when freed, (1 + r) E when clamped. Half
+    of the larger change is (1 + |r|) E / 2 >= |r| E, half of either alone may be zero.
+    """
+    if len(estimates) == 1:
+        return estimates[0]
+    frequency = np.unique(np.concatenate([e.frequency for e in estimates]))
+    error = np.max([relative_error_at(e, frequency) for e in estimates], axis=0)
+    method = "at each frequency the larger of " + " and ".join(e.method for e in estimates)
+    return ErrorEstimate(
+        "truncation", max(e.band for e in estimates), method, tuple(frequency.tolist()), tuple(error.tolist())
     )
 
 

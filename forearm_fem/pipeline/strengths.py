@@ -17,6 +17,8 @@ from ..typing import FloatArray
 _DRAWS, _SEED = 12, 0
 _CORRELATION = 50.0  # Hz: errors of meshes and ends are smooth over about that much
 _HALF_WIDTH = 2.0  # rms changes of log S: 9 of 10 true errors lie within (docs/decisions/0027)
+_RANDOM_ONLY = "the interval of S holds the random error of G (its deviation) alone: no systematic one is stated"
+_MOST_WITHOUT = 0.5  # of the values: with fewer deviations than that the random error is unknown
 _LEAST_SPAN = 4.0  # of the window: the record that draws are made on
 
 
@@ -26,7 +28,7 @@ class StrengthAccount:
     whole ``record``, the change of S with tapered band ``edges``, what ``holes`` of G may have cost (0 without any).
 
     ``window`` [s] is what S is taken over, None for the record; ``zeros`` are the zero points by method and target;
-    ``unknown`` says why there is no interval.
+    ``unknown`` says why there is no interval, or what an interval there is leaves out.
     """
 
     methods: tuple[str, ...]
@@ -60,8 +62,9 @@ def strength_account(
 ) -> StrengthAccount:
     """Account of the S of ``rendering`` by ``methods`` (its renderers) with ``wavelet``.
 
-    The interval is for the errors stated for G, bridged holes included; ``measured`` G whose errors are not stated is
-    told so. Renderers aim anew in each draw, with zero points as found for the G printed.
+    The interval is for the errors stated for G and its ``deviation``, bridged holes included; that the systematic
+    errors of a ``measured`` G are in none of these is said. Renderers aim anew in each draw, with zero points as found
+    for the G printed.
     """
     kept = tuple(_with_found_zeros(m, rendering) for m in methods)
     holes = rendering.bridged
@@ -73,8 +76,11 @@ def strength_account(
     g, value = holes.transfer, rendering.strengths
     cost = np.abs(strength(holes.guess) - value) if holes.guess is not None else np.zeros_like(value)
     errors = (*g.errors, *((holes.error,) if holes.error is not None else ()))
-    unknown = _why_unknown(errors, measured)
-    spread = np.full(value.shape, np.nan) if unknown else interval(g, errors, rendering, kept, wavelet)
+    random = _random_error(g)
+    known = bool(g.errors) or random is not None
+    unknown = _why_unknown(errors, known, measured)
+    spread = np.full(value.shape, np.nan) if unknown else interval(g, errors, rendering, kept, wavelet, random)
+    unknown = unknown or ("" if g.errors else _RANDOM_ONLY)
     tapered = wavelet.tapered(float(g.frequency[0]), float(g.frequency[-1]))
     return StrengthAccount(
         rendering.methods, rendering.targets, rendering.window, value,
@@ -92,9 +98,18 @@ def _with_found_zeros(method: Renderer, rendering: Rendering) -> Renderer:
     return method.with_zeros(FixedZeros(found))  # type: ignore[attr-defined,no-any-return]
 
 
-def _why_unknown(errors: tuple[ErrorEstimate, ...], measured: bool) -> str:
-    if not errors:
-        kind = "a measured G states no error of its own" if measured else "G carries no error estimate"
+def _random_error(g: TransferMatrix) -> FloatArray | None:
+    """Standard deviation (n, n_out, n_in) of G, zero at bridged and unknown values; None unless the others have one."""
+    if g.deviation is None:
+        return None
+    known = np.isfinite(g.deviation)
+    lacking = ~known & np.isfinite(g.values) & (g.values != 0) & (True if g.valid is None else g.valid)
+    return None if lacking.mean() > _MOST_WITHOUT or not known.any() else np.where(known, g.deviation, 0.0)
+
+
+def _why_unknown(errors: tuple[ErrorEstimate, ...], known: bool, measured: bool) -> str:
+    if not known:
+        kind = "a measured G states neither an error nor a deviation" if measured else "G carries no error estimate"
         return f"{kind}, so the interval of S is unknown"
     lost = [e.source for e in errors if not np.isfinite(e.band)]
     return f"the error by {', '.join(lost)} is unknown, and so is the interval of S" if lost else ""
@@ -106,26 +121,35 @@ def interval(
     rendering: Rendering,
     methods: Sequence[Renderer],
     wavelet: Wavelet,
+    random: FloatArray | None = None,
 ) -> FloatArray:
     """Half width (n_method, n_target) of the interval of log S: twice its rms change over draws of G's errors.
 
     Each draw adds to G independent complex noise of every source's e(f) (:func:`perturbed`), smooth over 50 Hz, and
     aims anew. Two meshes agree at single frequencies by chance, so e(f) of the discretisation is its band value at
-    least. Draws cancel at single targets by chance, so none gets less than the method's rms over its targets.
+    least. Random errors of a measurement, of standard deviation ``random`` (n, n_out, n_in) in G's unit, are
+    independent at each entry and frequency; they make S fall, and that mean fall is added. Draws
+    cancel at single targets by chance, so none gets less than the method's rms over its targets.
     """
     window: Window = rendering.window if rendering.window is not None else "record"
-    g, shape = _shorter(transfer, wavelet, rendering.window)
+    # on every k-th bin, white noise would have k times its energy within the window
+    whole = random is not None
+    g, shape = (transfer, wavelet) if whole else _shorter(transfer, wavelet, rendering.window)
     sources = tuple(_at_least_band(e, g.frequency) if e.source == "discretisation" else e for e in errors)
     base = strengths(g, rendering.targets, methods, shape, window=window)
     rng = np.random.default_rng(_SEED)
-    square = np.zeros(base.shape)
+    square, fall = np.zeros(base.shape), np.zeros(base.shape)
     for _ in range(_DRAWS):
-        drawn = strengths(
-            perturbed(g, sources, rng, _CORRELATION), rendering.targets, methods, shape, window=window
-        )
+        other = perturbed(g, sources, rng, _CORRELATION)
+        if random is not None:
+            noise = rng.normal(size=(2, *random.shape)) / np.sqrt(2)
+            other = replace(other, values=other.values + random * (noise[0] + 1j * noise[1]))
+        drawn = strengths(other, rendering.targets, methods, shape, window=window)
         square += np.log(drawn / base) ** 2 / _DRAWS
+        fall += np.log(base / drawn) / _DRAWS
     pooled = square.mean(axis=1, keepdims=True)
-    return np.asarray(_HALF_WIDTH * np.sqrt(np.maximum(square, pooled)))
+    half = _HALF_WIDTH * np.sqrt(np.maximum(square, pooled))
+    return np.asarray(half if random is None else half + np.abs(fall))
 
 
 def _at_least_band(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:

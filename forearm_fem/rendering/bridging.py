@@ -29,7 +29,7 @@ class Bridged:
     """``transfer`` with its safe holes filled, and ``guess`` with the others filled as well, None if there are none.
 
     ``error`` is e(f) of what was filled (None without any); ``filled`` and ``left`` count (bin, entry) pairs; ``bins``
-    are those with any hole.
+    are those with any hole. ``ends`` counts the pairs before the first or after the last known bin of their entry.
     """
 
     transfer: TransferMatrix
@@ -38,18 +38,20 @@ class Bridged:
     filled: int = 0
     left: int = 0
     bins: int = 0
+    ends: int = 0
 
     @property
     def sentence(self) -> str:
         """What was missing and what was done about it; empty where nothing was."""
+        ends = f"G misses {self.ends} values at the ends of its band, which are not bridged and not driven"
         if not self.bins:
-            return ""
+            return ends if self.ends else ""
         said = f"G misses {self.filled + self.left} values on {self.bins} bins within its band"
         if self.filled and self.error is not None:
             said += f"; {self.filled} are bridged, with e(f) up to {self.error.worst:.1g} there"
         if self.left:
             said += f"; {self.left} could not be bridged within {_SAFE:.0%} and are not driven: see S' column of holes"
-        return said
+        return f"{said}; {ends}" if self.ends else said
 
 
 def bridged(transfer: TransferMatrix) -> Bridged:
@@ -58,13 +60,13 @@ def bridged(transfer: TransferMatrix) -> Bridged:
     Each entry is fitted by rational functions (AAA, Nakatsukasa et al. 2018) and by a local polynomial. Known bins
     beside the holes, in runs as long as these, are left out first: the fit that misses them least is taken, and twice
     what it missed is its error. A miss above 10 % of the largest entry at the frequency is not safe. Entries that are
-    half unknown, and bins beyond the known band, stay as they are.
+    half unknown, and bins beyond the known band, stay as they are; the latter are counted.
     """
     whole = _with_missing_rows(transfer)
     known = np.isfinite(whole.values) & (True if whole.valid is None else whole.valid)
-    holes = _inner_holes(known)
+    holes, ends = _inner_holes(known), int(np.count_nonzero(_beyond(known)))
     if not holes.any():
-        return Bridged(transfer)
+        return Bridged(transfer, ends=ends)
     size = np.abs(np.where(known, whole.values, 0)).max(axis=(1, 2))
     size = np.interp(whole.frequency, whole.frequency[size > 0], size[size > 0])
     values, missed = np.where(known, whole.values, 0), np.zeros(known.shape)
@@ -86,6 +88,7 @@ def bridged(transfer: TransferMatrix) -> Bridged:
         int(np.count_nonzero(safe)),
         left,
         int(np.count_nonzero(holes.any(axis=(1, 2)))),
+        ends,
     )
 
 
@@ -114,6 +117,12 @@ def _inner_holes(known: BoolArray) -> BoolArray:
     inner = ~known & before & after
     enough = inner.sum(axis=0) <= _MOST_HOLES * (inner | known).sum(axis=0)
     return np.asarray(inner & enough & (known.sum(axis=0) >= _NEIGHBOURS))
+
+
+def _beyond(known: BoolArray) -> BoolArray:
+    """Values before the first or after the last known one of their entry; none of an entry that is all unknown."""
+    before, after = np.maximum.accumulate(known, axis=0), np.maximum.accumulate(known[::-1], axis=0)[::-1]
+    return np.asarray(~(before & after) & known.any(axis=0))
 
 
 def _best_fit(

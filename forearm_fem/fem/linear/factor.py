@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+import platform
+import sys
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -179,9 +181,18 @@ def choose_backend(backend: Backend, n: int, *, single: bool = True) -> str:
     if chosen == "superlu" and n > SUPERLU_LIMIT:
         raise SolverError(
             f"SuperLU does not finish in reasonable time for {n} unknowns (limit {SUPERLU_LIMIT}); "
-            "install MKL (python3 -m pip install mkl) or coarsen the mesh (accuracy, mesh.size_grid)"
+            f"{_faster(single)}coarsen the mesh (accuracy, mesh.size_grid) or set engine = 'layered'"
         )
     return chosen
+
+
+def _faster(single: bool) -> str:
+    """What would bring another solver on this machine, "" if nothing would: MKL is made for x86 outside macOS alone."""
+    if platform.machine().lower() in ("x86_64", "amd64") and sys.platform != "darwin":
+        return "install MKL (python3 -m pip install mkl), "
+    if not single:
+        return "there is no MKL here, and the multifrontal solver needs solver.precision = 'auto' and K < inf; "
+    return "" if _compiles() else "there is no MKL here; install pymetis and numba (python3 -m pip install pymetis), "
 
 
 def make_factor(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,11 @@ def tetrahedralise(
 
 
 def _run(folder: str) -> None:
+    if find_spec("pytetwild") is None:
+        raise MeshError(
+            "meshing this limb needs the package pytetwild (fTetWild), which is not installed here; "
+            "python3 -m pip install pytetwild, or give a slab, a parametric limb or a mesh of your own"
+        )
     try:
         done = subprocess.run(
             [sys.executable, "-c", _WORK],
