@@ -144,6 +144,28 @@ def test_rims_of_small_cones_are_as_fine_as_their_radius_asks():
         assert element_sizes(scenario).rim <= 0.431 * diameter / 2
 
 
+FLAT = {"limb": {"shape": "slab"}}
+
+
+def test_elements_under_rigid_cones_on_slabs_follow_the_accuracy():
+    """At .43 radii whatever was asked for, receptance was 1.5 % off at accuracies 0.3, 0.1 and 0.05 alike."""
+    for contact in ("bonded", "frictionless"):
+        found = []
+        for accuracy in (0.3, 0.1, 0.05, 0.025):
+            device = {"cone": {"contact": contact, "radius": 3.5e-3}}
+            found.append(element_sizes(parse_scenario({"accuracy": accuracy, "device": device, **FLAT})))
+        for sizes in (np.array([s.rim for s in found]), np.array([s.contact for s in found])):
+            assert (np.diff(sizes) < 0).all()
+            assert sizes[-1] < 0.6 * sizes[0]  # the fourth root of twelve is 1.86
+        assert all(s.rim <= 0.81 * s.contact for s in found)  # bisection halves rims that are as long as elements
+    narrow = {"cone": {"contact": "bonded", "radius": 1e-3}}  # elements that carry no wave better stay as they were
+    assert element_sizes(parse_scenario({"device": narrow, **FLAT})).contact == pytest.approx(0.43e-3)
+    own = parse_scenario({"mesh": {"size_contact": 1.5e-3}, **FLAT})
+    assert element_sizes(own).contact == 1.5e-3
+    limb = element_sizes(parse_scenario({"accuracy": 0.05}))  # shipped meshes of other limbs keep their sizes
+    assert limb.contact == pytest.approx(1.505e-3)
+
+
 def test_a_mesh_whose_rims_are_no_coarser_is_no_second_mesh(cold, monkeypatch):
     """Bisection halves edges: sizes 1.3 times as large may leave a finer rim."""
     limb, mesh = {**SLAB["limb"], "depth": 0.03}, {"size_grid": 4e-3, "size_contact": 1.5e-3, "min_quality": 0.005}
