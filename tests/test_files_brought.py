@@ -179,7 +179,9 @@ def test_the_sample_arm_is_sound_and_small():
     """scenarios/own_arm.toml names files that exist, nest, and hold the device; volumes follow from their half axes."""
     file = Path(__file__).parents[1] / "scenarios" / "own_arm.toml"
     scenario = load_scenario(file)
-    found = read_surfaces(scenario.limb, file.parent)
+    assert [s.tissue for s in read_surfaces(scenario.limb, file.parent)] == ["skin", "muscle", "bone"]
+    all_four = {**scenario.limb.surfaces, "fat": "../meshes/sample/fat.stl"}
+    found = read_surfaces(scenario.limb.model_copy(update={"surfaces": all_four}), file.parent)
     assert [s.tissue for s in found] == ["skin", "fat", "muscle", "bone"]
     # ellipse of 40 x 32 mm; 0.3 % is what tapering (15 %, squared, over 3) adds less what 40 sides lack
     assert found[0].volume == pytest.approx(np.pi * 0.04 * 0.032 * 0.16, rel=0.01)
