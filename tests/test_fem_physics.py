@@ -20,7 +20,15 @@ from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import Hysteretic, SpringPot, Tissue, Zener
 from forearm_fem.verification.blocks import block_mesh
 from forearm_fem.verification.closed import punch_stiffness, shear_bar_errors, sphere_errors
-from forearm_fem.verification.scenes import DIRECT, flesh, held_block, quarter_slab, slab_model, slab_response, twin_response
+from forearm_fem.verification.scenes import (
+    DIRECT,
+    flesh,
+    held_block,
+    quarter_slab,
+    slab_model,
+    slab_response,
+    twin_response,
+)
 from forearm_fem.verification.slabs import LAYERS_O
 
 BAND = np.array([1.0, 40.0, 200.0, 500.0])
