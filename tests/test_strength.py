@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forearm_fem.compare.commands import run_compare
 from test_rendering import BAND, actuators, grid, waves
 
 from forearm_fem.compare.common import common_ground
 from forearm_fem.compare.crossplay import cross_play
+from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import AccuracyWarning, ScenarioError
 from forearm_fem.figures import Results
 from forearm_fem.pipeline import strengths as account_module
