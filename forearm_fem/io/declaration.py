@@ -13,13 +13,12 @@ import numpy as np
 from pydantic import Field
 
 from ..errors import DataError
-from ..measurement.entry import to_displacement
 from ..ports import Port
 from ..scenario.base import Part, Positive
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
-from .units import parse_unit
+from .units import parse_unit, to_displacement
 
 Axis = Literal["frequency", "output", "input"]
 Spectrum = Literal["one-sided", "two-sided"]

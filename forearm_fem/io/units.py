@@ -7,15 +7,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import numpy as np
+
 from ..errors import DataError
 from ..scenario.measurement import Quantity
+from ..typing import ComplexArray, FloatArray
 
 _PREFIX: Mapping[str, float] = MappingProxyType(
     {"": 1.0, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3}
 )
 _PER_TIME: Mapping[str, Quantity] = MappingProxyType({"": "displacement", "/s": "velocity", "/s^2": "acceleration"})
+_POWERS: Mapping[Quantity, int] = MappingProxyType({"displacement": 0, "velocity": 1, "acceleration": 2})
 _G = 9.80665  # standard gravity [m/s^2]
 _SHAPE = re.compile(r"^(?:([nuµμmck]?)m((?:/s(?:\^2)?)?)|([mu]?)g)/([numkµμ]?)([VN]|m)$")
+
+
+def to_displacement(frequency: FloatArray, quantity: Quantity) -> ComplexArray:
+    """1 / (i omega)^p (n,): from velocity (p = 1) or acceleration (p = 2) to displacement, e^{+i omega t}."""
+    return np.asarray((2j * np.pi * frequency) ** -float(_POWERS[quantity]))
 
 
 @dataclass(frozen=True)

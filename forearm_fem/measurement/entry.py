@@ -11,6 +11,7 @@ from scipy.fft import rfftfreq
 
 from ..errors import DataError
 from ..io.recording import Recording
+from ..io.units import to_displacement
 from ..ports import Port
 from ..scenario.measurement import MeasurementOptions, Quantity
 from ..transfer import ErrorEstimate, TransferMatrix
@@ -18,8 +19,6 @@ from ..typing import BoolArray, ComplexArray, FloatArray
 from .diagnostics import Finding, diagnose
 from .estimators import Estimate, estimate, spectra
 from .sweep import excited
-
-POWERS: Mapping[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +38,6 @@ class Entry:
     coherence: FloatArray
     valid: BoolArray
     findings: tuple[Finding, ...] = ()
-
-
-def to_displacement(frequency: FloatArray, quantity: Quantity) -> ComplexArray:
-    """1 / (i omega)^p (n,): from velocity (p = 1) or acceleration (p = 2) to displacement, e^{+i omega t}."""
-    return np.asarray((2j * np.pi * frequency) ** -float(POWERS[quantity]))
 
 
 def entry(recording: Recording, band: tuple[float, float], options: MeasurementOptions) -> Entry:

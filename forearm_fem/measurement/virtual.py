@@ -13,12 +13,12 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from ..errors import DataError, HardwareError
+from ..io.units import to_displacement
 from ..rendering.spectrum import Record, place
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .daq import Wiring
-from .entry import to_displacement
 
 
 @dataclass(frozen=True)
