@@ -128,7 +128,7 @@ def run_tests(tests: Sequence[str], scratch: Path, kernels: str | None = None) -
     environment = {**os.environ, **where, **({"NUMBA_CACHE_DIR": kernels} if kernels else {})}
     with tempfile.TemporaryDirectory() as cache:
         environment["FOREARM_FEM_CACHE"] = cache
-        command = [sys.executable, "-m", "pytest", "-x", "--no-header", "-p", "no:cacheprovider", "-m", "", *tests]
+        command = [sys.executable, "-m", "pytest", "-x", "--no-header", "-n", "0", "-p", "no:cacheprovider", "-m", "", *tests]
         try:
             done = subprocess.run(
                 command, cwd=scratch, env=environment, capture_output=True, text=True, timeout=_TOO_LONG, check=False
