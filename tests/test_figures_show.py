@@ -101,12 +101,12 @@ def test_a_cut_limb_keeps_the_field_on_its_faces(run: Results, cut: str) -> None
 
 
 def test_a_film_has_all_its_frames(run: Results, tmp_path: Path) -> None:
-    told: list[str] = []
+    told: list[tuple[str, int, int]] = []
     path = animate(run, tmp_path / "film.gif", look=Look(size=(160, 120)), steps=np.array([0.0, 2e-3, 4e-3]),
-                   progress=lambda done, total, what: told.append(what))  # fmt: skip
+                   progress=lambda *step: told.append(step))  # fmt: skip
     with Image.open(path) as film:
         assert getattr(film, "n_frames", 1) == 3
-    assert told == ["t = 0.0 ms", "t = +2.0 ms", "t = +4.0 ms"]
+    assert told == [("frames", k, 3) for k in (1, 2, 3)]
 
 
 def test_mp4_names_its_extra(run: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

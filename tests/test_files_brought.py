@@ -150,11 +150,11 @@ def test_ports_are_placed_before_the_long_work(tmp_path, monkeypatch):
     case.write(tmp_path)
     monkeypatch.setattr(surfaces, "tetrahedralise", lambda *a: pytest.fail("meshed first"))
     data = {**case.scenario(), "grid": {"points": [[0, 0.0345]]}}
-    said: list[str] = []
+    said: list[tuple[str, int, int]] = []
     monkeypatch.setattr(build, "ports_on", _refused)
     with pytest.raises(GeometryError, match="placed first"):
-        build_mesh(parse_scenario(data), base=tmp_path, progress=said.append)
-    assert said == ["reading and checking the surfaces"]
+        build_mesh(parse_scenario(data), base=tmp_path, progress=lambda *step: said.append(step))
+    assert said == [("reading and checking the surfaces", 0, 0)]
 
 
 def _refused(*_: object) -> None:

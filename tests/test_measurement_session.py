@@ -63,7 +63,7 @@ def test_killed_at_a_random_moment_nothing_measured_is_lost(tmp_path, moment):
     kept = {f.name: f.read_bytes() for f in tmp_path.glob("G_*.npz")}
     assert len(kept) == whole
     seen = []
-    resumed = calibrate(plan_for(SCENE), Dying(10**9), tmp_path, progress=seen.append)
+    resumed = calibrate(plan_for(SCENE), Dying(10**9), tmp_path, after=seen.append)
     assert [p.reused for p in seen] == [True] * whole + [False] * (6 - whole)
     assert resumed.missing == ()
     assert all((tmp_path / name).read_bytes() == content for name, content in kept.items())
@@ -74,7 +74,7 @@ import sys
 sys.path[:0] = [{tests!r}, {root!r}]
 from test_measurement_session import SCENE, device_for, plan_for
 from forearm_fem.measurement.calibrate import calibrate
-calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), {folder!r}, progress=lambda p:
+calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), {folder!r}, after=lambda p:
 print(len(p.entries), flush=True))
 """
 
@@ -97,7 +97,7 @@ def test_sigkill_leaves_whole_recordings_only(tmp_path):
 def test_an_entry_that_was_bad_is_taken_again_once(tmp_path):
     seen = []
     faulty = device_for(SCENE, noise=1e-3, faults=Faults(dead_inputs=(1,)))
-    measured = calibrate(plan_for(SCENE), faulty, tmp_path, progress=seen.append)
+    measured = calibrate(plan_for(SCENE), faulty, tmp_path, after=seen.append)
     assert len(seen) == 6
     assert faulty._session == 3 + 3 * 2  # three good entries once, three dead ones twice
     assert measured.transfer.valid[:, :, 0].mean() > 0.8  # the rest lies below the floor
@@ -109,7 +109,7 @@ def test_a_damaged_recording_is_measured_again(tmp_path):
     victim = next(tmp_path.glob("G_2_A1*.npz"))
     victim.write_bytes(victim.read_bytes()[:500])
     seen = []
-    calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path, progress=seen.append)
+    calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path, after=seen.append)
     assert [p.reused for p in seen].count(False) == 1
     assert collected(plan_for(SCENE), tmp_path).missing == ()
 
@@ -125,7 +125,7 @@ def test_a_recording_whose_numbers_were_changed_is_measured_again(tmp_path):
     with pytest.raises(DataError, match="checksum"):
         read_recording(victim)
     seen = []
-    calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path, progress=seen.append)
+    calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path, after=seen.append)
     assert [p.reused for p in seen].count(False) == 1
 
 
@@ -158,8 +158,9 @@ def scenario(**extra):
 
 def test_run_calibration_writes_transfer_and_live_figure(tmp_path):
     seen = []
-    result = run_calibration(scenario(), tmp_path, virtual=VirtualSetup(SCENE, latency=3), progress=seen.append)
-    assert len(seen) == 6
+    setup = VirtualSetup(SCENE, latency=3)
+    result = run_calibration(scenario(), tmp_path, virtual=setup, progress=lambda *step: seen.append(step))
+    assert [step[1:] for step in seen] == [(k, 6) for k in range(1, 7)]
     back = read_transfer(result.transfer_file)
     assert np.nanmax(np.abs(back.values - SCENE.values)) < 0.02 * np.abs(SCENE.values).max()
     assert result.figure_file.read_bytes().startswith(b"\x89PNG")

@@ -280,7 +280,7 @@ def test_render_all_files_each_result_and_reports_progress(coarse, short):
     everything = render_all(coarse, ["5", "6"], METHODS, short, progress=lambda *step: seen.append(step))
     assert list(everything) == [(m.name, t) for m in METHODS for t in ("5", "6")]
     assert len(everything) == 6
-    assert seen[-1] == (6, 6, "combination towards 6")
+    assert seen[-1] == ("render", 6, 6)
     one = everything["combination", "6"]
     assert np.array_equal(one.drives.signals, drives(Combination(), coarse, "6", short).signals)
     moved = one.displacements

@@ -353,8 +353,8 @@ def test_a_search_beyond_the_sets_that_can_be_tried_ends_and_tells_how_far_it_is
     sent = drives(InverseFilter(zeros=search), g, "7", shape)
     assert len(sent.zeros) == 4
     assert 48 <= len(seen) <= 4 * 36
-    assert [done for done, _ in seen] == list(range(1, len(seen) + 1))
-    assert all(done <= most for done, most in seen)
+    assert [done for _, done, _ in seen] == list(range(1, len(seen) + 1))
+    assert all(done <= most for _, done, most in seen)
     found, corners = (
         strengths(g, ("7",), (InverseFilter(zeros=z),), shape)[0, 0] for z in (sent.zeros, ThesisZeros())
     )

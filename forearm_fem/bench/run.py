@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -11,12 +11,12 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from ..errors import AccuracyWarning, DataError, SolverError
+from ..progress import Progress, tell
 from . import asked, error, plots, size, text
 from . import reduced as reduction
 from .isolated import isolated, median, repeated, threads
 from .tables import as_text, read_rows, record_machine, write_csv
 
-Progress = Callable[[str, int, int], None]
 Written = list[Path]
 T = TypeVar("T")
 
@@ -123,9 +123,9 @@ def _asked(out: Path, full: bool, progress: Progress | None) -> Path:
 
 def _counted(cases: Sequence[T], stage: str, progress: Progress | None) -> Iterator[T]:
     for done, case in enumerate(cases):
-        _tell(progress, stage, done, len(cases))
+        tell(progress, stage, done, len(cases))
         yield case
-    _tell(progress, stage, len(cases), len(cases))
+    tell(progress, stage, len(cases), len(cases))
 
 
 @contextmanager
@@ -138,8 +138,3 @@ def _lost(case: object) -> Iterator[None]:
 
 
 PARTS = MappingProxyType({"error": _error, "size": _size, "asked": _asked, "reduced": _reduced})
-
-
-def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:
-    if progress is not None:
-        progress(stage, done, total)

@@ -16,10 +16,10 @@ import psutil
 
 from ..errors import ForearmError, MissingExtra, SolverError
 from ..io.atomic import write_text
+from ..progress import Progress, tell
 from .member import Job, finished, work
 from .model import Campaign, Member
 
-Progress = Callable[[str, int, int], None]
 LIGHT = 0.6e9  # bytes of a worker that solves no finite elements
 SHARE = 0.8  # of the free memory that workers may take together
 PATIENCE = 10  # s for a scheduler to answer
@@ -64,12 +64,12 @@ def run_campaign(
     done = {job.name: found for job in jobs if (found := finished(job)) is not None}
     reused = set(done)
     missing = [job for job in jobs if job.name not in done]
-    _tell(progress, len(done), len(jobs))
+    tell(progress, "members", len(done), len(jobs))
     if missing:
         with _client(scheduler, lambda: workers or worker_count(campaign, missing)) as client:
             for name, found in _results(client, missing):
                 done[name] = found
-                _tell(progress, len(done), len(jobs))
+                tell(progress, "members", len(done), len(jobs))
                 _write(out, _collected(campaign, done, reused))
     return _write(out, _collected(campaign, done, reused))
 
@@ -187,8 +187,3 @@ def markdown(columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
 def _cell(value: Any) -> str:
     text = f"{value:.4g}" if isinstance(value, float) else str("" if value is None else value)
     return text.replace("|", "\\|").replace("\n", " ")
-
-
-def _tell(progress: Progress | None, done: int, total: int) -> None:
-    if progress is not None:
-        progress("members", done, total)

@@ -26,7 +26,6 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ..measurement.calibrate import Progress
     from ..measurement.run import CalibrationResult, VirtualSetup
 
 DaqChoice = Annotated[Literal["virtual", "ni"], typer.Option("--daq", help="virtual: through a G; ni: a cDAQ")]
@@ -75,15 +74,12 @@ def _calibrated(
 
     with Display() as display, noted(), stop_on_ctrl_c() as stop:
 
-        def after(step: Progress) -> None:
-            display("measurements (saved one by one)", len(step.entries), step.total)
-
         def operator(where: str) -> bool:
             return _ask_operator(where, stop) if ask else True
 
         try:
             return run_calibration(
-                asked, folder, daq=daq, virtual=virtual, operator=operator, progress=after, stop=stop
+                asked, folder, daq=daq, virtual=virtual, operator=operator, progress=display, stop=stop
             )
         except HardwareError:
             _raise_if_stopped(stop)

@@ -29,7 +29,7 @@ def figures(
     with locked(out or results), Display() as display, noted():
         written = make_figures(
             results, out, only=_listed(only), formats=_split(formats),
-            progress=lambda done, total, _: display("figures", done, total),
+            progress=display,
         )  # fmt: skip
     for file in written:
         typer.echo(str(file))
@@ -72,7 +72,7 @@ def _saved(folder: Path, save: Path) -> None:
         from ..figures.show import animate
 
         with Display() as display:
-            animate(folder, save, progress=lambda done, total, _: display("frames", done, total))
+            animate(folder, save, progress=display)
     elif kind == ".html":
         from ..figures.page import export_html
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..progress import tell, within
 from ..scenario import Scenario, load_scenario
 from .common import Display, OutFolder, Overrides, ScenarioFile, print_notes, stage
 
@@ -89,13 +90,10 @@ def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Fo
     from ..geometry.cache import cached_mesh
     from ..pipeline.forecast import forecast
 
-    def tell(what: str) -> None:
-        if display is not None:
-            display(f"mesh: {what}", 0, 0)
-
-    tell("looking for a finished one")
-    mesh = cached_mesh(asked, base=base, progress=tell)
-    tell("counting unknowns")
+    progress = within(display, "mesh")
+    tell(progress, "looking for a finished one", 0, 0)
+    mesh = cached_mesh(asked, base=base, progress=progress)
+    tell(progress, "counting unknowns", 0, 0)
     return forecast(asked, base=base, mesh=mesh)
 
 

@@ -18,6 +18,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats.qmc import LatinHypercube
 
 from ..errors import DataError
+from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .parameters import Direction, Parameter
@@ -84,7 +85,7 @@ def fit(
     starts: int = 1,
     max_evaluations: int = 200,
     tolerance: float = 1e-8,
-    progress: Callable[[int, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> FitResult:
     """The ``parameters`` with which ``model`` comes closest to ``measured``.
 
@@ -93,7 +94,7 @@ def fit(
     Parameters called "scale" and "delay" are applied here, times scale exp(-i omega delay). Entries without
     a standard deviation are weighted as if it were ``fallback_noise`` of the entries' rms, and the
     covariance then follows from the misfit. Phases make local minima: with ``starts`` > 1 the fit is
-    repeated from other places in the ranges and the best is kept. ``progress(evaluations, chi2)``. Raises
+    repeated from other places in the ranges and the best is kept. ``progress`` counts evaluations. Raises
     DataError without usable data or for fewer data than parameters.
     """
     problem = _Problem.of(model, measured, tuple(parameters), gradient, fallback_noise, progress)
@@ -129,7 +130,7 @@ class _Problem:
     weight: FloatArray
     sigma_known: bool
     count: list[int]
-    progress: Callable[[int, float], None] | None
+    progress: Progress | None
 
     @classmethod
     def of(
@@ -139,7 +140,7 @@ class _Problem:
         parameters: tuple[Parameter, ...],
         gradient: Gradient | None,
         fallback: float,
-        progress: Callable[[int, float], None] | None,
+        progress: Progress | None,
     ) -> _Problem:
         """The data used and their weights sqrt(2) / sigma [1/unit of G]; sigma is ``fallback`` times the rms of G
         where no deviation is known. Raises DataError for repeated or no names and for too few data.
@@ -230,8 +231,7 @@ class _Problem:
 
         def residual(x: FloatArray) -> FloatArray:
             r = self.residual(self.full(place, free, x))
-            if self.progress is not None:
-                self.progress(self.count[0], float(r @ r) / max(len(r) - len(place), 1))
+            tell(self.progress, "evaluations of the fit", self.count[0], 0)
             return r
 
         def jacobian(x: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from ..io.declaration import Declaration
 from ..io.netcdf import write_transfer
 from ..io.recognise import read_measured
 from ..ports import Port
+from ..progress import Progress
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from .adapters import ComplianceOf, ScenarioModel, common_parameters, layered_compliance_of
@@ -87,7 +88,7 @@ def run_fit(
     declaration: Declaration | None = None,
     frequencies: int = 24,
     compliance_of: ComplianceOf | None = None,
-    progress: Callable[[int, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> FitCommandResult:
     """Fit ``parameters`` (short names of :func:`common_parameters`) of ``scenario`` to a measured G.
 

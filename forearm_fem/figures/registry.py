@@ -13,6 +13,7 @@ from matplotlib import style
 
 from ..errors import DataError, ForearmError
 from ..io.atomic import atomic_path, write_text
+from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from . import device, judge, matrix, mesh, methods, targets, waves
 from .data import Results
@@ -20,7 +21,6 @@ from .style import SHEET, Drawn, figure_of, sign
 from .tables import Table
 
 FORMATS = ("png", "pdf", "svg")
-Progress = Callable[[int, int, str], None]
 _REPRODUCIBLE: Mapping[str, Any] = MappingProxyType({"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}})
 
 
@@ -134,11 +134,9 @@ def make_figures(
     _check_writable(folder)
     written: list[Path] = []
     for done, kind in enumerate(chosen):
-        if progress is not None:
-            progress(done, len(chosen), kind.title)
+        tell(progress, "figures", done, len(chosen))
         written += make_figure(kind, results, folder, formats)
-    if progress is not None:
-        progress(len(chosen), len(chosen), "done")
+    tell(progress, "figures", len(chosen), len(chosen))
     return written
 
 

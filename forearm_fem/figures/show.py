@@ -15,6 +15,7 @@ from PIL import Image
 from ..errors import DataError, MissingExtra
 from ..io.atomic import atomic_path, write_bytes, write_text
 from ..ports import Port
+from ..progress import Progress, tell
 from ..typing import FloatArray, IntArray
 from .data import Results
 from .motion import Motion, View, motion, nice, shown_values
@@ -32,7 +33,6 @@ from .style import SIGNED, SIZE
 
 __all__ = ["Look", "animate", "render_still", "write_pvd"]
 
-Progress = Callable[[int, int, str], None]
 CAMERAS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {"oblique": (-0.75, -1.0, 0.95), "top": (0.0, -0.001, 1.0), "side": (0.0, -1.0, 0.25), "wrist": (-1.0, -0.12, 0.3)}
 )
@@ -277,8 +277,7 @@ def animate(
 
 def _picture(stage: Stage, step: int, progress: Progress | None) -> Any:
     stage.show(step)
-    if progress is not None:
-        progress(step + 1, len(stage.moved.steps), stage.moved.label(step))
+    tell(progress, "frames", step + 1, len(stage.moved.steps))
     return np.array(stage.plotter.screenshot(None, return_img=True))
 
 
@@ -351,8 +350,7 @@ def write_pvd(
         write_bytes(target.parent / name, _vtu(grid))
         time = at if moved.phasor is None else np.degrees(at)
         lines.append(f'    <DataSet timestep="{time:.9g}" file="{name}"/>')
-        if progress is not None:
-            progress(k + 1, len(moved.steps), moved.label(k))
+        tell(progress, "frames", k + 1, len(moved.steps))
     head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
     write_text(target, head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n")
     return target

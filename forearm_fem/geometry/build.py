@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import MeshError, MeshTooLarge
 from ..ports import Port
+from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, SurfacesLimb
 from ..typing import FloatArray, IntArray
@@ -33,7 +34,6 @@ from .user.meshes import user_mesh
 from .user.surfaces import read_surfaces, surfaces_mesh
 from .user.tetwild import MeshTimeout
 
-Progress = Callable[[str], None]
 _ATTEMPTS = 3  # meshes of curved limbs begin with random numbers: others may succeed where some did not
 _CONTACT_SIZES = 1.0, 0.7, 0.5, 1.4  # sizes under contacts that are tried in turn on a user's mesh
 _FINER = 0.75  # with facets so much narrower each time: few wide ones may not enclose what lies inside
@@ -49,14 +49,14 @@ def build_mesh(
     progress: Progress | None = None,
 ) -> TissueMesh:
     """Tetrahedra of the scenario's limb, bent along its walls; ``scale`` multiplies every element size."""
-    sizes, say = element_sizes(scenario, shear_speed, scale=scale), progress or _silent
+    sizes = element_sizes(scenario, shear_speed, scale=scale)
     size = SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading)
     if isinstance(scenario.limb, MeshLimb):
-        return _on_users_mesh(scenario, scenario.limb, base, size, say, scale)
+        return _on_users_mesh(scenario, scenario.limb, base, size, progress, scale)
     for attempt in range(1, _ATTEMPTS + 1):
         try:
-            mesh = _unmarked(scenario, base, size.with_facets(_FINER ** (attempt - 1)), say, attempt)
-            return with_bends(scenario, _marked(scenario, mesh, size, say, scale))
+            mesh = _unmarked(scenario, base, size.with_facets(_FINER ** (attempt - 1)), progress, attempt)
+            return with_bends(scenario, _marked(scenario, mesh, size, progress, scale))
         except MeshError as problem:
             if attempt == _ATTEMPTS or isinstance(scenario.limb, SlabLimb) or isinstance(problem, MeshTimeout):
                 why = why_cramped(scenario, size.layout)
@@ -66,7 +66,7 @@ def build_mesh(
 
 
 def _on_users_mesh(
-    scenario: Scenario, limb: MeshLimb, base: Path, size: SizeField, say: Progress, scale: float
+    scenario: Scenario, limb: MeshLimb, base: Path, size: SizeField, progress: Progress | None, scale: float
 ) -> TissueMesh:
     """The user's mesh with the contacts in it; what our own refinement spoils is tried with other sizes, then told."""
     keep_bone = scenario.supports.bone == "elastic"
@@ -74,7 +74,7 @@ def _on_users_mesh(
     problem: MeshError | None = None
     for factor in _CONTACT_SIZES:
         try:
-            return with_bends(scenario, _marked(scenario, mesh, size.with_contact(factor), say, scale))
+            return with_bends(scenario, _marked(scenario, mesh, size.with_contact(factor), progress, scale))
         except MeshTooLarge:
             raise
         except MeshError as found:
@@ -85,26 +85,24 @@ def _on_users_mesh(
     ) from problem
 
 
-def _silent(text: str) -> None:
-    """No progress wanted."""
-
-
-def _unmarked(scenario: Scenario, base: Path, size: SizeField, say: Progress, attempt: int) -> TissueMesh:
+def _unmarked(scenario: Scenario, base: Path, size: SizeField, progress: Progress | None, attempt: int) -> TissueMesh:
     """The limb's mesh before contacts are pressed into it."""
     limb, keep_bone = scenario.limb, scenario.supports.bone == "elastic"
     if isinstance(limb, SlabLimb):
         return slab_mesh(limb, size.layout, size)
     if isinstance(limb, ForearmLimb | CylinderLimb):
         ports_on(scenario, tube_of(limb).volar)  # complain about misplaced ports before the long work
-        return _tube_mesh(tube_of(limb), size, say, keep_bone=keep_bone, seed=attempt)
+        return _tube_mesh(tube_of(limb), size, progress, keep_bone=keep_bone, seed=attempt)
     assert isinstance(limb, SurfacesLimb)
-    return _nested_mesh(scenario, limb, base, size, say)
+    return _nested_mesh(scenario, limb, base, size, progress)
 
 
-def _marked(scenario: Scenario, mesh: TissueMesh, size: SizeField, say: Progress, scale: float) -> TissueMesh:
+def _marked(
+    scenario: Scenario, mesh: TissueMesh, size: SizeField, progress: Progress | None, scale: float
+) -> TissueMesh:
     """With rims followed by edges, refined where the cone is rigid, and contacts named; checked."""
     ports = tuple(p for p in place_ports(scenario, mesh) if p.kind == "contact")
-    say("following and refining the contact rims")
+    tell(progress, "following and refining the contact rims", 0, 0)
     mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, size, scale)
     mesh = _with_fine_rims(scenario, with_contacts(mesh, ports), ports, size.sizes, scale)
     check_count(mesh, scenario.mesh.max_elements)
@@ -159,20 +157,22 @@ def limb_volume(scenario: Scenario) -> float | None:
     return None
 
 
-def _nested_mesh(scenario: Scenario, limb: SurfacesLimb, base: Path, size: SizeField, say: Progress) -> TissueMesh:
-    say("reading and checking the surfaces")
+def _nested_mesh(
+    scenario: Scenario, limb: SurfacesLimb, base: Path, size: SizeField, progress: Progress | None
+) -> TissueMesh:
+    tell(progress, "reading and checking the surfaces", 0, 0)
     surfaces = read_surfaces(limb, base)
     check_room(base / limb.surfaces[surfaces[0].tissue], surfaces[0].vertices, size.layout, limb.unit)
     outer = FacetSkin(surfaces[0].vertices, surfaces[0].faces)
     ports_on(scenario, outer)  # complain about misplaced ports before the long work
-    say("meshing the outer surface (minutes for fine sizes)")
+    tell(progress, "meshing the outer surface (minutes for fine sizes)", 0, 0)
     field = SpaceField.on(size, lambda xy: outer(xy)[0])
     keep_bone = scenario.supports.bone == "elastic"
-    return surfaces_mesh(surfaces, field, size.sizes.far, scenario.mesh.max_elements, say, keep_bone=keep_bone)
+    return surfaces_mesh(surfaces, field, size.sizes.far, scenario.mesh.max_elements, progress, keep_bone=keep_bone)
 
 
-def _tube_mesh(tube: Tube, size: SizeField, say: Progress, *, keep_bone: bool, seed: int) -> TissueMesh:
-    say("meshing the core (half a minute)")
+def _tube_mesh(tube: Tube, size: SizeField, progress: Progress | None, *, keep_bone: bool, seed: int) -> TissueMesh:
+    tell(progress, "meshing the core (half a minute)", 0, 0)
     field = SpaceField.on(size, lambda xy: _core_surface(tube, xy))
     return limb_mesh(tube, field, size.sizes, size.layout, elastic_bones=keep_bone, seed=seed)
 

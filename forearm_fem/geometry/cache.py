@@ -13,10 +13,11 @@ from typing import Any
 
 from ..errors import DataError, MeshError
 from ..io.atomic import write_text
+from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.mesh import MeshOptions
-from .build import Progress, build_mesh
+from .build import build_mesh
 from .device.cramped import refuse_if_too_many
 from .device.layout import RIGID, layout_of
 from .device.sizing import SizeField, element_sizes

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from ..errors import AccuracyWarning
+from ..progress import Progress, tell
 from ..typing import ComplexArray, FloatArray, IntArray
 from .integrals import LOW_LOSS, Integrals, Medium
 from .kernel import Base, Layer, Surface, check_layers
@@ -56,7 +57,7 @@ def layered_compliance(
     tolerance: float = 1e-6,
     terms: int | None = None,
     orders: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> LayeredResult:
     r"""Normal displacement of each output disc per normal force on each input disc.
 
@@ -77,7 +78,7 @@ def layered_compliance(
     tolerance : error of the integrals relative to the largest |value| at each frequency.
     terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask for. What they
         leave out is ``truncation`` of the result; NaN with ``orders`` = 0 where a disc is not alone.
-    progress : called with the fraction done.
+    progress : counts frequencies against those expected.
 
     Not covered: tilt and sideways motion of rigid discs, tangential loads, anisotropy, omega = 0. With
     next to no loss (some loss tangent below 1e-3) the path passes above the real axis, which presumes that
@@ -117,7 +118,7 @@ class _Evaluation:
     integrals: Integrals
     system: Galerkin
     expected: int
-    progress: Callable[[float], None] | None
+    progress: Progress | None
     n_kernel: int = 0
     n_frequency: int = 0
 
@@ -130,8 +131,7 @@ class _Evaluation:
             errors[chunk, 0] = block.error
             self.n_kernel += block.n_kernel
             self.n_frequency += chunk.size
-            if self.progress is not None:
-                self.progress(min(1.0, self.n_frequency / self.expected))
+            tell(self.progress, "layered half-space", min(self.n_frequency, self.expected), self.expected)
         return values, errors
 
 

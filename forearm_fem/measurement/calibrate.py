@@ -21,7 +21,7 @@ from .sweep import ExponentialSweep
 
 
 @dataclass(frozen=True)
-class Progress:
+class Step:
     """After each entry: all ``entries`` so far, the last one just handled, of ``total``; ``reused`` if it
     was on disk.
     """
@@ -98,7 +98,7 @@ def calibrate(
     folder: str | Path,
     *,
     operator: Callable[[str], bool] | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    after: Callable[[Step], None] | None = None,
     stop: Callable[[], bool] | None = None,
     retries: int = 1,
 ) -> Measured:
@@ -113,8 +113,8 @@ def calibrate(
     entries: list[Entry] = []
     for measured in _walk(plan, daq, store, operator, stop, retries):
         entries.append(measured.entry)
-        if progress is not None:
-            progress(Progress(tuple(entries), len(plan.entries), measured.reused))
+        if after is not None:
+            after(Step(tuple(entries), len(plan.entries), measured.reused))
     return assembled(plan, entries, daq.name)
 
 

@@ -14,6 +14,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from ..errors import HardwareError
+from ..progress import Progress, tell
 from ..typing import FloatArray
 
 
@@ -106,7 +107,7 @@ class Session:
         limit: float,
         fade: int,
         stop: Callable[[], bool] | None = None,
-        progress: Callable[[float], None] | None = None,
+        progress: Progress | None = None,
     ) -> Capture:
         """Play ``signals`` (n_output, n) [V at the terminals] block by block and record.
 
@@ -124,8 +125,7 @@ class Session:
             if stopped:
                 played = min(start + min(fade, block.shape[1]), signals.shape[1])
                 return Capture(np.concatenate(got, axis=1)[:, ahead:], played, True)
-            if progress is not None:
-                progress(min(1.0, (start + size) / queued.shape[1]))
+            tell(progress, "samples played", min(start + size, queued.shape[1]), queued.shape[1])
         return Capture(np.concatenate(got, axis=1)[:, ahead:], signals.shape[1], False)
 
     def _exchange(self, block: FloatArray) -> FloatArray:

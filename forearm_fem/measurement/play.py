@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import HardwareError
+from ..progress import Progress
 from ..scenario.measurement import DaqOptions
 from ..typing import FloatArray
 from .daq import Daq, Session, Wiring, check_limit, faded
@@ -34,7 +35,7 @@ def play(
     repeats: int = 1,
     pause: float = 0.0,
     stop: Callable[[], bool] | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Played:
     """Play ``signals`` (n_in, n) [V at the actuators] ``repeats`` times with ``pause`` [s] of silence
     between.

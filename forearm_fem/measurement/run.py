@@ -15,11 +15,12 @@ from ..io.netcdf import write_transfer
 from ..io.signals import read_drives
 from ..io.wav import read_wav_drives
 from ..ports import Port
+from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.measurement import MeasurementOptions, SensorOptions
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
-from .calibrate import Plan, Progress, assembled, calibrate
+from .calibrate import Plan, Step, assembled, calibrate
 from .daq import Daq
 from .entry import Measured
 from .ni import NiDaq
@@ -63,7 +64,7 @@ def run_calibration(
     daq: DaqKind | Daq = "virtual",
     virtual: VirtualSetup | None = None,
     operator: Callable[[str], bool] | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
     figure: bool = True,
 ) -> CalibrationResult:
@@ -77,16 +78,15 @@ def run_calibration(
     device = daq if not isinstance(daq, str) else _device(daq, plan, virtual)
     target = Path(folder)
 
-    def after(step: Progress) -> None:
+    def after(step: Step) -> None:
         if figure and not step.reused:
             from .figures import save_live  # plotting is heavy, and who asks for no picture does not need it
 
             now = assembled(plan, step.entries, device.name)
             save_live(target / "live.png", now.transfer, now.coherence)
-        if progress is not None:
-            progress(step)
+        tell(progress, "measurements (saved one by one)", len(step.entries), step.total)
 
-    measured = calibrate(plan, device, target, operator=operator, progress=after, stop=stop)
+    measured = calibrate(plan, device, target, operator=operator, after=after, stop=stop)
     write_transfer(target / "transfer.nc", measured.transfer)
     return CalibrationResult(measured, target / "transfer.nc", target / "live.png")
 
@@ -176,7 +176,7 @@ def run_play(
     repeats: int = 1,
     pause: float = 0.0,
     stop: Callable[[], bool] | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Played:
     """Send the drives of ``drives.nc`` (choosing ``method`` and ``target``) or of a WAV file, times
     ``scale``.

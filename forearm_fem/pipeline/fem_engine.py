@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..fem.reduction.expansion import Snapshots
 from ..fem.reduction.sweep import SweepResult, direct_sweep, reduced_sweep
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.supports import Supports
 from ..tissue import Tissue, resolve_tissues
@@ -20,7 +21,6 @@ from ..transfer import Compliance, ErrorEstimate, refuse_non_finite
 from ..typing import ComplexArray, FloatArray
 from .second_mesh import Second
 
-Progress = Callable[[str, int, int], None]
 REDUCTION = 1e-4  # e(f) asked of the reduced model: far below any discretisation error
 TRUNCATION_PROBES, FREED_PROBES = 4, 80  # by direct solves, by the reduced model
 _ROUGHER = {"rate_derivatives": 25}  # not certified: e_band 0.2 % of the forearm's points, 0.6 % at a bin

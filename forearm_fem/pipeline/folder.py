@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -27,6 +27,7 @@ from ..io.matlab import write_thesis_mat
 from ..io.netcdf import read_compliance, read_transfer, write_transfer
 from ..io.signals import stack, write_displacements, write_drives
 from ..io.tables import strength_rows, write_signal_strength_csv
+from ..progress import Progress, tell, within
 from ..rendering import Rendering
 from ..scenario import Scenario
 from ..transfer import ErrorEstimate, TransferMatrix
@@ -46,7 +47,6 @@ from .wave_report import write_wave_report
 
 __all__ = ["Run", "run_all", "run_mesh", "run_render", "run_solve"]
 
-Progress = Callable[[str, int, int], None]
 _DERIVED = (
     "transfer.mat", "wavefield.npz", "reduced.nc", "drives.nc", "displacements.nc", "signal_strength.csv",
     "signal_strength.json", "report.md", "report.html", "waves.csv",
@@ -75,11 +75,11 @@ class Run:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Tell and account for a stage, and collect its accuracy warnings as notes."""
-        _tell(self, name, 0)
+        tell(self.progress, name, 0, 1)
         with self.ledger.stage(name), warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", AccuracyWarning)
             yield
-        _tell(self, name, 1)
+        tell(self.progress, name, 1, 1)
         self.notes += [str(w.message) for w in caught if issubclass(w.category, AccuracyWarning)]
 
 
@@ -106,7 +106,7 @@ def run_mesh(run: Run) -> TissueMesh | None:
     if run.scenario.engine == "layered":
         return None
     with run.stage("mesh"):
-        mesh = cached_mesh(run.scenario, base=run.base, progress=lambda what: _tell_part(run, f"mesh: {what}"))
+        mesh = cached_mesh(run.scenario, base=run.base, progress=within(run.progress, "mesh"))
         write_mesh(mesh, run.out / "mesh.vtu")
         write_json(run.out / "scenario.json", run.scenario.model_dump(mode="json"))
     return mesh
@@ -223,23 +223,13 @@ def _forces(simulation: Simulation) -> ComplexArray:
 
 def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
     with run.stage("render"):
-        rendering = render_transfer(run.scenario, transfer, base=run.base, progress=_said(run))
+        rendering = render_transfer(run.scenario, transfer, base=run.base, progress=run.progress)
         account = account_of(run.scenario, transfer, rendering, base=run.base)
         _write_rendering(run, rendering, transfer, account)
         said = (*unknown_strengths(rendering), *rendering.exceeded, rendering.bridged.sentence, account.unknown)
         run.notes += [s for s in said if s]
     write_json(run.out / "signal_strength.json", account.as_json())
     return rendering
-
-
-def _said(run: Run) -> Callable[[int, int, str], None]:
-    """The run's progress in the renderers' words: one bar for all, one for a search."""
-
-    def tell(done: int, total: int, what: str) -> None:
-        if run.progress is not None:
-            run.progress(what if what.startswith("zero points") else "render", done, total)
-
-    return tell
 
 
 def _write_rendering(run: Run, rendering: Rendering, transfer: TransferMatrix, account: StrengthAccount) -> None:
@@ -340,19 +330,3 @@ def reclosed(run: Run) -> TransferMatrix:
         return close_loop(read_compliance(run.out / "transfer.nc"), run.scenario.device)
     except DataError:
         return run_solve(run)
-
-
-def _tell(run: Run, stage: str, done: int) -> None:
-    if run.progress is not None:
-        run.progress(stage, done, 1)
-
-
-def _tell_part(run: Run, stage: str) -> None:
-    """A part of a stage whose length is not known."""
-    if run.progress is not None:
-        run.progress(stage, 0, 0)
-
-
-def _tell_count(run: Run, done: int, total: int) -> None:
-    if run.progress is not None:
-        run.progress("drives", done, total)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from ..geometry.device.place import place_ports
 from ..geometry.mesh.quality import Resolution, nodes_per_wavelength
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
+from ..progress import Progress
 from ..scenario import Scenario
 from ..tissue import resolve_tissues
 from .frequencies import frequencies
@@ -61,7 +62,7 @@ def forecast(
     *,
     base: Path = Path("."),
     mesh: TissueMesh | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Forecast:
     """Count unknowns on the scenario's mesh (made if need be) and estimate memory and time of the solve."""
     mesh = mesh or cached_mesh(scenario, base=base, progress=progress)

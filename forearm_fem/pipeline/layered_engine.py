@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from ..geometry.device.layout import layers_of, layout_of
 from ..geometry.device.place import parametric_skin, ports_on
 from ..layered import Disc, Layer, Surface, layered_compliance
 from ..ports import Port
+from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.tissues import Membrane
@@ -25,7 +25,7 @@ _LEFT_OUT = "curvature, bones, supports, sides and ends are left out: what they 
 
 
 def solve_layered(
-    scenario: Scenario, frequency: FloatArray, *, progress: Callable[[str, int, int], None] | None = None
+    scenario: Scenario, frequency: FloatArray, *, progress: Progress | None = None
 ) -> Compliance:
     """Compliance of the scenario's ports on its layers, flat and without end, at ``frequency`` (n,) [Hz].
 
@@ -35,13 +35,9 @@ def solve_layered(
     layers, ports = flat_layers(scenario), flat_ports(scenario)
     discs = [flat_disc(port) for port in ports]
 
-    def tell(fraction: float) -> None:
-        if progress is not None:
-            progress("layered half-space", round(100 * fraction), 100)
-
     result = layered_compliance(
         layers, 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues.membrane),
-        tolerance=_TOLERANCE, progress=tell,
+        tolerance=_TOLERANCE, progress=progress,
     )  # fmt: skip
     error = np.asarray(result.error)
     estimate = ErrorEstimate(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import GeometryError, ScenarioError
 from ..geometry.device.layout import layout_of
 from ..ports import Port
+from ..progress import Progress
 from ..rendering import (
     AutoZeros,
     Combination,
@@ -35,12 +35,11 @@ def renderers(
     options: Rendering,
     shape: Wavelet,
     left_out: frozenset[str] = frozenset(),
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Renderer]:
     """One renderer per method asked for and not ``left_out``, in the scenario's order.
 
-    A search for zero points maximises S over the scenario's window of the wavelet ``shape`` and calls ``progress(done,
-    most)``.
+    A search for zero points maximises S over the scenario's window of the wavelet ``shape`` and tells ``progress``.
     """
     zeros = _zeros(options, shape, progress)
     rule = None
@@ -56,7 +55,7 @@ def renderers(
 
 
 def _zeros(
-    options: Rendering, shape: Wavelet, progress: Callable[[int, int], None] | None
+    options: Rendering, shape: Wavelet, progress: Progress | None
 ) -> AutoZeros | ThesisZeros | SearchedZeros | tuple[str, ...]:
     if options.zeros == "search":
         return SearchedZeros(window=window_of(options.window, shape), progress=progress)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from ..device import close_loop
 from ..errors import AccuracyWarning, ScenarioError
 from ..geometry.cache import cached_mesh
 from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..progress import Progress
 from ..rendering import Limits, Rendering, render_all
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb
@@ -26,7 +26,6 @@ from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
 from .two_meshes import change_around, estimated_errors
 
-Progress = Callable[[str, int, int], None]
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
 OTHER_ENDS, _OTHER = 0.5, "absorbing ends are clamped (or the reverse), on the coarser mesh"
 FREED_ENDS, _FREED = 0.5, "the absorbing ends are freed (by the reduced model)"
@@ -91,7 +90,7 @@ def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
     return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, notes)
 
 
-def render(simulation: Simulation, *, progress: Callable[[int, int, str], None] | None = None) -> Rendering:
+def render(simulation: Simulation, *, progress: Progress | None = None) -> Rendering:
     """Drives, displacements and S of the scenario's methods and targets on its G."""
     return render_transfer(simulation.scenario, simulation.transfer, progress=progress)
 
@@ -101,7 +100,7 @@ def render_transfer(
     transfer: TransferMatrix,
     *,
     base: str | Path = ".",
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Rendering:
     """The scenario's renderers on any G, simulated or measured.
 
@@ -119,12 +118,8 @@ def render_transfer(
     for sentence in left_out.values():
         warnings.warn(sentence, AccuracyWarning, stacklevel=2)
 
-    def searching(done: int, most: int) -> None:
-        if progress is not None:
-            progress(done, most, "zero points of one target")
-
     return render_all(
-        transfer, targets, renderers(wanted, shape, frozenset(left_out), searching), shape, limits,
+        transfer, targets, renderers(wanted, shape, frozenset(left_out), progress), shape, limits,
         window=wanted.window, progress=progress,
     )  # fmt: skip
 

@@ -28,6 +28,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
 from ..io.netcdf import read_compliance, write_compliance
+from ..progress import Progress, tell, within
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
 from ..transfer import Compliance, ErrorEstimate
@@ -39,7 +40,6 @@ from .skin_model import SkinModel, load_skin_model, save_skin_model
 
 _log = logging.getLogger("forearm_fem.pipeline")
 _DAMAGED = DataError, OSError, ValueError, KeyError, EOFError, BadZipFile
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +86,13 @@ def _solve(
         second = second_mesh(scenario, mesh, base=base)
         coarse = store.compliance(
             f"second-{second.label}",
-            lambda: second_compliance(second, frequency, progress=_named(progress, "coarser mesh")),
+            lambda: second_compliance(second, frequency, progress=within(progress, "coarser mesh")),
         )
         clamped = None
         if cut:
-            _tell(progress, "truncation estimate", 0)
+            tell(progress, "truncation estimate", 0, 1)
             clamped = store.compliance(f"other_ends-{second.label}", lambda: other_ends(second, frequency))
-            _tell(progress, "truncation estimate", 1)
+            tell(progress, "truncation estimate", 1, 1)
     except ForearmError as problem:
         reason = f"not estimated: {problem}"
         missing = [ErrorEstimate("discretisation", np.nan, reason)]
@@ -172,17 +172,6 @@ def field_modes(solution: FemSolution) -> FloatArray:
     chosen = csr_array(eye_array(model.space.n_nodes, format="csr"))[vertices]
     shown = kron(vstack([chosen, places]), eye_array(3), format="csr") @ model.constraints.transform
     return reduced.basis.seen_by(csr_array(shown)).reshape(-1, 3, reduced.size)
-
-
-def _named(progress: Progress | None, prefix: str) -> Progress | None:
-    if progress is None:
-        return None
-    return lambda stage, done, total: progress(f"{prefix}: {stage}", done, total)
-
-
-def _tell(progress: Progress | None, stage: str, done: int) -> None:
-    if progress is not None:
-        progress(stage, done, 1)
 
 
 class _Store:

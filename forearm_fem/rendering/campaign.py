@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import AccuracyWarning, ScenarioError
 from ..metrics.strength import StrengthTable, signal_strength, signal_strength_table
+from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .bridging import Bridged, bridged
@@ -93,14 +94,14 @@ def render_all(
     limits: Limits | None = None,
     *,
     window: Window = "wavelet",
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Rendering:
     """Every renderer of ``methods`` at every target: drives, displacements, S and the drives' report.
 
     ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet``
     the 250 Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window),
     or "record", the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first.
-    ``progress(done, total, what)`` is called after each. Warns (AccuracyWarning) when more than 10 % of the
+    ``progress`` is called after each. Warns (AccuracyWarning) when more than 10 % of the
     wavelet's energy falls on bins where G is unknown. Raises ScenarioError for two methods of one name or a
     target given twice, and as :func:`drives`.
     """
@@ -117,8 +118,7 @@ def render_all(
     for method in methods:
         for target in targets:
             results[method.name, target] = _render(method, placed, target, wavelet, limits or Limits(), seconds)
-            if progress is not None:
-                progress(len(results), len(methods) * len(targets), f"{method.name} towards {target}")
+            tell(progress, "render", len(results), len(methods) * len(targets))
     _warn_lost(results)
     return Rendering(names, targets, results, seconds, holes, limits or Limits())
 

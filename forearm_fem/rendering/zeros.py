@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import GeometryError, ScenarioError
 from ..metrics.strength import area, signal_strength
+from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .drives import Aim, Renderer
@@ -98,12 +99,12 @@ class SearchedZeros:
     S (eq. 9) over the ``window`` (start, end) [s], or the whole record. Up to 200 sets are all tried (the thesis' grid
     has C(8, 4) = 70). Beyond that, points are added one at a time and then exchanged one at a time while S rises, in
     two rounds at most, each time among the 12 outputs that move most: a local best after at most 36 tries a point.
-    ``progress(done, most)`` counts the sets of one target. Raises ScenarioError for more zero points than outputs.
+    ``progress`` counts the sets of one target. Raises ScenarioError for more zero points than outputs.
     """
 
     size: int | None = None
     window: tuple[float, float] | None = None
-    progress: Callable[[int, int], None] | None = field(default=None, repr=False, compare=False)
+    progress: Progress | None = field(default=None, repr=False, compare=False)
 
     def choose(self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
         """Names of the best zero points."""
@@ -149,8 +150,7 @@ class _Trial:
             row, window = self.placed.row(self.target), self.rule.window
             self.found[zeros] = signal_strength(response, row, time=time, window=window)
             self.areas[zeros] = area(response, time=time, window=window)
-            if self.rule.progress is not None:
-                self.rule.progress(len(self.found), self.most)
+            tell(self.rule.progress, "zero points of one target", len(self.found), self.most)
         found = self.found[zeros]
         return found if found == found else float("-inf")
 

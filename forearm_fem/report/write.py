@@ -22,10 +22,9 @@ from ..figures.style import SHEET, figure_of, sign
 from ..figures.tables import markdown
 from ..figures.targets import plot_traces, target_waves
 from ..io.atomic import atomic_path, write_text
+from ..progress import Progress, tell
 from . import facts
 from .facts import Block
-
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def write_report(
         results.path(name)
     folder = Path(out_dir) if out_dir is not None else results.folder
     paths = folder / "report.html", folder / "report.md"
-    sections = _sections(results, progress or _silent)
+    sections = _sections(results, progress)
     for picture in (p for section in sections for p in section.pictures):
         with atomic_path(folder / "figures" / f"{picture.name}.png") as target:
             target.write_bytes(base64.b64decode(picture.data))
@@ -72,11 +71,7 @@ def write_report(
     return paths
 
 
-def _silent(done: int, total: int, what: str) -> None:
-    """No progress wanted."""
-
-
-def _sections(results: Results, progress: Progress) -> list[Section]:
+def _sections(results: Results, progress: Progress | None) -> list[Section]:
     drawn, missing = _pictures(results, progress)
     limits = facts.exceeded(results)
     by_name = {name: [p for n, p in drawn if n == name] for name, _ in drawn}
@@ -111,7 +106,7 @@ def _limit_words(limits: list[str], results: Results) -> str:
     return f"{len(limits)} limits are exceeded."
 
 
-def _pictures(results: Results, progress: Progress) -> tuple[list[tuple[str, Picture]], list[str]]:
+def _pictures(results: Results, progress: Progress | None) -> tuple[list[tuple[str, Picture]], list[str]]:
     """Pictures by name, and a sentence for each that could not be made."""
     known = kinds(results)
     jobs: list[tuple[str, Callable[[], Picture]]] = []
@@ -125,7 +120,7 @@ def _pictures(results: Results, progress: Progress) -> tuple[list[tuple[str, Pic
         jobs.append(("wavefield", lambda: _still(results, shown[0])))
     drawn, missing = [], []
     for done, (name, make) in enumerate(jobs):
-        progress(done, len(jobs), name)
+        tell(progress, "report", done, len(jobs))
         try:
             drawn.append((name, replace(make(), name=name)))
         except DataError:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
+from ..progress import Progress, tell
 from ..typing import FloatArray
 from .anova import repeated_measures
 from .comparisons import pairwise
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,7 @@ def power_curve(
         hits = sum(_significant(_study(supposed, count, repetitions, rng), test, alpha) for _ in range(studies))
         low, high = stats.binomtest(hits, studies).proportion_ci(method="wilson")
         found.append(Power(count, repetitions, hits / studies, float(low), float(high)))
-        if progress is not None:
-            progress("power", done + 1, len(participants))
+        tell(progress, "power", done + 1, len(participants))
     return tuple(found)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +19,7 @@ from ..measurement.sound import SoundCard
 from ..measurement.virtual import VirtualDaq, VirtualOptions
 from ..pipeline.renderers import wavelet
 from ..ports import Port
+from ..progress import Progress, tell
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario, load_scenario
 from ..scenario.measurement import DaqOptions
@@ -30,7 +31,6 @@ from .stimuli import DevicePlayer, Stimulus, stimuli_for, transfer_of
 from .store import Store
 
 DaqKind = Literal["virtual", "ni", "sound"]
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +172,7 @@ def rehearse(
         )
         for task in prepared.study.tasks:
             _answer_all(Session(store, name, task, transfer.outputs, player, _Clock()), person)
-        if progress is not None:
-            progress("simulated participants", k + 1, participants)
+        tell(progress, "simulated participants", k + 1, participants)
     return store
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 Verdict = Literal["right", "named error", "WRONG"]
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+from ..progress import Progress, tell
 from . import cases, hard, slabs, twin
-from .rows import HardRow, Progress, Row
+from .rows import HardRow, Row
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ def run_verification(
         found = list(case.rows())
         share = (time.perf_counter() - start) / max(len(found), 1)
         rows += [replace(row, seconds=row.seconds or share) for row in found]
-        _tell(progress, case.name, i + 1, len(wanted))
+        tell(progress, case.name, i + 1, len(wanted))
     return rows
 
 
@@ -63,10 +64,5 @@ def run_hard_cases(progress: Progress | None = None) -> list[HardRow]:
     rows: list[HardRow] = []
     for i, case in enumerate(hard.HARD):
         rows += hard.judged(case)
-        _tell(progress, case.name, i + 1, len(hard.HARD))
+        tell(progress, case.name, i + 1, len(hard.HARD))
     return rows
-
-
-def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:
-    if progress is not None:
-        progress(stage, done, total)

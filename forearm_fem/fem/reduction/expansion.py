@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from ...errors import SolverError
+from ...progress import Progress, tell
 from ...scenario.sweep import SolverOptions
 from ...typing import ComplexArray, FloatArray, IntArray
 from ..assembly.coefficients import is_polynomial
@@ -22,7 +23,6 @@ from .rate_space import Chunk, RateSpace
 from .reduced_model import ReducedModel, empty_model, extend, with_last_columns
 
 _log = logging.getLogger("forearm_fem.fem")
-Progress = Callable[[str, int, int], None]
 _QUIET, _SPREAD = 30.0, -0.2  # [Hz] flesh on bone hardly resonates below; expansions are even in f^-0.2 above it
 _LOWEST = 20.0  # [Hz] below, what a rate further up spans is enough
 _AT_ONCE = 5  # derivatives about a rate between two looks at what the last of them changed
@@ -252,9 +252,3 @@ def expansion_frequencies(frequency: FloatArray, options: SolverOptions) -> tupl
     high = frequency[-1] ** _SPREAD
     wanted = (low + (high - low) * (np.arange(count) + 0.5) / count) ** (1 / _SPREAD)
     return tuple(sorted({float(frequency[np.argmin(np.abs(frequency - f))]) for f in wanted}))
-
-
-def tell(progress: Progress | None, stage: str, done: int, total: int) -> None:
-    """Report progress where anyone listens."""
-    if progress is not None:
-        progress(stage, done, total)

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...errors import SolverError
+from ...progress import Progress, tell
 from ...scenario.sweep import SolverOptions
 from ...transfer import relative_error
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
 from ..linear.direct import ENOUGH, make_solver, watched
 from .certificate import Certificate, certified, probe_frequencies
-from .expansion import Expander, Made, Progress, Snapshots, expansion_frequencies, starts_from_rate, tell
+from .expansion import Expander, Made, Snapshots, expansion_frequencies, starts_from_rate
 from .poles import Modes, compressed, pole_residue
 from .reduced_model import ReducedModel
 

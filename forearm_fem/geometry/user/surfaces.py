@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +13,7 @@ import pyvista
 import trimesh
 
 from ...errors import GeometryError
+from ...progress import Progress, tell
 from ...scenario.limb import SurfacesLimb
 from ...typing import FloatArray, IntArray
 from ..limb.core import Size3
@@ -133,7 +133,7 @@ def _check_nested(outer: Surface, inner: Surface) -> None:
 
 
 def surfaces_mesh(
-    surfaces: tuple[Surface, ...], size: Size3, far: float, most: float, say: Callable[[str], None], *, keep_bone: bool
+    surfaces: tuple[Surface, ...], size: Size3, far: float, most: float, progress: Progress | None, *, keep_bone: bool
 ) -> TissueMesh:
     """Outermost surface by fTetWild, boundary moved onto it, regions cut along the inner surfaces.
 
@@ -150,7 +150,7 @@ def surfaces_mesh(
         TissueMesh(points, tetrahedra, np.zeros(len(tetrahedra), dtype=np.int64), (outer.tissue,), {}), outer
     )
     for inner in surfaces[1:]:
-        say(f"cutting along the surface of {inner.tissue}")
+        tell(progress, f"cutting along the surface of {inner.tissue}", 0, 0)
         mesh = _with_region(mesh, _stretched(inner, low[0], high[0]))
     mesh = mesh if keep_bone else without_bone(mesh)
     return with_boundaries(mesh, 1e-3 * float(high[0] - low[0]))
