@@ -41,6 +41,7 @@ def with_key(change):
         "supports.foam_stiffness=1e5",
         "tissues.override.skin.mu=2e4",
         "tissues.membrane.viscosity=1e-3",
+        "tissues.patch.mass=0.2",
         "device.cone.contact='bonded'",
         "grid.points=[[0.0, 0.001]]",
         "solver.sweep='direct'",

@@ -75,7 +75,8 @@ def oracle(c: Compliance, device: Device, index: int, volts: np.ndarray, point_f
     x, f, i, q = (slice(0, 4), slice(4, 8), slice(8, 12), slice(12, 15))
     for j in range(n):
         free = f"A{j + 1}" in device.out_of_contact
-        a[j, x], a[j, f] = (0, np.eye(n)[j]) if free else (np.eye(n)[j], -cc[j])
+        spring = np.eye(n)[j] / device.contact_springs.get(f"A{j + 1}", np.inf)
+        a[j, x], a[j, f] = (0, np.eye(n)[j]) if free else (np.eye(n)[j], -cc[j] - spring)
         b[j] = 0 if free else cp[j] @ point_force
     a[4:8, x], a[4:8, f] = (ks - w**2 * m) * np.eye(n), np.eye(n)
     a[4:8, i], a[4:8, q] = -coil.force_factor * np.eye(n), -ks * h
@@ -96,6 +97,7 @@ DEVICES = [
     Device(housing=Housing(fixed=True)),
     Device(out_of_contact=("A2",)),
     Device(out_of_contact=("A1", "A3"), cone=Cone(mass=0.0), coil=VoiceCoil(inductance=0.0)),
+    Device(contact_springs={"A1": 50.0, "A3": 400.0}, out_of_contact=("A2",)),
 ]
 
 
@@ -224,6 +226,67 @@ def test_out_of_contact_feels_no_skin() -> None:
     np.testing.assert_allclose(
         close_loop(c, lifted).values[:, :, [0, 1, 3]], close_loop(rest, three).values, rtol=1e-10
     )
+
+
+@pytest.mark.parametrize("drive", ["voltage", "force", "displacement"])
+def test_a_contact_spring_lies_between_bonded_and_lifted(drive: str) -> None:
+    """Stiff as steel it is the bonded cone, soft as air the lifted one, and 50 N/m are neither."""
+    c = skin()
+    bonded = close_loop(c, Device(drive=drive)).values
+    lifted = close_loop(c, Device(drive=drive, out_of_contact=("A1",))).values
+    sprung = {k: close_loop(c, Device(drive=drive, contact_springs={"A1": k})).values for k in (1e-3, 50.0, 1e10)}
+    assert relative_error(sprung[1e10], bonded).max() < 1e-6  # C k of 6e-3 m/N times 1e10 N/m is 6e7
+    if drive == "force":  # the force is given: what it passes through changes the cone's motion alone
+        assert np.array_equal(sprung[50.0], bonded)
+    else:
+        assert relative_error(sprung[1e-3], lifted).max() < 1e-4  # 1 mN/m beside the skin's 166 N/m
+        assert min(relative_error(sprung[50.0], g).min() for g in (bonded, lifted)) > 1e-2
+
+
+def test_a_cone_moves_by_its_spring_and_the_skin() -> None:
+    """Under a unit force x1 = C + 1/k, and the skin under the cone does not know of the spring."""
+    f = np.array([10.0, 240.0])
+    device = Device(contacts=((0.0, 0.0),), drive="force", contact_springs={"A1": 50.0})
+    state = contact_state(single_contact_skin(f), device)
+    np.testing.assert_allclose(state.contacts[:, 0, 0], 1 / 50 + 1 / (166.0 + 0.52j * np.pi * f), rtol=1e-12)
+
+
+@pytest.mark.parametrize("drive", ["voltage", "force", "displacement"])
+def test_gains_scale_their_own_columns(drive: str) -> None:
+    c, gains = replace(skin(), errors=(ErrorEstimate("truncation", 1e-3, "test"),)), np.array([1.0, 0.5, 1.0, 2.0])
+    plain = close_loop(c, Device(drive=drive, housing=Housing(skin_share=0.03)))
+    scaled = close_loop(c, Device(drive=drive, gains={"A2": 0.5, "A4": 2.0}, housing=Housing(skin_share=0.03)))
+    np.testing.assert_allclose(scaled.values, plain.values * gains, rtol=1e-12)
+    np.testing.assert_allclose(scaled.contacts, plain.contacts * gains, rtol=1e-12)
+    assert scaled.errors[0].band == pytest.approx(plain.errors[0].band, rel=0.5)  # of G: both scale alike
+
+
+def test_power_goes_with_the_square_of_a_gain() -> None:
+    c, drives = skin(), np.eye(4)[[1]].repeat(50, axis=0).astype(complex)  # 1 V on A2
+    plain, louder = (power(c, Device(gains=g), drives) for g in ({}, {"A2": 3.0}))
+    np.testing.assert_allclose(louder.source, 9 * plain.source, rtol=1e-12, atol=1e-20)
+
+
+def test_points_follow_a_share_of_the_housing() -> None:
+    """G grows by the share times the rigid body's motion at each point; contacts do not feel it."""
+    c = skin()
+    still, carried = (close_loop(c, Device(housing=Housing(skin_share=s))) for s in (0.0, 0.03))
+    assert np.array_equal(still.contacts, carried.contacts)
+    places = np.array([p.position for p in c.ports])
+    centre = places[:4].mean(axis=0)
+    for index in (0, 30):
+        z, roll, pitch = oracle(c, Device(), index, np.eye(4)[2], np.zeros(9))[3]
+        dx, dy = (places[4:] - centre).T[:2]
+        expected = 0.03 * (z + roll * dy - pitch * dx)
+        np.testing.assert_allclose((carried.values - still.values)[index, :, 2], expected, rtol=1e-6)  # differences
+    held = close_loop(c, Device(housing=Housing(fixed=True, skin_share=0.03)))
+    assert np.array_equal(held.values, close_loop(c, Device(housing=Housing(fixed=True))).values)
+
+
+@pytest.mark.parametrize("key", ["contact_springs", "gains"])
+def test_springs_and_gains_of_unknown_actuators_are_refused(key: str) -> None:
+    with pytest.raises(ValueError, match=rf"{key} names \['A5'\], known are"):
+        Device(**{key: {"A5": 1.0}})
 
 
 def test_force_drive_is_the_compliance_block() -> None:

@@ -39,6 +39,8 @@ ONE_VALUE = ("schema_version", "limb.shape")  # the other shapes have keys of th
 ELSEWHERE = ("measurement",)  # calibrate and play read it: see below
 VALUES: Mapping[str, Any] = {
     "accuracy": 0.02,
+    "device.contact_springs": {"A1": 50.0},
+    "device.gains": {"A1": 0.9},
     "device.contacts": [[-0.02, 0.0], [0.02, 0.0]],
     "device.out_of_contact": ["A2"],
     "grid.points": [[0.0, 0.0], [0.01, 0.0], [0.0, 0.01], [0.01, 0.01], [0.004, 0.004]],
@@ -204,6 +206,9 @@ def fem_answer(data: Mapping[str, Any], mesh: TissueMesh) -> tuple[object, ...]:
         ({"rendering.wavelet.file": "a.csv", "rendering.wavelet.peak": 200.0}, "rendering.wavelet.peak"),
         ({"tissues.override.gel": {"mu": 1e3, "eta": 1.0, "density": 1e3, "bulk": 1e9}}, "tissues.override.gel"),
         ({"mesh.sublayers": {"gristle": 2}}, "mesh.sublayers.gristle"),
+        ({"tissues.patch.length": 0.03}, "tissues.patch.length"),
+        ({"device.housing.fixed": True, "device.housing.skin_share": 0.03}, "device.housing.skin_share"),
+        ({"device.out_of_contact": ["A1"], "device.contact_springs": {"A1": 50.0}}, "device.contact_springs"),
     ],
 )
 def test_a_key_without_effect_is_named(changes: Mapping[str, Any], names: str) -> None:

@@ -97,7 +97,7 @@ def layered_compliance_of(
         discs = [flat_disc(port) for port in ports]
         result = layered_compliance(
             layers_from(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs,
-            surface=flat_surface(scenario.tissues.membrane), tolerance=tolerance, terms=_TERMS, orders=_ORDERS,
+            surface=flat_surface(scenario.tissues), tolerance=tolerance, terms=_TERMS, orders=_ORDERS,
         )  # fmt: skip
         values = np.full((len(frequency), len(ports), len(ports)), np.nan + 0j)
         values[:, :, : len(inputs)] = result.values

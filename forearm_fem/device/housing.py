@@ -14,17 +14,20 @@ from ..scenario.device import Housing
 from ..typing import ComplexArray, FloatArray
 
 
-def lever_matrix(housing: Housing, contacts: tuple[Port, ...]) -> FloatArray:
-    """H (n_contact, n_q) with x2 = H q: the housing's displacement along each port's axis; n_q = 0 if fixed.
+def lever_matrix(
+    housing: Housing, contacts: tuple[Port, ...], places: tuple[Port, ...] | None = None
+) -> FloatArray:
+    """H (n_place, n_q) with x2 = H q: the housing's displacement along each port's axis; n_q = 0 if fixed.
 
-    x2_k = a_z (z + theta_x (y_k - ybar) - theta_y (x_k - xbar)), a_z the axis' component along z.
+    x2_k = a_z (z + theta_x (y_k - ybar) - theta_y (x_k - xbar)), a_z the axis' component along z and (xbar, ybar) the
+    mean of the ``contacts``, which are the ``places``, too, where these are left out.
     """
+    places = contacts if places is None else places
     if housing.fixed:
-        return np.zeros((len(contacts), 0))
-    place = positions(contacts)
-    lever = (place - place.mean(axis=0)) / housing.gyration
-    upward = np.array([p.axis[2] for p in contacts])
-    return np.asarray(upward[:, None] * np.stack([np.ones(len(contacts)), lever[:, 1], -lever[:, 0]], axis=1))
+        return np.zeros((len(places), 0))
+    lever = (positions(places) - positions(contacts).mean(axis=0)) / housing.gyration
+    upward = np.array([p.axis[2] for p in places])
+    return np.asarray(upward[:, None] * np.stack([np.ones(len(places)), lever[:, 1], -lever[:, 0]], axis=1))
 
 
 def strap_stiffness(housing: Housing) -> ComplexArray:

@@ -23,13 +23,15 @@ def close_loop(compliance: Compliance, device: Device) -> TransferMatrix:
     force : 1 N outward on the skin under one contact, no force at the others [m/N].
     displacement : 1 m outward at one contact, the others held at 0, for cones are rigid [m/m].
 
-    An actuator out of contact exerts no force: for force and displacement its column is zero, and
-    ``contacts`` then holds the free skin under it.
+    ``device.gains`` multiply the drives, ``device.contact_springs`` lie between cones and skin, and
+    ``device.housing.skin_share`` of the housing's motion is added at the points: it moves the skin there without
+    being felt by the contacts. An actuator out of contact exerts no force: for force and displacement its column is
+    zero, and ``contacts`` then holds the free skin under it.
     """
     state = contact_state(compliance, device)
     return TransferMatrix(
         frequency=compliance.frequency,
-        values=compliance.block("point", "contact") @ state.force,
+        values=state.at_points(compliance),
         outputs=tuple(compliance.ports[i] for i in compliance.indices("point")),
         inputs=contact_ports(compliance, device),
         unit=UNITS[device.drive],

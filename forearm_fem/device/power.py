@@ -14,7 +14,7 @@ from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
 from .circuit import circuit
 from .housing import strap_stiffness
-from .response import DeviceResponse, respond
+from .response import DeviceResponse, drive_gains, respond
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,9 @@ class PowerBalance:
 
 
 def power(compliance: Compliance, device: Device, drives: ComplexArray) -> PowerBalance:
-    """Where the electrical power of ``drives`` (n_frequency, n_actuator) [V, peak] goes."""
+    """Where the electrical power of ``drives`` (n_frequency, n_actuator) [V, peak] goes, ``device.gains`` included."""
     response = respond(compliance, device)
+    drives = drives * drive_gains(device, drives.shape[1])
     omega = 2 * np.pi * compliance.frequency
     lumped = circuit(device, omega)
     current = coil_current(response, drives)

@@ -2,7 +2,7 @@
 
 With F the outward force on the skin, x1 the cones and x2 = H q the housing (outward positive),
 
-    x1 = C_cc F                                                 skin (F = 0 out of contact)
+    x1 = (C_cc + 1/k) F                                         skin and contact spring (F = 0 out of contact)
     Bl/Ze V = s (x1 - H q) - omega^2 (Mms + mc) x1 + F          cones, s = Kms + i omega (Rms + Bl^2/Ze)
     (strap - omega^2 m) q = H^T (s (x1 - H q) - Bl/Ze V)        housing
 
@@ -53,13 +53,16 @@ class DeviceResponse:
 
 
 def respond(compliance: Compliance, device: Device) -> DeviceResponse:
-    """Response of ``device`` on the skin described by ``compliance`` to 1 V on each actuator in turn."""
+    """Response of ``device`` on the skin described by ``compliance`` to 1 V at each coil in turn.
+
+    ``device.gains`` lie before the coils: they are left to :func:`.state.contact_state`.
+    """
     contacts = contact_ports(compliance, device)
     touching = in_contact(device, len(contacts))
     lumped = circuit(device, 2 * np.pi * compliance.frequency)
     system = _System(
         lumped,
-        contact_map(compliance.block("contact", "contact"), touching),
+        contact_map(compliance.block("contact", "contact"), touching, contact_flexibility(device, len(contacts))),
         touching,
         lever_matrix(device.housing, contacts),
         dynamic_stiffness(device.housing, lumped.omega),
@@ -83,10 +86,24 @@ def in_contact(device: Device, n: int) -> BoolArray:
     return np.array([f"A{i + 1}" not in device.out_of_contact for i in range(n)])
 
 
-def contact_map(block: ComplexArray, touching: BoolArray) -> ComplexArray:
-    """X (n_frequency, n, n) with x1 = X u: C_cc among touching contacts, the identity for the others."""
+def contact_flexibility(device: Device, n: int) -> FloatArray:
+    """1/k (n,) [m/N] of the springs between the cones A1..An and the skin, 0 where there is none.
+
+    A spring carries the whole push of its cone and has neither mass nor loss; a real contact's stiffness grows with
+    the force, and its rim moves: neither is covered.
+    """
+    return np.array([1 / device.contact_springs.get(f"A{i + 1}", np.inf) for i in range(n)])
+
+
+def drive_gains(device: Device, n: int) -> FloatArray:
+    """Factors (n,) on the drives of the actuators A1..An."""
+    return np.array([device.gains.get(f"A{i + 1}", 1.0) for i in range(n)])
+
+
+def contact_map(block: ComplexArray, touching: BoolArray, flexibility: FloatArray) -> ComplexArray:
+    """X (n_frequency, n, n) with x1 = X u: C_cc + 1/k among touching contacts, the identity for the others."""
     both = touching[:, None] & touching[None, :]
-    return np.asarray(np.where(both, block, np.diag(~touching).astype(complex)))
+    return np.asarray(np.where(both, block + np.diag(flexibility), np.diag(~touching).astype(complex)))
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def _carried(estimate: ErrorEstimate, frequency: FloatArray, peak_gain: FloatArr
 
 def _gains(compliance: Compliance, state: ContactState, worst_case: bool) -> tuple[FloatArray, float]:
     """e_G(f) / e_C(f) (n_frequency,), and the ratio of the band norms."""
-    values = compliance.block("point", "contact") @ state.force
+    values = state.at_points(compliance)
     peak = _effect(compliance, state, _largest, worst_case)
     mean = _effect(compliance, state, _root_mean_square, worst_case)
     peak_gain = peak.max(axis=(1, 2)) / np.abs(values).max(axis=(1, 2))

@@ -11,7 +11,8 @@ import numpy as np
 from ..scenario.device import Device
 from ..transfer import Compliance
 from ..typing import BoolArray, ComplexArray
-from .response import contact_map, contact_ports, in_contact, respond
+from .housing import lever_matrix
+from .response import contact_flexibility, contact_map, contact_ports, drive_gains, in_contact, respond
 
 
 @dataclass(frozen=True)
@@ -19,40 +20,58 @@ class ContactState:
     """What the skin feels per unit drive; arrays (n_frequency, n_actuator, n_input), "unit" V, N or m.
 
     ``force`` F on the skin [N/unit], ``contacts`` displacement of the cones [m/unit], ``reaction`` S [N/m]
-    the loss of force when the skin is raised: a change dC of the compliance gives dF = -S dC_cc F.
+    the loss of force when the skin is raised: a change dC of the compliance gives dF = -S dC_cc F. ``carried``
+    (n_frequency, n_point, n_input) [m/unit] is what the points follow of the housing.
     """
 
     force: ComplexArray
     contacts: ComplexArray
     reaction: ComplexArray
+    carried: ComplexArray
+
+    def at_points(self, compliance: Compliance) -> ComplexArray:
+        """Displacement of the points (n_frequency, n_point, n_input) [m/unit]."""
+        return np.asarray(compliance.block("point", "contact") @ self.force + self.carried)
 
 
 def contact_state(compliance: Compliance, device: Device) -> ContactState:
-    """Forces, displacements and reactions at the contacts per unit of ``device.drive``."""
-    return _STATES[device.drive](compliance, device)
+    """Forces, displacements and reactions at the contacts per unit of ``device.drive``, ``device.gains`` included."""
+    state = _STATES[device.drive](compliance, device)
+    gains = drive_gains(device, state.force.shape[2])
+    return ContactState(state.force * gains, state.contacts * gains, state.reaction, state.carried * gains)
 
 
 def _voltage(compliance: Compliance, device: Device) -> ContactState:
-    response = respond(compliance, device)
-    return ContactState(response.force, response.cone, response.reaction)
+    response, housing = respond(compliance, device), device.housing
+    points = tuple(compliance.ports[i] for i in compliance.indices("point"))
+    levers = lever_matrix(housing, contact_ports(compliance, device), points)
+    carried = housing.skin_share * (levers @ response.coordinates)
+    return ContactState(response.force, response.cone, response.reaction, np.asarray(carried))
 
 
 def _force(compliance: Compliance, device: Device) -> ContactState:
-    skin, touching = _skin(compliance, device)
-    force = np.broadcast_to(np.diag(touching).astype(complex), skin.shape)
-    return ContactState(force, skin @ force, np.zeros_like(skin))
+    under, touching = _under(compliance, device)
+    force = np.broadcast_to(np.diag(touching).astype(complex), under.shape)
+    return ContactState(force, under @ force, np.zeros_like(under), _still(compliance))
 
 
 def _displacement(compliance: Compliance, device: Device) -> ContactState:
-    skin, touching = _skin(compliance, device)
+    under, touching = _under(compliance, device)
     both = touching[:, None] & touching[None, :]
-    force = np.where(both, np.linalg.inv(contact_map(skin, touching)), 0)
-    return ContactState(force, skin @ force, force)
+    force = np.where(both, np.linalg.inv(contact_map(under, touching, np.zeros(len(touching)))), 0)
+    return ContactState(force, under @ force, force, _still(compliance))
 
 
-def _skin(compliance: Compliance, device: Device) -> tuple[ComplexArray, BoolArray]:
-    contacts = contact_ports(compliance, device)
-    return compliance.block("contact", "contact"), in_contact(device, len(contacts))
+def _under(compliance: Compliance, device: Device) -> tuple[ComplexArray, BoolArray]:
+    """Displacements of the cones per force on the skin, springs included, and who touches it."""
+    n = len(contact_ports(compliance, device))
+    under = compliance.block("contact", "contact") + np.diag(contact_flexibility(device, n))
+    return np.asarray(under), in_contact(device, n)
+
+
+def _still(compliance: Compliance) -> ComplexArray:
+    """Nothing carried: no housing moves where forces or displacements are given."""
+    return np.zeros_like(compliance.block("point", "contact"))
 
 
 _STATES: Mapping[str, Callable[[Compliance, Device], ContactState]] = MappingProxyType(

@@ -76,6 +76,7 @@ def fem_model(scenario: Scenario, mesh: TissueMesh, *, supports: Supports | None
         supports or scenario.supports,
         scenario.tissues.membrane,
         element=scenario.element,
+        patch=scenario.tissues.patch,
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..device import close_loop, contact_state, respond
+from ..device import close_loop, contact_state
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..geometry.build import limb_volume
 from ..geometry.cache import cached_mesh
@@ -31,7 +31,6 @@ from ..progress import Progress, tell, within
 from ..rendering import Rendering
 from ..scenario import Scenario
 from ..transfer import ErrorEstimate, TransferMatrix
-from ..typing import ComplexArray
 from ..wavefield import Wavefield, save_wavefield
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
@@ -209,16 +208,14 @@ def _remove_older(run: Run) -> None:
 
 
 def wavefield_of(simulation: Simulation) -> Wavefield:
-    """The field per unit drive: modes, and their amplitudes through the contact forces of each drive."""
+    """The field per unit drive: modes, and their amplitudes through the contact forces of each drive.
+
+    What the skin follows of the housing (``device.housing.skin_share``) is told at the grid points only.
+    """
     solved = simulation.solved
     assert solved is not None
-    device = simulation.scenario.device
-    force = respond(simulation.compliance, device).force if device.drive == "voltage" else _forces(simulation)
+    force = contact_state(simulation.compliance, simulation.scenario.device).force
     return Wavefield(simulation.compliance.frequency, solved.modes, solved.states @ force)
-
-
-def _forces(simulation: Simulation) -> ComplexArray:
-    return np.asarray(contact_state(simulation.compliance, simulation.scenario.device).force)
 
 
 def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:

@@ -15,7 +15,7 @@ from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
-from ..scenario.tissues import Membrane
+from ..scenario.tissues import Tissues
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import FloatArray
@@ -36,7 +36,7 @@ def solve_layered(
     discs = [flat_disc(port) for port in ports]
 
     result = layered_compliance(
-        layers, 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues.membrane),
+        layers, 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
         tolerance=_TOLERANCE, progress=progress,
     )  # fmt: skip
     error = np.asarray(result.error)
@@ -81,8 +81,17 @@ def flat_layers(scenario: Scenario) -> list[Layer]:
     return [Layer(h, tissues[t].density, tissues[t].modulus.at, tissues[t].bulk) for t, h in stack]
 
 
-def flat_surface(membrane: Membrane) -> Surface:
-    """The membrane on the skin: an incompressible sheet, E h/(1 - nu^2) = 4 mu h."""
+def flat_surface(tissues: Tissues) -> Surface:
+    """The membrane on the skin: an incompressible sheet, E h/(1 - nu^2) = 4 mu h.
+
+    :class:`ScenarioError` for a patch, which has edges.
+    """
+    membrane = tissues.membrane
+    if tissues.patch.is_on:
+        raise ScenarioError(
+            "tissues.patch: engine = 'layered' has no edges on the skin; use engine = 'fem', or cover all of the skin "
+            "by tissues.membrane"
+        )
     return Surface(membrane.tension, 4 * membrane.stiffness, membrane.mass, 4 * membrane.viscosity)
 
 

@@ -73,8 +73,8 @@ class SkinModel:
 
 def with_scenario(reduced: ReducedModel, scenario: Scenario) -> ReducedModel:
     """The reduced matrices with the coefficients that ``scenario`` gives their terms."""
-    tissues, membrane = resolve_tissues(scenario), scenario.tissues.membrane
-    found = (term_coefficient(n, tissues, scenario.supports, membrane) for n in reduced.names)
+    tissues, sheets = resolve_tissues(scenario), scenario.tissues
+    found = (term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch) for n in reduced.names)
     return replace(reduced, coefficients=tuple(found))
 
 
@@ -117,10 +117,24 @@ def _check_followable(before: Scenario, after: Scenario, terms: Sequence[str]) -
     for name, tissue in old.items():
         if name in new and new[name].bulk != tissue.bulk:
             raise ScenarioError(f"tissues.override.{name}: {_NOT_AFFINE}")
-    sheet = after.tissues.membrane
-    wanted = {"skin mass": sheet.mass, "skin tension": sheet.tension, "skin membrane": sheet.stiffness}
-    if missing := [name for name, value in wanted.items() if value and name not in terms]:
-        raise ScenarioError(f"tissues.membrane: the reduced model has no {missing[0]}; solve the scenario anew")
+    if missing := [name for name, value in _sheets(after).items() if value and name not in terms]:
+        key = "patch" if missing[0].startswith("patch") else "membrane"
+        raise ScenarioError(f"tissues.{key}: the reduced model has no {missing[0]}; solve the scenario anew")
+    patch, other = before.tissues.patch, after.tissues.patch
+    if other.is_on and (patch.length, patch.width) != (other.length, other.width):
+        raise ScenarioError("tissues.patch: its size is part of the reduced model; solve the scenario anew")
+
+
+def _sheets(scenario: Scenario) -> dict[str, float]:
+    """What lies on the skin, by the name of its term."""
+    sheet, patch = scenario.tissues.membrane, scenario.tissues.patch
+    return {
+        "skin mass": sheet.mass,
+        "skin tension": sheet.tension,
+        "skin membrane": sheet.stiffness + sheet.viscosity,
+        "patch mass": patch.mass,
+        "patch membrane": patch.stiffness + patch.viscosity,
+    }
 
 
 def _places(scenario: Scenario) -> tuple[object, ...]:

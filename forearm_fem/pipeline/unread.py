@@ -15,7 +15,7 @@ from ..tissue import KelvinVoigt, limb_tissue_keys, resolve_tissues
 
 _EXPANSIONS = ("solver.expansions", "solver.derivatives", "solver.point_derivatives", "solver.max_expansions")
 _SOLVER = tuple(key for key in SolverOptions.model_fields if key != "memory_limit")  # signals have a limit too
-_MOVING = ("mass", "gyration", "strap_stiffness", "strap_loss", "strap_radius")
+_MOVING = ("mass", "gyration", "strap_stiffness", "strap_loss", "strap_radius", "skin_share")
 _SHAPE = ("length", "width", "depth", "symmetry", "circumference", "aspect", "diameter", "bones")
 
 
@@ -45,6 +45,14 @@ _RULES = (
     _Unread(
         tuple(f"device.housing.{key}" for key in _MOVING), lambda s: s.device.housing.fixed,
         "device.housing.fixed holds it still",
+    ),
+    _Unread(
+        ("device.contact_springs",), lambda s: set(s.device.contact_springs) <= set(s.device.out_of_contact),
+        "device.out_of_contact names the same actuators",
+    ),
+    _Unread(
+        ("tissues.patch.length", "tissues.patch.width"), lambda s: not s.tissues.patch.is_on,
+        "tissues.patch has neither mass nor stiffness",
     ),
     _Unread(("grid.rows", "grid.columns", "grid.pitch"), lambda s: s.grid.points is not None, "grid.points is given"),
     _Unread(("sweep.f_min", "sweep.f_max"), lambda s: s.sweep.frequencies is not None, "sweep.frequencies is given"),

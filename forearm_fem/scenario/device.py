@@ -13,6 +13,8 @@ from .base import Length, Mass, Part, Voltage, Within
 NEAREST = 2e-4  # [m] between two grid points: closer ones are one place, and no mesh is that fine
 
 Place = Annotated[float, Within(-0.5, 0.5, "m")]  # in the device's own frame
+Spring = Annotated[float, Within(1e-3, 1e12, "N/m")]
+Gain = Annotated[float, Within(1e-3, 1e3)]
 
 
 class VoiceCoil(Part):
@@ -59,6 +61,9 @@ class Housing(Part):
     )
     strap_radius: Length = Field(0.035, description="lever of the strap's rotational stiffness [m]")
     fixed: bool = Field(False, description="hold the housing still: no mechanical cross-talk")
+    skin_share: Annotated[float, Within(1e-6, 1.0, zero=True)] = Field(
+        0.0, description="share of the shell's motion that the skin at the grid points follows [-]; on top of the waves"
+    )
 
 
 class Device(Part):
@@ -73,6 +78,16 @@ class Device(Part):
         "voltage", description="what a unit drive is: 1 V at one amplifier, 1 N on one contact, or 1 m of one contact"
     )
     out_of_contact: tuple[str, ...] = Field((), description="names of actuators that do not touch, e.g. ['A1']")
+    contact_springs: Annotated[dict[str, Spring], Field(max_length=100)] = Field(
+        default_factory=dict,
+        description="actuator -> spring between its cone and the skin [N/m], e.g. {A1 = 50.0}: partial contact; none "
+        "where left out",
+    )
+    gains: Annotated[dict[str, Gain], Field(max_length=100)] = Field(
+        default_factory=dict,
+        description="actuator -> factor on its drive [-], e.g. {A1 = 0.9}: channels stronger or weaker than stated; 1 "
+        "where left out",
+    )
     coil: VoiceCoil = VoiceCoil()
     cone: Cone = Cone()
     housing: Housing = Housing()
@@ -84,8 +99,9 @@ class Device(Part):
         known = {f"A{i + 1}" for i in range(len(self.centres))}
         if self.contacts is not None and not self.contacts:
             raise ValueError("contacts is empty; give at least one (x, y) [m], or leave the key out for the 2x2 device")
-        if unknown := set(self.out_of_contact) - known:
-            raise ValueError(f"out_of_contact names {sorted(unknown)}, known are {sorted(known)}")
+        for key in ("out_of_contact", "contact_springs", "gains"):
+            if unknown := set(getattr(self, key)) - known:
+                raise ValueError(f"{key} names {sorted(unknown)}, known are {sorted(known)}")
         return self
 
     @property

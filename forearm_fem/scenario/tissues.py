@@ -6,11 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .base import Part, Within
+from .base import Length, Part, Within
 
 Modulus = Annotated[float, Within(0.1, 1e13, "Pa")]
 Viscosity = Annotated[float, Within(1e-9, 1e6, "Pa s", zero=True)]
 PerLength = Annotated[float, Within(1e-9, 1e9, "N/m", zero=True)]
+SheetViscosity = Annotated[float, Within(1e-12, 1e6, "N s/m", zero=True)]
+PerArea = Annotated[float, Within(1e-9, 1e4, "kg/m^2", zero=True)]
 
 
 class TissueOverride(Part):
@@ -31,13 +33,27 @@ class Membrane(Part):
     """Thin stiff sheet on the skin (epidermis) as a surface term, not tetrahedra; pre-stress included."""
 
     stiffness: PerLength = Field(0.0, description="in-plane shear stiffness mu*h [N/m]; 350 kPa x 80 um = 28 N/m")
-    viscosity: Annotated[float, Within(1e-12, 1e6, "N s/m", zero=True)] = Field(
-        0.0, description="in-plane eta*h [N s/m]"
-    )
+    viscosity: SheetViscosity = Field(0.0, description="in-plane eta*h [N s/m]")
     tension: PerLength = Field(0.0, description="pre-stress resultant [N/m]; 28-92 N/m (physics_data.md 2.5)")
-    mass: Annotated[float, Within(1e-9, 1e4, "kg/m^2", zero=True)] = Field(
-        0.0, description="mass per area [kg/m^2]; 80 um epidermis 0.088, tape 0.2-0.3"
+    mass: PerArea = Field(0.0, description="mass per area [kg/m^2]; 80 um epidermis 0.088, tape 0.2-0.3")
+
+
+class Patch(Part):
+    """Adhesive tape on a rectangle of the skin about the origin: mass and in-plane stiffness, no bending; off while
+    all of these are 0."""
+
+    length: Length = Field(0.040, description="along the limb, x [m]; the thesis' 4 x 4 cm of reflective tape")
+    width: Length = Field(0.040, description="across the limb, y, seen from above [m]")
+    mass: PerArea = Field(0.0, description="mass per area [kg/m^2]; tape 0.2-0.3")
+    stiffness: PerLength = Field(
+        0.0, description="in-plane shear stiffness mu*h = E h/3 [N/m]; E h of tape is of the order of 1e5 N/m"
     )
+    viscosity: SheetViscosity = Field(0.0, description="in-plane eta*h [N s/m]")
+
+    @property
+    def is_on(self) -> bool:
+        """Whether there is anything on the skin."""
+        return bool(self.mass or self.stiffness or self.viscosity)
 
 
 class Tissues(Part):
@@ -50,3 +66,4 @@ class Tissues(Part):
         default_factory=dict, description="tissue -> values that differ from the preset, or a whole new tissue"
     )
     membrane: Membrane = Membrane()
+    patch: Patch = Patch()

@@ -129,8 +129,10 @@ def quarter_slab(
 def slab_model(scenario: Scenario, *, scale: float = 1.0) -> ForearmModel:
     """Mesh and assemble a slab scenario; ``scale`` multiplies every element size."""
     mesh = build_mesh(scenario, scale=scale)
-    tissues, ports = resolve_tissues(scenario), place_ports(scenario, mesh)
-    return build_model(mesh, ports, tissues, scenario.supports, scenario.tissues.membrane, element=scenario.element)
+    tissues, ports, sheets = resolve_tissues(scenario), place_ports(scenario, mesh), scenario.tissues
+    return build_model(
+        mesh, ports, tissues, scenario.supports, sheets.membrane, element=scenario.element, patch=sheets.patch
+    )
 
 
 def slab_response(model: ForearmModel, frequencies: Sequence[float]) -> ComplexArray:
@@ -145,7 +147,7 @@ def twin_response(scenario: Scenario, frequencies: Sequence[float], *, depth: fl
         above = sum(x.thickness_m for x in layers[:-1])
         last = layers[-1]
         layers, base = [*layers[:-1], Layer(depth - above, last.density, last.modulus, last.bulk_modulus)], "rigid"
-    cone, surface = scenario.device.cone, flat_surface(scenario.tissues.membrane)
+    cone, surface = scenario.device.cone, flat_surface(scenario.tissues)
     discs = [Disc(0.0, 0.0, cone.radius, cone.contact), *(Disc(x, y) for x, y in scenario.grid.places)]
     omega = 2 * np.pi * np.array(frequencies)
     choice: Base = "rigid" if base == "rigid" else "halfspace"

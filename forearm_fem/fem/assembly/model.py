@@ -12,23 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import block_array, csc_array, csr_array
 
+from ...errors import GeometryError
 from ...geometry.mesh.tissue_mesh import TissueMesh
 from ...ports import Port
 from ...scenario.supports import Supports
-from ...scenario.tissues import Membrane
+from ...scenario.tissues import Membrane, Patch
 from ...tissue import Tissue
 from ...typing import FloatArray, IntArray
 from ..kernels.sparse import added, congruent
 from ..space.constraints import Constraints, RigidDisc, constraints
 from ..space.numbering import MixedSpace
 from ..space.orders import Orders, element_orders
-from .boundary import facet_gradients, facet_mass, facet_membrane
+from .boundary import facet_area, facet_gradients, facet_mass, facet_membrane, under_rectangle
 from .coefficients import Coefficient, is_polynomial
 from .loads import force_share, port_functional
 from .operator import AffineOperator, affine_operator
 from .terms import term_coefficient
 from .tissues import TissueMatrices, constrained_matrices
 
+_NO_PATCH = Patch()
 _AT_A_TIME = 2  # tissues: each needs room for its matrices before constraints
 
 
@@ -69,8 +71,9 @@ def build_model(
     membrane: Membrane,
     *,
     element: str = "P2",
+    patch: Patch = _NO_PATCH,
 ) -> ForearmModel:
-    """Assemble everything; raises GeometryError for contacts that the mesh cannot carry."""
+    """Assemble everything; raises GeometryError for contacts that the mesh cannot carry, and a patch beside it."""
     orders = element_orders(mesh, ports, element)
     space, kept = orders.high, _constraints(orders, ports, supports)
     rules = Constraints(orders.carried(kept.transform), kept.masters)
@@ -79,9 +82,9 @@ def build_model(
     names = mesh.region_names
     with ThreadPoolExecutor(_AT_A_TIME) as pool:  # sparse products and sums run without Python's lock
         parts = list(pool.map(lambda region: constrained_matrices(orders, region, kept.transform), range(len(names))))
-    displacement = _shear_and_mass(names, parts) + _boundaries(space, supports, membrane, rules.transform)
+    displacement = _shear_and_mass(names, parts) + _boundaries(space, supports, membrane, patch, rules.transform)
     operator = _with_pressure(
-        names, parts, tissues, displacement, lambda name: term_coefficient(name, tissues, supports, membrane)
+        names, parts, tissues, displacement, lambda name: term_coefficient(name, tissues, supports, membrane, patch)
     )
     functionals = np.zeros((operator.n, len(ports)))
     for i, port in enumerate(ports):
@@ -151,7 +154,9 @@ def _shear_and_mass(names: tuple[str, ...], parts: list[TissueMatrices]) -> Matr
     return result
 
 
-def _boundaries(space: MixedSpace, supports: Supports, membrane: Membrane, transform: csr_array) -> Matrices:
+def _boundaries(
+    space: MixedSpace, supports: Supports, membrane: Membrane, patch: Patch, transform: csr_array
+) -> Matrices:
     facets = space.mesh.facets
     result: Matrices = []
     if supports.ends == "absorb" and len(facets.get("end", ())):
@@ -165,7 +170,19 @@ def _boundaries(space: MixedSpace, supports: Supports, membrane: Membrane, trans
         result.append(("skin tension", facet_gradients(space, skin)))
     if membrane.stiffness or membrane.viscosity:
         result.append(("skin membrane", facet_membrane(space, skin)))
+    result += _patch(space, patch) if patch.is_on else []
     return [(name, congruent(matrix, transform)) for name, matrix in result]
+
+
+def _patch(space: MixedSpace, patch: Patch) -> Matrices:
+    """Mass and membrane of the ``patch`` on the skin that it covers seen from above; its edges cut through facets."""
+    skin, covered = space.mesh.facets["skin"], under_rectangle(patch.length, patch.width)
+    if not facet_area(space, skin, covered):
+        raise GeometryError("tissues.patch: no skin lies under it; make length and width larger, or leave it out")
+    result: Matrices = [("patch mass", facet_mass(space, skin, covered))] if patch.mass else []
+    if patch.stiffness or patch.viscosity:
+        result.append(("patch membrane", facet_membrane(space, skin, covered)))
+    return result
 
 
 def _dashpots(space: MixedSpace, facets: IntArray) -> Matrices:

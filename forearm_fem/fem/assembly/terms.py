@@ -7,14 +7,16 @@ from collections.abc import Mapping
 import numpy as np
 
 from ...scenario.supports import Supports
-from ...scenario.tissues import Membrane
+from ...scenario.tissues import Membrane, Patch
 from ...tissue import Tissue
 from .coefficients import Coefficient, Impedance, Polynomial, is_polynomial
 
-_ONE = Polynomial(1.0)
+_ONE, _NO_PATCH = Polynomial(1.0), Patch()
 
 
-def term_coefficient(name: str, tissues: Mapping[str, Tissue], supports: Supports, membrane: Membrane) -> Coefficient:
+def term_coefficient(
+    name: str, tissues: Mapping[str, Tissue], supports: Supports, membrane: Membrane, patch: Patch = _NO_PATCH
+) -> Coefficient:
     """theta(omega) of a term: "shear fat", "mass fat", "dashpots fat", "foam", "skin tension" and the like.
 
     Raises KeyError for a name that no term has.
@@ -24,6 +26,8 @@ def term_coefficient(name: str, tissues: Mapping[str, Tissue], supports: Support
         "skin mass": Polynomial(inertia=membrane.mass),
         "skin tension": Polynomial(membrane.tension),
         "skin membrane": Polynomial(membrane.stiffness, membrane.viscosity),
+        "patch mass": Polynomial(inertia=patch.mass),
+        "patch membrane": Polynomial(patch.stiffness, patch.viscosity),
         "incompressibility": _ONE,
         "compression": _ONE,
     }

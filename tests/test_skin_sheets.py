@@ -1,0 +1,87 @@
+"""What lies on the skin: tension against the twin, and a patch of tape that ends somewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forearm_fem.errors import GeometryError, ScenarioError
+from forearm_fem.fem.assembly.boundary import facet_area, facet_mass, facet_membrane, under_rectangle
+from forearm_fem.fem.assembly.model import build_model
+from forearm_fem.fem.reduction.sweep import direct_sweep
+from forearm_fem.geometry.build import build_mesh
+from forearm_fem.pipeline.fem_engine import fem_model
+from forearm_fem.pipeline.layered_engine import solve_layered
+from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario.supports import Supports
+from forearm_fem.scenario.tissues import Membrane, Patch
+from forearm_fem.verification.scenes import (
+    DIRECT,
+    flesh,
+    held_block,
+    quarter_slab,
+    slab_model,
+    slab_response,
+    twin_response,
+)
+
+SIZES = {"size_grid": 5e-3, "size_far": 8e-3, "size_contact": 2e-3, "element": "P2/P3"}
+
+
+def test_tension_is_that_of_the_twin():
+    """60 N/m under and around a bonded disc on a slab, 300 Hz: mesh and side walls leave 0.4 % of the largest entry,
+    the tension changes it by a third."""
+    slack, taut = (
+        quarter_slab((0.010, 0.020), side=0.09, depth=0.03, mesh=SIZES, contact="bonded", membrane={"tension": t})
+        for t in (0.0, 60.0)
+    )
+    found, truth = slab_response(slab_model(taut), [300.0])[0], twin_response(taut, [300.0])[0]
+    assert np.abs(found - truth).max() < 0.01 * np.abs(truth).max()
+    assert np.abs(found - truth)[1] < 0.02 * np.abs(truth[1])
+    assert np.abs(truth - twin_response(slack, [300.0])[0]).max() > 0.2 * np.abs(truth).max()
+
+
+def test_a_rectangle_covers_its_area_of_the_upper_side():
+    """Points of the facets' rule decide: exact where edges of facets are its edges, else to a few per cent."""
+    scenario = parse_scenario({"limb": {"shape": "slab", "length": 0.04, "width": 0.03, "depth": 0.01, "layers": []},
+                               "mesh": {"size_contact": 4e-3, "size_grid": 4e-3, "size_far": 4e-3},
+                               "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": "pressure"}},
+                               "grid": {"points": [[0.01, 0.0]]}})  # fmt: skip
+    space = fem_model(scenario, build_mesh(scenario)).space
+    skin = space.mesh.facets["skin"]
+    under = space.mesh.facets["end"]
+    assert facet_area(space, skin, under_rectangle(1.0, 1.0)) == pytest.approx(facet_area(space, skin), rel=1e-12)
+    assert facet_area(space, skin, under_rectangle(0.02, 0.017)) == pytest.approx(0.02 * 0.017, rel=0.05)
+    assert facet_area(space, under, under_rectangle(1.0, 1.0)) == 0.0  # sides are upright, the bottom looks down
+    everywhere = under_rectangle(1.0, 1.0)
+    for matrix in (facet_mass, facet_membrane):
+        assert abs(matrix(space, skin, everywhere) - matrix(space, skin)).max() == 0.0
+
+
+def test_a_patch_on_all_of_the_skin_is_the_membrane():
+    """The same tape by either key, and half of it between it and none."""
+    block = held_block(2)
+    skin = block.space.mesh.points[block.space.mesh.facets["skin"]].reshape(-1, 3)
+    whole = {"length": 2.1 * np.abs(skin[:, 0]).max(), "width": 2.1 * np.abs(skin[:, 1]).max()}
+    sheet = {"mass": 0.3, "stiffness": 40.0, "viscosity": 1e-3}
+
+    def answer(membrane: Membrane, patch: Patch) -> complex:
+        model = build_model(block.space.mesh, block.ports, {"block": flesh()}, Supports(ends="fixed"), membrane,
+                            patch=patch)  # fmt: skip
+        return complex(direct_sweep(model, np.array([40.0]), DIRECT).values[0, 0, 0])
+
+    bare, covered = answer(Membrane(), Patch()), answer(Membrane(**sheet), Patch())
+    assert answer(Membrane(), Patch(**whole, **sheet)) == pytest.approx(covered, rel=1e-12)
+    half = answer(Membrane(), Patch(length=whole["length"], width=whole["width"] / 2, **sheet))
+    assert abs(bare) > abs(half) > abs(covered)
+    assert abs(bare - covered) > 0.05 * abs(bare)
+
+
+def test_a_patch_beside_the_limb_or_on_the_twin_is_refused():
+    block = held_block(2)  # its skin does not reach the origin's neighbourhood
+    with pytest.raises(GeometryError, match=r"tissues\.patch"):
+        build_model(block.space.mesh, block.ports, {"block": flesh()}, Supports(), Membrane(),
+                    patch=Patch(length=1e-6, width=1e-6, mass=0.2))  # fmt: skip
+    scenario = parse_scenario({"engine": "layered", "tissues": {"patch": {"mass": 0.2}}})
+    with pytest.raises(ScenarioError, match=r"tissues\.patch: engine = 'layered' has no edges"):
+        solve_layered(scenario, np.array([100.0]))
