@@ -8,7 +8,8 @@ setup(
     packages=[*find_namespace_packages(include=["forearm_fem", "forearm_fem.*"]), *DATA],
     package_dir=DATA,
     package_data={
-        "forearm_fem": ["**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "py.typed"],
+        "forearm_fem": ["**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "prediction/*.toml", "tissue_laws.json",
+                        "py.typed"],
         "forearm_fem._data.scenarios": ["*.toml"],
         "forearm_fem._data.meshes": ["*.vtu", "*.json", "sample/*.stl"],
     },

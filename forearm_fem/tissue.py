@@ -1,4 +1,4 @@
-"""Tissues: complex shear moduli mu*(omega), density, bulk modulus, and three sourced presets.
+"""Tissues: complex shear moduli mu*(omega), density, bulk modulus, and five sourced presets.
 
 Time dependence e^{+i omega t}, so a passive tissue has Im mu*(omega) >= 0 for omega > 0 and
 mu*(-omega) = conj mu*(omega). Every modulus is a small frozen class with the same two methods. Not
@@ -7,9 +7,11 @@ covered: anisotropy and pre-stress (the skin's pre-stress is a membrane term, ``
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
 
@@ -368,7 +370,25 @@ def _preset(*records: TissueRecord) -> Mapping[str, TissueRecord]:
     return MappingProxyType({r.name: r for r in (*records, _bone())})
 
 
-_O, _K = "physics_data.md 9, preset O", "physics_data.md 9, preset K (matched to the thesis, appendix A)"
+_FITTED_UNITS: Mapping[str, str] = MappingProxyType({"mu": "Pa", "mu_infinity": "Pa", "eta": "Pa s", "exponent": "-"})
+
+
+def _fitted(law: str) -> Mapping[str, TissueRecord]:
+    """Preset of a law of bounded damping: tissue_laws.json, made by benchmarks/tissue_laws.py from data of skin, fat
+    and muscle, of speeds and of stiffness, jointly; ranges and spreads hold people and the sources' disagreement."""
+    account = json.loads(files("forearm_fem").joinpath("tissue_laws.json").read_text(encoding="utf-8"))["laws"][law]
+    records = []
+    for name, numbers in account["tissues"].items():
+        data = "; ".join(d["source"].partition(":")[0] for d in account["data"] if d["tissue"] in (name, ""))
+        source = f"physics_data.md 1.4, fitted jointly to: {data}"
+        parameters = {key: Sourced(unit=_FITTED_UNITS[key], source=source, **found) for key, found in numbers.items()}
+        soft = _soft(name, _RHO[name], parameters["mu"], parameters["eta"], "not fitted to the thesis")
+        records.append(replace(soft, model=law, parameters=MappingProxyType({**soft.parameters, **parameters})))
+    return _preset(*records)
+
+
+_O = "physics_data.md 9, preset O"
+_K = "physics_data.md 9, preset K (fitted to the thesis, appendix A, so that is no test of it)"
 
 PRESETS: Mapping[str, Mapping[str, TissueRecord]] = MappingProxyType(
     {
@@ -383,5 +403,7 @@ PRESETS: Mapping[str, Mapping[str, TissueRecord]] = MappingProxyType(
             _layered("muscle", 15e3, 5.0, _K, ""),
         ),
         "zhang": _preset(_zhang("skin"), _zhang("fat"), _zhang("muscle")),
+        "zener": _fitted("zener"),
+        "springpot": _fitted("springpot"),
     }
 )

@@ -97,7 +97,7 @@ def test_incompressible_is_the_default() -> None:
     assert Tissue("z", 1050.0, KelvinVoigt(1.0, 0.0)).incompressible
 
 
-@pytest.mark.parametrize("preset", ["default", "thesis", "zhang"])
+@pytest.mark.parametrize("preset", list(PRESETS))
 def test_presets_are_sourced_within_range_and_immutable(preset: str) -> None:
     for record in PRESETS[preset].values():
         for p in record.parameters.values():

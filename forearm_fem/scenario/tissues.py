@@ -59,8 +59,10 @@ class Patch(Part):
 class Tissues(Part):
     """Choice of tissue parameters."""
 
-    preset: Literal["default", "thesis", "zhang"] = Field(
-        "default", description="default = preset O, thesis = K (thesis-matched), zhang = Z of physics_data.md 9"
+    preset: Literal["default", "thesis", "zhang", "zener", "springpot"] = Field(
+        "default",
+        description="default = preset O, thesis = K (fitted to the thesis' appendix A), zhang = Z of physics_data.md "
+        "9; zener and springpot have bounded damping (physics_data.md 1.4)",
     )
     override: dict[str, TissueOverride] = Field(
         default_factory=dict, description="tissue -> values that differ from the preset, or a whole new tissue"

@@ -1,0 +1,132 @@
+"""Draws of arms: named inputs from the priors, and the scenario that they make of another."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import ScenarioError
+from ..scenario import Scenario
+from ..tissue import resolve_tissues
+from .priors import Prior, Priors
+from .tissues import SOFT, law_parameters
+
+LAWS = ("kelvin-voigt", "zener", "springpot")
+WRIST, ELBOW = "contact spring, wrist side", "contact spring, elbow side"
+_PLACED = {"grid x", "grid y", "grid turn"}
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Number ``number`` of a ``seed``: its ``law``, and its inputs by name (``values``, SI; see priors.toml)."""
+
+    seed: int
+    number: int
+    law: str
+    values: Mapping[str, float]
+
+    def generator(self, purpose: str) -> np.random.Generator:
+        """Random numbers of this draw for a purpose of its own, e.g. "noise"."""
+        return np.random.default_rng([self.seed, self.number, zlib.crc32(purpose.encode())])
+
+
+def draw_inputs(priors: Priors, scenario: Scenario, seed: int, number: int, laws: Collection[str] = LAWS) -> Draw:
+    """Draw ``number`` of ``seed``: the same however many are asked for, by whom, and in which order.
+
+    Each input has random numbers of its own, so that draws of different laws or devices share what they have in common.
+    """
+
+    def normal(name: str) -> float:
+        return float(np.random.default_rng([seed, number, zlib.crc32(name.encode())]).standard_normal())
+
+    chosen = [law for law in priors.inputs["law"].choices if law in laws]
+    if not chosen:
+        raise ScenarioError(f"laws: expected some of {', '.join(LAWS)}, got {', '.join(sorted(laws)) or 'none'}")
+    law = chosen[int(Prior("law", "choice", "", "judgement", choices=tuple(chosen)).value(normal("law")))]
+    joint, inputs = priors.joint[law], priors.tissue_inputs(law)
+    z = joint.mean + joint.root @ np.array([normal(name) for name in joint.names])
+    values = {name: inputs[name].value(float(x)) for name, x in zip(joint.names, z, strict=True)}
+    for name, prior in priors.inputs.items():
+        if prior.each is not None:
+            values |= _each(prior, scenario, normal)
+        elif name not in values and prior.kind != "choice":
+            values[name] = prior.value(normal(name))
+    return Draw(seed, number, law, values)
+
+
+def _each(prior: Prior, scenario: Scenario, normal: Any) -> dict[str, float]:
+    """One input for each actuator that the prior speaks of, all leaning on one normal by its correlation."""
+    assert prior.each is not None
+    common, own = math.sqrt(prior.each) * normal(prior.name), math.sqrt(1 - prior.each)
+    name = prior.name.partition(",")[0]
+    found = {}
+    for k, (x, _) in enumerate(scenario.device.centres):
+        if (prior.name == WRIST and x >= 0) or (prior.name == ELBOW and x < 0):
+            continue
+        key = f"{name} A{k + 1}"
+        found[key] = prior.value(common + own * normal(key))
+    return found
+
+
+def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> Scenario:
+    """``scenario`` on the arm and with the device of ``draw``; inputs of the names or groups ``held`` stay its own.
+
+    Tissues called skin, fat and muscle get the drawn law; others, and limbs without layers, keep theirs. Noise, and the
+    places that the experimenter takes for true, are not in a scenario (:mod:`forearm_fem.prediction.measuring`).
+    """
+    data: dict[str, Any] = scenario.model_dump()
+    values = {name: value for name, value in draw.values.items() if name not in held}
+    if "tissue" not in held:
+        _set_tissues(data, draw, scenario)
+    if "skin tension" in values:
+        data["tissues"]["membrane"]["tension"] = values["skin tension"]
+    for layer in data["limb"].get("layers", ()):
+        layer["thickness"] = values.get(f"{layer['tissue']} thickness", layer["thickness"])
+    _set_device(data["device"], values)
+    if _PLACED & values.keys():
+        data["grid"]["points"] = moved_points(scenario, values)
+    return Scenario.model_validate(data)
+
+
+def _set_tissues(data: dict[str, Any], draw: Draw, scenario: Scenario) -> None:
+    known, override = resolve_tissues(scenario), data["tissues"]["override"]
+    for tissue, parameters in law_parameters(draw.law, draw.values).items():
+        bulk = "incompressible" if known[tissue].incompressible else known[tissue].bulk
+        override[tissue] = {"density": known[tissue].density, "bulk": bulk, **parameters}
+
+
+def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
+    if "contact area" in values:
+        device["cone"]["radius"] *= math.sqrt(values["contact area"])
+    for part, key, name in (
+        ("coil", "moving_mass", "moving mass"), ("coil", "resonance", "coil resonance"),
+        ("coil", "quality", "coil quality"), ("housing", "mass", "housing mass"),
+        ("housing", "strap_stiffness", "strap stiffness"), ("housing", "skin_share", "housing share"),
+    ):  # fmt: skip
+        if name in values and key in device[part]:
+            device[part][key] = values[name]
+    for key, name in (("contact_springs", "contact spring"), ("gains", "gain")):
+        found = {who: value for n, value in values.items() for what, _, who in [n.rpartition(" ")] if what == name}
+        if found and key in device:
+            device[key] = {**device[key], **found}
+
+
+def moved_points(scenario: Scenario, values: Mapping[str, float]) -> list[tuple[float, float]]:
+    """Grid points where they are in truth: turned about the origin, then shifted [m], in the device's frame."""
+    turn = values.get("grid turn", 0.0)
+    c, s = math.cos(turn), math.sin(turn)
+    dx, dy = values.get("grid x", 0.0), values.get("grid y", 0.0)
+    return [(c * x - s * y + dx, s * x + c * y + dy) for x, y in scenario.grid.places]
+
+
+def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
+    """Which of skin, fat and muscle the limb has, and so what a draw of tissues changes."""
+    limb = scenario.limb
+    named = {layer.tissue for layer in getattr(limb, "layers", ())} | {getattr(limb, "core", "")}
+    named |= set(getattr(limb, "surfaces", {})) | set(getattr(limb, "regions", {}).values())
+    return tuple(t for t in SOFT if t in named)
