@@ -101,7 +101,7 @@ def lines(stack: str, diameter: float, contact: str, accuracy: float, **mesh: An
         error, single = relative_error(found.values, truth.values), stated(found)
         yield Line(
             stack, diameter, contact, accuracy, drive, scenario.element,
-            int(facts["displacement_unknowns"] + facts["pressure_unknowns"]),
+            facts.displacement_unknowns + facts.pressure_unknowns,
             float(solved.coarse.provenance["ratio"]) if solved.coarse else np.nan,
             band_error(found.values, truth.values), total_error(found.errors), float(error.max()),
             float(np.mean(single < error / 2)), float(np.min(single / error)), float(under.max()), round(seconds, 1),

@@ -23,6 +23,7 @@ from forearm_fem.pipeline.second_mesh import second_mesh
 from forearm_fem.pipeline.simulation import closed, simulate
 from forearm_fem.pipeline.solved import Solved, solve_key
 from forearm_fem.pipeline.verdict import accuracy_verdict
+from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.supports import Supports
 from forearm_fem.scenario.tissues import Membrane
@@ -201,7 +202,7 @@ def test_truncation_counts_half_the_change_of_freed_ends():
     values = np.ones((2, 2, 2), dtype=complex)
     own, freed = Compliance(frequency, values, ports), Compliance(frequency, 1.2 * values, ports)
     modes, states = np.zeros((0, 3, 0)), np.zeros((2, 0, 0), dtype=complex)
-    solved = Solved(own, None, freed, modes, states, {"ends_by": "reduced model"})
+    solved = Solved(own, None, freed, modes, states, SolutionRecord(ends_by="reduced model"))
     (error,) = closed(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
     assert error.source == "truncation"
     assert 0.08 < error.band < 0.25  # 0.2 of change; true over change was seen from 0.05 to 1
@@ -223,7 +224,7 @@ def test_truncation_listens_to_its_neighbours():
     own = Compliance(frequency, values, ports)
     freed = Compliance(frequency, np.array([1.2, 1.0, 1.2])[:, None, None] * values, ports)
     modes, states = np.zeros((0, 3, 0)), np.zeros((3, 0, 0), dtype=complex)
-    solved = Solved(own, None, freed, modes, states, {"ends_by": "reduced model"})
+    solved = Solved(own, None, freed, modes, states, SolutionRecord(ends_by="reduced model"))
     (error,) = closed(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
     assert error.per_frequency[1] > 0.8 * error.per_frequency[0] > 0.05
 
@@ -241,7 +242,7 @@ def test_truncation_is_what_either_change_of_ends_shows_at_each_frequency():
     own, freed, clamped = ends(share), ends(np.ones(3)), ends(-np.ones(3))
     coarse = replace(own, provenance={"ratio": 2.0})
     modes, states = np.zeros((0, 3, 0)), np.zeros((3, 0, 0), dtype=complex)
-    solved = Solved(own, coarse, freed, modes, states, {"ends_by": "reduced model"}, other_ends=clamped)
+    solved = Solved(own, coarse, freed, modes, states, SolutionRecord(ends_by="reduced model"), other_ends=clamped)
     found = closed(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
     (error,) = [e for e in found if e.source == "truncation"]
     exact, true = np.ones((3, 2, 2)), (1 + share * back)[:, None, None] * np.ones((3, 2, 2))
@@ -333,7 +334,7 @@ def test_a_model_with_limits_says_so_to_who_solves_in_python(own_mesh, cold):
     result = simulate(scenario, base=cold)
     assert any("nodes per shear wavelength" in note for note in result.notes)
     assert not any("unstable" in note for note in result.notes)
-    unstable = replace(result.solved, facts={**result.solved.facts, "unstable_poles": 9})
+    unstable = replace(result.solved, facts=result.solved.facts.model_copy(update={"unstable_poles": 9}))
     assert any("9 unstable poles" in note for note in closed(scenario, result.mesh, unstable).notes)
 
 

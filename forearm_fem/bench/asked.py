@@ -55,8 +55,8 @@ def asked(accuracy: float) -> Asked:
     more = process_time() - start - spent
     truth, stage = exact_solution(BAND), ledger.stages["all"]
     return Asked(
-        accuracy, element_sizes(scenario).grid, model.operator.n, stage["seconds"], spent, more,
-        stage["peak_memory_bytes"], estimated_errors(coarse, values, BAND)[0], band_error(values, truth),
+        accuracy, element_sizes(scenario).grid, model.operator.n, stage.seconds, spent, more,
+        stage.peak_memory_bytes, estimated_errors(coarse, values, BAND)[0], band_error(values, truth),
         band_error(values[:, _POINTS:], truth[:, _POINTS:]), float(relative_error(values, truth).max()),
     )  # fmt: skip
 

@@ -124,8 +124,8 @@ def _row(
 ) -> Timed:
     spent, truth = ledger.stages["all"], exact(at)
     return Timed(
-        case.method, case.element, case.precision, case.scale, unknowns, spent["seconds"], cpu,
-        spent["peak_memory_bytes"],
+        case.method, case.element, case.precision, case.scale, unknowns, spent.seconds, cpu,
+        spent.peak_memory_bytes,
         float(relative_error(values, truth).max()), band_error(values, truth), solver,
     )  # fmt: skip
 

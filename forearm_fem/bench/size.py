@@ -55,7 +55,7 @@ def sized(case: tuple[str, float]) -> Sized:
     assembly, analysis, factorisation, solve = np.diff(marks).tolist()
     return Sized(
         precision, scale, model.operator.n, assembly, analysis, factorisation, solve,
-        ledger.stages["all"]["peak_memory_bytes"], solution.residual, factor.name,
+        ledger.stages["all"].peak_memory_bytes, solution.residual, factor.name,
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from .. import __version__
 from ..errors import DataError, ForearmError
 from ..io.jsonfiles import read_json, write_json
 from ..io.lock import locked
+from ..results import read_run
 
 MARK = "member.json"
 
@@ -72,12 +73,11 @@ def _done(job: Job) -> dict[str, Any]:
 
 def summary(folder: Path) -> dict[str, Any]:
     """The numbers of a finished folder that belong in a table."""
-    account = read_json(folder / "run.json")
-    bands = [e["band"] for e in account["errors"]]
+    account = read_run(folder / "run.json")
     found: dict[str, Any] = {
-        "e_band": None if None in bands else max(bands, default=None),
-        "condition": account["condition_number"].get("median"),
-        "seconds": round(sum(s["seconds"] for s in account["stages"].values()), 1),
+        "e_band": account.band_error,
+        "condition": account.condition_number.median,
+        "seconds": round(account.seconds, 1),
     }
     return {**found, **strengths(folder / "signal_strength.csv")}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,14 +53,15 @@ def mesh(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = N
 def solve(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
     """Solve for G and its errors, reusing what is there."""
     from ..pipeline.folder import run_solve
+    from ..results import read_run
 
     asked = load_scenario(scenario, overrides=overrides or ())
     with stage(asked, scenario, out, run_solve, overrides) as job:
-        account = json.loads((job.out / "run.json").read_text(encoding="utf-8"))
-        for error in account["errors"]:
-            band, worst = ("unknown" if error[key] is None else f"{error[key]:.2e}" for key in ("band", "worst"))
-            typer.echo(f"{error['source']:15} band {band}  worst e(f) {worst}")
-        typer.echo(account["accuracy"])
+        account = read_run(job.out / "run.json")
+        for error in account.errors:
+            band, worst = ("unknown" if e is None else f"{e:.2e}" for e in (error.band, error.worst))
+            typer.echo(f"{error.source:15} band {band}  worst e(f) {worst}")
+        typer.echo(account.accuracy)
         typer.echo(f"G: {job.out / 'transfer.nc'}")
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TypeVar
 
 from ..errors import DataError
 from ..geometry.limb.bending import with_bends
@@ -26,9 +26,12 @@ from ..io import (
 )
 from ..io.jsonfiles import read_json
 from ..rendering import Record, Wavelet, from_samples_file, ricker
+from ..results import RunRecord, read_run
 from ..scenario import Scenario, parse_scenario
 from ..transfer import Compliance, TransferMatrix
 from ..wavefield import Wavefield, load_wavefield
+
+T = TypeVar("T")
 
 # file -> the stage (sub-command) that writes it
 STAGES: Mapping[str, str] = MappingProxyType(
@@ -84,16 +87,12 @@ class Results:
     @cached_property
     def scenario(self) -> Scenario:
         """The scenario with all defaults filled in."""
-        return parse_scenario(self._json("scenario.json"), origin=str(self.folder / "scenario.json"))
+        return parse_scenario(self._read("scenario.json", read_json), origin=str(self.folder / "scenario.json"))
 
     @cached_property
-    def run(self) -> Mapping[str, Any]:
+    def run(self) -> RunRecord:
         """Versions, times, memory, errors, warnings and mesh statistics of the run."""
-        account = self._json("run.json")
-        if missing := [key for key in ("program", "stages", "notes") if key not in account]:
-            file = self.folder / "run.json"
-            raise DataError(f"{file}: damaged, it has no '{missing[0]}'; {self.remedy('run.json')} anew")
-        return account
+        return self._read("run.json", read_run)
 
     @cached_property
     def transfer(self) -> TransferMatrix:
@@ -188,19 +187,19 @@ class Results:
         return " · ".join(p for p in parts if p)
 
     @property
-    def account(self) -> Mapping[str, Any]:
-        """run.json, or nothing while the run is not finished."""
-        return self.run if self.has("run.json") else {}
+    def account(self) -> RunRecord:
+        """run.json, or an empty record while the run is not finished."""
+        return self.run if self.has("run.json") else RunRecord.empty()
 
     @property
     def version(self) -> str:
         """The version that made the results, or failing that the one reading them."""
-        return str(self.account.get("program") or _installed())
+        return self.account.program or _installed()
 
     @cached_property
     def mesh_hash(self) -> str:
         """SHA-256 of the mesh; empty where there is none."""
-        known = (self.account.get("mesh") or {}).get("sha256") or self.transfer.provenance.get("mesh_sha256")
+        known = self.account.mesh.sha256 or self.transfer.provenance.get("mesh_sha256")
         if known:
             return str(known)
         return self.mesh.digest if self.has("mesh.vtu") else ""
@@ -211,10 +210,10 @@ class Results:
             return f"mesh {self.mesh_hash[:10]}"
         return "layered twin, no mesh" if self.scenario.engine == "layered" else "no mesh"
 
-    def _json(self, name: str) -> dict[str, Any]:
+    def _read(self, name: str, reader: Callable[[Path], T]) -> T:
         file = self.path(name)
         try:
-            return read_json(file)
+            return reader(file)
         except DataError as problem:
             raise DataError(f"{problem}; {self.remedy(name)} anew") from None
 

@@ -85,9 +85,8 @@ def method(results: Results) -> Method:
 
 def _zeros(results: Results, target: str) -> tuple[str, ...]:
     """Zero points on record for the inverse filter; in folders before 0.14, the default ones."""
-    known = (results.account.get("signal_strength") or {}).get("zeros") or {}
-    found = (known.get("inverse filter") or {}).get(target)
-    return tuple(found) if found else zero_points(results.transfer, target)
+    found = results.account.signal_strength.zeros.get("inverse filter", {}).get(target)
+    return found or zero_points(results.transfer, target)
 
 
 def _measure(results: Results) -> Measured:

@@ -29,8 +29,21 @@ from ..io.signals import stack, write_displacements, write_drives
 from ..io.tables import strength_rows, write_signal_strength_csv
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
+from ..results import (
+    ErrorRecord,
+    MeshRecord,
+    Quality,
+    Resolution,
+    RunRecord,
+    SolutionRecord,
+    StageCost,
+    StrengthRecord,
+    condition_of,
+    read_run,
+    write_run,
+)
 from ..scenario import Scenario
-from ..transfer import ErrorEstimate, TransferMatrix
+from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
@@ -150,7 +163,7 @@ def _simulated(run: Run, mesh: TissueMesh | None) -> Simulation:
         solved = solve(scenario, mesh, frequencies(scenario.sweep), base=run.base, progress=run.progress)
         result = closed(scenario, mesh, solved)
     run.notes += result.notes
-    solver = result.solved.facts.get("solver") if result.solved is not None else None
+    solver = result.solved.facts.solver if result.solved is not None else None
     return replace(result, transfer=replace(result.transfer, provenance=provenance(scenario, mesh, solver)))
 
 
@@ -187,8 +200,9 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
         save_wavefield(wavefield_of(simulation), out / "wavefield.npz")
     if simulation.solved is not None and simulation.solved.skin is not None:
         save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
-    facts = {"facts": simulation.solved.facts if simulation.solved else {}, "mesh": _mesh_facts(run, simulation.mesh)}
-    write_json(out / "solution.json", facts)
+    facts = simulation.solved.facts if simulation.solved else SolutionRecord()
+    parts = {"facts": facts, "mesh": _mesh_record(run, simulation.mesh)}
+    write_json(out / "solution.json", {name: part.model_dump(mode="json") for name, part in parts.items()})
 
 
 def _remove_older(run: Run) -> None:
@@ -259,59 +273,49 @@ def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
     )
 
 
-def _mesh_facts(run: Run, mesh: TissueMesh | None) -> dict[str, Any]:
+def _mesh_record(run: Run, mesh: TissueMesh | None) -> MeshRecord:
     if mesh is None:
-        return {}
+        return MeshRecord()
     quality = mesh_quality(mesh, expected_volume=limb_volume(run.scenario))
     expected = forecast(run.scenario, base=run.base, mesh=mesh)
-    return {
-        "sha256": mesh.digest,
-        "quality": {**asdict(replace(quality, volumes={})), "volumes": dict(quality.volumes)},
-        "resolution": [asdict(r) for r in expected.resolution],
-    }
+    return MeshRecord(
+        sha256=mesh.digest,
+        quality=Quality(**{**asdict(replace(quality, volumes={})), "volumes": dict(quality.volumes)}),
+        resolution=tuple(Resolution(**asdict(r)) for r in expected.resolution),
+    )
 
 
 def _write_run(run: Run) -> None:
     """``run.json``: the whole account; stages not run now keep their account of last time."""
     target = run.out / "run.json"
-    before = _read_json(target)
-    transfer = read_transfer(run.out / "transfer.nc")
-    solution = _read_json(run.out / "solution.json")
-    stages = {**before.get("stages", {}), **run.ledger.stages}
-    account = {
-        "scenario": run.scenario.model_dump(mode="json"),
-        "versions": versions(),
-        "program": __version__,
-        "mesh": solution.get("mesh", {}),
-        "solution": solution.get("facts", {}),
-        "stages": {name: _first_cost(cost, before.get("stages", {}).get(name)) for name, cost in stages.items()},
-        "errors": [_error_entry(e) for e in transfer.errors],
-        "accuracy": accuracy_verdict(run.scenario, transfer.errors),
-        "condition_number": _condition(transfer),
-        "signal_strength": _read_json(run.out / "signal_strength.json"),
-        "notes": list(dict.fromkeys(run.notes)),
-    }
-    write_json(target, account)
+    before = _stages_before(target)
+    transfer, solution = read_transfer(run.out / "transfer.nc"), _read_json(run.out / "solution.json")
+    account = RunRecord(
+        scenario=run.scenario.model_dump(mode="json"),
+        versions=versions(),
+        program=__version__,
+        mesh=MeshRecord.model_validate(solution.get("mesh", {})),
+        solution=SolutionRecord.model_validate(solution.get("facts", {})),
+        stages={name: _first_cost(cost, before.get(name)) for name, cost in {**before, **run.ledger.stages}.items()},
+        errors=tuple(ErrorRecord.of(e) for e in transfer.errors),
+        accuracy=accuracy_verdict(run.scenario, transfer.errors),
+        condition_number=condition_of(transfer),
+        signal_strength=StrengthRecord.model_validate(_read_json(run.out / "signal_strength.json")),
+        notes=tuple(dict.fromkeys(run.notes)),
+    )
+    write_run(target, account)
 
 
-def _first_cost(cost: dict[str, float], before: dict[str, float] | None) -> dict[str, float]:
-    """What the stage cost when it was computed: a stage that only reused results keeps its older, larger account."""
-    return before if before and before["seconds"] > cost["seconds"] else cost
-
-
-def _error_entry(error: ErrorEstimate) -> dict[str, Any]:
-    """As JSON, which has no NaN: null is unknown."""
-    known = {"band": error.band, "worst": error.worst} if error.known else {"band": None, "worst": None}
-    return {"source": error.source, **known, "method": error.method}
-
-
-def _condition(transfer: TransferMatrix) -> dict[str, float]:
-    usable = np.isfinite(transfer.values).all(axis=(1, 2))
-    numbers = np.linalg.cond(transfer.values[usable])
-    numbers = numbers[np.isfinite(numbers)]
-    if not len(numbers):
+def _stages_before(target: Path) -> dict[str, StageCost]:
+    try:
+        return dict(read_run(target).stages)
+    except DataError:
         return {}
-    return {"least": float(numbers.min()), "median": float(np.median(numbers)), "largest": float(numbers.max())}
+
+
+def _first_cost(cost: StageCost, before: StageCost | None) -> StageCost:
+    """What the stage cost when it was computed: a stage that only reused results keeps its older, larger account."""
+    return before if before and before.seconds > cost.seconds else cost
 
 
 def _read_json(path: Path) -> dict[str, Any]:

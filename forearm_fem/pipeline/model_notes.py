@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..results import SolutionRecord
 from ..scenario import Scenario
 from .forecast import forecast
 from .frequencies import frequencies
@@ -16,15 +14,14 @@ def resolution_notes(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
     return forecast(scenario, mesh=mesh).sentences(float(frequencies(scenario.sweep)[-1]))
 
 
-def model_notes(facts: Mapping[str, Any]) -> tuple[str, ...]:
+def model_notes(solution: SolutionRecord) -> tuple[str, ...]:
     """That the reduced model is good for frequencies of the band only, where it has unstable poles.
 
     That takes incompressible tissue and single precision; outside the band such a model refuses (:mod:`.skin_model`).
     """
-    count = facts.get("unstable_poles", 0)
-    if not count:
+    if not solution.unstable_poles:
         return ()
     return (
-        f"the reduced model has {count} unstable poles far outside the band: use it (reduced.nc) at frequencies of the "
-        "band only, not beyond and not in time; solver.precision = 'double' makes one without",
+        f"the reduced model has {solution.unstable_poles} unstable poles far outside the band: use it (reduced.nc) at "
+        "frequencies of the band only, not beyond and not in time; solver.precision = 'double' makes one without",
     )

@@ -10,12 +10,14 @@ from dataclasses import dataclass, field
 
 import psutil
 
+from ..results import StageCost
+
 
 @dataclass
 class Ledger:
     """Collects what each stage cost; the one mutable record of a run."""
 
-    stages: dict[str, dict[str, float]] = field(default_factory=dict)
+    stages: dict[str, StageCost] = field(default_factory=dict)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -28,7 +30,7 @@ class Ledger:
         finally:
             watch.stop()
             seconds = time.perf_counter() - start
-            self.stages[name] = {"seconds": round(seconds, 3), "peak_memory_bytes": float(watch.peak)}
+            self.stages[name] = StageCost(seconds=round(seconds, 3), peak_memory_bytes=float(watch.peak))
 
 
 class _MemoryWatch(threading.Thread):

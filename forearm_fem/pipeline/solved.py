@@ -29,6 +29,7 @@ from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
 from ..io.netcdf import read_compliance, write_compliance
 from ..progress import Progress, tell, within
+from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
 from ..transfer import Compliance, ErrorEstimate
@@ -50,7 +51,7 @@ class Solved:
     the same mesh, ``other_ends`` other ends on the second one at a few frequencies (None where not asked). ``unknown``
     are the estimates that were asked for and could not be made. ``modes`` (n_point, 3, r) and ``states``
     (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit contact force; empty for a direct
-    sweep. ``facts`` are for the report; ``skin`` is the reduced model without its modes.
+    sweep. ``facts`` are for the record; ``skin`` is the reduced model without its modes.
     """
 
     compliance: Compliance
@@ -58,7 +59,7 @@ class Solved:
     freed: Compliance | None
     modes: FloatArray
     states: ComplexArray
-    facts: dict[str, Any]
+    facts: SolutionRecord
     unknown: tuple[ErrorEstimate, ...] = ()
     skin: SkinModel | None = None
     other_ends: Compliance | None = None
@@ -134,21 +135,21 @@ def _main_part(
 def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) -> Solved:
     sweep, model = solution.sweep, solution.model
     n_u, n_p = model.degrees_of_freedom
-    facts = {
-        "displacement_unknowns": n_u,
-        "pressure_unknowns": n_p,
-        "solver": sweep.solver,
-        "residual": sweep.residual,
-        "expansion_rate": sweep.rate,
-        "derivatives": sweep.derivatives,
-        "expansion_frequencies": list(sweep.expansions),
-        "certificates": [asdict(c) for c in sweep.certificates],
-        "unstable_poles": sweep.unstable_poles,
-        "reduced_size": sweep.reduced.size if sweep.reduced else 0,
-    }
-    modes, states = np.zeros((0, 3, 0)), np.zeros((len(frequency), 0, 0), dtype=complex)
     freed = freed_ends(solution)
-    facts["ends_by"] = "direct solves" if freed is None else "reduced model"
+    facts = SolutionRecord(
+        displacement_unknowns=n_u,
+        pressure_unknowns=n_p,
+        solver=sweep.solver,
+        residual=sweep.residual,
+        expansion_rate=sweep.rate,
+        derivatives=sweep.derivatives,
+        expansion_frequencies=tuple(sweep.expansions),
+        certificates=tuple(asdict(c) for c in sweep.certificates),
+        unstable_poles=sweep.unstable_poles,
+        reduced_size=sweep.reduced.size if sweep.reduced else 0,
+        ends_by="direct solves" if freed is None else "reduced model",
+    )
+    modes, states = np.zeros((0, 3, 0)), np.zeros((len(frequency), 0, 0), dtype=complex)
     skin = None
     if sweep.reduced is not None:
         bare = replace(sweep.reduced, basis=Basis())
@@ -256,11 +257,11 @@ class _Store:
         try:
             with (self._folder / "field.npz").open("rb") as stream, np.load(stream) as field:
                 modes, states = field["modes"].astype(float), field["states"].astype(complex)
-            facts = read_json(self._folder / "facts.json")
+            facts = SolutionRecord.model_validate(read_json(self._folder / "facts.json"))
         except _DAMAGED:
             return None
-        ends = self.read("freed") if facts.get("ends_by") == "reduced model" else None
-        skin = self._skin() if facts.get("reduced_size") else None
+        ends = self.read("freed") if facts.ends_by == "reduced model" else None
+        skin = self._skin() if facts.reduced_size else None
         return None if compliance is None else Solved(compliance, None, ends, modes, states, facts, skin=skin)
 
     def _skin(self) -> SkinModel | None:
@@ -274,7 +275,7 @@ class _Store:
         try:
             with atomic_path(self._folder / "field.npz", durable=False) as target, open(target, "wb") as stream:
                 np.savez(stream, modes=solved.modes.astype(np.float32), states=solved.states.astype(np.complex64))
-            write_json(self._folder / "facts.json", solved.facts)
+            write_json(self._folder / "facts.json", solved.facts.model_dump(mode="json"))
         except (DataError, OSError) as problem:
             _log.warning("the solution could not be kept for a later run: %s", problem)
         if solved.freed is not None:

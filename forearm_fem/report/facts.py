@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from ..figures.judge import WHO, Strengths, strengths, table_one_rows
 from ..metrics import condition_number, thesis_table
 from ..metrics.strength import GROUPS
 from ..rendering.limits import Limits, beyond_limits
+from ..results import StrengthRecord
 from ..scenario import Scenario
 from ..transfer import size_words
 from ..typing import FloatArray
@@ -90,8 +90,7 @@ def _nearest(places: Sequence[tuple[float, float]]) -> str:
 
 def mesh_block(results: Results) -> Block | None:
     """Size, quality and resolution of the mesh; None without one."""
-    facts: Mapping[str, Any] = results.account.get("mesh") or {}
-    quality: Mapping[str, Any] = facts.get("quality") or {}
+    facts = results.account.mesh
     if not results.has("mesh.vtu"):
         return None
     mesh = results.mesh
@@ -100,18 +99,18 @@ def mesh_block(results: Results) -> Block | None:
         ["tetrahedra", f"{len(mesh.tetrahedra):,} ({results.scenario.element} elements)"],
         ["SHA-256", results.mesh_hash[:16]],
     ]
-    if quality:
-        rows.append(["quality (1 = regular)", f"least {quality['least']:.2f}, median {quality['median']:.2f}"])
-    for r in facts.get("resolution") or ():
-        near, far = r["per_wavelength_near_ports"], r["per_wavelength"]
-        rows.append([f"nodes per shear wavelength, {r['tissue']}", f"{near:.1f} near the ports, {far:.1f} anywhere"])
+    if facts.quality:
+        rows.append(["quality (1 = regular)", f"least {facts.quality.least:.2f}, median {facts.quality.median:.2f}"])
+    for r in facts.resolution:
+        near, far = r.per_wavelength_near_ports, r.per_wavelength
+        rows.append([f"nodes per shear wavelength, {r.tissue}", f"{near:.1f} near the ports, {far:.1f} anywhere"])
     return Block(["", ""], rows, "Six nodes per wavelength near the ports are a rule of thumb, not a proof.")
 
 
 def errors_block(results: Results) -> Block:
     """Estimated error of G by source, with the way it was found."""
     rows = [[e.source, size_words(e.band), size_words(e.worst), e.method] for e in results.transfer.errors]
-    note = str(results.account.get("accuracy") or "")
+    note = results.account.accuracy
     if not rows:
         note = "G carries no error estimate."
     return Block(["source", "e_band", "worst e(f)", "how it was estimated"], rows, note)
@@ -198,8 +197,8 @@ def _is_thesis_grid(data: Strengths) -> bool:
 def by_target_block(results: Results) -> Block:
     """S of every target with its numerical interval, and what edges of the band and holes of G do to it."""
     data = strengths(results)
-    account: Mapping[str, Any] = results.account.get("signal_strength") or {}
-    holes = _largest(account, "holes")[0] > 0
+    account = results.account.signal_strength
+    holes = account.largest("holes")[0] > 0
     rows = []
     for t, target in enumerate(data.targets):
         cells = [
@@ -208,13 +207,13 @@ def by_target_block(results: Results) -> Block:
         ]
         rows.append([target, *cells])
     said = ["In brackets: S within the errors stated for G, nine in ten of them; how arms differ is not in it."]
-    said += [str(account["unknown"]).capitalize() + "."] if account.get("unknown") else []
+    said += [account.unknown.capitalize() + "."] if account.unknown else []
     said += [f"S is taken {window_words(data)}."]
-    edge, where = _largest(account, "edges")
+    edge, where = account.largest("edges")
     if where:
         said += [f"With the edges of the band tapered S changes by at most {edge:.0%} ({where})."]
     if holes:
-        worst, at = _largest(account, "holes")
+        worst, at = account.largest("holes")
         said += [f"Holes of G that could not be bridged may have cost up to {worst:.0%} of S ({at}), given per S."]
     return Block(["target", *data.methods], rows, " ".join(said))
 
@@ -224,20 +223,10 @@ def _span_of(data: Strengths, m: int, t: int) -> str:
     return f"{low:.2f} to {high:.2f}" if np.isfinite(low) and np.isfinite(high) else "unknown"
 
 
-def _hole_words(account: Mapping[str, Any], method: str, target: str) -> str:
-    cost = (account["methods"].get(method) or {}).get(target, {}).get("holes") or 0.0
+def _hole_words(account: StrengthRecord, method: str, target: str) -> str:
+    entry = account.methods.get(method, {}).get(target)
+    cost = entry.holes if entry else None
     return f", holes ± {cost:.2g}" if cost else ""
-
-
-def _largest(account: Mapping[str, Any], what: str) -> tuple[float, str]:
-    """Largest |``what``| over S, and where; 0 and "" where nothing is on record."""
-    found = [
-        (abs(entry[what]) / entry["value"], f"{method} towards {target}")
-        for method, row in (account.get("methods") or {}).items()
-        for target, entry in row.items()
-        if entry.get(what) is not None and entry.get("value")
-    ]
-    return max(found, default=(0.0, ""))
 
 
 def differences(results: Results) -> list[str]:
@@ -284,28 +273,24 @@ def _difference(group: str, method: str, ours: float, theirs: float, spread: flo
 def warnings_of(results: Results) -> list[str]:
     """Notes of the run, each once."""
     account = results.account
-    notes = [*(account.get("notes") or ()), *(account.get("warnings") or ())]
-    if not account:
+    notes = [*account.notes, *account.warnings]
+    if not results.has("run.json"):
         notes.append("run.json is missing: cost, notes and verdict on accuracy of this run are unknown.")
-    return list(dict.fromkeys(str(n) for n in notes))
+    return list(dict.fromkeys(notes))
 
 
 def cost_block(results: Results) -> Block | None:
     """Seconds and memory per stage."""
-    stages: Mapping[str, Mapping[str, float]] = results.account.get("stages") or {}
-    rows = [
-        [name, f"{s['seconds']:.1f} s", f"{s.get('peak_memory_bytes', s.get('peak_memory', 0)) / 1e9:.2f} GB"]
-        for name, s in stages.items()
-    ]
+    stages = results.account.stages
+    rows = [[name, f"{s.seconds:.1f} s", f"{s.peak_memory_bytes / 1e9:.2f} GB"] for name, s in stages.items()]
     return Block(["stage", "wall clock", "peak memory"], rows) if rows else None
 
 
 def provenance_block(results: Results) -> Block:
     """What made these results."""
-    versions: Mapping[str, str] = results.account.get("versions") or {}
     rows = [["forearm_fem", results.version], ["scene", results.scenario.name], ["mesh SHA-256", results.mesh_hash]]
-    solution: Mapping[str, Any] = results.account.get("solution") or {}
-    rows += [["direct solver", str(solution.get("solver") or "")], *([k, str(v)] for k, v in versions.items())]
+    account = results.account
+    rows += [["direct solver", account.solution.solver or ""], *([k, v] for k, v in account.versions.items())]
     return Block(["", ""], [r for r in rows if r[1]])
 
 
@@ -314,6 +299,6 @@ def headline(results: Results) -> str:
     s = results.scenario
     data = strengths(results)
     best = [f"{m} {np.nanmean(v):.2f}" for m, v in zip(data.methods, data.values, strict=True)]
-    verdict = str(results.account.get("accuracy") or "the accuracy reached is not on record")
+    verdict = results.account.accuracy or "the accuracy reached is not on record"
     told = f"mean signal strength over {len(data.targets)} targets is {', '.join(best)}"
     return f"Scene {s.name}: {told}. Accuracy: {verdict}."

@@ -1,0 +1,192 @@
+"""The record of a run, ``run.json``: what it made, from what, at what cost and how wrong it may be.
+
+Records are read back from files of every version since 0.1: what an older program did not write has a default that
+says so, what a newer one wrote besides is kept and written again. JSON has no NaN: None is *unknown*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
+
+from .errors import DataError
+from .io.jsonfiles import read_json, write_json
+from .transfer import ErrorEstimate, TransferMatrix
+
+VERSION = 1  # of the record's own form; files before 0.15 state none and are read as this one
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+
+class StageCost(_Record):
+    """Wall-clock ``seconds`` and the process's peak memory [bytes] while a stage was computed."""
+
+    seconds: float
+    peak_memory_bytes: float = Field(default=0.0, validation_alias=AliasChoices("peak_memory_bytes", "peak_memory"))
+
+
+class ErrorRecord(_Record):
+    """An :class:`.ErrorEstimate` as numbers that JSON has: None is unknown."""
+
+    source: str
+    band: float | None = None
+    worst: float | None = None
+    method: str = ""
+
+    @classmethod
+    def of(cls, error: ErrorEstimate) -> ErrorRecord:
+        """The record of ``error``."""
+        band, worst = (error.band, error.worst) if error.known else (None, None)
+        return cls(source=error.source, band=band, worst=worst, method=error.method)
+
+
+class Resolution(_Record):
+    """Nodes per shear wavelength of one tissue, the least anywhere and near the ports."""
+
+    tissue: str
+    per_wavelength: float
+    per_wavelength_near_ports: float
+
+
+class Quality(_Record):
+    """Quality of tetrahedra, 1 for a regular one."""
+
+    least: float
+    median: float
+
+
+class MeshRecord(_Record):
+    """The mesh's digest (empty: no mesh), its quality and what it resolves."""
+
+    sha256: str = ""
+    quality: Quality | None = None
+    resolution: tuple[Resolution, ...] = ()
+
+
+class SolutionRecord(_Record):
+    """What the finite-element sweep did; empty for the layered engine.
+
+    Frequencies in Hz; ``residual`` is the largest relative one of the direct solves; ``certificates`` are what the
+    reduced model was held against; ``ends_by`` says how the solution with other ends was made.
+    """
+
+    displacement_unknowns: int = 0
+    pressure_unknowns: int = 0
+    solver: str | None = None
+    residual: float | None = None
+    expansion_rate: float | None = None
+    derivatives: int = 0
+    expansion_frequencies: tuple[float, ...] = ()
+    certificates: tuple[Mapping[str, Any], ...] = ()
+    unstable_poles: int = 0
+    reduced_size: int = 0
+    ends_by: str = ""
+
+
+class Spread(_Record):
+    """Least, median and largest of a number over the band; None where there is none."""
+
+    least: float | None = None
+    median: float | None = None
+    largest: float | None = None
+
+
+class StrengthEntry(_Record):
+    """One S with its interval, its reading over the whole record, and what band edges and holes of G do to it [-]."""
+
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    record: float | None = None
+    edges: float | None = None
+    holes: float | None = None
+
+
+class StrengthRecord(_Record):
+    """Every S by method and target with its zero points; ``unknown`` says why there is no interval."""
+
+    window: tuple[float, float] | None = None
+    unknown: str = ""
+    methods: Mapping[str, Mapping[str, StrengthEntry]] = {}
+    zeros: Mapping[str, Mapping[str, tuple[str, ...]]] = {}
+
+    def largest(self, what: str) -> tuple[float, str]:
+        """Largest |``what``| ("edges" or "holes") over S, and where; 0 and "" where nothing is on record."""
+        found = [
+            (abs(getattr(entry, what)) / entry.value, f"{method} towards {target}")
+            for method, row in self.methods.items()
+            for target, entry in row.items()
+            if getattr(entry, what) is not None and entry.value
+        ]
+        return max(found, default=(0.0, ""))
+
+
+class RunRecord(_Record):
+    """Everything on record of a run. ``program`` is the version that made it, ``stages`` in the order they ran;
+    ``warnings`` were told apart from ``notes`` by early versions."""
+
+    program: str
+    stages: Mapping[str, StageCost]
+    notes: tuple[str, ...]
+    version: int = VERSION
+    scenario: Mapping[str, Any] = {}
+    versions: Mapping[str, str] = {}
+    mesh: MeshRecord = MeshRecord()
+    solution: SolutionRecord = SolutionRecord()
+    errors: tuple[ErrorRecord, ...] = ()
+    accuracy: str = ""
+    condition_number: Spread = Spread()
+    signal_strength: StrengthRecord = StrengthRecord()
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def empty(cls) -> RunRecord:
+        """Of a run that is not finished: nothing is known."""
+        return cls(program="", stages={}, notes=())
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock time of all stages."""
+        return sum(cost.seconds for cost in self.stages.values())
+
+    @property
+    def band_error(self) -> float | None:
+        """Largest e_band of all sources; None where one is unknown or none is stated."""
+        bands = [e.band for e in self.errors]
+        return None if None in bands else max((b for b in bands if b is not None), default=None)
+
+
+def read_run(path: str | Path) -> RunRecord:
+    """The record in ``path``; DataError in one sentence for a missing, damaged or newer file."""
+    content = read_json(path)
+    if missing := [key for key in ("program", "stages", "notes") if key not in content]:
+        raise DataError(f"{path}: damaged, it has no '{missing[0]}'")
+    try:
+        record = RunRecord.model_validate(content)
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        raise DataError(f"{path}: damaged at {'.'.join(map(str, first['loc']))} ({first['msg']})") from None
+    if record.version > VERSION:
+        raise DataError(f"{path}: written by a newer forearm_fem ({record.program}); update to read it")
+    return record
+
+
+def write_run(path: str | Path, record: RunRecord) -> None:
+    """``record`` as JSON with its checksum, whole or not at all."""
+    write_json(path, record.model_dump(mode="json"))
+
+
+def condition_of(transfer: TransferMatrix) -> Spread:
+    """Condition numbers of G over the bins where all of it is known."""
+    usable = np.isfinite(transfer.values).all(axis=(1, 2))
+    numbers = np.linalg.cond(transfer.values[usable])
+    numbers = numbers[np.isfinite(numbers)]
+    if not len(numbers):
+        return Spread()
+    return Spread(least=float(numbers.min()), median=float(np.median(numbers)), largest=float(numbers.max()))
