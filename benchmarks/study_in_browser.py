@@ -1,9 +1,11 @@
-"""A whole study through the real pages: simulated participants click and type in headless Chromium, answers are analysed.
+"""A whole study through the real pages: simulated participants click and type in headless Chromium; then analysed.
 
-``python benchmarks/study_in_browser.py STUDY.toml G --participants 20 [--at-once 4] [--kill 20]``. Stimuli play through
-the virtual device; every session is a process of its own (`forearm-fem study run`), killed at random moments ``--kill``
-times in all and started again. Prints answers lost, doubled or out of order (none is allowed) and the seconds from the
-last answer to the report. Needs the extras study and test, and Chromium.
+``python benchmarks/study_in_browser.py STUDY.toml RESULTS --participants 20 [--at-once 6] [--kill 20]``. RESULTS is a
+folder of the finite elements (its G plays, its field is felt) or a file of G. Stimuli play through the virtual device;
+every session is a process of its own (`forearm-fem study run`), killed at random moments ``--kill`` times in all and
+started again. Writes results/study.csv: answers, kills, problems (lost, doubled or out of order: none is allowed) and
+seconds from the last answer to the report. A run that was stopped goes on where it was. Needs the extras study and
+test, and Chromium.
 """
 
 from __future__ import annotations
@@ -34,24 +36,46 @@ def main() -> None:
     per_person = [
         chosen.kill // chosen.participants + (k < chosen.kill % chosen.participants) for k in range(chosen.participants)
     ]
+    felt = what_is_felt(chosen.study, chosen.transfer)
+    file = chosen.transfer / "transfer.nc" if chosen.transfer.is_dir() else chosen.transfer
     began = time.perf_counter()
     with ProcessPoolExecutor(chosen.at_once) as pool:
         jobs = [
-            pool.submit(person, chosen.study, chosen.transfer, k, per_person[k], chosen.only)
+            pool.submit(person, chosen.study, file, felt, k, per_person[k], chosen.only)
             for k in range(chosen.participants)
         ]
-        problems = [line for job in jobs for line in job.result()]
+        done = [job.result() for job in jobs]
+    problems = [line for found, _ in done for line in found]
+    answers = sum(count for _, count in done)
     answered = time.perf_counter()
     subprocess.run([sys.executable, "-m", "forearm_fem", "study", "analyse", str(chosen.study)], check=True)
-    print(
-        f"{chosen.participants} participants in {answered - began:.0f} s; report {time.perf_counter() - answered:.1f} s later"
-    )
+    report = time.perf_counter() - answered
+    row = {"participants": chosen.participants, "answers": answers, "kills": chosen.kill, "problems": len(problems),
+           "at_once": chosen.at_once, "seconds": round(answered - began),
+           "seconds_to_report": round(report, 1)}  # fmt: skip
+    table = Path(__file__).parent / "results" / "study.csv"
+    table.write_text(",".join(row) + "\n" + ",".join(map(str, row.values())) + "\n")
+    print(row)
     print("\n".join(problems) or "no answer lost, doubled or out of order")
     sys.exit(bool(problems))
 
 
-def person(study: Path, transfer: Path, number: int, kills: int, only: int | None) -> list[str]:
-    """All tasks of one simulated participant; what is wrong with what lies on disk afterwards."""
+def what_is_felt(study: Path, transfer: Path):  # type: ignore[no-untyped-def]
+    """The energies of all stimuli, the same for everyone here."""
+    from forearm_fem.commands.common import transfer_file
+    from forearm_fem.io.recognise import read_measured
+    from forearm_fem.study.field import field_for, grid_field
+    from forearm_fem.study.percept import Felt
+    from forearm_fem.study.run import Prepared
+
+    prepared, matrix = Prepared.of(study), read_measured(transfer_file(transfer))
+    record = prepared.wavelet.record
+    field = field_for(transfer) or grid_field(matrix)
+    return Felt.of(field, prepared.stimuli(matrix), record.sample_rate, record.n / record.sample_rate)
+
+
+def person(study: Path, transfer: Path, felt, number: int, kills: int, only: int | None):  # type: ignore[no-untyped-def]
+    """All tasks of one simulated participant; what is wrong with what lies on disk afterwards, and answers there."""
     from playwright.sync_api import sync_playwright
 
     from forearm_fem.study.order import trials
@@ -64,11 +88,8 @@ def person(study: Path, transfer: Path, number: int, kills: int, only: int | Non
     place.parent.mkdir(parents=True, exist_ok=True)
     shutil.copy(transfer, place)
     matrix = transfer_of(prepared.study, prepared.base, name)
-    mind = SimulatedParticipant(
-        Percept().varied(rng), prepared.stimuli(matrix), prepared.wavelet.record.sample_rate,
-        np.array([p.position[:2] for p in matrix.outputs]), matrix.outputs, rng,
-    )  # fmt: skip
-    problems = []
+    mind = SimulatedParticipant(Percept().varied(rng), felt, matrix.outputs, rng)
+    problems, count = [], 0
     with sync_playwright() as driver:
         browser = driver.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
@@ -76,22 +97,24 @@ def person(study: Path, transfer: Path, number: int, kills: int, only: int | Non
         for task in prepared.study.tasks:
             order = trials(prepared.study, task, name)[:only]
             moments = set(random.Random(number).sample(range(1, len(order)), min(kills, len(order) - 1)))
-            said: list[tuple[str, ...]] = []
+            earlier = prepared.store().answers(name, task.name)
+            said: list[tuple[str, ...]] = [tuple(r["response"].split()) for r in earlier]
             while len(said) < len(order):
                 said += _sitting(browser, study, name, task, order, said, moments, mind)
             rows = prepared.store().answers(name, task.name)
+            count += len(rows)
             kept = [(r["trial"], r["method"], r["target"], r["response"]) for r in rows]
             expected = [(str(t.number), t.method, t.target, " ".join(a)) for t, a in zip(order, said, strict=False)]
             if kept != expected:
                 problems.append(f"participant {name}, {task.name}: {len(kept)} answers on disk, {len(expected)} given")
         browser.close()
-    return problems
+    return problems, count
 
 
 def _sitting(browser, study, name, task, order, said, moments, mind):  # type: ignore[no-untyped-def]
     """One process and one page, until the task is done or the process is killed; the answers given in it."""
-    command = [sys.executable, "-u", "-m", "forearm_fem", "study", "run", str(study), "--participant", name, "--task", task.name,
-               "--consent", "2026-11-24"]  # fmt: skip
+    command = [sys.executable, "-u", "-m", "forearm_fem", "study", "run", str(study), "--participant", name,
+               "--task", task.name, "--consent", "2026-11-24"]  # fmt: skip
     serving = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     address = next(m[1] for line in serving.stdout if (m := re.match(r"participant:\s+(\S+)", line)))
     page, given = browser.new_page(viewport={"width": 900, "height": 700}), []

@@ -20,7 +20,7 @@ app = typer.Typer(
 
 for _command in (
     simulate.run, simulate.mesh, simulate.solve, simulate.render,
-    measured.calibrate, measured.play, measured.compare, measured.fit,
+    measured.calibrate, measured.play, measured.loopback, measured.compare, measured.fit,
     pictures.figures, pictures.show,
     studies.campaign, studies.verify, studies.bench,
     new.new, about.schema, about.doctor,

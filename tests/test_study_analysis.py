@@ -12,12 +12,15 @@ pytest.importorskip("statsmodels")
 
 from forearm_fem.cli import app  # noqa: E402
 from forearm_fem.errors import DataError  # noqa: E402
+from forearm_fem.ports import Port  # noqa: E402
 from forearm_fem.study.analysis import analyse, cell_means, confusion, ellipses, with_errors  # noqa: E402
-from forearm_fem.study.percept import Percept, SimulatedParticipant, felt, pooled, sensitivity  # noqa: E402
+from forearm_fem.study.field import SkinField, grid_field  # noqa: E402
+from forearm_fem.study.percept import Felt, Percept, SimulatedParticipant, pooled, sensitivity  # noqa: E402
 from forearm_fem.study.power import Supposed, needed, power_curve, supposed_from  # noqa: E402
-from forearm_fem.study.stimuli import Stimulus  # noqa: E402
+from forearm_fem.study.session import _outline  # noqa: E402
 from forearm_fem.study.tables import foreign_table  # noqa: E402
 from forearm_fem.study.thesis import judged  # noqa: E402
+from forearm_fem.transfer import TransferMatrix  # noqa: E402
 
 PLACES = np.array([p.position[:2] for p in GRID])
 NAMES = [p.name for p in GRID]
@@ -94,48 +97,110 @@ def test_the_thesis_counted_sixty_subjects():
 
 
 def test_sensitivity_follows_verrillo():
-    """-12 dB per octave below 220 Hz, +9 above, of the threshold: displacement counts by the reciprocal."""
-    level = 20 * np.log10(sensitivity(np.array([55.0, 110.0, 220.0, 440.0])))
-    assert level == pytest.approx([-24.0, -12.0, 0.0, -9.0], abs=1e-9)
+    """-12 dB per octave below 220 Hz, +9 above, of the threshold: displacement counts by the reciprocal. The other
+    channel is flat and meets it at the crossing."""
+    level = 20 * np.log10(sensitivity(np.array([55.0, 110.0, 220.0, 440.0]), 110.0))
+    assert level[0] == pytest.approx([-24.0, -12.0, 0.0, -9.0], abs=1e-9)
+    assert level[1] == pytest.approx([-12.0] * 4, abs=1e-9)
 
 
-def test_felt_amplitude_of_a_sine_is_its_weighted_rms():
-    t = np.arange(2000) / 10_000
-    found = felt(np.array([1e-6 * np.sin(2 * np.pi * 220 * t), 1e-6 * np.sin(2 * np.pi * 110 * t)]), 10_000.0)
-    assert found == pytest.approx(np.array([1, 10 ** (-12 / 20)]) * 1e-6 / np.sqrt(2), rel=1e-6)
+def line_field(places, area=None):
+    """Places that move with one actuator each, 1 m/V at all frequencies."""
+    n = len(places)
+    f = np.arange(1.0, 500.0)
+    gains = np.broadcast_to(np.eye(n, dtype=complex), (len(f), n, n))
+    return SkinField(places, np.ones(n) if area is None else area, f, np.eye(n), gains, whole=True)
+
+
+def test_energy_of_a_tone_is_its_weighted_square_over_time():
+    """One second of 220 Hz and one of 110 Hz, 1 um: by Parseval as by hand; the fade-free ends leak 0.1 %."""
+    t = np.arange(1000) / 1000
+    tones = 1e-6 * np.sin(2 * np.pi * np.array([[220.0], [110.0]]) * t)
+    found = line_field(PLACES[:2]).energy(tones, 1000.0, 1.0, lambda f: sensitivity(f, 110.0))
+    assert found[0] == pytest.approx(0.5e-12 * np.array([1.0, 10**-1.2]), rel=1e-6)
+    assert found[1] == pytest.approx(0.5e-12 * 10**-1.2 * np.ones(2), rel=1e-6)
+
+
+def test_a_field_by_modes_is_the_field_by_places():
+    """G on the grid through grid_field, against the same motion in time, summed."""
+    rng = np.random.default_rng(0)
+    f = np.arange(1.0, 100.0)
+    values = rng.normal(size=(99, 9, 4)) + 1j * rng.normal(size=(99, 9, 4))
+    inputs = tuple(Port(f"A{k}", "contact", (0.02, 0.0, 0.0), radius=1e-3) for k in range(4))
+    field = grid_field(TransferMatrix(f, values, GRID, inputs))
+    drives = rng.normal(size=(4, 150))
+    full = np.zeros((9, 101), dtype=complex)
+    full[:, 1:100] = np.einsum("foi,if->of", values, np.fft.rfft(drives, 200, axis=1)[:, 1:100])
+    motion = np.fft.irfft(full, 200, axis=1)
+    (found,) = field.energy(drives, 200.0, 1.0, lambda f: np.ones((1, len(f))))
+    assert found == pytest.approx(np.sum(motion**2, axis=1) / 200, rel=1e-9)
 
 
 def test_pooling_keeps_a_uniform_field_and_spreads_a_peak():
-    assert pooled(np.full(9, 2.0), PLACES, 5e-3) == pytest.approx(np.full(9, 4.0))
-    peak = pooled(np.eye(9)[4], PLACES, 5e-3)
+    assert pooled(np.full(9, 2.0), PLACES, np.ones(9), 5e-3) == pytest.approx(np.full(9, 2.0))
+    peak = pooled(np.eye(9)[4], PLACES, np.ones(9), 5e-3)
     assert np.argmax(peak) == 4
     assert 0 < peak[0] < peak[1] < peak[4]
 
 
-def responder(moved, **percept):
-    stimuli = {("m", "5"): Stimulus(np.zeros((4, 10)), moved)}
+def test_thresholds_fall_by_3_db_per_doubling_of_area_in_one_channel_only():
+    """Spots of 10 to 80 mm2 moving alike on a 1 mm grid: pooled energy goes with area while that is well below the
+    pooling's 308 mm2 (the largest spot loses 0.5 dB); without pooling nothing changes."""
+    x = 1e-3 * np.arange(-22, 23)
+    places = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+    away = np.argsort(np.hypot(*places.T), kind="stable")
+    levels = []
+    for area in (10, 20, 40, 80):
+        energy = np.zeros(len(places))
+        energy[away[:area]] = 1.0
+        levels.append(10 * np.log10(pooled(energy, places, np.ones(len(places)), 7e-3).max()))
+    assert np.diff(levels) == pytest.approx([3.0, 3.0, 3.0], abs=0.4)
+
+
+def responder(strength, **percept):
+    """A participant of nine places whose energies in the flat channel are ``strength`` (9,)."""
+    felt = Felt(PLACES, np.ones(9), {("m", "5"): np.array([np.zeros(9), strength])})
     options = {"blur": 1e-6, "lapse": 0.0, "pooling": 1e-4, **percept}
-    return SimulatedParticipant(Percept(**options), stimuli, 1000.0, PLACES, GRID, np.random.default_rng(0))
+    return SimulatedParticipant(Percept(**options), felt, GRID, np.random.default_rng(0))
 
 
 def test_limits_of_the_simulated_participant():
     """Without blur and lapses a spot at one point is felt there; with lapses alone answers spread over the grid;
     with no motion at all nothing is detected, with much everything."""
-    moved = np.outer(np.eye(9)[7], 1e-6 * np.sin(np.arange(10)))
-    sure = responder(moved)
+    sure = responder(1e-13 * np.eye(9)[7])
     assert {sure.one_point("m", "5") for _ in range(20)} == {"8"}
     assert sure.several_points("m", "5") == ("8",)
-    lost = responder(moved, lapse=1.0)
+    lost = responder(1e-13 * np.eye(9)[7], lapse=1.0)
     assert len({lost.one_point("m", "5") for _ in range(300)}) == 9
     assert not any(sure.detects("m", "5", -300.0) for _ in range(50))
     assert all(sure.detects("m", "5", 200.0) for _ in range(50))
 
 
+def test_two_places_alike_are_felt_between_and_named_both():
+    """The funneling illusion as a limit: equal energies at 4 and 6 are felt at 5; where several may, both are named."""
+    both = responder(1e-13 * (np.eye(9)[3] + np.eye(9)[5]))
+    assert both.one_point("m", "5") == "5"
+    assert set(both.several_points("m", "5")) == {"4", "6"}
+    wide = responder(np.full(9, 1e-13), blur=3e-3)
+    narrow = responder(1e-13 * np.eye(9)[4], blur=3e-3)
+    area = [abs(_outline(p.outline("m", "5"))[1]) for p in (narrow, wide)]
+    assert area[1] > 10 * area[0]
+
+
+def test_a_touch_on_a_point_names_it_alone():
+    """What ``doubt`` was chosen for: on a grid of 13.3 mm, without the shift of a trial."""
+    places = 1.33 * PLACES
+    grid = tuple(Port(p.name, "point", (*xy, 0.0)) for p, xy in zip(GRID, places, strict=True))
+    felt = Felt(places, np.ones(9), {("m", "5"): np.array([np.zeros(9), np.eye(9)[4]])})
+    person = SimulatedParticipant(Percept(lapse=0.0), felt, grid, np.random.default_rng(0))
+    person._shift = lambda: np.zeros(2)
+    assert person.several_points("m", "5") == ("5",)
+
+
 def test_a_blurrier_participant_errs_more():
-    moved = np.outer(np.eye(9)[4], 1e-6 * np.sin(np.arange(10)))
     means = []
     for blur in (2e-3, 8e-3, 20e-3):
-        person = responder(moved, blur=blur)
+        person = responder(np.eye(9)[4], blur=blur)
         means.append(np.mean([np.hypot(*(person.place("m", "5") - PLACES[4])) for _ in range(400)]))
     # Rayleigh: blur sqrt(pi / 2), standard error of 400 draws 2.6 %
     assert means == pytest.approx(np.array([2e-3, 8e-3, 20e-3]) * np.sqrt(np.pi / 2), rel=0.11)
@@ -219,6 +284,7 @@ def test_a_rehearsed_study_is_analysed_from_the_command_line(tmp_path):
     assert done.exit_code == 0, done.output
     page = (data / "analysis" / "report.html").read_text()
     assert "repetitions were counted as subjects" in page
+    assert "none (simulated participants)" in page
     for name in ("identification-ellipses", "identification-confusion", "confidence-points"):
         with Image.open(data / "analysis" / f"{name}.png") as picture:
             assert picture.size[0] > 400

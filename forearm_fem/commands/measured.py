@@ -1,4 +1,4 @@
-"""calibrate, play, compare, fit: measured G and simulated G beside each other."""
+"""calibrate, play, loopback, compare, fit: measured G and simulated G beside each other."""
 
 from __future__ import annotations
 
@@ -28,7 +28,14 @@ from .common import (
 if TYPE_CHECKING:
     from ..measurement.run import CalibrationResult, VirtualSetup
 
-DaqChoice = Annotated[Literal["virtual", "ni"], typer.Option("--daq", help="virtual: through a G; ni: a cDAQ")]
+DaqChoice = Annotated[
+    Literal["virtual", "ni", "sound"],
+    typer.Option("--daq", help="virtual: through a G; ni: a cDAQ; sound: a multichannel sound card"),
+]
+Card = Annotated[str | None, typer.Option("--card", help="sound: name or number of the card; default: the system's")]
+Cable = Annotated[
+    Path | None, typer.Option("--loopback", help="record of `forearm-fem loopback`: its latency and gain are taken off")
+]
 Through = Annotated[
     Path | None,
     typer.Option("--through", help="virtual: file or results folder of the G to play through; default: simulated now"),
@@ -49,6 +56,8 @@ def calibrate(
     bits: Bits = 16,
     latency: Latency = 0,
     seed: Seed = 0,
+    card: Card = None,
+    cable: Cable = None,
     yes: Annotated[bool, typer.Option("--yes", help="do not wait for Enter at each point")] = False,
 ) -> None:
     """Measure G, one actuator and one point at a time; the same command resumes after a stop."""
@@ -58,19 +67,25 @@ def calibrate(
     folder = out or out_folder(None, asked, overrides) / "calibration"
     with locked(folder):
         virtual = _virtual(asked, scenario, through, snr, bits, latency, seed, overrides) if daq == "virtual" else None
-        result = _calibrated(asked, folder, daq, virtual, ask=daq == "ni" and not yes)
+        result = _calibrated(asked, folder, daq, virtual, card, cable, ask=daq != "virtual" and not yes)
     for finding in result.measured.findings:
         typer.echo(finding.sentence)
     valid = result.measured.transfer.valid
     if valid is not None:
         typer.echo(f"entries that may be used: {100 * valid.mean():.0f} %")
+    if daq != "virtual":
+        typer.echo(f"latency of the device: {result.measured.transfer.provenance['latency_basis']}")
     typer.echo(f"G: {result.transfer_file}")
 
 
 def _calibrated(
-    asked: Scenario, folder: Path, daq: Literal["virtual", "ni"], virtual: VirtualSetup | None, *, ask: bool
-) -> CalibrationResult:
+    asked: Scenario, folder: Path, daq: Literal["virtual", "ni", "sound"], virtual: VirtualSetup | None,
+    card: str | None, cable: Path | None, *, ask: bool,
+) -> CalibrationResult:  # fmt: skip
+    from ..measurement.loopback import read_loopback
     from ..measurement.run import run_calibration
+
+    kept = None if cable is None else read_loopback(cable)
 
     with Display() as display, noted(), stop_on_ctrl_c() as stop:
 
@@ -79,8 +94,9 @@ def _calibrated(
 
         try:
             return run_calibration(
-                asked, folder, daq=daq, virtual=virtual, operator=operator, progress=display, stop=stop
-            )
+                asked, folder, daq=daq, card=card, virtual=virtual, cable=kept, operator=operator, progress=display,
+                stop=stop,
+            )  # fmt: skip
         except HardwareError:
             _raise_if_stopped(stop)
             raise
@@ -128,6 +144,7 @@ def play(
     repeats: Annotated[int, typer.Option(min=1)] = 1,
     pause: Annotated[float, typer.Option(min=0.0, help="silence between repeats [s]")] = 0.0,
     snr: Snr = 60.0,
+    card: Card = None,
 ) -> None:
     """Send drive signals, faded and within the voltage limit; Ctrl-C ramps down, twice cuts."""
     from ..measurement.run import run_play
@@ -137,12 +154,31 @@ def play(
     virtual = _virtual(asked, scenario, through, snr, 16, 0, 0, overrides) if daq == "virtual" else None
     with noted(), stop_on_ctrl_c() as stop:
         played = run_play(
-            asked, signals, daq=daq, virtual=virtual, method=method, target=target, scale=scale, repeats=repeats,
-            pause=pause, stop=stop,
+            asked, signals, daq=daq, card=card, virtual=virtual, method=method, target=target, scale=scale,
+            repeats=repeats, pause=pause, stop=stop,
         )  # fmt: skip
     typer.echo(f"played {played.seconds:.3g} s, peaks {', '.join(f'{v:.3g}' for v in played.peak)} V")
     if played.stopped:
         raise KeyboardInterrupt
+
+
+def loopback(
+    scenario: ScenarioFile,
+    overrides: Overrides = None,
+    daq: Annotated[Literal["ni", "sound"], typer.Option("--daq", help="ni: a cDAQ; sound: a sound card")] = "sound",
+    card: Card = None,
+    out: Annotated[Path, typer.Option("--out", help="record for calibrate and study run")] = Path("loopback.json"),
+) -> None:
+    """Measure a device's latency and gain: a cable from its first output to the sensor's input."""
+    from ..measurement.loopback import write_loopback
+    from ..measurement.run import run_loopback
+
+    found = run_loopback(load_scenario(scenario, overrides=overrides or ()), daq=daq, card=card)
+    write_loopback(out, found)
+    typer.echo(
+        f"{found.device}: latency {found.latency:.2f} samples ({1e3 * found.seconds:.3f} ms, output and input "
+        f"together), gain {found.gain:.4g} V/V, no copy {100 * found.residual:.2g} %\n{out}"
+    )
 
 
 def compare(

@@ -79,6 +79,10 @@ def run(
     task: Annotated[str, typer.Option(help="of the study, e.g. identification")],
     consent: Annotated[str, typer.Option(help="date on which consent was signed; needed once per participant")] = "",
     daq: Annotated[Literal["virtual", "ni", "sound"], typer.Option(help="what plays")] = "virtual",
+    card: Annotated[str | None, typer.Option("--card", help="sound: name or number of the card")] = None,
+    cable: Annotated[
+        Path | None, typer.Option("--loopback", help="record of `forearm-fem loopback`, kept with the answers")
+    ] = None,
     data: Data = None,
     terminal: Annotated[bool, typer.Option("--terminal", help="ask in this terminal instead of on a page")] = False,
     host: Annotated[
@@ -87,13 +91,20 @@ def run(
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: a free one")] = 0,
 ) -> None:
     """Run a participant's session; the same command goes on where it stopped."""
+    from ..measurement.loopback import read_loopback
     from ..study.run import Prepared, require_study_extra, session_for
 
     require_study_extra()
     if not participant.isalnum() or len(participant) > 32:
         raise ScenarioError(f"--participant '{participant[:40]}': expected letters and digits only, e.g. 01")
     prepared = Prepared.of(file, data)
-    session, grid = session_for(prepared, participant, task, consent=consent, daq=daq)
+    kept = None if cable is None else read_loopback(cable)
+    session, grid = session_for(prepared, participant, task, consent=consent, daq=daq, card=card, cable=kept)
+    if session.back_end.latency_basis == "unknown":
+        console.print(
+            "note: the device's latency was not measured and is kept as unknown; `forearm-fem loopback` measures it",
+            highlight=False, soft_wrap=True,
+        )  # fmt: skip
     if terminal:
         from ..study.terminal import run_in_terminal
 
@@ -146,10 +157,12 @@ def analyse(
     require_study_extra()
     prepared = Prepared.of(file, data)
     grid = prepared.grid()
+    devices: list[dict[str, str]] | None = None
     if table is not None:
         answers = {prepared.study.tasks[0].name: foreign_table(table, columns or (), grid)}
     else:
         store, answers = prepared.store(), {}
+        devices = store.devices()
         for task in prepared.study.tasks:
             try:
                 answers[task.name] = answers_of(store, task.name)
@@ -159,21 +172,26 @@ def analyse(
             raise DataError(f"{prepared.folder}: there are no answers to analyse")
     with noted():
         page = write_analysis(
-            prepared.study, answers, grid, prepared.folder, correction=correction, compare_with_thesis=thesis
-        )
+            prepared.study, answers, grid, prepared.folder, correction=correction, compare_with_thesis=thesis,
+            devices=devices,
+        )  # fmt: skip
     typer.echo(str(page))
 
 
 @app.command()
 def rehearse(
     file: StudyFile,
-    transfer: Annotated[Path, typer.Option(help="G that all simulated participants share, e.g. a results folder")],
+    transfer: Annotated[
+        Path,
+        typer.Option(help="G that all simulated participants share; of a results folder they feel the whole skin"),
+    ],
     participants: Annotated[int, typer.Option(min=1, max=1000)] = 20,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     data: Annotated[Path | None, typer.Option("--data", help="default NAME-rehearsal beside the file")] = None,
 ) -> None:
     """Let simulated participants do the study: to try the analysis, never as a prediction of people."""
     from ..io.recognise import read_measured
+    from ..study.field import field_for
     from ..study.percept import Percept
     from ..study.run import Prepared, require_study_extra
     from ..study.run import rehearse as run_rehearsal
@@ -182,10 +200,13 @@ def rehearse(
     require_study_extra()
     prepared = Prepared.of(file)
     folder = data or file.parent / f"{prepared.study.name}-rehearsal"
+    field = field_for(transfer)
+    if field is None:
+        console.print("note: only the grid points' motion is known; skin between and under actuators is not felt")
     with Display() as display, noted():
         run_rehearsal(
-            Prepared.of(file, folder), read_measured(transfer_file(transfer)), participants, Percept(), seed=seed,
-            progress=display,
+            Prepared.of(file, folder), read_measured(transfer_file(transfer)), participants, Percept(), field=field,
+            seed=seed, progress=display,
         )  # fmt: skip
     typer.echo(f"{folder}: `forearm-fem study analyse {file} --data {folder}` analyses it")
 

@@ -39,13 +39,14 @@ class Step:
 @dataclass(frozen=True)
 class Plan:
     """What is to be measured: ports, sweep and options; ``inputs`` are the actuators in the order of the
-    outputs' wiring.
+    outputs' wiring. ``latency_basis`` says how the device's latency is known.
     """
 
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
     sweep: ExponentialSweep
     options: MeasurementOptions
+    latency_basis: str = "unknown"
 
     def __post_init__(self) -> None:
         wired = self.options.daq.outputs
@@ -240,5 +241,6 @@ def assembled(plan: Plan, entries: Sequence[Entry], device: str) -> Measured:
         "setup": digest_of(plan.description),
         "measurement": plan.options.model_dump(mode="json"),
         "sweep": vars(plan.sweep),
+        "latency_basis": plan.latency_basis,
     }
     return assemble(entries, plan.outputs, plan.inputs, provenance)

@@ -17,20 +17,22 @@ from ..io.wav import read_wav_drives
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario
-from ..scenario.measurement import MeasurementOptions, SensorOptions
+from ..scenario.measurement import DaqOptions, MeasurementOptions, SensorOptions
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .calibrate import Plan, Step, assembled, calibrate
-from .daq import Daq
+from .daq import Daq, Wiring
 from .entry import Measured
+from .loopback import Loopback, check_belongs, corrected, loopback
 from .ni import NiDaq
 from .play import Played, play
+from .sound import SoundCard
 from .sweep import ExponentialSweep
 from .virtual import VirtualDaq, VirtualOptions, VirtualSensor, noise_for
 
-__all__ = ["CalibrationResult", "VirtualSetup", "run_calibration", "run_play"]
+__all__ = ["CalibrationResult", "VirtualSetup", "hardware", "run_calibration", "run_loopback", "run_play", "wired"]
 
-DaqKind = Literal["virtual", "ni"]
+DaqKind = Literal["virtual", "ni", "sound"]
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,9 @@ def run_calibration(
     folder: str | Path,
     *,
     daq: DaqKind | Daq = "virtual",
+    card: str | None = None,
     virtual: VirtualSetup | None = None,
+    cable: Loopback | None = None,
     operator: Callable[[str], bool] | None = None,
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
@@ -70,12 +74,14 @@ def run_calibration(
 ) -> CalibrationResult:
     """Calibrate ``scenario``'s device into ``folder``; running it again resumes.
 
-    ``virtual`` is needed for daq = "virtual". After each entry ``folder/live.png`` is redrawn (unless
-    ``figure`` is False); at the end ``folder/transfer.nc`` holds G. Raises ScenarioError, DataError or
+    ``virtual`` is needed for daq = "virtual"; ``card`` names a sound card, and ``cable`` is the loopback whose latency
+    and gain are taken off G: a sound card needs it, or a loopback channel. After each entry ``folder/live.png`` is
+    redrawn (unless ``figure`` is False); at the end ``folder/transfer.nc`` holds G. Raises ScenarioError, DataError or
     HardwareError in one sentence.
     """
-    plan = calibration_plan(scenario, virtual if daq == "virtual" else None)
-    device = daq if not isinstance(daq, str) else _device(daq, plan, virtual)
+    plan = calibration_plan(scenario, virtual if daq == "virtual" else None, kind=daq)
+    device = daq if not isinstance(daq, str) else _device(daq, plan, virtual, card)
+    plan = _timed(plan, daq, device, cable)
     target = Path(folder)
 
     def after(step: Step) -> None:
@@ -91,9 +97,69 @@ def run_calibration(
     return CalibrationResult(measured, target / "transfer.nc", target / "live.png")
 
 
-def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None) -> Plan:
+def _timed(plan: Plan, kind: DaqKind | Daq, device: Daq, cable: Loopback | None) -> Plan:
+    """``plan`` with what is known of the device's latency, and on what ground; HardwareError for a sound card of which
+    nothing is known."""
+    daq = plan.options.daq
+    if kind == "virtual":
+        return replace(plan, latency_basis="known")
+    if daq.loopback is not None:
+        return replace(plan, latency_basis="measured with every recording")
+    if cable is not None:
+        check_belongs(cable, device, plan.sweep.sample_rate)
+        basis = f"measured by a cable, {cable.taken}"
+        return replace(plan, options=corrected(plan.options, cable), latency_basis=basis)
+    if daq.latency:
+        return replace(plan, latency_basis="declared")
+    if kind == "sound":
+        raise HardwareError(
+            "a sound card's latency is unknown, and G would turn with it; measure it with a cable (`forearm-fem "
+            "loopback SCENARIO --daq sound`) and give --loopback FILE, or wire measurement.daq.loopback"
+        )
+    return plan
+
+
+def run_loopback(scenario: Scenario, *, daq: Literal["ni", "sound"] | Daq, card: str | None = None) -> Loopback:
+    """Latency and gain of a device whose first output is wired to its first input (the sensor's).
+
+    Raises HardwareError in one sentence, also where the cable is missing.
+    """
+    options = scenario.measurement.daq
+    if isinstance(daq, str):
+        options = wired(options, len(options.outputs), daq)
+    device = hardware(daq, options, card) if isinstance(daq, str) else daq
+    level = min(0.1, options.max_voltage / options.amplifier_gain, options.output_range)
+    wiring = Wiring(
+        scenario.sweep.sample_rate, options.outputs, (options.sensor,), options.input_range, options.output_range,
+        options.block, options.clock,
+    )  # fmt: skip
+    return loopback(device, wiring, level=level)
+
+
+def wired(options: DaqOptions, count: int, kind: DaqKind | Daq) -> DaqOptions:
+    """``options`` with channels as ``kind`` numbers them: a sound card's are "1", "2", ... unless the scenario says so.
+
+    HardwareError unless there is a channel for each of ``count`` actuators.
+    """
+    if kind == "sound" and not all(c.isdigit() for c in options.outputs):
+        names = {"outputs": tuple(str(i + 1) for i in range(count)), "sensor": "1"}
+        options = options.model_copy(update=names if options.loopback is None else names | {"loopback": "2"})
+    if len(options.outputs) != count:
+        raise HardwareError(f"measurement.daq.outputs names {len(options.outputs)} channels, G has {count} actuators")
+    return options
+
+
+def hardware(kind: Literal["ni", "sound"], options: DaqOptions, card: str | None = None) -> Daq:
+    """The device of a kind; ``card`` is a sound card's name or number (None: the system's default)."""
+    if kind == "ni":
+        return NiDaq(options.block, input_range=options.input_range)
+    chosen = int(card) if card is not None and card.isdigit() else card
+    return SoundCard(options.block, chosen, volts_out=options.output_range, volts_in=options.input_range)
+
+
+def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None, *, kind: DaqKind | Daq = "ni") -> Plan:
     """Ports, sweep and options of ``scenario``; a virtual device brings its G's ports, and a sensor if none
-    is declared.
+    is declared; a sound card (``kind``) numbers its channels.
     """
     options = scenario.measurement
     if virtual is None:
@@ -104,10 +170,12 @@ def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None) ->
                 "measuring: quantity = displacement, "
                 "velocity or acceleration, and sensitivity in V per SI unit"
             )
+        channels = wired(options.daq, len(inputs), kind)
+        options = options.model_copy(update={"daq": channels})
         return Plan(outputs, inputs, ExponentialSweep.of(scenario), options)
-    wired = tuple(f"virtual/ao{i}" for i in range(len(virtual.transfer.inputs)))
+    names = tuple(f"virtual/ao{i}" for i in range(len(virtual.transfer.inputs)))
     latency = virtual.latency / scenario.sweep.sample_rate
-    daq = options.daq.model_copy(update={"outputs": wired, "latency": latency})
+    daq = options.daq.model_copy(update={"outputs": names, "latency": latency})
     sensor = _declared(options.sensor)
     return Plan(
         virtual.transfer.outputs,
@@ -138,11 +206,9 @@ def planform_ports(scenario: Scenario) -> tuple[tuple[Port, ...], tuple[Port, ..
     return outputs, inputs
 
 
-def _device(kind: str, plan: Plan, virtual: VirtualSetup | None) -> Daq:
-    if kind == "ni":
-        return NiDaq(plan.options.daq.block, input_range=plan.options.daq.input_range)
+def _device(kind: DaqKind, plan: Plan, virtual: VirtualSetup | None, card: str | None = None) -> Daq:
     if kind != "virtual":
-        raise ScenarioError(f"--daq expects virtual or ni, got '{kind}'")
+        return hardware(kind, plan.options.daq, card)
     if virtual is None:
         raise ScenarioError("a virtual calibration needs a G to play through: simulate first, or name a transfer file")
     return virtual_device(plan, virtual)
@@ -169,6 +235,7 @@ def run_play(
     drives: str | Path,
     *,
     daq: DaqKind | Daq = "virtual",
+    card: str | None = None,
     virtual: VirtualSetup | None = None,
     method: str | None = None,
     target: str | None = None,
@@ -191,8 +258,8 @@ def run_play(
             f"{scenario.sweep.sample_rate:g} Hz; "
             "render them at that rate"
         )
-    plan = calibration_plan(scenario, virtual if daq == "virtual" else None)
-    device = daq if not isinstance(daq, str) else _device(daq, plan, virtual)
+    plan = calibration_plan(scenario, virtual if daq == "virtual" else None, kind=daq)
+    device = daq if not isinstance(daq, str) else _device(daq, plan, virtual, card)
     if virtual is not None and daq == "virtual":
         device.aim(virtual.transfer.outputs[0].name)
     return play(

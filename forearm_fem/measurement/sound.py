@@ -1,9 +1,9 @@
 """A multichannel sound card as a measurement device, through the package ``sounddevice`` (extra "audio").
 
 Outputs are named "1", "2", ... (channels of the card), inputs likewise. A card counts in full scale: ``volts_out`` and
-``volts_in`` say what full scale is at the terminals; they must be measured (:func:`loopback`), as cards do not tell.
+``volts_in`` say what full scale is at the terminals; a voltmeter tells them, cards do not.
 Blocks are written and read on one stream, so that both share the card's clock; what comes back lags by the card's
-latency, which the loopback measures and the scenario's ``measurement.daq.latency`` then takes off.
+latency, which :mod:`.loopback` measures and takes off.
 Tried with a stand-in for ``sounddevice`` of known latency and gain; not yet with a card.
 """
 
@@ -11,15 +11,13 @@ from __future__ import annotations
 
 import importlib
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.signal import chirp, correlate
 
 from ..errors import HardwareError, MissingExtra
 from ..typing import FloatArray
-from .daq import Daq, Session, Wiring, faded
+from .daq import Wiring
 
 _QUEUED = 2  # silent blocks ahead of the signal, so that a slow computer does not interrupt it
 
@@ -118,50 +116,6 @@ class SoundCard:
             with suppress(Exception):
                 self._stream.close()
         self._stream = self._wiring = None
-
-
-@dataclass(frozen=True)
-class Loopback:
-    """What a cable from output to input shows: ``latency`` [samples], ``gain`` [V/V], ``residual`` [-], the part of
-    what came back that is no delayed copy of what was sent."""
-
-    latency: float
-    gain: float
-    residual: float
-
-
-def loopback(daq: Daq, wiring: Wiring, *, level: float = 0.1, seconds: float = 1.0) -> Loopback:
-    """Send a chirp of ``level`` [V] over the first output and find it on the first input.
-
-    The latency is that of the cross-correlation's peak, its fraction by a parabola through three samples. Raises
-    HardwareError where nothing like the chirp comes back (no cable, or another channel).
-    """
-    n = round(seconds * wiring.sample_rate)
-    sent = np.zeros((len(wiring.outputs), 2 * n))
-    t = np.arange(n) / wiring.sample_rate
-    wave = level * chirp(t, 50.0, t[-1], 0.2 * wiring.sample_rate)
-    sent[0, :n] = faded(wave[None], n // 20)[0]
-    with Session(daq, wiring) as session:
-        got = session.play(sent, limit=wiring.output_range, fade=64).inputs[0]
-    likeness = correlate(got, sent[0], mode="full", method="fft")[2 * n - 1 :]
-    k = int(np.argmax(np.abs(likeness)))
-    shift = np.roll(sent[0], k)
-    gain = float(got @ shift / (shift @ shift))
-    heard = float(np.linalg.norm(got))
-    residual = float(np.linalg.norm(got - gain * shift)) / heard if heard > 0 else 1.0
-    if residual > 0.7:
-        raise HardwareError(
-            "the chirp did not come back: connect the first output to the first input with a cable, and check levels"
-        )
-    return Loopback(k + _vertex(np.abs(likeness), k), gain, residual)
-
-
-def _vertex(values: FloatArray, k: int) -> float:
-    """Where between samples a parabola through k - 1, k, k + 1 is highest [samples from k]."""
-    if not 0 < k < len(values) - 1:
-        return 0.0
-    a, b, c = values[k - 1 : k + 2]
-    return float((a - c) / (2 * (a - 2 * b + c))) if a - 2 * b + c < 0 else 0.0
 
 
 def _number(channels: tuple[str, ...], key: str) -> int:

@@ -97,6 +97,11 @@ class VirtualDaq:
         return 0.0 if self._options.bits == 0 else 2 * self._range / 2**self._options.bits
 
     @property
+    def latency(self) -> int:
+        """Delay of the sensor [samples]."""
+        return self._options.latency
+
+    @property
     def ahead(self) -> int:
         """Samples queued in the driver."""
         return self._options.ahead

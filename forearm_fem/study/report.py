@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import resources
 from pathlib import Path
@@ -42,8 +42,12 @@ class Analysed:
 def write_analysis(
     study: Study, answers: dict[str, pd.DataFrame], grid: Sequence[Port], folder: Path,
     *, correction: Correction = "bonferroni", compare_with_thesis: bool = False,
+    devices: Sequence[Mapping[str, str]] | None = None,
 ) -> Path:  # fmt: skip
-    """``analysis/report.html`` and its CSVs in ``folder``; ``answers`` are tables by task. Returns the page's path."""
+    """``analysis/report.html`` and its CSVs in ``folder``; ``answers`` are tables by task. Returns the page's path.
+
+    ``devices`` are the rows of ``devices.tsv``; None for somebody else's table.
+    """
     sections: list[Section] = []
     tables: dict[str, pd.DataFrame] = {}
     for task in study.tasks:
@@ -57,6 +61,8 @@ def write_analysis(
         )
         sections += done.sections
         tables |= done.tables
+    if devices is not None:
+        sections.append(_device_section(devices, answers))
     if compare_with_thesis:
         lines = [v.sentence for v in judged()]
         sections.append(Section("thesis", "Do the thesis' own degrees of freedom add up?", bullets=lines))
@@ -74,6 +80,34 @@ def write_analysis(
         out / "report.html", page.render(title=f"Study {study.name}", lead=lead, sections=sections, stamp=_SOURCE)
     )
     return out / "report.html"
+
+
+def _device_section(devices: Sequence[Mapping[str, str]], answers: Mapping[str, pd.DataFrame]) -> Section:
+    """What played, and what is known of its latency and level; sittings without a record are unknown."""
+    told = {(d["participant_id"].removeprefix("sub-"), d["task"], d["session"]) for d in devices}
+    sittings = {
+        (str(p), task, f"{s:g}")
+        for task, table in answers.items()
+        for p, s in table[["participant", "session"]].drop_duplicates().itertuples(index=False)
+    }
+    kinds: dict[tuple[str, ...], int] = {}
+    for d in devices:
+        key = (d["device"], _milliseconds(d["latency"]), d["latency_basis"], _or_unknown(d["gain"]), d["level_basis"])
+        kinds[key] = kinds.get(key, 0) + 1
+    if lost := len(sittings - told):
+        kinds[("unknown",) * 5] = lost
+    rows = [[device, str(n), latency, how, gain, level] for (device, latency, how, gain, level), n in kinds.items()]
+    head = ["device", "sittings", "latency, out and in", "how", "gain of a cable [V/V]", "level"]
+    note = "Response times run from the end of the stimulus as it was sent; a latency that is unknown is in them."
+    return Section("devices", "What played", Block(head, rows, note))
+
+
+def _milliseconds(text: str) -> str:
+    return "unknown" if text == "n/a" else f"{1e3 * float(text):.3g} ms"
+
+
+def _or_unknown(text: str) -> str:
+    return "unknown" if text == "n/a" else text
 
 
 def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Correction, *, several: bool) -> Analysed:

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pandas as pd
 
-from ..errors import DataError, HardwareError, MissingExtra
+from ..errors import DataError, MissingExtra
 from ..measurement.daq import Daq
-from ..measurement.ni import NiDaq
-from ..measurement.run import planform_ports
-from ..measurement.sound import SoundCard
+from ..measurement.loopback import Loopback, check_belongs
+from ..measurement.run import DaqKind, hardware, planform_ports, wired
 from ..measurement.virtual import VirtualDaq, VirtualOptions
 from ..pipeline.renderers import wavelet
 from ..ports import Port
@@ -24,13 +22,13 @@ from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario, load_scenario
 from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix
-from .percept import Percept, SimulatedParticipant
+from .devices import SIMULATED, BackEnd, back_end
+from .field import SkinField, grid_field
+from .percept import Felt, Percept, SimulatedParticipant
 from .plan import Study, load_study
 from .session import Given, Player, Presented, Session
 from .stimuli import DevicePlayer, Stimulus, stimuli_for, transfer_of
 from .store import Store
-
-DaqKind = Literal["virtual", "ni", "sound"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,50 +64,49 @@ class Prepared:
 
 
 def session_for(
-    prepared: Prepared, participant: str, task: str, *, consent: str = "", daq: DaqKind | Daq = "virtual"
-) -> tuple[Session, tuple[Port, ...]]:
+    prepared: Prepared, participant: str, task: str, *, consent: str = "", daq: DaqKind | Daq = "virtual",
+    card: str | None = None, cable: Loopback | None = None,
+) -> tuple[Session, tuple[Port, ...]]:  # fmt: skip
     """A session of an enrolled (or now enrolled) participant, with the grid; the task's earlier answers are kept.
 
-    Raises ScenarioError, DataError or HardwareError in one sentence for whatever prevents it.
+    ``cable`` is the loopback measured of the device, kept with the answers. Raises ScenarioError, DataError or
+    HardwareError in one sentence for whatever prevents it.
     """
     asked = prepared.study.task(task)
     transfer = transfer_of(prepared.study, prepared.base, participant)
     stimuli = prepared.stimuli(transfer)
-    player = device_player(prepared, transfer, stimuli, daq)
+    player, plays = device_player(prepared, transfer, stimuli, daq, card=card, cable=cable)
     store = prepared.store()
     store.enrol(participant, consent=consent, added=datetime.now(UTC).date().isoformat())
-    return Session(store, participant, asked, transfer.outputs, player), transfer.outputs
+    return Session(store, participant, asked, transfer.outputs, player, back_end=plays), transfer.outputs
 
 
 def device_player(
-    prepared: Prepared, transfer: TransferMatrix, stimuli: dict[tuple[str, str], Stimulus], daq: DaqKind | Daq
-) -> DevicePlayer:
-    """A player through the virtual device, NI hardware, a sound card, or a device of one's own."""
+    prepared: Prepared, transfer: TransferMatrix, stimuli: dict[tuple[str, str], Stimulus], daq: DaqKind | Daq,
+    *, card: str | None = None, cable: Loopback | None = None,
+) -> tuple[DevicePlayer, BackEnd]:  # fmt: skip
+    """A player through the virtual device, NI hardware, a sound card, or a device of one's own; what is known of it."""
     options = prepared.scenario.measurement.daq
     rate = prepared.wavelet.record.sample_rate
     if isinstance(daq, str):
-        options = _wired(options, transfer, daq)
-        daq = _device(daq, options, transfer, prepared.wavelet)
-    return DevicePlayer(daq, stimuli, rate, options, prepared.study.stimuli)
+        options = _channels(options, transfer, daq)
+        daq = _device(daq, options, transfer, prepared.wavelet, card)
+    if cable is not None:
+        check_belongs(cable, daq, rate)
+    player = DevicePlayer(daq, stimuli, rate, options, prepared.study.stimuli)
+    return player, back_end(daq, options, rate, cable)
 
 
-def _wired(options: DaqOptions, transfer: TransferMatrix, daq: DaqKind) -> DaqOptions:
-    """The scenario's channels; a virtual device has its own, a sound card numbers them."""
-    n = len(transfer.inputs)
+def _channels(options: DaqOptions, transfer: TransferMatrix, daq: DaqKind) -> DaqOptions:
+    """The scenario's channels; a virtual device has its own."""
     if daq == "virtual":
-        return options.model_copy(update={"outputs": tuple(f"virtual/ao{i}" for i in range(n))})
-    if daq == "sound" and not all(c.isdigit() for c in options.outputs):
-        return options.model_copy(update={"outputs": tuple(str(i + 1) for i in range(n)), "sensor": "1"})
-    if len(options.outputs) != n:
-        raise HardwareError(f"measurement.daq.outputs names {len(options.outputs)} channels, G has {n} actuators")
-    return options
+        return options.model_copy(update={"outputs": tuple(f"virtual/ao{i}" for i in range(len(transfer.inputs)))})
+    return wired(options, len(transfer.inputs), daq)
 
 
-def _device(kind: DaqKind, options: DaqOptions, transfer: TransferMatrix, wave: Wavelet) -> Daq:
-    if kind == "ni":
-        return NiDaq(options.block, input_range=options.input_range)
-    if kind == "sound":
-        return SoundCard(options.block, volts_out=options.output_range, volts_in=options.input_range)
+def _device(kind: DaqKind, options: DaqOptions, transfer: TransferMatrix, wave: Wavelet, card: str | None) -> Daq:
+    if kind != "virtual":
+        return hardware(kind, options, card)
     record = wave.record
     device = VirtualDaq(transfer, record.sample_rate, record.n / record.sample_rate, VirtualOptions())
     device.aim(transfer.outputs[0].name)
@@ -152,26 +149,30 @@ def rehearse(
     participants: int,
     percept: Percept,
     *,
+    field: SkinField | None = None,
     seed: int = 0,
     through_device: bool = False,
     progress: Progress | None = None,
 ) -> Store:
     """Let simulated participants do every task of the study; their answers look like anybody's, marked in ``note``.
 
-    All share one G here. ``through_device`` plays every stimulus through the virtual device too (slower).
+    All share one G here; ``field`` is the skin's motion that belongs to it, the grid points' alone where there is none.
+    ``through_device`` plays every stimulus through the virtual device too (slower).
     """
     store, stimuli = prepared.store(), prepared.stimuli(transfer)
-    player: Player = device_player(prepared, transfer, stimuli, "virtual") if through_device else _silent(prepared)
-    places = np.array([p.position[:2] for p in transfer.outputs])
+    player: Player
+    player, plays = _silent(prepared), SIMULATED
+    if through_device:
+        player, plays = device_player(prepared, transfer, stimuli, "virtual")
+    record = prepared.wavelet.record
+    felt = Felt.of(field or grid_field(transfer), stimuli, record.sample_rate, record.n / record.sample_rate)
     today = datetime.now(UTC).date().isoformat()
     for k in range(participants):
         name, rng = f"{k + 1:02d}", np.random.default_rng([seed, k])
         store.enrol(name, consent=today, added=today, note="simulated")
-        person = SimulatedParticipant(
-            percept.varied(rng), stimuli, prepared.wavelet.record.sample_rate, places, transfer.outputs, rng
-        )
+        person = SimulatedParticipant(percept.varied(rng), felt, transfer.outputs, rng)
         for task in prepared.study.tasks:
-            _answer_all(Session(store, name, task, transfer.outputs, player, _Clock()), person)
+            _answer_all(Session(store, name, task, transfer.outputs, player, _Clock(), back_end=plays), person)
         tell(progress, "simulated participants", k + 1, participants)
     return store
 
@@ -195,9 +196,7 @@ def answer_of(person: SimulatedParticipant, kind: str, method: str, target: str,
         return Given(points=(person.one_point(method, target),))
     if kind == "several points":
         return Given(points=person.several_points(method, target))
-    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return Given(strokes=person.place(method, target) + 0.5 * person.percept.blur * circle)
+    return Given(strokes=person.outline(method, target))
 
 
 def _silent(prepared: Prepared) -> Player:

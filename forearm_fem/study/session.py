@@ -18,6 +18,7 @@ from ..errors import DataError, ForearmError
 from ..ports import Port
 from ..typing import FloatArray
 from .adaptive import Track
+from .devices import BackEnd
 from .order import Trial, trials
 from .plan import Task
 from .store import Store
@@ -61,6 +62,8 @@ class Session:
         grid: Sequence[Port],
         player: Player,
         clock: Callable[[], float] = time.monotonic,
+        *,
+        back_end: BackEnd | None = None,
     ) -> None:
         self._store, self.participant, self.task, self._player, self._clock = store, participant, task, player, clock
         self._places = {p.name: np.array(p.position[:2]) for p in grid}
@@ -73,7 +76,9 @@ class Session:
         self._number = 1 + max((int(r["session"]) for r in done), default=0)
         self._track = Track.of(task, done)
         self._waiting: Waiting = "done" if self._answered == len(self._trials) else "start"
-        self._begun, self._presented, self._last = clock(), 0, Presented(0.0, 0.0)
+        played = max((float(r["onset"]) + float(r["duration"]) for r in done), default=0.0)
+        self._begun, self._presented, self._last = clock() - played, 0, Presented(0.0, 0.0)
+        self.back_end, self._told = back_end or BackEnd("unknown", float("nan")), False
         self._onset = self._over = self._break_until = self._level = 0.0
         self.problem = ""
 
@@ -162,11 +167,19 @@ class Session:
                 "response_time": seconds, "late": int(limit is not None and seconds > limit),
                 "presentations": self._presented, "peak_voltage": self._last.peak_voltage, "session": self._number,
             }  # fmt: skip
+            self._tell_device()
             self._store.add(self.participant, self.task.name, row)
             if self._track:
                 self._track.update(trial, self._level, bool(given.yes))
             self._answered, self._presented = self._answered + 1, 0
             self._waiting = self._after(trial)
+
+    def _tell_device(self) -> None:
+        """What plays at this sitting, on disk before the sitting's first answer."""
+        if not self._told:
+            who = {"participant_id": f"sub-{self.participant}", "task": self.task.name, "session": self._number}
+            self._store.add_device(who | self.back_end.row)
+            self._told = True
 
     def _after(self, trial: Trial) -> Waiting:
         following = self.current
@@ -185,7 +198,9 @@ class Session:
             return {"response": "yes" if given.yes else "no"}
         if kind == "drawing":
             centre, area = _outline(given.strokes)
-            return {"response_x": float(centre[0]), "response_y": float(centre[1]), "response_area": area}
+            drawn = " ".join(f"{1e3 * x:.2f},{1e3 * y:.2f}" for x, y in _thinned(given.strokes))
+            return {"response_x": float(centre[0]), "response_y": float(centre[1]), "response_area": area,
+                    "response_outline": drawn}  # fmt: skip
         names = tuple(dict.fromkeys(given.points))
         if not names or (kind == "one point" and len(names) > 1):
             raise DataError("choose one point" if kind == "one point" else "choose one point or more")
@@ -207,6 +222,13 @@ class Session:
 def _check_targets(targets: Sequence[str], places: dict[str, FloatArray]) -> None:
     if missing := [t for t in targets if t not in places]:
         raise DataError(f"stimuli.targets: '{missing[0]}' is no output of G; it has {', '.join(places)}")
+
+
+def _thinned(strokes: FloatArray | None, most: int = 200) -> FloatArray:
+    """At most so many points of a line (n, 2), evenly chosen."""
+    points = np.asarray(strokes, dtype=float)
+    kept = np.unique(np.linspace(0, len(points) - 1, min(len(points), most)).round().astype(int))
+    return np.asarray(points[kept])
 
 
 def _outline(strokes: FloatArray | None) -> tuple[FloatArray, float]:

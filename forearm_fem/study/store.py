@@ -1,8 +1,9 @@
 """What a study leaves on disk: tables in the manner of BIDS, one line per answer, safe before the next stimulus plays.
 
-``participants.tsv`` (pseudonyms, consent, status), and per participant ``sub-ID_task-NAME_events.tsv`` with a data
-dictionary beside it. Lines are appended and flushed to the disk; a line cut short by a power failure is taken off when
-the file is opened again, so its trial is presented anew and nothing stands there twice.
+``participants.tsv`` (pseudonyms, consent, status), per participant ``beh/sub-ID_task-NAME_events.tsv`` with a data
+dictionary beside it, and ``devices.tsv``: what played at each sitting, and what is known of its latency and level.
+Lines are appended and flushed to the disk; a line cut short by a power failure is taken off when the file is opened
+again, so its trial is presented anew and nothing stands there twice.
 """
 
 from __future__ import annotations
@@ -11,17 +12,19 @@ import csv
 import io
 import json
 import os
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .. import __version__
 from ..errors import DataError
 from ..io.atomic import write_text
 from .plan import Study
 
 EVENTS: Mapping[str, str] = {
-    "onset": "start of the stimulus since the session began [s]",
+    "onset": "start of the stimulus since the first sitting began, the time between sittings left out [s]",
     "duration": "length of the stimulus [s]",
     "trial": "number within the task, from 1",
     "phase": "training or main",
@@ -30,17 +33,43 @@ EVENTS: Mapping[str, str] = {
     "target": "grid point aimed at",
     "repetition": "of this method at this target, from 1",
     "level": "level of the stimulus re its own [dB]",
-    "response": "grid points answered, separated by spaces; yes or no; n/a for a drawing",
+    "response": "grid points answered, separated by spaces; yes or no; first or second; n/a for a drawing",
     "response_x": "centre of the answer along the limb [m]; mean of the points, centroid of a drawing",
     "response_y": "centre of the answer across the limb [m]",
     "response_area": "area drawn [m2]; n/a for points",
+    "response_outline": "outline drawn: x,y pairs along and across the limb [mm], separated by spaces; n/a for points",
     "response_time": "from the end of the stimulus to the answer [s]",
     "late": "1 where the answer came after answer_seconds",
     "presentations": "times the stimulus was played before the answer counted (1 unless repeated or resumed)",
     "peak_voltage": "largest drive at an actuator [V]",
     "session": "number of the sitting in which it was answered, from 1",
 }
-_PEOPLE = ("participant_id", "consent", "status", "added", "note")
+_PEOPLE: Mapping[str, str] = {
+    "participant_id": "pseudonym",
+    "consent": "date on which consent was signed",
+    "status": "active or withdrawn",
+    "added": "date of enrolment",
+    "note": "simulated for simulated participants",
+}
+DEVICES: Mapping[str, str] = {
+    "participant_id": "pseudonym",
+    "task": "of the study",
+    "session": "number of the sitting, from 1, as in the events",
+    "device": "what played",
+    "sample_rate": "of the stimuli [Hz]",
+    "latency": "output and input together [s]; n/a: unknown",
+    "latency_basis": "known, measured, declared or unknown",
+    "gain": "what a cable returns over what was sent [V/V]; n/a: unknown",
+    "full_scale": "of the outputs [V]",
+    "level_basis": "known, declared (the scenario's full scale) or declared and checked by a cable",
+}
+_NUMBERS = ("onset", "duration", "response_time")  # BIDS itself says that they are numbers
+_IGNORED = ("study.json", "devices.tsv", "devices.json", "analysis/", "*.png")
+_README = """Study "{name}", run with forearm_fem {version}.
+
+participants.tsv holds pseudonyms, sub-*/beh the answers of each task with their dictionaries, devices.tsv what played
+and what is known of its latency and level, study.json the study as it was when data were first taken.
+"""
 
 
 @dataclass(frozen=True)
@@ -57,10 +86,13 @@ class Store:
         kept = store.folder / "study.json"
         if not kept.exists():
             about = {"Name": study.name, "BIDSVersion": "1.10.0", "DatasetType": "raw",
-                     "GeneratedBy": [{"Name": "forearm_fem"}]}  # fmt: skip
+                     "GeneratedBy": [{"Name": "forearm_fem", "Version": __version__}]}  # fmt: skip
             write_text(store.folder / "dataset_description.json", json.dumps(about, indent=2))
+            write_text(store.folder / "README", _README.format(name=study.name, version=__version__))
+            write_text(store.folder / ".bidsignore", "\n".join(_IGNORED) + "\n")
+            write_text(store.folder / "participants.json", _dictionary(_PEOPLE))
             write_text(kept, text)
-        elif json.loads(kept.read_text(encoding="utf-8")) != json.loads(text):
+        elif Study.model_validate_json(kept.read_text(encoding="utf-8")) != study:
             raise DataError(
                 f"{store.folder}: the study file was changed after data were taken; put it back, or give the new one "
                 "a folder of its own"
@@ -69,7 +101,7 @@ class Store:
 
     def people(self) -> list[dict[str, str]]:
         """Rows of ``participants.tsv``."""
-        return read_table(self.folder / "participants.tsv", _PEOPLE)
+        return read_table(self.folder / "participants.tsv", tuple(_PEOPLE))
 
     def enrol(self, participant: str, *, consent: str, added: str, note: str = "") -> None:
         """Add a participant once; DataError without recorded consent, or where the pseudonym was withdrawn."""
@@ -82,48 +114,83 @@ class Store:
         if not consent:
             raise DataError(f"{name}: no consent is recorded; give its date, e.g. --consent 2026-11-24")
         row = {"participant_id": name, "consent": consent, "status": "active", "added": added, "note": note}
-        _append(self.folder / "participants.tsv", _PEOPLE, row)
+        _append(self.folder / "participants.tsv", tuple(_PEOPLE), row)
 
     def withdraw(self, participant: str) -> None:
         """Delete a participant's answers and mark the pseudonym; nothing of what was answered is kept."""
         rows, name = self.people(), f"sub-{participant}"
         if name not in {r["participant_id"] for r in rows}:
             raise DataError(f"{name} is no participant of {self.folder}")
-        for file in sorted((self.folder / name).glob("*"), reverse=True):
-            file.unlink()
-        if (self.folder / name).is_dir():
-            (self.folder / name).rmdir()
+        if (self.folder / name).exists():
+            shutil.rmtree(self.folder / name)
+        if kept := [r for r in self.devices() if r["participant_id"] != name]:
+            write_text(self.folder / "devices.tsv", _table(tuple(DEVICES), kept))
+        else:
+            (self.folder / "devices.tsv").unlink(missing_ok=True)
         changed = [{**r, "status": "withdrawn", "note": ""} if r["participant_id"] == name else r for r in rows]
-        write_text(self.folder / "participants.tsv", _table(_PEOPLE, changed))
+        write_text(self.folder / "participants.tsv", _table(tuple(_PEOPLE), changed))
 
     def events_file(self, participant: str, task: str) -> Path:
-        """Where the answers of a participant to a task lie."""
-        return self.folder / f"sub-{participant}" / f"sub-{participant}_task-{task}_events.tsv"
+        """Where the answers of a participant to a task lie; those of 0.14.0 lie one folder higher and stay there."""
+        name = f"sub-{participant}_task-{task}_events.tsv"
+        older = self.folder / f"sub-{participant}" / name
+        return older if older.exists() else older.parent / "beh" / name
 
     def answers(self, participant: str, task: str) -> list[dict[str, str]]:
         """Answered trials in the order in which they came."""
-        return read_table(self.events_file(participant, task), tuple(EVENTS))
+        return read_table(self.events_file(participant, task), tuple(EVENTS), optional=("response_outline",))
 
     def add(self, participant: str, task: str, row: Mapping[str, Any]) -> None:
         """Append one answer; on the disk when this returns. DataError where it cannot be written."""
         file = self.events_file(participant, task)
         if not file.exists():
-            dictionary = {name: {"Description": text} for name, text in EVENTS.items()}
-            write_text(file.with_suffix(".json"), json.dumps(dictionary, indent=2))
-        _append(file, tuple(EVENTS), row)
+            write_text(file.with_suffix(".json"), _dictionary(EVENTS))
+        columns = _columns_of(file) or tuple(EVENTS)
+        _append(file, columns, {k: v for k, v in row.items() if k in columns or k not in EVENTS})
+
+    def add_device(self, row: Mapping[str, Any]) -> None:
+        """Record what plays at a sitting, before its first answer."""
+        if not (self.folder / "devices.tsv").exists():
+            write_text(self.folder / "devices.json", _dictionary(DEVICES))
+        _append(self.folder / "devices.tsv", tuple(DEVICES), row)
+
+    def devices(self) -> list[dict[str, str]]:
+        """Rows of ``devices.tsv``; none for studies of 0.14.0."""
+        return read_table(self.folder / "devices.tsv", tuple(DEVICES))
 
 
-def read_table(file: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Rows of a table of our own, a last line that was cut short taken off the file; none where there is no file."""
+def _dictionary(columns: Mapping[str, str]) -> str:
+    """A data dictionary in the manner of BIDS: description and unit of each column."""
+    told: dict[str, dict[str, str]] = {}
+    for name, text in columns.items():
+        unit = text.rpartition("[")[2].partition("]")[0] if text.partition(";")[0].endswith("]") else ""
+        told[name] = {"Description": text} | ({"Units": unit} if unit else {})
+        told[name] |= {"Format": "number"} if name in _NUMBERS else {}
+    return json.dumps(told, indent=2, ensure_ascii=False)
+
+
+def _columns_of(file: Path) -> tuple[str, ...]:
+    """Header of a table that is there already: one begun by an earlier version keeps its columns."""
+    if not file.exists():
+        return ()
+    with file.open(encoding="utf-8") as stream:
+        return tuple(stream.readline().rstrip("\n").split("\t"))
+
+
+def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = ()) -> list[dict[str, str]]:
+    """Rows of a table of our own, a last line that was cut short taken off the file; none where there is no file.
+
+    ``optional`` columns, which an earlier version did not write, are n/a where they are missing.
+    """
     if not file.exists():
         return []
     _take_off_torn_line(file)
     text = file.read_text(encoding="utf-8")
     rows = list(csv.DictReader(io.StringIO(text), delimiter="\t", quoting=csv.QUOTE_NONE))
     for number, row in enumerate(rows, start=2):
-        if set(row) != set(columns) or any(v is None for v in row.values()):
+        if set(row) | set(optional) != set(columns) or any(v is None for v in row.values()):
             raise DataError(f"{file}, line {number}: its columns are not those of the header; mend it")
-    return rows
+    return [{c: row.get(c, "n/a") for c in columns} for row in rows]
 
 
 def _take_off_torn_line(file: Path) -> None:
