@@ -10,6 +10,7 @@ import time
 import urllib.request
 
 import pytest
+from test_study_records import strength
 from test_study_session import GRID, opened, small
 
 from forearm_fem.errors import DataError, ScenarioError
@@ -83,6 +84,20 @@ def test_two_browsers_cannot_answer_one_trial_twice(client, session):
     assert client.post("/api/them/answer", json={"points": ["5"]}).status_code == 200
     assert client.post("/api/them/answer", json={"points": ["5"]}).status_code == 409
     assert len(session._store.answers("01", "places")) == 1
+
+
+def test_an_answer_from_a_page_out_of_date_is_not_taken_for_the_next_trial(client, session):
+    """A second window still shows trial 1 while trial 2 waits for its answer."""
+    for k in range(2):
+        client.post("/api/them/start")
+        client.post("/api/them/present")
+        if k == 0:
+            assert client.post("/api/them/answer", json={"points": ["5"], "answered": 0}).status_code == 200
+    late = client.post("/api/them/answer", json={"points": ["1"], "answered": 0})
+    assert late.status_code == 409
+    assert "was to trial 1, which is over" in late.json()["problem"]
+    assert client.post("/api/them/answer", json={"points": ["9"], "answered": 1}).status_code == 200
+    assert [r["response"] for r in session._store.answers("01", "places")] == ["5", "9"]
 
 
 def test_languages_and_own_texts(tmp_path):
@@ -215,6 +230,56 @@ def test_several_points_and_drawings_in_a_browser(browser, tmp_path):
     assert float(row["response_x"]) == pytest.approx(0.0, abs=1e-4)  # a pixel is 0.07 mm
     assert float(row["response_y"]) == pytest.approx(6e-3, abs=1e-4)
     assert float(row["response_area"]) == pytest.approx(64e-6, rel=0.03)
+
+
+def test_a_wrong_key_does_nothing(browser, session):
+    """Letters, numbers that are no point, and Enter before a choice: no answer, no error, the trial waits."""
+    with served(session) as (theirs, _):
+        page, problems = _page(browser, theirs)
+        page.keyboard.press("Space")
+        page.locator("#arm").wait_for(state="visible")
+        for key in ("x", "0", "Escape", "Enter", "F5x"[2]):
+            page.keyboard.press(key)
+        assert session.view()["waiting"] == "answer"
+        assert session.view()["answered"] == 0
+        page.keyboard.press("5")
+        page.locator("body[data-answered='1']").wait_for()
+        assert problems == []
+        page.close()
+
+
+def test_two_open_browsers_answer_each_trial_once(browser, session):
+    """The same address in two windows: whichever answers first counts, the other shows the next trial."""
+    with served(session) as (theirs, _):
+        pages = [_page(browser, theirs)[0] for _ in range(2)]
+        pages[0].keyboard.press("Space")
+        for page in pages:
+            page.locator("#arm").wait_for(state="visible")
+        pages[0].keyboard.press("5")
+        pages[1].keyboard.press("1")
+        for page in pages:
+            page.locator("body:not([data-answered='0'])").wait_for()
+            page.close()
+    rows = session._store.answers("01", "places")
+    assert [r["trial"] for r in rows] == [str(k + 1) for k in range(len(rows))]
+    assert rows[0]["response"] in ("5", "1")
+
+
+def test_which_felt_stronger_in_a_browser(browser, tmp_path):
+    pytest.importorskip("questplus")
+    session = opened(tmp_path, strength(trials=5))
+    with served(session) as (theirs, _):
+        page, problems = _page(browser, theirs)
+        page.keyboard.press("Space")
+        page.get_by_text("Which felt stronger").wait_for()
+        page.keyboard.press("2")
+        page.locator("body[data-answered='1']").wait_for()
+        page.get_by_text("Which felt stronger").wait_for()
+        page.locator("#go").click()
+        page.locator("body[data-answered='2']").wait_for()
+        assert problems == []
+        page.close()
+    assert [r["response"] for r in session._store.answers("01", "strength")] == ["second", "first"]
 
 
 def test_the_experimenter_pauses_and_the_participant_waits(browser, session):

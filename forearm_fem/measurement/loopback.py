@@ -122,8 +122,6 @@ def corrected(options: MeasurementOptions, found: Loopback) -> MeasurementOption
     sensor = options.sensor
     if sensor.sensitivity is not None:
         flipped = sensor.inverted != (found.gain < 0)
-        sensor = sensor.model_copy(
-            update={"sensitivity": sensor.sensitivity * abs(found.gain), "inverted": flipped}
-        )
+        sensor = sensor.model_copy(update={"sensitivity": sensor.sensitivity * abs(found.gain), "inverted": flipped})
     daq = options.daq.model_copy(update={"latency": found.seconds})
     return options.model_copy(update={"daq": daq, "sensor": sensor})

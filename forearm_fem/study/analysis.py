@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from matplotlib.path import Path
 
 from ..errors import DataError
 from ..ports import Port
@@ -72,7 +73,7 @@ def with_errors(table: pd.DataFrame, grid: Sequence[Port]) -> pd.DataFrame:
     """The main trials with ``target_x``, ``target_y`` [m], ``error`` [m] (eq. 10), ``points`` chosen and ``inside``.
 
     ``table`` has the columns of an events file and ``participant``. ``inside`` tells whether the target is among the
-    points chosen. DataError for a target that is no grid point.
+    points chosen, or inside the outline drawn. DataError for a target that is no grid point.
     """
     places = {p.name: p.position[:2] for p in grid}
     main = table[table["phase"] == "main"].copy()
@@ -86,7 +87,22 @@ def with_errors(table: pd.DataFrame, grid: Sequence[Port]) -> pd.DataFrame:
     chosen = main["response"].fillna("").astype(str).str.split()
     main["points"] = chosen.str.len()
     main["inside"] = [t in c for t, c in zip(targets, chosen, strict=True)]
+    if "response_outline" in main:
+        for index, text in main["response_outline"].dropna().items():
+            shape = Path(outline(str(text)) / 1e3)
+            main.loc[index, "inside"] = shape.contains_point(places[main.loc[index, "target"]])
     return main
+
+
+def outline(text: str) -> FloatArray:
+    """Points (n, 2) [mm] of an outline as an events file keeps it: "x,y x,y ..."; DataError for anything else."""
+    try:
+        points = np.array([[float(v) for v in pair.split(",")] for pair in text.split()])
+    except ValueError:
+        points = np.zeros(0)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise DataError(f"response_outline: expected pairs 'x,y' separated by spaces, got '{text[:40]}'")
+    return points
 
 
 def ellipses(table: pd.DataFrame) -> tuple[Ellipse, ...]:

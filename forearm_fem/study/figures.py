@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse as Patch
+from matplotlib.path import Path
 
 from ..figures.style import FAINT, INK, letter, method_colour, styled
 from ..ports import Port
 from ..typing import FloatArray
-from .analysis import Ellipse
+from .analysis import Ellipse, outline
 from .power import Power
 
 _MM = 1e3
@@ -77,16 +78,22 @@ def _pitch(places: Sequence[FloatArray]) -> float:
 
 @styled
 def plot_points(table: pd.DataFrame) -> Figure:
-    """Points chosen per trial, participants' means as box plots: all trials, and those with the target inside."""
+    """Points chosen per trial, participants' means as box plots: all trials, those with the target inside, others."""
+    return _extents(table, "points", 1.0, "points chosen, mean of a participant", "target among the points")
+
+
+@styled
+def plot_areas(table: pd.DataFrame) -> Figure:
+    """Area drawn per trial [cm2], as :func:`plot_points`."""
+    return _extents(table, "response_area", 1e4, "area drawn [cm²], mean of a participant", "target inside the outline")
+
+
+def _extents(table: pd.DataFrame, measure: str, unit: float, label: str, inside: str) -> Figure:
     methods = list(dict.fromkeys(table["method"]))
     figure = Figure(figsize=(7.1, 3.0), layout="constrained")
-    for ax, (title, part), sign in zip(
-        figure.subplots(1, 2, sharey=True),
-        (("all trials", table), ("target among the points chosen", table[table["inside"]])),
-        "ab",
-        strict=True,
-    ):
-        means = [part[part["method"] == m].groupby("participant")["points"].mean().to_numpy() for m in methods]
+    parts = {"all trials": table, inside: table[table["inside"]], "the other trials": table[~table["inside"]]}
+    for ax, (title, part), sign in zip(figure.subplots(1, 3, sharey=True), parts.items(), "abc", strict=True):
+        means = [unit * part[part["method"] == m].groupby("participant")[measure].mean().to_numpy() for m in methods]
         boxes = ax.boxplot([m if len(m) else [np.nan] for m in means], widths=0.5, patch_artist=True, showmeans=True)
         for box, method in zip(boxes["boxes"], methods, strict=True):
             box.set(facecolor=method_colour(method, methods), alpha=0.5)
@@ -95,8 +102,43 @@ def plot_points(table: pd.DataFrame) -> Figure:
         ax.set_xticks(range(1, len(methods) + 1), methods)
         ax.set_title(title)
         letter(ax, sign)
-    figure.axes[0].set_ylabel("points chosen, mean of a participant")
+        ax.tick_params(axis="x", labelrotation=20)
+    figure.axes[0].set_ylabel(label)
     return figure
+
+
+@styled
+def plot_outlines(table: pd.DataFrame, grid: Sequence[Port]) -> Figure:
+    """Share of answers whose outline holds each place: a row per target, a column per method."""
+    methods, targets = list(dict.fromkeys(table["method"])), list(dict.fromkeys(table["target"]))
+    figure = Figure(figsize=(2.0 * len(methods) + 1.0, 1.9 * len(targets) + 0.6), layout="constrained")
+    axes = figure.subplots(len(targets), len(methods), sharex=True, sharey=True, squeeze=False)
+    places = {p.name: _MM * np.array([p.position[1], p.position[0]]) for p in grid}
+    xy = np.array(list(places.values()))
+    reach = 1.2 * _pitch(list(xy))
+    u = np.linspace(xy[:, 0].min() - reach, xy[:, 0].max() + reach, 61)
+    v = np.linspace(xy[:, 1].min() - reach, xy[:, 1].max() + reach, 61)
+    for row, target in zip(axes, targets, strict=True):
+        for ax, method in zip(row, methods, strict=True):
+            drawn = table[(table["target"] == target) & (table["method"] == method)]["response_outline"].dropna()
+            image = ax.pcolormesh(u, v, _share_inside(drawn, u, v), vmin=0, vmax=1, cmap="cividis", rasterized=True)
+            ax.plot(xy[:, 0], xy[:, 1], ".", color=FAINT, ms=3)
+            ax.plot(*places[target], "*", color="#B3261E", ms=8)
+            ax.set_aspect("equal")
+    axes[0, 0].invert_yaxis()
+    for ax, method in zip(axes[0], methods, strict=True):
+        ax.set_title(method)
+    figure.supxlabel("across the limb [mm]")
+    figure.supylabel("along the limb [mm]")
+    figure.colorbar(image, ax=axes, label="share of outlines", shrink=0.6)
+    return figure
+
+
+def _share_inside(drawn: Iterable[str], u: FloatArray, v: FloatArray) -> FloatArray:
+    """Share (len(v), len(u)) of outlines "x,y x,y ..." [mm] that hold each place."""
+    places = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    held = [Path(outline(text)[:, ::-1]).contains_points(places) for text in drawn]
+    return np.asarray(np.mean(held, axis=0) if held else np.full(len(places), np.nan)).reshape(len(v), len(u))
 
 
 @styled

@@ -14,12 +14,17 @@ from ..errors import ScenarioError
 from .plan import Study, Task
 
 Phase = Literal["training", "main"]
+Interval = Literal["first", "second"]
+_INTERVALS: tuple[Interval, Interval] = ("first", "second")
 _TRIES = 2000  # an order of 27 trials without repeats is met in one of about 20 shuffles
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One presentation: ``number`` from 1 within its task, ``block`` from 1 (0 in training), ``level`` [dB]."""
+    """One presentation: ``number`` from 1 within its task, ``block`` from 1 (0 in training), ``level`` [dB].
+
+    ``comparison`` is the interval, "first" or "second", that holds method and level where the other holds a reference.
+    """
 
     number: int
     phase: Phase
@@ -28,6 +33,7 @@ class Trial:
     target: str
     repetition: int
     level: float = 0.0
+    comparison: Interval | None = None
 
 
 def trials(study: Study, task: Task, participant: str) -> tuple[Trial, ...]:
@@ -88,7 +94,8 @@ def _adaptive_trials(study: Study, task: Task, participant: str) -> tuple[Trial,
     for repetition in range(1, task.adaptive.trials + 1):
         for i in rng.permutation(len(pairs)):
             method, target = pairs[i]
-            found.append(Trial(len(found) + 1, "main", 1, method, target, repetition, float("nan")))
+            interval = None if task.adaptive.reference is None else _INTERVALS[int(rng.integers(2))]
+            found.append(Trial(len(found) + 1, "main", 1, method, target, repetition, float("nan"), interval))
     return tuple(found)
 
 

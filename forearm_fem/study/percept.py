@@ -166,6 +166,14 @@ class SimulatedParticipant:
         chance = 1 - np.exp(-((amplitude / self.percept.threshold) ** _SLOPE))
         return bool(self._rng.random() < self.percept.lapse / 2 + (1 - self.percept.lapse) * chance)
 
+    def stronger(self, method: str, target: str, level: float, reference: str) -> bool:
+        """Whether a stimulus at ``level`` [dB] feels stronger than ``reference`` at its own level: strengths of equal
+        logarithmic scatter, ``weber`` each."""
+        if self._rng.random() < self.percept.lapse:
+            return bool(self._rng.random() < 0.5)
+        ratio = np.log(self._amplitude(method, target) / self._amplitude(reference, target)) + np.log(10) * level / 20
+        return bool(ratio + self._rng.normal(scale=np.sqrt(2) * self.percept.weber) > 0)
+
     def _amplitude(self, method: str, target: str) -> float:
         """Weighted rms over 0.2 s [m] at the best place."""
         return float(np.sqrt(self._strongest[method, target] / _WINDOW))

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 from ..errors import ScenarioError
 from ..scenario.base import NonNegative, Part, Positive
 
-Answer = Literal["one point", "several points", "drawing", "yes or no"]
+Answer = Literal["one point", "several points", "drawing", "yes or no", "first or second"]
 Method = Literal["inverse filter", "funneling", "combination"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9-]{0,31}$")]
 _METHODS: tuple[Method, ...] = ("inverse filter", "funneling", "combination")
@@ -35,12 +35,27 @@ class Level(Part):
 
 
 class Adaptive(Part):
-    """QUEST+ over levels: each trial plays the level that tells most about the threshold."""
+    """Levels chosen from the answers: of the least that is felt, or of the one that feels as strong as a reference."""
 
+    rule: Literal["QUEST+", "staircase"] = Field(
+        default="QUEST+", description="QUEST+: the level that tells most; staircase: up after no, down after `down` yes"
+    )
+    reference: Method | None = Field(
+        default=None,
+        description="for answer = 'first or second': each trial plays this method too, at the same target and 0 dB, "
+        "and asks which felt stronger",
+    )
     low: float = Field(default=-40.0, description="lowest level [dB re the stimulus' own level]")
     high: float = Field(default=0.0, description="highest level [dB]")
     step: Positive = Field(default=2.0, description="between levels [dB]")
+    down: Annotated[int, Field(ge=1, le=4)] = Field(
+        default=2,
+        description="staircase: yes in a row before the level falls; 1, 2, 3 settle at 50, 71, 79 % (Levitt 1971)",
+    )
     slope: Positive = Field(default=3.5, description="Weibull slope assumed")
+    spread: Positive = Field(
+        default=3.0, description="standard deviation assumed of which feels stronger [dB], for 'first or second'"
+    )
     lapse: Annotated[float, Field(ge=0, lt=0.5)] = Field(default=0.02, description="share of answers without regard")
     guess: Annotated[float, Field(ge=0, lt=1)] = Field(default=0.05, description="share of yes without a stimulus")
     trials: Annotated[int, Field(ge=5, le=500)] = Field(default=40, description="per method and target")
@@ -70,7 +85,9 @@ class Task(Part):
     answer_seconds: Positive | None = Field(
         default=None, description="an answer later than this is recorded and marked late [s]; none: no limit"
     )
-    adaptive: Adaptive | None = Field(default=None, description="for answer = 'yes or no': levels by QUEST+")
+    adaptive: Adaptive | None = Field(
+        default=None, description="for answers 'yes or no' (detection) and 'first or second' (strength): levels"
+    )
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -79,8 +96,13 @@ class Task(Part):
                 f"blocks {self.blocks} does not divide repetitions {self.repetitions}, so blocks would differ; "
                 "take blocks = 1 or a divisor"
             )
-        if (self.answer == "yes or no") != (self.adaptive is not None):
-            raise ValueError("answer 'yes or no' and a table `adaptive` go together; give both or neither")
+        levels = self.answer in ("yes or no", "first or second")
+        if levels != (self.adaptive is not None):
+            raise ValueError(
+                "answers 'yes or no' and 'first or second' and a table `adaptive` go together; give both or neither"
+            )
+        if self.adaptive is not None and (self.answer == "first or second") != (self.adaptive.reference is not None):
+            raise ValueError("answer 'first or second' and adaptive.reference go together; give both or neither")
         return self
 
 
@@ -141,6 +163,9 @@ class Study(Part):
         names = [t.name for t in self.tasks]
         if len(set(names)) != len(names):
             raise ValueError(f"tasks has one name twice: {', '.join(names)}")
+        for task in self.tasks:
+            if task.adaptive and task.adaptive.reference not in (None, *self.stimuli.methods):
+                raise ValueError(f"adaptive.reference '{task.adaptive.reference}' is not among stimuli.methods")
         return self
 
     def task(self, name: str) -> Task:

@@ -24,10 +24,14 @@ from ..report.write import Picture, Section
 from .adaptive import Track
 from .analysis import Tests, analyse, confusion, ellipses, with_errors
 from .comparisons import Correction
-from .figures import plot_confusion, plot_ellipses, plot_points
-from .plan import Study
+from .figures import plot_areas, plot_confusion, plot_ellipses, plot_outlines, plot_points
+from .plan import Answer, Study
 from .thesis import judged
 
+_SELECTION = (
+    "Trials with the target inside show larger answers by selection alone: whoever names k of nine points at random "
+    "holds the target in k of nine trials. Compare methods over all trials."
+)
 _SOURCE = f"forearm_fem {__version__}"
 
 
@@ -57,7 +61,7 @@ def write_analysis(
         done = (
             _detection(answers[task.name], task.name, study)
             if task.adaptive is not None
-            else _places(answers[task.name], task.name, grid, correction, several=task.answer == "several points")
+            else _places(answers[task.name], task.name, grid, correction, task.answer)
         )
         sections += done.sections
         tables |= done.tables
@@ -110,7 +114,7 @@ def _or_unknown(text: str) -> str:
     return "unknown" if text == "n/a" else text
 
 
-def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Correction, *, several: bool) -> Analysed:
+def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Correction, answer: Answer) -> Analysed:
     main = with_errors(table, grid)
     found = ellipses(main)
     names = [p.name for p in grid]
@@ -118,13 +122,21 @@ def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Co
     pictures = [
         _picture(plot_ellipses(found, grid), f"{name}-ellipses", "Answers to each target: means and ellipses of one "
                  "standard deviation over all trials, the target a star (figure 8 of the thesis)"),
-        _picture(plot_confusion(shares, names), f"{name}-confusion", "Which points were answered to which target"),
     ]  # fmt: skip
-    if several:
+    measures, said = {"error": "error of place (eq. 10) [m]"}, list[str]()
+    if answer != "drawing":
+        pictures.append(
+            _picture(plot_confusion(shares, names), f"{name}-confusion", "Which points were answered to which target")
+        )
+    if answer == "several points":
         pictures.append(_picture(plot_points(main), f"{name}-points", "Points chosen (figure 9 of the thesis)"))
-    sections = [Section(name, f"Task {name}", _counts(main), pictures=pictures)]
+        measures["points"], said = "points chosen", [_SELECTION]
+    if answer == "drawing":
+        pictures.append(_picture(plot_areas(main), f"{name}-areas", "Areas drawn, as figure 9 for points"))
+        pictures.append(_picture(plot_outlines(main, grid), f"{name}-outlines", "Where outlines lie"))
+        measures["response_area"], said = "area drawn [m²]", [_SELECTION]
+    sections = [Section(name, f"Task {name}", _counts(main), pictures=pictures, paragraphs=said)]
     tables = {f"{name}-trials": main, f"{name}-ellipses": _ellipse_table(found)}
-    measures = {"error": "error of place (eq. 10) [m]"} | ({"points": "points chosen"} if several else {})
     for measure, words in measures.items():
         try:
             tests = analyse(main, measure, correction=correction)
@@ -215,13 +227,21 @@ def _detection(table: pd.DataFrame, name: str, study: Study) -> Analysed:
         track = Track.of(study.task(name), part.to_dict("records"))
         assert track is not None
         rows += [{"participant": participant, **asdict(t)} for t in track.thresholds()]
-    found = pd.DataFrame(rows)
-    lines = [[str(m), f"{p['level'].mean():.1f} dB", f"{p['level'].std(ddof=1):.1f} dB" if len(p) > 1 else "unknown"]
-             for m, p in found.groupby("method")]  # fmt: skip
-    block = Block(
-        ["method", "mean threshold", "standard deviation over tracks"], lines, "Levels are re the stimulus' own."
-    )
-    return Analysed([Section(name, f"Task {name}: thresholds", block)], {f"{name}-thresholds": found})
+    found, asked = pd.DataFrame(rows), study.task(name).adaptive
+    assert asked is not None
+    lines = [
+        [str(m), _decibels(p.mean()), _decibels(p.std(ddof=1)), str(int(p.isna().sum()))]
+        for m, p in found.groupby("method")["level"]
+    ]
+    what = "threshold" if asked.reference is None else "level of equal strength"
+    head = ["method", f"mean {what}", "standard deviation over tracks", "tracks too short to tell"]
+    against = "" if asked.reference is None else f" The reference is {asked.reference} at its own level."
+    block = Block(head, lines, f"Levels are re the stimulus' own; by {asked.rule}.{against}")
+    return Analysed([Section(name, f"Task {name}: {what}", block)], {f"{name}-thresholds": found})
+
+
+def _decibels(value: float) -> str:
+    return f"{value:.1f} dB" if value == value else "unknown"
 
 
 def _picture(figure: Figure, name: str, title: str) -> Picture:

@@ -24,8 +24,9 @@ from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix
 from .devices import SIMULATED, BackEnd, back_end
 from .field import SkinField, grid_field
+from .order import Trial, trials
 from .percept import Felt, Percept, SimulatedParticipant
-from .plan import Study, load_study
+from .plan import Study, Task, load_study
 from .session import Given, Player, Presented, Session
 from .stimuli import DevicePlayer, Stimulus, stimuli_for, transfer_of
 from .store import Store
@@ -93,7 +94,8 @@ def device_player(
         daq = _device(daq, options, transfer, prepared.wavelet, card)
     if cable is not None:
         check_belongs(cable, daq, rate)
-    player = DevicePlayer(daq, stimuli, rate, options, prepared.study.stimuli)
+    loudest = max((t.adaptive.high for t in prepared.study.tasks if t.adaptive), default=0.0)
+    player = DevicePlayer(daq, stimuli, rate, options, prepared.study.stimuli, loudest=max(loudest, 0.0))
     return player, back_end(daq, options, rate, cable)
 
 
@@ -185,11 +187,15 @@ def _answer_all(session: Session, person: SimulatedParticipant) -> None:
         session.present()
         trial = session.current
         assert trial is not None
-        session.answer(answer_of(person, session.task.answer, trial.method, trial.target, session.level))
+        session.answer(answer_of(person, session.task, trial, session.level))
 
 
-def answer_of(person: SimulatedParticipant, kind: str, method: str, target: str, level: float) -> Given:
-    """What a simulated participant gives to a stimulus."""
+def answer_of(person: SimulatedParticipant, task: Task, trial: Trial, level: float) -> Given:
+    """What a simulated participant gives to a trial played at ``level`` [dB]."""
+    kind, method, target = task.answer, trial.method, trial.target
+    if task.adaptive is not None and task.adaptive.reference is not None:
+        stronger = person.stronger(method, target, level, task.adaptive.reference)
+        return Given(interval="first" if stronger == (trial.comparison == "first") else "second")
     if kind == "yes or no":
         return Given(yes=person.detects(method, target, level))
     if kind == "one point":
@@ -222,8 +228,6 @@ class _Clock:
 
 def statuses(store: Store, participants: Sequence[str] | None = None) -> list[tuple[str, str, int, int]]:
     """(participant, task, answered, planned) of all enrolled participants."""
-    from .order import trials
-
     names = participants or [p["participant_id"].removeprefix("sub-") for p in store.people()]
     return [
         (name, task.name, len(store.answers(name, task.name)), len(trials(store.study, task, name)))

@@ -168,17 +168,21 @@ def _same_origin(origin: str | None, hosts: tuple[str, ...]) -> bool:
 
 
 def given(body: Mapping[str, Any]) -> Given:
-    """An answer from JSON: ``points`` (names), ``yes`` (true or false) or ``outline`` ([[x, y], ...] in metres)."""
+    """An answer from JSON: ``points`` (names), ``yes`` (true or false), ``interval`` ("first" or "second") or
+    ``outline`` ([[x, y], ...] in metres), and ``answered``, how many trials were over when the page asked."""
     import numpy as np
 
+    seen = None if body.get("answered") is None else int(body["answered"])
     if "yes" in body:
-        return Given(yes=bool(body["yes"]))
+        return Given(yes=bool(body["yes"]), answered=seen)
+    if "interval" in body:
+        return Given(interval=str(body["interval"]), answered=seen)
     if "outline" in body:
-        return Given(strokes=np.asarray(body["outline"], dtype=float))
+        return Given(strokes=np.asarray(body["outline"], dtype=float), answered=seen)
     points = body["points"]
     if not isinstance(points, list) or len(points) > 1000:
         raise DataError("points: expected a list of grid points")
-    return Given(points=tuple(str(p) for p in points))
+    return Given(points=tuple(str(p) for p in points), answered=seen)
 
 
 def serve(

@@ -44,11 +44,17 @@ class Player(Protocol):
 
 @dataclass(frozen=True)
 class Given:
-    """An answer: names of grid points, or yes or no, or ``strokes`` (n, 2) [m] drawn as one closed outline."""
+    """An answer: names of grid points, yes or no, the ``interval`` that felt stronger ("first", "second"), or
+    ``strokes`` (n, 2) [m] drawn as one closed outline.
+
+    ``answered`` is how many trials were answered when the page asked; None where the asker cannot be out of date.
+    """
 
     points: tuple[str, ...] = ()
     yes: bool | None = None
+    interval: str | None = None
     strokes: FloatArray | None = None
+    answered: int | None = None
 
 
 class Session:
@@ -141,7 +147,7 @@ class Session:
             level = self._track.next(trial) if self._track else trial.level
             self._waiting, self._onset = "playing", self._clock()
         try:
-            last = self._player(trial.method, trial.target, level)
+            last = self._play(trial, level)
         except ForearmError as problem:
             with self._lock:
                 self._waiting, self.problem = "pause", str(problem)
@@ -152,25 +158,38 @@ class Session:
             if self._waiting == "playing":
                 self._waiting = "answer"
 
+    def _play(self, trial: Trial, level: float) -> Presented:
+        """The stimulus, or in two intervals the stimulus and the reference at its own level."""
+        own = (trial.method, level)
+        if self.task.adaptive is None or self.task.adaptive.reference is None:
+            return self._player(trial.method, trial.target, level)
+        pair = (own, (self.task.adaptive.reference, 0.0))
+        parts = [self._player(m, trial.target, db) for m, db in (pair if trial.comparison == "first" else pair[::-1])]
+        return Presented(sum(p.seconds for p in parts), max(p.peak_voltage for p in parts))
+
     def answer(self, given: Given) -> None:
         """Record an answer to what was presented, on the disk when this returns; DataError for what was not asked."""
         with self._lock:
             trial = self.current
             if self._waiting != "answer" or trial is None:
                 raise DataError("no answer is due now: the stimulus has not been played, or was answered already")
+            if given.answered not in (None, self._answered):
+                raise DataError(f"that answer was to trial {given.answered + 1}, which is over; look at the page again")
             seconds = self._clock() - self._over
             limit = self.task.answer_seconds
             row = {
                 "onset": self._onset - self._begun, "duration": self._last.seconds, "trial": trial.number,
                 "phase": trial.phase, "block": trial.block, "method": trial.method, "target": trial.target,
-                "repetition": trial.repetition, "level": self._level, **self._response(given),
+                "repetition": trial.repetition, "level": self._level,
+                "comparison": trial.comparison, **self._response(given),
                 "response_time": seconds, "late": int(limit is not None and seconds > limit),
                 "presentations": self._presented, "peak_voltage": self._last.peak_voltage, "session": self._number,
             }  # fmt: skip
             self._tell_device()
             self._store.add(self.participant, self.task.name, row)
             if self._track:
-                self._track.update(trial, self._level, bool(given.yes))
+                yes = given.interval == trial.comparison if trial.comparison else bool(given.yes)
+                self._track.update(trial, self._level, yes)
             self._answered, self._presented = self._answered + 1, 0
             self._waiting = self._after(trial)
 
@@ -196,6 +215,10 @@ class Session:
             if given.yes is None:
                 raise DataError("answer yes or no")
             return {"response": "yes" if given.yes else "no"}
+        if kind == "first or second":
+            if given.interval not in ("first", "second"):
+                raise DataError("answer first or second")
+            return {"response": given.interval}
         if kind == "drawing":
             centre, area = _outline(given.strokes)
             drawn = " ".join(f"{1e3 * x:.2f},{1e3 * y:.2f}" for x, y in _thinned(given.strokes))

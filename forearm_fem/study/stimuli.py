@@ -85,10 +85,11 @@ class DevicePlayer:
     """Plays stimuli through a device within its limits; the session calls it."""
 
     def __init__(
-        self, daq: Daq, stimuli: Mapping[tuple[str, str], Stimulus], rate: float, options: DaqOptions, how: Stimuli
-    ) -> None:
+        self, daq: Daq, stimuli: Mapping[tuple[str, str], Stimulus], rate: float, options: DaqOptions, how: Stimuli,
+        *, loudest: float = 0.0,
+    ) -> None:  # fmt: skip
         self._daq, self._stimuli, self._rate, self._options, self._how = daq, stimuli, rate, options, how
-        self._refuse_loud()
+        self._refuse_loud(loudest)
 
     def __call__(self, method: str, target: str, level: float) -> Presented:
         """Play ``how.repeats`` wavelets at ``level`` [dB]; HardwareError where the device fails."""
@@ -98,12 +99,12 @@ class DevicePlayer:
             raise HardwareError("the stimulus was cut short; press start to present it again")
         return Presented(done.seconds, float(done.peak.max()))
 
-    def _refuse_loud(self) -> None:
-        """Before a session, not in the middle of it."""
-        peaks = {key: float(np.abs(s.signals).max()) for key, s in self._stimuli.items()}
+    def _refuse_loud(self, level: float) -> None:
+        """At the highest ``level`` [dB] that a task may ask for, before a session and not in the middle of it."""
+        peaks = {key: 10 ** (level / 20) * float(np.abs(s.signals).max()) for key, s in self._stimuli.items()}
         loudest = max(peaks, key=peaks.__getitem__)
         if peaks[loudest] > self._options.max_voltage:
             raise HardwareError(
                 f"{loudest[0]} towards {loudest[1]} needs {peaks[loudest]:.3g} V, the limit is "
-                f"{self._options.max_voltage:g} V; lower stimuli.level or rendering.amplitude"
+                f"{self._options.max_voltage:g} V; lower stimuli.level, adaptive.high or rendering.amplitude"
             )

@@ -33,6 +33,7 @@ EVENTS: Mapping[str, str] = {
     "target": "grid point aimed at",
     "repetition": "of this method at this target, from 1",
     "level": "level of the stimulus re its own [dB]",
+    "comparison": "interval, first or second, of method and level; the other held the reference; n/a for one interval",
     "response": "grid points answered, separated by spaces; yes or no; first or second; n/a for a drawing",
     "response_x": "centre of the answer along the limb [m]; mean of the points, centroid of a drawing",
     "response_y": "centre of the answer across the limb [m]",
@@ -63,6 +64,7 @@ DEVICES: Mapping[str, str] = {
     "full_scale": "of the outputs [V]",
     "level_basis": "known, declared (the scenario's full scale) or declared and checked by a cable",
 }
+_LATER = ("comparison", "response_outline")  # columns that 0.14.0 did not write
 _NUMBERS = ("onset", "duration", "response_time")  # BIDS itself says that they are numbers
 _IGNORED = ("study.json", "devices.tsv", "devices.json", "analysis/", "*.png")
 _README = """Study "{name}", run with forearm_fem {version}.
@@ -138,13 +140,13 @@ class Store:
 
     def answers(self, participant: str, task: str) -> list[dict[str, str]]:
         """Answered trials in the order in which they came."""
-        return read_table(self.events_file(participant, task), tuple(EVENTS), optional=("response_outline",))
+        return read_table(self.events_file(participant, task), tuple(EVENTS), optional=_LATER)
 
     def add(self, participant: str, task: str, row: Mapping[str, Any]) -> None:
         """Append one answer; on the disk when this returns. DataError where it cannot be written."""
         file = self.events_file(participant, task)
         if not file.exists():
-            write_text(file.with_suffix(".json"), _dictionary(EVENTS))
+            write_text(file.with_suffix(".json"), _dictionary(EVENTS, {"TaskName": task}))
         columns = _columns_of(file) or tuple(EVENTS)
         _append(file, columns, {k: v for k, v in row.items() if k in columns or k not in EVENTS})
 
@@ -159,9 +161,9 @@ class Store:
         return read_table(self.folder / "devices.tsv", tuple(DEVICES))
 
 
-def _dictionary(columns: Mapping[str, str]) -> str:
-    """A data dictionary in the manner of BIDS: description and unit of each column."""
-    told: dict[str, dict[str, str]] = {}
+def _dictionary(columns: Mapping[str, str], facts: Mapping[str, str] | None = None) -> str:
+    """A data dictionary in the manner of BIDS: ``facts``, and description and unit of each column."""
+    told: dict[str, Any] = dict(facts or {})
     for name, text in columns.items():
         unit = text.rpartition("[")[2].partition("]")[0] if text.partition(";")[0].endswith("]") else ""
         told[name] = {"Description": text} | ({"Units": unit} if unit else {})

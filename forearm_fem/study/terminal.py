@@ -20,7 +20,7 @@ def run_in_terminal(
         raise DataError("a drawing needs the page; leave --terminal out")
     names = " ".join(p.name for p in grid)
     prompts = {"one point": f"where ({names})? ", "several points": f"where ({names}; several with spaces)? ",
-               "yes or no": "felt (y or n)? "}  # fmt: skip
+               "yes or no": "felt (y or n)? ", "first or second": "stronger (1 or 2)? "}  # fmt: skip
     try:
         while (view := session.view())["waiting"] != "done":
             if view["waiting"] in ("start", "pause", "break"):
@@ -42,6 +42,8 @@ def _given(session: Session, text: str) -> Given:
         if text[:1] not in ("y", "n"):
             raise DataError("answer y or n")
         return Given(yes=text.startswith("y"))
+    if session.task.answer == "first or second":
+        return Given(interval={"1": "first", "2": "second"}.get(text))
     return Given(points=tuple(text.split()))
 
 
