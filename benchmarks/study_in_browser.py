@@ -45,12 +45,12 @@ def main() -> None:
             for k in range(chosen.participants)
         ]
         done = [job.result() for job in jobs]
-    problems = [line for found, _ in done for line in found]
-    answers = sum(count for _, count in done)
+    problems = [line for found, _, _ in done for line in found]
+    answers, kills = sum(count for _, count, _ in done), sum(killed for _, _, killed in done)
     answered = time.perf_counter()
     subprocess.run([sys.executable, "-m", "forearm_fem", "study", "analyse", str(chosen.study)], check=True)
     report = time.perf_counter() - answered
-    row = {"participants": chosen.participants, "answers": answers, "kills": chosen.kill, "problems": len(problems),
+    row = {"participants": chosen.participants, "answers": answers, "kills": kills, "problems": len(problems),
            "at_once": chosen.at_once, "seconds": round(answered - began),
            "seconds_to_report": round(report, 1)}  # fmt: skip
     table = Path(__file__).parent / "results" / "study.csv"
@@ -89,7 +89,7 @@ def person(study: Path, transfer: Path, felt, number: int, kills: int, only: int
     shutil.copy(transfer, place)
     matrix = transfer_of(prepared.study, prepared.base, name)
     mind = SimulatedParticipant(Percept().varied(rng), felt, matrix.outputs, rng)
-    problems, count = [], 0
+    problems, count, killed = [], 0, 0
     with sync_playwright() as driver:
         browser = driver.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
@@ -98,17 +98,18 @@ def person(study: Path, transfer: Path, felt, number: int, kills: int, only: int
             order = trials(prepared.study, task, name)[:only]
             moments = set(random.Random(number).sample(range(1, len(order)), min(kills, len(order) - 1)))
             earlier = prepared.store().answers(name, task.name)
+            planned = len(moments)
             said: list[tuple[str, ...]] = [tuple(r["response"].split()) for r in earlier]
             while len(said) < len(order):
                 said += _sitting(browser, study, name, task, order, said, moments, mind)
             rows = prepared.store().answers(name, task.name)
-            count += len(rows)
+            count, killed = count + len(rows), killed + planned - len(moments)
             kept = [(r["trial"], r["method"], r["target"], r["response"]) for r in rows]
             expected = [(str(t.number), t.method, t.target, " ".join(a)) for t, a in zip(order, said, strict=False)]
             if kept != expected:
                 problems.append(f"participant {name}, {task.name}: {len(kept)} answers on disk, {len(expected)} given")
         browser.close()
-    return problems, count
+    return problems, count, killed
 
 
 def _sitting(browser, study, name, task, order, said, moments, mind):  # type: ignore[no-untyped-def]
@@ -118,6 +119,7 @@ def _sitting(browser, study, name, task, order, said, moments, mind):  # type: i
     serving = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     address = next(m[1] for line in serving.stdout if (m := re.match(r"participant:\s+(\S+)", line)))
     page, given = browser.new_page(viewport={"width": 900, "height": 700}), []
+    page.set_default_timeout(180_000)  # a machine may be busy; a key that is lost would still never count
     page.goto(address)
     try:
         while len(said) + len(given) < len(order):

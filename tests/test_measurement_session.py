@@ -173,7 +173,7 @@ def test_run_calibration_asks_for_what_is_not_declared(tmp_path):
         run_calibration(scenario(), tmp_path, daq="ni")
     with pytest.raises(ScenarioError, match="needs a G to play through"):
         run_calibration(scenario(measurement={"sensor": {"quantity": "velocity", "sensitivity": 100.0}}), tmp_path)
-    with pytest.raises(ScenarioError, match="virtual or ni"):
+    with pytest.raises(ScenarioError, match="virtual, ni or sound"):
         run_calibration(
             scenario(measurement={"sensor": {"quantity": "velocity", "sensitivity": 100.0}}),
             tmp_path,

@@ -151,6 +151,8 @@ def wired(options: DaqOptions, count: int, kind: DaqKind | Daq) -> DaqOptions:
 
 def hardware(kind: Literal["ni", "sound"], options: DaqOptions, card: str | None = None) -> Daq:
     """The device of a kind; ``card`` is a sound card's name or number (None: the system's default)."""
+    if kind not in ("ni", "sound"):
+        raise ScenarioError(f"--daq expects virtual, ni or sound, got '{kind}'")
     if kind == "ni":
         return NiDaq(options.block, input_range=options.input_range)
     chosen = int(card) if card is not None and card.isdigit() else card
