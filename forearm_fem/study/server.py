@@ -81,7 +81,7 @@ def application(
         "beep": beep,
         "grid": [{"name": p.name, "x": p.position[0], "y": p.position[1]} for p in grid],
     }
-    reads = {
+    reads: Mapping[str, tuple[frozenset[str], Callable[[str], str | dict[str, Any]]]] = {
         "/p/{key}": (subject, lambda _: _page("participant")),
         "/e/{key}": (leader, lambda _: _page("experimenter")),
         "/api/{key}/setup": (both, lambda _: scene),
