@@ -1,4 +1,4 @@
-"""The same quarter slab in other programs, side by side: peers.csv and assembly.csv, on the page that `bench` writes.
+"""The same quarter slab in other programs, side by side: peers.csv and assembly.csv, on the page of `speed.py`.
 
     python3 -m venv v && v/bin/pip install ngsolve mkl
     apt-get install python3-dolfinx-complex libopenblas0-pthread  # PETSc and MUMPS are 3.5 times slower without
@@ -29,10 +29,10 @@ from typing import Any
 
 import numpy as np
 
-from forearm_fem.bench.isolated import threads
-from forearm_fem.bench.scene import exact, quarter
-from forearm_fem.bench.tables import read_rows, record_machine, write_csv
-from forearm_fem.bench.text import write_page
+from bench.isolated import threads
+from bench.scene import exact, quarter
+from bench.tables import read_rows, record_machine, write_csv
+from bench.text import write_page
 from forearm_fem.fem.space.numbering import mixed_space
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.tissue import resolve_tissues

@@ -1,4 +1,4 @@
-"""The quarter slab of `forearm-fem bench` in Debian's FEniCSx (complex PETSc, MUMPS) at a few frequencies.
+"""The quarter slab of `python benchmarks/speed.py` in Debian's FEniCSx (complex PETSc, MUMPS) at a few frequencies.
 
     apt-get install python3-dolfinx-complex
     /usr/bin/python3 benchmarks/peers_fenicsx.py scene.npz [mumps|mumps-jumps|assembly]

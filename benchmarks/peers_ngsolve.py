@@ -1,4 +1,4 @@
-"""The quarter slab of `forearm-fem bench` in NGSolve: one complex system per frequency, timed step by step.
+"""The quarter slab of `python benchmarks/speed.py` in NGSolve: one complex system per frequency, timed step by step.
 
     v/bin/python benchmarks/peers_ngsolve.py scene.npz [sparsecholesky|pardiso|umfpack|assembly]
 

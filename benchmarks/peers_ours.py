@@ -1,4 +1,4 @@
-"""The quarter slab of `forearm-fem bench` in forearm_fem itself, in the peers' columns.
+"""The quarter slab of `python benchmarks/speed.py` in forearm_fem itself, in the peers' columns.
 
     python benchmarks/peers_ours.py scene.npz [double|single|assembly]
 
@@ -14,9 +14,9 @@ import sys
 
 import numpy as np
 
+from bench.isolated import clock
+from bench.scene import options, quarter
 from forearm_fem import __version__
-from forearm_fem.bench.isolated import clock
-from forearm_fem.bench.scene import options, quarter
 from forearm_fem.fem.assembly.model import ForearmModel, build_model
 from forearm_fem.fem.assembly.tissues import reference_tensors, tissue_matrices
 from forearm_fem.fem.kernels.compiled import import_compiled

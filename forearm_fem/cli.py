@@ -22,7 +22,7 @@ for _command in (
     simulate.run, simulate.mesh, simulate.solve, simulate.render,
     measured.calibrate, measured.play, measured.loopback, measured.compare, measured.fit,
     pictures.figures, pictures.show,
-    studies.campaign, studies.verify, studies.bench,
+    studies.campaign, studies.verify,
     new.new, about.schema, about.doctor,
 ):  # fmt: skip
     app.command()(_command)

@@ -27,11 +27,6 @@ class Wavefield:
     modes: FloatArray
     amplitudes: ComplexArray
 
-    def at_frequency(self, frequency: float, drives: ComplexArray) -> ComplexArray:
-        """Complex displacement (n_point, 3) [m] at the bin nearest to ``frequency`` for drives (n_input,)."""
-        nearest = int(np.argmin(np.abs(self.frequency - frequency)))
-        return np.asarray(self.modes @ (self.amplitudes[nearest] @ np.asarray(drives)))
-
     def in_time(self, spectrum: ComplexArray, times: FloatArray) -> FloatArray:
         """Displacement (n_time, n_point, 3) [m] at ``times`` [s].
 

@@ -56,7 +56,7 @@ def test_the_package_runs_as_the_program() -> None:
 def test_help_names_every_command() -> None:
     answer = cli("--help")
     names = ("run", "mesh", "solve", "render", "calibrate", "play", "compare", "fit", "figures", "show", "verify",
-             "bench", "campaign", "schema", "doctor")  # fmt: skip
+             "campaign", "schema", "doctor")  # fmt: skip
     assert answer.code == 0
     assert all(f" {name} " in answer.out for name in names)
 
@@ -189,13 +189,6 @@ def test_show_says_what_it_needs(scene: Path, what: str, save: str, says: str) -
     answer = cli("show", what, "--save", save, cwd=scene)
     assert answer.code == 2
     assert says in answer.sentence
-
-
-def test_unknown_bench_part_is_one_sentence(scene: Path) -> None:
-    answer = cli("bench", "--only", "nothing", "--out", "b", cwd=scene)
-    assert answer.code == 2
-    assert "error" in answer.sentence  # the known parts are listed, among them 'error'
-    assert leftovers(scene) == ["small.toml"]
 
 
 def test_verification_tables_mark_what_is_not_met() -> None:

@@ -12,7 +12,7 @@ import pytest
 from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
 
 from forearm_fem.compare.adapters import ScenarioModel, common_parameters, layered_compliance_of
-from forearm_fem.compare.fit import fit, scale_and_delay
+from forearm_fem.compare.fit import fit
 from forearm_fem.compare.parameters import Parameter
 from forearm_fem.compare.run import run_fit
 from forearm_fem.errors import DataError, ScenarioError
@@ -73,18 +73,14 @@ def test_coverage_of_the_stated_intervals(deviation):
     assert np.std(z) == pytest.approx(1.0, abs=0.2)  # 120 samples: +-0.065, three of these
 
 
-def test_scale_and_delay_are_found_first():
+def test_scale_and_delay_are_fitted_with_the_rest():
     start = {**TRUE, "resonance": 280.0}
     shifted = model(start) * 0.6 * np.exp(-2j * np.pi * F * 1.5e-3)[:, None, None]
     extra = (
         Parameter("scale", 1.0, 0.2, 5.0, log=True, stage=0),
         Parameter("delay", 0.0, -5e-3, 5e-3, stage=0, unit="s"),
     )
-    factor, delay = scale_and_delay(
-        TransferMatrix(F, model(start), OUTPUTS, INPUTS), TransferMatrix(F, shifted, OUTPUTS, INPUTS)
-    )
-    assert (factor, delay) == (pytest.approx(0.6, rel=1e-3), pytest.approx(1.5e-3, abs=1e-6))
-    extra = (extra[0], replace(extra[1], start=delay))
+    extra = (extra[0], replace(extra[1], start=1.4e-3))  # a phase is ambiguous: the start must be near
     result = fit(model, noisy(shifted, 1), (*extra, *PARAMETERS))
     assert result.values["scale"] == pytest.approx(0.6, abs=4 * result.deviation["scale"])
     assert result.values["delay"] == pytest.approx(1.5e-3, abs=4 * result.deviation["delay"])

@@ -17,7 +17,6 @@ from scipy.io import loadmat, wavfile
 
 sys.path.insert(0, str(Path(__file__).parent))
 from damage import DRIVES, FACTS, FORMATS, KINDS, MESH, G, damaged, outcome, same, without_seals
-
 from forearm_fem.errors import DataError
 from forearm_fem.io.jsonfiles import read_json, write_json
 from forearm_fem.io.seal import BLANK, MARK, check_seals, sealed

@@ -1,4 +1,4 @@
-"""verify, bench, campaign: many solves for one table."""
+"""verify and campaign: many solves for one table."""
 
 from __future__ import annotations
 
@@ -10,21 +10,6 @@ import typer
 from .common import Display, noted, print_notes
 
 Full = Annotated[bool, typer.Option("--full", help="the long version")]
-
-
-def bench(
-    full: Full = False,
-    out: Annotated[Path, typer.Option("--out", help="where CSV and PNG go")] = Path("benchmarks/results"),
-    only: Annotated[list[str] | None, typer.Option(help="parts, e.g. error, size, reduced; default all")] = None,
-    threads: Annotated[int, typer.Option(min=1, help="of each run; more than one needs an idle machine")] = 1,
-) -> None:
-    """Wall time and memory against true error, one curve per method; cost against size; reduced against direct."""
-    from ..bench import run_bench
-
-    with Display() as display, noted():
-        written = run_bench(out, full=full, only=only, count=threads, progress=display)
-    for file in written:
-        typer.echo(str(file))
 
 
 def campaign(

@@ -304,26 +304,3 @@ def _interval(p: Parameter, x: float, d: float) -> tuple[float, float]:
     """Values at x - d and x + d, unbounded: a standard deviation may reach past the bounds."""
     far = min(d, 50.0 / p.span) if p.log else d
     return p.from_unit(x - far), p.from_unit(x + far)
-
-
-def scale_and_delay(reference: TransferMatrix, measured: TransferMatrix, longest: float = 0.02) -> tuple[float, float]:
-    """The real factor and the delay [s], |delay| <= ``longest``, that bring ``reference`` closest to
-    ``measured``.
-
-    Maximises Re sum conj(reference e^{-i omega tau}) measured over tau on a grid finer than a tenth of the
-    highest frequency's period, then by a parabola: a start for :func:`fit`, whose phase is ambiguous for
-    large delays.
-    """
-    if reference.values.shape != measured.values.shape or not np.allclose(reference.frequency, measured.frequency):
-        raise DataError("scale and delay need both on the same frequencies and ports; use common_ground first")
-    known = np.isfinite(measured.values) if measured.valid is None else measured.valid & np.isfinite(measured.values)
-    a, b = np.where(known, reference.values, 0), np.where(known, measured.values, 0)
-    cross = (a.conj() * b).sum(axis=(1, 2))
-    tau = np.linspace(-longest, longest, 2 * math.ceil(20 * longest * float(measured.frequency[-1])) + 1)
-    gain = (cross * np.exp(1j * tau[:, None] * measured.omega)).real.sum(axis=1)
-    k = int(np.clip(np.argmax(np.abs(gain)), 1, len(tau) - 2))
-    left, middle, right = gain[k - 1 : k + 2]
-    bend = left - 2 * middle + right
-    delay = float(tau[k] + (0.5 * (left - right) / bend if bend else 0.0) * (tau[1] - tau[0]))
-    best = float((cross * np.exp(1j * delay * measured.omega)).real.sum())
-    return best / float(np.sum(np.abs(a) ** 2)), delay

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -255,8 +254,3 @@ def plot_errors(data: Errors, *, ax: Axes | None = None) -> Axes:
     axes.set(xlabel="frequency [Hz]", ylabel="e(f) = max |ΔG| / max |G| [-]", yscale="log")
     axes.legend(title="source: $e_{band}$", loc="center left", bbox_to_anchor=(1.0, 0.5))
     return axes
-
-
-def method_notes(data: Errors) -> Mapping[str, str]:
-    """How each source's error was found."""
-    return {e.source: e.method for e in data.estimates}

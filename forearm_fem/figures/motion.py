@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from ..errors import DataError
-from ..typing import ComplexArray, FloatArray, IntArray
+from ..typing import ComplexArray, FloatArray
 from ..wavefield import Wavefield
 from .data import Results
 from .targets import drive_series
@@ -131,11 +131,6 @@ def shown_values(displacement: FloatArray, normals: FloatArray, quantity: Quanti
     if quantity == "magnitude":
         return np.asarray(np.linalg.norm(displacement, axis=1))
     return np.asarray(np.einsum("ij,ij->i", displacement, normals))
-
-
-def on_vertices(field: Wavefield, vertices: IntArray) -> Wavefield:
-    """The field at some vertices only."""
-    return replace(field, modes=field.modes[vertices])
 
 
 def nice(value: float) -> float:

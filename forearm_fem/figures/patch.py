@@ -36,10 +36,6 @@ class VolarPatch:
         """Seen from above, in mm."""
         return Triangulation(1e3 * self.points[:, 0], 1e3 * self.points[:, 1], self.triangles)
 
-    def normal_motion(self, motion: ComplexArray | FloatArray) -> FloatArray:
-        """Outward component (..., n) of displacements (..., n, 3) of the patch's vertices."""
-        return np.asarray(np.einsum("...pc,pc->...p", motion, self.normals))
-
     def weights(self, places: FloatArray) -> tuple[IntArray, FloatArray]:
         """Corners (k, 3), indices into the patch, and weights (k, 3) of points (k, 2) [m] seen from above.
 

@@ -23,7 +23,6 @@ MM = 1e3
 _TETRA, _TRIANGLE = 10, 5
 _ACTUATOR_HEIGHT, _ACTUATOR_RADIUS = 9.85e-3, 7e-3  # TEAX14C02-8, physics_data.md 4
 _CONE_HEIGHT = 6e-3  # for the drawing only
-Camera = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 
 def volume_grid(mesh: TissueMesh) -> Any:

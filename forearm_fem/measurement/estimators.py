@@ -176,20 +176,3 @@ def _windowed(plain: Estimate, band: BoolArray, window: float, rate: float) -> E
     power = uniform_filter1d(np.where(band, plain.deviation, 0) ** 2, 2 * edge + 1)
     rms = np.sqrt(np.maximum(power, 0))  # the filter's running sum may round below zero
     return replace(plain, value=value, deviation=np.where(band, share * rms, np.nan), usable=usable)
-
-
-def predicted_deviation(noise_rms: float, drive: FloatArray, repeats: int) -> FloatArray:
-    """What theory promises for white noise of ``noise_rms`` [V] per sample: sqrt(N / R) noise / |X|
-    (n_bins,) [V/V].
-
-    ``drive`` (N,) is one period. Add the quantisation's step / sqrt(12) to the noise in squares.
-    """
-    size = np.abs(rfft(drive))
-    noise = noise_rms * np.sqrt(len(drive) / repeats)
-    return np.asarray(np.divide(noise, size, out=np.full(len(size), np.inf), where=size > 0))
-
-
-def fourier_division(drive: FloatArray, response: FloatArray) -> ComplexArray:
-    """Y / X of two records (n,), as the thesis does it; NaN where the drive has no energy at all."""
-    x, y = rfft(drive), rfft(response)
-    return np.asarray(np.divide(y, x, out=np.full(len(x), np.nan + 0j), where=x != 0))

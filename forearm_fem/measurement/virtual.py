@@ -7,7 +7,7 @@ estimate has comes from the noise, the converter and the estimator.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -226,8 +226,3 @@ def noise_for(
     kernels = _kernels(transfer, record, VirtualOptions(sensor=sensor))
     responses = irfft(rfft(kernels, axis=2) * rfft(drive), record.n, axis=2)
     return float(np.sqrt(np.mean(responses**2, axis=2)).max() * 10 ** (-snr_db / 20))
-
-
-def with_faults(options: VirtualOptions, **faults: object) -> VirtualOptions:
-    """``options`` with the named faults of :class:`Faults`."""
-    return replace(options, faults=replace(options.faults, **faults))  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..device import close_loop, contact_state
+from ..device import contact_state
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..geometry.build import limb_volume
 from ..geometry.cache import cached_mesh
@@ -24,7 +24,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
 from ..io.matlab import write_thesis_mat
-from ..io.netcdf import read_compliance, read_transfer, write_transfer
+from ..io.netcdf import read_transfer, write_transfer
 from ..io.signals import stack, write_displacements, write_drives
 from ..io.tables import strength_rows, write_signal_strength_csv
 from ..progress import Progress, tell, within
@@ -323,11 +323,3 @@ def _read_json(path: Path) -> dict[str, Any]:
         return read_json(path)
     except DataError:
         return {}
-
-
-def reclosed(run: Run) -> TransferMatrix:
-    """G of the folder's compliance with the scenario's present device: no FE solve at all."""
-    try:
-        return close_loop(read_compliance(run.out / "transfer.nc"), run.scenario.device)
-    except DataError:
-        return run_solve(run)

@@ -19,6 +19,8 @@ from ..ports import Port
 from .session import Given, Session
 
 LANGUAGES = ("en", "de", "nl")
+Act = Callable[[Mapping[str, Any]], None]
+Endpoint = Callable[[Any], Awaitable[Any]]
 
 
 @dataclass(frozen=True)
@@ -66,81 +68,96 @@ def application(
     """The web application of one session, for an ASGI server; MissingExtra without starlette."""
     try:
         from starlette.applications import Starlette
-        from starlette.concurrency import run_in_threadpool
         from starlette.middleware import Middleware
         from starlette.middleware.trustedhost import TrustedHostMiddleware
-        from starlette.requests import Request
-        from starlette.responses import HTMLResponse, JSONResponse, Response
         from starlette.routing import Route
     except ImportError:
         raise MissingExtra("starlette", "study", "the participant's page") from None
 
-    def page(name: str) -> Callable[[Request], Awaitable[Response]]:
-        text = resources.files(__package__).joinpath(f"pages/{name}.html").read_text(encoding="utf-8")
-
-        async def answer(request: Request) -> Response:
-            allowed = {"participant": keys.participant, "experimenter": keys.experimenter}[name]
-            if not secrets.compare_digest(request.path_params["key"], allowed):
-                return Response("not found", 404)
-            return HTMLResponse(text, headers=_HEADERS)
-
-        return answer
-
-    async def setup(request: Request) -> Response:
-        return JSONResponse(
-            {
-                "words": dict(words),
-                "beep": beep,
-                "grid": [{"name": p.name, "x": p.position[0], "y": p.position[1]} for p in grid],
-            },
-            headers=_HEADERS,
-        )
-
-    async def state(request: Request) -> Response:
-        view = session.view()
-        if request.path_params["key"] == keys.experimenter:
-            trial = session.current
-            view |= {"participant": session.participant, "task": session.task.name,
-                     "trial": None if trial is None else {"method": trial.method, "target": trial.target}}  # fmt: skip
-        else:
-            view["problem"] = bool(view["problem"])  # its words may name the method
-        return JSONResponse(view, headers=_HEADERS)
-
-    def act(who: frozenset[str], do: Callable[[Mapping[str, Any]], None]) -> Callable[[Request], Awaitable[Response]]:
-        async def answer(request: Request) -> Response:
-            if request.path_params["key"] not in who:
-                return Response("not found", 404)
-            if not _same_origin(request.headers.get("origin"), hosts):
-                return Response("another origin", 403)
-            try:
-                body = await request.json() if int(request.headers.get("content-length") or 0) else {}
-                if not isinstance(body, dict):
-                    raise DataError("expected a JSON object")
-                await run_in_threadpool(do, body)
-            except ForearmError as problem:
-                return JSONResponse({"problem": str(problem)}, 409, headers=_HEADERS)
-            except (ValueError, TypeError, KeyError):
-                return JSONResponse({"problem": "the answer is not readable"}, 400, headers=_HEADERS)
-            return JSONResponse(session.view() | {"problem": ""}, headers=_HEADERS)
-
-        return answer
-
-    both = frozenset({keys.participant, keys.experimenter})
-    leader = frozenset({keys.experimenter})
-    subject = frozenset({keys.participant})
-    routes = [
-        Route("/p/{key}", page("participant")),
-        Route("/e/{key}", page("experimenter")),
-        Route("/api/{key}/setup", _guarded(setup, both)),
-        Route("/api/{key}/state", _guarded(state, both)),
-        Route("/api/{key}/start", act(both, lambda _: session.start()), methods=["POST"]),
-        Route("/api/{key}/present", act(subject, lambda _: session.present()), methods=["POST"]),
-        Route("/api/{key}/answer", act(subject, lambda body: session.answer(given(body))), methods=["POST"]),
-        Route("/api/{key}/pause", act(leader, lambda _: session.pause()), methods=["POST"]),
-        Route("/api/{key}/repeat", act(leader, lambda _: session.repeat()), methods=["POST"]),
+    leader, subject = frozenset({keys.experimenter}), frozenset({keys.participant})
+    both = leader | subject
+    scene = {
+        "words": dict(words),
+        "beep": beep,
+        "grid": [{"name": p.name, "x": p.position[0], "y": p.position[1]} for p in grid],
+    }
+    reads: Mapping[str, tuple[frozenset[str], Callable[[str], str | dict[str, Any]]]] = {
+        "/p/{key}": (subject, lambda _: _page("participant")),
+        "/e/{key}": (leader, lambda _: _page("experimenter")),
+        "/api/{key}/setup": (both, lambda _: scene),
+        "/api/{key}/state": (both, lambda key: _state(session, led=key == keys.experimenter)),
+    }
+    acts: Mapping[str, tuple[frozenset[str], Act]] = {
+        "start": (both, lambda _: session.start()),
+        "present": (subject, lambda _: session.present()),
+        "answer": (subject, lambda body: session.answer(given(body))),
+        "pause": (leader, lambda _: session.pause()),
+        "repeat": (leader, lambda _: session.repeat()),
+    }
+    routes = [Route(path, _shown(who, content)) for path, (who, content) in reads.items()]
+    routes += [
+        Route(f"/api/{{key}}/{name}", _done(session, who, do, hosts), methods=["POST"])
+        for name, (who, do) in acts.items()
     ]
     names = [h.partition(":")[0] for h in hosts]
     return Starlette(routes=routes, middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=names)])
+
+
+def _page(name: str) -> str:
+    return resources.files(__package__).joinpath(f"pages/{name}.html").read_text(encoding="utf-8")
+
+
+def _state(session: Session, *, led: bool) -> dict[str, Any]:
+    """How the session stands, for the experimenter who leads it, or for the participant."""
+    view = session.view()
+    if not led:
+        return view | {"problem": bool(view["problem"])}  # its words may name the method
+    trial = session.current
+    shown = None if trial is None else {"method": trial.method, "target": trial.target}
+    return view | {"participant": session.participant, "task": session.task.name, "trial": shown}
+
+
+def _shown(who: frozenset[str], content: Callable[[str], str | dict[str, Any]]) -> Endpoint:
+    """Answers ``content(key)``, a page or an object, to those ``who`` have the key."""
+    from starlette.responses import HTMLResponse, JSONResponse, Response
+
+    async def answer(request: Any) -> Any:
+        if not (key := _key(request, who)):
+            return Response("not found", 404)
+        found = content(key)
+        return (HTMLResponse if isinstance(found, str) else JSONResponse)(found, headers=_HEADERS)
+
+    return answer
+
+
+def _done(session: Session, who: frozenset[str], do: Act, hosts: tuple[str, ...]) -> Endpoint:
+    """Does what those ``who`` have the key ask for, in a thread, and answers how the session stands then."""
+    from starlette.concurrency import run_in_threadpool
+    from starlette.responses import JSONResponse, Response
+
+    async def answer(request: Any) -> Any:
+        if not _key(request, who):
+            return Response("not found", 404)
+        if not _same_origin(request.headers.get("origin"), hosts):
+            return Response("another origin", 403)
+        try:
+            body = await request.json() if int(request.headers.get("content-length") or 0) else {}
+            if not isinstance(body, dict):
+                raise DataError("expected a JSON object")
+            await run_in_threadpool(do, body)
+        except ForearmError as problem:
+            return JSONResponse({"problem": str(problem)}, 409, headers=_HEADERS)
+        except (ValueError, TypeError, KeyError):
+            return JSONResponse({"problem": "the answer is not readable"}, 400, headers=_HEADERS)
+        return JSONResponse(session.view() | {"problem": ""}, headers=_HEADERS)
+
+    return answer
+
+
+def _key(request: Any, who: frozenset[str]) -> str:
+    """The key in the address if it is one of ``who``, compared in constant time; else nothing."""
+    found = str(request.path_params["key"])
+    return found if any([secrets.compare_digest(found.encode(), key.encode()) for key in who]) else ""
 
 
 _HEADERS = {
@@ -151,15 +168,6 @@ _HEADERS = {
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
 }
-
-
-def _guarded(endpoint: Callable[[Any], Awaitable[Any]], who: frozenset[str]) -> Callable[[Any], Awaitable[Any]]:
-    from starlette.responses import Response
-
-    async def answer(request: Any) -> Any:
-        return await endpoint(request) if request.path_params["key"] in who else Response("not found", 404)
-
-    return answer
 
 
 def _same_origin(origin: str | None, hosts: tuple[str, ...]) -> bool:

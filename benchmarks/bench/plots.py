@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
-from ..io.atomic import atomic_path
+from forearm_fem.io.atomic import atomic_path
+
 from .tables import Row, read_rows
 
 _TICK = FuncFormatter(lambda v, _: f"{v:g}")

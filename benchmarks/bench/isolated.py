@@ -13,8 +13,8 @@ from dataclasses import fields, replace
 from multiprocessing import get_context
 from typing import TypeVar
 
-from ..errors import SolverError
-from ..fem.kernels.compiled import import_compiled
+from forearm_fem.errors import SolverError
+from forearm_fem.fem.kernels.compiled import import_compiled
 
 A = TypeVar("A")
 R = TypeVar("R")

@@ -9,13 +9,14 @@ from time import perf_counter, process_time
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator
 
-from ..fem.reduction.sweep import direct_sweep, reduced_sweep
-from ..layered import Disc, layered_compliance
-from ..pipeline.layered_engine import flat_layers
-from ..pipeline.resources import Ledger
-from ..transfer import band_error, relative_error
-from ..typing import ComplexArray, FloatArray
-from ..verification.scenes import slab_model
+from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
+from forearm_fem.layered import Disc, layered_compliance
+from forearm_fem.pipeline.layered_engine import flat_layers
+from forearm_fem.pipeline.resources import Ledger
+from forearm_fem.transfer import band_error, relative_error
+from forearm_fem.typing import ComplexArray, FloatArray
+from forearm_fem.verification.scenes import slab_model
+
 from .isolated import isolated, median, repeated
 from .scene import BAND, RADII, exact, options, quarter
 

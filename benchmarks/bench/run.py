@@ -10,8 +10,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from ..errors import AccuracyWarning, DataError, SolverError
-from ..progress import Progress, tell
+from forearm_fem.errors import AccuracyWarning, DataError, SolverError
+from forearm_fem.progress import Progress, tell
+
 from . import asked, error, plots, size, text
 from . import reduced as reduction
 from .isolated import isolated, median, repeated, threads

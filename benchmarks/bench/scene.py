@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ..scenario import Scenario, parse_scenario
-from ..scenario.sweep import SolverOptions
-from ..typing import ComplexArray, FloatArray
-from ..verification.scenes import quarter_slab, twin_response
+from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.typing import ComplexArray, FloatArray
+from forearm_fem.verification.scenes import quarter_slab, twin_response
 
 RADII = (0.0, 0.010, 0.020)  # m; the points read, and the mean under the disc
 BAND = np.arange(80.0, 401.0, 2.0)  # Hz: below, the cut ends of a slab this small are seen

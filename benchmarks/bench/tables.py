@@ -11,8 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
-from ..io.atomic import write_text
+from forearm_fem import __version__
+from forearm_fem.io.atomic import write_text
 
 Row = Mapping[str, str]
 
@@ -34,7 +34,7 @@ def record_machine(out: Path, part: str) -> None:
 
 def machine() -> dict[str, Any]:
     """What timings are made on and with."""
-    from ..pipeline.folder import versions
+    from forearm_fem.pipeline.folder import versions
 
     return {
         "forearm_fem": __version__,

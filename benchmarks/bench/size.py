@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..fem.linear.factor import make_factor, refined_solve
-from ..pipeline.resources import Ledger
-from ..verification.scenes import slab_model
+from forearm_fem.fem.linear.factor import make_factor, refined_solve
+from forearm_fem.pipeline.resources import Ledger
+from forearm_fem.verification.scenes import slab_model
+
 from .isolated import clock
 from .scene import options, quarter
 

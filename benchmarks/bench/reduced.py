@@ -7,14 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ..fem.assembly.model import ForearmModel
-from ..fem.linear.direct import DirectSolver, make_solver
-from ..fem.reduction.sweep import SweepResult, reduced_sweep
-from ..geometry.build import build_mesh
-from ..pipeline.fem_engine import fem_model
-from ..pipeline.frequencies import frequencies
-from ..transfer import relative_error
-from ..typing import ComplexArray, FloatArray
+from forearm_fem.fem.assembly.model import ForearmModel
+from forearm_fem.fem.linear.direct import DirectSolver, make_solver
+from forearm_fem.fem.reduction.sweep import SweepResult, reduced_sweep
+from forearm_fem.geometry.build import build_mesh
+from forearm_fem.pipeline.fem_engine import fem_model
+from forearm_fem.pipeline.frequencies import frequencies
+from forearm_fem.transfer import relative_error
+from forearm_fem.typing import ComplexArray, FloatArray
+
 from .isolated import clock
 from .scene import device, options
 

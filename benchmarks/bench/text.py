@@ -6,7 +6,8 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..io.atomic import write_text
+from forearm_fem.io.atomic import write_text
+
 from .plots import CURVES
 from .tables import Row, read_rows
 
@@ -18,8 +19,8 @@ def write_page(folder: Path) -> Path:
     parts = [
         "# Benchmark results",
         "",
-        "Written by `forearm-fem bench`; every figure is drawn from the CSV beside it. What each part was timed on and",
-        "with is in [machine.csv](machine.csv).",
+        "Written by `python benchmarks/speed.py`; every figure is drawn from the CSV beside it. What each part was",
+        "timed on and with is in [machine.csv](machine.csv).",
         "",
     ]
     machines = {row.get("part", ""): row for row in read_rows(folder / "machine.csv")}
@@ -83,7 +84,7 @@ def _stretch(rows: Sequence[Row]) -> float:
 def _choice(rows: Sequence[Row]) -> str:
     found = [(e, r) for e in ASKED if (r := cheapest(rows, e)) is not None]
     if not found:
-        return "None of the meshes reached 20 %; run `forearm-fem bench --full`."
+        return "None of the meshes reached 20 %; run `python benchmarks/speed.py --full`."
     errors: dict[str, list[str]] = {}
     for e, r in found:
         errors.setdefault(_label(r), []).append(f"{100 * e:g} %")
