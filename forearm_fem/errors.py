@@ -54,6 +54,10 @@ class DataError(ForearmError):
     """A measured or stored file cannot be read, or says too little to be trusted."""
 
 
+class NotApplicable(DataError):
+    """What was asked for means nothing for this run, e.g. a figure of a method that was not rendered."""
+
+
 class HardwareError(ForearmError):
     """A measurement device is missing or misbehaves."""
 

@@ -177,17 +177,16 @@ def test_larger_array_funnels_within_the_cell_and_need_not_be_square():
 @pytest.mark.parametrize(
     "places",
     [
-        [(0, 0), (1, 0), (0, 1)],
+        [(0, 0)],
+        [(0, 0), (1, 0), (0, 0.2)],
         [(0, 0), (1, 0), (2, 0), (3, 0)],
-        [(0, 0), (1, 0.3), (0, 1), (1, 1)],
-        [(0, 0), (1, 0), (0, 1), (1, 1), (0.5, 0.5)],
         [(0, 0), (1, 0), (0, 1), (0, 0)],
         [(0, 0), (0, 0), (0, 0), (0, 0)],
     ],
 )
-def test_actuators_that_are_no_rectangle_are_refused(places):
+def test_actuators_that_do_not_surround_the_target_are_refused(places):
     inputs = tuple(Port(f"A{i}", "contact", (x, y, 0)) for i, (x, y) in enumerate(places))
-    with pytest.raises(GeometryError, match="rectang"):
+    with pytest.raises(GeometryError, match=r"outside|one place|two or more"):
         funneling_weights(inputs, Port("t", "point", (0.5, 0.5, 0)))
 
 

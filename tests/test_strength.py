@@ -388,16 +388,16 @@ def test_methods_that_cannot_serve_a_layout_are_left_out_with_the_remedy(tmp_pat
     assert rendering.methods == ("inverse filter",)
     for method in ("funneling", "combination"):
         (note,) = [n for n in run.notes if n.startswith(f"{method} is left out")]
-        assert "use the inverse filter" in note
+        assert "name rendering.targets between the actuators" in note
         assert len(note) <= 300
 
 
 def test_no_method_left_is_known_before_the_solve():
-    only = {**TWIN, "device": THREE, "rendering": {"methods": ["funneling"]}}
-    with pytest.raises(ScenarioError, match=r"funneling is left out.*put device\.contacts on a rectangle"):
+    only = {**TWIN, "device": THREE, "rendering": {"methods": ["funneling"], "targets": ["9"]}}
+    with pytest.raises(ScenarioError, match=r"funneling is left out.*outside the actuators; name rendering\."):
         check_servable(parse_scenario(only))
     outside = {**TWIN, "device": {"spacing": 0.02}, "rendering": {"methods": ["funneling"]}}
-    with pytest.raises(ScenarioError, match=r"outside the actuators' rectangle; name rendering\.targets inside"):
+    with pytest.raises(ScenarioError, match=r"outside the actuators' rectangle; name rendering\.targets between"):
         check_servable(parse_scenario(outside))
     corners = {**TWIN, "grid": SCATTERED, "rendering": {"methods": ["inverse filter"], "zeros": "thesis"}}
     with pytest.raises(ScenarioError, match=r"set rendering\.zeros = 'auto'"):

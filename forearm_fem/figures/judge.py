@@ -16,7 +16,7 @@ from ..ports import Port, positions
 from ..transfer import ErrorEstimate, size_words
 from ..typing import FloatArray
 from .data import Results
-from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled
+from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled, widen
 from .tables import Table, markdown
 
 WHO = ("here", "record", "thesis")  # columns of Table I: S over the window, over the whole record, and measured
@@ -104,6 +104,7 @@ def _map(ax: Axes, data: Strengths, values: FloatArray, norm: TwoSlopeNorm) -> A
         ax.annotate(port.name, place[:2], ha="center", va="center", fontsize=4.5, color=GREY)
     ax.set(xlabel="x, towards the elbow [mm]", aspect="equal")
     ax.margins(0.14)
+    widen(ax)
     return dots
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from matplotlib.patches import ConnectionPatch
 
-from ..errors import DataError
+from ..errors import NotApplicable
 from ..measurement.sweep import ExponentialSweep
 from ..ports import Port, positions
 from ..rendering import Record, place, respond, to_spectrum
@@ -18,7 +18,7 @@ from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .device import LINES, busy
 from .matrix import MICRO, shown, unwrapped, zero_points
-from .style import ACTUATORS, FAINT, GREY, INK, METHODS, panels, styled
+from .style import ACTUATORS, FAINT, GREY, INK, METHODS, panels, styled, widen
 from .tables import Table, stacked
 
 
@@ -61,7 +61,7 @@ def method(results: Results) -> Method:
     """Entry G_11 under the scenario's sweep, and the inverse filter's drives of target 5 (or the first)."""
     g, moved, sent = results.transfer, results.displacements, results.drives
     if "inverse filter" not in sent.methods:
-        raise DataError(f"{results.folder}: the inverse filter was not rendered; figure 4 shows it")
+        raise NotApplicable(f"{results.folder}: the inverse filter was not rendered; figure 4 shows it")
     target = "5" if "5" in sent.targets else sent.targets[0]
     at = (sent.methods.index("inverse filter"), sent.targets.index(target))
     controls = (target, *_zeros(results, target))
@@ -167,6 +167,7 @@ def _layout(ax: Axes, outputs: tuple[Port, ...], inputs: tuple[Port, ...], m: Me
             ax.annotate(port.name, place_[:2], ha="center", va="center", fontsize=5, color=ink)
     ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="device")
     ax.margins(0.15)
+    widen(ax)
 
 
 def _filter(figure: FigureBase, data: Method) -> None:
@@ -237,7 +238,7 @@ def workflow(results: Results, target: str | None = None) -> Workflow:
     chosen = target or ("5" if "5" in sent.targets else sent.targets[0])
     methods = tuple(m for m in METHODS if m in sent.methods)
     if not methods:
-        raise DataError(f"{results.folder}: none of the thesis' methods was rendered; figure 5 shows them")
+        raise NotApplicable(f"{results.folder}: none of the thesis' methods was rendered; figure 5 shows them")
     t = sent.targets.index(chosen)
     row = moved.channels.index(chosen)
     drives = [sent.values[sent.methods.index(m), t] for m in methods]

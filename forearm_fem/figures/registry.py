@@ -11,9 +11,10 @@ from typing import Any
 
 from matplotlib import style
 
-from ..errors import DataError, ForearmError
+from ..errors import DataError, ForearmError, NotApplicable
 from ..io.atomic import atomic_path, write_text
 from ..progress import Progress, tell
+from ..rendering.lattice import is_thesis_grid
 from ..transfer import TransferMatrix
 from . import device, judge, matrix, mesh, methods, targets, waves
 from .data import Results
@@ -107,9 +108,9 @@ def applies(kind: FigureKind, results: Results) -> str:
             what = "it holds no compliance" if name == "compliance" else f"{name} is missing; {results.remedy(name)}"
             return f"{kind.name}: does not apply to {results.folder}: {what}"
     if kind.name == "table-1":
-        grid = {str(k) for k in range(1, 10)}
-        if stray := sorted({r.target for r in results.strengths} - grid):
-            return f"table-1: the thesis' Table I is for targets 1 to 9, this run has also {stray[0]}"
+        outputs = results.transfer.outputs
+        if not is_thesis_grid(outputs):
+            return f"table-1: the thesis' Table I is for 3 x 3 points, this run's {len(outputs)} lie otherwise"
     return ""
 
 
@@ -135,7 +136,11 @@ def make_figures(
     written: list[Path] = []
     for done, kind in enumerate(chosen):
         tell(progress, "figures", done, len(chosen))
-        written += make_figure(kind, results, folder, formats)
+        try:
+            written += make_figure(kind, results, folder, formats)
+        except NotApplicable:
+            if only is not None:
+                raise
     tell(progress, "figures", len(chosen), len(chosen))
     return written
 

@@ -78,6 +78,14 @@ def method_colour(name: str, all_names: Sequence[str]) -> str:
     return METHODS.get(name) or spare[list(all_names).index(name) % len(spare)]
 
 
+def widen(ax: Axes, least: float = 0.35) -> None:
+    """Limits of a map seen from above, no narrower than ``least`` of its length: a line of places has no width."""
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    most = max(right - left, high - low)
+    aside = [max(0.0, least * most - span) / 2 for span in (right - left, high - low)]
+    ax.set(xlim=(left - aside[0], right + aside[0]), ylim=(low - aside[1], high + aside[1]))
+
+
 def letter(ax: Axes, text: str) -> None:
     """A panel's bold letter outside its upper left corner."""
     ax.set_title(text, loc="left", fontweight="bold")

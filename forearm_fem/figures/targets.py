@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,6 +26,7 @@ from .style import FAINT, GREY, INK, SIGNED, method_colour, panels, styled
 from .tables import Table, stacked
 
 _INSTANTS = 6
+_FLAT = 1e-3  # of the grid's size: points that are no further off a line span no surface
 _MESH = 41  # points per side of the interpolated map
 
 
@@ -72,7 +73,7 @@ def target_waves(results: Results, target: str) -> Target:
                         f"{', '.join(moved.targets)}; `forearm-fem render` can")  # fmt: skip
     patch = volar_patch(results.field_mesh, (*g.inputs, *g.outputs)) if results.has_field else None
     places = positions(g.outputs)[:, :2]
-    x, y = (np.linspace(places[:, c].min(), places[:, c].max(), _MESH) for c in (0, 1))
+    x, y = (np.linspace(low, high, _MESH) for low, high in _extent(places))
     shown = tuple(_shown(results, m, target, patch, x, y) for m in moved.methods)
     return Target(target, g.outputs, g.inputs, shown, x, y, patch)
 
@@ -89,6 +90,13 @@ def _shown(results: Results, method: str, target: str, patch: VolarPatch | None,
         field = patch.normal_field(results.wavefield).in_time(spectrum, instants)
     keep = busy(values, moved.time)
     return Shown(method, moved.time[keep], values[:, keep], instants, between, field)
+
+
+def _extent(places: FloatArray) -> list[tuple[float, float]]:
+    """Ends in x and y of the points' rectangle; a line of points, or one, is given a width to be seen by."""
+    span = np.ptp(places, axis=0)
+    aside = np.where(span > 0, 0.0, max(float(span.max()), 0.01) / 20)
+    return [(float(p.min() - a), float(p.max() + a)) for p, a in zip(places.T, aside, strict=True)]
 
 
 def _one(signals: Signals, method: str, target: str) -> FloatArray:
@@ -109,9 +117,14 @@ def moments(time: FloatArray, values: FloatArray, row: int) -> FloatArray:
 
 
 def _between(places: FloatArray, values: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Cubic interpolation (n, ny, nx) between grid points, as MATLAB's griddata and the thesis do."""
+    """Cubic interpolation (n, ny, nx) between grid points, as MATLAB's griddata and the thesis do.
+
+    Points on one line span no surface: there each place shows the nearest point, up to half the points' distance off.
+    """
     mesh = np.stack(np.meshgrid(x, y), axis=-1)
-    return np.array([griddata(places, v, mesh, method="cubic") for v in values])
+    rank = np.linalg.matrix_rank(places - places.mean(axis=0), tol=_FLAT * np.ptp(places, axis=0).max())
+    method: Literal["cubic", "nearest"] = "cubic" if rank == 2 else "nearest"
+    return np.array([griddata(places, v, mesh, method=method) for v in values])
 
 
 def drive_series(drives: Signals, method: str, target: str, field: Wavefield) -> ComplexArray:

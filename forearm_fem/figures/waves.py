@@ -12,7 +12,7 @@ from matplotlib.figure import FigureBase
 from scipy.special import hankel2
 
 from ..compare.adapters import layers_from
-from ..errors import DataError, ScenarioError
+from ..errors import NotApplicable, ScenarioError
 from ..layered import surface_kernel
 from ..metrics import WaveFit, fit_waves
 from ..ports import Port, distances, positions
@@ -252,11 +252,13 @@ def dispersion(results: Results) -> Dispersion:
     """Appendix A on a run: 10 points every 2.5 mm from the first actuator, 50-500 Hz."""
     along = line(results, tuple(_STEP * (k + 1) for k in range(_POINTS)))
     if len(along.distance) < 3:
-        raise DataError("a wave fit needs 3 points in a row or a wavefield; this grid has neither")
+        raise NotApplicable("a wave fit needs 3 points in a row or a wavefield; this grid has neither")
     keep = (along.frequency >= 50) & (along.frequency <= 500)
     step = max(1, int(keep.sum()) // 180)
     f = along.frequency[keep][::step]
     outside = along.distance > 1.05 * results.scenario.device.cone.radius
+    if outside.sum() < 3:
+        raise NotApplicable("a wave fit needs 3 points in a row beside the cone; this grid has fewer")
     values, gap = along.values[keep][::step][:, outside], along.distance[outside]
     root = kernel_root(results.scenario, f)
     alone = None if root is None else fit_waves(f, gap, hankel2(0, root[:, None] * gap))

@@ -44,8 +44,10 @@ def strength_rows(
     interval: tuple[FloatArray, FloatArray] | None = None,
     record: FloatArray | None = None,
     window: tuple[float, float] | None = None,
+    *,
+    grouped: bool = True,
 ) -> tuple[StrengthRow, ...]:
-    """Lines for ``strengths`` (n_method, n_target), target by target; groups are those of a 3x3 grid.
+    """Lines for ``strengths`` (n_method, n_target), target by target; groups are those of a 3x3 grid if ``grouped``.
 
     ``interval`` low and high and S over the ``record`` have the same shape; ``window`` [s], None for the record.
     """
@@ -53,7 +55,7 @@ def strength_rows(
     low, high = interval or (unknown, unknown)
     whole = unknown if record is None else record
     over = "record" if window is None else f"{window[0]:g} to {window[1]:g} s"
-    groups = {t: label.split()[0].lower() for label, members in GROUPS for t in members}
+    groups = {t: label.split()[0].lower() for label, members in GROUPS for t in members} if grouped else {}
     return tuple(
         StrengthRow(
             t, groups.get(t, ""), m, float(strengths[i, j]), float(low[i, j]), float(high[i, j]),

@@ -29,6 +29,7 @@ from ..io.signals import stack, write_displacements, write_drives
 from ..io.tables import strength_rows, write_signal_strength_csv
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
+from ..rendering.lattice import is_thesis_grid
 from ..results import (
     ErrorRecord,
     MeshRecord,
@@ -252,8 +253,9 @@ def _write_rendering(run: Run, rendering: Rendering, transfer: TransferMatrix, a
     write_drives(run.out / "drives.nc", stack(signals, tuple(p.name for p in transfer.inputs), time, volts))
     write_displacements(run.out / "displacements.nc", stack(moves, tuple(p.name for p in transfer.outputs), time, "m"))
     rows = strength_rows(
-        account.methods, account.targets, account.value, (account.low, account.high), account.record, account.window
-    )
+        account.methods, account.targets, account.value, (account.low, account.high), account.record, account.window,
+        grouped=is_thesis_grid(transfer.outputs),
+    )  # fmt: skip
     write_signal_strength_csv(run.out / "signal_strength.csv", rows)
     if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
         with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:

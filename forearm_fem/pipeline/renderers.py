@@ -99,8 +99,8 @@ def _remedy(method: str, problem: str) -> str:
     if "corner rule" in problem:
         return "set rendering.zeros = 'auto', or name the points"
     if "outside" in problem:
-        return "name rendering.targets inside it, or lower grid.pitch or raise device.spacing"
-    return "put device.contacts on a rectangle, or use the inverse filter"
+        return "name rendering.targets between the actuators, or lower grid.pitch or raise device.spacing"
+    return "add an actuator, or use the inverse filter"
 
 
 def check_servable(scenario: Scenario) -> dict[str, str]:

@@ -139,4 +139,4 @@ def _sheets(scenario: Scenario) -> dict[str, float]:
 
 def _places(scenario: Scenario) -> tuple[object, ...]:
     device = scenario.device
-    return device.contacts, device.spacing, device.rotation, device.cone.radius, device.cone.contact
+    return device.centres, device.rotation, device.cone.radius, device.cone.contact

@@ -36,7 +36,14 @@ _RULES = (
         lambda s: s.engine == "layered",
         "engine = 'layered' has flat, endless layers and no mesh",
     ),
-    _Unread(("device.spacing",), lambda s: s.device.contacts is not None, "device.contacts is given"),
+    _Unread(
+        tuple(f"device.{key}" for key in ("rows", "columns", "spacing", "spacing_y", "stagger")),
+        lambda s: s.device.contacts is not None, "device.contacts is given",
+    ),
+    _Unread(
+        ("device.spacing_y",), lambda s: s.device.columns in {1, (1,) * s.device.rows} and not s.device.stagger,
+        "no row has two actuators",
+    ),
     _Unread(
         ("device.coil", "device.housing", "device.cone.mass", "device.max_voltage", "device.max_power"),
         lambda s: s.device.drive != "voltage",
@@ -54,7 +61,11 @@ _RULES = (
         ("tissues.patch.length", "tissues.patch.width"), lambda s: not s.tissues.patch.is_on,
         "tissues.patch has neither mass nor stiffness",
     ),
-    _Unread(("grid.rows", "grid.columns", "grid.pitch"), lambda s: s.grid.points is not None, "grid.points is given"),
+    _Unread(
+        ("grid.rows", "grid.columns", "grid.pitch", "grid.pitch_y"), lambda s: s.grid.points is not None,
+        "grid.points is given",
+    ),
+    _Unread(("grid.pitch_y",), lambda s: s.grid.columns == 1, "no row has two points"),
     _Unread(("sweep.f_min", "sweep.f_max"), lambda s: s.sweep.frequencies is not None, "sweep.frequencies is given"),
     _Unread(
         ("sweep.duration", "sweep.sample_rate"),

@@ -7,22 +7,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import DataError, GeometryError
-from ..ports import Port
+from ..ports import Port, positions
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .drives import Aim
-from .lattice import lattice
+from .lattice import SLACK, lattice
 from .spectrum import Placed
+from .triangles import line_through, nearest_distance, triangle_weights
 
 
 def funneling_weights(inputs: tuple[Port, ...], target: Port) -> FloatArray:
-    """A_q / A (n_in,) [-] = (1 - d_x / D_x)(1 - d_y / D_y), eq. 6 of de Vlam 2022.
+    """A_q / A (n_in,) [-]; they sum to 1.
 
-    ``inputs`` form a rectangle of N x M actuators; the four around the target share its weight and the others
-    are silent, so that eq. 6 holds within each cell. The weights sum to 1. Raises GeometryError if the inputs
-    are no rectangle or the target lies outside. The logarithmic law is not covered (the thesis took the
-    linear one).
+    On a rectangle of N x M actuators eq. 6 of de Vlam 2022, (1 - d_x / D_x)(1 - d_y / D_y): the four around the target
+    share its weight, so that eq. 6 holds within each cell. On a line, its one-dimensional form between the two
+    neighbours. Any other layout: the target's barycentric coordinates in the triangle of nearest actuators
+    (:mod:`.triangles`), the linear law of three-actuator phantoms (US 10867526 B2, eq. 5).
+
+    Raises GeometryError for a single actuator, and where the target lies outside the actuators. The logarithmic law is
+    not covered (the thesis took the linear one).
     """
-    grid = lattice(inputs, "funneling, actuators")
+    if len(inputs) < 2:
+        raise GeometryError("funneling, actuators: expected two or more, got one")
+    try:
+        grid = lattice(inputs, "funneling, actuators")
+    except GeometryError:  # no rectangle
+        return _elsewhere(inputs, target)
     shares = [
         _shares(at, lines, grid.slack, target.name)
         for at, lines in zip(grid.coordinates(target), (grid.rows, grid.columns), strict=True)
@@ -30,11 +39,31 @@ def funneling_weights(inputs: tuple[Port, ...], target: Port) -> FloatArray:
     return np.asarray(shares[0][grid.place[:, 0]] * shares[1][grid.place[:, 1]])
 
 
-def _shares(at: float, lines: FloatArray, slack: float, name: str) -> FloatArray:
+def _elsewhere(inputs: tuple[Port, ...], target: Port) -> FloatArray:
+    place, at = positions(inputs)[:, :2], positions((target,))[0, :2]
+    if not (nearest := nearest_distance(place)) > 0:
+        raise GeometryError("funneling, actuators: two of them lie at one place; give each its own")
+    slack = SLACK * nearest
+    line = line_through(place, slack)
+    if line is None:
+        weights = triangle_weights(place, at, slack)
+        if weights is None:
+            raise GeometryError(f"funneling: target '{target.name}' lies outside the actuators")
+        return weights
+    along, aside = place @ line, abs(float((at - place.mean(axis=0)) @ np.array([-line[1], line[0]])))
+    if aside > slack:
+        raise GeometryError(f"funneling: target '{target.name}' lies {aside:.3g} m outside the actuators' line")
+    order = np.argsort(along)
+    shares = np.empty(len(inputs))
+    shares[order] = _shares(float(at @ line), along[order], slack, target.name, "line")
+    return shares
+
+
+def _shares(at: float, lines: FloatArray, slack: float, name: str, what: str = "rectangle") -> FloatArray:
     """Linear share of each line: 1 on it, 0 on its neighbours."""
     if not lines[0] - slack <= at <= lines[-1] + slack:
         outside = max(lines[0] - at, at - lines[-1])
-        raise GeometryError(f"funneling: target '{name}' lies {outside:.3g} m outside the actuators' rectangle")
+        raise GeometryError(f"funneling: target '{name}' lies {outside:.3g} m outside the actuators' {what}")
     return np.array([np.interp(at, lines, unit) for unit in np.eye(len(lines))])
 
 

@@ -10,7 +10,7 @@ from ..errors import GeometryError
 from ..ports import Port, positions
 from ..typing import FloatArray, IntArray
 
-_SLACK = 0.05  # of the nearest-neighbour distance that a port may lie off its row or column
+SLACK = 0.05  # of the nearest-neighbour distance that a port may lie off its row or column
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,8 @@ def lattice(ports: tuple[Port, ...], what: str) -> Lattice:
     angle = float(np.arctan2(step[nearest, 1], step[nearest, 0]))
     angle -= np.pi / 2 * round(angle / (np.pi / 2))
     turned = _turn(xy, -angle)
-    rows, r = _lines(turned[:, 0], _SLACK * reach)
-    columns, c = _lines(turned[:, 1], _SLACK * reach)
+    rows, r = _lines(turned[:, 0], SLACK * reach)
+    columns, c = _lines(turned[:, 1], SLACK * reach)
     place = np.stack([r, c], axis=1)
     filled = (
         len(rows) >= 2 and len(columns) >= 2 and len(rows) * len(columns) == len(ports) == len(np.unique(place, axis=0))
@@ -61,7 +61,28 @@ def lattice(ports: tuple[Port, ...], what: str) -> Lattice:
             f"{what}: expected a rectangular array of rows and columns, got {len(ports)} ports "
             f"on {len(rows)} rows and {len(columns)} columns"
         )
-    return Lattice(angle, rows, columns, place, _SLACK * reach)
+    return Lattice(angle, rows, columns, place, SLACK * reach)
+
+
+def is_thesis_grid(outputs: tuple[Port, ...]) -> bool:
+    """Whether ``outputs`` are the thesis' 3 x 3 points "1" to "9", row by row; by their names where places are unknown.
+
+    Groups of Table I (middle, edges, corners) mean something on such a grid only.
+    """
+    by_name = {p.name: p for p in outputs}
+    if set(by_name) != {str(k) for k in range(1, 10)}:
+        return False
+    ordered = tuple(by_name[str(k)] for k in range(1, 10))
+    if not np.isfinite(positions(ordered)).all():
+        return True
+    try:
+        middle = lattice(ordered, "grid")
+    except GeometryError:
+        return False
+    return middle.place[4].tolist() == [1, 1] and {tuple(middle.place[k]) for k in (0, 2, 6, 8)} == _CORNERS
+
+
+_CORNERS = {(0, 0), (0, 2), (2, 0), (2, 2)}
 
 
 def _turn(xy: FloatArray, angle: float) -> FloatArray:

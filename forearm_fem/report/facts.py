@@ -13,9 +13,11 @@ from ..figures.data import Results
 from ..figures.judge import WHO, Strengths, strengths, table_one_rows
 from ..metrics import condition_number, thesis_table
 from ..metrics.strength import GROUPS
+from ..rendering.lattice import is_thesis_grid
 from ..rendering.limits import Limits, beyond_limits
 from ..results import StrengthRecord
 from ..scenario import Scenario
+from ..scenario.device import Device
 from ..transfer import size_words
 from ..typing import FloatArray
 
@@ -69,16 +71,31 @@ def _tissues(s: Scenario) -> str:
 def _device(s: Scenario) -> str:
     d = s.device
     absent = f"; out of contact: {', '.join(d.out_of_contact)}" if d.out_of_contact else ""
-    apart = f"{_mm(d.spacing)} apart" if d.contacts is None else f"at own places{_nearest(d.contacts)}"
-    return (f"{len(d.centres)} actuators {apart}, {d.drive} drive, cones of {_mm(2 * d.cone.radius)} "
-            f"diameter, {d.cone.contact} contact{absent}")  # fmt: skip
+    count = _counted(len(d.centres), "actuator")
+    return (f"{count} {_arranged(d)}, {d.drive} drive, cones of {_mm(2 * d.cone.radius)} diameter, "
+            f"{d.cone.contact} contact{absent}")  # fmt: skip
+
+
+def _arranged(d: Device) -> str:
+    if d.contacts is not None:
+        return f"at own places{_nearest(d.contacts)}"
+    counts = d.columns if isinstance(d.columns, tuple) else (d.columns,) * d.rows
+    rows = f"in rows of {', '.join(map(str, counts))}" if len(set(counts)) > 1 else f"in {d.rows} x {counts[0]}"
+    across = d.spacing_y or d.spacing
+    aside = f", rows staggered by {_mm(d.stagger * across)}" if d.stagger else ""
+    return f"{rows}, {_mm(d.spacing)}{'' if across == d.spacing else f' x {_mm(across)}'} apart{aside}"
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _grid(s: Scenario, count: int) -> str:
     g = s.grid
     if g.points is not None:
-        return f"{count} points at own places{_nearest(g.points)}"
-    return f"{count} points, pitch {_mm(g.pitch)}"
+        return f"{_counted(count, 'point')} at own places{_nearest(g.points)}"
+    across = g.pitch_y or g.pitch
+    return f"{g.rows} x {g.columns} points, pitch {_mm(g.pitch)}{'' if across == g.pitch else f' x {_mm(across)}'}"
 
 
 def _nearest(places: Sequence[tuple[float, float]]) -> str:
@@ -172,7 +189,7 @@ def exceeded(results: Results) -> list[str]:
 def strength_block(results: Results) -> Block | None:
     """Table I, here and in the thesis; None for a grid that is not 3 by 3."""
     data = strengths(results)
-    if not _is_thesis_grid(data):
+    if not is_thesis_grid(results.transfer.outputs):
         return None
     header = ["S", *(f"{m}, {who}" for m in data.methods for who in WHO)]
     note = (f"Here: S {window_words(data)}. Record: the same motion over the whole record of "
@@ -188,10 +205,6 @@ def window_words(data: Strengths) -> str:
     if data.window == "record":
         return "over the whole record, as in the thesis"
     return f"over {data.window} about the wavelet's centre"
-
-
-def _is_thesis_grid(data: Strengths) -> bool:
-    return set(data.targets) <= {str(k) for k in range(1, 10)}
 
 
 def by_target_block(results: Results) -> Block:
@@ -232,7 +245,7 @@ def _hole_words(account: StrengthRecord, method: str, target: str) -> str:
 def differences(results: Results) -> list[str]:
     """A sentence for each entry of Table I that differs by more than the thesis' own spread and our interval."""
     data = strengths(results)
-    if not _is_thesis_grid(data):
+    if not is_thesis_grid(results.transfer.outputs):
         return []
     ours, theirs = data.table(), thesis_table()
     error = _group_error(data)

@@ -1,4 +1,4 @@
-"""The device: four voice coils with cones in one housing, or plain sources; and the grid of points read."""
+"""The device: voice coils with cones in one housing, or plain sources, in rows or anywhere; and the grid read."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from .base import Length, Mass, Part, Voltage, Within
+from .rows import places_in_rows
 
+MOST_ACTUATORS = 100
 NEAREST = 2e-4  # [m] between two grid points: closer ones are one place, and no mesh is that fine
 
 Place = Annotated[float, Within(-0.5, 0.5, "m")]  # in the device's own frame
@@ -66,12 +68,28 @@ class Housing(Part):
     )
 
 
-class Device(Part):
-    """Contacts on the volar skin, row by row: (-x,-y), (-x,+y), (+x,-y), (+x,+y)."""
+Count = Annotated[int, Within(1, 20)]
 
-    spacing: Annotated[float, Within(2e-4, 0.3, "m")] = Field(0.045, description="centre distance [m] (thesis III.A)")
-    contacts: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=100)] | None = Field(
-        None, description="own contact centres (x, y) [m] instead of the 2x2 array"
+
+class Device(Part):
+    """Contacts on the volar skin, row by row; the thesis' are (-x,-y), (-x,+y), (+x,-y), (+x,+y)."""
+
+    rows: Count = Field(2, description="number of rows of actuators, along x")
+    columns: Count | Annotated[tuple[Count, ...], Field(min_length=1)] = Field(
+        2, description="actuators in a row, along y; or one number per row, each row centred: [2, 3, 2] is staggered"
+    )
+    spacing: Annotated[float, Within(2e-4, 0.3, "m")] = Field(
+        0.045, description="distance of rows along x, and of actuators in a row unless spacing_y is given [m] (thesis "
+        "III.A)",
+    )  # fmt: skip
+    spacing_y: Annotated[float, Within(2e-4, 0.3, "m")] | None = Field(
+        None, description="distance of the actuators in a row, along y [m]; spacing unless given"
+    )
+    stagger: Annotated[float, Within(-1, 1)] = Field(
+        0.0, description="rows are moved along y in turn by minus and plus half this share of spacing_y [-]"
+    )
+    contacts: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=MOST_ACTUATORS)] | None = Field(
+        None, description="own contact centres (x, y) [m] instead of rows"
     )
     rotation: Annotated[float, Within(-6.3, 6.3, "rad")] = Field(0.0, description="of the whole device about z [rad]")
     drive: Literal["voltage", "force", "displacement"] = Field(
@@ -96,9 +114,13 @@ class Device(Part):
 
     @model_validator(mode="after")
     def _names(self) -> Self:
-        known = {f"A{i + 1}" for i in range(len(self.centres))}
         if self.contacts is not None and not self.contacts:
-            raise ValueError("contacts is empty; give at least one (x, y) [m], or leave the key out for the 2x2 device")
+            raise ValueError("contacts is empty; give at least one (x, y) [m], or leave the key out for rows")
+        if isinstance(self.columns, tuple) and len(self.columns) != self.rows:
+            raise ValueError(f"columns gives {len(self.columns)} rows, but rows is {self.rows}; make them agree")
+        if (count := len(self.centres)) > MOST_ACTUATORS:
+            raise ValueError(f"rows and columns make {count} actuators, expected at most {MOST_ACTUATORS}")
+        known = {f"A{i + 1}" for i in range(count)}
         for key in ("out_of_contact", "contact_springs", "gains"):
             if unknown := set(getattr(self, key)) - known:
                 raise ValueError(f"{key} names {sorted(unknown)}, known are {sorted(known)}")
@@ -107,10 +129,10 @@ class Device(Part):
     @property
     def centres(self) -> tuple[tuple[float, float], ...]:
         """Contact centres in the device's own frame (x, y) [m]."""
-        half = self.spacing / 2
         if self.contacts is not None:
             return self.contacts
-        return ((-half, -half), (-half, half), (half, -half), (half, half))
+        counts = self.columns if isinstance(self.columns, tuple) else (self.columns,) * self.rows
+        return places_in_rows(counts, self.spacing, self.spacing_y or self.spacing, self.stagger)
 
 
 class Grid(Part):
@@ -119,7 +141,11 @@ class Grid(Part):
     rows: Annotated[int, Within(1, 50)] = Field(3, description="number of rows, along x")
     columns: Annotated[int, Within(1, 50)] = Field(3, description="number of columns, along y")
     pitch: Annotated[float, Within(2e-4, 0.1, "m")] = Field(
-        13.3e-3, description="[m]; the thesis' 1.33 cm (its '4x4 cm' contradicts it)"
+        13.3e-3, description="of the rows, and of the columns unless pitch_y is given [m]; the thesis' 1.33 cm (its "
+        "'4x4 cm' contradicts it)",
+    )  # fmt: skip
+    pitch_y: Annotated[float, Within(2e-4, 0.1, "m")] | None = Field(
+        None, description="of the columns, along y [m]; pitch unless given"
     )
     points: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=2500)] | None = Field(
         None, description="own points (x, y) [m] instead"
@@ -142,10 +168,7 @@ class Grid(Part):
         """The points in the device's own frame (x, y) [m]."""
         if self.points is not None:
             return self.points
-        x0, y0 = (self.rows - 1) / 2, (self.columns - 1) / 2
-        return tuple(
-            ((r - x0) * self.pitch, (c - y0) * self.pitch) for r in range(self.rows) for c in range(self.columns)
-        )
+        return places_in_rows((self.columns,) * self.rows, self.pitch, self.pitch_y or self.pitch)
 
 
 def _closest(points: Sequence[tuple[float, float]]) -> tuple[int, int, float] | None:
