@@ -55,7 +55,7 @@ class LayeredArm:
         ports = flat_ports(scenario)
         discs = [flat_disc(port) for port in ports]
         found = layered_compliance(
-            flat_layers(scenario), 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues.membrane),
+            flat_layers(scenario), 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
             tolerance=_TOLERANCE, terms=_TERMS, orders=_ORDERS,
         )  # fmt: skip
         error = np.asarray(found.error)
