@@ -114,5 +114,6 @@ def plot_drivers(data: Mapping[str, Any], *, ax: Axes | None = None) -> FigureBa
                 axes.annotate(f"{value:.1f}", (column, row), ha="center", va="center", fontsize=5.5,
                               color="w" if abs(value) > 0.6 else INK)  # fmt: skip
     axes.tick_params(length=0)
+    axes.grid(False)
     figure.colorbar(shown, ax=axes, label="rank correlation with S", shrink=0.8)
     return figure

@@ -137,9 +137,12 @@ def predict(
 def check_question(question: Question) -> None:
     """ScenarioError for laws, inputs or groups that are not known, and for a scene that renders nothing."""
     priors = load_priors()
-    known = {*priors.inputs, *(p.group for p in priors.inputs.values())} - {"law"}
-    if bad := sorted(set(question.held) - known):
-        raise ScenarioError(f"--hold: no input or group is called '{bad[0]}'; known are {', '.join(sorted(known))}")
+    groups = {p.group for p in priors.inputs.values()}
+    if bad := sorted(set(question.held) - groups - (set(priors.inputs) - {"law"})):
+        raise ScenarioError(
+            f"--hold: no input or group is called '{bad[0]}'; groups are {', '.join(sorted(groups))}, single inputs "
+            "stand in prediction/priors.toml"
+        )
     if bad := sorted(set(question.laws) - set(LAWS)):
         raise ScenarioError(f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}")
     if not question.laws:

@@ -55,7 +55,7 @@ def draws_of(outcomes: Sequence[Outcome], methods: Sequence[str], targets: Seque
     if len(good) < LEAST:
         why = f"; the first failure: {problems[0]}" if problems else ", raise --draws"
         raise DataError(f"a band of 90 % needs {LEAST} draws with S, got {len(good)}{why}")
-    shared = [n for n in good[0].drivers if all(n in o.drivers for o in good)]
+    shared = sorted(n for n in good[0].drivers if all(n in o.drivers for o in good))  # read back in any order
     laws = tuple(o.law for o in good)
     known = sorted(set(laws))
     columns = [[o.drivers[n] for n in shared] + [float(known.index(o.law))] for o in good]
