@@ -50,8 +50,7 @@ class LayeredArm:
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """See :class:`ArmModel`."""
-        if getattr(scenario.limb, "bones", ()):  # it has none, and thick fat need not fit around them
-            scenario = scenario.model_copy(update={"limb": scenario.limb.model_copy(update={"bones": ()})})
+        scenario = without_bones(scenario)
         ports = flat_ports(scenario)
         discs = [flat_disc(port) for port in ports]
         found = layered_compliance(
@@ -64,6 +63,13 @@ class LayeredArm:
             tuple(frequency.tolist()), tuple(error.tolist()),
         )  # fmt: skip
         return Compliance(frequency, found.values, ports, (estimate,))
+
+
+def without_bones(scenario: Scenario) -> Scenario:
+    """The same without bones, which the twin has not: thick fat need not fit around them."""
+    if not getattr(scenario.limb, "bones", ()):
+        return scenario
+    return scenario.model_copy(update={"limb": scenario.limb.model_copy(update={"bones": ()})})
 
 
 def arm_model(scenario: Scenario) -> ArmModel:
