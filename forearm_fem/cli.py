@@ -21,7 +21,7 @@ app = typer.Typer(
 for _command in (
     simulate.run, simulate.mesh, simulate.solve, simulate.render,
     measured.calibrate, measured.play, measured.loopback, measured.compare, measured.fit,
-    pictures.figures, pictures.show, predict.predict,
+    pictures.figures, pictures.show, predict.predict, predict.validate,
     studies.campaign, studies.verify,
     new.new, about.schema, about.doctor,
 ):  # fmt: skip
