@@ -15,6 +15,7 @@ from cli_runner import cli
 from scipy import stats
 
 from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.figures.data import Results
 from forearm_fem.io.jsonfiles import read_json
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
@@ -25,7 +26,7 @@ from forearm_fem.prediction.outcome import READINGS, Outcome, outcome_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import Prediction, Question, predict
 from forearm_fem.prediction.store import FILE, read_outcomes
-from forearm_fem.prediction.summary import find_summary, summary
+from forearm_fem.prediction.summary import summary
 from forearm_fem.report.prediction import strength_words
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import TransferMatrix
@@ -318,10 +319,18 @@ def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
     assert strength_words(cell) in answer.out
     assert "flat layers without end" in text
     assert (content["laws"], content["draws"], content["failed"]) == (["zener"], N, [])
-    from forearm_fem.scenario import load_scenario
-
-    assert find_summary(tmp_path / "out", load_scenario(tmp_path / "small.toml")) == content
-    assert find_summary(tmp_path / "out", SCENE) is None
+    assert cli("run", "small.toml", "--out", "out", cwd=tmp_path).code == 0
+    assert Results.open(tmp_path / "out").prediction == content
+    report, table = (tmp_path / "out" / "report.md").read_text(), content["by_group"]["combination"]
+    row = next(line for line in report.splitlines() if line.startswith("| 1 |"))
+    assert f"{strength_words(cell)} |" in row  # the same S, its numerics and the arms beside it
+    low, high = table["Corners (1/3/7/9)"]["arms"][0], table["Corners (1/3/7/9)"]["arms"][-1]
+    assert f"arms {low:.2f}-{high:.2f})" in report.partition("Table I")[2]
+    assert "Never add the two" in report
+    assert cli("run", "small.toml", "--set", "device.spacing=0.05", "--out", "out", cwd=tmp_path).code == 0
+    assert (
+        "arms" not in (tmp_path / "out" / "report.md").read_text().partition("## Signal strength")[2].partition("##")[0]
+    )
     bad = cli("predict", "small.toml", "--hold", "bones", cwd=tmp_path)
     assert bad.code == 2
     assert "--hold: no input or group is called 'bones'" in bad.err

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..errors import DataError
-from ..io.jsonfiles import read_json, write_json
-from ..scenario import Scenario
+from ..io.jsonfiles import write_json
 from ..typing import FloatArray
 from .run import Prediction
 from .statistics import LEVELS, group_columns, group_means, quantiles, rank_correlations, sobol_indices, winners
@@ -96,13 +94,3 @@ def write_summary(folder: str | Path, content: Mapping[str, Any]) -> Path:
     file = Path(folder) / FILE
     write_json(file, content)
     return file
-
-
-def find_summary(results: str | Path, scenario: Scenario) -> dict[str, Any] | None:
-    """The prediction kept in a results folder, where it is of this very scenario; else None."""
-    try:
-        found = read_json(Path(results) / FOLDER / FILE)
-    except DataError:
-        return None
-    same = found.get("scenario") == scenario.model_dump(mode="json")
-    return found if same else None
