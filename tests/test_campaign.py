@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from cli_runner import SMALL, cli
 
-from forearm_fem.campaign import CampaignResult, load_campaign, run, run_campaign
+from forearm_fem.campaign import CampaignResult, executor, load_campaign, run, run_campaign
 from forearm_fem.campaign.model import DrawTable, draws
 from forearm_fem.errors import MissingExtra, ScenarioError, SolverError
 from forearm_fem.scenario import Scenario
@@ -38,13 +38,13 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Here:
     def client(*_: object) -> Iterator[Here]:
         yield log
 
-    def results(client: Here, jobs: list[Any]) -> Iterator[tuple[str, Any]]:
-        for job in reversed(jobs):
+    def results(client: Here, work: Any, jobs: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+        for key, job in reversed(jobs.items()):
             client.ran.append(job.name)
-            yield job.name, run.work(job)
+            yield key, work(job)
 
-    monkeypatch.setattr(run, "_client", client)
-    monkeypatch.setattr(run, "_results", results)
+    monkeypatch.setattr(run, "cluster", client)
+    monkeypatch.setattr(run, "completed", results)
     return log
 
 
@@ -191,7 +191,7 @@ def test_memory_limits_the_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_no_scheduler_at_the_address_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run, "PATIENCE", 0.5)
+    monkeypatch.setattr(executor, "PATIENCE", 0.5)
     file = made(tmp_path, "")
     with pytest.raises(SolverError, match="no Dask scheduler"):
         run_campaign(load_campaign(file), tmp_path / "out", scheduler="tcp://127.0.0.1:1")

@@ -8,7 +8,7 @@ from functools import cached_property
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from ..errors import DataError
 from ..geometry.limb.bending import with_bends
@@ -46,6 +46,7 @@ STAGES: Mapping[str, str] = MappingProxyType(
         "signal_strength.csv": "render",
     }
 )
+PREDICTION = "prediction/prediction.json"
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,15 @@ class Results:
             if "no compliance" in str(problem):
                 return None
             raise
+
+    @cached_property
+    def prediction(self) -> Mapping[str, Any] | None:
+        """S over arms (``forearm-fem predict``), where the folder holds one of this very scenario."""
+        try:
+            found = read_json(self.folder / PREDICTION)
+        except DataError:
+            return None
+        return found if found.get("scenario") == self.scenario.model_dump(mode="json") else None
 
     @cached_property
     def drives(self) -> Signals:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +27,8 @@ WHO = ("here", "record", "thesis")  # columns of Table I: S over the window, ove
 class Strengths:
     """S (n_method, n_target) [-] with the places of targets and actuators.
 
-    ``low`` to ``high`` is the numerical interval, NaN where unknown; ``record`` is S over the whole record, ``window``
+    ``low`` to ``high`` is the numerical interval, NaN where unknown; ``arms`` is what a prediction says of people (its
+    summary, None without one), which is no error of the numerics; ``record`` is S over the whole record, ``window``
     what ``values`` are taken over ("" in folders before 0.14).
     """
 
@@ -39,6 +41,7 @@ class Strengths:
     high: FloatArray
     record: FloatArray
     window: str
+    arms: Mapping[str, Any] | None = None
 
     def table(self) -> StrengthTable:
         """In the layout of Table I."""
@@ -61,6 +64,7 @@ def strengths(results: Results) -> Strengths:
     return Strengths(
         methods, targets, column("S"), outputs, results.transfer.inputs,
         column("S_low"), column("S_high"), column("S_record"), results.strengths[0].window,
+        results.prediction,
     )  # fmt: skip
 
 
@@ -117,9 +121,23 @@ def table_one_rows(data: Strengths) -> list[list[str]]:
         row = [group]
         for m, method in enumerate(ours.methods):
             whole = _cell(record.mean[g, m], record.std[g, m]) if np.isfinite(record.mean[g, m]) else "–"
-            row += [_cell(ours.mean[g, m], ours.std[g, m]), whole, _thesis_cell(theirs, group, method)]
+            here = _cell(ours.mean[g, m], ours.std[g, m]) + spreads(data, method, group)
+            row += [here, whole, _thesis_cell(theirs, group, method)]
         rows.append(row)
     return rows
+
+
+def spreads(data: Strengths, method: str, place: str) -> str:
+    """E.g. `` (numerics 1.30-1.32, arms 0.70-1.80)`` for a target or a group of Table I; empty without a prediction."""
+    by_group = data.arms is not None and place in data.arms["by_group"].get(method, {})
+    known = (data.arms or {}).get("by_group" if by_group else "by_target", {}).get(method, {}).get(place)
+    if data.arms is None or known is None:
+        return ""
+    inside = data.arms["groups"][place] if by_group else [place]
+    columns = [i for i, t in enumerate(data.targets) if t in inside]
+    low, high = (each[data.methods.index(method), columns].mean() for each in (data.low, data.high))
+    numerics = f"{low:.2f}-{high:.2f}" if np.isfinite(low) and np.isfinite(high) else "unknown"
+    return f" (numerics {numerics}, arms {known['arms'][0]:.2f}-{known['arms'][-1]:.2f})"
 
 
 def _thesis_cell(theirs: StrengthTable, group: str, method: str) -> str:

@@ -108,12 +108,11 @@ def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
         ("coil", "quality", "coil quality"), ("housing", "mass", "housing mass"),
         ("housing", "strap_stiffness", "strap stiffness"), ("housing", "skin_share", "housing share"),
     ):  # fmt: skip
-        if name in values and key in device[part]:
+        if name in values:
             device[part][key] = values[name]
     for key, name in (("contact_springs", "contact spring"), ("gains", "gain")):
         found = {who: value for n, value in values.items() for what, _, who in [n.rpartition(" ")] if what == name}
-        if found and key in device:
-            device[key] = {**device[key], **found}
+        device[key] = {**device[key], **found}
 
 
 def moved_points(scenario: Scenario, values: Mapping[str, float]) -> list[tuple[float, float]]:

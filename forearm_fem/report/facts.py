@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from ..figures.data import Results
-from ..figures.judge import WHO, Strengths, strengths, table_one_rows
+from ..figures.judge import WHO, Strengths, spreads, strengths, table_one_rows
 from ..metrics import condition_number, thesis_table
 from ..metrics.strength import GROUPS
 from ..rendering.lattice import is_thesis_grid
@@ -195,6 +195,8 @@ def strength_block(results: Results) -> Block | None:
     note = (f"Here: S {window_words(data)}. Record: the same motion over the whole record of "
             f"{results.scenario.sweep.duration:g} s, as the thesis sums it; that reading grows with the record, as the "
             "edges of the band ring on. Thesis: one participant (P2), measured with the laser vibrometer.")  # fmt: skip
+    if data.arms is not None:
+        note += f" Arms: 5-95 % of the group's mean S over {data.arms['draws']} arms, apart from the numerics."
     return Block(header, table_one_rows(data), note)
 
 
@@ -215,11 +217,15 @@ def by_target_block(results: Results) -> Block:
     rows = []
     for t, target in enumerate(data.targets):
         cells = [
-            f"{data.values[m, t]:.2f} ({_span_of(data, m, t)}){_hole_words(account, method, target) if holes else ''}"
+            f"{data.values[m, t]:.2f}{spreads(data, method, target) or f' ({_span_of(data, m, t)})'}"
+            f"{_hole_words(account, method, target) if holes else ''}"
             for m, method in enumerate(data.methods)
         ]
         rows.append([target, *cells])
     said = ["In brackets: S within the errors stated for G, nine in ten of them; how arms differ is not in it."]
+    if data.arms is not None:
+        said = ["Numerics: S within the errors stated for G, nine in ten of them. Arms: 5-95 % of "
+                f"{data.arms['draws']} arms ({data.arms['model']}; {data.arms['left_out']}). Never add the two."]
     said += [account.unknown.capitalize() + "."] if account.unknown else []
     said += [f"S is taken {window_words(data)}."]
     edge, where = account.largest("edges")

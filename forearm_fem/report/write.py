@@ -18,7 +18,7 @@ from ..figures.data import Results
 from ..figures.motion import View
 from ..figures.registry import applies, kinds
 from ..figures.show import render_still
-from ..figures.style import SHEET, figure_of, sign
+from ..figures.style import SHEET, Drawn, figure_of, sign
 from ..figures.tables import markdown
 from ..figures.targets import plot_traces, target_waves
 from ..io.atomic import atomic_path, write_text
@@ -132,18 +132,19 @@ def _pictures(results: Results, progress: Progress | None) -> tuple[list[tuple[s
 
 def _figure(results: Results, name: str) -> Picture:
     kind = kinds(results)[name]
-    return _embedded(kind.draw(kind.compute(results)), kind.title, results)
+    return embedded(kind.draw(kind.compute(results)), kind.title, results.stamp)
 
 
 def _traces(results: Results, target: str) -> Picture:
     thesis = {"5": ", as in the thesis' figure 6", "6": ", as in the thesis' figure 7"}.get(target, "")
     title = f"Displacement of all points over time, target {target} solid{thesis}"
-    return _embedded(plot_traces(target_waves(results, target)), title, results)
+    return embedded(plot_traces(target_waves(results, target)), title, results.stamp)
 
 
-def _embedded(drawn: object, title: str, results: Results) -> Picture:
-    figure = figure_of(drawn)  # type: ignore[arg-type]
-    sign(figure, results.stamp)
+def embedded(drawn: Drawn, title: str, stamp: str) -> Picture:
+    """A figure as a picture of a report, signed with ``stamp``."""
+    figure = figure_of(drawn)
+    sign(figure, stamp)
     stream = io.BytesIO()
     with style.context(SHEET):
         figure.savefig(stream, format="png", dpi=130)
@@ -161,20 +162,29 @@ def _still(results: Results, target: str) -> Picture:
 
 def as_html(results: Results, sections: list[Section]) -> str:
     """The page; nothing in it is fetched from elsewhere."""
+    return page_of(f"Run of scene {results.scenario.name}", facts.headline(results), sections, results.stamp)
+
+
+def page_of(title: str, lead: str, sections: list[Section], stamp: str) -> str:
+    """A self-contained page of ``sections`` below a ``title`` and a sentence that leads."""
     source = resources.files(__package__).joinpath("report.html.j2").read_text(encoding="utf-8")
     page = Environment(autoescape=True, trim_blocks=True).from_string(source)
-    title = f"Run of scene {results.scenario.name}"
-    return page.render(title=title, lead=facts.headline(results), sections=sections, stamp=results.stamp)
+    return page.render(title=title, lead=lead, sections=sections, stamp=stamp)
 
 
 def as_markdown(results: Results, sections: list[Section]) -> str:
     """The same, with its pictures as files beside it."""
-    parts = [f"# Run of scene {results.scenario.name}\n", facts.headline(results) + "\n"]
+    return markdown_of(f"Run of scene {results.scenario.name}", facts.headline(results), sections, results.stamp)
+
+
+def markdown_of(title: str, lead: str, sections: list[Section], stamp: str) -> str:
+    """The same as :func:`page_of` in Markdown."""
+    parts = [f"# {title}\n", lead + "\n"]
     for section in sections:
         body = _markdown_body(section)
         if body:
             parts += [f"## {section.title}\n", *body]
-    return "\n".join([*parts, f"*{results.stamp}*\n"])
+    return "\n".join([*parts, f"*{stamp}*\n"])
 
 
 def _markdown_body(section: Section) -> list[str]:

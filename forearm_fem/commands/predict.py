@@ -1,0 +1,96 @@
+"""predict, validate: what S people will see, and how that compares with what was measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..scenario import load_scenario
+from .common import Display, OutFolder, Overrides, ScenarioFile, noted, out_folder, transfer_file
+
+
+def predict(
+    scenario: ScenarioFile,
+    overrides: Overrides = None,
+    out: OutFolder = None,
+    draws: Annotated[
+        int, typer.Option(min=20, max=100_000, help="arms drawn; 20 is the least for a band of 90 %")
+    ] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="of the draws: the same seed gives the same arms")] = 0,
+    law: Annotated[
+        list[str] | None, typer.Option(help="draw this tissue law only (repeatable): kelvin-voigt, zener, springpot")
+    ] = None,
+    hold: Annotated[
+        list[str] | None,
+        typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'signal to noise'"),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")] = True,
+    workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
+    scheduler: Annotated[str | None, typer.Option(help="address of a running Dask scheduler")] = None,
+    sobol: Annotated[
+        bool, typer.Option("--sobol/--no-sobol", help="Sobol' indices, with the extra 'prediction'")
+    ] = True,
+) -> None:
+    """S on people: draws of arms, devices and measurements; bands apart from the error of the numerics."""
+    from ..io.lock import locked
+    from ..prediction.draws import LAWS
+    from ..prediction.run import Question
+    from ..prediction.run import predict as run
+    from ..prediction.summary import FOLDER, summary, write_summary
+    from ..report.prediction import write_prediction
+
+    asked = load_scenario(scenario, overrides=overrides or ())
+    folder = out_folder(out, asked, overrides) / FOLDER
+    question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()))
+    with locked(folder), noted():
+        with Display() as display:
+            found = run(
+                question, folder, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=display
+            )
+            display("report", 0, 1)
+            content = summary(found, sobol)
+            write_summary(folder, content)
+            page, plain = write_prediction(folder, content)
+            display("report", 1, 1)
+        typer.echo(plain.read_text(encoding="utf-8"))
+        typer.echo(f"prediction: {page} ({found.reused} of {draws} draws were there, {found.seconds:.0f} s)")
+
+
+def validate(
+    scenario: ScenarioFile,
+    overrides: Overrides = None,
+    out: OutFolder = None,
+    draws: Annotated[int, typer.Option(min=60, max=100_000, help="arms drawn; 60 leave about 20 for each law")] = 300,
+    seed: Annotated[int, typer.Option(min=0, help="of the draws")] = 0,
+    resume: Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")] = True,
+    workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
+    scheduler: Annotated[str | None, typer.Option(help="address of a running Dask scheduler")] = None,
+    measured: Annotated[
+        Path | None, typer.Option(help="a measured G (file or results folder) to run through the same comparison")
+    ] = None,
+    page: Annotated[Path | None, typer.Option(help="write the page there, e.g. docs/validation.md")] = None,
+) -> None:
+    """Judge predictions by what was published: measured, band over arms, inside or not; where it fails comes first."""
+    from ..io import read_transfer
+    from ..io.atomic import write_text
+    from ..io.lock import locked
+    from ..prediction.run import Question
+    from ..prediction.summary import FOLDER
+    from ..prediction.validate import validate as run
+    from ..report.validation import coverage_words, failures, validation_page
+
+    asked = load_scenario(scenario, overrides=overrides or ())
+    given = None if measured is None else read_transfer(transfer_file(measured))
+    folder = out_folder(out, asked, overrides) / FOLDER
+    with locked(folder), noted(), Display() as display:
+        found = run(
+            Question(asked, scenario.parent, seed), folder, draws=draws, resume=resume, workers=workers,
+            scheduler=scheduler, measured=given, progress=display,
+        )  # fmt: skip
+    target = page or folder / "validation.md"
+    write_text(target, validation_page(found, asked.name))
+    for line in (*failures(found), coverage_words(found)):
+        typer.echo(line)
+    typer.echo(f"validation: {target}")

@@ -1,0 +1,127 @@
+"""One draw from arm to S: its G, the G that is calibrated, drives designed on that, and S on both."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from ..device import close_loop
+from ..metrics.strength import signal_strength
+from ..pipeline.frequencies import frequencies
+from ..pipeline.renderers import renderers, wavelet
+from ..ports import Port
+from ..rendering import Drives, Placed, Wavelet, displacements, drives, place, window_of
+from ..rendering.drives import Renderer
+from ..scenario import Scenario
+from ..tissue import resolve_tissues
+from ..transfer import TransferMatrix, finite, total_error
+from ..typing import FloatArray
+from .arm import ArmModel
+from .draws import Draw, scenario_of
+from .measuring import believed, noisy
+from .tissues import REFERENCE, SOFT
+
+READINGS = ("calibrated", "played", "calibrated, record", "played, record")
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What all draws of a prediction share: the scene, its believed ports, renderers, stimulus and targets."""
+
+    scenario: Scenario
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    methods: tuple[Renderer, ...]
+    shape: Wavelet
+    targets: tuple[str, ...]
+    held: frozenset[str]
+
+    @property
+    def method_names(self) -> tuple[str, ...]:
+        """Names of the methods."""
+        return tuple(m.name for m in self.methods)
+
+
+def setup_of(
+    scenario: Scenario, nominal: TransferMatrix, base: Path, left_out: Collection[str] = (), held: Collection[str] = ()
+) -> Setup:
+    """``nominal`` is G of the scene itself, whose ports are taken; ``left_out`` are methods that cannot serve it."""
+    options = scenario.rendering
+    shape = wavelet(options, scenario.sweep, base)
+    targets = tuple(p.name for p in nominal.outputs) if options.targets == "all" else tuple(options.targets)
+    chosen = tuple(renderers(options, shape, frozenset(left_out)))
+    return Setup(scenario, nominal.outputs, nominal.inputs, chosen, shape, targets, frozenset(held))
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of a draw.
+
+    ``strengths`` (n_reading, n_method, n_target) [-] by :data:`READINGS`: S on the G that was calibrated and S as
+    played on the true G, over the scene's window and over the record. ``drivers`` are what S may hang on, by name: the
+    draw's inputs, and size [Pa] and loss tangent at 150 Hz of each tissue instead of its law's own parameters.
+    ``numerics`` is e_band of all errors stated for the draw's G. ``problem`` says why there is no S (then NaN).
+    """
+
+    number: int
+    law: str
+    strengths: FloatArray
+    drivers: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    numerics: float = float("nan")
+    seconds: float = float("nan")
+    problem: str = ""
+
+
+def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
+    """S of ``draw``; raises the :class:`ForearmError` of an arm that cannot be."""
+    began = time.perf_counter()
+    held = setup.held | arm.held
+    scenario = scenario_of(draw, setup.scenario, held)
+    values = {name: value for name, value in draw.values.items() if name not in held}
+    compliance = arm.compliance(scenario, frequencies(scenario.sweep))
+    true = believed(finite(close_loop(compliance, scenario.device)), setup.outputs, setup.inputs)
+    calibrated = noisy(true, replace(draw, values=values), scenario)
+    found = strengths_of(setup, true, calibrated)
+    return Outcome(
+        draw.number, draw.law, found, drivers_of(draw, scenario, held), total_error(true.errors),
+        time.perf_counter() - began,
+    )  # fmt: skip
+
+
+def strengths_of(setup: Setup, true: TransferMatrix, calibrated: TransferMatrix) -> FloatArray:
+    """S (n_reading, n_method, n_target) of drives designed on ``calibrated``, there and on the ``true`` G."""
+    window = window_of(setup.scenario.rendering.window, setup.shape)
+    placed = place(calibrated, setup.shape.record), place(true, setup.shape.record)
+    out = np.empty((len(READINGS), len(setup.methods), len(setup.targets)))
+    for m, method in enumerate(setup.methods):
+        for t, target in enumerate(setup.targets):
+            sent = drives(method, placed[0], target, setup.shape)
+            for g, where in enumerate(placed):
+                out[g, m, t], out[2 + g, m, t] = _readings(where, sent, target, (window, None))
+    return out
+
+
+def _readings(placed: Placed, sent: Drives, target: str, windows: Sequence[tuple[float, float] | None]) -> list[float]:
+    moved = displacements(placed, sent)
+    return [signal_strength(moved.values, placed.row(target), time=moved.time, window=w) for w in windows]
+
+
+def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:
+    """What S may hang on: inputs, and of each drawn tissue its size |mu*| [Pa] and loss tangent at 150 Hz."""
+    tissue_input = {f"{t}." for t in SOFT}
+    found = {
+        name: value
+        for name, value in draw.values.items()
+        if name not in held and not any(name.startswith(t) for t in tissue_input)
+    }
+    if "tissue" not in held:
+        for name, tissue in resolve_tissues(scenario).items():
+            if name in SOFT:
+                modulus = complex(tissue.modulus.at(2 * np.pi * REFERENCE))
+                found |= {f"{name} stiffness": abs(modulus), f"{name} loss": modulus.imag / modulus.real}
+    return found

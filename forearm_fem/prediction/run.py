@@ -1,0 +1,265 @@
+"""Many draws of a scene's arms, resumable, on this machine or a Dask scheduler."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+import warnings
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from .. import __version__
+from ..campaign.executor import LIGHT, SHARE, cluster, completed
+from ..device import close_loop
+from ..errors import AccuracyWarning, DataError, ForearmError, ScenarioError
+from ..pipeline.frequencies import frequencies
+from ..pipeline.renderers import unsuited
+from ..pipeline.simulation import account_of, render_transfer, simulate
+from ..pipeline.strengths import StrengthAccount
+from ..progress import Progress, tell, within
+from ..scenario import Scenario
+from ..transfer import TransferMatrix
+from .arm import ArmModel, arm_model
+from .draws import LAWS, draw_inputs
+from .outcome import READINGS, Outcome, Setup, outcome_of, setup_of
+from .priors import load_priors
+from .statistics import Draws, draws_of
+from .store import FILE, read_outcomes, write_outcomes
+
+DRAWS = 200
+_SAVE = 10.0  # s between two writings of what is done
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is drawn: plain data, so that it travels to any process that sees ``base``.
+
+    ``laws`` are those drawn from, ``held`` names or groups of inputs (priors.toml) that keep the scenario's values.
+    """
+
+    scenario: Scenario
+    base: Path
+    seed: int = 0
+    laws: tuple[str, ...] = LAWS
+    held: tuple[str, ...] = ()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that a draw depends on but its number."""
+        priors = load_priors()
+        content = [__version__, self.scenario.model_dump(mode="json", exclude={"name", "description"}), self.seed,
+                   sorted(self.laws), sorted(self.held), repr(priors.inputs), repr(priors.laws),
+                   {law: joint.mean.tolist() for law, joint in priors.joint.items()}]  # fmt: skip
+        return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """S of the scene itself with its numerical interval (``nominal``), and what arms do to it (``draws``).
+
+    ``left_out`` says what the arms' model has not, ``held`` which inputs kept the scenario's values, ``reused`` how
+    many draws were there before, ``seconds`` what this call took.
+    """
+
+    question: Question
+    nominal: StrengthAccount
+    draws: Draws
+    model: str
+    left_out: str
+    held: tuple[str, ...]
+    reused: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Job:
+    """One draw of a question; ``setup`` is made once a process."""
+
+    question: str
+    base: str
+    seed: int
+    laws: tuple[str, ...]
+    held: tuple[str, ...]
+    number: int
+
+
+def predict(
+    question: Question,
+    folder: str | Path,
+    *,
+    draws: int = DRAWS,
+    resume: bool = True,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> Prediction:
+    """S of ``draws`` arms; ``folder/draws.nc`` keeps each as soon as it is done, so that an interrupted call goes on.
+
+    With ``resume`` draws of the same question found there are kept, also those of fewer or more; otherwise all are made
+    anew. ``workers`` processes of this machine (1: this one) or those of the Dask scheduler at the address
+    ``scheduler`` share the work; results do not depend on them. Raises ScenarioError for unknown laws or inputs,
+    DataError where too few draws give S.
+    """
+    began = time.monotonic()
+    check_question(question)
+    out = Path(folder)
+    tell(progress, "the scene itself", 0, 1)
+    nominal = _nominal(question, progress)
+    _, setup, arm = _prepared(*_plain(question))
+    kept = _kept(out / FILE, question.digest, draws) if resume else {}
+    reused = len(kept)
+    todo = [n for n in range(draws) if n not in kept]
+    tell(progress, "draws", reused, draws)
+    saved = time.monotonic()
+    try:
+        for number, outcome in _outcomes(question, setup, arm, todo, workers, scheduler):
+            kept[number] = outcome
+            tell(progress, "draws", len(kept), draws)
+            if time.monotonic() > saved + _SAVE:
+                _write(out, kept, setup, question)
+                saved = time.monotonic()
+    finally:  # an interruption, too, keeps what is done
+        if len(kept) > reused or not (out / FILE).is_file():
+            _write(out, kept, setup, question)
+    found = draws_of([kept[n] for n in range(draws)], setup.method_names, setup.targets)
+    held = tuple(sorted({*question.held, *arm.held}))
+    return Prediction(question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began)
+
+
+def check_question(question: Question) -> None:
+    """ScenarioError for laws, inputs or groups that are not known, and for a scene that renders nothing."""
+    priors = load_priors()
+    groups = {p.group for p in priors.inputs.values()}
+    if bad := sorted(set(question.held) - groups - (set(priors.inputs) - {"law"})):
+        raise ScenarioError(
+            f"--hold: no input or group is called '{bad[0]}'; groups are {', '.join(sorted(groups))}, single inputs "
+            "stand in prediction/priors.toml"
+        )
+    if bad := sorted(set(question.laws) - set(LAWS)):
+        raise ScenarioError(f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}")
+    if not question.laws:
+        raise ScenarioError(f"--law: expected at least one of {', '.join(LAWS)}")
+    if not question.scenario.rendering.methods:
+        raise ScenarioError("rendering.methods is empty, so there is no S to predict; name a method")
+    if question.scenario.rendering.zeros == "search":
+        raise ScenarioError(
+            "rendering.zeros: a search for zero points in each draw takes days; set 'auto' or name them"
+        )
+
+
+def expanded(held: Collection[str]) -> frozenset[str]:
+    """Names of inputs for names and groups; each actuator's inputs by their stem's names as well."""
+    priors = load_priors()
+    names = {n for n, p in priors.inputs.items() if n in held or p.group in held}
+    stems = {n.partition(",")[0] for n in names if priors.inputs[n].each is not None}
+    each = {f"{stem} A{k}" for stem in stems for k in range(1, 101)}
+    return frozenset({*names, *each, *({"tissue"} & set(held))})
+
+
+def _nominal(question: Question, progress: Progress | None) -> StrengthAccount:
+    """The scene's own S with its interval."""
+    scenario, base = question.scenario, question.base
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AccuracyWarning)  # `run` says them
+        transfer = simulate(scenario, base=base, progress=within(progress, "the scene itself")).transfer
+        rendering = render_transfer(scenario, transfer, base=base)
+        account = account_of(scenario, transfer, rendering, base=base)
+    tell(progress, "the scene itself", 1, 1)
+    return account
+
+
+def _setup(question: Question, transfer: TransferMatrix, arm: ArmModel) -> Setup:
+    options = question.scenario.rendering
+    targets = [p.name for p in transfer.outputs] if options.targets == "all" else list(options.targets)
+    left_out = unsuited(options, transfer.outputs, transfer.inputs, targets)
+    held = expanded(question.held) | expanded(arm.held)
+    return setup_of(question.scenario, transfer, question.base, left_out, held)
+
+
+def _kept(file: Path, digest: str, draws: int) -> dict[int, Outcome]:
+    try:
+        return {o.number: o for o in read_outcomes(file, digest) if o.number < draws}
+    except DataError:
+        return {}
+
+
+def _write(out: Path, kept: Mapping[int, Outcome], setup: Setup, question: Question) -> None:
+    write_outcomes(out / FILE, list(kept.values()), setup.method_names, setup.targets, question.digest)
+
+
+def _outcomes(
+    question: Question, setup: Setup, arm: ArmModel, todo: list[int], workers: int | None, scheduler: str | None
+) -> Iterator[tuple[int, Outcome]]:
+    count = workers or worker_count(len(todo))
+    if not todo:
+        return
+    if scheduler is None and count == 1:
+        for number in todo:
+            yield number, drawn(question, setup, arm, number)
+        return
+    digest, plain = question.digest, _plain(question)
+    jobs = {f"draw-{n}-{digest}": Job(*plain, n) for n in todo}
+    with cluster(scheduler, lambda: count, "a prediction on several processes") as client:
+        for key, found in completed(client, work, jobs):
+            yield jobs[key].number, _unpacked(jobs[key].number, found, setup)
+
+
+def worker_count(jobs: int) -> int:
+    """Processes that cores and free memory allow."""
+    free = SHARE * psutil.virtual_memory().available
+    return max(1, min(jobs, os.cpu_count() or 1, int(free // LIGHT)))
+
+
+def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outcome:
+    """Draw ``number``; an arm that cannot be is data, not an error."""
+    draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
+    try:
+        return outcome_of(draw, setup, arm)
+    except ForearmError as problem:
+        shape = (len(READINGS), len(setup.methods), len(setup.targets))
+        return Outcome(number, draw.law, np.full(shape, np.nan), problem=str(problem))
+
+
+def work(job: Job) -> dict[str, Any]:
+    """The draw of ``job`` as plain data; nothing it raises leaves the worker."""
+    try:
+        question, setup, arm = _prepared(job.question, job.base, job.seed, job.laws, job.held)
+        found = drawn(question, setup, arm, job.number)
+        return {"law": found.law, "strengths": found.strengths.tolist(), "drivers": dict(found.drivers),
+                "numerics": found.numerics, "seconds": found.seconds, "problem": found.problem}  # fmt: skip
+    except Exception as problem:
+        return {"problem": f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
+
+
+def _plain(question: Question) -> tuple[str, str, int, tuple[str, ...], tuple[str, ...]]:
+    text = question.scenario.model_dump_json()
+    return text, str(question.base.resolve()), question.seed, question.laws, question.held
+
+
+@lru_cache(maxsize=2)
+def _prepared(
+    text: str, base: str, seed: int, laws: tuple[str, ...], held: tuple[str, ...]
+) -> tuple[Question, Setup, ArmModel]:
+    """What all draws of a process share. G of the scene serves for its ports alone, so one bin will do."""
+    question = Question(Scenario.model_validate_json(text), Path(base), seed, laws, held)
+    arm = arm_model(question.scenario)
+    compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
+    return question, _setup(question, close_loop(compliance, question.scenario.device), arm), arm
+
+
+def _unpacked(number: int, found: Mapping[str, Any], setup: Setup) -> Outcome:
+    shape = (len(READINGS), len(setup.methods), len(setup.targets))
+    if "strengths" not in found:
+        return Outcome(number, "", np.full(shape, np.nan), problem=str(found["problem"]))
+    return Outcome(
+        number, found["law"], np.array(found["strengths"], dtype=float).reshape(shape), found["drivers"],
+        found["numerics"], found["seconds"], found["problem"],
+    )  # fmt: skip

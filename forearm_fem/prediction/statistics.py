@@ -1,0 +1,166 @@
+"""What draws say: quantiles of S, which method wins, and what drives it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import rankdata
+
+from ..errors import DataError, MissingExtra
+from ..metrics.strength import GROUPS
+from ..typing import BoolArray, FloatArray
+from .outcome import READINGS, Outcome
+
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+LEAST = 20  # draws, for quantiles of 5 and 95 %
+_LEAST_SOBOL = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Draws that gave S: ``strengths`` (n, n_reading, n_method, n_target) [-], ``drivers`` (n, n_driver) by ``names``
+    (a categorical law as its index), ``laws`` (n,), ``numerics`` (n,) e_band of each G; ``problems`` of the others."""
+
+    strengths: FloatArray
+    methods: tuple[str, ...]
+    targets: tuple[str, ...]
+    laws: tuple[str, ...]
+    names: tuple[str, ...]
+    drivers: FloatArray
+    numerics: FloatArray
+    seconds: FloatArray
+    problems: tuple[str, ...]
+
+    def reading(self, name: str) -> FloatArray:
+        """S (n, n_method, n_target) by one of :data:`READINGS`."""
+        return np.asarray(self.strengths[:, READINGS.index(name)])
+
+    def of_law(self, law: str) -> Draws:
+        """The draws of one law only."""
+        chosen = np.array([x == law for x in self.laws])
+        return Draws(
+            self.strengths[chosen], self.methods, self.targets, tuple(x for x in self.laws if x == law), self.names,
+            self.drivers[chosen], self.numerics[chosen], self.seconds[chosen], (),
+        )  # fmt: skip
+
+
+def draws_of(outcomes: Sequence[Outcome], methods: Sequence[str], targets: Sequence[str]) -> Draws:
+    """The outcomes as arrays; DataError where fewer than :data:`LEAST` gave S."""
+    good = [o for o in sorted(outcomes, key=lambda o: o.number) if not o.problem]
+    problems = tuple(dict.fromkeys(o.problem for o in outcomes if o.problem))
+    if len(good) < LEAST:
+        why = f"; the first failure: {problems[0]}" if problems else ", raise --draws"
+        raise DataError(f"a band of 90 % needs {LEAST} draws with S, got {len(good)}{why}")
+    shared = sorted(n for n in good[0].drivers if all(n in o.drivers for o in good))  # read back in any order
+    laws = tuple(o.law for o in good)
+    known = sorted(set(laws))
+    columns = [[o.drivers[n] for n in shared] + [float(known.index(o.law))] for o in good]
+    return Draws(
+        np.array([o.strengths for o in good]), tuple(methods), tuple(targets), laws, (*shared, "law"),
+        np.array(columns), np.array([o.numerics for o in good]), np.array([o.seconds for o in good]), problems,
+    )  # fmt: skip
+
+
+def quantiles(values: FloatArray) -> FloatArray:
+    """Quantiles (n_level, ...) at :data:`LEVELS` of ``values`` (n, ...), linear between draws."""
+    return np.asarray(np.quantile(values, LEVELS, axis=0))
+
+
+def group_columns(targets: Sequence[str]) -> dict[str, list[int]]:
+    """Columns of the thesis' middle, edges and corners among ``targets``; all targets as one group on other grids."""
+    found = {label: [i for i, t in enumerate(targets) if t in members] for label, members in GROUPS}
+    stray = set(targets) - {t for _, members in GROUPS for t in members}
+    return {"All": list(range(len(targets)))} if stray else {g: c for g, c in found.items() if c}
+
+
+def group_means(values: FloatArray, targets: Sequence[str]) -> FloatArray:
+    """S (n, n_method, n_group): of each draw the mean over a group's targets, as in Table I."""
+    return np.stack([values[..., c].mean(axis=-1) for c in group_columns(targets).values()], axis=-1)
+
+
+def winners(values: FloatArray) -> FloatArray:
+    """Share of draws (n_method, n_target) in which each method has the largest S there; ties are halved."""
+    best = values == values.max(axis=1, keepdims=True)
+    return np.asarray((best / best.sum(axis=1, keepdims=True)).mean(axis=0))
+
+
+def rank_correlations(drivers: FloatArray, values: FloatArray) -> FloatArray:
+    """Spearman's correlation (n_driver, ...) of ``drivers`` (n, n_driver) with ``values`` (n, ...); NaN where a column
+    does not vary."""
+    x, y = (_standard(rankdata(a.reshape(len(a), -1), axis=0)) for a in (drivers, values))
+    return np.asarray((x.T @ y / len(x)).reshape(drivers.shape[1], *values.shape[1:]))
+
+
+def noise_of_correlation(n: int) -> float:
+    """Two standard errors of Spearman's correlation of independent samples."""
+    return float(2 / np.sqrt(n - 1))
+
+
+def _standard(ranks: FloatArray) -> FloatArray:
+    centred = ranks - ranks.mean(axis=0)
+    size = centred.std(axis=0)
+    return np.asarray(np.divide(centred, size, out=np.full(centred.shape, np.nan), where=size > 0))
+
+
+def sobol_indices(drivers: FloatArray, names: Sequence[str], values: FloatArray) -> FloatArray:
+    """First-order Sobol' indices (n_driver, ...) of log ``values`` (n, ...), from these very draws (RBD-FAST, SALib).
+
+    The share of the variance that goes when the driver is known. Drivers that are correlated share theirs, so that the
+    indices may sum to more than 1. NaN for drivers that do not vary, and for fewer than 100 draws; small ones scatter
+    by about 5 / n_draw. Raises MissingExtra without SALib.
+    """
+    out = np.full((len(names), *values.shape[1:]), np.nan)
+    moving = np.flatnonzero(np.ptp(drivers, axis=0) > 0)
+    if len(values) < _LEAST_SOBOL or not len(moving):
+        return out
+    analyse = _rbd_fast()
+    x = drivers[:, moving]
+    problem = {"num_vars": len(moving), "names": [names[int(i)] for i in moving],
+               "bounds": [[float(c.min()), float(c.max())] for c in x.T]}  # fmt: skip
+    for at in np.ndindex(*values.shape[1:]):
+        y = np.log(values[(slice(None), *at)])
+        if np.ptp(y) > 0:
+            out[(moving, *at)] = analyse(problem, x, y)
+    return out
+
+
+def _rbd_fast() -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of its own imports
+            from SALib.analyze import rbd_fast
+    except ImportError:
+        raise MissingExtra("SALib", "prediction", "Sobol' indices") from None
+
+    def analyse(problem: Mapping[str, Any], x: FloatArray, y: FloatArray) -> FloatArray:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = rbd_fast.analyze(problem, x, y, num_resamples=2, seed=0)
+        return np.asarray(np.clip(np.asarray(found["S1"], dtype=float), 0, 1))
+
+    return analyse
+
+
+def joint_distance(values: FloatArray, point: FloatArray) -> tuple[float, float]:
+    """How far ``point`` (m,) lies from draws ``values`` (n, m): Mahalanobis' distance of logarithms, over its median
+    among the draws, and the share of draws that lie further out."""
+    logs, at = np.log(values), np.log(point)
+    centre = logs.mean(axis=0)
+    inverse = np.linalg.pinv(np.cov(logs.T))
+
+    def distance(rows: FloatArray) -> FloatArray:
+        d = rows - centre
+        return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", d, inverse, d)))
+
+    own, there = distance(logs), float(distance(at[None])[0])
+    return there / float(np.median(own)), float(np.mean(own > there))
+
+
+def inside(values: FloatArray, point: FloatArray) -> BoolArray:
+    """Whether ``point`` (...) lies in the 5-95 % band of ``values`` (n, ...)."""
+    low, high = np.quantile(values, [LEVELS[0], LEVELS[-1]], axis=0)
+    return np.asarray((point >= low) & (point <= high))

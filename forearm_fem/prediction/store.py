@@ -1,0 +1,67 @@
+"""``draws.nc``: every draw of a prediction with its inputs and its S, so that none is computed twice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import xarray as xr
+
+from ..errors import DataError
+from ..io.dataset import Variables, labels, load, save, text
+from .outcome import READINGS, Outcome
+
+FILE = "draws.nc"
+_CONTENT = "prediction"
+
+
+def write_outcomes(
+    path: Path, outcomes: Sequence[Outcome], methods: Sequence[str], targets: Sequence[str], digest: str
+) -> None:
+    """All ``outcomes`` in the order of their numbers, whole or not at all; ``digest`` names the question."""
+    ordered = sorted(outcomes, key=lambda o: o.number)
+    names = sorted({name for o in ordered for name in o.drivers})
+    drivers = np.array([[o.drivers.get(name, np.nan) for name in names] for o in ordered]).reshape(len(ordered), -1)
+    variables: Variables = {
+        "draw": (("draw",), np.array([o.number for o in ordered], dtype=np.int64), {"long_name": "number of the draw"}),
+        "reading": (("reading",), labels(READINGS), {"long_name": "G that S is taken on, and over what"}),
+        "method": (("method",), labels(tuple(methods)), {}),
+        "target": (("target",), labels(tuple(targets)), {}),
+        "driver": (("driver",), labels(tuple(names)), {}),
+        "S": (
+            ("draw", "reading", "method", "target"),
+            np.array([o.strengths for o in ordered]).reshape(-1, len(READINGS), len(methods), len(targets)),
+            {"units": "1", "long_name": "signal strength"},
+        ),
+        "drivers": (("draw", "driver"), drivers, {"long_name": "inputs of the draw, SI; NaN where it has none"}),
+        "law": (("draw",), labels(tuple(o.law for o in ordered)), {}),
+        "numerics": (("draw",), np.array([o.numerics for o in ordered]), {"units": "1", "long_name": "e_band of G"}),
+        "seconds": (("draw",), np.array([o.seconds for o in ordered]), {"units": "s"}),
+        "problem": (("draw",), labels(tuple(o.problem for o in ordered)), {}),
+    }
+    save(path, variables, {"content": _CONTENT, "question": digest})
+
+
+def read_outcomes(path: Path, digest: str | None = None) -> list[Outcome]:
+    """What :func:`write_outcomes` wrote; DataError if damaged, or of another question than ``digest``."""
+
+    def unpack(dataset: xr.Dataset) -> list[Outcome]:
+        if digest is not None and dataset.attrs["question"] != digest:
+            raise DataError("holds draws of another question")
+        names, laws, problems = (text(dataset[k].values) for k in ("driver", "law", "problem"))
+        rows = zip(
+            dataset["draw"].values, laws, dataset["S"].values, dataset["drivers"].values, dataset["numerics"].values,
+            dataset["seconds"].values, problems, strict=True,
+        )  # fmt: skip
+        return [
+            Outcome(int(n), law, s, _drivers(names, values), float(e), float(t), problem)
+            for n, law, s, values, e, t, problem in rows
+        ]
+
+    return load(path, _CONTENT, unpack)
+
+
+def _drivers(names: Sequence[str], values: Sequence[float]) -> Mapping[str, float]:
+    return MappingProxyType({n: float(v) for n, v in zip(names, values, strict=True) if np.isfinite(v)})

@@ -1,0 +1,96 @@
+"""A prediction in numbers: ``prediction.json``, which reports and tables of the same scene quote."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..io.jsonfiles import write_json
+from ..typing import FloatArray
+from .run import Prediction
+from .statistics import LEVELS, group_columns, group_means, quantiles, rank_correlations, sobol_indices, winners
+
+FOLDER, FILE = "prediction", "prediction.json"
+READING = "calibrated"  # as Table I: S on the G that was calibrated
+
+
+def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
+    """All that is said of a prediction, in plain numbers; quantiles are at ``levels``. NaN becomes None."""
+    draws, nominal = prediction.draws, prediction.nominal
+    calibrated, played = draws.reading("calibrated"), draws.reading("played")
+    means = group_means(calibrated, draws.targets)
+    drivers = {"rank": rank_correlations(draws.drivers, means)}
+    if sobol:
+        drivers["sobol"] = sobol_indices(draws.drivers, draws.names, means)
+    groups = group_columns(draws.targets)
+    return {
+        "program": __version__,
+        "scenario": prediction.question.scenario.model_dump(mode="json"),
+        "question": prediction.question.digest,
+        "seed": prediction.question.seed,
+        "laws": list(prediction.question.laws),
+        "held": list(prediction.held),
+        "model": prediction.model,
+        "left_out": prediction.left_out,
+        "draws": len(calibrated),
+        "failed": list(draws.problems),
+        "numerics": {"median": float(np.median(draws.numerics)), "largest": float(draws.numerics.max())},
+        "levels": list(LEVELS),
+        "reading": READING,
+        "methods": list(draws.methods),
+        "targets": list(draws.targets),
+        "groups": {g: [draws.targets[i] for i in c] for g, c in groups.items()},
+        "by_target": _table(draws.methods, draws.targets, {
+            "value": _aligned(nominal.value, prediction), "low": _aligned(nominal.low, prediction),
+            "high": _aligned(nominal.high, prediction), "arms": quantiles(calibrated), "played": quantiles(played),
+            "record": quantiles(draws.reading("calibrated, record")), "above_one": (calibrated > 1).mean(axis=0),
+            "wins": winners(calibrated),
+        }),
+        "by_group": _table(draws.methods, tuple(groups), {
+            "arms": quantiles(means), "played": quantiles(group_means(played, draws.targets)),
+            "record": quantiles(group_means(draws.reading("calibrated, record"), draws.targets)),
+            "above_one": (means > 1).mean(axis=0), "wins": winners(means),
+        }),
+        "drivers": [
+            {"name": name, **{what: _table(draws.methods, tuple(groups), {"": found[k]}, flat=True)
+                              for what, found in drivers.items()}}
+            for k, name in enumerate(draws.names)
+        ],
+        "seconds_per_draw": float(np.median(draws.seconds)),
+    }  # fmt: skip
+
+
+def _aligned(values: FloatArray, prediction: Prediction) -> FloatArray:
+    """The scene's own numbers in the order of the draws' methods and targets."""
+    nominal, draws = prediction.nominal, prediction.draws
+    rows = [nominal.methods.index(m) for m in draws.methods]
+    return np.asarray(values[np.ix_(rows, [nominal.targets.index(t) for t in draws.targets])])
+
+
+def _table(
+    methods: tuple[str, ...], columns: tuple[str, ...], parts: Mapping[str, FloatArray], flat: bool = False
+) -> dict[str, Any]:
+    """{method: {column: {part: number or list}}}; the last two axes of each part are method and column."""
+
+    def cell(m: int, c: int) -> Any:
+        found = {name: _plain(values[..., m, c]) for name, values in parts.items()}
+        return found[""] if flat else found
+
+    return {method: {column: cell(m, c) for c, column in enumerate(columns)} for m, method in enumerate(methods)}
+
+
+def _plain(values: Any) -> Any:
+    if np.ndim(values):
+        return [_plain(v) for v in values]
+    return round(float(values), 6) if np.isfinite(values) else None
+
+
+def write_summary(folder: str | Path, content: Mapping[str, Any]) -> Path:
+    """``prediction.json`` in ``folder``."""
+    file = Path(folder) / FILE
+    write_json(file, content)
+    return file

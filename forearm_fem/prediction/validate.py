@@ -1,0 +1,222 @@
+"""Every published finding against draws of arms: measured, predicted band, inside or not, and how wide the band is."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..errors import DataError, ForearmError, ScenarioError
+from ..io.jsonfiles import read_json, write_json
+from ..metrics.strength import thesis_table
+from ..pipeline.renderers import renderers, wavelet
+from ..progress import Progress, tell
+from ..rendering import render_all
+from ..transfer import TransferMatrix
+from ..typing import FloatArray
+from .arm import without_bones
+from .draws import LAWS, Draw, draw_inputs, scenario_of
+from .observables import TOLERANCE, Arm, fat_of, motor_ratios, observables
+from .priors import load_priors
+from .run import Prediction, Question, expanded, predict
+from .statistics import LEVELS, Draws, group_columns, group_means, inside, joint_distance, winners
+from .targets import SHAH_ARMS, SHAH_STEPS, TARGETS, Target
+
+FILE, OBSERVABLES = "validation.json", "observables.json"
+_SAVE = 10.0  # s
+_SUBJECT_DRAWS = 25
+_SHOWN_STEPS = (0, 3, 11)  # of Shah's motor: below, at and far above the 150 Hz that its abstract names
+_SEEN = 0.05  # of the arms must show a trend
+TABLE = {"window": "calibrated", "record": "calibrated, record"}  # the thesis does not state what it sums over
+
+
+def validate(
+    question: Question,
+    folder: str | Path,
+    *,
+    draws: int,
+    resume: bool = True,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    measured: TransferMatrix | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """All findings as plain data, and ``folder/validation.json``.
+
+    ``draws`` arms of the question's scene give S (:func:`.run.predict`, resumable) and, on the same arms, what each
+    published measurement would have found. A ``measured`` G runs through the same comparison as Table I. Raises
+    ScenarioError for scenes without the thesis' targets or without layers.
+    """
+    if question.scenario.engine != "layered":
+        raise ScenarioError("validate draws arms on the twin; set engine=layered (what it leaves out is said)")
+    out = Path(folder)
+    prediction = predict(
+        question, out, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=progress
+    )
+    if set(prediction.draws.targets) != {str(k) for k in range(1, 10)}:
+        raise ScenarioError("validate compares with Table I: the scene must aim at the targets 1 to 9")
+    rows = _observed(question, out, draws, resume, progress)
+    content = {
+        "program": __version__,
+        "scenario": question.scenario.model_dump(mode="json"),
+        "question": question.digest,
+        "draws": draws,
+        "seed": question.seed,
+        "levels": [LEVELS[0], LEVELS[-1]],
+        "model": prediction.model,
+        "left_out": prediction.left_out,
+        "numerics": {"S": float(np.median(prediction.draws.numerics)), "observables": TOLERANCE},
+        "targets": [_judged(t, rows) for t in TARGETS],
+        "table_one": {name: _table_one(prediction.draws, reading) for name, reading in TABLE.items()},
+        "shah": _shah(question, progress),
+        "measured": None if measured is None else _measured(measured, question, prediction),
+    }
+    write_json(out / FILE, content)
+    return content
+
+
+def _observed(
+    question: Question, out: Path, draws: int, resume: bool, progress: Progress | None
+) -> list[dict[str, Any]]:
+    """Observables of every draw with its law; kept in the folder as they are made."""
+    file, mark = out / OBSERVABLES, f"{question.digest} {hash_of_targets()}"
+    rows = _kept(file, mark)[:draws] if resume else []
+    saved = time.monotonic()
+    tell(progress, "published measurements", len(rows), draws)
+    try:
+        for number in range(len(rows), draws):
+            draw, arm = _arm(question, number)
+            rows.append({"law": draw.law, **_or_nothing(lambda arm=arm: observables(arm))})  # type: ignore[misc]
+            tell(progress, "published measurements", number + 1, draws)
+            if time.monotonic() > saved + _SAVE:
+                write_json(file, {"question": mark, "rows": rows}, indent=None)
+                saved = time.monotonic()
+    finally:
+        write_json(file, {"question": mark, "rows": rows}, indent=None)
+    return rows
+
+
+def hash_of_targets() -> str:
+    """Changes when an observable or target does: kept rows are then made anew."""
+    text = inspect.getsource(Arm) + inspect.getsource(sys.modules[Arm.__module__]) + repr([t.name for t in TARGETS])
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _kept(file: Path, mark: str) -> list[dict[str, Any]]:
+    try:
+        content = read_json(file)
+    except DataError:
+        return []
+    return list(content["rows"]) if content.get("question") == mark else []
+
+
+def _or_nothing(make: Callable[[], dict[str, float]]) -> dict[str, float]:
+    try:
+        return make()
+    except ForearmError:  # an arm that cannot be measured is missing from the band
+        return {}
+
+
+def _arm(question: Question, number: int) -> tuple[Draw, Arm]:
+    draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
+    scenario = scenario_of(draw, question.scenario, expanded(question.held))
+    return draw, Arm.of(without_bones(scenario))
+
+
+def _judged(target: Target, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """One target: its band over all arms and over those of each law."""
+    told: dict[str, Any] = {
+        "name": target.name, "group": target.group, "what": target.what, "kind": target.kind, "source": target.source,
+        "unit": target.unit, "spread": target.spread, "fitted": target.fitted, "note": target.note,
+        "measured": target.value if np.isfinite(target.value) else None,
+    }  # fmt: skip
+    if target.kind != "not comparable":
+        told |= {"all": _band(target, rows)}
+        told |= {law: _band(target, [r for r in rows if r["law"] == law]) for law in LAWS}
+    return told
+
+
+def _band(target: Target, rows: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    values = np.array([r[target.name] for r in rows if np.isfinite(r.get(target.name, np.nan))])
+    if len(values) < 10:
+        return None
+    if target.kind == "trend":
+        share = float(values.mean())
+        return {"share": share, "inside": share >= _SEEN}
+    low, median, high = (float(x) for x in np.quantile(values, [LEVELS[0], 0.5, LEVELS[-1]]))
+    return {"low": low, "median": median, "high": high, "inside": low <= target.value <= high,
+            "width": float(np.sqrt(high / low)) if low > 0 else None}  # fmt: skip
+
+
+def _table_one(draws: Draws, reading: str) -> dict[str, Any]:
+    """The thesis' nine entries against all arms and those of each law."""
+    theirs = thesis_table()
+    found = {"all": _entries(draws, reading, theirs.mean.T)}
+    found |= {law: _entries(draws.of_law(law), reading, theirs.mean.T) for law in LAWS if law in draws.laws}
+    return found
+
+
+def _entries(draws: Draws, reading: str, point: FloatArray) -> dict[str, Any]:
+    """``point`` (n_method, n_group) against the group means of S."""
+    means = group_means(draws.reading(reading), draws.targets)
+    hit = inside(means, point)
+    low, median, high = np.quantile(means, [LEVELS[0], 0.5, LEVELS[-1]], axis=0)
+    distance, beyond = joint_distance(means.reshape(len(means), -1), point.ravel())
+    entries = [
+        {"method": method, "group": group, "measured": float(point[m, g]), "low": float(low[m, g]),
+         "median": float(median[m, g]), "high": float(high[m, g]), "inside": bool(hit[m, g]),
+         "width": float(np.sqrt(high[m, g] / low[m, g]))}
+        for m, method in enumerate(draws.methods)
+        for g, group in enumerate(group_columns(draws.targets))
+    ]  # fmt: skip
+    order = [
+        [draws.methods[int(i)] for i in np.argsort(-winners(means)[:, g])]
+        for g in range(len(group_columns(draws.targets)))
+    ]
+    return {"draws": len(means), "entries": entries, "inside": int(hit.sum()), "distance": distance, "beyond": beyond,
+            "width": float(np.exp(np.mean(np.log(high / low)) / 2)), "order": order}  # fmt: skip
+
+
+def _shah(question: Question, progress: Progress | None) -> list[dict[str, Any]]:
+    """Accelerations [g] at 4 and 8 cm for each of the six: its fat from sex and girth, the rest drawn."""
+    frequency = np.array([SHAH_STEPS[k][0] for k in _SHOWN_STEPS])
+    amplitude = np.array([SHAH_STEPS[k][1] for k in _SHOWN_STEPS])
+    found = []
+    for subject, (sex, length, circumference) in enumerate(SHAH_ARMS):
+        tell(progress, "six arms", subject, len(SHAH_ARMS))
+        reached = []
+        for number in range(_SUBJECT_DRAWS):
+            draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
+            fat = fat_of(sex, circumference[0], draw.values["skin thickness"])
+            own = replace(draw, values={**draw.values, "fat thickness": fat})
+            arm = Arm.of(without_bones(scenario_of(own, question.scenario)))
+            reached.append(motor_ratios(arm, frequency)[:, 1:] * amplitude[:, None])
+        low, median, high = np.quantile(reached, [LEVELS[0], 0.5, LEVELS[-1]], axis=0)
+        found.append({
+            "subject": subject + 1, "sex": sex, "length": length, "circumference": list(circumference),
+            "fat": fat_of(sex, circumference[0], 1.2e-3), "frequency": frequency.tolist(), "source": amplitude.tolist(),
+            "low": low.tolist(), "median": median.tolist(), "high": high.tolist(),
+        })  # fmt: skip
+    tell(progress, "six arms", len(SHAH_ARMS), len(SHAH_ARMS))
+    return found
+
+
+def _measured(transfer: TransferMatrix, question: Question, prediction: Prediction) -> dict[str, Any]:
+    """S of a measured G by the scene's methods, against the arms."""
+    names = {p.name for p in transfer.outputs}
+    if missing := [t for t in prediction.draws.targets if t not in names]:
+        raise DataError(f"the measured G has no output called '{missing[0]}'; it needs the scene's targets 1 to 9")
+    options = question.scenario.rendering
+    shape = wavelet(options, question.scenario.sweep, question.base)
+    methods = [m for m in renderers(options, shape) if m.name in prediction.draws.methods]
+    found = render_all(transfer, prediction.draws.targets, methods, shape, window=options.window)
+    point = group_means(found.strengths[None], prediction.draws.targets)[0]
+    return _entries(prediction.draws, "calibrated", point)

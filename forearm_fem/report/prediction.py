@@ -1,0 +1,142 @@
+"""The report of a prediction: what S people will see, with the band over arms apart from the error of the numerics."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..figures.prediction import bands_table, drivers_table, plot_bands, plot_drivers, plot_wins
+from ..figures.style import Drawn
+from ..io.atomic import atomic_path, write_text
+from .facts import Block
+from .write import Picture, Section, embedded, markdown_of, page_of
+
+_STRONG = 0.2  # rank correlation that is named
+
+
+def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path, Path]:
+    """``prediction.html`` (self-contained) and ``prediction.md`` of ``data`` (:func:`.summary`), and ``figures/`` with
+    their numbers; the paths of the two."""
+    out = Path(folder)
+    stamp = f"scene {data['scenario']['name']} · {data['draws']} arms, {data['model']} · forearm_fem {data['program']}"
+    pictures = {name: _picture(name, data, stamp) for name in _FIGURES}
+    for name, picture in pictures.items():
+        with atomic_path(out / "figures" / f"{name}.png") as target:
+            target.write_bytes(base64.b64decode(picture.data))
+    for name, table in (("bands", bands_table), ("drivers", drivers_table)):
+        write_text(out / "figures" / f"{name}.csv", table(data).as_csv(stamp))
+    title, lead, sections = f"Prediction for scene {data['scenario']['name']}", lead_of(data), _sections(data, pictures)
+    page, plain = out / "prediction.html", out / "prediction.md"
+    write_text(plain, markdown_of(title, lead, sections, stamp))
+    write_text(page, page_of(title, lead, sections, stamp))
+    return page, plain
+
+
+_FIGURES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], Drawn]]] = {
+    "bands": ("S over arms: 5-95 % thin, 25-75 % thick, median; the cross is the scene itself", plot_bands),
+    "methods": ("Which method has the largest S", plot_wins),
+    "drivers": ("What drives S: rank correlation over the arms", plot_drivers),
+}
+
+
+def _picture(name: str, data: Mapping[str, Any], stamp: str) -> Picture:
+    title, draw = _FIGURES[name]
+    return replace(embedded(draw(data), title, stamp), name=name)
+
+
+def lead_of(data: Mapping[str, Any]) -> str:
+    """The finding in words: how wide arms spread each method, and which wins."""
+    group = next(iter(data["groups"]))
+    parts = []
+    for method in data["methods"]:
+        low, high = data["by_group"][method][group]["arms"][0], data["by_group"][method][group]["arms"][-1]
+        parts.append(f"{method} {low:.2g} to {high:.2g}")
+    return (f"Nine in ten of {data['draws']} arms have, at {group}: {', '.join(parts)}. How wrong the numerics may be "
+            "is stated apart.")  # fmt: skip
+
+
+def strength_words(cell: Mapping[str, Any]) -> str:
+    """E.g. ``1.31 (numerics 1.30-1.32, arms 0.70-1.80)``: the scene's S, its numerical interval, 5-95 % of arms."""
+    low, high = cell.get("low"), cell.get("high")
+    numerics = f"{low:.2f}-{high:.2f}" if low is not None and high is not None else "unknown"
+    value = "unknown" if cell.get("value") is None else f"{cell['value']:.2f}"
+    return f"{value} (numerics {numerics}, arms {cell['arms'][0]:.2f}-{cell['arms'][-1]:.2f})"
+
+
+def _sections(data: Mapping[str, Any], pictures: Mapping[str, Picture]) -> list[Section]:
+    return [
+        Section("strength", "S at each target", _targets(data), pictures=[pictures["bands"]]),
+        Section("groups", "Middle, edges and corners", _groups(data)),
+        Section("methods", "Which method wins", _wins(data), pictures=[pictures["methods"]]),
+        Section("drivers", "What drives S", _drivers(data), pictures=[pictures["drivers"]]),
+        Section("numerics", "How wrong the numerics may be", paragraphs=[_numerics(data)]),
+        Section("scope", "What is in the band, and what is not", bullets=_scope(data)),
+    ]
+
+
+def _targets(data: Mapping[str, Any]) -> Block:
+    rows = [[t, *(strength_words(data["by_target"][m][t]) for m in data["methods"])] for t in data["targets"]]
+    note = ("S of the scene itself, the interval of its numerics, and 5-95 % over arms and measurements, on the G that "
+            "was calibrated (as Table I). The two spreads are of different things and are never added.")  # fmt: skip
+    return Block(["target", *data["methods"]], rows, note)
+
+
+def _groups(data: Mapping[str, Any]) -> Block:
+    rows = []
+    for group in data["groups"]:
+        for method in data["methods"]:
+            cell = data["by_group"][method][group]
+            rows.append([group, method, *(f"{x:.2f}" for x in cell["arms"]), f"{cell['played'][0]:.2f}-"
+                         f"{cell['played'][-1]:.2f}", f"{cell['record'][0]:.2f}-{cell['record'][-1]:.2f}",
+                         f"{cell['above_one']:.0%}"])  # fmt: skip
+    levels = [f"{100 * x:g} %" for x in data["levels"]]
+    header = ["place", "method", *levels, "as played, 5-95 %", "over the record, 5-95 %", "S > 1"]
+    note = ("Quantiles over arms of the group's mean S on the calibrated G. As played: the same drives on the true G, "
+            "without its noise. Over the record: as the thesis sums it, noise over two seconds included.")  # fmt: skip
+    return Block(header, rows, note)
+
+
+def _wins(data: Mapping[str, Any]) -> Block:
+    rows = [
+        [group, *(f"{data['by_group'][m][group]['wins']:.0%}" for m in data["methods"])] for group in data["groups"]
+    ]
+    return Block(["place", *data["methods"]], rows, "Share of arms in which the method's mean S there is the largest.")
+
+
+def _drivers(data: Mapping[str, Any]) -> Block:
+    rows = []
+    for group in data["groups"]:
+        for method in data["methods"]:
+            ranked = sorted(data["drivers"], key=lambda d: -abs(d["rank"][method][group] or 0.0))
+            named = [d for d in ranked if abs(d["rank"][method][group] or 0.0) >= _STRONG][:4]
+            told = ", ".join(f"{d['name']} {d['rank'][method][group]:+.2f}{_share(d, method, group)}" for d in named)
+            rows.append([group, method, told or "none above 0.2"])
+    note = ("Spearman's rank correlation with the group's S; in brackets the first-order Sobol' index, the share of "
+            f"the variance of log S that the driver explains alone. With {data['draws']} arms correlations within "
+            f"{2 / max(data['draws'] - 1, 1) ** 0.5:.2f} may be chance.")  # fmt: skip
+    return Block(["place", "method", "strongest drivers"], rows, note)
+
+
+def _share(driver: Mapping[str, Any], method: str, group: str) -> str:
+    share = driver.get("sobol", {}).get(method, {}).get(group)
+    return "" if share is None else f" ({share:.0%})"
+
+
+def _numerics(data: Mapping[str, Any]) -> str:
+    return (f"The scene's own interval stands in the first table. G of each arm carries an error of its own: e_band "
+            f"{data['numerics']['median']:.1e} in the median, {data['numerics']['largest']:.1e} at most. None of it "
+            "is in the band over arms.")  # fmt: skip
+
+
+def _scope(data: Mapping[str, Any]) -> list[str]:
+    laws = ", ".join(data["laws"])
+    lines = [f"Model of the arms: {data['model']}; {data['left_out']}.",
+             f"Laws of the tissues, equally likely: {laws}. Inputs, spreads and sources: prediction/priors.toml and "
+             "tissue_laws.json in the package; none was fitted to the thesis' Table I."]  # fmt: skip
+    if data["held"]:
+        lines.append(f"Held at the scene's own values: {', '.join(data['held'])}.")
+    lines += [f"An arm without S: {problem}" for problem in data["failed"]]
+    return lines

@@ -1,0 +1,336 @@
+"""Predictions on the twin: what noise and belief do to S, resuming, processes, statistics by hand, the command."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import cli
+from scipy import stats
+
+from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.figures.data import Results
+from forearm_fem.io.jsonfiles import read_json
+from forearm_fem.prediction import run as runs
+from forearm_fem.prediction import statistics as numbers
+from forearm_fem.prediction.arm import LayeredArm
+from forearm_fem.prediction.draws import draw_inputs, moved_points, scenario_of
+from forearm_fem.prediction.measuring import noisy
+from forearm_fem.prediction.outcome import READINGS, Outcome, outcome_of
+from forearm_fem.prediction.priors import load_priors
+from forearm_fem.prediction.run import Prediction, Question, predict
+from forearm_fem.prediction.store import FILE, read_outcomes
+from forearm_fem.prediction.summary import summary
+from forearm_fem.report.prediction import strength_words
+from forearm_fem.scenario import parse_scenario
+from forearm_fem.transfer import TransferMatrix
+
+# 50 bins, two targets and pressure discs: a draw in 0.1 s of an idle machine
+SMALL = {
+    "engine": "layered",
+    "sweep": {"duration": 0.1},
+    "rendering": {"targets": ["5", "1"]},
+    "device": {"cone": {"contact": "pressure"}},
+}
+TOML = """engine = "layered"
+name = "small"
+sweep = { duration = 0.1 }
+rendering = { targets = ["5", "1"] }
+device = { cone = { contact = "pressure" } }
+"""
+SCENE = parse_scenario(SMALL)
+N = numbers.LEAST
+
+
+def question(**changes: Any) -> Question:
+    return Question(SCENE, Path(), **changes)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Prediction, Path]:
+    folder = tmp_path_factory.mktemp("prediction")
+    return predict(question(), folder, draws=N, workers=1), folder
+
+
+def test_an_interrupted_prediction_goes_on_with_the_same_numbers(
+    found: tuple[Prediction, Path], tmp_path: Path
+) -> None:
+    whole, _ = found
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "draws" and done == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        predict(question(), tmp_path, draws=N, workers=1, progress=stop)
+    assert len(read_outcomes(tmp_path / FILE)) == 7
+    again = predict(question(), tmp_path, draws=N, workers=1)
+    assert again.reused == 7
+    assert np.array_equal(again.draws.strengths, whole.draws.strengths)
+    assert np.array_equal(again.draws.drivers, whole.draws.drivers)
+
+
+def test_other_processes_give_the_same_numbers(
+    found: tuple[Prediction, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dask itself is tested with campaigns: here jobs come back from a worker's function in another order."""
+    whole, _ = found
+
+    @contextmanager
+    def nobody(*_: object) -> Iterator[None]:
+        yield None
+
+    def backwards(_: object, work: Any, jobs: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+        for key in reversed(jobs):
+            yield key, work(jobs[key])
+
+    monkeypatch.setattr(runs, "cluster", nobody)
+    monkeypatch.setattr(runs, "completed", backwards)
+    other = predict(question(), tmp_path, draws=N, workers=2)
+    assert np.array_equal(other.draws.strengths, whole.draws.strengths)
+    assert other.draws.laws == whole.draws.laws
+
+
+def test_finished_draws_are_not_made_again_and_other_questions_are_not_taken(
+    found: tuple[Prediction, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, folder = found
+    monkeypatch.setattr(runs, "drawn", lambda *_: pytest.fail("a finished draw was made again"))
+    assert predict(question(), folder, draws=N, workers=1).reused == N
+    for other in (question(seed=1), question(laws=("zener",)), question(held=("tissue",))):
+        assert other.digest != question().digest
+        with pytest.raises(DataError, match="another question"):
+            read_outcomes(folder / FILE, other.digest)
+    assert whole.reused == 0
+
+
+def setup_and_arm(asked: Question) -> Any:
+    return runs._prepared(*runs._plain(asked))
+
+
+def test_without_noise_drives_play_as_calibrated() -> None:
+    asked = question(held=("measurement",))
+    _, setup, arm = setup_and_arm(asked)
+    quiet = outcome_of(draw_inputs(load_priors(), SCENE, 3, 0), setup, arm).strengths
+    at = {name: quiet[k] for k, name in enumerate(READINGS)}
+    assert np.array_equal(at["calibrated"], at["played"])
+    assert np.array_equal(at["calibrated, record"], at["played, record"])
+    _, loud_setup, _ = setup_and_arm(question())
+    loud = outcome_of(draw_inputs(load_priors(), SCENE, 3, 0), loud_setup, arm).strengths
+    assert not np.allclose(loud[0], loud[1], rtol=1e-6)
+    # the true arm is the same, noise or not: funneling does not look at G
+    assert loud[1][setup.method_names.index("funneling")] == pytest.approx(
+        quiet[1][setup.method_names.index("funneling")], rel=1e-12
+    )
+
+
+def test_noise_has_the_size_stated() -> None:
+    values = np.random.default_rng(0).standard_normal((400, 9, 4)) * np.array([1, 10, 0.1, 3]) + 0j
+    g = TransferMatrix(np.arange(1.0, 401), values, (), ())
+    draw = draw_inputs(load_priors(), SCENE, 0, 0)
+    draw = replace(draw, values={**draw.values, "signal to noise": 26.0})
+    scene = parse_scenario({**SMALL, "measurement": {"repeats": 4}})
+    noise = noisy(g, draw, scene).values - values
+    rms = np.sqrt(np.mean(np.abs(noise) ** 2) / np.mean(np.abs(values) ** 2))
+    # 26 dB less, and four periods averaged; 14,400 complex normals know their rms to 1/(2 sqrt(14400)) = 0.4 %
+    assert rms == pytest.approx(10 ** (-26 / 20) / 2, rel=0.02)
+    by_column = np.sqrt(np.mean(np.abs(noise) ** 2, axis=(0, 1)))
+    assert by_column == pytest.approx(np.full(4, by_column.mean()), rel=0.06)  # alike on all entries
+    assert np.array_equal(noisy(g, draw, scene).values, noisy(g, draw, scene).values)
+    assert abs(np.mean(noise**2)) < 0.05 * np.mean(np.abs(noise) ** 2)  # circular
+
+
+def test_renderers_believe_the_grid_where_it_was_laid_out() -> None:
+    """The arm's points are moved, the ports that renderers see are not."""
+    _, setup, arm = setup_and_arm(question())
+    draw = draw_inputs(load_priors(), SCENE, 3, 1)
+    moved = scenario_of(draw, SCENE)
+    compliance = arm.compliance(moved, np.array([100.0]))
+    true = [p.position[:2] for p in compliance.ports if p.kind == "point"]
+    assert np.allclose(true, moved_points(SCENE, draw.values))
+    assert np.allclose([p.position[:2] for p in setup.outputs], SCENE.grid.places)
+    assert not np.allclose(true, SCENE.grid.places, atol=1e-4)
+
+
+def test_the_arm_model_states_its_error_and_keeps_it() -> None:
+    """A rigid cone with tension: fewer terms against the twin as it solves a scene."""
+    from forearm_fem.pipeline.layered_engine import solve_layered
+
+    scene = parse_scenario({"engine": "layered", "tissues": {"membrane": {"tension": 40.0}}, "limb": {"bones": []}})
+    band = np.array([60.0, 250.0, 500.0])
+    fast, truth = LayeredArm().compliance(scene, band), solve_layered(scene, band)
+    difference = np.nanmax(np.abs(fast.values - truth.values), axis=(1, 2))
+    assert (difference / np.nanmax(np.abs(truth.values), axis=(1, 2)) <= np.array(fast.errors[0].per_frequency)).all()
+    assert fast.errors[0].band < 0.05
+
+
+def test_an_arm_that_cannot_be_is_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = question()
+    _, setup, arm = setup_and_arm(asked)
+
+    def broken(*_: object) -> None:
+        raise ScenarioError("no such arm")
+
+    monkeypatch.setattr(LayeredArm, "compliance", broken)
+    lost = runs.drawn(asked, setup, arm, 4)
+    assert (lost.problem, lost.number) == ("no such arm", 4)
+    assert np.isnan(lost.strengths).all()
+    good = [replace(lost, number=k, problem="", strengths=np.ones_like(lost.strengths)) for k in range(N - 1)]
+    with pytest.raises(DataError, match=f"needs {N} draws with S, got {N - 1}; the first failure: no such arm"):
+        numbers.draws_of([*good, lost], setup.method_names, setup.targets)
+
+
+def test_quantiles_by_hand() -> None:
+    values = np.arange(101.0)[::-1, None] + np.array([0.0, 1000.0])
+    assert numbers.quantiles(values) == pytest.approx(np.array([5, 25, 50, 75, 95])[:, None] + np.array([0, 1000.0]))
+    inside = numbers.inside(values, np.array([4.9, 1095.0]))
+    assert inside.tolist() == [False, True]
+
+
+def test_groups_and_winners_by_hand() -> None:
+    assert numbers.group_columns(["1", "2", "5", "9"]) == {
+        "Middle (5)": [2], "Edges (2/4/6/8)": [1], "Corners (1/3/7/9)": [0, 3],
+    }  # fmt: skip
+    assert numbers.group_columns(["1", "17"]) == {"All": [0, 1]}
+    s = np.array([[[1.0, 2.0, 3.0, 5.0]], [[2.0, 2.0, 2.0, 4.0]]])
+    assert numbers.group_means(s, ["1", "2", "5", "9"])[:, 0].tolist() == [[3, 2, 3], [2, 2, 3]]
+    duel = np.array([[[3.0], [1.0]], [[1.0], [2.0]], [[2.0], [2.0]], [[5.0], [4.0]]])
+    assert numbers.winners(duel)[:, 0].tolist() == [0.625, 0.375]
+
+
+def test_rank_correlations_are_spearmans() -> None:
+    rng = np.random.default_rng(2)
+    x, y = rng.standard_normal((60, 3)), rng.standard_normal((60, 2, 1))
+    y[:, 0, 0] += 2 * x[:, 1] ** 3
+    x = np.column_stack([x, np.ones(60)])
+    found = numbers.rank_correlations(x, y)
+    for i in range(3):
+        for j in range(2):
+            assert found[i, j, 0] == pytest.approx(stats.spearmanr(x[:, i], y[:, j, 0]).statistic)
+    assert np.isnan(found[3]).all()
+
+
+def test_sobol_indices_of_a_linear_logarithm() -> None:
+    pytest.importorskip("SALib")
+    x = np.random.default_rng(0).standard_normal((1000, 3))
+    y = np.exp(2 * x[:, 0] + x[:, 1])[:, None]
+    found = numbers.sobol_indices(np.column_stack([x, np.zeros(1000)]), list("abcd"), y)[:, 0]
+    assert found[:3] == pytest.approx([0.8, 0.2, 0.0], abs=0.06)  # 1/sqrt(1000) of sampling, twice over
+    assert np.isnan(found[3])
+    assert np.isnan(numbers.sobol_indices(x[:50], list("abc"), y[:50])).all()
+
+
+def test_joint_distance_knows_correlation() -> None:
+    z = np.random.default_rng(1).standard_normal((4000, 2))
+    cloud = np.exp(np.column_stack([z[:, 0], 0.95 * z[:, 0] + np.sqrt(1 - 0.95**2) * z[:, 1]]))
+    along, across = np.exp([1.5, 1.5]), np.exp([1.5, -1.5])  # both within each band of 90 %
+    assert numbers.inside(cloud, along).all()
+    assert numbers.inside(cloud, across).all()
+    assert numbers.joint_distance(cloud, along)[1] > 0.2
+    distance, beyond = numbers.joint_distance(cloud, across)
+    assert beyond == 0
+    # sqrt(2) 1.5 / sqrt(1 - r) over the median radius sqrt(2 ln 2) of a plane normal
+    assert distance == pytest.approx(1.5 * math.sqrt(2 / 0.05) / math.sqrt(2 * math.log(2)), rel=0.05)
+
+
+def test_numerics_and_arms_are_never_mixed(found: tuple[Prediction, Path]) -> None:
+    whole, _ = found
+    content = summary(whole, sobol=False)
+    cell = content["by_target"]["funneling"]["5"]
+    m, t = whole.nominal.methods.index("funneling"), whole.nominal.targets.index("5")
+    expected = [whole.nominal.value[m, t], whole.nominal.low[m, t], whole.nominal.high[m, t]]
+    assert [cell["value"], cell["low"], cell["high"]] == pytest.approx(expected, abs=1e-6)
+    column = whole.draws.reading("calibrated")[
+        :, whole.draws.methods.index("funneling"), whole.draws.targets.index("5")
+    ]
+    assert cell["arms"] == pytest.approx(np.quantile(column, [0.05, 0.25, 0.5, 0.75, 0.95]), abs=1e-6)
+    wider = replace(whole, nominal=replace(whole.nominal, low=whole.nominal.low / 2, high=whole.nominal.high * 2))
+    assert summary(wider, sobol=False)["by_target"]["funneling"]["5"]["arms"] == cell["arms"]
+    words = strength_words({"value": 1.31, "low": 1.298, "high": 1.318, "arms": [0.7, 0.9, 1.2, 1.5, 1.8]})
+    assert words == "1.31 (numerics 1.30-1.32, arms 0.70-1.80)"
+    unknown = strength_words({"value": 1.31, "low": None, "high": None, "arms": [0.7, 0.9, 1.2, 1.5, 1.8]})
+    assert unknown == "1.31 (numerics unknown, arms 0.70-1.80)"
+
+
+def test_what_is_held_moves_nothing(found: tuple[Prediction, Path]) -> None:
+    everything = ("tissue", "thickness", "tension", "contact", "actuator", "housing", "placement", "measurement")
+    _, setup, arm = setup_and_arm(question(held=everything))
+    two = [outcome_of(draw_inputs(load_priors(), SCENE, 0, k), setup, arm) for k in (0, 1)]
+    assert np.array_equal(two[0].strengths, two[1].strengths)
+    assert dict(two[0].drivers) == {}
+    assert {"fat stiffness", "skin loss", "contact spring A1", "signal to noise"} <= set(found[0].draws.names)
+
+
+def test_the_store_is_read_back_and_damage_is_told(found: tuple[Prediction, Path], tmp_path: Path) -> None:
+    whole, folder = found
+    back = read_outcomes(folder / FILE, question().digest)
+    assert [o.number for o in back] == list(range(N))
+    assert np.array_equal([o.strengths for o in back], whole.draws.strengths)
+    assert isinstance(back[0], Outcome)
+    content = bytearray((folder / FILE).read_bytes())
+    content[len(content) // 2] ^= 0x40
+    (tmp_path / FILE).write_bytes(content)
+    with pytest.raises(DataError):
+        read_outcomes(tmp_path / FILE)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"held": ("skin",)}, "--hold: no input or group is called 'skin'; groups are actuator, contact"),
+        ({"laws": ("maxwell",)}, "--law: no law is called 'maxwell'; known are kelvin-voigt, zener, springpot"),
+        ({"laws": ()}, "--law: expected at least one of"),
+    ],
+)
+def test_bad_questions_are_one_sentence(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        predict(question(**changes), tmp_path, draws=N)
+    assert not list(tmp_path.iterdir())
+
+
+def test_scenes_without_s_are_refused(tmp_path: Path) -> None:
+    for rendering, message in (({"methods": []}, "no S to predict"), ({"zeros": "search"}, "takes days")):
+        scene = parse_scenario({**SMALL, "rendering": rendering})
+        with pytest.raises(ScenarioError, match=message):
+            predict(Question(scene, Path()), tmp_path, draws=N)
+
+
+def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(TOML)
+    asked = ("predict", "small.toml", "--draws", N, "--workers", 1, "--out", "out", "--law", "zener", "--no-sobol")
+    answer = cli(*asked, cwd=tmp_path)
+    assert answer.code == 0, answer.err
+    folder = tmp_path / "out" / "prediction"
+    names = {"draws.nc", "prediction.json", "prediction.md", "prediction.html"}
+    assert names | {"figures"} == {p.name for p in folder.iterdir()}
+    assert {p.name for p in (folder / "figures").iterdir()} == {
+        "bands.png", "methods.png", "drivers.png", "bands.csv", "drivers.csv",
+    }  # fmt: skip
+    text = (folder / "prediction.md").read_text()
+    content = read_json(folder / "prediction.json")
+    cell = content["by_target"]["combination"]["1"]
+    assert strength_words(cell) in text
+    assert strength_words(cell) in answer.out
+    assert "flat layers without end" in text
+    assert (content["laws"], content["draws"], content["failed"]) == (["zener"], N, [])
+    assert cli("run", "small.toml", "--out", "out", cwd=tmp_path).code == 0
+    assert Results.open(tmp_path / "out").prediction == content
+    report, table = (tmp_path / "out" / "report.md").read_text(), content["by_group"]["combination"]
+    row = next(line for line in report.splitlines() if line.startswith("| 1 |"))
+    assert f"{strength_words(cell)} |" in row  # the same S, its numerics and the arms beside it
+    low, high = table["Corners (1/3/7/9)"]["arms"][0], table["Corners (1/3/7/9)"]["arms"][-1]
+    assert f"arms {low:.2f}-{high:.2f})" in report.partition("Table I")[2]
+    assert "Never add the two" in report
+    assert cli("run", "small.toml", "--set", "device.spacing=0.05", "--out", "out", cwd=tmp_path).code == 0
+    assert (
+        "arms" not in (tmp_path / "out" / "report.md").read_text().partition("## Signal strength")[2].partition("##")[0]
+    )
+    bad = cli("predict", "small.toml", "--hold", "bones", cwd=tmp_path)
+    assert bad.code == 2
+    assert "--hold: no input or group is called 'bones'" in bad.err

@@ -1,0 +1,210 @@
+"""Validation: observables against closed forms, judgement by hand, the page says first where it fails."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import cli
+
+from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.io.jsonfiles import read_json
+from forearm_fem.io.netcdf import write_transfer
+from forearm_fem.layered import Layer, Surface, rayleigh_wavenumber
+from forearm_fem.metrics import thesis_table
+from forearm_fem.prediction import validate as module
+from forearm_fem.prediction.observables import Arm, fat_of, motor_ratios, observables
+from forearm_fem.prediction.run import Question
+from forearm_fem.prediction.statistics import Draws
+from forearm_fem.prediction.targets import SHAH_ARMS, TARGETS, Target
+from forearm_fem.prediction.validate import validate
+from forearm_fem.report.validation import coverage_words, failures, validation_page
+from forearm_fem.scenario import parse_scenario
+from forearm_fem.tissue import KelvinVoigt
+
+SMALL: dict[str, Any] = {
+    "engine": "layered",
+    "sweep": {"duration": 0.1},
+    "device": {"cone": {"contact": "pressure"}},
+}
+
+
+def half_space(mu: float, eta: float) -> Arm:
+    return Arm((Layer(math.inf, 1050.0, KelvinVoigt(mu, eta).at),), Surface())
+
+
+def test_every_target_has_a_source_and_every_value_was_seen() -> None:
+    known = observables(half_space(7860.0, 5.03)).keys()
+    for target in TARGETS:
+        assert target.source
+        if target.kind == "not comparable":
+            assert target.note, target.name
+            assert math.isnan(target.value)
+        else:
+            assert target.name in known, target.name
+            assert math.isfinite(target.value) == (target.kind == "value"), target.name
+
+
+def test_observables_of_a_half_space_are_its_closed_forms() -> None:
+    """Zhang's half-space has Zhang's speed; a slow plate on it 8 mu a; nearly without loss, the Rayleigh pole."""
+    found = observables(half_space(7860.0, 5.03))
+    # at 200 Hz the pole gives 3.14 m/s (physics_data.md 2.2); 5 to 15 mm from the source the near field adds a tenth
+    assert found["Zhang, speed"] == pytest.approx(3.14, rel=0.15)
+    radius = math.sqrt(0.5e-4 / math.pi)
+    # at 20 Hz the plate's own wave adds (k_s a)^2 ~ 0.05
+    assert found["Sueda, relaxed"] == pytest.approx(8 * 7860.0 * radius, rel=0.05)
+    stiff = half_space(16e3, 0.2)
+    omega = 2 * math.pi * 200
+    k = rayleigh_wavenumber(omega, 1050.0, complex(KelvinVoigt(16e3, 0.2).at(omega)))
+    assert observables(stiff)["Zhang, speed"] == pytest.approx(omega / k.real, rel=0.1)
+    lossy, clear = (motor_ratios(half_space(8e3, eta), np.array([200.0])) for eta in (8.0, 2.0))
+    assert (lossy < clear).all()  # damping takes motion at every distance
+    assert found["Sofia, loss at 8 mm"] == pytest.approx(
+        1 - motor_ratios(half_space(7860.0, 5.03), np.array([200.0]))[0, 0], abs=1e-9
+    )
+
+
+def test_decay_of_bounded_damping_levels_off_where_kelvin_voigts_rises() -> None:
+    """A loss angle that does not grow: decay ~ omega, doubled from 250 to 500 Hz but for the near field."""
+    rising = observables(half_space(20e3, 2.0))
+    assert rising["appendix A, decay rises"] == 1
+    assert rising["appendix A, decay levels off"] == 0
+    saturated = observables(
+        half_space(8e3, 8.0)
+    )  # beyond two decay lengths the near field is left, which does not decay
+    assert saturated["appendix A, decay levels off"] == 1
+
+
+def test_fat_from_girth_makes_maughans_share() -> None:
+    for sex, share in (("m", 0.150), ("f", 0.293)):
+        girth, skin = 0.25, 1.2e-3
+        radius = girth / (2 * math.pi)
+        inner = radius - skin - fat_of(sex, girth, skin)
+        assert 1 - (inner / radius) ** 2 == pytest.approx(share)
+    assert fat_of("m", 0.05, 3e-3) == 0.5e-3
+    assert len(SHAH_ARMS) == 6
+
+
+ROWS = [{"law": ("zener", "springpot")[k % 2], "x": float(k), "t": float(k < 4)} for k in range(101)]
+
+
+def test_values_and_trends_are_judged_by_hand() -> None:
+    value = Target("x", "g", "w", "value", "s", 5.0, unit="m/s")
+    found = module._judged(value, ROWS)
+    assert found["all"] == {"low": 5.0, "median": 50.0, "high": 95.0, "inside": True, "width": math.sqrt(19)}
+    assert found["kelvin-voigt"] is None  # no arm of that law
+    assert not module._judged(replace(value, value=4.9), ROWS)["all"]["inside"]
+    trend = module._judged(Target("t", "g", "w", "trend", "s"), ROWS)
+    assert trend["all"] == {"share": pytest.approx(4 / 101), "inside": False}  # 4 % show it, 5 % are asked
+    assert trend["measured"] is None
+    assert "all" not in module._judged(Target("t", "g", "w", "not comparable", "s", note="not seen"), ROWS)
+
+
+def table_of(values: np.ndarray) -> Draws:
+    """Draws whose S at every target is that of its group and method, times ``values`` (n,)."""
+    mean = thesis_table().mean  # (group, method)
+    group = [2, 1, 2, 1, 0, 1, 2, 1, 2]
+    nine = mean[group].T  # (method, target)
+    s = np.repeat((values[:, None, None] * nine)[:, None], 4, axis=1)
+    methods, targets = thesis_table().methods, tuple(str(k) for k in range(1, 10))
+    laws = tuple(("zener", "springpot")[k % 2] for k in range(len(values)))
+    flat = np.zeros((len(values), 1))
+    return Draws(s, methods, targets, laws, ("law",), flat, flat[:, 0], flat[:, 0], ())
+
+
+def test_table_one_is_judged_entry_by_entry_and_jointly() -> None:
+    rng = np.random.default_rng(0)
+    spread = table_of(np.exp(0.2 * rng.standard_normal(400)))
+    found = module._table_one(spread, "calibrated")
+    assert found["all"]["inside"] == 9
+    assert set(found) == {"all", "zener", "springpot"}
+    # a band of 90 % of a log-normal is x/÷ exp(1.645 s)
+    assert found["all"]["width"] == pytest.approx(math.exp(1.645 * 0.2), rel=0.06)
+    apart = module._table_one(table_of(3 * np.exp(0.2 * rng.standard_normal(400))), "calibrated")
+    assert apart["all"]["inside"] == 0
+    assert apart["all"]["beyond"] == 0
+    assert apart["all"]["distance"] > 4
+    assert found["all"]["order"][0][0] == "combination"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    patch = pytest.MonkeyPatch()
+    patch.setattr(module, "_SUBJECT_DRAWS", 2)
+    folder = tmp_path_factory.mktemp("validation")
+    found = validate(Question(parse_scenario(SMALL), Path()), folder, draws=30, workers=1)
+    patch.undo()
+    return found, folder
+
+
+def test_the_page_says_first_where_it_fails(whole: tuple[dict[str, Any], Path]) -> None:
+    found, folder = whole
+    page = validation_page(found)
+    assert page.index("## Where it fails") < page.index("## What it is for") < page.index("## Published measurements")
+    for line in failures(found):
+        assert f"- {line}" in page
+    assert coverage_words(found) in page
+    for target in found["targets"]:
+        assert target["name"] in page
+        if target["kind"] != "not comparable" and not target["all"]["inside"]:
+            assert any(line.startswith(f"{target['name']}:") for line in failures(found))
+    out = [e for e in found["table_one"]["window"]["all"]["entries"] if not e["inside"]]
+    assert failures(found)[0].startswith(f"Table I, S over the wavelet's window: {len(out)} of 9 entries lie outside")
+    assert page.count("not seen") >= 5
+    assert "question of interest" in page
+    assert read_json(folder / "validation.json")["draws"] == 30
+
+
+def test_numbers_of_the_page_are_those_of_the_run(whole: tuple[dict[str, Any], Path]) -> None:
+    found, _ = whole
+    row = next(t for t in found["targets"] if t["name"] == "Zhang, speed")
+    band = row["all"]
+    assert f"| {band['low']:.3g}-{band['high']:.3g} |" in validation_page(found)
+    changed = {**found, "targets": [{**row, "all": {**band, "low": 77.7, "inside": False}}]}
+    page = validation_page(changed)
+    assert "77.7-" in page
+    assert "Zhang, speed: surface speed at 200 Hz: measured 3.25+-0.19 m/s, arms 77.7" in page
+
+
+def test_observables_resume_and_other_questions_start_anew(
+    whole: tuple[dict[str, Any], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, folder = whole
+    monkeypatch.setattr(module, "observables", lambda arm: pytest.fail("a finished draw was measured again"))
+    rows = module._observed(Question(parse_scenario(SMALL), Path()), folder, 30, True, None)
+    assert len(rows) == 30
+    assert module._kept(folder / module.OBSERVABLES, "another question") == []
+    assert found["draws"] == 30
+
+
+def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+    from forearm_fem.pipeline import simulate
+
+    found, _ = whole
+    assert found["measured"] is None
+    scene = parse_scenario(SMALL)
+    g = simulate(scene).transfer
+    write_transfer(tmp_path / "g.nc", g)
+    draws = table_of(np.exp(0.2 * np.random.default_rng(0).standard_normal(60)))
+    prediction = type("P", (), {"draws": draws})()
+    told = module._measured(g, Question(scene, Path()), prediction)  # type: ignore[arg-type]
+    assert len(told["entries"]) == 9
+    page = validation_page({**found, "measured": told})
+    assert "## A measured G through the same comparison" in page
+    short = replace(g, outputs=g.outputs[:3], values=g.values[:, :3])
+    with pytest.raises(DataError, match="no output called '4'"):
+        module._measured(short, Question(scene, Path()), prediction)  # type: ignore[arg-type]
+
+
+def test_scenes_that_cannot_be_judged_are_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match="set engine=layered"):
+        validate(Question(parse_scenario({}), Path()), tmp_path, draws=60)
+    answer = cli("validate", "thesis", "--set", "engine=fem", "--out", tmp_path / "o", cwd=tmp_path)
+    assert answer.code == 2
+    assert "set engine=layered" in answer.sentence
+    answer = cli("validate", "thesis", "--measured", "nowhere.nc", "--out", tmp_path / "o", cwd=tmp_path)
+    assert "no such file" in answer.sentence
