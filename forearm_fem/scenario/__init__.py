@@ -1,12 +1,15 @@
 """Scenario files: what the user asks for."""
 
+from .body import BODIES, Tape
 from .load import apply_overrides, load_scenario, parse_scenario, scenario_schema
 from .model import Scenario
 from .shipped import scenario_file, shipped_scenarios
 from .template import scenario_template
 
 __all__ = [
+    "BODIES",
     "Scenario",
+    "Tape",
     "apply_overrides",
     "load_scenario",
     "parse_scenario",

@@ -14,8 +14,8 @@ from .model import Scenario
 _WIDE = 100  # characters up to which a meaning stands beside its key
 
 
-def scenario_template(name: str) -> str:
-    """Text of a TOML file that is valid as it stands, with every key but ``name`` commented out.
+def scenario_template(name: str, limb: Mapping[str, Any] | None = None) -> str:
+    """Text of a TOML file that is valid as it stands, with every key but ``name`` and those of ``limb`` commented out.
 
     Uncommenting all keys that show a value gives the default scenario again; keys without a value are those that are
     left to the program. Not covered: shapes other than the forearm, and tables with names of the user's own, which have
@@ -26,7 +26,10 @@ def scenario_template(name: str) -> str:
         "# SI units. `forearm-fem schema` prints the same for editors; the manual explains each key.",
         f"name = {json.dumps(name)}",
     ]
-    return "\n".join([*head, *_table(Scenario(), "", ("schema_version", "name"))]) + "\n"
+    lines = [*head, *_table(Scenario(), "", ("schema_version", "name"))]
+    place = lines.index("[limb]") + 1
+    lines[place:place] = [f"{key} = {_toml(value)}" for key, value in (limb or {}).items()]
+    return "\n".join(lines) + "\n"
 
 
 def _table(part: BaseModel, path: str, left_out: tuple[str, ...] = ()) -> Iterator[str]:
