@@ -11,6 +11,7 @@ test, and Chromium.
 from __future__ import annotations
 
 import argparse
+import csv
 import random
 import re
 import shutil
@@ -38,6 +39,8 @@ def main() -> None:
     ]
     felt = what_is_felt(chosen.study, chosen.transfer)
     file = chosen.transfer / "transfer.nc" if chosen.transfer.is_dir() else chosen.transfer
+    from forearm_fem.study.run import Prepared
+
     began = time.perf_counter()
     with ProcessPoolExecutor(chosen.at_once) as pool:
         jobs = [
@@ -53,11 +56,39 @@ def main() -> None:
     row = {"participants": chosen.participants, "answers": answers, "kills": kills, "problems": len(problems),
            "at_once": chosen.at_once, "seconds": round(answered - began),
            "seconds_to_report": round(report, 1)}  # fmt: skip
-    table = Path(__file__).parent / "results" / "study.csv"
-    table.write_text(",".join(row) + "\n" + ",".join(map(str, row.values())) + "\n")
+    write_page(row, chosen.study.parent / Prepared.of(chosen.study).folder.name)
     print(row)
     print("\n".join(problems) or "no answer lost, doubled or out of order")
     sys.exit(bool(problems))
+
+
+def write_page(row, folder: Path) -> None:  # type: ignore[no-untyped-def]
+    """results/study.csv, study.md, and the figures that the analysis in ``folder`` made."""
+    out = Path(__file__).parent / "results"
+    (out / "study.csv").write_text(",".join(row) + "\n" + ",".join(map(str, row.values())) + "\n")
+    pictures = {"identification-ellipses": "Figure 8", "confidence-points": "Figure 9"}
+    for name in pictures:
+        shutil.copy(folder / "analysis" / f"{name}.png", out / f"study-{name}.png")
+    tests = []
+    for name in ("identification-error", "confidence-points"):
+        with (folder / "analysis" / f"{name}-anova.csv").open() as stream:
+            tests += [
+                f"| {name.replace('-', ', ')} | {e['name']} | {float(e['f']):.2f} | {float(e['gg']):.2f} | "
+                f"{float(e['p_gg']):.2g} |"
+                for e in csv.DictReader(stream)
+            ]
+    lines = [
+        "# A whole study through the pages\n",
+        f"{row['participants']} simulated participants gave {row['answers']} answers by keys and clicks in headless "
+        f"Chromium, {row['at_once']} at a time, every stimulus through the virtual device; sessions were killed "
+        f"{row['kills']} times. Answers lost, doubled or out of order in {row['problems']} sessions. From the last "
+        f"answer to the report: {row['seconds_to_report']} s. [study.csv](study.csv)\n",
+        "**Simulated answers, not people's.**\n",
+        *(f"![{title}](study-{name}.png)\n" for name, title in pictures.items()),
+        "| task, measure | effect | F | epsilon | p (Greenhouse-Geisser) |\n|---|---|---|---|---|",
+        *tests,
+    ]
+    (out / "study.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def what_is_felt(study: Path, transfer: Path):  # type: ignore[no-untyped-def]

@@ -143,6 +143,19 @@ def test_pooling_keeps_a_uniform_field_and_spreads_a_peak():
     assert 0 < peak[0] < peak[1] < peak[4]
 
 
+def test_summation_does_not_depend_on_the_mesh():
+    """A place cut into three of a third of its area each gives the same sum at the others."""
+    energy, area = np.arange(1.0, 10.0), np.ones(9)
+    whole = pooled(energy, PLACES, area, 7e-3)
+    cut = pooled(
+        np.append(energy, [9.0, 9.0]),
+        np.vstack([PLACES, PLACES[8], PLACES[8]]),
+        np.array([*[1.0] * 8, *[1 / 3] * 3]),
+        7e-3,
+    )
+    assert cut[:9] == pytest.approx(whole, rel=1e-12)
+
+
 def test_thresholds_fall_by_3_db_per_doubling_of_area_in_one_channel_only():
     """Spots of 10 to 80 mm2 moving alike on a 1 mm grid: pooled energy goes with area while that is well below the
     pooling's 308 mm2 (the largest spot loses 0.5 dB); without pooling nothing changes."""

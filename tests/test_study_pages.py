@@ -15,6 +15,7 @@ from test_study_session import GRID, opened, small
 
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.study.server import Secrets, application, serve, texts
+from forearm_fem.study.session import Presented
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
@@ -246,6 +247,31 @@ def test_a_wrong_key_does_nothing(browser, session):
         page.locator("body[data-answered='1']").wait_for()
         assert problems == []
         page.close()
+
+
+def test_a_key_while_the_stimulus_plays_does_nothing(browser, tmp_path):
+    over = threading.Event()
+
+    def player(method, target, level):
+        over.wait(30)
+        return Presented(0.2, 1.0)
+
+    session = opened(tmp_path, small(), player)
+    with served(session) as (theirs, _):
+        page, problems = _page(browser, theirs)
+        page.keyboard.press("Space")
+        while session.view()["waiting"] != "playing":
+            time.sleep(0.02)
+        page.keyboard.press("5")
+        assert session.view()["answered"] == 0
+        over.set()
+        page.locator("#arm").wait_for(state="visible")
+        assert session.view()["answered"] == 0
+        page.keyboard.press("9")
+        page.locator("body[data-answered='1']").wait_for()
+        assert problems == []
+        page.close()
+    assert session._store.answers("01", "places")[0]["response"] == "9"
 
 
 def test_two_open_browsers_answer_each_trial_once(browser, session):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import subprocess
 
@@ -109,6 +111,26 @@ def test_the_official_validator_finds_no_error(answered):
     )
     issues = json.loads(done.stdout)["issues"]["issues"]
     assert [i for i in issues if i["severity"] == "error"] == []
+
+
+def test_a_full_disk_refuses_the_answer_and_it_can_be_given_again(tmp_path, monkeypatch):
+    """The line is written and then cannot be flushed: it is taken back, so that the second one stands alone."""
+    session = opened(tmp_path, small())
+    session.start()
+    session.present()
+    session.answer(Given(points=("1",)))
+    session.present()
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", _full)
+        with pytest.raises(DataError, match=r"cannot be written \(No space left on device\); make room"):
+            session.answer(Given(points=("5",)))
+    assert session.view()["waiting"] == "answer"
+    session.answer(Given(points=("5",)))
+    assert [r["response"] for r in opened(tmp_path, small())._store.answers("01", "places")] == ["1", "5"]
+
+
+def _full(_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_what_played_is_kept_before_the_first_answer(answered):

@@ -14,6 +14,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -211,11 +212,16 @@ def _append(file: Path, columns: Sequence[str], row: Mapping[str, Any]) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         if file.exists():
             _take_off_torn_line(file)
-        new = not file.exists() or not file.stat().st_size
-        with file.open("ab") as stream:
-            stream.write(_table(columns, [row], header=new).encode("utf-8"))
-            stream.flush()
-            os.fsync(stream.fileno())
+        before = file.stat().st_size if file.exists() else 0
+        try:
+            with file.open("ab") as stream:
+                stream.write(_table(columns, [row], header=not before).encode("utf-8"))
+                stream.flush()
+                os.fsync(stream.fileno())
+        except OSError:
+            with suppress(OSError):
+                os.truncate(file, before)  # a refused answer is given again: it must not stand there twice
+            raise
     except OSError as problem:
         raise DataError(f"{file}: the answer cannot be written ({problem.strerror or problem}); make room") from None
 
