@@ -211,7 +211,7 @@ def test_outlines_are_kept_and_judged(answered):
     page = write_analysis(answered.study, {"drawn": table}, GRID, answered.folder, devices=answered.devices())
     made = {p.name for p in page.parent.glob("*.png")}
     assert {"drawn-areas.png", "drawn-outlines.png", "drawn-ellipses.png"} <= made
-    assert "by selection alone" in page.read_text()
+    assert "selected for larger answers" in page.read_text()
 
 
 def strength(**changes):

@@ -149,6 +149,7 @@ def plot_confusion(shares: dict[str, FloatArray], names: Sequence[str]) -> Figur
     top = max(0.01, float(np.nanmax(list(shares.values()))))
     for ax, (method, values) in zip(axes, shares.items(), strict=True):
         image = ax.imshow(values, vmin=0, vmax=top, cmap="cividis")
+        ax.grid(False)
         ax.set_title(method)
         ax.set_xticks(range(len(names)), names)
         ax.set_yticks(range(len(names)), names)

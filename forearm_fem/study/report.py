@@ -29,7 +29,7 @@ from .plan import Answer, Study
 from .thesis import judged
 
 _SELECTION = (
-    "Trials with the target inside show larger answers by selection alone: whoever names k of nine points at random "
+    "Trials with the target inside are selected for larger answers: whoever names k of nine points at random "
     "holds the target in k of nine trials. Compare methods over all trials."
 )
 _SOURCE = f"forearm_fem {__version__}"
