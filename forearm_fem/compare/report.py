@@ -135,7 +135,7 @@ def plot_overlay(ground: CommonGround, output: int, source: int, *, ax: Axes | N
 
 
 @styled
-def plot_errors(c: Comparison, *, ax: Axes | None = None) -> Axes:
+def plot_difference(c: Comparison, *, ax: Axes | None = None) -> Axes:
     """e(f) over frequency, and e_band as a line across."""
     ax = single(ax)
     ax.loglog(c.ground.frequency, c.agreement.per_frequency, color=INK)
@@ -194,7 +194,7 @@ def _band(ax: Axes, ground: CommonGround) -> None:
     decimal(ax.xaxis)
 
 
-def save(c: Comparison, folder: str | Path) -> tuple[Path, ...]:
+def save_report(c: Comparison, folder: str | Path) -> tuple[Path, ...]:
     """comparison.json, .csv, .md and .png in ``folder``, each whole or absent."""
     target = Path(folder)
     texts = {"comparison.json": as_json(c), "comparison.csv": as_csv(c), "comparison.md": as_markdown(c)}
@@ -212,7 +212,7 @@ def picture(c: Comparison) -> Figure:
     figure = Figure(figsize=(7.0, 5.2), layout="constrained")
     grid = figure.subplots(2, 2).ravel()
     plot_overlay(c.ground, int(worst[0]), int(worst[1]), ax=grid[0])
-    plot_errors(c, ax=grid[1])
+    plot_difference(c, ax=grid[1])
     plot_fdac(c.ground, ax=grid[2])
     if c.crossed is not None:
         plot_cross_play(c.crossed, ax=grid[3])
