@@ -128,7 +128,7 @@ def plot_overlay(ground: CommonGround, output: int, source: int, *, ax: Axes | N
         size = np.where(ground.valid[:, output, source], np.abs(values[:, output, source]), np.nan)
         ax.loglog(ground.frequency, size, line, color=colour, label=name)
     label = f"point {ground.outputs[output].name} from {ground.inputs[source].name}"
-    ax.set(xlabel="frequency (Hz)", ylabel=f"|G| ({ground.unit})", title=label)
+    ax.set(xlabel="frequency [Hz]", ylabel=f"|G| [{ground.unit}]", title=label)
     ax.legend()
     _band(ax, ground)
     return ax
@@ -142,7 +142,7 @@ def plot_difference(c: Comparison, *, ax: Axes | None = None) -> Axes:
     if c.agreement.band > 0:
         ax.axhline(c.agreement.band, color=GREY, ls="--", lw=0.8, label=f"e_band {c.agreement.band:.2g}")
         ax.legend()
-    ax.set(xlabel="frequency (Hz)", ylabel="e(f)", title="difference over largest |A|")
+    ax.set(xlabel="frequency [Hz]", ylabel="e(f)", title="difference over largest |A|")
     _band(ax, c.ground)
     decimal(ax.yaxis)
     return ax
@@ -157,7 +157,7 @@ def plot_fdac(ground: CommonGround, *, ax: Axes | None = None) -> Axes:
     matrix = fdac_matrix(ground)[::step, ::step]
     image = ax.pcolormesh(f, f, matrix, cmap=SIZE, vmin=0, vmax=1, shading="nearest", rasterized=True)
     ax.plot(f[[0, -1]], f[[0, -1]], ":", color="white", lw=0.8)
-    ax.set(xlabel="frequency of B (Hz)", ylabel="frequency of A (Hz)", title="likeness of patterns (FDAC)")
+    ax.set(xlabel="frequency of B [Hz]", ylabel="frequency of A [Hz]", title="likeness of patterns (FDAC)")
     ax.set_aspect("equal")
     ax.grid(False)
     ax.figure.colorbar(image, ax=ax, ticks=(0, 0.5, 1), shrink=0.9)
