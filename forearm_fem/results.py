@@ -46,7 +46,7 @@ class ErrorRecord(_Record):
         return cls(source=error.source, band=band, worst=worst, method=error.method)
 
 
-class Resolution(_Record):
+class ResolutionRecord(_Record):
     """Nodes per shear wavelength of one tissue, the least anywhere and near the ports."""
 
     tissue: str
@@ -54,7 +54,7 @@ class Resolution(_Record):
     per_wavelength_near_ports: float
 
 
-class Quality(_Record):
+class QualityRecord(_Record):
     """Quality of tetrahedra, 1 for a regular one."""
 
     least: float
@@ -65,8 +65,8 @@ class MeshRecord(_Record):
     """The mesh's digest (empty: no mesh), its quality and what it resolves."""
 
     sha256: str = ""
-    quality: Quality | None = None
-    resolution: tuple[Resolution, ...] = ()
+    quality: QualityRecord | None = None
+    resolution: tuple[ResolutionRecord, ...] = ()
 
 
 class SolutionRecord(_Record):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -32,3 +33,30 @@ def test_readme_has_examples():
 def test_example_runs(example, folder, monkeypatch):
     monkeypatch.chdir(folder)
     exec(compile(example, "README.md", "exec"), {})
+
+
+TEXT = re.sub(r"\s+", " ", (HOME / "README.md").read_text(encoding="utf-8"))
+CLAIMS = tomllib.loads((HOME / "tests" / "readme_claims.toml").read_text(encoding="utf-8"))["claim"]
+
+
+def promises() -> list[str]:
+    """Sentences and rows of the README, outside its examples, that give a figure or a command."""
+    prose = re.sub(r"```.*?```", "", (HOME / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+    blocks = [" ".join(b.split()) for b in re.split(r"\n(?=\|)|\n\n", prose)]
+    pieces = [p for b in blocks if not b.startswith(("#", "!")) for p in re.split(r"(?<=[.:;])\s(?=[A-Z])", b)]
+    return [p for p in pieces if re.search(r"\d [%a-z]|`forearm-fem|`--", p) and not p.startswith("| ---")]
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=lambda c: c["says"][:40])
+def test_a_claim_of_the_readme_is_held_by_what_is_there(claim):
+    assert claim["says"] in TEXT, "the README says it no longer: change or delete the claim"
+    for place in claim["held_by"]:
+        file, _, test = place.partition("::")
+        assert (HOME / file).exists(), place
+        assert not test or f"def {test}(" in (HOME / file).read_text(encoding="utf-8"), place
+
+
+def test_every_promise_of_the_readme_names_what_holds_it():
+    """A figure or a command that no claim of tests/readme_claims.toml speaks of has nothing behind it."""
+    spoken = [c["says"] for c in CLAIMS]
+    assert [p for p in promises() if not any(s in p for s in spoken)] == []

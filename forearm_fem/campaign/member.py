@@ -68,10 +68,10 @@ def _done(job: Job) -> dict[str, Any]:
     run = Run.start(scenario, Path(job.folder), Path(job.base))
     with locked(job.folder):
         {"solve": run_solve, "render": run_render, "run": run_all}[job.stage](run)
-        return summary(Path(job.folder))
+        return member_summary(Path(job.folder))
 
 
-def summary(folder: Path) -> dict[str, Any]:
+def member_summary(folder: Path) -> dict[str, Any]:
     """The numbers of a finished folder that belong in a table."""
     account = read_run(folder / "run.json")
     found: dict[str, Any] = {
@@ -79,10 +79,10 @@ def summary(folder: Path) -> dict[str, Any]:
         "condition": account.condition_number.median,
         "seconds": round(account.seconds, 1),
     }
-    return {**found, **strengths(folder / "signal_strength.csv")}
+    return {**found, **mean_strengths(folder / "signal_strength.csv")}
 
 
-def strengths(file: Path) -> dict[str, float]:
+def mean_strengths(file: Path) -> dict[str, float]:
     """S of each method, mean over the targets; empty where nothing was rendered."""
     if not file.is_file():
         return {}

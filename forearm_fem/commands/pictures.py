@@ -19,8 +19,20 @@ def figures(
     only: Annotated[list[str] | None, typer.Option(help="figure names; again for more, or separated by commas")] = None,
     formats: Annotated[str, typer.Option("--format", help="any of png,pdf,svg")] = "png",
     out: Annotated[Path | None, typer.Option("--out", help="default: figures inside the results folder")] = None,
+    width: Annotated[
+        int | None, typer.Option(help="of a journal [mm]: 88, one column (figures of many panels take 181), or 181")
+    ] = None,
+    over: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="NAME=FILE.csv: x and published curves laid over figure NAME; LABEL@2: second panel"
+        ),
+    ] = None,
 ) -> None:
     """Make the figures of a run, each with its numbers as CSV."""
+    laid = dict(pair.partition("=")[::2] for pair in over or ())
+    if "" in laid.values():
+        raise DataError("--over: expected NAME=FILE.csv, a figure and a table of curves")
     if not results.is_dir():
         raise DataError(f"{results}: no such results folder; `forearm-fem run SCENARIO` makes one")
     from ..figures import make_figures
@@ -29,7 +41,7 @@ def figures(
     with locked(out or results), Display() as display, noted():
         written = make_figures(
             results, out, only=_listed(only), formats=_split(formats),
-            progress=display,
+            progress=display, width=width, over=laid,
         )  # fmt: skip
     for file in written:
         typer.echo(str(file))

@@ -128,21 +128,21 @@ def plot_overlay(ground: CommonGround, output: int, source: int, *, ax: Axes | N
         size = np.where(ground.valid[:, output, source], np.abs(values[:, output, source]), np.nan)
         ax.loglog(ground.frequency, size, line, color=colour, label=name)
     label = f"point {ground.outputs[output].name} from {ground.inputs[source].name}"
-    ax.set(xlabel="frequency (Hz)", ylabel=f"|G| ({ground.unit})", title=label)
+    ax.set(xlabel="frequency [Hz]", ylabel=f"|G| [{ground.unit}]", title=label)
     ax.legend()
     _band(ax, ground)
     return ax
 
 
 @styled
-def plot_errors(c: Comparison, *, ax: Axes | None = None) -> Axes:
+def plot_difference(c: Comparison, *, ax: Axes | None = None) -> Axes:
     """e(f) over frequency, and e_band as a line across."""
     ax = single(ax)
     ax.loglog(c.ground.frequency, c.agreement.per_frequency, color=INK)
     if c.agreement.band > 0:
         ax.axhline(c.agreement.band, color=GREY, ls="--", lw=0.8, label=f"e_band {c.agreement.band:.2g}")
         ax.legend()
-    ax.set(xlabel="frequency (Hz)", ylabel="e(f)", title="difference over largest |A|")
+    ax.set(xlabel="frequency [Hz]", ylabel="e(f)", title="difference over largest |A|")
     _band(ax, c.ground)
     decimal(ax.yaxis)
     return ax
@@ -157,7 +157,7 @@ def plot_fdac(ground: CommonGround, *, ax: Axes | None = None) -> Axes:
     matrix = fdac_matrix(ground)[::step, ::step]
     image = ax.pcolormesh(f, f, matrix, cmap=SIZE, vmin=0, vmax=1, shading="nearest", rasterized=True)
     ax.plot(f[[0, -1]], f[[0, -1]], ":", color="white", lw=0.8)
-    ax.set(xlabel="frequency of B (Hz)", ylabel="frequency of A (Hz)", title="likeness of patterns (FDAC)")
+    ax.set(xlabel="frequency of B [Hz]", ylabel="frequency of A [Hz]", title="likeness of patterns (FDAC)")
     ax.set_aspect("equal")
     ax.grid(False)
     ax.figure.colorbar(image, ax=ax, ticks=(0, 0.5, 1), shrink=0.9)
@@ -194,7 +194,7 @@ def _band(ax: Axes, ground: CommonGround) -> None:
     decimal(ax.xaxis)
 
 
-def save(c: Comparison, folder: str | Path) -> tuple[Path, ...]:
+def save_report(c: Comparison, folder: str | Path) -> tuple[Path, ...]:
     """comparison.json, .csv, .md and .png in ``folder``, each whole or absent."""
     target = Path(folder)
     texts = {"comparison.json": as_json(c), "comparison.csv": as_csv(c), "comparison.md": as_markdown(c)}
@@ -212,7 +212,7 @@ def picture(c: Comparison) -> Figure:
     figure = Figure(figsize=(7.0, 5.2), layout="constrained")
     grid = figure.subplots(2, 2).ravel()
     plot_overlay(c.ground, int(worst[0]), int(worst[1]), ax=grid[0])
-    plot_errors(c, ax=grid[1])
+    plot_difference(c, ax=grid[1])
     plot_fdac(c.ground, ax=grid[2])
     if c.crossed is not None:
         plot_cross_play(c.crossed, ax=grid[3])

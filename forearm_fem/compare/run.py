@@ -24,7 +24,7 @@ from .common import common_ground
 from .compare import Comparison, compare, plain
 from .fit import FitResult, fit
 from .readings import best_reading, explained
-from .report import as_markdown, save
+from .report import as_markdown, save_report
 
 __all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
 
@@ -54,7 +54,7 @@ def run_compare(
     names = (_name(a, "A"), _name(b, "B"))
     folders = [Path(g).resolve().parent for g in (a, b) if not isinstance(g, TransferMatrix)]
     result = compare(first, second, names=names, render=render, folders=folders)
-    files = save(result, folder) if folder is not None else ()
+    files = save_report(result, folder) if folder is not None else ()
     return CompareResult(result, as_markdown(result), files)
 
 

@@ -21,7 +21,7 @@ LINES: tuple[Any, ...] = ("-", (0, (4, 2)), (2, (2, 2)), (0, (1, 1.5)))  # equal
 
 
 @dataclass(frozen=True, eq=False)
-class Impedance:
+class ImpedanceCurves:
     """Per actuator (n, n_in): ``skin`` F / v under the cone [N s/m] and ``electrical`` V / I [ohm].
 
     ``electrical`` is None where the drive is no voltage.
@@ -33,15 +33,15 @@ class Impedance:
     electrical: ComplexArray | None
 
 
-def impedance(results: Results) -> Impedance:
+def impedance(results: Results) -> ImpedanceCurves:
     """Driving points of a run; needs the compliance."""
     compliance, device = results.compliance, results.scenario.device
     names = tuple(compliance.ports[i].name for i in compliance.indices("contact"))
     electrical = respond(compliance, device).input_impedance if device.drive == "voltage" else None
-    return Impedance(compliance.frequency, names, driving_point_impedance(compliance), electrical)
+    return ImpedanceCurves(compliance.frequency, names, driving_point_impedance(compliance), electrical)
 
 
-def impedance_table(data: Impedance) -> Table:
+def impedance_table(data: ImpedanceCurves) -> Table:
     """Real and imaginary parts over frequency."""
     columns: dict[str, FloatArray] = {"frequency_Hz": data.frequency}
     sources = {"skin": (data.skin, "Ns_per_m"), "electrical": (data.electrical, "ohm")}
@@ -54,7 +54,7 @@ def impedance_table(data: Impedance) -> Table:
 
 
 @styled
-def plot_impedance(data: Impedance, *, ax: Axes | None = None) -> FigureBase:
+def plot_impedance(data: ImpedanceCurves, *, ax: Axes | None = None) -> FigureBase:
     """Size and phase of the skin's impedance under each cone, and the impedance the amplifier sees."""
     n = 2 if data.electrical is None else 3
     figure = panels(ax, (2.4 * n, 2.7))

@@ -17,7 +17,7 @@ from ..ports import Port, positions
 from ..transfer import ErrorEstimate, size_words
 from ..typing import FloatArray
 from .data import Results
-from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled, widen
+from .style import ACTUATORS, GREY, INK, figure_of, method_colour, panels, single, styled, widen
 from .tables import Table, markdown
 
 WHO = ("here", "record", "thesis")  # columns of Table I: S over the window, over the whole record, and measured
@@ -258,7 +258,7 @@ def _curve(e: ErrorEstimate) -> tuple[tuple[float, ...], tuple[float, ...]]:
 @styled
 def plot_errors(data: Errors, *, ax: Axes | None = None) -> Axes:
     """e(f) of each source of error on a log scale, band values in the legend, and the accuracy asked for."""
-    axes = single(ax, (4.6, 3.0))
+    axes = single(ax, (3.5, 3.2))
     for k, e in enumerate(data.estimates):
         label, colour = f"{e.source}: {size_words(e.band, '.1g')}", ACTUATORS[k % len(ACTUATORS)]
         if e.per_frequency:
@@ -271,5 +271,8 @@ def plot_errors(data: Errors, *, ax: Axes | None = None) -> Axes:
         axes.annotate(f"asked {data.asked:g}", (0.01, data.asked), xycoords=("axes fraction", "data"), ha="left",
                       va="bottom", fontsize=7, color=GREY)  # fmt: skip
     axes.set(xlabel="frequency [Hz]", ylabel="e(f) = max |ΔG| / max |G| [-]", yscale="log")
-    axes.legend(title="source: $e_{band}$", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    if ax is None:
+        figure_of(axes).legend(title="source: $e_{band}$", loc="outside lower center", ncols=2)
+    else:
+        axes.legend(title="source: $e_{band}$")
     return axes

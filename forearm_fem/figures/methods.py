@@ -23,7 +23,7 @@ from .tables import Table, stacked
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class SweptEntry:
     """One entry of G from a sweep: ``drive`` and ``response`` (n_t,) over ``time`` [s], ``entry`` (n,) over
     ``frequency`` [Hz]."""
 
@@ -45,7 +45,7 @@ class Method:
     ``wanted`` and ``reached`` (n_control, n_t) [m], ``drives`` (n_in, n_t) at ``time`` (n_t,) [s].
     """
 
-    measured: Measured
+    measured: SweptEntry
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
     target: str
@@ -89,7 +89,7 @@ def _zeros(results: Results, target: str) -> tuple[str, ...]:
     return found or zero_points(results.transfer, target)
 
 
-def _measure(results: Results) -> Measured:
+def _measure(results: Results) -> SweptEntry:
     g = results.transfer
     sweep = ExponentialSweep.of(results.scenario)
     record = Record(sweep.sample_rate, sweep.n)
@@ -100,7 +100,7 @@ def _measure(results: Results) -> Measured:
     moved = respond(placed, spectrum)[0]
     time = np.arange(sweep.n) / sweep.sample_rate
     unit = g.unit.rpartition("/")[2]
-    return Measured(g.inputs[0], g.outputs[0], unit, time, samples, moved, g.frequency, shown(g)[:, 0, 0], g.unit)
+    return SweptEntry(g.inputs[0], g.outputs[0], unit, time, samples, moved, g.frequency, shown(g)[:, 0, 0], g.unit)
 
 
 def method_table(data: Method) -> Table:
@@ -156,7 +156,7 @@ def _entry(figure: FigureBase, data: Method) -> None:
         panel.text(-0.05, 1.06, text, transform=panel.transAxes, fontweight="bold", ha="right")
 
 
-def _layout(ax: Axes, outputs: tuple[Port, ...], inputs: tuple[Port, ...], m: Measured) -> None:
+def _layout(ax: Axes, outputs: tuple[Port, ...], inputs: tuple[Port, ...], m: SweptEntry) -> None:
     """Grid points and actuators seen from above, with their names."""
     for ports, mark, colour in ((outputs, "o", "#D55E00"), (inputs, "s", "#CC79A7")):
         at = 1e3 * positions(ports)

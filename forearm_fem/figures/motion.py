@@ -69,7 +69,7 @@ class Motion:
 
 def motion(results: Results, view: View, steps: FloatArray | None = None) -> Motion:
     """The motion of a view at ``steps``: instants [s], or phases [rad] where the view has a frequency."""
-    check(results, view)
+    check_view(results, view)
     field = results.wavefield
     if view.frequency is not None:
         phasor = _phasor(results, view, field)
@@ -87,7 +87,7 @@ def default_times() -> FloatArray:
     return np.asarray(np.arange(-24, 36) * 0.5e-3, dtype=np.float64)
 
 
-def check(results: Results, view: View) -> None:
+def check_view(results: Results, view: View) -> None:
     """Raise DataError for a view that the results cannot give."""
     if not results.has_field:
         missing = "mesh.vtu" if not results.has("mesh.vtu") else "wavefield.npz"

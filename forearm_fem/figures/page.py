@@ -21,7 +21,7 @@ from matplotlib import colormaps
 from ..io.atomic import write_text
 from ..typing import FloatArray
 from .data import Results
-from .motion import Motion, View, check, default_times, motion, nice
+from .motion import Motion, View, check_view, default_times, motion, nice
 from .scene import MM, cones_of
 from .show import Body, Look, body_of, colour_limit, default_view
 from .style import SIGNED
@@ -43,7 +43,7 @@ def export_html(
     found = results if isinstance(results, Results) else Results.open(results)
     chosen = list(views) if views is not None else _views(found)
     for view in chosen:
-        check(found, view)
+        check_view(found, view)
     skin = body_of(found, "", "")
     content = _content(found, skin, [_series(found, skin, v, frames) for v in chosen], frames)
     source = resources.files(__package__).joinpath("page.html.j2").read_text(encoding="utf-8")
@@ -73,7 +73,7 @@ class _Marked:
 
 
 def _views(results: Results) -> list[View]:
-    check(results, default_view(results))
+    check_view(results, default_view(results))
     drives, g = results.drives, results.transfer
     wanted: list[str] = [t for t in ("5", "6") if t in drives.targets] or [drives.targets[0]]
     timed = [View(m, t) for t in wanted for m in drives.methods]

@@ -18,6 +18,7 @@ from ..rendering.lattice import is_thesis_grid
 from ..transfer import TransferMatrix
 from . import device, judge, matrix, mesh, methods, targets, waves
 from .data import Results
+from .overlay import WIDTHS, Curve, fit_width, lay_over, read_curves
 from .style import SHEET, Drawn, figure_of, sign
 from .tables import Table
 
@@ -120,24 +121,34 @@ def make_figures(
     only: Sequence[str] | None = None,
     formats: Sequence[str] = ("png",),
     progress: Progress | None = None,
+    *,
+    width: int | None = None,
+    over: Mapping[str, str | Path] | None = None,
 ) -> list[Path]:
     """Make the figures of a results folder with their numbers as CSV, and return all files written.
 
     ``out_dir`` defaults to ``figures`` inside the folder; ``only`` are names from :func:`kinds`; ``formats`` any of
-    png, pdf and svg. Files appear whole or not at all. Figures that do not apply to the run are left out unless
-    named. Raises DataError for an unfinished folder, an unknown name or format, and a folder that cannot be written.
+    png, pdf and svg; ``width`` one of :data:`.overlay.WIDTHS` [mm]; ``over`` tables of curves (:func:`.read_curves`)
+    to lay over figures by name. Files appear whole or not at all. Figures that do not apply to the run are left out
+    unless named. Raises DataError for an unfinished folder, an unknown name or format, and a
+    folder that cannot be written.
     """
     results = results_dir if isinstance(results_dir, Results) else Results.open(results_dir)
     chosen = _chosen(results, only)
     if bad := [f for f in formats if f not in FORMATS]:
         raise DataError(f"'{bad[0]}' is no format for figures; choose among {', '.join(FORMATS)}")
+    if width is not None and width not in WIDTHS:
+        raise DataError(f"figures are {' or '.join(map(str, WIDTHS))} mm wide for a journal, not {width}")
+    curves = {name: read_curves(path) for name, path in (over or {}).items()}
+    if stray := sorted(set(curves) - {k.name for k in chosen}):
+        raise DataError(f"'{stray[0]}' is not among the figures made, so nothing can be laid over it")
     folder = Path(out_dir) if out_dir is not None else results.folder / "figures"
     _check_writable(folder)
     written: list[Path] = []
     for done, kind in enumerate(chosen):
         tell(progress, "figures", done, len(chosen))
         try:
-            written += make_figure(kind, results, folder, formats)
+            written += make_figure(kind, results, folder, formats, width, curves.get(kind.name, ()))
         except NotApplicable:
             if only is not None:
                 raise
@@ -169,11 +180,23 @@ def _check_writable(folder: Path) -> None:
         raise DataError(f"{folder}: figures cannot be written there; name another folder with --out") from None
 
 
-def make_figure(kind: FigureKind, results: Results, folder: Path, formats: Sequence[str]) -> list[Path]:
-    """One figure in every format, its CSV, and what else belongs beside it."""
+def make_figure(
+    kind: FigureKind,
+    results: Results,
+    folder: Path,
+    formats: Sequence[str],
+    width: int | None = None,
+    curves: tuple[Curve, ...] = (),
+) -> list[Path]:
+    """One figure in every format, ``width`` [mm] wide and with ``curves`` over it, its CSV, and what else belongs
+    beside it."""
     data = kind.compute(results)
     stem = folder / kind.name
-    written = save_drawn(kind.draw(data), stem, formats, results.stamp)
+    drawn = kind.draw(data)
+    if width is not None:
+        fit_width(figure_of(drawn), width)
+    lay_over(figure_of(drawn), curves)
+    written = save_drawn(drawn, stem, formats, results.stamp)
     texts = {"csv": kind.table(data).as_csv(results.stamp), **kind.extra(data)}
     for ending, text in texts.items():
         path = stem.with_name(f"{stem.name}{'.' if ending == 'csv' else '-'}{ending}")

@@ -195,8 +195,18 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
     low = MM * np.array([p.position for p in ports]).min(axis=0)
     add_scale_bar(plotter, low + np.array([-8, -16, 0]))
     plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray")
+    _on_white(plotter)
     _aim(plotter, results, look)
     return stage
+
+
+def _on_white(plotter: Any) -> None:
+    """A white plate under the colour bar, which else would be read against the limb."""
+    for name in plotter.scalar_bars.keys():  # noqa: SIM118 (no mapping: it has keys only)
+        bar = plotter.scalar_bars[name]
+        bar.DrawBackgroundOn()
+        bar.GetBackgroundProperty().SetColor(1.0, 1.0, 1.0)
+        bar.GetBackgroundProperty().SetOpacity(0.85)
 
 
 def _range(stage: Stage) -> tuple[float, float]:

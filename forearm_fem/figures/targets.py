@@ -22,11 +22,13 @@ from .data import Results
 from .device import busy, record_of
 from .matrix import MICRO
 from .patch import VolarPatch, volar_patch
-from .style import FAINT, GREY, INK, SIGNED, method_colour, panels, styled
+from .style import FAINT, GREY, INK, SIGNED, figure_of, method_colour, panels, styled
 from .tables import Table, stacked
 
 _INSTANTS = 6
 _FLAT = 1e-3  # of the grid's size: points that are no further off a line span no surface
+_TIME = "time [ms]"
+_BAR = 10.0  # mm
 _MESH = 41  # points per side of the interpolated map
 
 
@@ -104,16 +106,26 @@ def _one(signals: Signals, method: str, target: str) -> FloatArray:
 
 
 def moments(time: FloatArray, values: FloatArray, row: int) -> FloatArray:
-    """Six instants [s] on samples: the target's own peak as the fourth, evenly spaced through the motion.
+    """Six instants [s] on samples, evenly spaced through the motion: the target's own peak is the fourth, the largest
+    motion of any point is among them.
 
-    The step is a sixth of the span that holds 90 % of the motion, between 0.5 and 3 ms.
+    The step is near a sixth of the span that holds 90 % of the motion, between 0.5 and 3 ms, or as large as it must be.
     """
     keep = busy(values, time, share=0.9, least=0.0)
     peak = int(np.argmax(np.abs(np.nan_to_num(values[row]))))
     span = float(time[keep][-1] - time[keep][0])
     dt = float(time[1] - time[0])
     step = max(1, round(float(np.clip(span / _INSTANTS, 0.5e-3, 3e-3)) / dt))
+    largest = int(np.argmax(np.abs(np.nan_to_num(values)).max(axis=0)))
+    step = _through(largest - peak, step)
     return np.asarray(time[np.clip(peak + step * (np.arange(_INSTANTS) - 3), 0, len(time) - 1)])
+
+
+def _through(gap: int, step: int) -> int:
+    """The step nearest to ``step`` of which ``gap`` [samples] is -3 to 2 times one."""
+    most = 3 if gap < 0 else 2
+    count = min(max(1, round(abs(gap) / step)), most)
+    return max(1, round(abs(gap) / count)) if gap else step
 
 
 def _between(places: FloatArray, values: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -166,6 +178,7 @@ def plot_target(data: Target, *, ax: Axes | None = None) -> FigureBase:
     bands = figure.subfigures(len(data.shown), 1, squeeze=False)[:, 0]
     for band, shown in zip(bands, data.shown, strict=True):
         _band(band, data, shown, rows)
+    _same_time([a for a in figure_of(figure).axes if a.get_xlabel() == _TIME])
     return figure
 
 
@@ -182,6 +195,7 @@ def _band(figure: FigureBase, data: Target, shown: Shown, rows: int) -> None:
                                  shading="gouraud", rasterized=True)  # fmt: skip
         for panel in grid[:, k]:
             _mark(panel, data)
+    _scale_bar(grid[-1, 0])
     for panel, text in zip(grid[:, 0], ("interpolated", "field itself"), strict=False):
         panel.set_ylabel(text)
     bar = maps.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both",
@@ -213,6 +227,14 @@ def _mark(ax: Axes, data: Target) -> None:
     ax.spines[:].set_visible(False)
 
 
+def _scale_bar(ax: Axes) -> None:
+    """A bar of 10 mm below a map."""
+    left, low = ax.get_xlim()[0], ax.get_ylim()[0]
+    ax.plot([left, left + _BAR], [low, low], color=INK, lw=2, solid_capstyle="butt", clip_on=False)
+    ax.annotate(f"{_BAR:g} mm", (left + _BAR, low), (3, 0), textcoords="offset points", va="center", fontsize=6,
+                annotation_clip=False)  # fmt: skip
+
+
 def _traces(ax: Axes, data: Target, shown: Shown) -> None:
     for k, trace in enumerate(shown.values):
         if k != data.row:
@@ -223,7 +245,7 @@ def _traces(ax: Axes, data: Target, shown: Shown) -> None:
         ax.axvline(1e3 * t, color=FAINT, lw=0.5, zorder=0)
     colour = method_colour(shown.method, [s.method for s in data.shown])
     ax.set_title(shown.method, color=colour, fontweight="bold", fontsize=9)
-    ax.set(xlabel="time [ms]", ylabel="u [µm]", xlim=(1e3 * shown.time[0], 1e3 * shown.time[-1]))
+    ax.set(xlabel=_TIME, ylabel="u [µm]", xlim=(1e3 * shown.time[0], 1e3 * shown.time[-1]))
     ax.legend(loc="upper left", fontsize=6)
 
 
@@ -234,4 +256,12 @@ def plot_traces(data: Target, *, ax: Axes | None = None) -> FigureBase:
     axes = np.atleast_1d(figure.subplots(1, len(data.shown)))
     for panel, shown in zip(axes, data.shown, strict=True):
         _traces(panel, data, shown)
+    _same_time(list(axes))
     return figure
+
+
+def _same_time(axes: list[Axes]) -> None:
+    """One time base for every method."""
+    limits = np.array([a.get_xlim() for a in axes])
+    for a in axes:
+        a.set_xlim(limits[:, 0].min(), limits[:, 1].max())

@@ -24,7 +24,7 @@ from .data import Results
 from .matrix import MICRO, shown
 from .patch import volar_patch
 from .roots import trace_root
-from .style import GREY, letter, panels, styled
+from .style import FAINT, GREY, letter, panels, styled
 from .tables import Table, stacked
 
 _STRAIGHT = 0.5  # rad: beyond, the phase along the line is no line
@@ -303,7 +303,8 @@ def plot_dispersion(data: Dispersion, *, ax: Axes | None = None) -> FigureBase:
         _curves(top, bottom, data.alone, "same estimator, surface wave alone", "#56B4E9", "-")
         top.plot(f, -data.root.imag, color="#D55E00", ls="--", label="root of the layered kernel")
         bottom.plot(f, 2 * np.pi * f / data.root.real, color="#D55E00", ls="--")
-    top.set(ylabel="attenuation δ [1/m]", ylim=(0, None))
+    top.set(ylabel="attenuation δ [1/m]", ylim=(0, None), xlim=(data.fit.frequency[0], data.fit.frequency[-1]))
+    _shade(bottom, data)
     bottom.set(ylabel="phase speed c [m/s]", xlabel="frequency [Hz]", ylim=(0, _top(data)))
     top.legend()
     if bottom.get_legend_handles_labels()[0]:
@@ -321,6 +322,15 @@ def _curves(top: Axes, bottom: Axes, fit: WaveFit, label: str, colour: str, ls: 
     bottom.plot(fit.frequency, np.where(straight, np.nan, fit.speed), color=colour, lw=0.6, ls=":")
     if not straight.all():
         bottom.plot([], [], color=colour, lw=0.6, ls=":", label=f"phase misfit above {_STRAIGHT:g} rad: no plane wave")
+
+
+def _shade(ax: Axes, data: Dispersion) -> None:
+    """Grey where no speed of the run's own waves is drawn, so that a curve that ends says why."""
+    f, fit = data.fit.frequency, data.fit
+    drawn = (fit.speed > 0) & (fit.speed < _top(data))
+    if not drawn.all():
+        ax.fill_between(f, 0, 1, where=~drawn, step="mid", transform=ax.get_xaxis_transform(), color=FAINT, alpha=0.4,
+                        lw=0, label="speed negative or beyond the axis")  # fmt: skip
 
 
 def _top(data: Dispersion) -> float:

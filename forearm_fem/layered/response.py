@@ -97,11 +97,9 @@ def layered_compliance(
     system = galerkin(discs, medium.surface, terms, _orders(discs) if orders is None else orders)
     expected = min(omega.size, MOST + 1)
     evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, expected, progress)
-    if np.any(medium.loss(omega) < LOW_LOSS):  # poles near the axis: nothing smooth to follow
-        out, errors = evaluate(omega)
-        interpolation = np.zeros(omega.size)
-    else:
-        out, errors, interpolation = sampled(evaluate, omega, tolerance)
+    sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
+    found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)
+    out, errors, interpolation = found
     quadrature, truncation = errors.T
     if np.any(quadrature > tolerance):
         warnings.warn(f"layered: error {quadrature.max():.1e} > tolerance {tolerance:.1e}", AccuracyWarning, 2)

@@ -30,7 +30,7 @@ def plot_entries(transfer: TransferMatrix, *, ax: Axes | None = None) -> Axes:
     if transfer.deviation is not None:
         noise = transfer.deviation.reshape(len(size), -1)
         ax.loglog(transfer.frequency, noise, lw=0.4, color=FAINT, zorder=0)
-    ax.set(xlabel="frequency (Hz)", ylabel=f"|G| ({transfer.unit})", title="entries measured")
+    ax.set(xlabel="frequency [Hz]", ylabel=f"|G| [{transfer.unit}]", title="entries measured")
     ax.legend(ncols=2)
     decimal(ax.xaxis)
     return ax
@@ -42,7 +42,7 @@ def plot_coherence(frequency: FloatArray, coherence: FloatArray, *, ax: Axes | N
     ax = single(ax)
     for k in range(coherence.shape[2]):
         ax.semilogx(frequency, coherence[:, :, k], lw=0.7, color=ACTUATORS[k % len(ACTUATORS)])
-    ax.set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1.02), title="coherence")
+    ax.set(xlabel="frequency [Hz]", ylabel="coherence", ylim=(0, 1.02), title="coherence")
     decimal(ax.xaxis)
     return ax
 

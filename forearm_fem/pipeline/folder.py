@@ -33,8 +33,8 @@ from ..rendering.lattice import is_thesis_grid
 from ..results import (
     ErrorRecord,
     MeshRecord,
-    Quality,
-    Resolution,
+    QualityRecord,
+    ResolutionRecord,
     RunRecord,
     SolutionRecord,
     StageCost,
@@ -282,8 +282,8 @@ def _mesh_record(run: Run, mesh: TissueMesh | None) -> MeshRecord:
     expected = forecast(run.scenario, base=run.base, mesh=mesh)
     return MeshRecord(
         sha256=mesh.digest,
-        quality=Quality(**{**asdict(replace(quality, volumes={})), "volumes": dict(quality.volumes)}),
-        resolution=tuple(Resolution(**asdict(r)) for r in expected.resolution),
+        quality=QualityRecord(**{**asdict(replace(quality, volumes={})), "volumes": dict(quality.volumes)}),
+        resolution=tuple(ResolutionRecord(**asdict(r)) for r in expected.resolution),
     )
 
 

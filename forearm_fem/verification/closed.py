@@ -15,7 +15,7 @@ from ..ports import Port
 from ..scenario.supports import Supports
 from ..scenario.tissues import Membrane
 from .blocks import block_mesh, shell_mesh
-from .scenes import DIRECT, RADIUS, flesh, quarter_slab, slab_model, slab_response, solve
+from .scenes import DIRECT, RADIUS, flesh, quarter_slab, slab_model, slab_response, solved_with
 
 BAR = 0.02  # length [m]
 BAR_HZ = 100.0
@@ -38,7 +38,7 @@ def _shear_bar(element: str, n: int) -> float:
     right = np.zeros((model.operator.n, 1))
     load = facet_load(model.space, mesh.facets["tip"], np.array([0.0, 0.0, 1.0]))
     right[: model.operator.n_displacements, 0] = model.constraints.transform.T @ load
-    found = model.displacements(solve(model, BAR_HZ, right)[:, 0])[:, 2]
+    found = model.displacements(solved_with(model, BAR_HZ, right)[:, 0])[:, 2]
     omega = 2 * np.pi * BAR_HZ
     c, alpha = kelvin_voigt_shear_wave(np.array(omega), 2500.0, 2.0, tissue.density)
     k = omega / c - 1j * alpha

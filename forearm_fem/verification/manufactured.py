@@ -31,7 +31,7 @@ _QUADRATURE = 9
 
 
 @dataclass(frozen=True)
-class Waves:
+class ExactWaves:
     """Sum of plane waves: ``vectors`` k, ``solenoidal`` amplitudes i k x b, ``volume`` amplitudes d, all (m, 3).
 
     d is in Pa m: divided by the bulk modulus it is a displacement.
@@ -77,13 +77,13 @@ class Waves:
         return np.asarray(complex(tissue.modulus.at(OMEGA)) * deviator - eye * self.pressure(x))
 
 
-def waves() -> Waves:
+def waves() -> ExactWaves:
     """About half a wave across the block, zero with its slope on x = 0."""
     q = np.array([[0.0, 1.7, -1.3], [2.9, 1.7, -1.3], [-2.9, 1.7, -1.3]]) / SIDE
     c = np.array([1.0, -0.5, -0.5])[:, None]
     b = np.array([0.8 - 0.3j, 0.5j, -0.6 + 0.2j]) * SIDE
     d = np.array([0.5 + 0.4j, -0.8, 0.3 - 0.6j]) * 3e5 * SIDE
-    return Waves(q, c * 1j * np.cross(q, b), (c * d).astype(complex))
+    return ExactWaves(q, c * 1j * np.cross(q, b), (c * d).astype(complex))
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def _tissue(name: str, factor: float, bulk: float) -> Tissue:
     return Tissue(name, 1050.0, KelvinVoigt(6e3 * factor, 4.0 * factor), bulk)
 
 
-def strong_load(space: MixedSpace, exact: Waves, tissue: Tissue) -> ComplexArray:
+def strong_load(space: MixedSpace, exact: ExactWaves, tissue: Tissue) -> ComplexArray:
     """Load vector (n_u,) of the body force and of the tractions on the facets "rest"."""
     return _volume_load(space, exact, tissue) + _traction_load(space, exact, tissue)
 
@@ -143,7 +143,7 @@ def _scatter_vector(space: MixedSpace, nodes: IntArray, part: ComplexArray) -> C
     return out.ravel()
 
 
-def _volume_load(space: MixedSpace, exact: Waves, tissue: Tissue) -> ComplexArray:
+def _volume_load(space: MixedSpace, exact: ExactWaves, tissue: Tissue) -> ComplexArray:
     points, weights = get_quadrature(RefTet, _QUADRATURE)
     values, _ = tabulate(space.pair.displacement, points)
     force = exact.body_force(_points(space, points), tissue)
@@ -152,7 +152,7 @@ def _volume_load(space: MixedSpace, exact: Waves, tissue: Tissue) -> ComplexArra
     return _scatter_vector(space, space.nodes, part)
 
 
-def _traction_load(space: MixedSpace, exact: Waves, tissue: Tissue) -> ComplexArray:
+def _traction_load(space: MixedSpace, exact: ExactWaves, tissue: Tissue) -> ComplexArray:
     points, weights = get_quadrature(RefTri, _QUADRATURE)
     facets = space.mesh.facets["rest"]
     tets, local = space.owners(facets)
@@ -169,7 +169,7 @@ def _traction_load(space: MixedSpace, exact: Waves, tissue: Tissue) -> ComplexAr
     return load
 
 
-def weak_load(space: MixedSpace, exact: Waves, tissues: list[Tissue]) -> ComplexArray:
+def weak_load(space: MixedSpace, exact: ExactWaves, tissues: list[Tissue]) -> ComplexArray:
     """Load vector (n_u,) as the weak form of the exact solution: interface tractions come with it.
 
     Displacement and pressure are the same field in all tissues, for which their bulk moduli must agree.
@@ -191,7 +191,7 @@ def weak_load(space: MixedSpace, exact: Waves, tissues: list[Tissue]) -> Complex
     return load
 
 
-def _errors(space: MixedSpace, exact: Waves, tissues: list[Tissue], u: ComplexArray, p: ComplexArray) -> MmsErrors:
+def _errors(space: MixedSpace, exact: ExactWaves, tissues: list[Tissue], u: ComplexArray, p: ComplexArray) -> MmsErrors:
     points, weights = get_quadrature(RefTet, _QUADRATURE)
     values, slopes = tabulate(space.pair.displacement, points)
     pressures, _ = tabulate(space.pair.pressure, points)

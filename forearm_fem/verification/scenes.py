@@ -83,7 +83,7 @@ def moved_compliances() -> Iterator[tuple[str, ComplexArray]]:
         yield name, direct_sweep(there, MOVED_HZ / size, DIRECT).values * size
 
 
-def solve(model: ForearmModel, frequency: float, load: ComplexArray | FloatArray) -> ComplexArray:
+def solved_with(model: ForearmModel, frequency: float, load: ComplexArray | FloatArray) -> ComplexArray:
     """Solutions (n, k) of A(2 pi f) x = load (n, k)."""
     omega = 2 * np.pi * frequency
     factor = make_factor(model.operator, omega, "auto", single=False)

@@ -62,7 +62,7 @@ class Slab:
 
 
 @dataclass(frozen=True)
-class Level:
+class SlabLevel:
     """One mesh of a slab: unknowns, values (1 + n_point,) [m/N] and wall seconds."""
 
     unknowns: int
@@ -70,12 +70,12 @@ class Level:
     seconds: float
 
 
-def solve_level(slab: Slab, scale: float = 1.0) -> Level:
+def solve_level(slab: Slab, scale: float = 1.0) -> SlabLevel:
     """Mesh, assemble and solve with every element size multiplied by ``scale``."""
     start = time.perf_counter()
     model = slab_model(slab.scenario, scale=scale)
     values = slab_response(model, [slab.frequency])[0]
-    return Level(model.operator.n, values, time.perf_counter() - start)
+    return SlabLevel(model.operator.n, values, time.perf_counter() - start)
 
 
 def exact(slab: Slab) -> ComplexArray:

@@ -1,0 +1,119 @@
+"""The package in numbers at two revisions: files, lines, functions, and what a reader stumbles over.
+
+``python benchmarks/house.py [REVISION ...]`` prints a table, 0.13.1 beside the working tree unless told otherwise.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import subprocess
+import sys
+import tarfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path, PurePosixPath
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = "forearm_fem"
+BEFORE = "44448b6"  # 0.13.1
+Sources = Mapping[str, str]
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def sources(revision: str | None) -> Sources:
+    """Python files of the package by path, at ``revision`` or (None) in the working tree."""
+    if revision is None:
+        return {str(p.relative_to(ROOT)): p.read_text("utf-8") for p in sorted((ROOT / PACKAGE).rglob("*.py"))}
+    packed = subprocess.run(["git", "archive", revision, PACKAGE], cwd=ROOT, capture_output=True, check=True).stdout
+    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+        files = [m for m in archive if m.isfile() and m.name.endswith(".py")]
+        return {m.name: archive.extractfile(m).read().decode() for m in files}  # type: ignore[union-attr]
+
+
+def functions(files: Sources) -> Iterator[Function]:
+    """Every function and method, nested ones included."""
+    for text in files.values():
+        yield from (n for n in ast.walk(ast.parse(text)) if isinstance(n, Function))
+
+
+def doubled(files: Sources) -> list[str]:
+    """Public functions and classes whose name lives in two or more modules."""
+    names = Counter(
+        n.name
+        for text in files.values()
+        for n in ast.parse(text).body
+        if isinstance(n, Function | ast.ClassDef) and not n.name.startswith("_")
+    )
+    return sorted(name for name, count in names.items() if count > 1)
+
+
+def used_once(files: Sources) -> tuple[int, int]:
+    """Private functions whose name occurs once besides its definition, and all private functions."""
+    words = Counter(re.findall(r"\w+", "\n".join(files.values())))
+    private = [f.name for f in functions(files) if f.name.startswith("_") and not f.name.startswith("__")]
+    return sum(words[name] == 2 for name in private), len(private)
+
+
+def undocumented(files: Sources) -> int:
+    """Public functions, methods and classes of public modules without a docstring."""
+    found = 0
+    for text in files.values():
+        bodies = [ast.parse(text).body]
+        bodies += [n.body for n in bodies[0] if isinstance(n, ast.ClassDef) and not n.name.startswith("_")]
+        defined = [n for body in bodies for n in body if isinstance(n, Function | ast.ClassDef)]
+        found += sum(not n.name.startswith("_") and not ast.get_docstring(n) for n in defined)
+    return found
+
+
+def progress_signatures(files: Sources) -> int:
+    """Different annotations of what is called ``progress``, optional or not."""
+    found = {
+        ast.unparse(n.annotation).removesuffix(" | None")
+        for text in files.values()
+        for n in ast.walk(ast.parse(text))
+        if isinstance(n, ast.arg) and n.arg == "progress" and n.annotation
+    }
+    aliases = {a for text in files.values() for a in re.findall(r"^Progress = (.*)$", text, re.M)}
+    return len((found - {"Progress"}) | aliases)
+
+
+def _long(files: Sources) -> int:
+    return sum((f.end_lineno or f.lineno) - f.lineno >= 60 for f in functions(files))
+
+
+def _repeated_files(files: Sources) -> int:
+    names = Counter(PurePosixPath(f).name for f in files)
+    return sum(count > 1 for name, count in names.items() if name != "__init__.py")
+
+
+ROWS: Mapping[str, Callable[[Sources], object]] = {
+    "files": len,
+    "lines": lambda s: sum(len(text.splitlines()) for text in s.values()),
+    "functions": lambda s: sum(1 for _ in functions(s)),
+    "lines a function, mean": lambda s: f"{_mean([(f.end_lineno or 0) - f.lineno + 1 for f in functions(s)]):.1f}",
+    "functions of more than 60 lines": _long,
+    "public names in two modules": lambda s: len(doubled(s)),
+    "file names that repeat": _repeated_files,
+    "private functions used once": lambda s: "{} of {}".format(*used_once(s)),
+    "public without docstring": undocumented,
+    "signatures of progress": progress_signatures,
+}
+
+
+def _mean(values: list[int]) -> float:
+    return sum(values) / len(values)
+
+
+def main() -> None:
+    """Print the table."""
+    revisions = sys.argv[1:] or [BEFORE]
+    columns = [*(sources(r) for r in revisions), sources(None)]
+    print(f"| | {' | '.join(revisions)} | now |\n| --- |{' --- |' * len(columns)}")
+    for name, count in ROWS.items():
+        print(f"| {name} | {' | '.join(str(count(files)) for files in columns)} |")
+
+
+if __name__ == "__main__":
+    main()
