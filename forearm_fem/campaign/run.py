@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
-import logging
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import psutil
 
-from ..errors import ForearmError, MissingExtra, SolverError
+from ..errors import ForearmError
 from ..io.atomic import write_text
 from ..progress import Progress, tell
+from .executor import LIGHT, SHARE, cluster, completed
 from .member import Job, finished, work
 from .model import Campaign, Member
-
-LIGHT = 0.6e9  # bytes of a worker that solves no finite elements
-SHARE = 0.8  # of the free memory that workers may take together
-PATIENCE = 10  # s for a scheduler to answer
 
 
 @dataclass(frozen=True)
@@ -66,8 +61,10 @@ def run_campaign(
     missing = [job for job in jobs if job.name not in done]
     tell(progress, "members", len(done), len(jobs))
     if missing:
-        with _client(scheduler, lambda: workers or worker_count(campaign, missing)) as client:
-            for name, found in _results(client, missing):
+        names = {f"{job.name}-{job.digest}": job for job in missing}
+        with cluster(scheduler, lambda: workers or worker_count(campaign, missing)) as client:
+            for key, found in completed(client, work, names):
+                name = names[key].name
                 done[name] = found
                 tell(progress, "members", len(done), len(jobs))
                 _write(out, _collected(campaign, done, reused))
@@ -93,65 +90,6 @@ def worker_count(campaign: Campaign, jobs: Sequence[Job]) -> int:
             need = heavy[0].scenario.solver.memory_limit
     free = SHARE * psutil.virtual_memory().available
     return max(1, min(len(jobs), os.cpu_count() or 1, int(free // need)))
-
-
-@contextmanager
-def _client(scheduler: str | None, count: Callable[[], int]) -> Iterator[Any]:
-    distributed = _distributed()
-    if scheduler is not None:
-        try:
-            client: Any = distributed.Client(scheduler, timeout=PATIENCE)
-        except (OSError, ValueError) as problem:
-            raise SolverError(f"no Dask scheduler answers at {scheduler} ({problem}); check the address") from None
-        with client:
-            yield client
-        return
-    settings = {"n_workers": count(), "threads_per_worker": 1, "processes": True, "dashboard_address": None}
-    with (
-        _quiet(),
-        distributed.LocalCluster(**settings, memory_limit=0, silence_logs=50) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        yield client
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """A cluster of our own comes and goes unheard; its errors stay."""
-    log = logging.getLogger("distributed")
-    before = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        log.setLevel(before)
-
-
-def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError:
-        raise MissingExtra("distributed", "campaign", "a campaign") from None
-    return distributed
-
-
-def _results(client: Any, jobs: Sequence[Job]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """(name, numbers) as members end; a worker that dies three times with a member loses this member only."""
-    distributed = _distributed()
-    names: dict[str, str] = {}
-    futures: list[Any] = []
-    for job in jobs:
-        future = client.submit(work, job, key=f"{job.name}-{job.digest}", pure=False)
-        names[future.key] = job.name
-        futures.append(future)
-    for future in distributed.as_completed(futures):
-        if future.status == "finished":
-            yield names[future.key], future.result()
-        else:
-            yield (
-                names[future.key],
-                {"problem": f"its worker was lost ({future.exception()}), most likely for memory"},
-            )
 
 
 def _collected(campaign: Campaign, done: Mapping[str, Mapping[str, Any]], reused: set[str]) -> list[MemberResult]:

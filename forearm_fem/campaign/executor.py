@@ -1,0 +1,78 @@
+"""Work on many processes: Dask's, of this machine or of a scheduler that is already running."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from ..errors import MissingExtra, SolverError
+
+LIGHT = 0.6e9  # bytes of a worker that solves no finite elements
+SHARE = 0.8  # of the free memory that workers may take together
+PATIENCE = 10  # s for a scheduler to answer
+
+
+@contextmanager
+def cluster(scheduler: str | None, count: Callable[[], int], purpose: str = "a campaign") -> Iterator[Any]:
+    """A Dask client: of the scheduler at the address ``scheduler``, else of ``count()`` processes started for it.
+
+    Raises MissingExtra without Dask, SolverError where no scheduler answers.
+    """
+    distributed = _distributed(purpose)
+    if scheduler is not None:
+        try:
+            client: Any = distributed.Client(scheduler, timeout=PATIENCE)
+        except (OSError, ValueError) as problem:
+            raise SolverError(f"no Dask scheduler answers at {scheduler} ({problem}); check the address") from None
+        with client:
+            yield client
+        return
+    settings = {"n_workers": count(), "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with (
+        _quiet(),
+        distributed.LocalCluster(**settings, memory_limit=0, silence_logs=50) as own,
+        distributed.Client(own) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """A cluster of our own comes and goes unheard; its errors stay."""
+    log = logging.getLogger("distributed")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
+def _distributed(purpose: str) -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise MissingExtra("distributed", "campaign", purpose) from None
+    return distributed
+
+
+def completed(
+    client: Any, function: Callable[[Any], dict[str, Any]], jobs: Mapping[str, Any]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """(key, ``function(job)``) as ``jobs`` end, in whatever order.
+
+    A worker that dies three times with a job loses this job only: its result is {"problem": sentence}.
+    """
+    distributed = _distributed("a campaign")
+    futures = [client.submit(function, job, key=key, pure=False) for key, job in jobs.items()]
+    for future in distributed.as_completed(futures):
+        if future.status == "finished":
+            yield future.key, future.result()
+        else:
+            yield (
+                future.key,
+                {"problem": f"its worker was lost ({future.exception()}), most likely for memory"},
+            )
+        future.release()
