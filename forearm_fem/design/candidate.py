@@ -190,7 +190,7 @@ def _beyond(are: Mapping[str, float], limits: Constraints) -> dict[str, float]:
 
 
 def _shorter(scenario: Scenario, duration: float) -> Scenario:
-    """The scenario on a shorter record, and with the housing as heavy as its actuators make it left to the file."""
+    """The scenario on a shorter record; unchanged where S is taken over the whole record, or frequencies are listed."""
     window = scenario.rendering.window
     if scenario.sweep.frequencies is not None or window == "record" or scenario.sweep.duration <= duration:
         return scenario

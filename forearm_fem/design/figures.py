@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator
 
 from ..figures.style import ACTUATORS, FAINT, GREY, INK, panels, styled, widen
 from ..scenario import Scenario
@@ -35,7 +36,7 @@ def plot_front(result: DesignResult) -> FigureBase:
         for candidates, look in parts:
             ax.scatter([getattr(c, key) for c in candidates], [c.score for c in candidates], **look)
     axes[0].set(xlabel="number of actuators", ylabel=_score_label(result))
-    axes[0].xaxis.get_major_locator().set_params(integer=True)
+    axes[0].xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes[1].set(xlabel="power of all actuators [W]")
     power = [c.total_power for c in feasible if np.isfinite(c.total_power) and c.total_power > 0]
     if power:

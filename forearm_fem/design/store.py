@@ -23,8 +23,12 @@ class Store:
         self._question = question(design)
         self._known: dict[str, Candidate] = {}
         folder.mkdir(parents=True, exist_ok=True)
-        for line in self._file.read_text(encoding="utf-8").splitlines() if self._file.is_file() else ():
+        text = self._file.read_text(encoding="utf-8") if self._file.is_file() else ""
+        for line in text.splitlines():
             self._take(line)
+        if text and not text.endswith("\n"):  # cut short by an interruption
+            with self._file.open("a", encoding="utf-8") as stream:
+                stream.write("\n")
 
     def _take(self, line: str) -> None:
         try:
@@ -43,9 +47,8 @@ class Store:
         """Keep ``candidate``, on disk at once."""
         self._known[_key(candidate.values)] = candidate
         line = json.dumps({"question": self._question, "candidate": candidate.as_json()})
-        whole = not self._file.is_file() or self._file.read_bytes()[-1:] in (b"", b"\n")
         with self._file.open("a", encoding="utf-8") as stream:
-            stream.write(line + "\n" if whole else "\n" + line + "\n")
+            stream.write(line + "\n")
 
     @property
     def all(self) -> tuple[Candidate, ...]:

@@ -102,20 +102,20 @@ class Tabulated:
 
     def _integrals(self, system: Galerkin) -> ComplexArray:
         table = system.table
+        kinds, of = np.unique(np.stack([table.kernel, table.a, table.b, table.order]), axis=1, return_inverse=True)
+        names = [_name(table, Column(*map(int, kind))) for kind in kinds.T]
+        point = np.array([g.kind == "point" for g in table.radials])
+        points, own = point[table.a].astype(int) + point[table.b], table.distance == 0
         out = np.zeros((self.omega.size, table.a.size), dtype=complex)
-        kinds = [Column(*map(int, c)) for c in zip(table.kernel, table.a, table.b, table.order, strict=True)]
-        names = _names(table, self.radius)
-        for near, (index, spline), edge in ((True, self.discs, 2 * self.radius), (False, self.points, self.radius)):
-            chosen = [i for i, d in enumerate(table.distance) if d > 0 and _both_discs(table, i) == near
-                      and not _both_points(table, i)]  # fmt: skip
-            if chosen:
+        for i in np.flatnonzero(own):
+            out[:, i] = self.own[names[of[i]]]
+        for count, (index, spline), edge in ((0, self.discs, 2 * self.radius), (1, self.points, self.radius)):
+            chosen = np.flatnonzero((points == count) & ~own)
+            if chosen.size:
                 places, at = np.unique(table.distance[chosen], return_inverse=True)
                 self._check(places, edge)
                 values = spline(np.sqrt(places - edge))  # (n_place, n_node, n_kind)
-                out[:, chosen] = values[at, :, [index[names(kinds[i])] for i in chosen]].T
-        for i, d in enumerate(table.distance):
-            if d == 0:
-                out[:, i] = self.own[names(kinds[i])]
+                out[:, chosen] = values[at, :, [index[names[k]] for k in of[chosen]]].T
         return out
 
     def _check(self, distance: FloatArray, edge: float) -> None:
@@ -217,8 +217,8 @@ class _Builder:
     def own(self) -> dict[Column, ComplexArray]:
         table = self.system(True, [1.0]).table
         alone = _part(table, np.flatnonzero(table.distance == 0))
-        names, values = _names(alone, self.radius), self.solved(alone)
-        return {names(_column(alone, i)): values[:, i] for i in range(alone.a.size)}
+        values = self.solved(alone)
+        return {_name(alone, _column(alone, i)): values[:, i] for i in range(alone.a.size)}
 
     def over(self, root: FloatArray, edge: float, tell: Callable[[int], None]) -> tuple[dict[Column, int], BSpline]:
         """All kinds of columns at distances ``edge`` + ``root``^2 [m], and their splines over the root."""
@@ -227,8 +227,7 @@ class _Builder:
         kinds = _part(one, np.flatnonzero(one.distance > 0))
         if not near:
             kinds = _part(kinds, np.array([i for i in range(kinds.a.size) if not _both_points(kinds, i)]))
-        names = _names(kinds, self.radius)
-        index = {names(_column(kinds, i)): i for i in range(kinds.a.size)}
+        index = {_name(kinds, _column(kinds, i)): i for i in range(kinds.a.size)}
         values = []
         distance = edge + root**2
         for start in range(0, len(root), _AT_ONCE):
@@ -257,21 +256,12 @@ def _column(table: HankelTable, i: int) -> Column:
     return Column(int(table.kernel[i]), int(table.a[i]), int(table.b[i]), int(table.order[i]))
 
 
-def _names(table: HankelTable, radius: float) -> Callable[[Column], Column]:
-    """Columns by what their radials are, so that tables with other radials in them agree: balls, then rings by degree,
-    means 3000, points 4000."""
+def _name(table: HankelTable, column: Column) -> Column:
+    """The column by what its radials are, so that tables with other radials in them agree: balls and rings by degree,
+    then means and points."""
     start = {"ball": 0, "ring": 1000, "mean": 3000, "point": 4000}
-    number = [start[g.kind] + g.degree for g in table.radials]
-
-    def name(c: Column) -> Column:
-        a, b = sorted((number[c.a], number[c.b]))
-        return Column(c.kernel, a, b, c.order)
-
-    return name
-
-
-def _both_discs(table: HankelTable, i: int) -> bool:
-    return table.radials[table.a[i]].kind != "point" and table.radials[table.b[i]].kind != "point"
+    a, b = sorted(start[g.kind] + g.degree for g in (table.radials[column.a], table.radials[column.b]))
+    return Column(column.kernel, a, b, column.order)
 
 
 def _both_points(table: HankelTable, i: int) -> bool:
