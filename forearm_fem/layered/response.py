@@ -92,8 +92,8 @@ def layered_compliance(
     medium = Medium(tuple(layers), base, surface or Surface())
     if np.any(medium.loss(omega) < 0):
         raise ValueError("expected Im(modulus) >= 0 (convention e^{+i omega t}), got a layer that feeds energy in")
-    discs, rows, columns = _distinct(discs_in, discs_out)
-    terms = _terms(discs, medium, omega) if terms is None else terms
+    discs, rows, columns = distinct(discs_in, discs_out)
+    terms = terms_of(discs, medium, omega) if terms is None else terms
     system = galerkin(discs, medium.surface, terms, _orders(discs) if orders is None else orders)
     expected = min(omega.size, MOST + 1)
     evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, expected, progress)
@@ -133,7 +133,7 @@ class _Evaluation:
         return values, errors
 
 
-def _terms(discs: Sequence[Disc], medium: Medium, omega: FloatArray) -> int:
+def terms_of(discs: Sequence[Disc], medium: Medium, omega: FloatArray) -> int:
     """Terms that leave about 1e-5, as seen on layers of 80 um to 3 mm and waves to k a = 4; a layer h thin near the top
     makes stresses as narrow as sqrt(a h) at the rim."""
     radius = max((disc.radius for disc in discs if disc.rigid), default=0.0)
@@ -160,7 +160,7 @@ def _check_omega(omega: FloatArray, tolerance: float) -> None:
         raise ValueError(f"expected 1e-12 <= tolerance < 1, got {tolerance}")
 
 
-def _distinct(discs_in: Sequence[Disc], discs_out: Sequence[Disc]) -> tuple[list[Disc], IntArray, IntArray]:
+def distinct(discs_in: Sequence[Disc], discs_out: Sequence[Disc]) -> tuple[list[Disc], IntArray, IntArray]:
     """Discs that differ, points under rigid ones left out, and the index (n_out,), (n_in,) of each among them."""
     both = [*discs_out, *discs_in]
     if any(disc.radius < 0 or (disc.rigid and disc.radius == 0) for disc in both):

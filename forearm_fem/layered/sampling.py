@@ -50,6 +50,23 @@ def sampled(evaluate: Evaluate, omega: FloatArray, tolerance: float) -> Sampled:
     return Sampled(values, errors, np.zeros(omega.size))
 
 
+def chebyshev_nodes(low: float, high: float, degree: int) -> FloatArray:
+    """Angular frequencies (degree + 1,) [rad/s], falling from ``high`` to ``low``: the rule's nodes in their root."""
+    x = np.cos(np.pi * np.arange(degree + 1) / degree)
+    return np.asarray((np.sqrt(low) + 0.5 * (np.sqrt(high) - np.sqrt(low)) * (x + 1)) ** 2)
+
+
+def chebyshev_between(
+    low: float, high: float, omega: FloatArray, values: ComplexArray
+) -> tuple[ComplexArray, FloatArray]:
+    """``values`` (degree + 1, ...) at the nodes of :func:`chebyshev_nodes`, at ``omega`` (n_freq,) [rad/s], and what
+    the rule's last coefficients say is missing, over the largest |value| (n_freq,)."""
+    x = 2 * (np.sqrt(omega) - np.sqrt(low)) / (np.sqrt(high) - np.sqrt(low)) - 1
+    nodes = np.cos(np.pi * np.arange(len(values)) / (len(values) - 1))
+    found = _interpolated(x, nodes, values, np.zeros((len(values), 1)))
+    return found.values, found.interpolation
+
+
 def _merged(
     old: tuple[ComplexArray, FloatArray], new: tuple[ComplexArray, FloatArray], is_new: BoolArray
 ) -> tuple[ComplexArray, FloatArray]:

@@ -46,6 +46,7 @@ from ..results import (
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
+from .actuator_notes import actuator_notes
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
 from .renderers import check_servable
@@ -83,7 +84,7 @@ class Run:
 
         Keys that have no effect are its first notes; ScenarioError where a tissue is not whole.
         """
-        return cls(scenario, out, base, progress, Ledger(), list(unread_notes(scenario)))
+        return cls(scenario, out, base, progress, Ledger(), [*unread_notes(scenario), *actuator_notes(scenario)])
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

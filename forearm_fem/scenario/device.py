@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from .actuators import ACTUATORS, ActuatorName, beneath
 from .base import Length, Mass, Part, Voltage, Within
 from .rows import places_in_rows
 
@@ -92,6 +93,9 @@ class Device(Part):
         None, description="own contact centres (x, y) [m] instead of rows"
     )
     rotation: Annotated[float, Within(-6.3, 6.3, "rad")] = Field(0.0, description="of the whole device about z [rad]")
+    actuator: ActuatorName = Field(
+        "TEAX14C02-8", description="a preset with sources: sets those of the keys below that are left out"
+    )
     drive: Literal["voltage", "force", "displacement"] = Field(
         "voltage", description="what a unit drive is: 1 V at one amplifier, 1 N on one contact, or 1 m of one contact"
     )
@@ -111,6 +115,13 @@ class Device(Part):
     housing: Housing = Housing()
     max_voltage: Voltage = Field(2.5, description="per actuator [V]; 0.8 W in 7.8 ohm is 2.5 V rms")
     max_power: Annotated[float, Within(1e-12, 1e6, "W")] = Field(0.8, description="per actuator [W] (data sheet)")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _preset(cls, data: Any) -> Any:
+        """The actuator's own keys where they are left out."""
+        preset = ACTUATORS.get(str(data.get("actuator"))) if isinstance(data, Mapping) else None
+        return data if preset is None else beneath(preset.keys, data)
 
     @model_validator(mode="after")
     def _names(self) -> Self:

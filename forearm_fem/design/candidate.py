@@ -1,0 +1,203 @@
+"""One candidate: S, drives, errors and constraints of a device on one or several arms."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..device import close_loop
+from ..errors import AccuracyWarning, ForearmError
+from ..pipeline.renderers import check_servable, renderers, wavelet
+from ..pipeline.simulation import account_of
+from ..rendering import Limits, Rendering, render_all
+from ..scenario import Scenario
+from ..transfer import TransferMatrix, finite, total_error
+from ..typing import FloatArray
+from .arm import ArmModel
+from .model import Constraints, Design, Objective, Values
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What became of ``values``.
+
+    ``score`` is the objective [-], NaN where the device cannot be; ``strengths`` S by target, mean over the arms;
+    ``voltage`` [V] and ``power`` [W] are the largest of any actuator with the target's motion at ``target_peak``,
+    ``total_power`` [W] all actuators' mean over targets, NaN for drives that are no voltages; ``error`` is e_band
+    of G, the largest over the arms. ``violations`` are the constraints that do not hold, by how much [-]; ``problem``
+    says why the device cannot be.
+    """
+
+    values: Values
+    score: float
+    strengths: Mapping[str, float]
+    actuators: int
+    voltage: float
+    power: float
+    total_power: float
+    mass: float
+    error: float
+    violations: Mapping[str, float]
+    problem: str = ""
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the device can be and every constraint holds."""
+        return not self.problem and not self.violations and math.isfinite(self.score)
+
+    @property
+    def cost(self) -> float:
+        """What a search makes small: minus the objective; 100 more, and growing, for constraints that do not hold;
+        1000 where the device cannot be."""
+        if self.problem or not math.isfinite(self.score):
+            return 1000.0
+        return -self.score + (100.0 + 100.0 * sum(self.violations.values()) if self.violations else 0.0)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data; NaN as None."""
+        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(self).items()}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Candidate:
+        """The same back."""
+        numbers = ("score", "voltage", "power", "total_power", "mass", "error")
+        return cls(**{**data, **{k: math.nan for k in numbers if data[k] is None}})
+
+
+def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
+    """The candidate ``values`` of ``design`` on ``arm``; what cannot be is data, not an error."""
+    asked = design.asked
+    try:
+        scenarios = [_shorter(s, asked.search.duration) for s in design.scenarios(values)]
+        first = scenarios[0]
+        broken = _geometry(first, asked.constraints, _targets(first, asked.objective))
+        found = [_one(s, arm, asked.objective, asked.constraints, design.base) for s in scenarios]
+    except ForearmError as problem:
+        return _impossible(values, str(problem))
+    s = np.array([f.strengths for f in found])
+    scores = [_score(row, asked.objective) for row in s]
+    over = min(scores) if asked.objective.over == "least" else float(np.mean(scores))
+    count, limits = len(first.device.centres), asked.constraints
+    voltage, power = max(f.voltage for f in found), max(f.power for f in found)
+    total = float(np.mean([f.total_power for f in found]))
+    mass = limits.shell_mass + count * limits.actuator_mass
+    broken |= _beyond({"max_voltage": voltage, "max_power": power, "max_mass": mass, "max_actuators": count}, limits)
+    means = dict(zip(found[0].targets, map(float, s.mean(axis=0)), strict=True))
+    error = max(f.error for f in found)
+    return Candidate(values, over, means, count, voltage, power, total, mass, error, broken)
+
+
+def s_interval(design: Design, candidate: Candidate, arm: ArmModel) -> tuple[float, float]:
+    """Least and largest score [-] that the errors of the model's G allow, by draws (docs/decisions/0027)."""
+    asked, low, high = design.asked, [], []
+    for scenario in (_shorter(s, asked.search.duration) for s in design.scenarios(candidate.values)):
+        g = transfer_on(scenario, arm)
+        rendering = _rendered(scenario, g, _targets(scenario, asked.objective), design.base)
+        account = account_of(scenario, g, rendering, base=design.base)
+        low.append(_score(account.low[0], asked.objective))
+        high.append(_score(account.high[0], asked.objective))
+    pick = min if asked.objective.over == "least" else np.mean
+    return float(pick(low)), float(pick(high))
+
+
+@dataclass(frozen=True)
+class _Found:
+    targets: tuple[str, ...]
+    strengths: FloatArray
+    voltage: float
+    power: float
+    total_power: float
+    error: float
+
+
+def transfer_on(scenario: Scenario, arm: ArmModel) -> TransferMatrix:
+    """G of the scenario's device on ``arm``."""
+    return finite(close_loop(arm.compliance(scenario), scenario.device))
+
+
+def _one(scenario: Scenario, arm: ArmModel, objective: Objective, limits: Constraints, base: Path) -> _Found:
+    check_servable(scenario)
+    targets = _targets(scenario, objective)
+    g = transfer_on(scenario, arm)
+    rendering = _rendered(scenario, g, targets, base)
+    method = rendering.methods[0]
+    share = np.array([_share(rendering, method, t, limits.target_peak) for t in targets])
+    reports = [rendering[method, t].report for t in targets]
+    peak = np.array([r.peak for r in reports]) * share[:, None]
+    power = np.array([r.power for r in reports]) * share[:, None] ** 2
+    volts = g.unit == "m/V"
+    return _Found(
+        targets, rendering.strengths[0], float(peak.max()) if volts else math.nan, float(power.max()),
+        float(power.sum(axis=1).mean()), total_error(g.errors),
+    )  # fmt: skip
+
+
+def _rendered(scenario: Scenario, g: TransferMatrix, targets: tuple[str, ...], base: Path) -> Rendering:
+    options = scenario.rendering
+    shape = wavelet(options, scenario.sweep, base)
+    device = scenario.device
+    limits = Limits(device.max_voltage, device.max_power, device.coil.resistance)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AccuracyWarning)  # told by the confirmation
+        return render_all(g, targets, renderers(options, shape), shape, limits, window=options.window)
+
+
+def _share(rendering: Rendering, method: str, target: str, wanted: float) -> float:
+    """Factor on the drives with which the target's largest motion is ``wanted`` [m]."""
+    moved = rendering[method, target].displacements
+    reached = float(np.abs(moved.values[moved.target_index]).max())
+    return wanted / reached if reached > 0 else math.inf
+
+
+def _score(strengths: FloatArray, objective: Objective) -> float:
+    if objective.of == "share":
+        return float(np.mean(strengths > 1))
+    return float(strengths.min() if objective.of == "least" else strengths.mean())
+
+
+def _targets(scenario: Scenario, objective: Objective) -> tuple[str, ...]:
+    every = tuple(str(k + 1) for k in range(len(scenario.grid.places)))
+    return every if objective.targets == "all" else objective.targets
+
+
+def _geometry(scenario: Scenario, limits: Constraints, targets: tuple[str, ...]) -> dict[str, float]:
+    """Distances that are too small, by the share that they lack [-]."""
+    contacts, places = np.array(scenario.device.centres), np.array(scenario.grid.places)
+    aimed = places[[int(t) - 1 for t in targets]]
+    clear = float(np.linalg.norm(aimed[:, None] - contacts[None], axis=2).min()) - scenario.device.cone.radius
+    apart = min((math.dist(a, b) for a, b in combinations(contacts, 2)), default=math.inf)
+    found = {}
+    for name, is_, least in (("clearance", clear, limits.clearance), ("min_distance", apart, limits.min_distance)):
+        if is_ < least * (1 - 1e-9):
+            found[name] = 1 - is_ / least
+    return found
+
+
+def _beyond(are: Mapping[str, float], limits: Constraints) -> dict[str, float]:
+    found = {}
+    for name, value in are.items():
+        most = getattr(limits, name)
+        if most is not None and not value <= most:
+            found[name] = float(value / most - 1) if math.isfinite(value) else 1.0
+    return found
+
+
+def _shorter(scenario: Scenario, duration: float) -> Scenario:
+    """The scenario on a shorter record; unchanged where S is taken over the whole record, or frequencies are listed."""
+    window = scenario.rendering.window
+    if scenario.sweep.frequencies is not None or window == "record" or scenario.sweep.duration <= duration:
+        return scenario
+    return scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update={"duration": duration})})
+
+
+def _impossible(values: Values, problem: str) -> Candidate:
+    return Candidate(values, math.nan, {}, 0, math.nan, math.nan, math.nan, math.nan, math.nan, {}, problem)
+
+

@@ -1,0 +1,283 @@
+"""The design file: what may vary, what is to be large, and what must hold.
+
+name = "pitch"
+scenario = "thesis.toml"               # or a list of scenarios: several arms, one device
+set = { "grid.pitch" = 0.0133 }        # for every candidate
+[[variables]]                          # a range ...
+key = "device.spacing"
+low = 0.03
+high = 0.05
+[[variables]]                          # ... or choices
+key = "device.columns"
+values = [2, 3]
+[positions]                            # free places instead of rows
+count = [4, 9]
+x = [-0.03, 0.03]
+y = [-0.025, 0.025]
+mirrored = true                        # each with its images in both axes
+[objective]
+of = "mean"                            # or "least", "share" (of targets with S above 1)
+method = "inverse filter"
+targets = ["5"]
+[constraints]
+clearance = 0.002                      # [m] from a target to the nearest rim
+max_voltage = 2.5
+[search]
+candidates = 300
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from ..errors import ScenarioError
+from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario
+from ..scenario.base import Name, Part, Within
+from ..scenario.rendering import Method
+from ..typing import FloatArray
+
+_TABLED = ("device.cone.radius", "device.cone.contact", "tissues", "limb", "sweep")
+Values = dict[str, Any]
+Span = tuple[float, float]
+
+
+class Variable(Part):
+    """One key: a range from ``low`` to ``high``, in steps where ``step`` is given, or a list of ``values``."""
+
+    key: str = Field(description="dotted key of the scenario, e.g. device.spacing")
+    low: float | None = None
+    high: float | None = None
+    step: Annotated[float, Within(1e-9, 1e9)] | None = None
+    values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100)] | None = None
+
+    @model_validator(mode="after")
+    def _range_or_values(self) -> Self:
+        if (self.values is None) == (self.low is None or self.high is None):
+            raise ValueError(f"{self.key}: give low and high, or values")
+        if self.low is not None and self.high is not None and not self.low < self.high:
+            raise ValueError(f"{self.key}: expected low < high, got {self.low:g} and {self.high:g}")
+        return self
+
+    @property
+    def levels(self) -> tuple[Any, ...] | None:
+        """The choices, of a range with steps its levels; None for a continuous one."""
+        if self.values is not None:
+            return self.values
+        if self.step is None or self.low is None or self.high is None:
+            return None
+        count = int(np.floor((self.high - self.low) / self.step + 1e-9)) + 1
+        return tuple(round(self.low + k * self.step, 12) for k in range(count))
+
+
+class Positions(Part):
+    """Free places of the contacts: ``count`` of them (least and most), anywhere in ``x`` and ``y`` [m].
+
+    ``mirrored`` places come in fours, with their images in both axes; count is then a multiple of four, and x and y
+    span one quadrant.
+    """
+
+    count: tuple[Annotated[int, Within(1, 24)], Annotated[int, Within(1, 24)]]
+    x: Span
+    y: Span
+    mirrored: bool = False
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.count[0] > self.count[1]:
+            raise ValueError(f"positions.count: expected [least, most], got {list(self.count)}")
+        if self.mirrored and any(n % 4 for n in self.count):
+            raise ValueError(f"positions.count: mirrored places come in fours, got {list(self.count)}")
+        for axis in ("x", "y"):
+            low, high = getattr(self, axis)
+            if not low < high:
+                raise ValueError(f"positions.{axis}: expected [low, high] in m, got [{low:g}, {high:g}]")
+        return self
+
+    @property
+    def each(self) -> int:
+        """Contacts that one place stands for."""
+        return 4 if self.mirrored else 1
+
+
+class Objective(Part):
+    """What is to be large: S over the ``targets``, then over the scenarios."""
+
+    of: Literal["mean", "least", "share"] = Field("mean", description="over targets; share: of those with S above 1")
+    over: Literal["mean", "least"] = Field("mean", description="over the scenarios, if there are several")
+    method: Method = "inverse filter"
+    targets: tuple[str, ...] | Literal["all"] = "all"
+
+
+class Constraints(Part):
+    """What must hold; a drive is meant at the amplitude that moves its target by ``target_peak``."""
+
+    clearance: Annotated[float, Within(1e-6, 0.1, "m", zero=True)] = Field(
+        0.002, description="least distance of an aimed-at point from any rim [m]: under a cone S is no focus"
+    )
+    min_distance: Annotated[float, Within(1e-6, 0.3, "m", zero=True)] = Field(
+        0.014, description="least distance of two contacts' centres [m]; the thesis' actuator is 14 mm across"
+    )
+    max_actuators: Annotated[int, Within(1, 100)] | None = None
+    max_mass: Annotated[float, Within(1e-6, 10.0, "kg")] | None = Field(
+        None, description="of actuators and shell [kg]: housing.mass, of which actuator_mass times four is the thesis'"
+    )
+    actuator_mass: Annotated[float, Within(1e-6, 10.0, "kg")] = Field(0.0125, description="of one actuator [kg]")
+    shell_mass: Annotated[float, Within(1e-6, 10.0, "kg", zero=True)] = Field(0.040, description="of the shell [kg]")
+    max_voltage: Annotated[float, Within(1e-9, 1e4, "V")] | None = Field(None, description="peak of any drive [V]")
+    max_power: Annotated[float, Within(1e-12, 1e6, "W")] | None = Field(None, description="of any actuator, mean [W]")
+    target_peak: Annotated[float, Within(1e-9, 1e-2, "m")] = Field(1e-6, description="motion of the target [m]")
+
+
+class Search(Part):
+    """How long and from where: differential evolution over all variables, then Nelder-Mead over continuous ones."""
+
+    candidates: Annotated[int, Within(1, 1_000_000)] = Field(300, description="of the global search")
+    local: Annotated[int, Within(0, 100_000)] = Field(60, description="of the local search from the best")
+    population: Annotated[int, Within(5, 1000)] = Field(20, description="of a generation")
+    seed: Annotated[int, Within(0, 2**31 - 1)] = 0
+    duration: Annotated[float, Within(0.02, 100.0, "s")] = Field(
+        0.25, description="of the record while searching [s]; the confirmation takes the scenario's own"
+    )
+
+
+class DesignFile(Part):
+    """A design file; see the module."""
+
+    name: Name
+    scenario: str | Annotated[tuple[str, ...], Field(min_length=1, max_length=100)]
+    set: Values = Field(default_factory=dict)
+    variables: tuple[Variable, ...] = ()
+    positions: Positions | None = None
+    objective: Objective = Objective()
+    constraints: Constraints = Constraints()
+    search: Search = Search()
+
+
+@dataclass(frozen=True)
+class Design:
+    """A design file with its scenarios read; ``base`` is the folder that files named in them are relative to."""
+
+    asked: DesignFile
+    base: Path
+    data: tuple[Mapping[str, Any], ...]
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Low and high ends (n,) of the search's coordinates, and which of them are whole numbers (n,)."""
+        rows = [_span(v) for v in self.asked.variables]
+        if (p := self.asked.positions) is not None:
+            most = p.count[1] // p.each
+            rows += [(p.count[0] / p.each, most, True)]
+            rows += [(*axis, False) for _ in range(most) for axis in (p.x, p.y)]
+        low, high, whole = (np.array(c, dtype=float) for c in zip(*rows, strict=True))
+        return low, high, whole.astype(bool)
+
+    def values(self, coordinates: FloatArray) -> Values:
+        """Keys and values that the search's ``coordinates`` (n,) stand for, rounded to 1e-9."""
+        found: Values = {}
+        for variable, at in zip(self.asked.variables, coordinates, strict=False):
+            levels = variable.levels
+            found[variable.key] = round(float(at), 9) if levels is None else levels[round(at)]
+        if (p := self.asked.positions) is not None:
+            count, *places = coordinates[len(self.asked.variables) :]
+            pairs = np.round(np.reshape(places, (-1, 2))[: round(count)], 9)
+            signs = ((1, 1), (1, -1), (-1, 1), (-1, -1)) if p.mirrored else ((1, 1),)
+            found["device.contacts"] = [[float(a * x), float(b * y)] for x, y in pairs for a, b in signs]
+        return found
+
+    def scenarios(self, values: Values) -> tuple[Scenario, ...]:
+        """Each scenario with ``values`` in place; raises ScenarioError for what cannot be."""
+        aims = {"rendering.methods": [self.asked.objective.method]}
+        return tuple(parse_scenario(_with(data, {**self.asked.set, **values, **aims})) for data in self.data)
+
+
+def _span(variable: Variable) -> tuple[float, float, bool]:
+    if (levels := variable.levels) is not None:
+        return 0.0, float(len(levels) - 1), True
+    assert variable.low is not None
+    assert variable.high is not None
+    return variable.low, variable.high, False
+
+
+def _with(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    out = apply_overrides(data, [])
+    for key, value in values.items():
+        *tables, last = key.split(".")
+        place = out
+        for name in tables:
+            place = place.setdefault(name, {})
+        place[last] = value
+    return out
+
+
+def load_design(path: str | Path) -> Design:
+    """Design from a TOML file, checked; raises ScenarioError in one sentence."""
+    file = Path(path)
+    asked = _parsed(file)
+    if not asked.variables and asked.positions is None:
+        raise ScenarioError(f"{file}: nothing varies; give at least one [[variables]] or [positions]")
+    keys = [v.key for v in asked.variables] + (["device.contacts"] if asked.positions else [])
+    if twice := sorted({k for k in keys if keys.count(k) > 1 or k in asked.set}):
+        raise ScenarioError(f"{file}: {twice[0]} is given twice; name each key once, in variables or in set")
+    names = [asked.scenario] if isinstance(asked.scenario, str) else list(asked.scenario)
+    sources = [file.parent / name for name in names]
+    data = tuple(_read(source) for source in sources)
+    for variable in asked.variables:
+        if variable.levels is None and variable.key.startswith(_TABLED):
+            raise ScenarioError(
+                f"{file}: {variable.key}: give step or values, for each of its values takes tables of its own"
+            )
+    design = Design(asked, sources[0].parent, data)
+    _check(file, design)
+    return design
+
+
+def _parsed(file: Path) -> DesignFile:
+    try:
+        return DesignFile.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        raise ScenarioError(f"{file}: no such design file") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as problem:
+        raise ScenarioError(f"{file}: cannot be read as TOML ({problem})") from None
+    except ValidationError as problem:
+        first = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")[0]
+        key = ".".join(map(str, first["loc"]))
+        if first["type"] == "extra_forbidden":
+            known = ", ".join(_known(first["loc"]))
+            raise ScenarioError(f"{file}: {key}: unknown key; known are {known}") from None
+        raise ScenarioError(f"{file}: {key}: {first['msg'].removeprefix('Value error, ')}") from None
+
+
+def _known(where: Sequence[Any]) -> Sequence[str]:
+    tables: Mapping[str, type[Part]] = {
+        "constraints": Constraints, "objective": Objective, "search": Search, "positions": Positions,
+        "variables": Variable,
+    }  # fmt: skip
+    return list(tables.get(str(where[0]), DesignFile).model_fields) if len(where) > 1 else list(DesignFile.model_fields)
+
+
+def _read(source: Path) -> Mapping[str, Any]:
+    load_scenario(source)  # its own sentence for whatever is wrong with it
+    return tomllib.loads(source.read_text(encoding="utf-8"))
+
+
+def _check(file: Path, design: Design) -> None:
+    """Keys that exist, targets that the grid has, at a candidate in the middle of everything."""
+    low, high, whole = design.bounds
+    middle = np.where(whole, np.floor((low + high) / 2), (low + high) / 2)
+    for at in (middle, low, high):
+        try:
+            scenarios = design.scenarios(design.values(at))
+        except ScenarioError as problem:
+            raise ScenarioError(f"{file}: {str(problem).removeprefix('scenario: ')}") from None
+    points = {str(k + 1) for k in range(len(scenarios[0].grid.places))}
+    targets = design.asked.objective.targets
+    if targets != "all" and (unknown := sorted(set(targets) - points)):
+        raise ScenarioError(f"{file}: objective.targets names point {unknown[0]}, but the grid has 1..{len(points)}")

@@ -1,0 +1,158 @@
+"""A design from its file to its winner: evaluated, kept, confirmed, written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from ..campaign.executor import LIGHT, SHARE, cluster
+from ..errors import ScenarioError
+from ..pipeline.folder import Run, run_all
+from ..progress import Progress, tell, within
+from ..results import read_run
+from .arm import ArmModel, TwinArm
+from .candidate import Candidate, evaluate, s_interval
+from .front import pareto_front
+from .model import Design, Values
+from .search import search
+from .store import Store
+
+Evaluate = Callable[[Sequence[Values]], Iterator[Candidate]]
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """The winner solved in full: S (mean, least or share) there and on the model; ``folders`` hold the runs."""
+
+    score: float
+    model: float
+    folders: tuple[Path, ...]
+
+    @property
+    def difference(self) -> float:
+        """Confirmed over modelled score, less one [-]."""
+        return self.score / self.model - 1
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """All candidates, the Pareto ``front``, the ``best`` with its ``interval`` of the score by the model's own errors
+    and its ``confirmation`` (None where not asked), and the ``reference``: the scenario's own device."""
+
+    design: Design
+    folder: Path
+    candidates: tuple[Candidate, ...]
+    front: tuple[Candidate, ...]
+    best: Candidate
+    interval: tuple[float, float]
+    reference: Candidate
+    confirmation: Confirmation | None
+
+
+def run_design(
+    design: Design,
+    folder: str | Path,
+    *,
+    arm: ArmModel | None = None,
+    confirm: bool = True,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> DesignResult:
+    """Search, confirm and write. Every candidate is on disk before the next is asked for; run again, it goes on.
+
+    ``arm`` is what candidates are evaluated on (None: the layered twin from tables); with ``workers`` above 1 or a
+    ``scheduler`` generations are spread over Dask, on the twin. Raises ScenarioError where no candidate is feasible.
+    """
+    out = Path(folder).resolve()
+    store = Store(out, design)
+    model = arm or TwinArm(progress=progress)
+    spread = arm is None and (scheduler is not None or (workers or 1) > 1)
+    with _evaluating(design, model, scheduler, workers, spread=spread) as many:
+        total = design.asked.search.candidates + design.asked.search.local
+
+        def ask(wanted: Sequence[Values]) -> list[Candidate]:
+            missing = [v for v in wanted if store.get(v) is None]
+            for candidate in many(list({repr(v): v for v in missing}.values())):
+                store.add(candidate)
+                tell(progress, "candidates", min(len(store.all), total), total)
+            return [c for v in wanted if (c := store.get(v)) is not None]
+
+        search(design, ask)
+    best = _best(store.all)
+    reference = evaluate(design, {}, model)
+    interval = s_interval(design, best, model)
+    confirmation = _confirmed(design, best, out, progress) if confirm else None
+    found = DesignResult(
+        design, out, store.all, pareto_front(store.all), best, interval, reference, confirmation
+    )
+    from .report import write_report
+
+    write_report(found)
+    return found
+
+
+@contextmanager
+def _evaluating(
+    design: Design, arm: ArmModel, scheduler: str | None, workers: int | None, *, spread: bool
+) -> Iterator[Evaluate]:
+    """A function that evaluates many, one after another or on Dask; the first of a spread search makes the tables."""
+    if not spread:
+        yield lambda wanted: (evaluate(design, v, arm) for v in wanted)
+        return
+
+    def count() -> int:
+        return max(1, min(workers or os.cpu_count() or 1, int(SHARE * psutil.virtual_memory().available // LIGHT)))
+
+    with cluster(scheduler, count, "a design on several processes") as client:
+        from distributed import as_completed
+
+        def many(wanted: Sequence[Values]) -> Iterator[Candidate]:
+            if wanted:
+                yield evaluate(design, wanted[0], arm)
+            futures = client.map(lambda v: evaluate(design, v, _own_twin()), wanted[1:], pure=False)
+            yield from (future.result() for future in as_completed(futures))
+
+        yield many
+
+
+@cache
+def _own_twin() -> TwinArm:
+    """The twin of this process, so that its tables are read once."""
+    return TwinArm()
+
+
+def _best(candidates: Sequence[Candidate]) -> Candidate:
+    feasible = [c for c in candidates if c.feasible]
+    if feasible:
+        return max(feasible, key=lambda c: (c.score, -c.actuators))
+    problems = [c.problem or f"{', '.join(c.violations)} not held" for c in candidates]
+    common = max(set(problems), key=problems.count) if problems else "none was evaluated"
+    raise ScenarioError(f"none of {len(candidates)} candidates is feasible, mostly: {common}; widen variables")
+
+
+def _confirmed(design: Design, best: Candidate, out: Path, progress: Progress | None) -> Confirmation:
+    """The winner by the scenarios' own engine, whole record, with figures and report."""
+    scores, folders = [], []
+    objective = design.asked.objective
+    for k, scenario in enumerate(design.scenarios(best.values)):
+        aims: dict[str, Any] = {"targets": objective.targets}
+        rendering = scenario.rendering.model_copy(update=aims)
+        folder = out / ("confirmed" if len(design.data) == 1 else f"confirmed-{k + 1}")
+        run_all(Run.start(scenario.model_copy(update={"rendering": rendering}), folder, design.base,
+                          within(progress, "confirmation")))  # fmt: skip
+        strength = read_run(folder / "run.json").signal_strength
+        assert strength is not None
+        s = np.array([entry.value for entry in strength.methods[objective.method].values()], dtype=float)
+        scores.append({"mean": s.mean, "least": s.min, "share": (s > 1).mean}[objective.of]())
+        folders.append(folder)
+    over = min(scores) if objective.over == "least" else float(np.mean(scores))
+    return Confirmation(float(over), best.score, tuple(folders))

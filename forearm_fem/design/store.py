@@ -1,0 +1,67 @@
+"""Candidates on disk: one line each, so that an interruption loses none."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from .candidate import Candidate
+from .model import Design, Values
+
+
+class Store:
+    """Candidates of one design in ``candidates.jsonl``, by their values.
+
+    Lines of an older question (another version, scenario or constraint) are left there and not used.
+    """
+
+    def __init__(self, folder: Path, design: Design) -> None:
+        self._file = folder / "candidates.jsonl"
+        self._question = question(design)
+        self._known: dict[str, Candidate] = {}
+        folder.mkdir(parents=True, exist_ok=True)
+        text = self._file.read_text(encoding="utf-8") if self._file.is_file() else ""
+        for line in text.splitlines():
+            self._take(line)
+        if text and not text.endswith("\n"):  # cut short by an interruption
+            with self._file.open("a", encoding="utf-8") as stream:
+                stream.write("\n")
+
+    def _take(self, line: str) -> None:
+        try:
+            entry: dict[str, Any] = json.loads(line)
+            if entry["question"] == self._question:
+                candidate = Candidate.from_json(entry["candidate"])
+                self._known[_key(candidate.values)] = candidate
+        except (ValueError, KeyError, TypeError):  # a line cut short by an interruption
+            return
+
+    def get(self, values: Values) -> Candidate | None:
+        """The candidate with these values, if it was evaluated before."""
+        return self._known.get(_key(values))
+
+    def add(self, candidate: Candidate) -> None:
+        """Keep ``candidate``, on disk at once."""
+        self._known[_key(candidate.values)] = candidate
+        line = json.dumps({"question": self._question, "candidate": candidate.as_json()})
+        with self._file.open("a", encoding="utf-8") as stream:
+            stream.write(line + "\n")
+
+    @property
+    def all(self) -> tuple[Candidate, ...]:
+        """Every candidate of this question."""
+        return tuple(self._known.values())
+
+
+def question(design: Design) -> str:
+    """SHA-256 of what a candidate's numbers depend on: not the search's seed or length."""
+    asked = design.asked.model_dump(mode="json", include={"set", "objective", "constraints"})
+    parts = [__version__, asked, design.asked.search.duration, [dict(d) for d in design.data]]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:32]
+
+
+def _key(values: Values) -> str:
+    return json.dumps(values, sort_keys=True)

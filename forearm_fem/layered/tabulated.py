@@ -1,0 +1,270 @@
+"""Equal discs anywhere on a layered body, from integrals tabulated over distance once.
+
+Two tractions meet in an integral that depends on nothing but the distance of their discs
+(:mod:`forearm_fem.layered.scattering`). For discs of one radius the few hundred integrals are therefore functions of
+one number; tabulated at the frequencies of a Chebyshev rule they answer any arrangement without a quadrature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from ..errors import GeometryError
+from ..typing import ComplexArray, FloatArray, IntArray
+from .hankel import HankelTable
+from .integrals import Integrals, Medium
+from .kernel import Layer, Surface, check_layers
+from .response import LayeredResult, distinct, layered_compliance, terms_of
+from .rigid import Disc
+from .sampling import chebyshev_between, chebyshev_nodes
+from .scattering import Galerkin, galerkin
+
+_DEGREE = 48  # of the Chebyshev rule in the root of the frequency, as the twin's own first try
+_ORDERS = 2  # azimuthal, as the twin's own for discs 12 radii apart
+_CLEAR = 2e-4  # [m] from a rim: nearer, the field of a rigid disc has a root that no table follows
+_STEP = 8e-4  # [m] at the far end of a table; they lie closer towards the rims
+_AT_ONCE = 6  # distances of one quadrature
+DEGREE = 5  # of the splines over distance
+_MARGIN = 2.0  # times what one arrangement was seen to err by, for those not seen
+_FEW = 12  # every so many frequencies the series of tractions are judged
+
+
+class Column(NamedTuple):
+    """What an integral is but for its distance: kernel, both transforms (their places among the radials), order."""
+
+    kernel: int
+    a: int
+    b: int
+    order: int
+
+
+@dataclass(frozen=True, eq=False)
+class Tabulated:
+    """Integrals (n_node, n_column) of a medium for discs of one ``radius`` [m] and ``contact``.
+
+    ``omega`` (n_node,) [rad/s] are the nodes between ``low`` and ``high``; ``own`` are a disc's with itself, ``apart``
+    splines of those of a disc and another or a point, over the root of their distance from touching. ``checked``
+    (n_node,) is e(f), seen on one arrangement and doubled, against the twin itself.
+    """
+
+    layers: tuple[Layer, ...]
+    surface: Surface
+    radius: float
+    contact: str
+    farthest: float
+    low: float
+    high: float
+    omega: FloatArray
+    own: dict[Column, ComplexArray]
+    discs: tuple[dict[Column, int], BSpline]
+    points: tuple[dict[Column, int], BSpline]
+    checked: FloatArray
+
+    def compliance(self, omega: FloatArray, discs: Sequence[Disc]) -> LayeredResult:
+        """Displacement per force between ``discs`` (points among them), as
+        :func:`~forearm_fem.layered.layered_compliance` of them, at ``omega`` (n_freq,) [rad/s] within the band.
+
+        Entries between two points are NaN. ``interpolation`` is the table's error and that between its frequencies.
+        Raises GeometryError for discs further apart than the table reaches, and for a point within 0.2 mm of a rim.
+        """
+        kinds, rows, columns = distinct(discs, discs)
+        system = galerkin(kinds, self.surface, terms_of(kinds, self._medium, self._ends), self.orders)
+        found = self._integrals(system)
+        whole = system.compliance_only(found)
+        judged = slice(None, None, _FEW)
+        _, lacking = system.compliance(found[judged])
+        sampled, tail = chebyshev_between(self.low, self.high, omega, whole)
+        x = np.sqrt(omega)
+        truncation = np.interp(x, np.sqrt(self.omega[judged])[::-1], lacking[::-1])
+        table = np.interp(x, np.sqrt(self.omega)[::-1], self.checked[::-1])
+        free = np.array([disc.radius == 0 for disc in kinds])
+        sampled[:, free[:, None] & free] = np.nan
+        values = sampled[:, rows][:, :, columns]
+        return LayeredResult(values, np.zeros(omega.size), truncation, table + tail, 0)
+
+    @property
+    def orders(self) -> int:
+        """Azimuthal orders taken."""
+        return _ORDERS if self.contact != "pressure" else 0
+
+    @property
+    def _medium(self) -> Medium:
+        return Medium(self.layers, "halfspace", self.surface)
+
+    @property
+    def _ends(self) -> FloatArray:
+        return np.array([self.low, self.high])
+
+    def _integrals(self, system: Galerkin) -> ComplexArray:
+        table = system.table
+        kinds, of = np.unique(np.stack([table.kernel, table.a, table.b, table.order]), axis=1, return_inverse=True)
+        names = [_name(table, Column(*map(int, kind))) for kind in kinds.T]
+        point = np.array([g.kind == "point" for g in table.radials])
+        points, own = point[table.a].astype(int) + point[table.b], table.distance == 0
+        out = np.zeros((self.omega.size, table.a.size), dtype=complex)
+        for i in np.flatnonzero(own):
+            out[:, i] = self.own[names[of[i]]]
+        for count, (index, spline), edge in ((0, self.discs, 2 * self.radius), (1, self.points, self.radius)):
+            chosen = np.flatnonzero((points == count) & ~own)
+            if chosen.size:
+                places, at = np.unique(table.distance[chosen], return_inverse=True)
+                self._check(places, edge)
+                values = spline(np.sqrt(places - edge))  # (n_place, n_node, n_kind)
+                out[:, chosen] = values[at, :, [index[names[k]] for k in of[chosen]]].T
+        return out
+
+    def _check(self, distance: FloatArray, edge: float) -> None:
+        if distance[-1] > self.farthest:
+            raise GeometryError(
+                f"two ports are {1e3 * distance[-1]:.3g} mm apart, the tables reach {1e3 * self.farthest:.3g} mm"
+            )
+        if distance[0] < edge + _CLEAR:
+            raise GeometryError(
+                f"a disc's rim comes within {1e3 * (distance[0] - edge):.2g} mm of a point or another disc, expected "
+                f"{1e3 * _CLEAR:g} mm or more"
+            )
+
+
+def tabulate(
+    layers: Sequence[Layer],
+    band: tuple[float, float],
+    radius: float,
+    contact: str,
+    *,
+    surface: Surface | None = None,
+    farthest: float = 0.1,
+    tolerance: float = 1e-7,
+    step: float = _STEP,
+    progress: Callable[[int, int], None] | None = None,
+) -> Tabulated:
+    """Tables for discs of ``radius`` [m] on ``layers``, for angular frequencies in ``band`` [rad/s] and ports up to
+    ``farthest`` [m] apart, ``step`` [m] fine at that end.
+
+    ``progress`` is told the distances done and all of them. Media with next to no loss are not covered: their sharp
+    resonances escape the Chebyshev rule, which ``checked`` then says.
+    """
+    check_layers(layers, "halfspace")
+    medium = Medium(tuple(layers), "halfspace", surface or Surface())
+    omega = chebyshev_nodes(*band, _DEGREE)
+    build = _Builder(medium, radius, contact, omega, tolerance)
+    edges = (2 * radius, radius)
+    grids = [np.linspace(np.sqrt(0.9 * _CLEAR), np.sqrt(farthest - e), _count(farthest - e, step)) for e in edges]
+    total, done = sum(len(g) for g in grids), [0]
+
+    def tell(count: int) -> None:
+        done[0] += count
+        if progress is not None:
+            progress(done[0], total)
+
+    discs, points = (build.over(root, edge, tell) for root, edge in zip(grids, edges, strict=True))
+    made = Tabulated(
+        medium.layers, medium.surface, radius, contact, farthest, *band, omega, build.own(), discs, points,
+        np.zeros(omega.size),
+    )  # fmt: skip
+    return replace(made, checked=_MARGIN * _seen(made, tolerance))
+
+
+def _count(reach: float, step: float) -> int:
+    """Nodes even in the root of the distance that lie ``step`` apart at its end."""
+    return max(12, int(np.ceil(2 * reach / step)))
+
+
+def _seen(made: Tabulated, tolerance: float) -> FloatArray:
+    """e(f) (n_node,) of an arrangement without symmetry against the twin's own quadrature, all its orders taken."""
+    r, reach = made.radius, 0.4 * made.farthest
+    places = [(0.0, 0.0), (4.3 * r, 1.1 * r), (-2.1 * r, 0.6 * reach)]
+    spots = [(2.2 * r, 2.4 * r), (0.5 * reach, -0.3 * reach), (-1.6 * r, -0.9 * r), (0.1 * reach, 0.8 * reach)]
+    contact = made.contact
+    discs = [*(Disc(x, y, r, contact) for x, y in places), *(Disc(x, y) for x, y in spots)]  # type: ignore[arg-type]
+    n = len(places)
+    few = made.omega[:: _FEW // 2]
+    truth = layered_compliance(made.layers, few, discs[:n], discs, surface=made.surface, tolerance=tolerance)
+    found = made.compliance(few, discs).values[:, :, :n]
+    error = np.abs(found - truth.values).max(axis=(1, 2)) / np.abs(truth.values).max(axis=(1, 2))
+    return np.interp(np.sqrt(made.omega), np.sqrt(few)[::-1], error[::-1])
+
+
+@dataclass(frozen=True)
+class _Builder:
+    """The integrals of one disc with itself, another disc and a point."""
+
+    medium: Medium
+    radius: float
+    contact: str
+    omega: FloatArray
+    tolerance: float
+
+    def system(self, near: bool, distances: Sequence[float]) -> Galerkin:
+        discs = [Disc(0.0, 0.0, self.radius, self.contact)]  # type: ignore[arg-type]
+        radius, contact = (self.radius, self.contact) if near else (0.0, "pressure")
+        discs += [Disc(d, 0.0, radius, contact) for d in distances]  # type: ignore[arg-type]
+        orders = _ORDERS if self.contact != "pressure" else 0
+        ends = np.array([self.omega.min(), self.omega.max()])
+        return galerkin(discs, self.medium.surface, terms_of(discs, self.medium, ends), orders)
+
+    def solved(self, table: HankelTable) -> ComplexArray:
+        integrals = Integrals(self.medium, table, self.tolerance)
+        out = np.zeros((self.omega.size, table.a.size), dtype=complex)
+        for chunk in integrals.chunks(self.omega):
+            out[chunk] = integrals.solve(self.omega[chunk]).values
+        return out
+
+    def own(self) -> dict[Column, ComplexArray]:
+        table = self.system(True, [1.0]).table
+        alone = _part(table, np.flatnonzero(table.distance == 0))
+        values = self.solved(alone)
+        return {_name(alone, _column(alone, i)): values[:, i] for i in range(alone.a.size)}
+
+    def over(self, root: FloatArray, edge: float, tell: Callable[[int], None]) -> tuple[dict[Column, int], BSpline]:
+        """All kinds of columns at distances ``edge`` + ``root``^2 [m], and their splines over the root."""
+        near = edge > self.radius
+        one = self.system(near, [1.0]).table
+        kinds = _part(one, np.flatnonzero(one.distance > 0))
+        if not near:
+            kinds = _part(kinds, np.array([i for i in range(kinds.a.size) if not _both_points(kinds, i)]))
+        index = {_name(kinds, _column(kinds, i)): i for i in range(kinds.a.size)}
+        values = []
+        distance = edge + root**2
+        for start in range(0, len(root), _AT_ONCE):
+            some = distance[start : start + _AT_ONCE]
+            values.append(self._at(kinds, some))
+            tell(len(some))
+        return index, make_interp_spline(root, np.concatenate(values), k=DEGREE)
+
+    def _at(self, kinds: HankelTable, distance: FloatArray) -> ComplexArray:
+        """(n_distance, n_node, n_kind)."""
+        m = len(distance)
+        order = np.argsort(np.tile(kinds.kernel, m), kind="stable")
+        spread = [np.tile(x, m)[order] for x in (kinds.kernel, kinds.a, kinds.b, kinds.order)]
+        table = HankelTable(kinds.radials, *spread, np.repeat(distance, kinds.a.size)[order])
+        values = np.empty((self.omega.size, order.size), dtype=complex)
+        values[:, order] = self.solved(table)
+        return values.reshape(self.omega.size, m, kinds.a.size).swapaxes(0, 1)
+
+
+def _part(table: HankelTable, kept: IntArray) -> HankelTable:
+    columns = (table.kernel, table.a, table.b, table.order, table.distance)
+    return HankelTable(table.radials, *(c[kept] for c in columns))
+
+
+def _column(table: HankelTable, i: int) -> Column:
+    return Column(int(table.kernel[i]), int(table.a[i]), int(table.b[i]), int(table.order[i]))
+
+
+def _name(table: HankelTable, column: Column) -> Column:
+    """The column by what its radials are, so that tables with other radials in them agree: balls and rings by degree,
+    then means and points."""
+    start = {"ball": 0, "ring": 1000, "mean": 3000, "point": 4000}
+    a, b = sorted(start[g.kind] + g.degree for g in (table.radials[column.a], table.radials[column.b]))
+    return Column(column.kernel, a, b, column.order)
+
+
+def _both_points(table: HankelTable, i: int) -> bool:
+    return table.radials[table.a[i]].kind == "point" and table.radials[table.b[i]].kind == "point"
+
+
