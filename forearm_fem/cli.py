@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from . import __version__
-from .commands import about, measured, new, pictures, simulate, studies, study
+from .commands import about, library, measured, new, pictures, simulate, studies, study
 from .commands.common import console, print_error
 from .errors import ForearmError
 
@@ -23,7 +23,7 @@ for _command in (
     measured.calibrate, measured.play, measured.compare, measured.fit,
     pictures.figures, pictures.show,
     studies.campaign, studies.verify, studies.bench,
-    new.new, about.schema, about.doctor,
+    library.library, new.new, about.schema, about.doctor,
 ):  # fmt: skip
     app.command()(_command)
 app.add_typer(study.app, name="study")

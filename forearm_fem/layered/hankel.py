@@ -53,7 +53,7 @@ class Radial:
                 y = np.maximum(x, 2.0)
                 return np.asarray(np.where(x < 2.0, 1.0, np.minimum(1.0, 2 / y * np.sqrt(2 / (np.pi * y)))))
             case "bell":
-                return _bell(x)
+                return np.asarray(np.exp(-0.5 * np.minimum(x, 38.0) ** 2))
             case _:
                 return np.ones_like(k)
 
@@ -220,8 +220,8 @@ def _between_lines(y: FloatArray, z: FloatArray, q: int, d: float) -> ComplexArr
 
 
 def _bell(x: Numbers) -> Numbers:
-    """exp(-x^2/2), zero where that is below what numbers hold."""
-    return np.asarray(np.exp(-0.5 * np.minimum(np.real(x), 38.0) ** 2)) if not np.iscomplexobj(x) else np.exp(-0.5 * x**2)
+    """exp(-x^2/2); zero where that is below what numbers hold."""
+    return np.asarray(np.exp(-0.5 * np.where(np.real(x) < 38, x, 38.0) ** 2))
 
 
 def _between_bells(a: float, b: float, d: float) -> float:

@@ -10,6 +10,7 @@ and the regression both moves a load between lattice places and changes its shap
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
@@ -22,9 +23,8 @@ from ..typing import ComplexArray, FloatArray
 _POWER = 4.0  # p of the prior
 _NODES = 400  # of the rule over wavenumbers
 _LONGEST = 6.0  # kappa: wavenumbers up to which the prior is integrated
-_STEP = 1e-4  # [m] between tabulated distances
-SPREADS = (0.4, 0.7, 1.0, 1.5, 2.2)  # kappa over the reference wavenumber that are tried
-NOISES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # shares of a bell's variance that are no waves, tried
+_STEP, _FARTHEST = 1e-4, 0.05  # [m] between tabulated distances; of which tables are as long as multiples
+_X, _W = np.polynomial.legendre.leggauss(_NODES)
 
 
 @dataclass(frozen=True)
@@ -64,13 +64,18 @@ class Prior:
 
     def covariance(self, one: Shape, other: Shape, distance: FloatArray) -> FloatArray:
         """Covariance of what two shapes see at ``distance`` [m] (any shape)."""
-        x, w = np.polynomial.legendre.leggauss(_NODES)
-        k = 0.5 * _LONGEST * self.kappa * (x + 1)
-        density = 0.5 * _LONGEST * self.kappa * w * k * (1 + (k / self.kappa) ** 2) ** -_POWER
-        density = density * one.transform(k) * other.transform(k)
-        grid = np.arange(0.0, float(distance.max(initial=0.0)) + 2 * _STEP, _STEP)
-        table = j0(np.multiply.outer(grid, k)) @ density
-        return np.asarray(CubicSpline(grid, table)(distance))
+        farthest = round(float(distance.max(initial=0.0)) / _FARTHEST + 0.5) * _FARTHEST
+        return np.asarray(_curve(self.kappa, one, other, farthest)(distance))
+
+
+@lru_cache(maxsize=512)
+def _curve(kappa: float, one: Shape, other: Shape, farthest: float) -> CubicSpline:
+    """Covariance over distance up to ``farthest`` [m]."""
+    k = 0.5 * _LONGEST * kappa * (_X + 1)
+    density = 0.5 * _LONGEST * kappa * _W * k * (1 + (k / kappa) ** 2) ** -_POWER
+    density = density * one.transform(k) * other.transform(k)
+    grid = np.arange(0.0, farthest + 2 * _STEP, _STEP)
+    return CubicSpline(grid, j0(np.multiply.outer(grid, k)) @ density)
 
 
 @dataclass(frozen=True)

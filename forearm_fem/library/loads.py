@@ -1,4 +1,4 @@
-"""Smooth loads on the skin: bells of force, narrow beside waves and wide beside elements, that need no rim in a mesh."""
+"""Smooth loads on the skin: bells of force, narrow beside waves, wide beside elements, that need no rim in a mesh."""
 
 from __future__ import annotations
 

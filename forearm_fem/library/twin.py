@@ -1,4 +1,4 @@
-"""The flat twin of any arrangement in a moment: its integrals are tabulated over distance, once for a limb and radius."""
+"""The flat twin of any arrangement in a moment: its integrals over distance, tabulated once for a limb and radius."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Curves:
         weights = BSpline.design_matrix(t, self._knots, _DEGREE)
         first = weights.indices.reshape(len(t), _DEGREE + 1)
         chosen = self._coefficients[:, rows[:, None], first]
-        return np.einsum("nk,fnk->fn", weights.data.reshape(first.shape), chosen)
+        return np.asarray(np.einsum("nk,fnk->fn", weights.data.reshape(first.shape), chosen))
 
     def _parameter(self, distance: FloatArray) -> FloatArray:
         return np.asarray(np.sqrt(np.maximum(distance / self.radius - 1, 0.0)))
@@ -60,7 +60,8 @@ class Curves:
     def _coefficients(self) -> ComplexArray:
         """Of the spline, (n_frequency, n_key, n_distance)."""
         t = self._parameter(self.distances)
-        real, imaginary = (make_interp_spline(t, part, _DEGREE, axis=2).c for part in (self.values.real, self.values.imag))
+        parts = self.values.real, self.values.imag
+        real, imaginary = (make_interp_spline(t, part, _DEGREE, axis=2).c for part in parts)
         return np.asarray(np.moveaxis(real + 1j * imaginary, 0, 2))
 
 
@@ -150,7 +151,8 @@ def twin_table(
         return Curves(radius, keys, distances, np.concatenate(parts, axis=2))
 
     alone = curves(~apart & (ends < 2), 0.0)
-    return TwinTable(radius, contact, frequency, alone, curves(apart & (ends == 0), _TOUCHING), curves(ends == 1, _CLOSEST))
+    beside, points = curves(apart & (ends == 0), _TOUCHING), curves(apart & (ends == 1), _CLOSEST)
+    return TwinTable(radius, contact, frequency, alone, beside, points)
 
 
 def _samples(radius: float, contact: str) -> list[Disc]:
@@ -180,7 +182,8 @@ def _tabulated(
     count = len(far)
     if 0 < keys[:, 0].max() < _KERNELS - 1:  # the quadrature takes one kernel or all
         columns, far = np.vstack([columns, [[_KERNELS - 1, 0, 0, 0]]]), np.append(far, 0.0)
-    table = HankelTable(radials, *columns.T, far)
+    kernel, a, b, order = columns.T
+    table = HankelTable(radials, kernel, a, b, order, far)
     integrals, omega = Integrals(medium, table, _TOLERANCE), 2 * np.pi * frequency
     out = np.empty((len(frequency), len(far)), dtype=complex)
     for chunk in integrals.chunks(omega):

@@ -60,9 +60,9 @@ class LoadSpace:
         one, two = self._weights[1], self._weights[2]
         padded = latest.padded(self.size)
         both = self.basis.combination(np.hstack([padded.upper, 2 * padded.upper + padded.lower]))
-        halves = np.hsplit(both, 2)
-        weights = np.array([one - 2 * two, two])
-        return self._solved(-self._solver.model.operator.matrices.real_sum(weights, [np.ascontiguousarray(h) for h in halves]))
+        halves = [np.ascontiguousarray(half) for half in np.hsplit(both, 2)]
+        matrices = self._solver.model.operator.matrices
+        return self._solved(-matrices.real_sum(np.array([one - 2 * two, two]), halves))
 
     def _extended(self, x: FloatArray, before: FloatArray) -> tuple[Pairs, Columns]:
         """Pairs and columns of the directions of ``x`` (n, b) that the space lacks."""
