@@ -172,7 +172,7 @@ def test_a_library_comes_back_from_its_file_and_damage_is_told(slab, library, tm
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
     file.write_bytes(bytes(content))
-    with pytest.raises(DataError, match="does not match|do not match|damaged"):
+    with pytest.raises(DataError, match=r"not match|damaged"):
         load_library(file)
     with pytest.raises(DataError, match="no such file"):
         load_library(tmp_path / "none.nc")
