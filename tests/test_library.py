@@ -52,7 +52,8 @@ def library(slab):
 
 def test_a_cylinders_skin_is_laid_flat_by_its_arc():
     radius = 0.03
-    skin = flat_skin(parametric_skin(parse_scenario({"limb": {"shape": "cylinder", "diameter": 2 * radius}})), 0.04, 0.05)
+    scenario = parse_scenario({"limb": {"shape": "cylinder", "diameter": 2 * radius}})
+    skin = flat_skin(parametric_skin(scenario), 0.04, 0.05)
     angle = np.array([-0.7, 0.0, 0.3, 0.8])
     points = np.column_stack([[0.0, 0.01, -0.015, 0.02], radius * np.sin(angle), radius * np.cos(angle)])
     flat = skin.flat(points)
