@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from . import __version__
-from .commands import about, design, measured, new, pictures, predict, simulate, studies, study
+from .commands import about, design, library, measured, new, pictures, predict, simulate, studies, study
 from .commands.common import console, print_error
 from .errors import ForearmError
 
@@ -22,7 +22,7 @@ for _command in (
     simulate.run, simulate.mesh, simulate.solve, simulate.render,
     measured.calibrate, measured.play, measured.loopback, measured.compare, measured.fit,
     pictures.figures, pictures.show, predict.predict, predict.validate,
-    studies.campaign, design.design, studies.verify,
+    studies.campaign, library.library, design.design, studies.verify,
     new.new, about.schema, about.doctor,
 ):  # fmt: skip
     app.command()(_command)

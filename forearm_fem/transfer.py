@@ -16,7 +16,8 @@ from .ports import Port
 from .typing import BoolArray, ComplexArray, FloatArray
 
 ErrorSource = Literal[
-    "discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature", "bridging"
+    "discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature", "bridging",
+    "interpolation",
 ]
 
 

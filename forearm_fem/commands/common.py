@@ -30,6 +30,7 @@ from ..scenario import Scenario, apply_overrides, scenario_file
 
 if TYPE_CHECKING:
     from ..io.declaration import Declaration
+    from ..library import ArmLibrary
     from ..pipeline.folder import Run
 
 console = Console(stderr=True)
@@ -40,6 +41,9 @@ ScenarioFile = Annotated[
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=0.040")]
 OutFolder = Annotated[
     Path | None, typer.Option("--out", help="results folder; default results/NAME, after --set results/NAME-XXXXXX")
+]
+LibraryFile = Annotated[
+    Path | None, typer.Option("--library", help="an arm's library (`forearm-fem library`) in place of mesh and solve")
 ]
 Declared = Annotated[
     list[str] | None,
@@ -136,19 +140,35 @@ def out_folder(out: Path | None, scenario: Scenario, overrides: Sequence[str] | 
 
 @contextmanager
 def stage(
-    asked: Scenario, file: Path, out: Path | None, work: Callable[[Run], Any], overrides: Sequence[str] | None = None
+    asked: Scenario, file: Path, out: Path | None, work: Callable[[Run], Any], overrides: Sequence[str] | None = None,
+    library: Path | None = None,
 ) -> Iterator[Run]:
-    """Run ``work`` on a new run with a progress display and print its notes; its folder stays locked in the block."""
+    """Run ``work`` on a new run with a progress display and print its notes; its folder stays locked in the block.
+
+    A ``library`` of the arm is read first, and answers in place of a solve.
+    """
     from ..io.lock import locked
     from ..pipeline.folder import Run
 
-    folder = out_folder(out, asked, overrides)
+    folder, kept = out_folder(out, asked, overrides), library_file(library)
     with locked(folder):
         with Display() as display:
             job = Run.start(asked, folder, file.parent, display)
+            if kept is not None:
+                job.library = kept
+                job.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
             work(job)
         print_notes(job.notes)
         yield job
+
+
+def library_file(file: Path | None) -> ArmLibrary | None:
+    """The arm's library in ``file``; None where none was named."""
+    if file is None:
+        return None
+    from ..library import load_library
+
+    return load_library(file)
 
 
 def print_notes(notes: Sequence[str]) -> None:

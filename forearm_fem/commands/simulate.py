@@ -9,7 +9,7 @@ import typer
 
 from ..progress import tell, within
 from ..scenario import Scenario, load_scenario
-from .common import Display, OutFolder, Overrides, ScenarioFile, print_notes, stage
+from .common import Display, LibraryFile, OutFolder, Overrides, ScenarioFile, print_notes, stage
 
 if TYPE_CHECKING:
     from ..pipeline.forecast import Forecast
@@ -19,6 +19,7 @@ def run(
     scenario: ScenarioFile,
     overrides: Overrides = None,
     out: OutFolder = None,
+    library: LibraryFile = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="print size, cost and resolution; solve nothing")] = False,
 ) -> None:
     """The main job: mesh, solve, render, figures and report."""
@@ -34,7 +35,7 @@ def run(
     from ..pipeline.folder import run_all
 
     _check_wavelet(asked, scenario.parent)
-    with stage(asked, scenario, out, run_all, overrides) as job:
+    with stage(asked, scenario, out, run_all, overrides, library) as job:
         typer.echo((job.out / "report.md").read_text(encoding="utf-8"))
         typer.echo(f"results: {job.out}")
 

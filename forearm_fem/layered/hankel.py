@@ -6,7 +6,8 @@ g are the transforms of the tractions and of the receivers of the twin, all of u
   :math:`x^m P_n^{(m,-1/2)}(1-2x^2)/\sqrt{1-x^2}` with l = m + 2n (Sonine's integral; Sneddon 1966): traction under a
   rigid disc, the same span as :math:`x^m(1-x^2)^{n-1/2}` without its loss of digits;
 - ``ring``: :math:`J_m(ka)`, a line force on the rim;
-- ``mean``: :math:`2J_1(ka)/(ka)`, uniform pressure, or the mean over a disc; ``point``: 1.
+- ``mean``: :math:`2J_1(ka)/(ka)`, uniform pressure, or the mean over a disc; ``point``: 1;
+- ``bell``: :math:`e^{-(ka)^2/2}`, a force spread as :math:`e^{-r^2/2a^2}`, or the mean so weighted.
 
 For :math:`kU\to` const the integrals have closed or line-integral forms (:meth:`HankelTable.static`).
 """
@@ -36,7 +37,7 @@ _LINE = 128  # nodes of line integrals: exact to rounding for rims 0.5 % of the 
 class Radial:
     """One transform g(k); ``degree`` is l of a ball, m of a ring, 0 otherwise; ``radius`` [m]."""
 
-    kind: Literal["ball", "ring", "mean", "point"]
+    kind: Literal["ball", "ring", "mean", "point", "bell"]
     radius: float = 0.0
     degree: int = 0
 
@@ -51,6 +52,8 @@ class Radial:
             case "mean":
                 y = np.maximum(x, 2.0)
                 return np.asarray(np.where(x < 2.0, 1.0, np.minimum(1.0, 2 / y * np.sqrt(2 / (np.pi * y)))))
+            case "bell":
+                return np.asarray(np.exp(-0.5 * np.minimum(x, 38.0) ** 2))
             case _:
                 return np.ones_like(k)
 
@@ -124,7 +127,8 @@ class HankelTable:
     @cached_property
     def _alone(self) -> BoolArray:
         a, b = self.radii
-        return np.asarray((self.distance == 0) & (a == b) & (a > 0))
+        bell = np.array([g.kind == "bell" for g in self.radials])
+        return np.asarray((self.distance == 0) & (a == b) & (a > 0) & ~bell[self.a])
 
     @cached_property
     def _waves(self) -> tuple[IntArray, FloatArray, IntArray]:
@@ -184,6 +188,8 @@ class HankelTable:
             f, g = self.radials[a], self.radials[b]
             if {f.kind, g.kind} <= {"mean", "point"} and q == 0:
                 out[i] = disc_interaction(float(d), f.radius, g.radius)
+            elif {f.kind, g.kind} == {"bell"} and q == 0:
+                out[i] = _between_bells(f.radius, g.radius, float(d))
             elif "ring" in (f.kind, g.kind):
                 continue
             elif d == 0:
@@ -213,6 +219,17 @@ def _between_lines(y: FloatArray, z: FloatArray, q: int, d: float) -> ComplexArr
     return np.asarray(np.exp(1j * q * np.arcsin(offset / d)) / np.sqrt(d * d - offset**2) / (2 * math.pi))
 
 
+def _bell(x: Numbers) -> Numbers:
+    """exp(-x^2/2); zero where that is below what numbers hold."""
+    return np.asarray(np.exp(-0.5 * np.where(np.real(x) < 38, x, 38.0) ** 2))
+
+
+def _between_bells(a: float, b: float, d: float) -> float:
+    r""":math:`\frac1{2\pi}\int_0^\infty e^{-k^2(a^2+b^2)/2}J_0(kd)\,dk`, by scaled Bessel functions."""
+    both = a * a + b * b
+    return float(special.ive(0, d * d / (4 * both)) * math.sqrt(math.pi / (2 * both)) / (2 * math.pi))
+
+
 def _same_disc(a: int, b: int) -> float:
     r""":math:`\int_0^\infty j_a j_b\,dx`: pi/(2 (2a + 1)) if a = b, else sin((a - b) pi/2)/((a - b)(a + b + 1))."""
     if a == b:
@@ -234,9 +251,12 @@ def _bessel_size(x: FloatArray) -> FloatArray:
 def _transforms(radials: tuple[Radial, ...], k: Numbers) -> Numbers:
     """g(k) of all ``radials``, (n_k, n_radials)."""
     out = _filled(1.0, k, len(radials))
-    for radius in {g.radius for g in radials if g.kind != "point"}:
+    for i, g in enumerate(radials):
+        if g.kind == "bell":
+            out[:, i] = _bell(k * g.radius)
+    for radius in {g.radius for g in radials if g.kind not in ("point", "bell")}:
         x = k * radius
-        own = [(i, g) for i, g in enumerate(radials) if g.radius == radius and g.kind != "point"]
+        own = [(i, g) for i, g in enumerate(radials) if g.radius == radius and g.kind not in ("point", "bell")]
         top = {kind: max((g.degree for _, g in own if g.kind == kind), default=-1) for kind in ("ball", "ring", "mean")}
         balls, rings = _balls(top["ball"], x), _bessels(max(top["ring"], top["mean"] + 1), x)
         for i, g in own:

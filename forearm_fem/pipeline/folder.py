@@ -51,7 +51,7 @@ from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
 from .renderers import check_servable
 from .resources import Ledger
-from .simulation import Simulation, account_of, closed, render_transfer, simulate
+from .simulation import AnswersForArm, Simulation, account_of, closed, render_transfer, simulate
 from .skin_model import save_skin_model
 from .solved import solve
 from .strengths import StrengthAccount
@@ -77,6 +77,7 @@ class Run:
     progress: Progress | None
     ledger: Ledger
     notes: list[str]
+    library: AnswersForArm | None = None
 
     @classmethod
     def start(cls, scenario: Scenario, out: Path, base: Path, progress: Progress | None = None) -> Run:
@@ -116,8 +117,8 @@ def run_all(run: Run) -> None:
 
 
 def run_mesh(run: Run) -> TissueMesh | None:
-    """Make or find the mesh and write ``mesh.vtu``; None for the layered engine, which has none."""
-    if run.scenario.engine == "layered":
+    """Make or find the mesh and write ``mesh.vtu``; None for the layered engine and a library, which need none."""
+    if run.scenario.engine == "layered" or run.library is not None:
         return None
     with run.stage("mesh"):
         mesh = cached_mesh(run.scenario, base=run.base, progress=within(run.progress, "mesh"))
@@ -156,7 +157,7 @@ def _solved(run: Run) -> TransferMatrix:
 def _simulated(run: Run, mesh: TissueMesh | None) -> Simulation:
     scenario = run.scenario
     if mesh is None:
-        result = simulate(scenario, base=run.base, progress=run.progress)
+        result = simulate(scenario, base=run.base, progress=run.progress, library=run.library)
     else:
         expected = forecast(scenario, base=run.base, mesh=mesh)
         refuse_if_too_large(expected, scenario)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -48,20 +49,32 @@ class Simulation:
     notes: tuple[str, ...] = field(default=())
 
 
+class AnswersForArm(Protocol):
+    """What stands in place of a solve: an arm's library."""
+
+    def solved(self, scenario: Scenario) -> Solved:
+        """Compliance of the scenario's contacts and points, with what its errors follow from."""
+        ...
+
+
 def simulate(
     scenario: Scenario,
     *,
     base: str | Path = ".",
     progress: Progress | None = None,
     mesh: TissueMesh | None = None,
+    library: AnswersForArm | None = None,
 ) -> Simulation:
     """G of ``scenario`` in m per volt (or per newton, per metre) with an error estimate per source.
 
+    A ``library`` of the scenario's arm takes the place of mesh and solve (:mod:`forearm_fem.library`).
     ``base`` is the folder that user files in the scenario refer to. Raises a :class:`ForearmError` for whatever cannot
     be built or solved.
     """
     frequency = frequencies(scenario.sweep)
     resolve_tissues(scenario)  # what they lack is said before anything is meshed
+    if library is not None:
+        return closed(scenario, None, library.solved(scenario))
     if scenario.engine == "layered":
         compliance = solve_layered(scenario, frequency, progress=progress)
         transfer = finite(close_loop(compliance, scenario.device))
@@ -71,7 +84,7 @@ def simulate(
     return replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
 
 
-def closed(scenario: Scenario, mesh: TissueMesh, solved: Solved) -> Simulation:
+def closed(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
     """G and its errors from compliances: the device enters here, at no further FE solve."""
     transfer = finite(close_loop(solved.compliance, scenario.device))
     coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None

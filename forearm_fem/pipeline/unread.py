@@ -31,6 +31,7 @@ class _Unread:
 # Which part of the pipeline reads which keys, as far as that hangs on other keys: first the engine, then the device,
 # the sweep, the mesh, the supports, the solver and the renderers.
 _RULES = (
+    _Unread(("library",), lambda s: True, "`forearm-fem library` alone reads them"),
     _Unread(
         ("mesh", "supports", *(f"limb.{key}" for key in _SHAPE), *(f"solver.{key}" for key in _SOLVER)),
         lambda s: s.engine == "layered",

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from .base import Name, Part, Within
 from .device import Device, Grid
+from .library import LibraryPatch
 from .limb import CylinderLimb, ForearmLimb, Limb, SlabLimb, forearm_length
 from .measurement import MeasurementOptions
 from .mesh import Element, MeshOptions
@@ -41,6 +42,7 @@ class Scenario(Part):
     mesh: MeshOptions = MeshOptions()
     solver: SolverOptions = SolverOptions()
     rendering: Rendering = Rendering()
+    library: LibraryPatch = LibraryPatch()
     measurement: MeasurementOptions = MeasurementOptions()
 
     @model_validator(mode="before")

@@ -1,0 +1,32 @@
+"""library: one long run per arm, after which any arrangement of discs on its patch is answered in a second."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..scenario import load_scenario
+from .common import Display, Overrides, ScenarioFile
+
+
+def library(
+    scenario: ScenarioFile,
+    overrides: Overrides = None,
+    out: Annotated[Path | None, typer.Option("--out", help="the file to write; default NAME.library.nc")] = None,
+) -> None:
+    """Solve once for a patch of an arm's skin; `run --library` then needs no solve."""
+    from ..io.lock import locked
+    from ..library import make_library, save_library
+
+    asked = load_scenario(scenario, overrides=overrides or ())
+    file = out or Path(f"{asked.name}.library.nc")
+    with locked(file.parent), Display() as display:
+        made = make_library(asked, base=scenario.parent, progress=display)
+        save_library(file, made)
+    patch, facts = asked.library, made.facts
+    typer.echo(f"patch        {patch.length * 1e3:.3g} x {patch.width * 1e3:.3g} mm, {facts['loads']} loads")
+    typer.echo(f"space        {facts['size']} directions from {facts['solves']} solves of {facts['unknowns']} unknowns")
+    typer.echo(f"reduction    {made.reduction:.1e} at two thirds of the band")
+    typer.echo(f"library: {file} ({file.stat().st_size / 1e6:.0f} MB, {facts['seconds']:.0f} s)")

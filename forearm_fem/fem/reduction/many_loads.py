@@ -1,0 +1,92 @@
+"""A reduced space for hundreds of loads on one patch: the derivatives of each about a real rate, without what is known.
+
+As in :mod:`.rate_space`, but loads come in batches, and a direction whose solution or derivative the space holds
+already, to within ``drop`` of its length, is neither kept nor followed further: far from their loads fields of
+neighbours are nearly the same. All loads are outputs, too, so the error of a compliance is that of both fields
+multiplied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...typing import FloatArray
+from ..assembly.coefficients import rate_weights
+from ..linear.direct import DirectSolver
+from .basis import Basis, Columns
+from .rate_space import Pairs
+
+_AGAIN = 0.3  # of a column's length: known columns are subtracted twice from remainders below
+
+
+class LoadSpace:
+    """Grows one space of displacements and pressures for batches of loads about ``rate`` [1/s]; moduli must be
+    Kelvin-Voigt.
+
+    ``drop`` is the share of a direction's length below which it is taken as known, ``derivatives`` the highest order.
+    ``solves`` counts right-hand sides.
+    """
+
+    def __init__(self, solver: DirectSolver, rate: float, *, drop: float, derivatives: int) -> None:
+        self._solver, self._drop, self._derivatives = solver, drop, derivatives
+        self._weights = rate_weights([t.coefficient for t in solver.model.operator.terms], rate)
+        self.basis, self.solves = Basis(), 0
+        solver.factor.factorise(solver.model.operator.combine(self._weights[0].tolist()))
+
+    @property
+    def size(self) -> int:
+        """Columns so far."""
+        return sum(block.shape[1] for block in self.basis.blocks)
+
+    def add(self, forces: FloatArray) -> Iterator[Columns]:
+        """New columns (n, k), order by order, that ``forces`` (n, b) call for; orthonormal in their displacements."""
+        pairs, last = Pairs(np.zeros((self.size, 0)), np.zeros((self.size, 0))), 0
+        for order in range(self._derivatives + 1):
+            x = self._solved(forces) if order == 0 else self._derivative(pairs.last(last))
+            before = pairs.last(last).upper if order else np.zeros((0, x.shape[1]))
+            new, columns = self._extended(x, before)
+            if not columns.shape[1]:
+                return
+            new = pairs.remainder(new)
+            pairs, last = pairs.and_then(new), new.count
+            yield columns
+            if not last:
+                return
+
+    def _derivative(self, latest: Pairs) -> FloatArray:
+        """The next derivative (n, k) of the solutions that the ``latest`` pairs stand for."""
+        one, two = self._weights[1], self._weights[2]
+        padded = latest.padded(self.size)
+        both = self.basis.combination(np.hstack([padded.upper, 2 * padded.upper + padded.lower]))
+        halves = [np.ascontiguousarray(half) for half in np.hsplit(both, 2)]
+        matrices = self._solver.model.operator.matrices
+        return self._solved(-matrices.real_sum(np.array([one - 2 * two, two]), halves))
+
+    def _extended(self, x: FloatArray, before: FloatArray) -> tuple[Pairs, Columns]:
+        """Pairs and columns of the directions of ``x`` (n, b) that the space lacks."""
+        n_u = self._solver.model.operator.n_displacements
+        lengths, coordinates = np.linalg.norm(x[:n_u], axis=0), np.zeros((self.size, x.shape[1]))
+        for _ in range(2):
+            known = self.basis.inner(x[:n_u]) if self.size else coordinates
+            if self.size:
+                self.basis.subtract_in_place(x, known)
+            coordinates = coordinates + known
+            gram = x[:n_u].T @ x[:n_u]
+            if (np.sqrt(np.maximum(gram.diagonal(), 0.0)) >= _AGAIN * lengths).all():
+                break
+        scale = 1 / np.where(lengths > 0, lengths, 1.0)
+        values, vectors = np.linalg.eigh(scale[:, None] * gram * scale)
+        keep = values > self._drop**2
+        chosen = scale[:, None] * vectors[:, keep]
+        made = np.asarray(x @ (chosen / np.sqrt(values[keep])), dtype=np.float32)
+        upper = np.vstack([coordinates @ chosen, np.diag(np.sqrt(values[keep]))])
+        lower = np.pad(before @ chosen, ((0, len(upper) - len(before)), (0, 0)))
+        if made.shape[1]:
+            self.basis = self.basis.with_block(made)
+        return Pairs(upper, lower), made
+
+    def _solved(self, right: FloatArray) -> FloatArray:
+        self.solves += right.shape[1]
+        return np.asarray(self._solver.factor.solve(right))

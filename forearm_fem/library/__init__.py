@@ -1,0 +1,12 @@
+"""The arm's library: one long run for a patch of skin, after which any arrangement of discs on it is answered in a
+second.
+
+``make`` solves, ``arm`` answers, ``store`` keeps; ``skin`` lays the skin flat, ``loads`` spreads forces on it,
+``between`` interpolates, ``twin`` tabulates the flat twin, ``bands`` splits the band.
+"""
+
+from .arm import ArmLibrary
+from .make import make_library
+from .store import load_library, save_library
+
+__all__ = ["ArmLibrary", "load_library", "make_library", "save_library"]

@@ -1,0 +1,272 @@
+"""The arm's library: what any discs of one radius, and any points, on a patch of skin need for their compliance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import GeometryError, ScenarioError
+from ..geometry.device.layout import layout_of
+from ..geometry.device.place import parametric_skin, ports_on
+from ..pipeline.frequencies import frequencies
+from ..pipeline.layered_engine import flat_layers, flat_surface
+from ..pipeline.solved import Solved
+from ..ports import Port, positions
+from ..results import SolutionRecord
+from ..scenario import Scenario
+from ..scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
+from ..transfer import Compliance, ErrorEstimate
+from ..typing import ComplexArray, FloatArray
+from .bands import Bands
+from .between import Lattice, Prior, shape_of
+from .skin import FlatSkin, flat_skin
+from .twin import TwinTable
+
+MARGIN = 0.02  # [m] of skin around the patch that bells reach
+WIDTH = 0.4  # of a bell, in steps of the lattice
+_SPREAD, _LEAST, _NOISE = 0.7, 60.0, 1e-6  # kappa in shortest wavenumbers, and [1/m]; docs/decisions/library.md
+_SAME = ("limb", "tissues", "supports")  # what a scenario shares with its library
+
+
+@dataclass(frozen=True, eq=False)
+class Bell:
+    """The limb as the bells see it: compliance sum_k left_ik right_kj / (i omega - poles_k), made symmetric.
+
+    ``left`` (n, k), ``right`` (k, n), ``poles`` (k,) [1/s].
+    """
+
+    poles: ComplexArray
+    left: ComplexArray
+    right: ComplexArray
+
+    def between(self, frequency: FloatArray, weights: FloatArray) -> ComplexArray:
+        """Compliance (n_frequency, p, p) of p combinations ``weights`` (n, p) of bells."""
+        left, right = weights.T @ self.left, self.right @ weights
+        i, j = np.triu_indices(weights.shape[1])
+        pairs = (left[i] * right.T[j] + left[j] * right.T[i]) / 2
+        values = (1 / (2j * np.pi * frequency[:, None] - self.poles)) @ pairs.T
+        whole = np.empty((len(frequency), len(left), len(left)), dtype=complex)
+        whole[:, i, j] = whole[:, j, i] = values
+        return whole
+
+
+@dataclass(frozen=True, eq=False)
+class ArmLibrary:
+    """Answers for any arrangement of discs on the patch of ``scenario``'s limb.
+
+    ``centres`` (n, 2) [m] of bells of ``width`` [m] in flat coordinates; ``fine`` is the limb through them, ``coarse``
+    on a second mesh whose nodes are ``ratio`` times as far apart (None where there is none), ``freed`` with free ends
+    (None where none absorb). ``flat`` (n_part, n_node, n_distance) is the twin between two bells at ``distances``
+    [m], at the nodes of :class:`Bands`; ``twin`` the twin for discs. ``spread`` (n_part, n_bin) is the standard
+    deviation [m/N] of what is interpolated, by distance (``bins`` (n_bin,) [m]), in units of the prior. ``reduction``
+    is the error of the reduced model where it was compared with a direct solve.
+    """
+
+    scenario: Scenario
+    centres: FloatArray
+    width: float
+    fine: Bell
+    coarse: Bell | None
+    freed: Bell | None
+    ratio: float
+    distances: FloatArray
+    flat: ComplexArray
+    twin: TwinTable
+    bins: FloatArray
+    spread: FloatArray
+    reduction: float
+    facts: Mapping[str, Any]
+
+    def compliance(self, scenario: Scenario) -> Compliance:
+        """Compliance of the contacts and points of ``scenario`` with errors by interpolation, contacts and reduction.
+
+        Raises ScenarioError for another arm, radius, contact or band, GeometryError for places off the patch.
+        Entries between points are NaN: no device drives there.
+        """
+        return self._answer(scenario, self.fine, with_errors=True)
+
+    def solved(self, scenario: Scenario) -> Solved:
+        """The same as the solver's result, with the second mesh and the freed ends for the other errors."""
+        fine = self.compliance(scenario)
+        coarse = None if self.coarse is None else self._answer(scenario, self.coarse)
+        freed = None if self.freed is None else self._answer(scenario, self.freed)
+        if coarse is not None:
+            coarse = replace(coarse, provenance={"ratio": self.ratio})
+        unknown = () if coarse is not None else (
+            ErrorEstimate("discretisation", np.nan, "the library was made without a second mesh"),
+        )  # fmt: skip
+        empty = np.zeros((0, 3, 0)), np.zeros((len(fine.frequency), 0, 0), dtype=complex)
+        return Solved(fine, coarse, freed, *empty, SolutionRecord(solver="library"), unknown)
+
+    def _answer(self, scenario: Scenario, limb: Bell, *, with_errors: bool = False) -> Compliance:
+        ports, frequency = self.ports(scenario), frequencies(scenario.sweep)
+        self._check_band(frequency)
+        places = self.skin.flat(positions(ports))
+        flat, lacking = self._flat_discs(ports, places, frequency)
+        part, carry = self.bands.number(frequency), self.bands.between(frequency)
+        values, errors = flat, []
+        for b in np.unique(part):
+            mine = part == b
+            weights, variance = self._weights(int(b), ports, places)
+            values[mine] += limb.between(frequency[mine], weights)
+            values[mine] -= np.einsum("fn,nij->fij", carry[mine], weights.T @ self._flat_bells[b] @ weights)
+            if with_errors:
+                errors.append(self._deviation(int(b), places, variance))
+        values = 0.5 * (values + values.swapaxes(1, 2))
+        found = Compliance(frequency, values, ports)
+        return replace(found, errors=self._errors(found, part, errors, lacking)) if with_errors else found
+
+    def ports(self, scenario: Scenario) -> tuple[Port, ...]:
+        """Ports of ``scenario`` on the library's skin, after all that may be refused was."""
+        self._check_same(scenario)
+        cone = scenario.device.cone
+        if abs(cone.radius - self.twin.radius) > 1e-9 or cone.contact != self.twin.contact:
+            raise ScenarioError(
+                f"device.cone: the library holds {self.twin.contact} discs of {self.twin.radius * 1e3:g} mm radius, "
+                f"asked for {cone.contact} ones of {cone.radius * 1e3:g} mm; make a library for these"
+            )
+        layout_of(scenario)
+        ports = ports_on(scenario, self.skin.skin)
+        self._check_on_patch(ports)
+        return ports
+
+    @cached_property
+    def skin(self) -> FlatSkin:
+        """The skin laid flat."""
+        return library_skin(self.scenario)
+
+    @cached_property
+    def bands(self) -> Bands:
+        """Parts of the library's band."""
+        return Bands.of(*library_band(self.scenario))
+
+    @cached_property
+    def lattices(self) -> tuple[Lattice, ...]:
+        """The lattice in each part of the band."""
+        return tuple(lattice(self.scenario, self.centres, self.width, high) for high in self.bands.edges[1:])
+
+    def _weights(self, part: int, ports: tuple[Port, ...], places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Weights (n, p) of bells and variances (2, p), before and known, for the ports."""
+        weights, variance = np.empty((len(self.centres), len(ports))), np.empty((2, len(ports)))
+        shapes = [shape_of(port) for port in ports]
+        for shape in set(shapes):
+            mine = [i for i, s in enumerate(shapes) if s == shape]
+            weights[:, mine], variance[:, mine] = self.lattices[part].weights(shape, places[mine])
+        return weights, variance
+
+    @cached_property
+    def _flat_bells(self) -> ComplexArray:
+        """The twin (n_part, n_node, n, n) between bells."""
+        number, _ = pair_distances(self.centres)
+        return self.flat[:, :, number]
+
+    def _flat_discs(
+        self, ports: tuple[Port, ...], places: FloatArray, frequency: FloatArray
+    ) -> tuple[ComplexArray, FloatArray]:
+        """The twin of the ports (n_frequency, p, p) and what its series lack (n_frequency,)."""
+        count = sum(port.kind == "contact" for port in ports)
+        surface = flat_surface(self.scenario.tissues)
+        found, lacking = self.twin.compliance(places[:count], places[count:], surface)
+        shape = (len(self.bands.edges) - 1, -1)
+        carry, part = self.bands.between(frequency), self.bands.number(frequency)
+        nodes = found.reshape(*shape, *found.shape[1:])
+        values = np.einsum("fn,fnij->fij", carry, nodes[part])
+        return values, lacking.reshape(shape).max(axis=1)[part]
+
+    def _deviation(self, part: int, places: FloatArray, variance: FloatArray) -> FloatArray:
+        """Standard deviation (p, p) [m/N] of what is interpolated between the ports."""
+        away = np.linalg.norm(places[:, None] - places[None], axis=2)
+        scale = np.interp(away, self.bins, self.spread[part])
+        before, known = variance
+        left = np.maximum(np.outer(before, before) - np.outer(known, known), 0.0)
+        return np.asarray(scale * np.sqrt(left))
+
+    def _errors(
+        self, found: Compliance, part: Any, deviations: list[FloatArray], lacking: FloatArray
+    ) -> tuple[ErrorEstimate, ...]:
+        """Of interpolation, of the twin's tractions, and of the reduced model."""
+        rows, columns = found.indices("point") or found.indices("contact"), found.indices("contact")
+        block = np.ix_(rows, columns)
+        values = found.values[:, block[0], block[1]]
+        number = np.searchsorted(np.unique(part), part)
+        deviation = np.array([d[block] for d in deviations])[number]
+        size = np.abs(values).max(axis=(1, 2))
+        between = deviation.max(axis=(1, 2)) / size
+        band = float(np.linalg.norm(deviation) / np.linalg.norm(values))
+        frequency = tuple(found.frequency.tolist())
+        series = lacking * np.nanmax(np.abs(found.values), axis=(1, 2)) / size
+        return (
+            ErrorEstimate("interpolation", band, "spread of what lies between the library's loads, by leaving each of "
+                          "them out", frequency, tuple(between.tolist())),
+            ErrorEstimate("quadrature", float(np.linalg.norm(lacking)), "last terms of the tractions under the discs "
+                          "of the flat twin", frequency, tuple(series.tolist())),
+            ErrorEstimate("reduction", self.reduction, "against a direct solve for some of the library's loads"),
+        )  # fmt: skip
+
+    def _check_same(self, scenario: Scenario) -> None:
+        if scenario.engine != "fem":
+            raise ScenarioError("engine: a library stands for finite elements; set engine = 'fem', or leave it out")
+        for key in _SAME:
+            if getattr(scenario, key) != getattr(self.scenario, key):
+                raise ScenarioError(
+                    f"{key}: this library was made for another arm than the scenario's; make one for it "
+                    "(`forearm-fem library`), or leave --library out"
+                )
+
+    def _check_band(self, frequency: FloatArray) -> None:
+        low, high = self.bands.edges[0], self.bands.edges[-1]
+        if frequency[0] < low * (1 - 1e-9) or frequency[-1] > high * (1 + 1e-9):
+            raise ScenarioError(
+                f"sweep: the library holds {low:g} to {high:g} Hz, asked for {frequency[0]:g} to {frequency[-1]:g} Hz; "
+                "narrow the sweep, or make a library for it"
+            )
+
+    def _check_on_patch(self, ports: tuple[Port, ...]) -> None:
+        patch = self.scenario.library
+        half = 0.5 * np.array([patch.length, patch.width])
+        for port, flat in zip(ports, self.skin.flat(positions(ports)), strict=True):
+            if not (np.abs(flat) + port.radius <= half + 1e-9).all():
+                what = f"contact {port.name}" if port.kind == "contact" else f"grid point {port.name}"
+                raise GeometryError(
+                    f"{what} at ({port.position[0] * 1e3:.3g}, {port.position[1] * 1e3:.3g}) mm lies off the library's "
+                    f"patch of {patch.length * 1e3:.3g} x {patch.width * 1e3:.3g} mm along the skin; move it, or make "
+                    "a library with a larger library.length and library.width"
+                )
+
+
+def library_band(scenario: Scenario) -> tuple[float, float]:
+    """First and last frequency [Hz] of the scenario's sweep."""
+    frequency = frequencies(scenario.sweep)
+    return float(frequency[0]), float(frequency[-1])
+
+
+def library_skin(scenario: Scenario) -> FlatSkin:
+    """The skin of a limb that a library can be made for; ScenarioError for others."""
+    limb = scenario.limb
+    cut = isinstance(limb, SlabLimb) and bool(limb.symmetry)
+    if cut or not isinstance(limb, ForearmLimb | CylinderLimb | SlabLimb):
+        raise ScenarioError(
+            f"limb: a library needs a forearm, a cylinder or a whole slab, whose flat twin is known, but this is a "
+            f"{limb.shape}{' cut by limb.symmetry' if cut else ''}; solve its arrangements one by one"
+        )
+    skin = parametric_skin(scenario)
+    assert skin is not None
+    return flat_skin(skin, scenario.library.length, scenario.library.width, MARGIN)
+
+
+def lattice(scenario: Scenario, centres: FloatArray, width: float, high: float) -> Lattice:
+    """The lattice for waves up to ``high`` [Hz]."""
+    omega = np.array([2 * np.pi * high])
+    shortest = max(float(abs(omega[0] * np.sqrt(x.density / x.modulus(omega)[0]))) for x in flat_layers(scenario))
+    return Lattice.of(centres, width, Prior(_SPREAD * shortest + _LEAST, _NOISE))
+
+
+def pair_distances(centres: FloatArray) -> tuple[Any, FloatArray]:
+    """The number (n, n) of each pair's distance among the distinct ones, and these (m,) [m], rising."""
+    away = np.linalg.norm(centres[:, None] - centres[None], axis=2).round(9)
+    distances, number = np.unique(away, return_inverse=True)
+    return number.reshape(away.shape), distances

@@ -1,0 +1,91 @@
+"""The volar skin laid flat: lengths along it, in which the limb and its flat twin are compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
+from ..errors import GeometryError
+from ..geometry.device.place import Skin
+from ..typing import BoolArray, FloatArray
+
+_STEP = 2.5e-4  # [m] between samples of the skin across the limb; ten times that along it
+_FACING = 0.1  # smallest n_z of skin that is laid flat: 84 degrees to the side
+_NEAR = 5e-3  # [m] from the volar skin: points of the mesh further away are the limb's other side
+
+
+@dataclass(frozen=True)
+class FlatSkin:
+    """Flat coordinates (u, v) [m] of the volar skin: u along the line y = 0, v along the section, both from the origin.
+
+    ``x`` (n,), ``y`` (m,) are samples, ``along`` (n,) the length u at each x, ``across`` (n, m) the length v, NaN off
+    the skin, ``height`` (n, m) its z. Distances in (u, v) are those on a cylinder exactly, on a slowly tapering limb
+    nearly. ``skin`` lands places on the limb itself.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    along: FloatArray
+    across: FloatArray
+    height: FloatArray
+    skin: Skin
+
+    def flat(self, points: FloatArray) -> FloatArray:
+        """(u, v) (n, 2) of ``points`` (n, 3) on or near the skin; NaN where the volar skin is not."""
+        axes = (self.x, self.y)
+        v, z = (RegularGridInterpolator(axes, a, bounds_error=False)(points[:, :2]) for a in (self.across, self.height))
+        u = np.interp(points[:, 0], self.x, self.along, left=np.nan, right=np.nan)
+        result = np.column_stack([u, v])
+        result[~(np.abs(points[:, 2] - z) < _NEAR)] = np.nan
+        return result
+
+    def places(self, flat: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points (n, 3) and outward normals (n, 3) at ``flat`` (n, 2); NaN off the skin."""
+        x = np.interp(flat[:, 0], self.along, self.x, left=np.nan, right=np.nan)
+        after = np.clip(np.searchsorted(self.x, x), 1, len(self.x) - 1)
+        share = (x - self.x[after - 1]) / (self.x[after] - self.x[after - 1])
+        rows = self.across[after - 1] * (1 - share)[:, None] + self.across[after] * share[:, None]
+        y = np.array([_inverse(v, row, self.y) for v, row in zip(flat[:, 1], rows, strict=True)])
+        return self.skin(np.column_stack([x, y]))
+
+
+def flat_skin(skin: Skin, length: float, width: float, margin: float = 0.0) -> FlatSkin:
+    """The skin over at least ``length`` by ``width`` [m], in its own lengths, about the origin.
+
+    What lies up to ``margin`` [m] beside it is laid flat, too, as far as there is skin. Raises GeometryError where the
+    limb is shorter or narrower than the patch.
+    """
+    x = np.linspace(-0.5, 0.5, 2 * round(length / (20 * _STEP)) + 1) * (length + 2 * margin)
+    y = np.linspace(-0.5, 0.5, 2 * round(width / (2 * _STEP)) + 1) * (width + 2 * margin)
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    points, normals = skin(grid)
+    z = np.where(normals[:, 2] > _FACING, points[:, 2], np.nan).reshape(len(x), len(y))
+    along = _lengths(x, z[:, len(y) // 2])
+    across = np.array([_lengths(y, row) for row in z])
+    made = FlatSkin(x, y, along, across, z, skin)
+    _check_covers(made, length, width)
+    return made
+
+
+def _lengths(t: FloatArray, z: FloatArray) -> FloatArray:
+    """Signed length (n,) of the line (t, z) from its middle; NaN beyond the first gap on either side."""
+    middle, step = len(t) // 2, np.hypot(np.diff(t), np.diff(z))
+    after, before = np.cumsum(step[middle:]), np.cumsum(step[:middle][::-1])[::-1]
+    return np.concatenate([-before, [0.0], after])
+
+
+def _check_covers(made: FlatSkin, length: float, width: float) -> None:
+    corners = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 1)]) * 0.499 * np.array([length, width])
+    found = made.places(corners)[0]
+    if not np.isfinite(found).all():
+        raise GeometryError(
+            f"the library's patch of {length * 1e3:.3g} x {width * 1e3:.3g} mm reaches beyond the volar skin of this "
+            "limb; reduce library.length or library.width, or use a longer or wider limb"
+        )
+
+
+def _inverse(v: float, lengths: FloatArray, y: FloatArray) -> float:
+    known: BoolArray = np.isfinite(lengths)
+    return float(np.interp(v, lengths[known], y[known], left=np.nan, right=np.nan))

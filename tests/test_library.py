@@ -1,0 +1,213 @@
+"""The arm's library: flat skin, bells, what lies between them, tables of the twin, answers against direct solves."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from forearm_fem.device import close_loop
+from forearm_fem.errors import DataError, ForearmError, GeometryError, ScenarioError
+from forearm_fem.fem.linear.direct import make_solver
+from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.device.place import parametric_skin
+from forearm_fem.layered import Disc, Surface, layered_compliance, surface_kernel
+from forearm_fem.layered.integrals import Medium
+from forearm_fem.library import load_library, make_library, save_library
+from forearm_fem.library.between import Lattice, Prior, Shape
+from forearm_fem.library.loads import Bells, bell_functionals
+from forearm_fem.library.make import lattice_bells, meshed_scenario
+from forearm_fem.library.skin import flat_skin
+from forearm_fem.library.twin import bell_table, twin_table
+from forearm_fem.pipeline import simulate
+from forearm_fem.pipeline.fem_engine import fem_model
+from forearm_fem.pipeline.layered_engine import flat_layers
+from forearm_fem.scenario import Scenario, parse_scenario
+
+SLAB = {
+    "accuracy": 0.3,
+    "limb": {"shape": "slab", "length": 0.06, "width": 0.05, "depth": 0.02},
+    "device": {"contacts": [[-0.006, 0.0], [0.005, 0.002]], "drive": "force", "cone": {"radius": 0.002}},
+    "grid": {"points": [[0.0, 0.0], [0.001, -0.005]]},
+    "library": {"length": 0.022, "width": 0.016, "step": 0.005},
+    "sweep": {"f_min": 60, "f_max": 100, "duration": 0.1, "sample_rate": 1000},
+    "solver": {"discretisation_estimate": False},
+    "rendering": {"methods": []},
+}
+
+
+def medium(scenario):
+    return Medium(tuple(flat_layers(scenario)), "halfspace", Surface())
+
+
+@pytest.fixture(scope="module")
+def slab():
+    return parse_scenario(SLAB)
+
+
+@pytest.fixture(scope="module")
+def library(slab):
+    return make_library(slab)
+
+
+def test_a_cylinders_skin_is_laid_flat_by_its_arc():
+    radius = 0.03
+    scenario = parse_scenario({"limb": {"shape": "cylinder", "diameter": 2 * radius}})
+    skin = flat_skin(parametric_skin(scenario), 0.04, 0.05)
+    angle = np.array([-0.7, 0.0, 0.3, 0.8])
+    points = np.column_stack([[0.0, 0.01, -0.015, 0.02], radius * np.sin(angle), radius * np.cos(angle)])
+    flat = skin.flat(points)
+    # chords of 0.25 mm, and straight lines between them: 1e-5 of a length
+    assert flat == pytest.approx(np.column_stack([points[:, 0], radius * angle]), abs=1e-6)
+    assert skin.places(flat)[0] == pytest.approx(points, abs=1e-6)
+    assert np.isnan(skin.flat(points * [1, 1, -1])).any(axis=1).all()  # the other side is not on it
+
+
+def test_bells_between_each_other_are_a_plain_integral_of_the_kernel():
+    scenario, width, k = Scenario(), 1.5e-3, np.linspace(1e-3, 5e3, 100_001)
+    distance = np.array([0.0, 4e-3, 3e-2])
+    found = bell_table(medium(scenario), np.array([120.0]), width, distance)[0]
+    from scipy.special import j0
+
+    kernel = surface_kernel(k[None], np.array([[2 * np.pi * 120.0]]), flat_layers(scenario))[0]
+    plain = [np.trapezoid(kernel * np.exp(-((k * width) ** 2)) * j0(k * d) * k, k) / (2 * np.pi) for d in distance]
+    assert found == pytest.approx(np.array(plain), rel=1e-5)  # of the trapezoidal rule
+
+
+@pytest.mark.parametrize("contact", ["bonded", "pressure"])
+def test_the_tabulated_twin_is_the_twin(contact):
+    scenario, radius, frequency = Scenario(), 3e-3, np.array([80.0])
+    table = twin_table(medium(scenario), frequency, radius, contact, 0.04)
+    centres = np.array([[-0.01, 0.0], [0.008, 0.003]])
+    points = np.array([[0.0, 0.004], [-0.009, 0.001], [0.02, 0.01]])  # the second lies under a disc
+    values, _ = table.compliance(centres, points, Surface())
+    discs = [Disc(*c, radius, contact) for c in centres.tolist()]
+    truth = layered_compliance(
+        flat_layers(scenario), 2 * np.pi * frequency, discs, [*discs, *(Disc(*p) for p in points.tolist())]
+    ).values
+    assert np.abs(values[:, :, :2] - truth).max() < 1e-3 * np.abs(truth).max()  # azimuthal orders above the second
+
+
+def test_waves_between_the_lattice_are_found_and_their_uncertainty_holds():
+    side = np.linspace(-0.02, 0.02, 9)
+    centres = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    width, kappa, k = 2e-3, 500.0, 400.0
+    lattice = Lattice.of(centres, width, Prior(kappa, 1e-6))
+    places = np.array([[0.0026, -0.0074], [0.0111, 0.0012]])
+
+    def wave(at, shape):
+        return np.exp(1j * (at @ np.array([0.6, 0.8])) * k) * shape.transform(np.array([k]))
+
+    for shape in (Shape("rigid", 3.5e-3), Shape("pressure", 3.5e-3), Shape("point", 0.0)):
+        weights, (before, known) = lattice.weights(shape, places)
+        off = np.abs(weights.T @ wave(centres, lattice.shape) - wave(places, shape))
+        assert (off < 0.02).all()  # 3 loads a wave; 1 is the wave itself, ka = 1.4 takes a third of it
+        assert ((known > 0.9 * before) & (known <= before)).all()
+
+
+def test_own_loads_are_answered_as_a_direct_solve_does(slab, library):
+    """The reduced space of all loads, at a frequency in the middle, against solves of the same system."""
+    skin, bells, meshed = library.skin, lattice_bells(slab), meshed_scenario(slab, library.skin)
+    model = fem_model(meshed, cached_mesh(meshed))
+    seen = bell_functionals(model, skin, bells).toarray()
+    some = [0, 7, 12]
+    witness = replace(model, functionals=seen[:, some], shares=np.ones(3))
+    truth = seen.T @ replace(make_solver(model, meshed.solver, 90.0), model=witness).at(90.0).values
+    found = library.fine.between(np.array([90.0]), np.eye(len(bells.centres)))[0]
+    assert np.abs(found[:, some] - truth).max() < 0.01 * np.abs(truth).max()
+    assert np.abs(found - found.T).max() < 1e-12 * np.abs(found).max()
+    assert library.reduction < 0.05
+
+
+def test_between_its_loads_it_states_what_interpolation_costs(slab, library):
+    """Bells at places that the library has not seen, on its own mesh."""
+    places = np.array([[0.0025, 0.0021], [-0.0049, -0.0018]])
+    skin, meshed = library.skin, meshed_scenario(slab, library.skin)
+    model = fem_model(meshed, cached_mesh(meshed))
+    seen = bell_functionals(model, skin, Bells(places, skin.places(places)[1], library.width)).toarray()
+    witness = replace(model, functionals=seen, shares=np.ones(2))
+    node = library.bands.nodes.shape[1] // 2
+    at = library.bands.nodes[-1, node]
+    truth = seen.T @ replace(make_solver(model, meshed.solver, at), model=witness).at(at).values
+    weights, (before, known) = library.lattices[-1].weights(Shape("bell", library.width), places)
+    limb = weights.T @ library.fine.between(np.array([at]), np.eye(len(library.centres)))[0] @ weights
+    flat = weights.T @ library._flat_bells[-1, node] @ weights
+    apart = np.array([0.0, np.linalg.norm(places[0] - places[1])])
+    twin = bell_table(medium(slab), np.array([at]), library.width, apart)[0]
+    off = np.abs(limb - flat + twin[np.array([[0, 1], [1, 0]])] - truth)
+    stated = library._deviation(len(library.bands.edges) - 2, places, np.stack([before, known]))
+    assert (off < 3 * stated + 0.02 * np.abs(truth).max()).all()
+    assert np.abs(off).max() < 0.05 * np.abs(truth).max()
+
+
+def test_a_slab_answers_nearly_as_its_twin(slab, library):
+    found = library.compliance(slab)
+    data = {**SLAB, "engine": "layered"}
+    twin = simulate(parse_scenario(data)).compliance
+    own, truth = found.values[:, :, :2], twin.values[:, :, :2]
+    assert np.abs(own - truth)[:, :2].max() < 0.15 * np.abs(truth).max()  # the sides come back: 50 mm at 60 Hz
+    assert np.abs(own - truth)[:, :2].max() > 1e-3 * np.abs(truth).max()  # so the limb does count
+    assert np.abs(found.values - found.values.swapaxes(1, 2))[:, :2, :2].max() < 1e-15
+    assert [e.source for e in found.errors] == ["interpolation", "quadrature", "reduction"]
+
+
+def test_answers_agree_with_finite_elements_of_the_same_slab(slab, library):
+    fem = close_loop(simulate(slab).compliance, slab.device).values
+    own = close_loop(library.compliance(slab), slab.device).values
+    assert np.linalg.norm(own - fem) < 0.1 * np.linalg.norm(fem)  # both meshes err by some per cent at accuracy 0.3
+
+
+def test_simulate_takes_a_library_and_says_what_is_unknown(slab, library):
+    result = simulate(slab, library=library)
+    assert result.mesh is None
+    assert result.transfer.values.shape == (5, 2, 2)
+    assert not np.isfinite(next(e.band for e in result.transfer.errors if e.source == "discretisation"))
+    assert any(e.source == "truncation" and e.band > 0 for e in result.transfer.errors)
+
+
+def test_a_library_comes_back_from_its_file_and_damage_is_told(slab, library, tmp_path):
+    file = tmp_path / "arm.library.nc"
+    save_library(file, library)
+    again = load_library(file).compliance(slab)
+    assert np.array_equal(again.values, library.compliance(slab).values, equal_nan=True)
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(bytes(content))
+    with pytest.raises(DataError, match=r"not match|damaged"):
+        load_library(file)
+    with pytest.raises(DataError, match="no such file"):
+        load_library(tmp_path / "none.nc")
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        ({"device": {**SLAB["device"], "contacts": [[0.02, 0.0]]}}, GeometryError, "off the library's patch"),
+        ({"grid": {"points": [[0.0, 0.009]]}}, GeometryError, "grid point 1 .* off the library's patch"),
+        ({"device": {**SLAB["device"], "contacts": [[0.0, 0.0], [0.003, 0.0]]}}, GeometryError, "apart, but discs"),
+        ({"device": {**SLAB["device"], "cone": {"radius": 0.003}}}, ScenarioError, "holds bonded discs of 2 mm"),
+        ({"tissues": {"preset": "thesis"}}, ScenarioError, "tissues: .* another arm"),
+        ({"limb": {**SLAB["limb"], "depth": 0.021}}, ScenarioError, "limb: .* another arm"),
+        ({"sweep": {**SLAB["sweep"], "f_max": 120}}, ScenarioError, "the library holds 60 to 100 Hz"),
+        ({"engine": "layered"}, ScenarioError, "stands for finite elements"),
+    ],
+)
+def test_what_a_library_cannot_answer_is_one_sentence(library, change, error, said):
+    with pytest.raises(error, match=said) as caught:
+        library.compliance(parse_scenario({**SLAB, **change}))
+    assert len(str(caught.value)) <= 300
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"library": {"length": 0.2, "width": 0.03}}, "reaches beyond the volar skin"),
+        ({"limb": {**SLAB["limb"], "symmetry": ["x"]}}, "cut by limb.symmetry"),
+        ({"tissues": {"override": {"fat": {"model": "springpot", "mu": 3e3, "exponent": 0.2}}}}, "needs Kelvin-Voigt"),
+    ],
+)
+def test_arms_that_no_library_is_made_for_are_refused(change, said):
+    data = json.loads(json.dumps({**SLAB, "limb": {"shape": "cylinder"}, "device": {}, "grid": {}}))
+    with pytest.raises(ForearmError, match=said):
+        make_library(parse_scenario({**data, **change}))
