@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
 from .frequencies import frequencies
 
-__all__ = ["SkinModel", "load_skin_model", "save_skin_model"]
+__all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model", "with_scenario"]
 
 _MAY_CHANGE = {"tissues", "device", "name", "description"}
 _BEYOND = 1.05  # ratio to the ends of the band up to which a model with unstable poles is trusted
@@ -67,7 +67,7 @@ class SkinModel:
         """
         before = self.scenario.model_dump(mode="json")
         after = parse_scenario(apply_overrides(before, overrides))
-        _check_followable(self.scenario, after, self.reduced.names)
+        check_followable(self.scenario, after, self.reduced.names)
         return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=None)
 
 
@@ -107,9 +107,15 @@ def _check_stable(model: SkinModel, frequency: FloatArray) -> None:
         )
 
 
-def _check_followable(before: Scenario, after: Scenario, terms: Sequence[str]) -> None:
+def check_followable(
+    before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()
+) -> None:
+    """Raise ScenarioError where a reduced model of ``terms``, made for one scenario, cannot answer for the other.
+
+    Keys that are ``unread`` by the caller may differ, too.
+    """
     for key in type(before).model_fields:
-        if key not in _MAY_CHANGE and getattr(before, key) != getattr(after, key):
+        if key not in _MAY_CHANGE and key not in unread and getattr(before, key) != getattr(after, key):
             raise ScenarioError(f"{key}: the reduced model holds for the old value only; solve the scenario anew")
     if _places(before) != _places(after):
         raise ScenarioError("device: contacts and cones are part of the reduced model; solve the scenario anew")

@@ -1,0 +1,291 @@
+"""One reduced model for many arms: other moduli, laws, tension and tape without a mesh, each with its own error."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from .. import __version__
+from ..errors import DataError, ReductionError, ScenarioError
+from ..fem.assembly.terms import term_coefficient
+from ..fem.reduction.basis import Basis
+from ..fem.reduction.rational import Rational, rational, sampled
+from ..fem.reduction.reduced_model import ReducedModel
+from ..fem.reduction.united import Growth, Trial, United, part_of, united_model
+from ..geometry.cache import cached_mesh, default_cache_dir
+from ..io.parametric import ParametricFile, read_parametric, write_parametric
+from ..ports import Port
+from ..progress import Progress
+from ..scenario import Scenario, parse_scenario
+from ..tissue import limb_tissue_keys, resolve_tissues
+from ..transfer import Compliance, ErrorEstimate
+from ..typing import ComplexArray, FloatArray
+from .fem_engine import fem_model
+from .frequencies import frequencies
+from .skin_model import check_followable, with_scenario
+from .solved import solve_key
+
+_log = logging.getLogger("forearm_fem.pipeline")
+# Keys that compliances do not follow from: a draw may differ in them.
+_UNREAD = ("rendering", "measurement", "sweep", "solver", "accuracy", "schema_version")
+_BEYOND = 1.05  # ratio to the ends of the band up to which a draw is answered
+_NODES = (25, 49)  # frequencies solved for a draw: more where a rational function through the first does not hold
+_BETWEEN = 2e-3  # of the largest entry: what that function may miss at the nodes that it does not pass through
+_PROBED = 6  # every so many nodes the estimate's smaller model is solved, too
+_POOL = 48  # draws that a model is made from
+_TYPICAL = 100.0  # Hz at which springpots are as stiff as the scenario's tissue
+_MIDDLE = 0.5
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """What arms may differ in, around a scenario: uniform in the logarithm, tension uniform.
+
+    ``moduli`` multiplies or divides mu and eta of each soft tissue (a springpot's size at 100 Hz); ``tension`` [N/m];
+    ``laws`` in turn; ``stiffening`` is a Zener tissue's mu_infinity over mu; ``exponents`` are springpots'.
+    """
+
+    moduli: float = 2.0
+    tension: tuple[float, float] = (0.0, 92.0)
+    laws: tuple[str, ...] = ("kelvin-voigt", "zener", "springpot")
+    stiffening: tuple[float, float] = (1.3, 4.0)
+    exponents: tuple[float, float] = (0.15, 0.45)
+
+    def draws(self, scenario: Scenario, count: int, *, seed: int = 0) -> tuple[Scenario, ...]:
+        """``count`` arms by a Latin hypercube over all inputs."""
+        names = soft_tissues(scenario)
+        places = qmc.LatinHypercube(3 * len(names) + 1, rng=seed).random(count)
+        return tuple(self._draw(scenario, names, self.laws[i % len(self.laws)], p) for i, p in enumerate(places))
+
+    def _draw(self, scenario: Scenario, names: Sequence[str], law: str, places: FloatArray) -> Scenario:
+        tissues, data = resolve_tissues(scenario), scenario.model_dump(mode="json", exclude_none=True)
+        for name, place in zip(names, places[:-1].reshape(-1, 3), strict=True):
+            kept = {k: v for k, v in data["tissues"]["override"].get(name, {}).items() if k in ("density", "bulk")}
+            omega = 2 * np.pi * _TYPICAL
+            modulus = complex(tissues[name].modulus.at(omega))
+            mu, eta = getattr(tissues[name].modulus, "mu", modulus.real), modulus.imag / omega
+            stiff, viscous = self.moduli ** (2 * place[:2] - 1)
+            found = {"kelvin-voigt": {"mu": mu * stiff, "eta": eta * viscous}}
+            low, high = self.stiffening
+            found["zener"] = {**found["kelvin-voigt"], "mu_infinity": mu * stiff * low * (high / low) ** place[2]}
+            found["springpot"] = _springpot(abs(modulus) * stiff, float(np.interp(place[2], [0, 1], self.exponents)))
+            data["tissues"]["override"][name] = {**kept, "model": law, **found[law]}
+        data["tissues"]["membrane"]["tension"] = float(np.interp(places[-1], [0, 1], self.tension))
+        return parse_scenario(data)
+
+
+def _springpot(size: float, exponent: float) -> dict[str, float]:
+    """Parameters of |mu*| = ``size`` [Pa] at 100 Hz."""
+    mu = (size / (2 * np.pi * _TYPICAL) ** exponent) ** (1 / (1 - exponent))
+    return {"mu": float(mu), "exponent": exponent, "eta": 1.0}
+
+
+def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
+    """The limb's tissues but bone, from the skin inwards."""
+    return tuple(dict.fromkeys(t for t in limb_tissue_keys(scenario.limb).values() if t != "bone"))
+
+
+@dataclass(frozen=True)
+class ParametricModel:
+    """A limb seen through its ports for any tissue, tension and tape near those it was made from.
+
+    ``core`` is the size of a smaller model in it: what a draw's answer changes without the rest, times ``factor``, is
+    the error stated. ``checks`` are comparisons with direct solves that had no part in making it.
+    """
+
+    scenario: Scenario
+    ports: tuple[Port, ...]
+    reduced: ReducedModel
+    core: int
+    trials: tuple[Trial, ...]
+    checks: tuple[Trial, ...]
+    solves: int
+
+    @property
+    def factor(self) -> float:
+        """What estimates are multiplied with: the largest ratio of a true to an estimated error among the checks."""
+        return max([1.0, *(c.true / c.estimated for c in self.checks if c.estimated > 0)])
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """Compliance of all ports for a draw, with the error of the reduction stated for it.
+
+        ``scenario`` may differ from the model's own in tissues (not their bulk moduli), in membrane and tape as far as
+        the model has terms for them, in the device but for its contacts, and in what compliances do not follow from.
+        Raises ScenarioError for anything else and ReductionError for frequencies more than 5 % beyond the band.
+        """
+        frequency = np.asarray(frequency, dtype=float)
+        check_followable(self.scenario, scenario, self.reduced.names, unread=_UNREAD)
+        self._check_band(frequency)
+        drawn = with_scenario(self.reduced, scenario)
+        nodes, values, between = self._answered(drawn, frequency)
+        points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
+        values[:, points, points] = np.nan
+        return Compliance(frequency, values, self.ports, (self._error(drawn, nodes, between),))
+
+    def _answered(self, drawn: ReducedModel, frequency: FloatArray) -> tuple[FloatArray, ComplexArray, float]:
+        """Frequencies solved, compliances at ``frequency``, and how far these may be off between."""
+        if len(frequency) <= _NODES[-1]:
+            return frequency, drawn.compliance(frequency), 0.0
+        for count in _NODES:
+            nodes = sampled(frequency, count)
+            fit, places = self._fitted(nodes, drawn.compliance(nodes))
+            if fit.misfit <= _BETWEEN:
+                break
+        values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
+        values[:, places[0], places[1]] = values[:, places[1], places[0]] = fit.at(frequency)
+        return nodes, np.asarray(values * self._undone()), fit.misfit
+
+    def _fitted(self, nodes: FloatArray, values: ComplexArray) -> tuple[Rational, tuple[Any, Any]]:
+        """A rational function through the upper triangle, which keeps it reciprocal, contacts' entries first."""
+        contact = np.array([p.kind == "contact" for p in self.ports])
+        rows, columns = np.triu_indices(len(self.ports))
+        order = np.argsort(~(contact[rows] | contact[columns]), kind="stable")
+        rows, columns = rows[order], columns[order]
+        watched = int((contact[rows] | contact[columns]).sum()) or None
+        entries = (values / self._undone())[:, rows, columns]
+        return rational(nodes, entries, _BETWEEN, watched), (rows, columns)
+
+    def _undone(self) -> FloatArray:
+        """Shares of force, 1 where a force has no symmetric solution."""
+        return np.where(np.isfinite(self.reduced.shares), self.reduced.shares, 1.0)
+
+    def _error(self, drawn: ReducedModel, nodes: FloatArray, between: float) -> ErrorEstimate:
+        probes = nodes[:: max(1, len(nodes) // _PROBED)]
+        core = part_of(drawn, np.arange(drawn.size) < self.core)
+        contacts = [i for i, p in enumerate(self.ports) if p.kind == "contact"]
+        points = [i for i, p in enumerate(self.ports) if p.kind == "point"] or contacts
+        block = np.ix_(range(len(probes)), points, contacts or points)
+        whole, small = (m.compliance(probes)[block] for m in (drawn, core))
+        change = np.abs(whole - small)
+        error = self.factor * change.max(axis=(1, 2)) / np.abs(whole).max(axis=(1, 2)) + between
+        band = self.factor * np.linalg.norm(change) / np.linalg.norm(whole) + between
+        worst = max(self.checks, key=lambda c: c.true, default=None)
+        seen = f"; the checks' largest true error is {worst.true:.1e} at {worst.frequency:g} Hz" if worst else ""
+        return ErrorEstimate(
+            "reduction",
+            float(band),
+            f"change by the space's weaker directions at {len(probes)} frequencies, times {self.factor:.2g} as "
+            f"{len(self.checks)} direct solves of other draws had it{seen}",
+            tuple(probes.tolist()),
+            tuple(error.tolist()),
+        )
+
+    def _check_band(self, frequency: FloatArray) -> None:
+        band = frequencies(self.scenario.sweep)
+        beyond = frequency[(frequency < band[0] / _BEYOND) | (frequency > band[-1] * _BEYOND)]
+        if len(beyond):
+            raise ReductionError(
+                f"{beyond[0]:g} Hz is outside the band of this parametric model, {band[0]:g} to {band[-1]:g} Hz; make "
+                "one for a wider band (sweep.f_min, sweep.f_max)"
+            )
+
+
+def parametric_model(
+    scenario: Scenario,
+    *,
+    base: str | Path = ".",
+    ranges: Ranges | None = None,
+    draws: Sequence[Scenario] | None = None,
+    growth: Growth | None = None,
+    progress: Progress | None = None,
+) -> ParametricModel:
+    """The model for ``draws`` of ``scenario``, or for 48 within ``ranges`` of it; kept in the cache.
+
+    ``base`` is the folder that user files refer to. Draws, and what will be asked, may differ as
+    :meth:`ParametricModel.compliance` says; give those that will be asked, or some like them. Raises what a run of the
+    scenario raises, and ScenarioError for the layered engine, which needs no such model.
+    """
+    if scenario.engine == "layered":
+        raise ScenarioError("engine: a parametric model needs engine = 'fem'; the layered twin solves each draw itself")
+    growth = growth or Growth()
+    given = tuple(draws) if draws is not None else (ranges or Ranges()).draws(scenario, _POOL)
+    if not given:
+        raise ScenarioError("a parametric model needs at least one draw to be made from; give some, or ranges")
+    own = _with_all_sheets(scenario, given)
+    mesh, band = cached_mesh(own, base=Path(base)), frequencies(own.sweep)
+    key = _key(solve_key(own, mesh, band), given, growth)
+    file = default_cache_dir() / "parametric" / f"{key}.nc"
+    if (kept := _kept(file)) is not None:
+        return kept
+    model = fem_model(own, mesh)
+    names = tuple(t.name for t in model.operator.terms)
+    for draw in given:
+        check_followable(own, draw, names, unread=_UNREAD)
+    found = [_coefficients(names, draw) for draw in given]
+    united = united_model(model, found, band, own.solver, growth, progress)
+    made = _model(own, model.ports, united)
+    try:
+        save_parametric(file, made)
+    except (DataError, OSError) as problem:
+        _log.warning("the parametric model could not be kept for a later run: %s", problem)
+    return made
+
+
+def save_parametric(path: Path, model: ParametricModel) -> None:
+    """Write ``parametric.nc``, whole or not at all."""
+    r, scenario = model.reduced, model.scenario.model_dump(mode="json")
+    tables = (np.array([astuple(t) for t in some], dtype=float).reshape(-1, 4) for some in (model.trials, model.checks))
+    write_parametric(
+        path, ParametricFile(r.names, r.matrices, r.functionals, r.shares, model.ports, scenario, model.core,
+                             model.solves, *tables)
+    )  # fmt: skip
+
+
+def load_parametric(path: str | Path) -> ParametricModel:
+    """Read ``parametric.nc``; DataError for a missing or damaged file."""
+    content = read_parametric(path)
+    scenario = parse_scenario(content.scenario, origin=str(path))
+    low = np.zeros((len(content.functionals), 0))
+    bare = ReducedModel(content.names, (), content.matrices, content.functionals, content.shares, Basis(), low)
+    tables = content.trials, content.checks
+    trials, checks = (tuple(Trial(int(d), f, e, t) for d, f, e, t in table.tolist()) for table in tables)
+    model = with_scenario(bare, scenario)
+    return ParametricModel(scenario, content.ports, model, content.core, trials, checks, content.solves)
+
+
+def _model(scenario: Scenario, ports: tuple[Port, ...], united: United) -> ParametricModel:
+    bare = replace(united.reduced, basis=Basis())
+    return ParametricModel(scenario, ports, bare, united.core, united.trials, united.checks, united.solves)
+
+
+def _kept(file: Path) -> ParametricModel | None:
+    try:
+        return load_parametric(file)
+    except (DataError, ScenarioError):
+        return None
+
+
+def _key(solve: str, draws: Sequence[Scenario], growth: Growth) -> str:
+    tissues = [draw.tissues.model_dump(mode="json") for draw in draws]
+    text = json.dumps([__version__, solve, tissues, astuple(growth)], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _coefficients(names: Sequence[str], draw: Scenario) -> tuple[Any, ...]:
+    tissues, sheets = resolve_tissues(draw), draw.tissues
+    return tuple(term_coefficient(n, tissues, draw.supports, sheets.membrane, sheets.patch) for n in names)
+
+
+def _with_all_sheets(scenario: Scenario, draws: Sequence[Scenario]) -> Scenario:
+    """The scenario with whatever some draw has on the skin and it has not, at half of the draws' largest."""
+    tissues = scenario.tissues
+    changed = dict[str, Any]()
+    for part in ("membrane", "patch"):
+        sheet = getattr(tissues, part)
+        largest = {
+            k: max(getattr(getattr(d.tissues, part), k) for d in draws)
+            for k in type(sheet).model_fields if k not in ("length", "width")
+        }  # fmt: skip
+        missing = {k: _MIDDLE * v for k, v in largest.items() if v and not getattr(sheet, k)}
+        size = draws[0].tissues.patch if part == "patch" and missing else sheet
+        given = {k: getattr(size, k) for k in ("length", "width")} if part == "patch" else {}
+        changed[part] = sheet.model_copy(update={**given, **missing})
+    return scenario.model_copy(update={"tissues": tissues.model_copy(update=changed)})
