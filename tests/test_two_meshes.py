@@ -9,8 +9,24 @@ from forearm_fem.pipeline.two_meshes import COARSER, estimated_errors, remaining
 
 
 def test_lower_order_where_resolved_and_three_where_not():
-    assert remaining_error(np.array([0.03, 0.15])) == pytest.approx(np.array([0.03, 0.15]) / (2**1.85 - 1))
-    assert remaining_error(np.array([0.5, 2.1])) == pytest.approx([0.5 / 7, 0.3])
+    assert remaining_error(np.array([0.03, 0.4])) == pytest.approx(np.array([0.03, 0.4]) / (2**1.85 - 1))
+    assert remaining_error(np.array([1.1, 2.1])) == pytest.approx([1.1 / 7, 0.3])
+
+
+# Direct solves of discs on slabs at accuracy 0.3 at 300 to 500 Hz, points 10 or 20 mm away, against the twin: relative
+# change of G on the mesh twice as coarse, and the true error, both as e(f) of the finer mesh.
+UNRESOLVED = (
+    (0.308, 0.149), (0.408, 0.274), (0.433, 0.259), (0.374, 0.157), (0.244, 0.165), (0.602, 0.148), (0.405, 0.184),
+    (0.622, 0.203), (0.419, 0.206), (1.342, 0.249), (1.707, 0.261), (2.583, 0.487), (0.568, 0.057), (0.899, 0.079),
+)  # fmt: skip
+
+
+def test_waves_that_the_coarser_mesh_does_not_carry_state_half_their_error_at_least():
+    """Order 3 from a change of 0.5 on, and interpolated below, stated a third to a fifth of these errors."""
+    change, true = np.array(UNRESOLVED).T
+    ratio = remaining_error(change) / true
+    assert ratio.min() >= 0.5
+    assert ratio.max() <= 5
 
 
 @pytest.mark.parametrize("ratio", [1.6, 1.3, 0.8, 2 / 3, 0.5])
