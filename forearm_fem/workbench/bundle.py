@@ -18,7 +18,7 @@ from ..scenario import Scenario
 from .content import content_of, measured_content
 
 _IMPORT = re.compile(r"^import \{ ([^}]*) \} from \"\./(\w+)\.js\";$", re.MULTILINE)
-_EXPORT = re.compile(r"^export ((?:async )?(?:const|function|class) (\w+))", re.MULTILINE)
+_EXPORT = re.compile(r"^export ((?:async )?(?:const|function|class) ([\w$]+))", re.MULTILINE)
 _FIRST = "main"
 
 
@@ -74,5 +74,6 @@ def script() -> str:
         done[name] = f"const page_{name} = (() => {{\n{body}\nreturn {{ {exported} }};\n}})();"
 
     take(_FIRST)
-    body = "\n".join(done.values()).replace("</", "<\\/")
+    body = "\n".join(done.values())
+    assert "</script" not in body and "<!--" not in body  # either would end the page's script element early
     return f'"use strict";\n(() => {{\n{body}\n}})();'
