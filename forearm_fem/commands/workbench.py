@@ -13,9 +13,11 @@ from .common import Declared, declaration, noted
 
 def workbench(
     what: Annotated[Path, typer.Argument(help="results folder of a run, or a file with a measured G")],
-    save: Annotated[Path | None, typer.Option("--save", help="the page; default workbench.html in the folder, NAME.html beside a file")] = None,
+    save: Annotated[
+        Path | None, typer.Option("--save", help="the page; default workbench.html in the folder, NAME.html by a file")
+    ] = None,
     scenario: Annotated[
-        Path | None, typer.Option(help="for a measured G: the scenario that was measured, for its record, wavelet and limits")
+        Path | None, typer.Option(help="for a measured G: what was measured, for its record, wavelet and limits")
     ] = None,
     declare: Declared = None,
 ) -> None:  # fmt: skip

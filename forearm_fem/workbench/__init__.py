@@ -1,4 +1,4 @@
-"""One HTML page in which the reduced model runs: waves on the arm to look at, aim and change, with no server and no network.
+"""One HTML page in which the reduced model runs: waves on the arm to see, aim and change; no server, no network.
 
 write_workbench("results/thesis", "waves.html")     # open it in any browser, give it to anyone
 view("results/thesis")                              # the same in a notebook

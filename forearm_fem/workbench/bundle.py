@@ -28,8 +28,8 @@ def write_workbench(
 ) -> Path:  # fmt: skip
     """Write the page of a results folder, or of a file with a measured G, whole or not at all.
 
-    ``scenario`` gives a measured file its ports, record, wavelet and limits (default: the thesis' own). Raises DataError
-    for anything that is neither, and where the folder's run is unfinished.
+    ``scenario`` gives a measured file its record, wavelet and limits (default: the thesis' own). Raises DataError for
+    anything that is neither, and where the folder's run is unfinished.
     """
     write_text(path, page_of(_content(what, scenario, declaration)))
     return Path(path)
@@ -56,7 +56,12 @@ def page_of(content: dict[str, Any]) -> str:
     files = resources.files(__package__).joinpath("page")
     read = {name: files.joinpath(name).read_text(encoding="utf-8") for name in ("page.html", "page.css")}
     data = json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    parts = {"TITLE": escape(f"{content['name']}: workbench"), "STYLE": read["page.css"], "DATA": data, "SCRIPT": script()}
+    parts = {
+        "TITLE": escape(f"{content['name']}: workbench"),
+        "STYLE": read["page.css"],
+        "DATA": data,
+        "SCRIPT": script(),
+    }
     return re.sub(r"%%(TITLE|STYLE|DATA|SCRIPT)%%", lambda found: parts[found[1]], read["page.html"])
 
 
@@ -75,5 +80,6 @@ def script() -> str:
 
     take(_FIRST)
     body = "\n".join(done.values())
-    assert "</script" not in body and "<!--" not in body  # either would end the page's script element early
+    assert "</script" not in body  # would end the page's script element early, as the next would
+    assert "<!--" not in body
     return f'"use strict";\n(() => {{\n{body}\n}})();'

@@ -22,7 +22,7 @@ from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import FloatArray
 from .field import Field, Surface, solved_field
 from .flat import between_points, twin_field
-from .packed import in_half_precision, packed
+from .packed import amplitudes_in_half_precision, in_half_precision, packed
 
 FORMAT = 1  # of the content; the page's own files carry it too
 _SHORT = 2**16  # vertices that 16 bits count
@@ -51,8 +51,7 @@ def content_of(results: Results) -> dict[str, Any]:
 
 
 def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -> dict[str, Any]:
-    """The page's content for a G without compliance: nothing of the device can be changed, nothing between the points is
-    known.
+    """The page's content for a G without compliance: the device cannot be changed, nothing is known between the points.
 
     ``scenario`` gives the record, the wavelet, the limits and the renderers' options.
     """
@@ -136,13 +135,17 @@ def _model(results: Results, placed: Placed) -> dict[str, Any]:
                 "shares": packed(found.shares[order], "f8"),
             }
     values = compliance.values[:, order][:, :, contacts]
-    bins = place_on_bins(compliance.frequency, values, placed.record.sample_rate, placed.record.n / placed.record.sample_rate)
+    bins = place_on_bins(
+        compliance.frequency, values, placed.record.sample_rate, placed.record.n / placed.record.sample_rate
+    )
     rows = np.searchsorted(bins.index, placed.bins.index)
     return {"kind": "samples", "values": packed(bins.values[rows], "c16")}
 
 
 def _same_ports(a: tuple[Port, ...], b: tuple[Port, ...]) -> bool:
-    return len(a) == len(b) and all(p.name == q.name and np.allclose(p.position, q.position) for p, q in zip(a, b, strict=True))
+    return len(a) == len(b) and all(
+        p.name == q.name and np.allclose(p.position, q.position) for p, q in zip(a, b, strict=True)
+    )
 
 
 def _shape(results: Results, scenario: Scenario) -> Wavelet:
@@ -188,7 +191,7 @@ def _packed_field(field: Field) -> dict[str, Any]:
     return {
         "words": field.words,
         "error": field.error,
-        "amplitudes": None if field.amplitudes is None else packed(field.amplitudes, "c8"),
+        "amplitudes": None if field.amplitudes is None else amplitudes_in_half_precision(field.amplitudes),
         "surfaces": [_packed_surface(s) for s in field.surfaces],
     }
 

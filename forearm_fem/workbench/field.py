@@ -130,7 +130,9 @@ def _sections(results: Results) -> tuple[Surface, ...]:
     names = tuple(mesh.region_names)
     # a plane through a layer of vertices would meet tetrahedra edge on
     cuts = [(name, _cut(grid, axis, centre + 1e-3)) for name, axis in (("along", "y"), ("across", "x"))]
-    return tuple(_section(name, axis, cut, names) for (name, cut), axis in zip(cuts, (1, 0), strict=True) if cut.n_cells)
+    return tuple(
+        _section(name, axis, cut, names) for (name, cut), axis in zip(cuts, (1, 0), strict=True) if cut.n_cells
+    )
 
 
 def _cut(grid: Any, normal: str, origin: FloatArray) -> Any:

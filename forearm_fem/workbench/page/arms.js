@@ -14,7 +14,7 @@ import { amplitudesAt, displace } from "./field.js";
 import { actuatorBody, deform, outlines, project, Renderer } from "./gl.js";
 import { METHODS } from "./experiment.js";
 
-const BULGE = 3.5, NEAR = 24, FREE = 14, NONE = [0, 0, 0, 1e9];
+const BULGE = 3.5, HIGHEST = 7, GLANCES = 24, NEAR = 24, FREE = 14, NONE = [0, 0, 0, 1e9];
 const STOPS = {
   light: [0.10, 0.27, 0.58, 0.45, 0.66, 0.87, 0.93, 0.915, 0.885, 0.95, 0.65, 0.42, 0.70, 0.22, 0.10],
   dark: [0.45, 0.72, 0.98, 0.22, 0.42, 0.66, 0.25, 0.255, 0.27, 0.68, 0.36, 0.20, 0.99, 0.62, 0.34],
@@ -35,7 +35,7 @@ export class Arms {
     const ports = [...content.inputs, ...content.outputs], places = ports.map((/** @type {any} */ p) => p.position.map((/** @type {number} */ v) => 1e3 * v));
     const low = [0, 1, 2].map((c) => Math.min(...places.map((p) => p[c]))), high = [0, 1, 2].map((c) => Math.max(...places.map((p) => p[c])));
     this.inputs = content.inputs;
-    this.home = { turn: -1.92, tilt: 0.86, far: 2.75 * Math.max(high[0] - low[0], high[1] - low[1], 30), centre: low.map((v, c) => (v + high[c]) / 2 + (c === 2 ? 2 : 0)) };
+    this.home = { turn: -1.92, tilt: 0.86, far: 2.95 * Math.max(high[0] - low[0], high[1] - low[1], 30), centre: low.map((v, c) => (v + high[c]) / 2 + (c === 2 ? 7 : 0)) };
     /** @type {View} */
     this.view = { ...this.home };
     this.low = low;
@@ -52,6 +52,8 @@ export class Arms {
     this.scale = Math.min(globalThis.devicePixelRatio || 1, 2);
     this.work = field.surfaces.map((s) => ({ moved: new Float32Array(s.rest.length), u: new Float32Array(s.rest.length / 3), positions: Float32Array.from(s.rest), normals: Float32Array.from(s.normals), lines: s.tissue ? outlines(s) : null }));
     this.amplitudes = new Float32Array(field.k);
+    /** @type {WeakMap<Track, number>} */
+    this.reaches = new WeakMap();
   }
 
   /** @returns {Box[]} */
@@ -64,7 +66,22 @@ export class Arms {
    * @param {number | null} limit a common one */
   show(experiment, method, track, factor, limit) {
     const most = limit ?? this.largest(experiment, method);
-    this.shown.set(method, { track, limit: most, gain: most > 0 ? nice((factor * BULGE) / most) : 0 });
+    const reach = this.highest(track), gain = Math.min(BULGE / most, HIGHEST / Math.max(reach, 1e-30));
+    this.shown.set(method, { track, limit: most, gain: most > 0 ? nice(factor * gain) : 0 });
+  }
+
+  /** Largest displacement of the skin [m], at some instants. @param {Track} track */
+  highest(track) {
+    const known = this.reaches.get(track);
+    if (known !== undefined) return known;
+    const { moved, u } = this.work[0];
+    let most = 0;
+    for (let k = 0; k < GLANCES; k++) {
+      displace(this.field.skin, amplitudesAt(track, track.first + ((k + 0.5) / GLANCES) * (track.count / track.rate), this.amplitudes), moved, u);
+      for (const v of u) most = Math.max(most, Math.abs(v));
+    }
+    this.reaches.set(track, most);
+    return most;
   }
 
   /** Largest displacement of the points while it is shown [m]. @param {Experiment} experiment @param {Method} method */

@@ -52,3 +52,13 @@ export function unpackShapes(packed) {
   for (let i = 0; i < out.length; i += k) for (let j = 0; j < k; j++) out[i + j] = values[i + j] * scale[j];
   return out;
 }
+
+/** Amplitudes (frequency x k x input) from 16 bits. @param {{scale: Packed, values: Packed}} packed @returns {Complex} */
+export function unpackAmplitudes(packed) {
+  const scale = unpack(packed.scale), values = unpack(packed.values), [frequencies, k, inputs] = packed.values.shape, out = zeros(values.length / 2);
+  for (let f = 0, at = 0; f < frequencies; f++) for (let j = 0; j < k; j++) for (let a = 0; a < inputs; a++, at++) {
+    out.re[at] = values[2 * at] * scale[f * inputs + a];
+    out.im[at] = values[2 * at + 1] * scale[f * inputs + a];
+  }
+  return out;
+}

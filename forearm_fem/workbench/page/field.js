@@ -6,7 +6,7 @@
  *   components: number, tissue: Uint8Array | null, tissues: string[]}} Surface  lengths in mm
  * @typedef {{steps: Float32Array, count: number, first: number, rate: number}} Track  amplitudes (count x k) [m], from `first` [s]
  */
-import { unpack, unpackComplex, unpackShapes, zeros } from "./arrays.js";
+import { unpack, unpackAmplitudes, unpackShapes, zeros } from "./arrays.js";
 import { toTime } from "./fft.js";
 
 const PER_CYCLE = 8;
@@ -20,7 +20,7 @@ export class Field {
       components: s.shapes.values.shape[1], tissue: s.tissue && unpack(s.tissue), tissues: s.tissues,
     }));
     /** @type {Complex | null} */
-    this.amplitudes = content.amplitudes && unpackComplex(content.amplitudes);
+    this.amplitudes = content.amplitudes && unpackAmplitudes(content.amplitudes);
     this.k = content.surfaces[0].shapes.values.shape[2];
     this.inputs = inputs;
     this.words = content.words;

@@ -30,7 +30,7 @@ const HEIGHT_OF_CONE = 6, HEIGHT_OF_COIL = 9.85, RADIUS_OF_COIL = 7, AROUND = 28
 export class Renderer {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
-    const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, preserveDrawingBuffer: true, premultipliedAlpha: false });
+    const gl = canvas.getContext("webgl2", { antialias: !inSoftware(), alpha: true, preserveDrawingBuffer: true, premultipliedAlpha: false });
     if (!gl) throw new Error("this browser offers no WebGL 2, so the arms are not drawn; numbers and plots are complete");
     this.gl = gl;
     this.canvas = canvas;
@@ -121,6 +121,14 @@ export class Renderer {
     }
     return buffer;
   }
+}
+
+/** Whether the processor draws, for which smooth edges cost four times the work. */
+function inSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2"), info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = gl && info ? String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }
 
 /** @param {WebGL2RenderingContext} gl @param {string} vertex @param {string} fragment @returns {WebGLProgram} */

@@ -5,7 +5,7 @@
  */
 import { zeros } from "./arrays.js";
 
-const ROUNDING = 1e-14, SWEEPS = 40;
+const ROUNDING = 1e-14, SWEEPS = 40, LOST = 1e-33;
 
 /**
  * X of A X = B by elimination with pivots; A (n, n) and B (n, m), row by row, are overwritten: B by X.
@@ -76,9 +76,11 @@ function subtractRow(a, width, i, k, fr, fi, first) {
 export function svd(matrix, rows, columns) {
   const a = { re: matrix.re.slice(), im: matrix.im.slice() }, v = zeros(columns * columns);
   for (let j = 0; j < columns; j++) v.re[j * columns + j] = 1;
+  // columns below rounding stay as they are: turning them for ever would wear their phases down
+  const floor = a.re.reduce((sum, re, i) => sum + re * re + a.im[i] ** 2, 0) * LOST;
   for (let sweep = 0; sweep < SWEEPS; sweep++) {
     let turned = false;
-    for (let p = 0; p < columns - 1; p++) for (let q = p + 1; q < columns; q++) turned = rotate(a, v, rows, columns, p, q) || turned;
+    for (let p = 0; p < columns - 1; p++) for (let q = p + 1; q < columns; q++) turned = rotate(a, v, rows, columns, p, q, floor) || turned;
     if (!turned) break;
   }
   return sorted(a, v, rows, columns);
@@ -87,8 +89,9 @@ export function svd(matrix, rows, columns) {
 /**
  * Make columns p and q of `a` orthogonal; false where they are.
  * @param {Complex} a @param {Complex} v @param {number} rows @param {number} columns @param {number} p @param {number} q
+ * @param {number} floor of a squared length
  */
-function rotate(a, v, rows, columns, p, q) {
+function rotate(a, v, rows, columns, p, q, floor) {
   let alpha = 0, beta = 0, gr = 0, gi = 0;
   for (let i = 0; i < rows; i++) {
     const x = i * columns + p, y = i * columns + q;
@@ -99,7 +102,7 @@ function rotate(a, v, rows, columns, p, q) {
     gi += pr * qi - pi * qr;
   }
   const size = Math.hypot(gr, gi);
-  if (size === 0 || size <= ROUNDING * Math.sqrt(alpha * beta)) return false;
+  if (alpha <= floor || beta <= floor || size <= ROUNDING * Math.sqrt(alpha * beta)) return false;
   const zeta = (beta - alpha) / (2 * size);
   const t = (zeta >= 0 ? 1 : -1) / (Math.abs(zeta) + Math.hypot(1, zeta));
   const c = 1 / Math.hypot(1, t), s = c * t, fr = gr / size, fi = gi / size;

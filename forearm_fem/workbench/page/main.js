@@ -8,6 +8,8 @@ import { caption, charts, drives, gAsCsv, gAsJson, scenarioToml, signals } from 
 import { Field } from "./field.js";
 import { cursor, errors, heads, spectra, table, traces } from "./readouts.js";
 
+const SLOW = 45, COARSEST = 0.7; // [ms] between frames, pixels per css pixel
+
 const began = performance.now();
 
 /** @param {string} text @param {boolean} [bad] */
@@ -62,10 +64,10 @@ function animate(app, bar) {
     if (app.playing && !document.hidden) {
       app.arms.time += passed * app.speed;
       if (app.arms.time > to) app.arms.time = from + ((app.arms.time - from) % (to - from));
-      const start = performance.now();
       app.arms.draw(app.experiment, app.focus);
-      slow = 0.9 * slow + 0.1 * (performance.now() - start);
-      if (slow > 45 && app.arms.scale > 0.75) { app.arms.scale = Math.max(0.75, app.arms.scale * 0.8); slow = 0; }
+      // drawing goes on after the call, so what counts is how far frames are apart; fewer pixels where they are too far
+      slow = 0.9 * slow + 100 * passed;
+      if (slow > SLOW && app.arms.scale > COARSEST) { app.arms.scale = Math.max(COARSEST, app.arms.scale * 0.85); slow = 0; }
     } else app.arms.draw(app.experiment, app.focus);
     bar.scrub.value = String(Math.round((1000 * (app.arms.time - from)) / (to - from)));
     $("now").textContent = `t = ${(1e3 * app.arms.time).toFixed(1)} ms`;

@@ -24,7 +24,7 @@ export function heads(app) {
   const { experiment, arms } = app, { settings } = experiment;
   $("heads").replaceChildren(...METHODS.map((method) => {
     const o = experiment.outcome(method), range = experiment.interval(method, settings.target);
-    const why = o.problem ? o.problem : range ? `${say(range[0])} to ${say(range[1])} within the errors stated for G` : `interval unknown: ${whyUnknown(app)}`;
+    const why = o.problem ? o.problem : range ? `${say(range[0])} to ${say(range[1])} by the errors of G` : `interval unknown: ${whyUnknown(app)}`;
     return h("div", { class: "head" },
       h("div", {},
         h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => { app.focus = method; app.rescale(); }, text: method }),
