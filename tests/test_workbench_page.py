@@ -95,7 +95,7 @@ def test_it_opens_without_a_complaint_and_s_is_pythons(tab: Any, flat: Results) 
 
 def test_the_arms_are_drawn_and_move(tab: Any) -> None:
     """Pixels of all three panels differ from their backdrop, and change with the instant."""
-    shot = """t => { const {arms, app, experiment} = workbench, gl = arms.renderer.gl; arms.time = t; arms.draw(experiment, app.focus);
+    shot = """t => { const {arms, app, experiment} = workbench, gl = arms.renderer.gl; arms.time = t; arms.draw(experiment);
       const w = gl.drawingBufferWidth, h = gl.drawingBufferHeight, px = new Uint8Array(4 * w * h); gl.readPixels(0, 0, w, h, gl.RGBA, gl.UNSIGNED_BYTE, px);
       return [0, 1, 2].map(k => { let n = 0, sum = 0; for (let y = 0; y < h; y += 3) for (let x = Math.round(k * w / 3); x < Math.round((k + 1) * w / 3); x += 3) { const i = 4 * (y * w + x); if (px[i + 3]) { n++; sum += px[i] - px[i + 2]; } } return [n / (w * h / 27), sum / n]; }); }"""
     before, after = tab.evaluate(shot, 0.0), tab.evaluate(shot, 0.006)

@@ -168,7 +168,8 @@ def short_scenario(scenario: Scenario) -> dict[str, Any]:
         same = parse_scenario(_without_none(short)).model_dump(mode="json") == whole
     except ScenarioError:
         same = False
-    return _without_none(short if same else whole)
+    kept: dict[str, Any] = _without_none(short if same else whole)
+    return kept
 
 
 def _without_none(table: Any) -> Any:

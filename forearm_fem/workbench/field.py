@@ -11,7 +11,6 @@ from ..device import contact_state
 from ..figures import Results
 from ..figures.scene import MM, volume_grid
 from ..figures.show import body_of
-from ..ports import Port
 from ..typing import ComplexArray, FloatArray, IntArray
 
 _TOLERANCE = 3e-3  # of the motion at each frequency and contact, in the mean over the skin: far below G's own error
@@ -86,7 +85,7 @@ def _areas(rest: FloatArray, faces: IntArray) -> FloatArray:
     """A third of the triangles around each vertex, so that a fine mesh weighs no more than a coarse one."""
     a, b, c = (rest[faces[:, k]] for k in range(3))
     size = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    return np.bincount(faces.ravel(), np.repeat(size, 3), minlength=len(rest))
+    return np.asarray(np.bincount(faces.ravel(), np.repeat(size, 3), minlength=len(rest)), dtype=float)
 
 
 def _fewer(modes: FloatArray, weights: FloatArray, states: ComplexArray) -> tuple[FloatArray, ComplexArray, float]:
@@ -145,8 +144,3 @@ def _section(name: str, axis: int, cut: Any, names: tuple[str, ...]) -> Surface:
     normals = np.tile(np.array([0.0, 0.0, 1.0]), (len(rest), 1))  # its colour is the motion towards the volar side
     modes = np.asarray(cut.point_data["modes"], dtype=float).reshape(len(rest), 3, -1)
     return Surface(rest, normals, faces, modes, np.asarray(cut.cell_data["region"]), names, name)
-
-
-def middle_of(ports: tuple[Port, ...]) -> FloatArray:
-    """Mean position (3,) [mm]."""
-    return np.asarray(MM * np.mean([p.position for p in ports], axis=0))

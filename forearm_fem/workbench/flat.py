@@ -30,7 +30,7 @@ def twin_field(scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArra
     contacts = [p for p in ports if p.kind == "contact"]
     surface = _rectangle(positions(ports)[:, :2], _MARGIN)
     far = np.linalg.norm(surface.rest[:, None, :2] / _MM - positions(tuple(contacts))[None, :, :2], axis=2)
-    radii = _APART * np.arange(int(far.max() / _APART) + 2)
+    radii = np.asarray(_APART * np.arange(int(far.max() / _APART) + 2), dtype=float)
     profile = _profile(scenario, contacts[0], frequency, radii)
     motion = np.asarray(CubicSpline(radii, profile, axis=1)(far))
     shapes, amplitudes, error = few_shapes(motion)

@@ -67,7 +67,7 @@ export class App {
     arms.lifted = device.touching.map((t, k) => !t || device.gain[k] === 0);
     if (!(arms.time >= this.span[0] && arms.time <= this.span[1])) arms.time = this.span[0];
     for (const tell of this.listeners) tell();
-    arms.draw(experiment, this.focus);
+    arms.draw(experiment);
   }
 
   /** Scales alone, without new drives. */
@@ -75,7 +75,7 @@ export class App {
     const { experiment, arms } = this, common = this.same ? Math.max(...METHODS.map((m) => arms.largest(experiment, m))) : null;
     for (const [method, shown] of arms.shown) arms.show(experiment, method, shown.track, this.factor, common);
     for (const tell of this.listeners) tell();
-    arms.draw(experiment, this.focus);
+    arms.draw(experiment);
   }
 
   /** From a little before the wavelet is heard to when its waves have passed [s]. @returns {[number, number]} */

@@ -35,7 +35,7 @@ export class Arms {
     const ports = [...content.inputs, ...content.outputs], places = ports.map((/** @type {any} */ p) => p.position.map((/** @type {number} */ v) => 1e3 * v));
     const low = [0, 1, 2].map((c) => Math.min(...places.map((p) => p[c]))), high = [0, 1, 2].map((c) => Math.max(...places.map((p) => p[c])));
     this.inputs = content.inputs;
-    this.home = { turn: -1.92, tilt: 0.86, far: 2.95 * Math.max(high[0] - low[0], high[1] - low[1], 30), centre: low.map((v, c) => (v + high[c]) / 2 + (c === 2 ? 7 : 0)) };
+    this.home = { turn: -1.92, tilt: 1.0, far: 2.95 * Math.max(high[0] - low[0], high[1] - low[1], 30), centre: low.map((v, c) => (v + high[c]) / 2 + (c === 2 ? 7 : 0)) };
     /** @type {View} */
     this.view = { ...this.home };
     this.low = low;
@@ -49,7 +49,9 @@ export class Arms {
     this.shown = new Map();
     this.time = 0;
     this.frames = 0;
-    this.scale = Math.min(globalThis.devicePixelRatio || 1, 2);
+    /** Pixels per css pixel: of labels, and of what costs time. */
+    this.sharp = Math.min(globalThis.devicePixelRatio || 1, 2);
+    this.scale = this.sharp;
     this.work = field.surfaces.map((s) => ({ moved: new Float32Array(s.rest.length), u: new Float32Array(s.rest.length / 3), positions: Float32Array.from(s.rest), normals: Float32Array.from(s.normals), lines: s.tissue ? outlines(s) : null }));
     this.amplitudes = new Float32Array(field.k);
     /** @type {WeakMap<Track, number>} */
@@ -89,19 +91,19 @@ export class Arms {
     return experiment.outcome(method).moves.reduce((a, u) => u.reduce((b, v) => Math.max(b, Math.abs(v) || 0), a), 0);
   }
 
-  /** @param {Experiment | null} experiment @param {Method} focus */
-  draw(experiment, focus) {
+  /** @param {Experiment | null} experiment */
+  draw(experiment) {
     this.frames++;
     const { renderer } = this, boxes = this.boxes(), over = this.parts.over, g = /** @type {CanvasRenderingContext2D} */ (over.getContext("2d"));
-    const w = Math.round(over.clientWidth * this.scale), h = Math.round(over.clientHeight * this.scale);
+    const w = Math.round(over.clientWidth * this.sharp), h = Math.round(over.clientHeight * this.sharp);
     if (over.width !== w || over.height !== h) { over.width = w; over.height = h; }
-    g.setTransform(this.scale, 0, 0, this.scale, 0, 0);
+    g.setTransform(this.sharp, 0, 0, this.sharp, 0, 0);
     g.clearRect(0, 0, w, h);
     renderer?.begin(this.scale);
     METHODS.forEach((method, i) => {
       if (boxes[i].w < 2 || boxes[i].h < 2) return;
       const matrix = this.drawBody(method, boxes[i]);
-      this.label(g, matrix, boxes[i], experiment, method, focus);
+      this.label(g, matrix, boxes[i], experiment, method);
     });
   }
 
@@ -138,8 +140,8 @@ export class Arms {
   }
 
   /** Points, target, zeros, cones and a scale bar over one panel. @param {CanvasRenderingContext2D} g @param {Float32Array} matrix @param {Box} box
-   * @param {Experiment | null} experiment @param {Method} method @param {Method} focus */
-  label(g, matrix, box, experiment, method, focus) {
+   * @param {Experiment | null} experiment @param {Method} method */
+  label(g, matrix, box, experiment, method) {
     const dark = this.theme === "dark", ink = dark ? "#f2f0ec" : "#1f2226", soft = dark ? "#a9afb8" : "#5a6068", warm = dark ? "#ffb066" : "#a04a00";
     g.save();
     g.beginPath(); g.rect(box.x, box.y, box.w, box.h); g.clip();
@@ -158,12 +160,18 @@ export class Arms {
     });
     g.fillStyle = soft; g.font = "600 11px system-ui, sans-serif";
     this.inputs.forEach((/** @type {any} */ p, /** @type {number} */ k) => { const [x, y] = project(matrix, this.bodies[k].top, box); g.fillText(p.name, x, y - 8); });
-    const from = [this.low[0], this.low[1] - 14, this.low[2]], a = project(matrix, from, box), b = project(matrix, [from[0] + 10, from[1], from[2]], box);
-    if (a[1] > box.y + box.h - 26 || a[0] < box.x + 4) { const dx = box.x + 14 - Math.min(a[0], b[0]), dy = box.y + box.h - 34 - Math.max(a[1], b[1]); a[0] += dx; b[0] += dx; a[1] += dy; b[1] += dy; }
-    g.strokeStyle = soft; g.lineWidth = 2; g.beginPath(); g.moveTo(a[0], a[1]); g.lineTo(b[0], b[1]); g.stroke();
-    g.font = "10.5px system-ui, sans-serif"; g.fillText("10 mm", (a[0] + b[0]) / 2, Math.max(a[1], b[1]) + 9);
-    if (method === focus) { g.fillStyle = soft; }
+    this.bar(g, matrix, box, soft);
     g.restore();
+  }
+
+  /** 10 mm in the plane of the picture at the middle of the grid, drawn in the panel's lower right corner.
+   * @param {CanvasRenderingContext2D} g @param {Float32Array} matrix @param {Box} box @param {string} ink */
+  bar(g, matrix, box, ink) {
+    const { centre, turn } = this.view, a = project(matrix, centre, box), b = project(matrix, [centre[0] - 10 * Math.sin(turn), centre[1] + 10 * Math.cos(turn), centre[2]], box);
+    const length = Math.hypot(b[0] - a[0], b[1] - a[1]), x = box.x + box.w - 14, y = box.y + box.h - 30;
+    g.strokeStyle = g.fillStyle = ink; g.lineWidth = 2;
+    g.beginPath(); g.moveTo(x, y); g.lineTo(x - length, y); g.stroke();
+    g.font = "10.5px system-ui, sans-serif"; g.fillText("10 mm", x - length / 2, y - 8);
   }
 
   /** The point or vertex under a place of the canvas [css px]. @param {number} x @param {number} y @param {Experiment} experiment

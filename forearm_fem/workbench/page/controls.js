@@ -215,8 +215,8 @@ export function keys(app, bar, theme) {
   const { arms, experiment } = app, dialog = $("keys");
   dialog.replaceChildren(h("h2", { text: "Keys" }), h("dl", {}, ...KEYS.flatMap(([k, t]) => [h("dt", {}, h("kbd", { text: k })), h("dd", { text: t })])), h("button", { type: "button", onclick: () => dialog.close(), text: "close" }));
   $("help").addEventListener("click", () => dialog.showModal());
-  const turn = (/** @type {number} */ a, /** @type {number} */ b) => { arms.view.turn += a; arms.view.tilt = Math.max(-1.5, Math.min(1.55, arms.view.tilt + b)); arms.draw(experiment, app.focus); };
-  const step = (/** @type {number} */ d) => { app.playing = false; arms.time = Math.min(Math.max(arms.time + d * 5e-4, app.span[0]), app.span[1]); bar.said(); arms.draw(experiment, app.focus); };
+  const turn = (/** @type {number} */ a, /** @type {number} */ b) => { arms.view.turn += a; arms.view.tilt = Math.max(-1.5, Math.min(1.55, arms.view.tilt + b)); arms.draw(experiment); };
+  const step = (/** @type {number} */ d) => { app.playing = false; arms.time = Math.min(Math.max(arms.time + d * 5e-4, app.span[0]), app.span[1]); bar.said(); arms.draw(experiment); };
   document.addEventListener("keydown", (e) => {
     const on = /** @type {HTMLElement} */ (e.target);
     if (e.ctrlKey || e.metaKey || e.altKey || ["INPUT", "SELECT", "TEXTAREA"].includes(on.tagName) || dialog.open) return;
@@ -227,7 +227,7 @@ export function keys(app, bar, theme) {
     const act = {
       " ": () => { app.playing = !app.playing; bar.said(); }, ArrowLeft: () => (held ? turn(0.08, 0) : step(-1)), ArrowRight: () => (held ? turn(-0.08, 0) : step(1)),
       ArrowUp: () => turn(0, 0.06), ArrowDown: () => turn(0, -0.06), "+": () => nearer(0.9), "=": () => nearer(0.9), "-": () => nearer(1.1),
-      "[": () => faster(1), "]": () => faster(-1), r: () => { arms.view = { ...arms.home }; arms.draw(experiment, app.focus); }, t: theme, "?": () => dialog.showModal(),
+      "[": () => faster(1), "]": () => faster(-1), r: () => { arms.view = { ...arms.home }; arms.draw(experiment); }, t: theme, "?": () => dialog.showModal(),
       m: () => { const all = /** @type {any[]} */ (["inverse filter", "funneling", "combination"]); app.focus = all[(all.indexOf(app.focus) + 1) % 3]; app.rescale(); },
       s: () => { if (bar.section.disabled) return app.say(bar.section.title); bar.section.selectedIndex = (bar.section.selectedIndex + 1) % bar.section.options.length; arms.section = bar.section.value; app.rescale(); },
     };
@@ -238,7 +238,7 @@ export function keys(app, bar, theme) {
     e.preventDefault();
     chosen();
   });
-  const nearer = (/** @type {number} */ f) => { arms.view.far = Math.min(Math.max(arms.view.far * f, 25), 1500); arms.draw(experiment, app.focus); };
+  const nearer = (/** @type {number} */ f) => { arms.view.far = Math.min(Math.max(arms.view.far * f, 25), 1500); arms.draw(experiment); };
   const faster = (/** @type {number} */ d) => { bar.speed.selectedIndex = Math.min(Math.max(bar.speed.selectedIndex + d, 0), SPEEDS.length - 1); app.speed = SPEEDS[bar.speed.selectedIndex][1]; };
 }
 
@@ -255,7 +255,7 @@ export function pointer(app) {
     down = { x: e.clientX, y: e.clientY, moved: true };
     arms.view.turn -= dx * 0.007;
     arms.view.tilt = Math.max(-1.5, Math.min(1.55, arms.view.tilt + dy * 0.007));
-    arms.draw(experiment, app.focus);
+    arms.draw(experiment);
   });
   over.addEventListener("pointerup", (/** @type {PointerEvent} */ e) => {
     const click = down && !down.moved;
@@ -270,7 +270,7 @@ export function pointer(app) {
     app.set({ place, target: experiment.points.length, zeros: Array.isArray(experiment.settings.zeros) ? experiment.settings.zeros : "auto" });
     app.say(`aiming at ${place.position.map((v) => say(1e3 * v)).join(", ")} mm, a place P between the points; S there is over the mean of the points`);
   });
-  over.addEventListener("wheel", (/** @type {WheelEvent} */ e) => { if (!e.ctrlKey && document.activeElement !== over) return; e.preventDefault(); arms.view.far = Math.min(Math.max(arms.view.far * Math.exp(e.deltaY * 0.001), 25), 1500); arms.draw(experiment, app.focus); }, { passive: false });
+  over.addEventListener("wheel", (/** @type {WheelEvent} */ e) => { if (!e.ctrlKey && document.activeElement !== over) return; e.preventDefault(); arms.view.far = Math.min(Math.max(arms.view.far * Math.exp(e.deltaY * 0.001), 25), 1500); arms.draw(experiment); }, { passive: false });
   document.addEventListener("dragover", (e) => { e.preventDefault(); document.body.classList.add("dropping"); });
   document.addEventListener("dragleave", (e) => { if (!e.relatedTarget) document.body.classList.remove("dropping"); });
   document.addEventListener("drop", (e) => { e.preventDefault(); document.body.classList.remove("dropping"); take(app, e.dataTransfer?.files ?? null); });

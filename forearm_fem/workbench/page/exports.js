@@ -41,10 +41,10 @@ export function caption(app) {
 
 /** The arms as seen, with names, S and scales. @param {App} app @returns {HTMLCanvasElement} */
 function composed(app) {
-  const { gl, over } = app.arms.parts, s = app.arms.scale, out = /** @type {HTMLCanvasElement} */ (h("canvas", { width: over.width, height: over.height + Math.round(26 * s) }));
+  const { gl, over } = app.arms.parts, s = app.arms.sharp, out = /** @type {HTMLCanvasElement} */ (h("canvas", { width: over.width, height: over.height + Math.round(26 * s) }));
   const g = /** @type {CanvasRenderingContext2D} */ (out.getContext("2d")), style = getComputedStyle(document.documentElement), ink = (/** @type {string} */ n) => style.getPropertyValue(n).trim();
   g.fillStyle = ink("--paper"); g.fillRect(0, 0, out.width, out.height);
-  if (app.arms.renderer) g.drawImage(gl, 0, 0);
+  if (app.arms.renderer) g.drawImage(gl, 0, 0, over.width, over.height);
   g.drawImage(over, 0, 0);
   g.setTransform(s, 0, 0, s, 0, 0);
   app.arms.boxes().forEach((box, i) => {
@@ -59,7 +59,7 @@ function composed(app) {
 
 /** @param {App} app */
 async function picture(app) {
-  app.arms.draw(app.experiment, app.focus);
+  app.arms.draw(app.experiment);
   const blob = await new Promise((done) => composed(app).toBlob(done, "image/png"));
   if (blob) save(app, ".png", blob, "image/png");
 }
@@ -79,7 +79,7 @@ function film(app) {
   const began = performance.now(), timer = setInterval(() => {
     app.arms.time = from + ((performance.now() - began) / 1e3) * app.speed;
     if (app.arms.time >= to || performance.now() - began > 20e3) { clearInterval(timer); recorder.stop(); return; }
-    app.arms.draw(app.experiment, app.focus);
+    app.arms.draw(app.experiment);
     g.setTransform(1, 0, 0, 1, 0, 0);
     g.drawImage(composed(app), 0, 0);
     $("wait").textContent = `film: ${Math.round((100 * (app.arms.time - from)) / (to - from))} %`;

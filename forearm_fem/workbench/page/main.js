@@ -64,11 +64,11 @@ function animate(app, bar) {
     if (app.playing && !document.hidden) {
       app.arms.time += passed * app.speed;
       if (app.arms.time > to) app.arms.time = from + ((app.arms.time - from) % (to - from));
-      app.arms.draw(app.experiment, app.focus);
+      app.arms.draw(app.experiment);
       // drawing goes on after the call, so what counts is how far frames are apart; fewer pixels where they are too far
       slow = 0.9 * slow + 100 * passed;
       if (slow > SLOW && app.arms.scale > COARSEST) { app.arms.scale = Math.max(COARSEST, app.arms.scale * 0.85); slow = 0; }
-    } else app.arms.draw(app.experiment, app.focus);
+    } else app.arms.draw(app.experiment);
     bar.scrub.value = String(Math.round((1000 * (app.arms.time - from)) / (to - from)));
     $("now").textContent = `t = ${(1e3 * app.arms.time).toFixed(1)} ms`;
     cursor(app);
@@ -82,7 +82,7 @@ function start(content, field, arms, ready) {
   const experiment = new Experiment(content), app = new App(experiment, field, arms);
   app.say = tell;
   const bar = transport(app);
-  const turn = themes(arms, () => arms.draw(experiment, app.focus));
+  const turn = themes(arms, () => arms.draw(experiment));
   app.listeners.push(() => heads(app), () => traces(app), () => spectra(app), () => table(app, (row) => aimAt(app, row)), () => errors(app), () => {
     const shown = arms.shown.get(app.focus);
     $("scale").textContent = shown ? `inwards −${say(1e6 * shown.limit, 2)} µm   0   +${say(1e6 * shown.limit, 2)} µm outwards (${app.focus}); the colour is the displacement along the skin's normal` : "";
@@ -104,7 +104,7 @@ try {
   const arms = new Arms(field, content, { gl: $("gl"), over: $("over"), panels: Array.from(document.querySelectorAll(".panel")) });
   if (arms.problem) tell(arms.problem, true);
   arms.theme = document.documentElement.dataset.theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
-  arms.draw(null, "inverse filter");
+  arms.draw(null);
   document.body.dataset.first = String(Math.round(performance.now()));
   setTimeout(() => {
     try {
