@@ -85,7 +85,10 @@ function start(content, field, arms, ready) {
   const turn = themes(arms, () => arms.draw(experiment));
   app.listeners.push(() => heads(app), () => traces(app), () => spectra(app), () => table(app, (row) => aimAt(app, row)), () => errors(app), () => {
     const shown = arms.shown.get(app.focus);
-    $("scale").textContent = shown ? `inwards −${say(1e6 * shown.limit, 2)} µm   0   +${say(1e6 * shown.limit, 2)} µm outwards (${app.focus}); the colour is the displacement along the skin's normal` : "";
+    const most = shown ? `${say(1e6 * shown.limit, 2)} µm` : "";
+    $("low").textContent = shown ? `−${most}` : "";
+    $("high").textContent = shown ? `+${most} outwards` : "";
+    $("scale").textContent = shown ? `${app.focus}; ${arms.section ? "on the cut: motion towards the volar side" : "displacement along the skin's normal"}` : "";
   });
   controls(app);
   keys(app, bar, turn);
