@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -60,12 +61,10 @@ def content(flat: Results) -> dict[str, Any]:
 
 def asked(content: dict[str, Any], *jobs: dict[str, Any]) -> list[Any]:
     """What the page's own modules answer, under node."""
-    import tempfile
-
-    with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
-        json.dump({"content": content, "jobs": jobs}, file)
-        file.flush()
-        command = [str(NODE), str(HERE / "workbench" / "numbers.mjs"), file.name]
+    with TemporaryDirectory() as place:
+        file = Path(place) / "jobs.json"
+        file.write_text(json.dumps({"content": content, "jobs": jobs}), encoding="utf-8")
+        command = [str(NODE), str(HERE / "workbench" / "numbers.mjs"), str(file)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     return list(json.loads(done.stdout))

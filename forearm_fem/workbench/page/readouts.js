@@ -195,6 +195,8 @@ export function errors(app) {
   const { experiment, field } = app, { content } = experiment;
   const estimates = content.errors.map((/** @type {any} */ e) => h("li", {}, h("strong", { text: `${e.source} ` }), e.band === null ? "unknown" : `${say(100 * e.band)} % over the band, ${say(100 * e.worst)} % at the worst frequency`, h("span", { class: "soft", text: `: ${e.method}` })));
   const changed = experiment.asRun ? [] : ["The errors of G above, and the intervals of S, are those of the run as it was made; for what was changed here they are unknown."];
+  const unseen = experiment.inputs.filter((p, k) => content.device.out_of_contact.includes(p.name) && experiment.settings.device.touching[k]).map((p) => p.name);
+  if (unseen.length && field.surfaces[0].components === 3) changed.push(`The picture leaves out what ${unseen.join(", ")} moves: out of contact in the run. Numbers at the points hold it.`);
   const picture = experiment.kind === "transfer" ? [] : [`The picture: ${field.words}. Its shapes leave out ${say(100 * field.error, 2)} % of the motion; numbers at the points do not come from them, those at a free place do.`];
   const section = field.surfaces.length > 1 ? [] : ["No section: this run kept no motion inside the limb."];
   const notes = [...changed, ...(experiment.kind === "transfer" ? [field.words[0].toUpperCase() + field.words.slice(1) + "."] : []), ...picture, ...section, "An interval of S holds nine in ten true values within the errors stated for G; how arms differ between people is not in it.", ...content.notes];
