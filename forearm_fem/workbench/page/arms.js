@@ -14,7 +14,7 @@ import { amplitudesAt, displace } from "./field.js";
 import { actuatorBody, deform, outlines, project, Renderer } from "./gl.js";
 import { METHODS } from "./experiment.js";
 
-const BULGE = 3.5, HIGHEST = 7, GLANCES = 24, NEAR = 24, FREE = 14, NONE = [0, 0, 0, 1e9];
+const BULGE = 3.5, HIGHEST = 7, GLANCES = 24, NEAR = 15, FREE = 14, NONE = [0, 0, 0, 1e9];
 const STOPS = {
   light: [0.10, 0.27, 0.58, 0.45, 0.66, 0.87, 0.93, 0.915, 0.885, 0.95, 0.65, 0.42, 0.70, 0.22, 0.10],
   dark: [0.45, 0.72, 0.98, 0.22, 0.42, 0.66, 0.25, 0.255, 0.27, 0.68, 0.36, 0.20, 0.99, 0.62, 0.34],
