@@ -23,6 +23,7 @@ from forearm_fem.figures import Results
 from forearm_fem.figures.motion import View, motion
 from forearm_fem.io import read_compliance, write_transfer
 from forearm_fem.io.csvfiles import write_csv
+from forearm_fem.io.jsonfiles import write_json
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.pipeline.skin_model import load_skin_model
@@ -234,6 +235,28 @@ def test_the_interval_is_the_runs_while_nothing_is_changed(content: dict[str, An
     assert known == [row["low"], row["high"]]
     assert changed is None
     assert device is None
+
+
+@needs_node
+def test_arms_of_a_prediction_are_shown_while_they_are_of_this_scene(flat: Results, tmp_path: Path) -> None:
+    for name in ("scenario.json", "run.json", "transfer.nc"):
+        shutil.copy(flat.folder / name, tmp_path)
+    cell = {"arms": [0.5, 0.8, 1.1, 1.4, 2.0]}
+    prediction = {
+        "scenario": flat.scenario.model_dump(mode="json"), "levels": [0.05, 0.25, 0.5, 0.75, 0.95], "draws": 40,
+        "by_target": {"funneling": {"4": cell, "5": {"arms": [None] * 5}}},
+    }  # fmt: skip
+    (tmp_path / "prediction").mkdir()
+    write_json(tmp_path / "prediction" / "prediction.json", prediction)
+    found = content_of(Results.open(tmp_path))
+    job = {"ask": "arms", "method": "funneling"}
+    known, unknown, changed = asked(
+        found, {**job, "settings": {"target": 3}}, {**job, "settings": {"target": 4}},
+        {**job, "settings": {"target": 3, "amplitude": 1.0, "zeros": "others"}},
+    )  # fmt: skip
+    assert known == [0.5, 1.1, 2.0]
+    assert unknown is None
+    assert changed is None
 
 
 def test_few_shapes_hold_the_motion_of_the_skin(folder: Path) -> None:  # noqa: F811

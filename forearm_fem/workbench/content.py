@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,7 @@ def content_of(results: Results) -> dict[str, Any]:
         "model": _model(results, placed),
         "frequencies": packed(frequency, "f8"),
         "strength": account.get("signal_strength") or {},
+        "arms": _arms(results.prediction),
         "notes": list(account.get("notes", ())),
     }
 
@@ -71,6 +73,7 @@ def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -
         },
         "frequencies": packed(transfer.frequency, "f8"),
         "strength": {},
+        "arms": None,
         "notes": [sentence] if sentence else [],
     }
 
@@ -98,6 +101,14 @@ def _common(
         "field": _packed_field(field),
         "colours": {"methods": dict(METHODS), "tissues": dict(TISSUES)},
     }
+
+
+def _arms(prediction: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """S over arms at every target, where the folder holds a prediction of this scenario; levels are its quantiles'."""
+    if prediction is None:
+        return None
+    table = {m: {t: cell["arms"] for t, cell in row.items()} for m, row in prediction["by_target"].items()}
+    return {"levels": prediction["levels"], "draws": prediction["draws"], "methods": table}
 
 
 def _field(results: Results, bins: FloatArray) -> Field:

@@ -28,6 +28,7 @@ function done(job) {
     undriven: () => experiment.outcome(job.method).undriven,
     condition: () => plain(experiment.outcome(job.method).aim.inversion.condition),
     interval: () => experiment.interval(job.method, job.settings?.target ?? 0),
+    arms: () => experiment.arms(job.method, job.settings?.target ?? 0),
     skin: () => skin(experiment, job),
     place: () => { const field = new Field(content.field, experiment.inputs.length); experiment.reach = (v) => field.reach(v); experiment.set({ place: { vertex: job.vertex, position: [0, 0, 0], normal: [0, 0, 1] } }); const g = experiment.transfer(), m = g.outputs.length, n = g.inputs.length, rows = Array.from({ length: g.bins }, (_, b) => Array.from({ length: n }, (_, i) => (b * m + m - 1) * n + i)).flat(); return [rows.map((i) => g.values.re[i]), rows.map((i) => g.values.im[i])]; },
   };

@@ -259,6 +259,15 @@ export class Experiment {
     return row && row.low !== null && row.high !== null ? [row.low, row.high] : null;
   }
 
+  /** S over arms [lower, middle, upper] that a prediction of this very scenario found, null otherwise.
+   * @param {Method} method @param {number} target @returns {number[] | null} */
+  arms(method, target) {
+    const found = this.asRun && this.content.arms?.methods[method]?.[this.points[target]?.name];
+    if (!found) return null;
+    const last = found.length - 1, band = [found[0], found[last / 2], found[last]];
+    return band.every(Number.isFinite) ? band : null;
+  }
+
   /** Another stimulus. @param {{kind: "ricker", peak: number} | {kind: "burst", frequency: number, cycles: number}
    *   | {kind: "file", name: string, samples: Float64Array}} asked */
   stimulate(asked) {

@@ -24,12 +24,14 @@ export function heads(app) {
   const { experiment, arms } = app, { settings } = experiment;
   $("heads").replaceChildren(...METHODS.map((method) => {
     const o = experiment.outcome(method), range = experiment.interval(method, settings.target);
+    const band = experiment.arms(method, settings.target);
     const why = o.problem ? o.problem : range ? `${say(range[0])} to ${say(range[1])} by the errors of G` : `interval unknown: ${whyUnknown(app)}`;
     return h("div", { class: "head" },
       h("div", {},
         h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => { app.focus = method; app.rescale(); }, text: method }),
         h("div", { class: "s", "data-method": method }, h("small", { text: "S " }), o.problem ? "–" : say(o.strength)),
-        h("div", { class: "why", text: why })),
+        h("div", { class: "why", text: why }),
+        band ? h("div", { class: "why", "data-arms": method, text: `over arms ${say(band[0])} to ${say(band[2])}, half above ${say(band[1])}` }) : null),
       h("div", { class: "foot", text: arms.words(method) }));
   }));
 }
@@ -199,6 +201,7 @@ export function errors(app) {
   if (unseen.length && field.surfaces[0].components === 3) changed.push(`The picture leaves out what ${unseen.join(", ")} moves: out of contact in the run. Numbers at the points hold it.`);
   const picture = experiment.kind === "transfer" ? [] : [`The picture: ${field.words}. Its shapes leave out ${say(100 * field.error, 2)} % of the motion; numbers at the points do not come from them, those at a free place do.`];
   const section = field.surfaces.length > 1 ? [] : ["No section: this run kept no motion inside the limb."];
-  const notes = [...changed, ...(experiment.kind === "transfer" ? [field.words[0].toUpperCase() + field.words.slice(1) + "."] : []), ...picture, ...section, "An interval of S holds nine in ten true values within the errors stated for G; how arms differ between people is not in it.", ...content.notes];
+  const arms = content.arms && `S over arms: the ${say(100 * content.arms.levels[0])} and ${say(100 * content.arms.levels[content.arms.levels.length - 1])} % quantiles of ${content.arms.draws} arms drawn by forearm-fem predict. It is no error of this arm's numbers, and is shown only while nothing is changed.`;
+  const notes = [...changed, ...(arms ? [arms] : []), ...(experiment.kind === "transfer" ? [field.words[0].toUpperCase() + field.words.slice(1) + "."] : []), ...picture, ...section, "An interval of S holds nine in ten true values within the errors stated for G; how arms differ between people is never in it.", ...content.notes];
   $("errors").replaceChildren(h("h2", { text: "How wrong may it be?" }), h("p", { style: "margin:0 0 4px", text: content.accuracy }), h("ul", {}, ...estimates), h("h2", { text: "Notes" }), h("ul", { class: "soft" }, ...notes.map((/** @type {string} */ t) => h("li", { text: t }))));
 }
