@@ -79,7 +79,7 @@ def complex_of(pair: Any) -> np.ndarray:
 def test_all_27_strengths_are_pythons(flat: Results, content: dict[str, Any]) -> None:
     """The same formulas in double precision; 1e-9 leaves room for other orders of summation."""
     found = np.array(asked(content, {"ask": "strengths"})[0])
-    expected = [[flat.run["signal_strength"]["methods"][m][t]["value"] for t in "123456789"] for m in
+    expected = [[flat.run.signal_strength.model_dump()["methods"][m][t]["value"] for t in "123456789"] for m in
                 ("inverse filter", "funneling", "combination")]  # fmt: skip
     assert found.shape == (3, 9)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
@@ -231,7 +231,7 @@ def test_the_interval_is_the_runs_while_nothing_is_changed(content: dict[str, An
         content, {**job, "settings": {"target": 3}}, {**job, "settings": {"target": 3, "zeros": "others"}},
         {**job, "settings": {"target": 3, "device": {"gain": [1, 1, 1, 0.9]}}},
     )  # fmt: skip
-    row = flat.run["signal_strength"]["methods"]["funneling"]["4"]
+    row = flat.run.signal_strength.model_dump()["methods"]["funneling"]["4"]
     assert known == [row["low"], row["high"]]
     assert changed is None
     assert device is None

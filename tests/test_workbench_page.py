@@ -82,7 +82,7 @@ def strength(tab: Any, method: str = "inverse filter") -> float:
 
 def test_it_opens_without_a_complaint_and_s_is_pythons(tab: Any, flat: Results) -> None:  # noqa: F811
     tab.locator("body[data-table]").wait_for(state="attached")
-    known = flat.run["signal_strength"]["methods"]
+    known = flat.run.signal_strength.model_dump()["methods"]
     cells = {c.get_attribute("data-s"): float(c.get_attribute("data-value")) for c in tab.locator("[data-s]").all()}
     assert len(cells) == 27
     for method in METHODS:
@@ -375,7 +375,7 @@ def test_a_measured_page_offers_no_device_and_no_place_between(browser: Any, fla
     with pytest.raises(Exception, match="a G that was given"):
         tab.evaluate("workbench.exports.scenarioToml()")
     assert strength(tab) == pytest.approx(
-        flat.run["signal_strength"]["methods"]["inverse filter"]["5"]["value"], rel=1e-6
+        flat.run.signal_strength.model_dump()["methods"]["inverse filter"]["5"]["value"], rel=1e-6
     )
     assert problems == []
     tab.close()

@@ -46,9 +46,9 @@ def content_of(results: Results) -> dict[str, Any]:
         "stamp": results.stamp,
         "model": _model(results, placed),
         "frequencies": packed(frequency, "f8"),
-        "strength": account.get("signal_strength") or {},
+        "strength": account.signal_strength.model_dump(mode="json"),
         "arms": _arms(results.prediction),
-        "notes": list(account.get("notes", ())),
+        "notes": [*account.notes, *account.warnings],
     }
 
 

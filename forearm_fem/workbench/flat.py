@@ -48,7 +48,7 @@ def _profile(scenario: Scenario, contact: Port, frequency: FloatArray, radii: Fl
     def seen(some: FloatArray) -> ComplexArray:
         found = layered_compliance(
             flat_layers(scenario), 2 * np.pi * frequency, [centred], [centred, *(Disc(float(r), 0.0) for r in some)],
-            surface=flat_surface(scenario.tissues.membrane), tolerance=_TOLERANCE,
+            surface=flat_surface(scenario.tissues), tolerance=_TOLERANCE,
         )  # fmt: skip
         return found.values[:, :, 0]
 
