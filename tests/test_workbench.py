@@ -121,6 +121,7 @@ def test_what_a_reader_changes_gives_what_python_gives(
         {"coil": {"moving_mass": 0.6e-3, "resistance": 6.0}, "cone": {"mass": 1e-3}},
         {"housing": {"fixed": True}},
         {"out_of_contact": ["A2"]},
+        {"housing": {"skin_share": 0.3}, "gains": {"A2": 0.7}, "contact_springs": {"A3": 900.0}},
         {"drive": "force", "out_of_contact": ["A4"]},
         {"drive": "displacement", "out_of_contact": ["A1"]},
     ],
@@ -131,7 +132,9 @@ def test_another_device_gives_pythons_transfer_matrix(
     cone = {"contact": "pressure", **device.get("cone", {})}
     scenario = parse_scenario({**LAYERED, "device": {**device, "cone": cone}})
     expected = close_loop(flat.compliance, scenario.device).values
-    now = {k: v for k, v in device.items() if k != "out_of_contact"}
+    now = {k: v for k, v in device.items() if k not in ("out_of_contact", "gains", "contact_springs")}
+    if "gains" in device:
+        now |= {"gain": [1, 0.7, 1, 1], "spring": [None, None, 900.0, None]}
     now |= {"touching": [f"A{k}" not in device.get("out_of_contact", ()) for k in (1, 2, 3, 4)]}
     found = complex_of(asked(content, {"ask": "transfer", "settings": {"device": now}})[0])
     np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-10 * np.abs(expected).max())
@@ -191,6 +194,7 @@ def test_nine_actuators_and_their_zero_points() -> None:
     )
     expected = render_all(g, wavelet=ricker(250.0, 1.0, 4000.0, 0.25)).strengths
     np.testing.assert_allclose(found, expected, rtol=1e-6)  # damped: s^2 + lambda^2 sums in another order
+    assert all(len(names) == 8 for names in zeros[1])
     assert zeros[0][4] == [str(k) for k in range(1, 10) if k != 5]
     assert problem == ""
 

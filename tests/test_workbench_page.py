@@ -216,7 +216,9 @@ def test_controls_change_what_they_say(tab: Any) -> None:
     tab.locator("#value").fill("0.3")
     tab.locator("#value").press("Enter")
     assert tab.evaluate("workbench.experiment.settings.rule") == {"kind": "tikhonov", "value": 0.3}
-    with pytest.raises(Exception, match="partial contact"):
+    assert tomllib.loads(tab.evaluate("workbench.exports.scenarioToml()"))["device"]["contact_springs"] == {"A1": 1000}
+    tab.evaluate("workbench.app.set({calibrated: false})")
+    with pytest.raises(Exception, match="not measured again"):
         tab.evaluate("workbench.exports.scenarioToml()")
     tab.get_by_text("device as in the run").click()
     assert tab.evaluate("workbench.experiment.settings.device.touching") == [True] * 4
@@ -226,7 +228,7 @@ def test_the_scenario_it_keeps_gives_the_same_s(tab: Any, tmp_path: Path) -> Non
     """Through the command line's own reading, solving and rendering, for everything a scenario can say."""
     tab.evaluate("""() => { const {app, experiment} = workbench, d = experiment.settings.device;
       app.set({target: 3, zeros: [0, 2, 7], rule: {kind: 'tikhonov', value: 0.02}, amplitude: 1.5, window: [-0.03, 0.06],
-        device: {...d, coil: {...d.coil, moving_mass: 5e-4, resistance: 6.5}, cone: {mass: 6e-4}, housing: {...d.housing, fixed: true}, touching: [true, true, true, false]}});
+        device: {...d, coil: {...d.coil, moving_mass: 5e-4, resistance: 6.5}, cone: {mass: 6e-4}, housing: {...d.housing, fixed: true}, touching: [true, true, true, false], gain: [0.8, 1, 1, 1], spring: [Infinity, 1500, Infinity, Infinity]}});
       experiment.stimulate({kind: 'ricker', peak: 180}); app.refresh(); }""")
     file = tmp_path / "kept.toml"
     file.write_text(tab.evaluate("workbench.exports.scenarioToml()"), encoding="utf-8")

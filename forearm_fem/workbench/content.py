@@ -10,14 +10,23 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..errors import DataError, ScenarioError
+from ..errors import DataError, GeometryError, ScenarioError
 from ..figures import Results
 from ..figures.style import METHODS, TISSUES
 from ..io.reduced import read_reduced
 from ..pipeline.renderers import wavelet
 from ..pipeline.verdict import accuracy_verdict
 from ..ports import Port
-from ..rendering import Placed, Record, Wavelet, bridged, from_samples_file, place, place_on_bins
+from ..rendering import (
+    Placed,
+    Record,
+    Wavelet,
+    bridged,
+    from_samples_file,
+    funneling_weights,
+    place,
+    place_on_bins,
+)
 from ..scenario import Scenario, parse_scenario
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import FloatArray
@@ -91,6 +100,7 @@ def _common(
         "bins": packed(placed.bins.index, "i4"),
         "inputs": [_port(p) for p in transfer.inputs],
         "outputs": [_port(p) for p in transfer.outputs],
+        "funneling": [_weights(transfer.inputs, p) for p in transfer.outputs],
         "error": packed(placed.error, "f8"),
         "errors": [_estimate(e) for e in transfer.errors],
         "accuracy": accuracy_verdict(scenario, transfer.errors),
@@ -188,6 +198,14 @@ def _without_none(table: Any) -> Any:
     if isinstance(table, dict):
         return {k: _without_none(v) for k, v in table.items() if v is not None}
     return [_without_none(v) for v in table] if isinstance(table, list) else table
+
+
+def _weights(inputs: tuple[Port, ...], target: Port) -> list[float] | None:
+    """Funneling's weights, None where it does not reach."""
+    try:
+        return [float(w) for w in funneling_weights(inputs, target)]
+    except GeometryError:
+        return None
 
 
 def _port(port: Port) -> dict[str, Any]:

@@ -143,13 +143,16 @@ function devicePart(app) {
   if (!experiment.changeable) return part("Device", false, h("p", { class: "soft", style: "margin:0", text: "G was given as it is, without the skin's compliance: gains, contact and coil cannot be changed here." }));
   const change = (/** @type {Partial<Device>} */ part) => app.set({ device: { ...experiment.settings.device, ...part } });
   const put = (/** @type {any[]} */ list, /** @type {number} */ k, /** @type {any} */ v) => list.map((old, i) => (i === k ? v : old));
+  const own = experiment.original().device;
   const rows = experiment.inputs.map((p, k) => {
+    const kept = STIFFNESS.some(([, s]) => s === own.spring[k]) ? [] : /** @type {[string, number][]} */ ([[`as in the run: ${say(own.spring[k] / 1e3)} N/mm`, own.spring[k]]]);
+    const choices = [...STIFFNESS, ...kept];
     const gain = h("input", { type: "range", min: 0, max: 2, step: 0.05, "aria-label": `gain of ${p.name}`, onchange: () => change({ gain: put(experiment.settings.device.gain, k, Number(gain.value)) }), oninput: () => { text.textContent = Number(gain.value) ? `${gain.value}×` : "off"; } });
-    const text = h("small", {}), touch = h("select", { "aria-label": `contact of ${p.name}`, onchange: () => { const s = STIFFNESS[touch.selectedIndex][1], d = experiment.settings.device; change({ touching: put(d.touching, k, s > 0), spring: put(d.spring, k, s || Infinity) }); } }, ...STIFFNESS.map(([t]) => h("option", { text: t })));
+    const text = h("small", {}), touch = h("select", { "aria-label": `contact of ${p.name}`, onchange: () => { const s = choices[touch.selectedIndex][1], d = experiment.settings.device; change({ touching: put(d.touching, k, s > 0), spring: put(d.spring, k, s || Infinity) }); } }, ...choices.map(([t]) => h("option", { text: t })));
     app.listeners.push(() => {
       const d = experiment.settings.device;
       gain.value = String(d.gain[k]); text.textContent = d.gain[k] ? `${d.gain[k]}×` : "off";
-      touch.selectedIndex = Math.max(0, d.touching[k] ? STIFFNESS.findIndex(([, s]) => s === d.spring[k]) : STIFFNESS.length - 1);
+      touch.selectedIndex = Math.max(0, d.touching[k] ? choices.findIndex(([, s]) => s === d.spring[k]) : STIFFNESS.length - 1);
     });
     return h("tr", {}, h("td", { text: p.name }), h("td", {}, gain), h("td", {}, text), h("td", {}, touch));
   });

@@ -9,7 +9,7 @@
  *   quality: number}} coil
  * @property {{mass: number}} cone
  * @property {{fixed: boolean, mass: number, gyration: number, strap_stiffness: number, strap_loss: number,
- *   strap_radius: number}} housing
+ *   strap_radius: number, skin_share: number}} housing
  * @property {boolean[]} touching  which actuators touch the skin
  * @property {number[]} gain  of each amplifier, 0 is off
  * @property {number[]} spring  [N/m] between cone and skin, Infinity for full contact
@@ -22,14 +22,14 @@ import { solveInPlace } from "./linear.js";
  * (frequency x point x actuator). `skin` (frequency x port x contact), contacts first.
  *
  * A contact that touches only in part pushes through a series spring: the cone yields 1 / spring more than the skin.
- * @param {Complex} skin @param {ArrayLike<number>} frequency @param {Port[]} contacts @param {number} ports
+ * @param {Complex} skin @param {ArrayLike<number>} frequency @param {Port[]} contacts @param {Port[]} places
  * @param {Device} device @returns {{force: Complex, transfer: Complex}}
  */
-export function closeLoop(skin, frequency, contacts, ports, device) {
-  const n = contacts.length, points = ports - n;
+export function closeLoop(skin, frequency, contacts, places, device) {
+  const n = contacts.length, points = places.length, ports = n + points;
   const force = zeros(frequency.length * n * n), transfer = zeros(frequency.length * points * n);
   const solve = { voltage: voltageForces, force: plainForces, displacement: heldForces }[device.drive];
-  const levers = leverMatrix(device, contacts);
+  const levers = leverMatrix(device, contacts, contacts), carried = device.drive === "voltage" ? leverMatrix(device, contacts, places) : [];
   for (let f = 0; f < frequency.length; f++) {
     const block = contactMap(skin, f * ports * n, n, device);
     const found = solve(block, 2 * Math.PI * frequency[f], n, device, levers);
@@ -38,6 +38,13 @@ export function closeLoop(skin, frequency, contacts, ports, device) {
       force.re[(f * n + k) * n + a] = found.re[k * n + a] * gain;
       force.im[(f * n + k) * n + a] = found.im[k * n + a] * gain;
     }
+    // what the points follow of the housing, whose coordinates stand after the contacts' unknowns
+    carried.forEach((lever, p) => lever.forEach((l, q) => {
+      for (let a = 0; a < n; a++) {
+        transfer.re[(f * points + p) * n + a] += device.housing.skin_share * l * found.re[(n + q) * n + a] * device.gain[a];
+        transfer.im[(f * points + p) * n + a] += device.housing.skin_share * l * found.im[(n + q) * n + a] * device.gain[a];
+      }
+    }));
   }
   for (let f = 0; f < frequency.length; f++) for (let p = 0; p < points; p++) for (let a = 0; a < n; a++) {
     let re = 0, im = 0;
@@ -46,8 +53,8 @@ export function closeLoop(skin, frequency, contacts, ports, device) {
       re += skin.re[c] * force.re[x] - skin.im[c] * force.im[x];
       im += skin.re[c] * force.im[x] + skin.im[c] * force.re[x];
     }
-    transfer.re[(f * points + p) * n + a] = re;
-    transfer.im[(f * points + p) * n + a] = im;
+    transfer.re[(f * points + p) * n + a] += re;
+    transfer.im[(f * points + p) * n + a] += im;
   }
   return { force, transfer };
 }
@@ -65,12 +72,12 @@ function contactMap(skin, at, n, device) {
   return out;
 }
 
-/** H (n, 3) row by row: the housing's displacement along each contact's axis; empty if it is held.
- * @param {Device} device @param {Port[]} contacts @returns {number[][]} */
-function leverMatrix(device, contacts) {
-  if (device.housing.fixed) return contacts.map(() => []);
+/** H (n, 3) row by row: the housing's displacement along the axis of each place; empty if it is held.
+ * @param {Device} device @param {Port[]} contacts @param {Port[]} places @returns {number[][]} */
+function leverMatrix(device, contacts, places) {
+  if (device.housing.fixed) return places.map(() => []);
   const mean = [0, 1].map((c) => contacts.reduce((sum, p) => sum + p.position[c], 0) / contacts.length);
-  return contacts.map((p) => {
+  return places.map((p) => {
     const [x, y] = [0, 1].map((c) => (p.position[c] - mean[c]) / device.housing.gyration);
     return [p.axis[2], p.axis[2] * y, -p.axis[2] * x];
   });

@@ -93,8 +93,8 @@ export class Experiment {
       device: {
         drive: device.drive, coil: { ...device.coil }, cone: { mass: device.cone.mass }, housing: { ...device.housing },
         touching: this.inputs.map((p) => !device.out_of_contact.includes(p.name)),
-        gain: this.inputs.map(() => 1),
-        spring: this.inputs.map(() => Infinity),
+        gain: this.inputs.map((p) => device.gains?.[p.name] ?? 1),
+        spring: this.inputs.map((p) => device.contact_springs?.[p.name] ?? Infinity),
       },
       calibrated: true,
     };
@@ -131,19 +131,18 @@ export class Experiment {
   /** Compliance with the free place's row (frequency x ports x contacts). */
   ports() {
     const { place } = this.settings, n = this.inputs.length, own = n + this.points.length;
-    if (!place || !this.reach) return { skin: this.skin, ports: own };
+    if (!place || !this.reach) return this.skin;
     const row = this.reach(place.vertex), all = zeros(this.frequency.length * (own + 1) * n);
     for (let f = 0; f < this.frequency.length; f++) for (const part of /** @type {("re" | "im")[]} */ (["re", "im"])) {
       all[part].set(this.skin[part].subarray(f * own * n, (f + 1) * own * n), f * (own + 1) * n);
       all[part].set(row[part].subarray(f * n, (f + 1) * n), (f * (own + 1) + own) * n);
     }
-    return { skin: all, ports: own + 1 };
+    return all;
   }
 
   /** G and forces of a device on the bins. @param {Device} device @returns {{force: Complex, transfer: Complex}} */
   loop(device) {
-    const { skin, ports } = this.once("loop ports", () => this.ports());
-    return closeLoop(skin, this.frequency, this.inputs, ports, device);
+    return closeLoop(this.once("loop ports", () => this.ports()), this.frequency, this.inputs, this.outputs, device);
   }
 
   /** The forces per unit drive of the present device (bins x contacts x inputs). @returns {Complex} */
@@ -154,7 +153,7 @@ export class Experiment {
   /** G that plays: the present device's. @returns {Placed} */
   transfer() {
     const { measured } = this, values = measured ? measured.values : this.once("loop now", () => this.loop(this.settings.device)).transfer;
-    return { values, valid: measured?.valid ?? null, error: this.error, outputs: this.outputs, inputs: this.inputs, bins: this.index.length };
+    return { values, valid: measured?.valid ?? null, error: this.error, outputs: this.outputs, inputs: this.inputs, bins: this.index.length, weights: this.content.funneling };
   }
 
   /** G that the renderers aim with: the present one, or the run's if the device was not calibrated again. @returns {Placed} */
@@ -172,7 +171,7 @@ export class Experiment {
       if (f < low || f > high) throw new RangeError(`${f} Hz lies outside the band of ${low} to ${high} Hz that was solved`);
     }
     const skin = complianceAt(this.poles, frequency, this.inputs.length);
-    return closeLoop(skin, frequency, this.inputs, this.inputs.length + this.points.length, this.settings.device).transfer;
+    return closeLoop(skin, frequency, this.inputs, this.points, this.settings.device).transfer;
   }
 
   /** Window of S [s], null for the whole record. @returns {[number, number] | null} */

@@ -157,7 +157,7 @@ function scenario(app) {
 export function scenarioToml(app) {
   const { experiment } = app, { settings, content } = experiment, then = experiment.original(), { device } = settings;
   if (experiment.kind === "transfer") throw new Error("this page holds a G that was given, not a scenario; keep G and signals as CSV instead");
-  const cannot = [device.gain.some((g) => g !== 1) && "gains", device.spring.some((s, k) => device.touching[k] && Number.isFinite(s)) && "partial contact", !settings.calibrated && "a device that was not measured again"].filter(Boolean);
+  const cannot = [device.gain.some((g) => g === 0) && "an actuator that is off", !settings.calibrated && "a device that was not measured again"].filter(Boolean);
   if (cannot.length) throw new Error(`a scenario has no key for ${cannot.join(", ")}: set ${cannot.length > 1 ? "them" : "it"} back to keep a scenario, or keep signals and G as CSV`);
   const table = structuredClone(content.scenario), notes = [];
   table.name = `${content.name}-workbench`;
@@ -165,7 +165,10 @@ export function scenarioToml(app) {
   for (const key of /** @type {const} */ (["resistance", "inductance", "force_factor", "moving_mass", "resonance", "quality"])) if (device.coil[key] !== then.device.coil[key]) put(`device.coil.${key}`, device.coil[key]);
   if (device.cone.mass !== then.device.cone.mass) put("device.cone.mass", device.cone.mass);
   if (device.housing.fixed !== then.device.housing.fixed) put("device.housing.fixed", device.housing.fixed);
+  const named = (/** @type {(k: number) => number | null} */ value) => Object.fromEntries(experiment.inputs.map((p, k) => [p.name, value(k)]).filter(([, v]) => v !== null));
   put("device.out_of_contact", experiment.inputs.filter((_, k) => !device.touching[k]).map((p) => p.name));
+  put("device.gains", named((k) => (device.gain[k] === 1 ? null : device.gain[k])));
+  put("device.contact_springs", named((k) => (Number.isFinite(device.spring[k]) && device.touching[k] ? device.spring[k] : null)));
   put("rendering.methods", METHODS);
   put("rendering.amplitude", settings.amplitude);
   put("rendering.window", settings.window);

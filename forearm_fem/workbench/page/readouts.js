@@ -199,6 +199,7 @@ export function errors(app) {
   const changed = experiment.asRun ? [] : ["The errors of G above, and the intervals of S, are those of the run as it was made; for what was changed here they are unknown."];
   const unseen = experiment.inputs.filter((p, k) => content.device.out_of_contact.includes(p.name) && experiment.settings.device.touching[k]).map((p) => p.name);
   if (unseen.length && field.surfaces[0].components === 3) changed.push(`The picture leaves out what ${unseen.join(", ")} moves: out of contact in the run. Numbers at the points hold it.`);
+  if (content.device.housing.skin_share && !content.device.housing.fixed) changed.push("The picture leaves out what the skin follows of the housing; numbers at the points hold it.");
   const picture = experiment.kind === "transfer" ? [] : [`The picture: ${field.words}. Its shapes leave out ${say(100 * field.error, 2)} % of the motion; numbers at the points do not come from them, those at a free place do.`];
   const section = field.surfaces.length > 1 ? [] : ["No section: this run kept no motion inside the limb."];
   const arms = content.arms && `S over arms: the ${say(100 * content.arms.levels[0])} and ${say(100 * content.arms.levels[content.arms.levels.length - 1])} % quantiles of ${content.arms.draws} arms drawn by forearm-fem predict. It is no error of this arm's numbers, and is shown only while nothing is changed.`;

@@ -14,6 +14,7 @@
  * @property {Port[]} outputs
  * @property {Port[]} inputs
  * @property {number} bins
+ * @property {(number[] | null)[]} [weights] of funneling towards each output, for actuators that form no rectangle
  * @typedef {{spectrum: Complex, used: Uint8Array, zeros: number[], inversion: Inversion | null}} Aim
  * @typedef {{condition: Float64Array, misfit: Float64Array, rank: Float64Array}} Inversion
  */
@@ -75,7 +76,7 @@ export function aim(method, g, target, wavelet, options, known) {
 
 /** @param {Placed} g @param {number} target @param {Complex} wavelet @param {number} amplitude @returns {Aim} */
 function funneling(g, target, wavelet, amplitude) {
-  const weights = funnelingWeights(g.inputs, g.outputs[target]);
+  const weights = funnelingWeights(g.inputs, g.outputs[target], g.weights?.[target] ?? null);
   if (typeof weights === "string") throw new Error(weights);
   const used = knownBins(g, [target]), absent = absentInputs(g, [target]), n = g.inputs.length, spectrum = zeros(g.bins * n);
   for (let b = 0; b < g.bins; b++) if (used[b]) for (let i = 0; i < n; i++) {

@@ -43,11 +43,13 @@ function lines(coordinate, slack) {
   return [means, line];
 }
 
-/** (1 - d_x / D_x)(1 - d_y / D_y) of each actuator, or why there is none. @param {Port[]} inputs @param {Port} target
- * @returns {number[] | string} */
-export function funnelingWeights(inputs, target) {
+/** (1 - d_x / D_x)(1 - d_y / D_y) of each actuator, or why there is none. 
+ *
+ * Actuators on a line or in triangles have the weights that Python found for each point (`known`).
+ * @param {Port[]} inputs @param {Port} target @param {number[] | null} known @returns {number[] | string} */
+export function funnelingWeights(inputs, target, known) {
   const grid = latticeOf(inputs);
-  if (!grid) return `funneling needs actuators on a rectangle, these ${inputs.length} form none`;
+  if (!grid) return known ?? `funneling does not reach this place: these ${inputs.length} actuators form no rectangle around it`;
   const at = turn(target.position, -grid.angle);
   const shares = [grid.rows, grid.columns].map((found, axis) => sharesOf(at[axis], found, grid.slack));
   if (shares.some((s) => s === null)) return "funneling reaches only places inside the actuators' rectangle";
