@@ -18,7 +18,7 @@ from test_figures_scene import folder  # noqa: F401
 from test_skin_model import solved  # noqa: F401
 
 from forearm_fem.device import close_loop
-from forearm_fem.errors import DataError
+from forearm_fem.errors import DataError, GeometryError
 from forearm_fem.figures import Results
 from forearm_fem.figures.motion import View, motion
 from forearm_fem.io import read_compliance, write_transfer
@@ -27,7 +27,7 @@ from forearm_fem.io.jsonfiles import write_json
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.pipeline.skin_model import load_skin_model
-from forearm_fem.rendering import render_all, ricker, strengths
+from forearm_fem.rendering import Funneling, render_all, ricker, strengths
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.workbench import content_of, page_of, view, write_workbench
 from forearm_fem.workbench.bundle import script
@@ -197,6 +197,28 @@ def test_nine_actuators_and_their_zero_points() -> None:
     assert all(len(names) == 8 for names in zeros[1])
     assert zeros[0][4] == [str(k) for k in range(1, 10) if k != 5]
     assert problem == ""
+
+
+@needs_node
+def test_actuators_in_a_triangle_funnel_as_in_python() -> None:
+    places = [[-0.03, -0.03], [-0.03, 0.03], [0.03, 0.0]]
+    scenario = parse_scenario({**LAYERED, "device": {"cone": {"contact": "pressure"}, "contacts": places}})
+    g = simulate(scenario).transfer
+    found, reached, beyond = asked(
+        measured_content(g, scenario, ""), {"ask": "strengths"},
+        {"ask": "problem", "method": "funneling", "settings": {"target": 4}},
+        {"ask": "problem", "method": "funneling", "settings": {"target": 8}},
+    )  # fmt: skip
+    shape = ricker(250.0, 1.0, 4000.0, 0.25)
+    for row in range(9):
+        try:
+            expected = strengths(g, [str(row + 1)], [Funneling()], shape)[0, 0]
+        except GeometryError:  # outside the triangle
+            assert found[1][row] is None
+        else:
+            assert found[1][row] == pytest.approx(expected, rel=1e-9)
+    assert reached == ""
+    assert "form no rectangle around it" in beyond
 
 
 @needs_node
