@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from . import __version__
-from .commands import about, design, library, measured, new, pictures, predict, simulate, studies, study
+from .commands import about, design, library, measured, new, pictures, predict, simulate, studies, study, workbench
 from .commands.common import console, print_error
 from .errors import ForearmError
 
@@ -21,7 +21,7 @@ app = typer.Typer(
 for _command in (
     simulate.run, simulate.mesh, simulate.solve, simulate.render,
     measured.calibrate, measured.play, measured.loopback, measured.compare, measured.fit,
-    pictures.figures, pictures.show, predict.predict, predict.validate,
+    pictures.figures, pictures.show, workbench.workbench, predict.predict, predict.validate,
     studies.campaign, library.library, design.design, studies.verify,
     new.new, about.schema, about.doctor,
 ):  # fmt: skip

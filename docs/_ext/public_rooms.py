@@ -19,7 +19,7 @@ PUBLIC = {
     "forearm_fem.figures": "Figures",
     "forearm_fem.figures.motion": "Waves in space: which",
     "forearm_fem.figures.show": "Waves in space: stills and films",
-    "forearm_fem.figures.page": "Waves in space: a page for the browser",
+    "forearm_fem.workbench": "The workbench: a run as a page for the browser",
     "forearm_fem.io": "Files",
     "forearm_fem.device": "The device's circuit and mechanics",
     "forearm_fem.layered": "The semi-analytic twin",

@@ -3,7 +3,7 @@ Waves in space
 ==============
 
 A still of the skin and of a cut beneath it, from the reduced basis: no new solve. The same view makes a film
-(``animate``) and a page for the browser (``export_html``); on the command line ``forearm-fem show results/quick``.
+(``animate``) and the workbench is a page for the browser; on the command line ``forearm-fem show results/quick``.
 """
 
 # %%

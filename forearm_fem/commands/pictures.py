@@ -50,7 +50,7 @@ def figures(
 def show(
     what: Annotated[Path, typer.Argument(help="results folder, or a scenario whose results lie in results/NAME")],
     save: Annotated[
-        Path | None, typer.Option("--save", help="instead of a window: .png, .gif, .mp4, or .html to turn in a browser")
+        Path | None, typer.Option("--save", help="instead of a window: .png, .gif, .mp4, or .html, the workbench")
     ] = None,
 ) -> None:
     """Walk around the moving limb in a window, or keep a picture, film or page of it."""
@@ -86,9 +86,9 @@ def _saved(folder: Path, save: Path) -> None:
         with Display() as display:
             animate(folder, save, progress=display)
     elif kind == ".html":
-        from ..figures.page import export_html
+        from ..workbench import write_workbench
 
-        export_html(folder, save)
+        write_workbench(folder, save)
     else:
         raise DataError(f"{save}: choose a name that ends in .png, .gif, .mp4 or .html")
 

@@ -1,0 +1,22 @@
+"""
+Touch the waves
+===============
+
+The run as a page in which its model goes on working: click a point on an arm, hold others still, change the stimulus or
+the coils, and see all three methods answer. Below is the page itself, alive. On the command line
+``forearm-fem workbench results/quick``; in a notebook ``view("results/quick")`` as the last line of a cell.
+"""
+
+# %%
+from common import quick
+
+from forearm_fem.workbench import view
+
+run = quick()
+page = view(run, height=1000)
+
+# %%
+# What this page promises: it is one file below 15 MB, and it reaches no network.
+assert len(page.page) < 15e6
+assert "default-src 'none'" in page.page
+page  # noqa: B018  the last line of a cell is shown

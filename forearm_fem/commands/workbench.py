@@ -1,0 +1,31 @@
+"""workbench: a run as a page in which its model goes on working."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..scenario import load_scenario, scenario_file
+from .common import Declared, declaration, noted
+
+
+def workbench(
+    what: Annotated[Path, typer.Argument(help="results folder of a run, or a file with a measured G")],
+    save: Annotated[
+        Path | None, typer.Option("--save", help="the page; default workbench.html in the folder, NAME.html by a file")
+    ] = None,
+    scenario: Annotated[
+        Path | None, typer.Option(help="for a measured G: what was measured, for its record, wavelet and limits")
+    ] = None,
+    declare: Declared = None,
+) -> None:  # fmt: skip
+    """Write one HTML page in which the waves move and everything can be tried: no server, no network."""
+    from ..workbench import write_workbench
+
+    asked = load_scenario(scenario_file(scenario)) if scenario is not None else None
+    page = save or (what / "workbench.html" if what.is_dir() else what.with_suffix(".html"))
+    with noted():
+        write_workbench(what, page, scenario=asked, declaration=declaration(declare))
+    typer.echo(f"{page}: {page.stat().st_size / 1e6:.1f} MB, opens in any browser")

@@ -1,0 +1,85 @@
+"""The page as one file: template, styles, script and content, and nothing that a browser would have to fetch."""
+
+from __future__ import annotations
+
+import json
+import re
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from ..errors import DataError
+from ..figures import Results
+from ..io.atomic import write_text
+from ..io.declaration import Declaration
+from ..io.recognise import read_measured
+from ..scenario import Scenario
+from .content import content_of, measured_content
+
+_IMPORT = re.compile(r"^import \{ ([^}]*) \} from \"\./(\w+)\.js\";$", re.MULTILINE)
+_EXPORT = re.compile(r"^export ((?:async )?(?:const|function|class) ([\w$]+))", re.MULTILINE)
+_FIRST = "main"
+
+
+def write_workbench(
+    what: Results | str | Path, path: str | Path, *, scenario: Scenario | None = None,
+    declaration: Declaration | None = None,
+) -> Path:  # fmt: skip
+    """Write the page of a results folder, or of a file with a measured G, whole or not at all.
+
+    ``scenario`` gives a measured file its record, wavelet and limits (default: the thesis' own). Raises DataError for
+    anything that is neither, and where the folder's run is unfinished.
+    """
+    write_text(path, page_of(_content(what, scenario, declaration)))
+    return Path(path)
+
+
+def _content(what: Results | str | Path, scenario: Scenario | None, declaration: Declaration | None) -> dict[str, Any]:
+    if isinstance(what, Results):
+        return content_of(what)
+    place = Path(what)
+    if place.is_dir():
+        return content_of(Results.open(place))
+    if not place.is_file():
+        raise DataError(f"{place}: no such results folder or file; `forearm-fem run SCENARIO` makes a folder")
+    asked = scenario or Scenario(name=place.stem)
+    transfer = read_measured(place, declaration)
+    return measured_content(transfer, asked.model_copy(update={"name": place.stem}), f"measured G of {place.name}")
+
+
+def page_of(content: dict[str, Any]) -> str:
+    """The page that shows ``content``.
+
+    Names and notes stand in JSON inside a script element, of which no text can close the element or open another.
+    """
+    files = resources.files(__package__).joinpath("page")
+    read = {name: files.joinpath(name).read_text(encoding="utf-8") for name in ("page.html", "page.css")}
+    data = json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    parts = {
+        "TITLE": escape(f"{content['name']}: workbench"),
+        "STYLE": read["page.css"],
+        "DATA": data,
+        "SCRIPT": script(),
+    }
+    return re.sub(r"%%(TITLE|STYLE|DATA|SCRIPT)%%", lambda found: parts[found[1]], read["page.html"])
+
+
+def script() -> str:
+    """All modules of ``page/`` that ``main.js`` needs, each in a function of its own and after those it imports."""
+    done: dict[str, str] = {}
+
+    def take(name: str) -> None:
+        source = resources.files(__package__).joinpath(f"page/{name}.js").read_text(encoding="utf-8")
+        for _, needed in _IMPORT.findall(source):
+            if needed not in done:
+                take(needed)
+        exported = ", ".join(found[1] for found in _EXPORT.findall(source))
+        body = _EXPORT.sub(r"\1", _IMPORT.sub(r"const { \1 } = page_\2;", source))
+        done[name] = f"const page_{name} = (() => {{\n{body}\nreturn {{ {exported} }};\n}})();"
+
+    take(_FIRST)
+    body = "\n".join(done.values())
+    assert "</script" not in body  # would end the page's script element early, as the next would
+    assert "<!--" not in body
+    return f'"use strict";\n(() => {{\n{body}\n}})();'

@@ -1,0 +1,239 @@
+"""What goes into the page: the model between the ports, the device, the field, and what is known about their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..errors import DataError, GeometryError, ScenarioError
+from ..figures import Results
+from ..figures.style import METHODS, TISSUES
+from ..io.reduced import read_reduced
+from ..pipeline.renderers import wavelet
+from ..pipeline.verdict import accuracy_verdict
+from ..ports import Port
+from ..rendering import (
+    Placed,
+    Record,
+    Wavelet,
+    bridged,
+    from_samples_file,
+    funneling_weights,
+    place,
+    place_on_bins,
+)
+from ..scenario import Scenario, parse_scenario
+from ..transfer import ErrorEstimate, TransferMatrix
+from ..typing import FloatArray
+from .field import Field, Surface, solved_field
+from .flat import between_points, twin_field
+from .packed import amplitudes_in_half_precision, in_half_precision, packed
+
+FORMAT = 1  # of the content; the page's own files carry it too
+_SHORT = 2**16  # vertices that 16 bits count
+
+
+def content_of(results: Results) -> dict[str, Any]:
+    """Everything the page needs of a finished run; DataError where G cannot be placed on the bins of its record."""
+    scenario, transfer = results.scenario, results.transfer
+    record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
+    if not results.has("compliance"):
+        return measured_content(transfer, scenario, results.stamp)
+    compliance = results.compliance
+    placed = place(bridged(transfer).transfer, record)
+    frequency = compliance.frequency
+    field = _field(results, placed.bins.frequency)
+    account = results.account
+    return {
+        **_common(scenario, placed, transfer, field, record, _shape(results, scenario)),
+        "name": scenario.name,
+        "stamp": results.stamp,
+        "model": _model(results, placed),
+        "frequencies": packed(frequency, "f8"),
+        "strength": account.signal_strength.model_dump(mode="json"),
+        "arms": _arms(results.prediction),
+        "notes": [*account.notes, *account.warnings],
+    }
+
+
+def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -> dict[str, Any]:
+    """The page's content for a G without compliance: the device cannot be changed, nothing is known between the points.
+
+    ``scenario`` gives the record, the wavelet, the limits and the renderers' options.
+    """
+    record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
+    holes = bridged(transfer)
+    placed = place(holes.transfer, record)
+    shape = wavelet(scenario.rendering, scenario.sweep, Path())
+    sentence = holes.sentence
+    return {
+        **_common(scenario, placed, transfer, between_points(transfer.outputs), record, shape),
+        "name": scenario.name,
+        "stamp": stamp,
+        "model": {
+            "kind": "transfer",
+            "values": packed(placed.bins.values, "c16"),
+            "valid": packed(placed.bins.valid, "u1"),
+        },
+        "frequencies": packed(transfer.frequency, "f8"),
+        "strength": {},
+        "arms": None,
+        "notes": [sentence] if sentence else [],
+    }
+
+
+def _common(
+    scenario: Scenario, placed: Placed, transfer: TransferMatrix, field: Field, record: Record, shape: Wavelet
+) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "program": __version__,
+        "description": scenario.description,
+        "engine": scenario.engine,
+        "unit": transfer.unit,
+        "record": {"rate": record.sample_rate, "n": record.n},
+        "bins": packed(placed.bins.index, "i4"),
+        "inputs": [_port(p) for p in transfer.inputs],
+        "outputs": [_port(p) for p in transfer.outputs],
+        "funneling": [_weights(transfer.inputs, p) for p in transfer.outputs],
+        "error": packed(placed.error, "f8"),
+        "errors": [_estimate(e) for e in transfer.errors],
+        "accuracy": accuracy_verdict(scenario, transfer.errors),
+        "device": {**scenario.device.model_dump(mode="json"), "centres": scenario.device.centres},
+        "rendering": scenario.rendering.model_dump(mode="json"),
+        "samples": None if scenario.rendering.wavelet.file is None else packed(shape.samples, "f8"),
+        "scenario": short_scenario(scenario),
+        "field": _packed_field(field),
+        "colours": {"methods": dict(METHODS), "tissues": dict(TISSUES)},
+    }
+
+
+def _arms(prediction: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """S over arms at every target, where the folder holds a prediction of this scenario; levels are its quantiles'."""
+    if prediction is None:
+        return None
+    table = {m: {t: cell["arms"] for t, cell in row.items()} for m, row in prediction["by_target"].items()}
+    return {"levels": prediction["levels"], "draws": prediction["draws"], "methods": table}
+
+
+def _field(results: Results, bins: FloatArray) -> Field:
+    """The field on the record's ``bins`` [Hz]."""
+    scenario, ports = results.scenario, results.compliance.ports
+    if results.has_field:
+        return _on_bins(solved_field(results), results.wavefield.frequency, scenario, bins)
+    if scenario.engine == "layered" and any(p.kind == "contact" for p in ports):
+        return twin_field(scenario, ports, bins)
+    return between_points(results.transfer.outputs)
+
+
+def _on_bins(field: Field, frequency: FloatArray, scenario: Scenario, bins: FloatArray) -> Field:
+    if field.amplitudes is None or (len(bins) == len(frequency) and np.allclose(bins, frequency, atol=1e-6)):
+        return field
+    found = place_on_bins(frequency, field.amplitudes, scenario.sweep.sample_rate, scenario.sweep.duration)
+    rows = np.searchsorted(found.frequency, bins - 1e-6)
+    return Field(field.surfaces, found.values[rows], field.error, field.words)
+
+
+def _model(results: Results, placed: Placed) -> dict[str, Any]:
+    """Poles and residues where the sweep found them, else the compliance's contact columns on the bins."""
+    compliance = results.compliance
+    contacts, points = compliance.indices("contact"), compliance.indices("point")
+    order = [*contacts, *points]
+    if results.has("reduced.nc"):
+        found = read_reduced(results.path("reduced.nc"))
+        if found.poles and _same_ports(found.ports, compliance.ports):
+            left, right = found.poles["left"][order], found.poles["right"][:, order]
+            return {
+                "kind": "poles",
+                "poles": packed(found.poles["poles"], "c16"),
+                "left": packed(left, "c16"),
+                "right": packed(right, "c16"),
+                "shares": packed(found.shares[order], "f8"),
+            }
+    values = compliance.values[:, order][:, :, contacts]
+    bins = place_on_bins(
+        compliance.frequency, values, placed.record.sample_rate, placed.record.n / placed.record.sample_rate
+    )
+    rows = np.searchsorted(bins.index, placed.bins.index)
+    return {"kind": "samples", "values": packed(bins.values[rows], "c16")}
+
+
+def _same_ports(a: tuple[Port, ...], b: tuple[Port, ...]) -> bool:
+    return len(a) == len(b) and all(
+        p.name == q.name and np.allclose(p.position, q.position) for p, q in zip(a, b, strict=True)
+    )
+
+
+def _shape(results: Results, scenario: Scenario) -> Wavelet:
+    """The scenario's wavelet, its samples from the copy that the run left in the folder."""
+    file = scenario.rendering.wavelet.file
+    if file is None:
+        return wavelet(scenario.rendering, scenario.sweep, results.folder)
+    kept = results.folder / f"wavelet{Path(file).suffix}"
+    if not kept.is_file():
+        raise DataError(f"{kept}: missing; `forearm-fem render SCENARIO --out {results.folder}` makes it")
+    return from_samples_file(kept, scenario.sweep.sample_rate, scenario.sweep.duration)
+
+
+def short_scenario(scenario: Scenario) -> dict[str, Any]:
+    """The scenario without its defaults where it says the same, for a file that a reader may check."""
+    whole: dict[str, Any] = scenario.model_dump(mode="json")
+    short = {k: v for k, v in scenario.model_dump(mode="json", exclude_defaults=True).items() if k != "schema_version"}
+    short["name"] = scenario.name
+    try:
+        same = parse_scenario(_without_none(short)).model_dump(mode="json") == whole
+    except ScenarioError:
+        same = False
+    kept: dict[str, Any] = _without_none(short if same else whole)
+    return kept
+
+
+def _without_none(table: Any) -> Any:
+    """TOML has no null: a key that is None is left out."""
+    if isinstance(table, dict):
+        return {k: _without_none(v) for k, v in table.items() if v is not None}
+    return [_without_none(v) for v in table] if isinstance(table, list) else table
+
+
+def _weights(inputs: tuple[Port, ...], target: Port) -> list[float] | None:
+    """Funneling's weights, None where it does not reach."""
+    try:
+        return [float(w) for w in funneling_weights(inputs, target)]
+    except GeometryError:
+        return None
+
+
+def _port(port: Port) -> dict[str, Any]:
+    return asdict(port)
+
+
+def _estimate(error: ErrorEstimate) -> dict[str, Any]:
+    known = {"band": error.band, "worst": error.worst} if error.known else {"band": None, "worst": None}
+    return {"source": error.source, **known, "method": error.method}
+
+
+def _packed_field(field: Field) -> dict[str, Any]:
+    return {
+        "words": field.words,
+        "error": field.error,
+        "amplitudes": None if field.amplitudes is None else amplitudes_in_half_precision(field.amplitudes),
+        "surfaces": [_packed_surface(s) for s in field.surfaces],
+    }
+
+
+def _packed_surface(surface: Surface) -> dict[str, Any]:
+    few = len(surface.rest) < _SHORT
+    return {
+        "name": surface.name,
+        "rest": packed(surface.rest, "f4"),
+        "normals": packed(surface.normals, "f4"),
+        "faces": packed(surface.faces, "u2" if few else "u4"),
+        "shapes": in_half_precision(surface.shapes),
+        "tissue": None if surface.tissue is None else packed(surface.tissue, "u1"),
+        "tissues": list(surface.tissues),
+    }

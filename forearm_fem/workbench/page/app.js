@@ -1,0 +1,94 @@
+/**
+ * What the parts of the page share, and the order in which things are worked out again after a change.
+ *
+ * @typedef {import("./experiment.js").Settings} Settings
+ * @typedef {import("./experiment.js").Method} Method
+ * @typedef {import("./experiment.js").Outcome} Outcome
+ * @typedef {{name: string, frequency: Float64Array, values: import("./arrays.js").Complex}} Overlay a measured G
+ */
+import { Arms } from "./arms.js";
+import { METHODS } from "./experiment.js";
+import { timeOf } from "./wavelet.js";
+
+const BEFORE = 0.012, AFTER = 0.045, HEARD = 1e-3;
+
+export class App {
+  /** @param {import("./experiment.js").Experiment} experiment @param {import("./field.js").Field} field @param {Arms} arms */
+  constructor(experiment, field, arms) {
+    this.experiment = experiment;
+    this.field = field;
+    this.arms = arms;
+    experiment.reach = (vertex) => /** @type {any} */ (field.reach(vertex));
+    /** @type {Method} */
+    this.focus = "inverse filter";
+    this.playing = true;
+    this.speed = 1 / 40;
+    this.factor = 1;
+    this.same = false;
+    /** @type {Overlay | null} */
+    this.overlay = null;
+    /** @type {[number, number]} */
+    this.span = [-0.02, 0.06];
+    /** @type {(() => void)[]} */
+    this.listeners = [];
+    /** @type {(text: string, bad?: boolean) => void} */
+    this.say = () => {};
+    this.version = 0;
+  }
+
+  /** Change settings and work everything out again; a change that cannot be is said, and undone. @param {Partial<Settings>} change */
+  set(change) {
+    const before = this.experiment.settings;
+    try {
+      this.experiment.set(change);
+      this.refresh();
+    } catch (problem) {
+      this.experiment.set(before);
+      this.refresh();
+      this.say(problem instanceof Error ? problem.message : String(problem), true);
+    }
+  }
+
+  /** Everything that follows from the settings. */
+  refresh() {
+    const { experiment, field, arms } = this, { record, index } = experiment;
+    this.version++;
+    this.span = this.shownSpan();
+    const outcomes = METHODS.map((m) => experiment.outcome(m));
+    const common = this.same ? Math.max(...METHODS.map((m) => arms.largest(experiment, m))) : null;
+    arms.shown.clear();
+    for (const o of outcomes) {
+      if (!o.sent || !o.spectra) continue;
+      const force = experiment.changeable ? experiment.forces() : null;
+      const track = field.track(force, o.sent, o.spectra, index, record.n / record.rate, this.span);
+      arms.show(experiment, o.method, track, this.factor, common);
+    }
+    const { device } = experiment.settings;
+    arms.lifted = device.touching.map((t, k) => !t || device.gain[k] === 0);
+    if (!(arms.time >= this.span[0] && arms.time <= this.span[1])) arms.time = this.span[0];
+    for (const tell of this.listeners) tell();
+    arms.draw(experiment);
+  }
+
+  /** Scales alone, without new drives. */
+  rescale() {
+    const { experiment, arms } = this, common = this.same ? Math.max(...METHODS.map((m) => arms.largest(experiment, m))) : null;
+    for (const [method, shown] of arms.shown) arms.show(experiment, method, shown.track, this.factor, common);
+    for (const tell of this.listeners) tell();
+    arms.draw(experiment);
+  }
+
+  /** From a little before the wavelet is heard to when its waves have passed [s]. @returns {[number, number]} */
+  shownSpan() {
+    const { record, settings } = this.experiment, { samples } = settings.wavelet;
+    const most = samples.reduce((a, v) => Math.max(a, Math.abs(v)), 0);
+    let first = record.n, last = 0;
+    samples.forEach((v, j) => { if (Math.abs(v) > HEARD * most) { first = Math.min(first, j); last = j; } });
+    return [Math.max(timeOf(record, first) - BEFORE, timeOf(record, 0)), Math.min(timeOf(record, last) + AFTER, timeOf(record, record.n - 1))];
+  }
+
+  /** @returns {Outcome} of the method in focus */
+  get outcome() {
+    return this.experiment.outcome(this.focus);
+  }
+}

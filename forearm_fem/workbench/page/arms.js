@@ -1,0 +1,212 @@
+/**
+ * The three arms: their motion at an instant, drawn, labelled, turned and clicked.
+ *
+ * @typedef {import("./experiment.js").Experiment} Experiment
+ * @typedef {import("./experiment.js").Method} Method
+ * @typedef {import("./field.js").Field} Field
+ * @typedef {import("./field.js").Track} Track
+ * @typedef {import("./gl.js").View} View
+ * @typedef {import("./gl.js").Box} Box
+ * @typedef {{track: Track, limit: number, gain: number}} Shown  colours end at `limit` [m], motion drawn `gain` [mm per m]
+ */
+import { say } from "./dom.js";
+import { amplitudesAt, displace } from "./field.js";
+import { actuatorBody, deform, outlines, project, Renderer } from "./gl.js";
+import { METHODS } from "./experiment.js";
+
+const BULGE = 3.5, HIGHEST = 7, GLANCES = 24, NEAR = 15, FREE = 14, NONE = [0, 0, 0, 1e9];
+const STOPS = {
+  light: [0.10, 0.27, 0.58, 0.45, 0.66, 0.87, 0.93, 0.915, 0.885, 0.95, 0.65, 0.42, 0.70, 0.22, 0.10],
+  dark: [0.45, 0.72, 0.98, 0.22, 0.42, 0.66, 0.25, 0.255, 0.27, 0.68, 0.36, 0.20, 0.99, 0.62, 0.34],
+};
+
+export class Arms {
+  /** @param {Field} field @param {any} content @param {{gl: HTMLCanvasElement, over: HTMLCanvasElement, panels: HTMLElement[]}} parts */
+  constructor(field, content, parts) {
+    this.field = field;
+    this.parts = parts;
+    /** @type {Renderer | null} */
+    this.renderer = null;
+    try {
+      this.renderer = new Renderer(parts.gl);
+    } catch (problem) {
+      this.problem = problem instanceof Error ? problem.message : String(problem);
+    }
+    const ports = [...content.inputs, ...content.outputs], places = ports.map((/** @type {any} */ p) => p.position.map((/** @type {number} */ v) => 1e3 * v));
+    const low = [0, 1, 2].map((c) => Math.min(...places.map((p) => p[c]))), high = [0, 1, 2].map((c) => Math.max(...places.map((p) => p[c])));
+    this.inputs = content.inputs;
+    this.home = { turn: -1.92, tilt: 1.0, far: 2.95 * Math.max(high[0] - low[0], high[1] - low[1], 30), centre: low.map((v, c) => (v + high[c]) / 2 + (c === 2 ? 7 : 0)) };
+    /** @type {View} */
+    this.view = { ...this.home };
+    this.low = low;
+    this.bodies = content.inputs.map(actuatorBody);
+    this.theme = "light";
+    /** Actuators that do nothing, drawn faintly. @type {boolean[]} */
+    this.lifted = [];
+    /** @type {"" | "along" | "across"} */
+    this.section = "";
+    /** @type {Map<Method, Shown>} */
+    this.shown = new Map();
+    this.time = 0;
+    this.frames = 0;
+    /** Pixels per css pixel: of labels, and of what costs time. */
+    this.sharp = Math.min(globalThis.devicePixelRatio || 1, 2);
+    this.scale = this.sharp;
+    this.work = field.surfaces.map((s) => ({ moved: new Float32Array(s.rest.length), u: new Float32Array(s.rest.length / 3), positions: Float32Array.from(s.rest), normals: Float32Array.from(s.normals), lines: s.tissue ? outlines(s) : null }));
+    this.amplitudes = new Float32Array(field.k);
+    /** @type {WeakMap<Track, number>} */
+    this.reaches = new WeakMap();
+  }
+
+  /** @returns {Box[]} */
+  boxes() {
+    const outer = this.parts.over.getBoundingClientRect();
+    return this.parts.panels.map((p) => { const b = p.getBoundingClientRect(); return { x: b.left - outer.left, y: b.top - outer.top, w: b.width, h: b.height }; });
+  }
+
+  /** What moves and at which scales. @param {Experiment} experiment @param {Method} method @param {Track} track @param {number} factor
+   * @param {number | null} limit a common one */
+  show(experiment, method, track, factor, limit) {
+    const most = limit ?? this.largest(experiment, method);
+    const reach = this.highest(track), gain = Math.min(BULGE / most, HIGHEST / Math.max(reach, 1e-30));
+    this.shown.set(method, { track, limit: most, gain: most > 0 ? nice(factor * gain) : 0 });
+  }
+
+  /** Largest displacement of the skin [m], at some instants. @param {Track} track */
+  highest(track) {
+    const known = this.reaches.get(track);
+    if (known !== undefined) return known;
+    const { moved, u } = this.work[0];
+    let most = 0;
+    for (let k = 0; k < GLANCES; k++) {
+      displace(this.field.skin, amplitudesAt(track, track.first + ((k + 0.5) / GLANCES) * (track.count / track.rate), this.amplitudes), moved, u);
+      for (const v of u) most = Math.max(most, Math.abs(v));
+    }
+    this.reaches.set(track, most);
+    return most;
+  }
+
+  /** Largest displacement of the points while it is shown [m]. @param {Experiment} experiment @param {Method} method */
+  largest(experiment, method) {
+    return experiment.outcome(method).moves.reduce((a, u) => u.reduce((b, v) => Math.max(b, Math.abs(v) || 0), a), 0);
+  }
+
+  /** @param {Experiment | null} experiment */
+  draw(experiment) {
+    this.frames++;
+    const { renderer } = this, boxes = this.boxes(), over = this.parts.over, g = /** @type {CanvasRenderingContext2D} */ (over.getContext("2d"));
+    const w = Math.round(over.clientWidth * this.sharp), h = Math.round(over.clientHeight * this.sharp);
+    if (over.width !== w || over.height !== h) { over.width = w; over.height = h; }
+    g.setTransform(this.sharp, 0, 0, this.sharp, 0, 0);
+    g.clearRect(0, 0, w, h);
+    renderer?.begin(this.scale);
+    METHODS.forEach((method, i) => {
+      if (boxes[i].w < 2 || boxes[i].h < 2) return;
+      const matrix = this.drawBody(method, boxes[i]);
+      this.label(g, matrix, boxes[i], experiment, method);
+    });
+  }
+
+  /** @param {Method} method @param {Box} box @returns {Float32Array} */
+  drawBody(method, box) {
+    const { renderer, field, view } = this, shown = this.shown.get(method);
+    const matrix = /** @type {Renderer} */ (renderer ?? { panel: () => new Float32Array(16) }).panel(box, view);
+    if (!renderer) return matrix;
+    if (shown) amplitudesAt(shown.track, this.time, this.amplitudes);
+    else this.amplitudes.fill(0);
+    const stops = STOPS[this.theme === "dark" ? "dark" : "light"], cutting = field.surfaces.findIndex((s) => s.name === this.section);
+    const side = this.section === "along" ? [0, -1, 0] : [-1, 0, 0];
+    field.surfaces.forEach((surface, s) => {
+      if (s > 0 && s !== cutting) return;
+      const work = this.work[s];
+      displace(surface, this.amplitudes, work.moved, work.u);
+      deform(surface, work.moved, shown?.gain ?? 0, work.positions, work.normals);
+      const at = cutting > 0 ? this.field.surfaces[cutting].rest : null, wall = at ? side[0] * at[0] + side[1] * at[1] : 0;
+      const cut = s === 0 && at ? [...side, wall] : NONE;
+      renderer.surface(surface, work.positions, work.normals, work.u, { matrix, view, limit: shown?.limit || 1, stops, cut, flatness: s ? 1 : 0 });
+      if (work.lines) this.drawLines(work.lines, work.positions, matrix);
+    });
+    const tone = this.theme === "dark" ? [0.72, 0.76, 0.82, 0.26] : [0.30, 0.34, 0.40, 0.26];
+    this.bodies.forEach((/** @type {any} */ b, /** @type {number} */ k) => renderer.solid(b.triangles, b.normals, { matrix, view, tone: this.lifted[k] ? [...tone.slice(0, 3), 0.08] : tone }));
+    return matrix;
+  }
+
+  /** @param {Uint32Array} lines @param {Float32Array} positions @param {Float32Array} matrix */
+  drawLines(lines, positions, matrix) {
+    const ends = new Float32Array(3 * lines.length);
+    lines.forEach((v, k) => ends.set(positions.subarray(3 * v, 3 * v + 3), 3 * k));
+    const tone = this.theme === "dark" ? [0.9, 0.9, 0.9, 0.8] : [0.15, 0.15, 0.18, 0.75];
+    this.renderer?.solid(ends, new Float32Array(ends.length), { matrix, view: this.view, tone, lines: true });
+  }
+
+  /** Points, target, zeros, cones and a scale bar over one panel. @param {CanvasRenderingContext2D} g @param {Float32Array} matrix @param {Box} box
+   * @param {Experiment | null} experiment @param {Method} method */
+  label(g, matrix, box, experiment, method) {
+    const dark = this.theme === "dark", ink = dark ? "#f2f0ec" : "#1f2226", soft = dark ? "#a9afb8" : "#5a6068", warm = dark ? "#ffb066" : "#a04a00";
+    g.save();
+    g.beginPath(); g.rect(box.x, box.y, box.w, box.h); g.clip();
+    g.textAlign = "center"; g.textBaseline = "middle";
+    const outputs = experiment?.outputs ?? [], few = outputs.length <= 36;
+    const outcome = experiment?.outcome(method), held = outcome?.aim?.zeros ?? [];
+    outputs.forEach((p, i) => {
+      const [x, y] = project(matrix, p.position.map((v, c) => 1e3 * v + 0.6 * p.axis[c]), box), aimed = i === experiment?.settings.target;
+      g.lineWidth = 1.4;
+      g.strokeStyle = g.fillStyle = aimed ? ink : held.includes(i) ? warm : soft;
+      g.beginPath();
+      if (aimed) { g.arc(x, y, 6.5, 0, 7); g.stroke(); g.beginPath(); g.arc(x, y, 2, 0, 7); g.fill(); }
+      else if (held.includes(i)) { g.moveTo(x - 3.5, y - 3.5); g.lineTo(x + 3.5, y + 3.5); g.moveTo(x + 3.5, y - 3.5); g.lineTo(x - 3.5, y + 3.5); g.stroke(); }
+      else { g.arc(x, y, 1.6, 0, 7); g.fill(); }
+      if (few || aimed) { g.font = aimed ? "600 12px system-ui, sans-serif" : "10.5px system-ui, sans-serif"; g.fillText(p.name, x + (aimed ? 12 : 8), y - (aimed ? 9 : 7)); }
+    });
+    g.fillStyle = soft; g.font = "600 11px system-ui, sans-serif";
+    this.inputs.forEach((/** @type {any} */ p, /** @type {number} */ k) => { const [x, y] = project(matrix, this.bodies[k].top, box); g.fillText(p.name, x, y - 8); });
+    this.bar(g, matrix, box, soft);
+    g.restore();
+  }
+
+  /** 10 mm in the plane of the picture at the middle of the grid, drawn in the panel's lower right corner.
+   * @param {CanvasRenderingContext2D} g @param {Float32Array} matrix @param {Box} box @param {string} ink */
+  bar(g, matrix, box, ink) {
+    const { centre, turn } = this.view, a = project(matrix, centre, box), b = project(matrix, [centre[0] - 10 * Math.sin(turn), centre[1] + 10 * Math.cos(turn), centre[2]], box);
+    const length = Math.hypot(b[0] - a[0], b[1] - a[1]), x = box.x + box.w - 14, y = box.y + box.h - 30;
+    g.strokeStyle = g.fillStyle = ink; g.lineWidth = 2;
+    g.beginPath(); g.moveTo(x, y); g.lineTo(x - length, y); g.stroke();
+    g.font = "10.5px system-ui, sans-serif"; g.fillText("10 mm", x - length / 2, y - 8);
+  }
+
+  /** The point or vertex under a place of the canvas [css px]. @param {number} x @param {number} y @param {Experiment} experiment
+   * @returns {{row: number} | {vertex: number} | null} */
+  pick(x, y, experiment) {
+    const box = this.boxes().find((b) => x >= b.x && x < b.x + b.w && y >= b.y && y < b.y + b.h);
+    if (!box) return null;
+    const matrix = /** @type {any} */ (this.renderer)?.panel(box, this.view);
+    if (!matrix) return null;
+    let best = -1, gap = NEAR;
+    experiment.outputs.forEach((p, i) => { const q = project(matrix, p.position.map((v) => 1e3 * v), box), d = Math.hypot(q[0] - x, q[1] - y); if (d < gap) { gap = d; best = i; } });
+    if (best >= 0) return { row: best };
+    const { rest } = this.field.skin, near = [];
+    for (let v = 0; v < rest.length / 3; v++) { const q = project(matrix, rest.subarray(3 * v, 3 * v + 3), box), d = Math.hypot(q[0] - x, q[1] - y); if (d < FREE) near.push({ v, d, depth: q[2] }); }
+    if (!near.length) return null;
+    const front = Math.min(...near.map((c) => c.depth));
+    return { vertex: near.filter((c) => c.depth < front + 8).sort((p, q) => p.d - q.d)[0].v };
+  }
+
+  /** @param {Method} method @returns {string} what the panel's scales are */
+  words(method) {
+    const shown = this.shown.get(method);
+    if (!shown || !shown.limit) return "";
+    return `colours to ±${say(1e6 * shown.limit, 2)} µm · motion drawn ${say(shown.gain / 1e3, 3)}×`;
+  }
+}
+
+/** The largest of 1, 2, 5 times a power of ten up to `value`. @param {number} value */
+export function nice(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return power * (value / power >= 5 ? 5 : value / power >= 2 ? 2 : 1);
+}
+
+/** The colour scale as css. @param {string} theme */
+export function stopsOf(theme) {
+  const s = STOPS[theme === "dark" ? "dark" : "light"];
+  return [0, 1, 2, 3, 4].map((k) => `rgb(${s.slice(3 * k, 3 * k + 3).map((v) => Math.round(255 * v)).join(",")})`);
+}

@@ -1,0 +1,284 @@
+/**
+ * The whole way from the skin's compliance to S, with everything a reader of the page may change; no picture, no window.
+ *
+ * @typedef {import("./arrays.js").Complex} Complex
+ * @typedef {import("./device.js").Device} Device
+ * @typedef {import("./device.js").Port} Port
+ * @typedef {import("./renderers.js").Aim} Aim
+ * @typedef {import("./renderers.js").Method} Method
+ * @typedef {import("./renderers.js").Placed} Placed
+ * @typedef {import("./renderers.js").Rule} Rule
+ * @typedef {import("./wavelet.js").Wavelet} Wavelet
+ * @typedef {import("./wavelet.js").Record} Record
+ * @typedef {{vertex: number, position: number[], normal: number[]}} Place  anywhere on the skin, [m]
+ * @typedef {object} Settings
+ * @property {number} target  row among the points, the free place after them
+ * @property {Place | null} place
+ * @property {"run" | "auto" | "thesis" | "others" | number[]} zeros
+ * @property {Rule | null} rule
+ * @property {number} amplitude  [V], and [1e-6 m] for the inverse filter
+ * @property {"wavelet" | "record" | [number, number]} window
+ * @property {Wavelet} wavelet
+ * @property {Device} device
+ * @property {boolean} calibrated  whether renderers know the changed device
+ * @typedef {object} Outcome  one method at one target
+ * @property {Method} method
+ * @property {string} problem  why there is none; empty otherwise
+ * @property {Aim | null} aim
+ * @property {Complex | null} sent  drive spectra (bins x inputs) [V/Hz]
+ * @property {Complex | null} spectra  (bins x outputs) [m/Hz]
+ * @property {Float64Array[]} signals  [V]
+ * @property {Float64Array[]} moves  [m]
+ * @property {number[]} areas
+ * @property {number} strength
+ * @property {number} undriven  share of the wavelet's energy on bins that are not driven
+ */
+import { unpack, unpackComplex, zeros } from "./arrays.js";
+import { complianceAt, polesOf } from "./compliance.js";
+import { closeLoop } from "./device.js";
+import { toSpectrum, toTime } from "./fft.js";
+import { aim, knownInputs, respond } from "./renderers.js";
+import { area, strengthOf } from "./strength.js";
+import { burst, placed, ricker, windowOf } from "./wavelet.js";
+import { autoZeros, thesisZeros } from "./zeros.js";
+
+/** @type {Method[]} */
+export const METHODS = ["inverse filter", "funneling", "combination"];
+
+export class Experiment {
+  /** @param {any} content of the page, packed */
+  constructor(content) {
+    this.content = content;
+    /** @type {Record} */
+    this.record = content.record;
+    /** @type {Int32Array} */
+    this.index = unpack(content.bins);
+    this.frequency = Float64Array.from(this.index, (k) => (k * this.record.rate) / this.record.n);
+    /** @type {Port[]} */
+    this.inputs = content.inputs;
+    /** @type {Port[]} */
+    this.points = content.outputs;
+    /** @type {Float64Array} */
+    this.error = unpack(content.error);
+    this.kind = content.model.kind;
+    this.poles = this.kind === "poles" ? polesOf(content.model) : null;
+    this.skin = this.poles
+      ? complianceAt(this.poles, this.frequency, this.inputs.length)
+      : this.kind === "samples" ? unpackComplex(content.model.values) : zeros(0);
+    this.measured = this.kind === "transfer"
+      ? { values: unpackComplex(content.model.values), valid: /** @type {Uint8Array} */ (unpack(content.model.valid)) }
+      : null;
+    /** Motion at a vertex of the skin per newton (bins x contacts); set by the page. @type {((vertex: number) => Complex) | null} */
+    this.reach = null;
+    /** @type {Settings} */
+    this.settings = this.original();
+    this.cache = new Map();
+  }
+
+  /** Settings with which the run was made. @returns {Settings} */
+  original() {
+    const { rendering, device } = this.content, names = this.points.map((p) => p.name);
+    const targets = rendering.targets === "all" ? names : rendering.targets;
+    const start = targets.includes("5") ? "5" : targets[Math.floor(targets.length / 2)] ?? names[0];
+    return {
+      target: Math.max(names.indexOf(start), 0),
+      place: null,
+      zeros: "run",
+      rule: rendering.regularisation === "auto" ? null : { kind: rendering.regularisation, value: rendering.regularisation_value },
+      amplitude: rendering.amplitude,
+      window: rendering.window,
+      wavelet: this.content.samples
+        ? { samples: unpack(this.content.samples), name: rendering.wavelet.file, kind: "file" }
+        : ricker(rendering.wavelet.peak, this.record),
+      device: {
+        drive: device.drive, coil: { ...device.coil }, cone: { mass: device.cone.mass }, housing: { ...device.housing },
+        touching: this.inputs.map((p) => !device.out_of_contact.includes(p.name)),
+        gain: this.inputs.map((p) => device.gains?.[p.name] ?? 1),
+        spring: this.inputs.map((p) => device.contact_springs?.[p.name] ?? Infinity),
+      },
+      calibrated: true,
+    };
+  }
+
+  /** Whether the device can be changed: only where the skin's compliance is known. */
+  get changeable() {
+    return this.kind !== "transfer";
+  }
+
+  /** Points and the free place. @returns {Port[]} */
+  get outputs() {
+    const { place } = this.settings;
+    if (!place) return this.points;
+    return [...this.points, { name: "P", kind: "point", position: place.position, axis: place.normal, radius: 0 }];
+  }
+
+  /** @template T @param {string} key @param {() => T} make @returns {T} */
+  once(key, make) {
+    if (!this.cache.has(key)) this.cache.set(key, make());
+    return this.cache.get(key);
+  }
+
+  /** Change settings; what does not depend on them is kept. @param {Partial<Settings>} change */
+  set(change) {
+    this.settings = { ...this.settings, ...change };
+    for (const key of this.cache.keys()) {
+      if (!("device" in change || "place" in change) && (key.startsWith("loop") || key.startsWith("svd"))) continue;
+      if (!("wavelet" in change) && key === "wavelet") continue;
+      this.cache.delete(key);
+    }
+  }
+
+  /** Compliance with the free place's row (frequency x ports x contacts). */
+  ports() {
+    const { place } = this.settings, n = this.inputs.length, own = n + this.points.length;
+    if (!place || !this.reach) return this.skin;
+    const row = this.reach(place.vertex), all = zeros(this.frequency.length * (own + 1) * n);
+    for (let f = 0; f < this.frequency.length; f++) for (const part of /** @type {("re" | "im")[]} */ (["re", "im"])) {
+      all[part].set(this.skin[part].subarray(f * own * n, (f + 1) * own * n), f * (own + 1) * n);
+      all[part].set(row[part].subarray(f * n, (f + 1) * n), (f * (own + 1) + own) * n);
+    }
+    return all;
+  }
+
+  /** G and forces of a device on the bins. @param {Device} device @returns {{force: Complex, transfer: Complex}} */
+  loop(device) {
+    return closeLoop(this.once("loop ports", () => this.ports()), this.frequency, this.inputs, this.outputs, device);
+  }
+
+  /** The forces per unit drive of the present device (bins x contacts x inputs). @returns {Complex} */
+  forces() {
+    return this.once("loop now", () => this.loop(this.settings.device)).force;
+  }
+
+  /** G that plays: the present device's. @returns {Placed} */
+  transfer() {
+    const { measured } = this, values = measured ? measured.values : this.once("loop now", () => this.loop(this.settings.device)).transfer;
+    return { values, valid: measured?.valid ?? null, error: this.error, outputs: this.outputs, inputs: this.inputs, bins: this.index.length, weights: this.content.funneling };
+  }
+
+  /** G that the renderers aim with: the present one, or the run's if the device was not calibrated again. @returns {Placed} */
+  believed() {
+    if (this.settings.calibrated || this.measured) return this.transfer();
+    return { ...this.transfer(), values: this.once("loop before", () => this.loop(this.original().device)).transfer };
+  }
+
+  /** G at any frequency inside the band (frequency x points x inputs), by the poles. @param {ArrayLike<number>} frequency
+   * @returns {Complex} */
+  transferAt(frequency) {
+    if (!this.poles) throw new Error("this page knows G on the bins of its record only");
+    const low = this.frequency[0], high = this.frequency[this.frequency.length - 1];
+    for (const f of Array.from(frequency)) {
+      if (f < low || f > high) throw new RangeError(`${f} Hz lies outside the band of ${low} to ${high} Hz that was solved`);
+    }
+    const skin = complianceAt(this.poles, frequency, this.inputs.length);
+    return closeLoop(skin, frequency, this.inputs, this.points, this.settings.device).transfer;
+  }
+
+  /** Window of S [s], null for the whole record. @returns {[number, number] | null} */
+  window() {
+    const { window, wavelet } = this.settings;
+    if (window === "record") return null;
+    return window === "wavelet" ? windowOf(wavelet.samples, this.record) : window;
+  }
+
+  /** The wavelet's spectrum on the bins [1/Hz], and its energy on them. */
+  wavelet() {
+    return this.once("wavelet", () => {
+      const all = toSpectrum(this.settings.wavelet.samples, this.record.rate), { index, record } = this;
+      const energy = Float64Array.from(all.re, (re, k) => (k === 0 || 2 * k === record.n ? 1 : 2) * (re * re + all.im[k] ** 2));
+      return {
+        re: Float64Array.from(index, (k) => all.re[k]), im: Float64Array.from(index, (k) => all.im[k]),
+        energy, total: energy.reduce((a, b) => a + b, 0),
+      };
+    });
+  }
+
+  /** Zero points of a method at a target. @param {Method} method @param {number} target @returns {number[]} */
+  zerosOf(method, target) {
+    const { outputs } = this, { zeros: rule } = this.settings;
+    if (Array.isArray(rule)) return rule.filter((row) => row !== target && row < outputs.length);
+    if (rule === "others") return outputs.map((_, i) => i).filter((i) => i !== target);
+    const asked = this.content.rendering.zeros;
+    if (rule === "run" && !this.settings.place) {
+      const found = Array.isArray(asked) ? asked : asked === "search" ? this.content.strength.zeros?.[method]?.[this.points[target]?.name] : null;
+      if (found) return found.map((/** @type {string} */ n) => this.points.findIndex((p) => p.name === n)).filter((/** @type {number} */ i) => i >= 0 && i !== target);
+    }
+    const corners = rule === "thesis" || (rule === "run" && asked === "thesis") ? thesisZeros(outputs, target) : null;
+    return corners ?? autoZeros(outputs, target, knownInputs(this.believed()));
+  }
+
+  /** Drives, displacements and S of one method at one target. @param {Method} method @param {number} target @returns {Outcome} */
+  outcome(method, target = this.settings.target) {
+    return this.once(`outcome ${method} ${target}`, () => this.rendered(method, target));
+  }
+
+  /** @param {Method} method @param {number} target @returns {Outcome} */
+  rendered(method, target) {
+    const { rule, amplitude } = this.settings, { record, index } = this, wavelet = this.wavelet();
+    const believed = this.believed(), playing = this.transfer();
+    const known = this.once(`svd ${this.settings.calibrated}`, () => new Map());
+    /** @type {Outcome} */
+    const none = { method, problem: "", aim: null, sent: null, spectra: null, signals: [], moves: [], areas: [], strength: NaN, undriven: 1 };
+    /** @type {Aim} */
+    let found;
+    try {
+      found = aim(method, believed, target, wavelet, { zeros: this.zerosOf(method, target), rule, amplitude }, known);
+    } catch (problem) {
+      return { ...none, problem: problem instanceof Error ? problem.message : String(problem) };
+    }
+    const { spectra, lost } = respond(playing, found.spectrum);
+    const moves = toTime(spectra, playing.outputs.length, index, record.n, record.rate);
+    lost.forEach((share, p) => { if (share > 0.5) moves[p].fill(NaN); });
+    const signals = toTime(found.spectrum, this.inputs.length, index, record.n, record.rate);
+    const window = this.window(), areas = moves.map((u) => area(u, record, window));
+    let driven = 0;
+    found.used.forEach((used, b) => { if (used) driven += wavelet.energy[index[b]]; });
+    return {
+      ...none, aim: found, sent: found.spectrum, spectra, signals, moves, areas, strength: strengthOf(areas, target),
+      undriven: Math.min(Math.max(1 - driven / wavelet.total, 0), 1),
+    };
+  }
+
+  /** S of a method at a target, without keeping signals. @param {Method} method @param {number} target */
+  strength(method, target) {
+    return this.once(`S ${method} ${target}`, () => this.rendered(method, target).strength);
+  }
+
+  /** Whether S is that of the run: nothing changed but target and view. @returns {boolean} */
+  get asRun() {
+    const now = this.settings, then = this.original();
+    return now.place === null && now.zeros === "run" && JSON.stringify([now.rule, now.window]) === JSON.stringify([then.rule, then.window])
+      && now.wavelet.name === then.wavelet.name && sameDevice(now.device, then.device);
+  }
+
+  /** The run's interval of S, null where there is none or where something was changed.
+   * @param {Method} method @param {number} target @returns {[number, number] | null} */
+  interval(method, target) {
+    const row = this.asRun ? this.content.strength.methods?.[method]?.[this.points[target]?.name] : null;
+    return row && row.low !== null && row.high !== null ? [row.low, row.high] : null;
+  }
+
+  /** S over arms [lower, middle, upper] that a prediction of this very scenario found, null otherwise.
+   * @param {Method} method @param {number} target @returns {number[] | null} */
+  arms(method, target) {
+    const found = this.asRun && this.content.arms?.methods[method]?.[this.points[target]?.name];
+    if (!found) return null;
+    const last = found.length - 1, band = [found[0], found[last / 2], found[last]];
+    return band.every(Number.isFinite) ? band : null;
+  }
+
+  /** Another stimulus. @param {{kind: "ricker", peak: number} | {kind: "burst", frequency: number, cycles: number}
+   *   | {kind: "file", name: string, samples: Float64Array}} asked */
+  stimulate(asked) {
+    const { record } = this;
+    if (asked.kind === "ricker") this.set({ wavelet: ricker(asked.peak, record) });
+    else if (asked.kind === "burst") this.set({ wavelet: burst(asked.frequency, asked.cycles, record) });
+    else this.set({ wavelet: { samples: placed(asked.samples, record), name: asked.name, kind: "file" } });
+  }
+}
+
+/** @param {Device} a @param {Device} b */
+export function sameDevice(a, b) {
+  const plain = (/** @type {Device} */ d) => JSON.stringify({ ...d, spring: d.spring.map(String) });
+  return plain(a) === plain(b);
+}

@@ -1,0 +1,144 @@
+/**
+ * The skin's motion between the ports: shapes times amplitudes that follow the drives.
+ *
+ * @typedef {import("./arrays.js").Complex} Complex
+ * @typedef {{name: string, rest: Float32Array, normals: Float32Array, faces: Uint16Array | Uint32Array, shapes: Float32Array,
+ *   components: number, tissue: Uint8Array | null, tissues: string[]}} Surface  lengths in mm
+ * @typedef {{steps: Float32Array, count: number, first: number, rate: number}} Track  amplitudes (count x k) [m], from `first` [s]
+ */
+import { unpack, unpackAmplitudes, unpackShapes, zeros } from "./arrays.js";
+import { toTime } from "./fft.js";
+
+const PER_CYCLE = 8;
+
+export class Field {
+  /** @param {any} content packed @param {number} inputs */
+  constructor(content, inputs) {
+    /** @type {Surface[]} */
+    this.surfaces = content.surfaces.map((/** @type {any} */ s) => ({
+      name: s.name, rest: unpack(s.rest), normals: unpack(s.normals), faces: unpack(s.faces), shapes: unpackShapes(s.shapes),
+      components: s.shapes.values.shape[1], tissue: s.tissue && unpack(s.tissue), tissues: s.tissues,
+    }));
+    /** @type {Complex | null} */
+    this.amplitudes = content.amplitudes && unpackAmplitudes(content.amplitudes);
+    this.k = content.surfaces[0].shapes.values.shape[2];
+    this.inputs = inputs;
+    this.words = content.words;
+    this.error = content.error;
+  }
+
+  get skin() {
+    return this.surfaces[0];
+  }
+
+  /** Normal motion at a vertex of the skin per newton on each contact (bins x contacts), or null. @param {number} vertex
+   * @returns {Complex | null} */
+  reach(vertex) {
+    const { amplitudes, k, inputs } = this;
+    if (!amplitudes) return null;
+    const row = this.normalShapes(vertex), bins = amplitudes.re.length / k / inputs, out = zeros(bins * inputs);
+    for (let f = 0; f < bins; f++) for (let j = 0; j < k; j++) for (let a = 0; a < inputs; a++) {
+      out.re[f * inputs + a] += row[j] * amplitudes.re[(f * k + j) * inputs + a];
+      out.im[f * inputs + a] += row[j] * amplitudes.im[(f * k + j) * inputs + a];
+    }
+    return out;
+  }
+
+  /** @param {number} vertex @returns {Float64Array} the shapes' part along the normal (k,) */
+  normalShapes(vertex) {
+    const { shapes, normals, components } = this.skin, { k } = this, out = new Float64Array(k);
+    for (let c = 0; c < components; c++) {
+      const weight = components === 1 ? 1 : normals[3 * vertex + c], at = (vertex * components + c) * k;
+      for (let j = 0; j < k; j++) out[j] += weight * shapes[at + j];
+    }
+    return out;
+  }
+
+  /**
+   * Amplitudes over time for forces per drive (bins x contacts x inputs) and drives (bins x inputs).
+   * @param {Complex | null} force @param {Complex} sent @param {Complex} spectra of the points, where nothing else is known
+   * @param {Int32Array} index @param {number} duration [s] of the record @param {[number, number]} span [s] to keep
+   * @returns {Track}
+   */
+  track(force, sent, spectra, index, duration, span) {
+    const driven = this.amplitudes && force ? this.driven(force, sent, index.length) : this.followed(spectra, index.length);
+    const n = fast(PER_CYCLE * (index[index.length - 1] + 1)), rate = n / duration;
+    const rows = toTime(driven, this.k, index, n, rate), centre = Math.floor(n / 2);
+    const first = Math.max(0, Math.floor(span[0] * rate) + centre - 1), last = Math.min(n - 1, Math.ceil(span[1] * rate) + centre + 2);
+    const count = last - first + 1, steps = new Float32Array(count * this.k);
+    rows.forEach((row, j) => { for (let t = 0; t < count; t++) steps[t * this.k + j] = row[first + t]; });
+    return { steps, count, first: (first - centre) / rate, rate };
+  }
+
+  /** @param {Complex} force @param {Complex} sent @param {number} bins @returns {Complex} */
+  driven(force, sent, bins) {
+    const { k, inputs } = this, a = /** @type {Complex} */ (this.amplitudes), out = zeros(bins * k);
+    for (let f = 0; f < bins; f++) for (let c = 0; c < inputs; c++) {
+      let re = 0, im = 0;
+      for (let i = 0; i < inputs; i++) {
+        const x = (f * inputs + c) * inputs + i, y = f * inputs + i;
+        re += force.re[x] * sent.re[y] - force.im[x] * sent.im[y];
+        im += force.re[x] * sent.im[y] + force.im[x] * sent.re[y];
+      }
+      for (let j = 0; j < k; j++) {
+        const x = (f * k + j) * inputs + c;
+        out.re[f * k + j] += a.re[x] * re - a.im[x] * im;
+        out.im[f * k + j] += a.re[x] * im + a.im[x] * re;
+      }
+    }
+    return out;
+  }
+
+  /** @param {Complex} spectra (bins x outputs), the first k of which are the points @param {number} bins @returns {Complex} */
+  followed(spectra, bins) {
+    const { k } = this, rows = spectra.re.length / bins, out = zeros(bins * k);
+    for (let f = 0; f < bins; f++) for (let j = 0; j < k; j++) {
+      out.re[f * k + j] = spectra.re[f * rows + j];
+      out.im[f * k + j] = spectra.im[f * rows + j];
+    }
+    return out;
+  }
+}
+
+/** The smallest product of 2s, 3s and 5s from n on. @param {number} n */
+export function fast(n) {
+  for (let m = Math.ceil(n); ; m++) {
+    let rest = m;
+    for (const p of [2, 3, 5]) while (rest % p === 0) rest /= p;
+    if (rest === 1) return m;
+  }
+}
+
+/** Amplitudes (k,) at an instant, a cubic through four neighbours (Catmull and Rom). @param {Track} track @param {number} t [s]
+ * @param {Float32Array} out */
+export function amplitudesAt(track, t, out) {
+  const k = out.length, at = (t - track.first) * track.rate, i = Math.min(Math.max(Math.floor(at), 1), track.count - 3), x = at - i;
+  if (at < 0 || at > track.count - 1) return out.fill(0);
+  const w = [((-x + 2) * x - 1) * x / 2, ((3 * x - 5) * x * x + 2) / 2, ((-3 * x + 4) * x + 1) * x / 2, ((x - 1) * x * x) / 2];
+  for (let j = 0; j < k; j++) {
+    let sum = 0;
+    for (let s = 0; s < 4; s++) sum += w[s] * track.steps[(i - 1 + s) * k + j];
+    out[j] = sum;
+  }
+  return out;
+}
+
+/**
+ * Displacement (n x 3) and its part along the normal (n,) of a surface [m].
+ * @param {Surface} surface @param {Float32Array} amplitudes (k,) @param {Float32Array} moved @param {Float32Array} normal
+ */
+export function displace(surface, amplitudes, moved, normal) {
+  const { shapes, normals, components } = surface, k = amplitudes.length, n = normal.length;
+  for (let v = 0, at = 0; v < n; v++) {
+    let along = 0;
+    for (let c = 0; c < components; c++) {
+      let sum = 0;
+      for (let j = 0; j < k; j++) sum += shapes[at + j] * amplitudes[j];
+      at += k;
+      if (components === 1) along = sum;
+      else { moved[3 * v + c] = sum; along += sum * normals[3 * v + c]; }
+    }
+    if (components === 1) for (let c = 0; c < 3; c++) moved[3 * v + c] = along * normals[3 * v + c];
+    normal[v] = along;
+  }
+}

@@ -1,0 +1,123 @@
+/** The page comes alive: content, experiment, arms, and everything around them. */
+import { App } from "./app.js";
+import { Arms, stopsOf } from "./arms.js";
+import { aimAt, controls, keys, pointer, transport } from "./controls.js";
+import { $, say } from "./dom.js";
+import { Experiment, METHODS } from "./experiment.js";
+import { caption, charts, drives, gAsCsv, gAsJson, scenarioToml, signals } from "./exports.js";
+import { Field } from "./field.js";
+import { cursor, errors, heads, spectra, table, traces } from "./readouts.js";
+
+const SLOW = 45, COARSEST = 0.7; // [ms] between frames, pixels per css pixel
+
+const began = performance.now();
+
+/** @param {string} text @param {boolean} [bad] */
+function tell(text, bad = false) {
+  $("say").textContent = text;
+  $("say").className = bad ? "bad" : "";
+}
+
+/** @param {unknown} problem */
+function failed(problem) {
+  $("wait").textContent = "";
+  tell(`The page cannot show this: ${problem instanceof Error ? problem.message : String(problem)}`, true);
+}
+
+/** Title, colours and what is known before anything is computed. @param {any} content */
+function head(content) {
+  $("name").textContent = content.name;
+  $("description").textContent = content.description;
+  const engine = content.model.kind === "transfer" ? "a G that was given" : content.engine === "layered" ? "layered twin: flat, endless layers" : "finite elements";
+  $("badge").textContent = `${engine} · ${content.inputs.length} actuators · ${content.outputs.length} points`;
+  $("stamp").textContent = `${content.stamp} · forearm_fem ${content.program} · e^{+iωt}, displacement positive out of the skin`;
+}
+
+/** @param {Arms} arms @param {() => void} redraw */
+function themes(arms, redraw) {
+  const root = document.documentElement, dark = matchMedia("(prefers-color-scheme: dark)");
+  const put = (/** @type {string} */ name) => {
+    root.dataset.theme = arms.theme = name;
+    const bar = $("bar"), g = bar.getContext("2d"), fill = g.createLinearGradient(0, 0, 256, 0);
+    stopsOf(name).forEach((c, k) => fill.addColorStop(k / 4, c));
+    g.fillStyle = fill;
+    g.fillRect(0, 0, 256, 1);
+    redraw();
+  };
+  const turn = () => put(root.dataset.theme === "dark" ? "light" : "dark");
+  $("theme").addEventListener("click", turn);
+  dark.addEventListener("change", () => put(dark.matches ? "dark" : "light"));
+  let before = "light";
+  addEventListener("beforeprint", () => { before = root.dataset.theme ?? "light"; put("light"); });
+  addEventListener("afterprint", () => put(before));
+  put(dark.matches ? "dark" : "light");
+  return turn;
+}
+
+/** @param {App} app @param {ReturnType<typeof transport>} bar */
+function animate(app, bar) {
+  let last = performance.now(), slow = 0;
+  const step = (/** @type {number} */ now) => {
+    const passed = Math.min(now - last, 200) / 1e3;
+    last = now;
+    const [from, to] = app.span;
+    if (app.playing && !document.hidden) {
+      app.arms.time += passed * app.speed;
+      if (app.arms.time > to) app.arms.time = from + ((app.arms.time - from) % (to - from));
+      app.arms.draw(app.experiment);
+      // drawing goes on after the call, so what counts is how far frames are apart; fewer pixels where they are too far
+      slow = 0.9 * slow + 100 * passed;
+      if (slow > SLOW && app.arms.scale > COARSEST) { app.arms.scale = Math.max(COARSEST, app.arms.scale * 0.85); slow = 0; }
+    } else app.arms.draw(app.experiment);
+    bar.scrub.value = String(Math.round((1000 * (app.arms.time - from)) / (to - from)));
+    $("now").textContent = `t = ${(1e3 * app.arms.time).toFixed(1)} ms`;
+    cursor(app);
+    requestAnimationFrame(step);
+  };
+  requestAnimationFrame(step);
+}
+
+/** @param {any} content @param {Field} field @param {Arms} arms @param {() => void} ready */
+function start(content, field, arms, ready) {
+  const experiment = new Experiment(content), app = new App(experiment, field, arms);
+  app.say = tell;
+  const bar = transport(app);
+  const turn = themes(arms, () => arms.draw(experiment));
+  app.listeners.push(() => heads(app), () => traces(app), () => spectra(app), () => table(app, (row) => aimAt(app, row)), () => errors(app), () => {
+    const shown = arms.shown.get(app.focus);
+    const most = shown ? `${say(1e6 * shown.limit, 2)} µm` : "";
+    $("low").textContent = shown ? `−${most}` : "";
+    $("high").textContent = shown ? `+${most} outwards` : "";
+    $("scale").textContent = shown ? `${app.focus}; ${arms.section ? "on the cut: motion towards the volar side" : "displacement along the skin's normal"}` : "";
+  });
+  controls(app);
+  keys(app, bar, turn);
+  pointer(app);
+  app.refresh();
+  animate(app, bar);
+  // read by the tests, and by whoever wants numbers in the browser's console
+  Object.assign(globalThis, { workbench: { app, experiment, field, arms, METHODS, began, exports: { caption: () => caption(app), charts: () => charts(app), drives: () => drives(app), gAsCsv: () => gAsCsv(app), gAsJson: () => gAsJson(app), scenarioToml: () => scenarioToml(app), signals: () => signals(app) } } });
+  ready();
+}
+
+try {
+  const content = JSON.parse(/** @type {HTMLElement} */ (document.getElementById("content")).textContent ?? "");
+  head(content);
+  const field = new Field(content.field, content.inputs.length);
+  const arms = new Arms(field, content, { gl: $("gl"), over: $("over"), panels: Array.from(document.querySelectorAll(".panel")) });
+  if (arms.problem) tell(arms.problem, true);
+  arms.theme = document.documentElement.dataset.theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+  arms.draw(null);
+  document.body.dataset.first = String(Math.round(performance.now()));
+  setTimeout(() => {
+    try {
+      start(content, field, arms, () => { $("wait").textContent = ""; document.body.dataset.ready = String(Math.round(performance.now())); });
+    } catch (problem) {
+      failed(problem);
+      throw problem;
+    }
+  }, 30);
+} catch (problem) {
+  failed(problem);
+  throw problem;
+}

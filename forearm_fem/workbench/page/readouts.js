@@ -1,0 +1,208 @@
+/**
+ * What is read beside the arms: S, displacements, drives and limits, spectra, conditioning, errors.
+ *
+ * @typedef {import("./app.js").App} App
+ * @typedef {import("./experiment.js").Method} Method
+ * @typedef {import("./plots.js").Series} Series
+ */
+import { METHODS } from "./experiment.js";
+import { $, h, say, sayUnit } from "./dom.js";
+import { between } from "./files.js";
+import { draw, mark, under } from "./plots.js";
+import { levels } from "./strength.js";
+import { timeOf } from "./wavelet.js";
+
+/** @type {Record<Method, string>} */
+export const CLASS = { "inverse filter": "inverse", funneling: "funneling", combination: "combination" };
+const ACTUATORS = ["#4477aa", "#ee8866", "#228833", "#aa3377", "#66ccee", "#bb9900", "#7755aa", "#cc4455", "#449988"];
+
+/** @param {Method} method */
+const colour = (method) => `var(--${CLASS[method]})`;
+
+/** S and scales over each arm. @param {App} app */
+export function heads(app) {
+  const { experiment, arms } = app, { settings } = experiment;
+  $("heads").replaceChildren(...METHODS.map((method) => {
+    const o = experiment.outcome(method), range = experiment.interval(method, settings.target);
+    const band = experiment.arms(method, settings.target);
+    const why = o.problem ? o.problem : range ? `${say(range[0])} to ${say(range[1])} by the errors of G` : `interval unknown: ${whyUnknown(app)}`;
+    return h("div", { class: "head" },
+      h("div", {},
+        h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => { app.focus = method; app.rescale(); }, text: method }),
+        h("div", { class: "s", "data-method": method }, h("small", { text: "S " }), o.problem ? "–" : say(o.strength)),
+        h("div", { class: "why", text: why }),
+        band ? h("div", { class: "why", "data-arms": method, text: `over arms ${say(band[0])} to ${say(band[2])}, half above ${say(band[1])}` }) : null),
+      h("div", { class: "foot", text: arms.words(method) }));
+  }));
+}
+
+/** @param {App} app */
+function whyUnknown(app) {
+  const { experiment } = app;
+  if (!experiment.asRun) return "something was changed since the run";
+  const rendered = experiment.content.strength.methods;
+  return rendered ? experiment.content.strength.unknown || "not rendered at this target" : "this G states none";
+}
+
+/** Displacements and drives, a column per method. @param {App} app */
+export function traces(app) {
+  const { experiment, span } = app, { record, settings } = experiment, ms = /** @type {[number, number]} */ (span.map((t) => 1e3 * t));
+  const first = Math.max(0, Math.round((span[0] - timeOf(record, 0)) * record.rate)), last = Math.min(record.n, first + Math.round((span[1] - span[0]) * record.rate) + 1);
+  const x = Float64Array.from({ length: last - first }, (_, j) => 1e3 * timeOf(record, first + j)), window = experiment.window();
+  const shade = window ? /** @type {[number, number]} */ (window.map((t) => 1e3 * t)) : null, device = experiment.content.device;
+  const volts = experiment.content.unit === "m/V", unit = experiment.content.unit.split("/")[1];
+  $("traces").replaceChildren(...METHODS.map((method) => {
+    const o = experiment.outcome(method), held = o.aim?.zeros ?? [];
+    const cut = (/** @type {Float64Array} */ y, /** @type {number} */ factor) => Float64Array.from(y.subarray(first, last), (v) => factor * v);
+    /** @type {Series[]} */
+    const moves = o.moves.map((u, i) => ({ y: cut(u, 1e6), colour: i === settings.target ? colour(method) : held.includes(i) ? "var(--warn)" : "var(--soft)", width: i === settings.target ? 1.8 : 0.8, dash: held.includes(i) ? "3 2" : undefined, opacity: i === settings.target ? 1 : 0.55 }));
+    if (moves.length) moves.push(/** @type {Series} */ (moves.splice(settings.target, 1)[0]));
+    const sent = o.signals.map((s, i) => ({ y: cut(s, settings.device.gain[i]), colour: ACTUATORS[i % ACTUATORS.length], width: 1.2 }));
+    const limits = volts ? [{ y: device.max_voltage, label: `limit ${say(device.max_voltage)} V` }, { y: -device.max_voltage, label: "" }] : [];
+    const charts = [
+      draw({ title: `${method}: displacement of all points`, x, span: ms, xLabel: "time [ms]", yLabel: "outward displacement [µm]", series: moves, symmetric: true, shade }),
+      draw({ title: `${method}: drives`, x, span: ms, xLabel: "time [ms]", yLabel: `drive [${unit}]`, series: sent, symmetric: true, limits }),
+    ];
+    for (const svg of charts) svg.addEventListener("click", (e) => { app.playing = false; app.arms.time = Math.min(Math.max(under(svg, e.clientX, ms) / 1e3, span[0]), span[1]); });
+    return h("div", { class: "trace" },
+      h("h2", {}, h("span", { class: CLASS[method], text: method }), h("small", { text: o.problem ? ` ${o.problem}` : ` target ${experiment.outputs[settings.target].name}` })),
+      charts[0], legend([[colour(method), "target"], ["var(--warn)", "zero points", true], ["var(--soft)", "other points"]]),
+      charts[1], legend(experiment.inputs.map((p, i) => [ACTUATORS[i % ACTUATORS.length], p.name])));
+  }));
+}
+
+/** @param {[string, string, boolean?][]} entries */
+function legend(entries) {
+  return h("div", { class: "legend" }, ...entries.map(([c, text, dash]) => h("span", {}, h("i", { class: dash ? "dash" : "", style: `border-color:${c}` }), text)));
+}
+
+/** Move the instant's line in all traces. @param {App} app */
+export function cursor(app) {
+  const ms = /** @type {[number, number]} */ (app.span.map((t) => 1e3 * t));
+  for (const svg of document.querySelectorAll("#traces .chart")) mark(/** @type {SVGElement} */ (svg), 1e3 * app.arms.time, ms);
+}
+
+/** G to the target, the drives' spectra and how well G inverts. @param {App} app */
+export function spectra(app) {
+  const { experiment, overlay } = app, { settings, frequency, inputs } = experiment, g = experiment.transfer(), n = inputs.length, m = g.outputs.length;
+  const span = /** @type {[number, number]} */ ([frequency[0], frequency[frequency.length - 1]]), o = app.outcome, target = g.outputs[settings.target].name;
+  const unit = experiment.content.unit.split("/")[1];
+  /** @type {Series[]} */
+  const own = inputs.map((_, i) => ({ y: sizes(g.values, g.bins, (b) => (b * m + settings.target) * n + i, 1e6), colour: ACTUATORS[i % ACTUATORS.length], width: 1.3 }));
+  const measured = overlay && settings.target < experiment.points.length ? inputs.map((_, i) => ({ x: overlay.frequency, y: sizes(overlay.values, overlay.frequency.length, (b) => (b * experiment.points.length + settings.target) * n + i, 1e6), colour: ACTUATORS[i % ACTUATORS.length], width: 1, dash: "4 3" })) : [];
+  const sent = o.sent ? inputs.map((_, i) => ({ y: sizes(/** @type {any} */ (o.sent), g.bins, (b) => b * n + i, 1e3), colour: ACTUATORS[i % ACTUATORS.length], width: 1.3 })) : [];
+  const report = o.aim?.inversion, gentle = [app.focus === "funneling" ? "nothing is inverted in funneling" : ""];
+  const parts = [
+    card(`G to point ${target}`, "", draw({ title: "transfer matrix", x: frequency, span, xLabel: "frequency [Hz]", yLabel: `|G| [µm/${unit}]`, series: [...own, ...measured], log: true }), legend([...inputs.map((p, i) => /** @type {[string, string]} */ ([ACTUATORS[i % ACTUATORS.length], p.name])), ...(measured.length ? [/** @type {[string, string, boolean]} */ (["var(--soft)", /** @type {any} */ (overlay).name, true])] : [])])),
+    card("Drive spectra", app.focus, draw({ title: "drive spectra", x: frequency, span, xLabel: "frequency [Hz]", yLabel: `|drive| [m${unit}/Hz]`, series: sent })),
+    card("Condition number", report ? app.focus : gentle[0], draw({ title: "condition number of the control points' rows", x: frequency, span, xLabel: "frequency [Hz]", yLabel: "largest / least singular value", series: report ? [{ y: report.condition, colour: colour(app.focus), width: 1.4 }] : [], log: true }),
+      h("p", { class: "soft", style: "margin:2px 0 0;font-size:12px", text: report ? `An error of G grows up to that much in the drives. Part of target and zeros that cannot be had: ${say(100 * median(report.misfit), 2)} % in the median over the band.` : "Choose inverse filter or combination above an arm." })),
+  ];
+  $("spectra").replaceChildren(...parts);
+}
+
+/** @param {string} title @param {string} more @param {...Node} children */
+function card(title, more, ...children) {
+  return h("div", {}, h("h2", {}, title, h("small", { text: more ? ` ${more}` : "" })), ...children);
+}
+
+/** @param {import("./arrays.js").Complex} values @param {number} count @param {(b: number) => number} at @param {number} factor */
+function sizes(values, count, at, factor) {
+  return Float64Array.from({ length: count }, (_, b) => factor * Math.hypot(values.re[at(b)], values.im[at(b)]));
+}
+
+/** @param {Float64Array} values */
+function median(values) {
+  const known = Array.from(values).filter(Number.isFinite).sort((a, b) => a - b);
+  return known.length ? known[Math.floor(known.length / 2)] : NaN;
+}
+
+/** S at every point by every method, drives against limits. @param {App} app @param {(row: number) => void} choose */
+export function table(app, choose) {
+  const { experiment, version } = app, { settings, outputs } = experiment, wavelet = settings.wavelet.name, window = experiment.window();
+  const over = window ? `${say(1e3 * window[0])} to ${say(1e3 * window[1])} ms` : "the whole record";
+  const rows = outputs.map((p, row) => h("tr", { class: row === settings.target ? "now" : "" },
+    h("td", {}, h("button", { type: "button", title: `aim at ${p.name}`, onclick: () => choose(row), text: p.name })),
+    ...METHODS.map((method) => h("td", { "data-s": `${method} ${p.name}`, text: "…" }))));
+  const played = app.overlay ? h("p", { class: "soft", id: "played" }) : null;
+  $("table").replaceChildren(
+    h("h2", {}, "Signal strength S", h("small", { text: ` motion of the target over the mean of the other points, taken over ${over}; ${wavelet}` })),
+    h("div", { class: "half" },
+      h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, h("th", { text: "target" }), ...METHODS.map((m) => h("th", { class: CLASS[m], text: m })))), h("tbody", {}, ...rows))),
+      h("div", { class: "scroll" }, drivesTable(app), played)));
+  if (played) played.textContent = replayed(app);
+  fill(app, version, 0);
+}
+
+/** S target by target, so that the page stays awake. @param {App} app @param {number} version @param {number} row */
+function fill(app, version, row) {
+  const { experiment } = app, outputs = experiment.outputs;
+  if (version !== app.version || row >= outputs.length) {
+    if (version === app.version) document.body.dataset.table = String(version);
+    return;
+  }
+  for (const method of METHODS) {
+    const cell = document.querySelector(`[data-s="${CSS.escape(`${method} ${outputs[row].name}`)}"]`);
+    if (!cell) continue;
+    const s = experiment.strength(method, row), range = experiment.interval(method, row);
+    cell.textContent = range ? `${say(s)}  (${say(range[0])}–${say(range[1])})` : say(s);
+    /** @type {HTMLElement} */ (cell).dataset.value = String(s);
+  }
+  setTimeout(() => fill(app, version, row + 1), 0);
+}
+
+/** @param {App} app */
+function drivesTable(app) {
+  const { experiment } = app, { content, settings, inputs } = experiment, volts = content.unit === "m/V", unit = content.unit.split("/")[1];
+  const o = app.outcome, { max_voltage: most, max_power: hot } = content.device;
+  const rows = o.signals.map((s, i) => {
+    const l = levels(s.map((v) => v * settings.device.gain[i]), settings.device.coil.resistance);
+    return h("tr", {}, h("td", { text: inputs[i].name }), h("td", { class: volts && l.peak > most ? "over" : "", text: `${say(l.peak)} ${unit}` }), h("td", { text: `${sayUnit(l.rms, unit)}` }), h("td", { class: volts && l.power > hot ? "over" : "", text: volts ? sayUnit(l.power, "W") : "–" }));
+  });
+  const limits = volts ? `limits: ${say(most)} V peak, ${sayUnit(hot, "W")} in ${say(settings.device.coil.resistance)} ohm, over the record` : "drives are no voltages, so the limits do not apply";
+  const lost = o.problem ? "" : o.undriven > 1e-4 ? ` ${say(100 * o.undriven, 2)} % of the wavelet's energy lies outside ${say(experiment.frequency[0])} to ${say(experiment.frequency[experiment.frequency.length - 1])} Hz, where G is unknown: it is not driven.` : "";
+  return h("div", {}, h("table", {}, h("thead", {}, h("tr", {}, h("th", { text: `drives, ${app.focus}` }), h("th", { text: "peak" }), h("th", { text: "rms" }), h("th", { text: "mean power" }))), h("tbody", {}, ...rows)),
+    h("p", { class: o.undriven > 0.1 && !o.problem ? "" : "soft", id: "limits", style: "margin:6px 0 0;font-size:12.5px", text: `${limits}.${lost}` }));
+}
+
+/** What these drives do on the measured G laid over. @param {App} app */
+function replayed(app) {
+  const { experiment, overlay } = app;
+  if (!overlay) return "";
+  const values = overlayOnBins(app), known = values.re.reduce((a, v) => a + (Number.isFinite(v) ? 1 : 0), 0) / values.re.length;
+  const g = experiment.transfer(), m = experiment.points.length, n = experiment.inputs.length;
+  let miss = 0, size = 0;
+  for (let b = 0; b < g.bins; b++) for (let p = 0; p < m; p++) for (let i = 0; i < n; i++) {
+    const x = (b * m + p) * n + i, y = (b * g.outputs.length + p) * n + i;
+    if (!Number.isFinite(values.re[x])) continue;
+    miss += (values.re[x] - g.values.re[y]) ** 2 + (values.im[x] - g.values.im[y]) ** 2;
+    size += values.re[x] ** 2 + values.im[x] ** 2;
+  }
+  return `${overlay.name} covers ${say(100 * known, 3)} % of the bins; this page's G differs from it by ${say(100 * Math.sqrt(miss / size), 3)} % over all entries and these bins.`;
+}
+
+/** The overlay on the page's bins; NaN where it says nothing. @param {App} app @returns {import("./arrays.js").Complex} */
+export function overlayOnBins(app) {
+  const { experiment } = app, overlay = /** @type {import("./app.js").Overlay} */ (app.overlay), { frequency } = experiment;
+  const entries = experiment.points.length * experiment.inputs.length, out = { re: new Float64Array(frequency.length * entries), im: new Float64Array(frequency.length * entries) };
+  for (let e = 0; e < entries; e++) for (const part of /** @type {("re" | "im")[]} */ (["re", "im"])) {
+    const row = Float64Array.from(overlay.frequency, (_, k) => overlay.values[part][k * entries + e]), found = between(overlay.frequency, row, frequency);
+    for (let b = 0; b < frequency.length; b++) out[part][b * entries + e] = found[b];
+  }
+  return out;
+}
+
+/** Errors, in words. @param {App} app */
+export function errors(app) {
+  const { experiment, field } = app, { content } = experiment;
+  const estimates = content.errors.map((/** @type {any} */ e) => h("li", {}, h("strong", { text: `${e.source} ` }), e.band === null ? "unknown" : `${say(100 * e.band)} % over the band, ${say(100 * e.worst)} % at the worst frequency`, h("span", { class: "soft", text: `: ${e.method}` })));
+  const changed = experiment.asRun ? [] : ["The errors of G above, and the intervals of S, are those of the run as it was made; for what was changed here they are unknown."];
+  const unseen = experiment.inputs.filter((p, k) => content.device.out_of_contact.includes(p.name) && experiment.settings.device.touching[k]).map((p) => p.name);
+  if (unseen.length && field.surfaces[0].components === 3) changed.push(`The picture leaves out what ${unseen.join(", ")} moves: out of contact in the run. Numbers at the points hold it.`);
+  if (content.device.housing.skin_share && !content.device.housing.fixed) changed.push("The picture leaves out what the skin follows of the housing; numbers at the points hold it.");
+  const picture = experiment.kind === "transfer" ? [] : [`The picture: ${field.words}. Its shapes leave out ${say(100 * field.error, 2)} % of the motion; numbers at the points do not come from them, those at a free place do.`];
+  const section = field.surfaces.length > 1 ? [] : ["No section: this run kept no motion inside the limb."];
+  const arms = content.arms && `S over arms: the ${say(100 * content.arms.levels[0])} and ${say(100 * content.arms.levels[content.arms.levels.length - 1])} % quantiles of ${content.arms.draws} arms drawn by forearm-fem predict. It is no error of this arm's numbers, and is shown only while nothing is changed.`;
+  const notes = [...changed, ...(arms ? [arms] : []), ...(experiment.kind === "transfer" ? [field.words[0].toUpperCase() + field.words.slice(1) + "."] : []), ...picture, ...section, "An interval of S holds nine in ten true values within the errors stated for G; how arms differ between people is never in it.", ...content.notes];
+  $("errors").replaceChildren(h("h2", { text: "How wrong may it be?" }), h("p", { style: "margin:0 0 4px", text: content.accuracy }), h("ul", {}, ...estimates), h("h2", { text: "Notes" }), h("ul", { class: "soft" }, ...notes.map((/** @type {string} */ t) => h("li", { text: t }))));
+}

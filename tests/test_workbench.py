@@ -1,0 +1,446 @@
+"""The workbench's numbers against Python's, under node; what goes into the page, and the page as one file."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import cli
+from test_figures_scene import folder  # noqa: F401
+from test_skin_model import solved  # noqa: F401
+
+from forearm_fem.device import close_loop
+from forearm_fem.errors import DataError, GeometryError
+from forearm_fem.figures import Results
+from forearm_fem.figures.motion import View, motion
+from forearm_fem.io import read_compliance, write_transfer
+from forearm_fem.io.csvfiles import write_csv
+from forearm_fem.io.jsonfiles import write_json
+from forearm_fem.pipeline.folder import Run, run_render
+from forearm_fem.pipeline.simulation import simulate
+from forearm_fem.pipeline.skin_model import load_skin_model
+from forearm_fem.rendering import Funneling, render_all, ricker, strengths
+from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.workbench import content_of, page_of, view, write_workbench
+from forearm_fem.workbench.bundle import script
+from forearm_fem.workbench.content import measured_content, short_scenario
+from forearm_fem.workbench.field import few_shapes, per_newton, solved_field
+
+HERE = Path(__file__).parent
+NODE = shutil.which("node")
+needs_node = pytest.mark.skipif(NODE is None, reason="no node on this machine")
+LAYERED: dict[str, Any] = {
+    "name": "flat", "engine": "layered", "sweep": {"duration": 0.25, "sample_rate": 4000.0, "f_max": 400.0},
+    "device": {"cone": {"contact": "pressure"}}, "limb": {"shape": "slab", "length": 0.1, "width": 0.1, "depth": 0.03},
+}  # fmt: skip
+
+
+def rendered(tmp: Path, **changes: Any) -> Results:
+    """A run of the layered scene, solved and rendered."""
+    scenario = parse_scenario({**LAYERED, **changes})
+    run_render(Run.start(scenario, tmp, tmp))
+    return Results.open(tmp)
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    return rendered(tmp_path_factory.mktemp("flat"))
+
+
+@pytest.fixture(scope="module")
+def content(flat: Results) -> dict[str, Any]:
+    return content_of(flat)
+
+
+def asked(content: dict[str, Any], *jobs: dict[str, Any]) -> list[Any]:
+    """What the page's own modules answer, under node."""
+    with TemporaryDirectory() as place:
+        file = Path(place) / "jobs.json"
+        file.write_text(json.dumps({"content": content, "jobs": jobs}), encoding="utf-8")
+        command = [str(NODE), str(HERE / "workbench" / "numbers.mjs"), str(file)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    return list(json.loads(done.stdout))
+
+
+def complex_of(pair: Any) -> np.ndarray:
+    return np.array(pair[0], dtype=float) + 1j * np.array(pair[1], dtype=float)
+
+
+@needs_node
+def test_all_27_strengths_are_pythons(flat: Results, content: dict[str, Any]) -> None:
+    """The same formulas in double precision; 1e-9 leaves room for other orders of summation."""
+    found = np.array(asked(content, {"ask": "strengths"})[0])
+    expected = [[flat.run.signal_strength.model_dump()["methods"][m][t]["value"] for t in "123456789"] for m in
+                ("inverse filter", "funneling", "combination")]  # fmt: skip
+    assert found.shape == (3, 9)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@needs_node
+@pytest.mark.parametrize(
+    ("settings", "options"),
+    [
+        ({"rule": {"kind": "tikhonov", "value": 0.1}}, {"regularisation": "tikhonov", "regularisation_value": 0.1}),
+        (
+            {"rule": {"kind": "discrepancy", "value": 0.2}},
+            {"regularisation": "discrepancy", "regularisation_value": 0.2},
+        ),
+        ({"rule": {"kind": "lcurve", "value": 1e-3}}, {"regularisation": "lcurve", "regularisation_value": 1e-3}),
+        ({"rule": {"kind": "noise", "value": 0.05}}, {"regularisation": "noise", "regularisation_value": 0.05}),
+        ({"rule": {"kind": "rcond", "value": 0.4}}, {"regularisation": "rcond", "regularisation_value": 0.4}),
+        ({"zeros": [1, 3]}, {"zeros": ["2", "4"], "targets": ["1", "3", "5", "6", "7", "8", "9"]}),
+        ({"window": "record"}, {"window": "record"}),
+        ({"window": [-0.01, 0.03], "amplitude": 2.5}, {"window": [-0.01, 0.03], "amplitude": 2.5}),
+    ],
+)  # fmt: skip
+def test_what_a_reader_changes_gives_what_python_gives(
+    content: dict[str, Any], flat: Results, settings: dict[str, Any], options: dict[str, Any]
+) -> None:
+    from forearm_fem.pipeline.simulation import render_transfer
+
+    scenario = parse_scenario({**LAYERED, "rendering": options})
+    expected = render_transfer(scenario, flat.transfer)
+    found = np.array(asked(content, {"ask": "strengths", "settings": settings})[0])
+    rows = [int(t) - 1 for t in expected.targets]
+    np.testing.assert_allclose(found[:, rows], expected.strengths, rtol=1e-6)  # the L-curve's corner is a search
+
+
+@needs_node
+@pytest.mark.parametrize(
+    "device",
+    [
+        {"coil": {"moving_mass": 0.6e-3, "resistance": 6.0}, "cone": {"mass": 1e-3}},
+        {"housing": {"fixed": True}},
+        {"out_of_contact": ["A2"]},
+        {"housing": {"skin_share": 0.3}, "gains": {"A2": 0.7}, "contact_springs": {"A3": 900.0}},
+        {"drive": "force", "out_of_contact": ["A4"]},
+        {"drive": "displacement", "out_of_contact": ["A1"]},
+    ],
+)
+def test_another_device_gives_pythons_transfer_matrix(
+    content: dict[str, Any], flat: Results, device: dict[str, Any]
+) -> None:
+    cone = {"contact": "pressure", **device.get("cone", {})}
+    scenario = parse_scenario({**LAYERED, "device": {**device, "cone": cone}})
+    expected = close_loop(flat.compliance, scenario.device).values
+    now = {k: v for k, v in device.items() if k not in ("out_of_contact", "gains", "contact_springs")}
+    if "gains" in device:
+        now |= {"gain": [1, 0.7, 1, 1], "spring": [None, None, 900.0, None]}
+    now |= {"touching": [f"A{k}" not in device.get("out_of_contact", ()) for k in (1, 2, 3, 4)]}
+    found = complex_of(asked(content, {"ask": "transfer", "settings": {"device": now}})[0])
+    np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-10 * np.abs(expected).max())
+
+
+@needs_node
+def test_partial_contact_is_a_spring_in_series_and_a_gain_a_factor(content: dict[str, Any], flat: Results) -> None:
+    c = flat.compliance
+    values, at = c.values.copy(), c.indices("contact")[0]
+    values[:, at, at] += 1 / 800.0
+    expected = close_loop(replace(c, values=values), flat.scenario.device).values * np.array([1.0, 1.0, 0.5, 0.0])
+    now = {"spring": [800.0, None, None, None], "gain": [1, 1, 0.5, 0]}
+    found = complex_of(asked(content, {"ask": "transfer", "settings": {"device": now}})[0])
+    np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-10 * np.abs(expected).max())
+    assert np.abs(expected - flat.transfer.values).max() > 0.01 * np.abs(expected).max()
+
+
+@needs_node
+def test_a_device_not_measured_again_plays_the_old_drives(content: dict[str, Any], flat: Results) -> None:
+    scenario = parse_scenario({**LAYERED, "device": {**LAYERED["device"], "coil": {"moving_mass": 1e-3}}})
+    other = close_loop(flat.compliance, scenario.device)
+    shape = ricker(250.0, 1.0, 4000.0, 0.25)
+    sent = render_all(flat.transfer, wavelet=shape)
+    fixed = [[sent[m, t].drives for t in sent.targets] for m in sent.methods]
+    from forearm_fem.rendering import thesis_renderers
+
+    expected = strengths(other, sent.targets, thesis_renderers(), shape, fixed=fixed)
+    settings = {"device": {"coil": {"moving_mass": 1e-3}}, "calibrated": False}
+    found = np.array(asked(content, {"ask": "strengths", "settings": settings})[0])
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@needs_node
+def test_poles_give_g_at_any_frequency_of_the_band_and_none_beyond(solved: Any) -> None:  # noqa: F811
+    place, _ = solved
+    found = content_of(Results.open(place))
+    assert found["model"]["kind"] == "poles"
+    frequency = np.linspace(40.2, 399.7, 20)
+    expected = load_skin_model(place / "reduced.nc").transfer(frequency).values
+    answer = complex_of(asked(found, {"ask": "transferAt", "frequency": frequency.tolist()})[0])
+    np.testing.assert_allclose(answer.reshape(expected.shape), expected, rtol=1e-9)
+    with pytest.raises(AssertionError, match="outside the band"):
+        asked(found, {"ask": "transferAt", "frequency": [500.0]})
+
+
+@needs_node
+def test_nine_actuators_and_their_zero_points() -> None:
+    """More than four: all other points are held, and damping follows G's error."""
+    places = [[x, y] for x in (-0.03, 0.0, 0.03) for y in (-0.03, 0.0, 0.03)]
+    scenario = parse_scenario({**LAYERED, "device": {"cone": {"contact": "pressure"}, "contacts": places}})
+    g = simulate(scenario).transfer
+    found, zeros, problem = asked(
+        measured_content(g, scenario, ""),
+        {"ask": "strengths"},
+        {"ask": "zeros"},
+        {"ask": "problem", "method": "funneling"},
+    )
+    expected = render_all(g, wavelet=ricker(250.0, 1.0, 4000.0, 0.25)).strengths
+    np.testing.assert_allclose(found, expected, rtol=1e-6)  # damped: s^2 + lambda^2 sums in another order
+    assert all(len(names) == 8 for names in zeros[1])
+    assert zeros[0][4] == [str(k) for k in range(1, 10) if k != 5]
+    assert problem == ""
+
+
+@needs_node
+def test_actuators_in_a_triangle_funnel_as_in_python() -> None:
+    places = [[-0.03, -0.03], [-0.03, 0.03], [0.03, 0.0]]
+    scenario = parse_scenario({**LAYERED, "device": {"cone": {"contact": "pressure"}, "contacts": places}})
+    g = simulate(scenario).transfer
+    found, reached, beyond = asked(
+        measured_content(g, scenario, ""), {"ask": "strengths"},
+        {"ask": "problem", "method": "funneling", "settings": {"target": 4}},
+        {"ask": "problem", "method": "funneling", "settings": {"target": 8}},
+    )  # fmt: skip
+    shape = ricker(250.0, 1.0, 4000.0, 0.25)
+    for row in range(9):
+        try:
+            expected = strengths(g, [str(row + 1)], [Funneling()], shape)[0, 0]
+        except GeometryError:  # outside the triangle
+            assert found[1][row] is None
+        else:
+            assert found[1][row] == pytest.approx(expected, rel=1e-9)
+    assert reached == ""
+    assert "form no rectangle around it" in beyond
+
+
+@needs_node
+def test_drives_displacements_condition_and_what_is_not_driven(content: dict[str, Any], flat: Results) -> None:
+    shape = ricker(250.0, 1.0, 4000.0, 0.25)
+    expected = render_all(flat.transfer, wavelet=shape)["inverse filter", "2"]
+    job = {"settings": {"target": 1}, "method": "inverse filter"}
+    signals, moves, undriven, condition = asked(
+        content, *({**job, "ask": what} for what in ("signals", "moves", "undriven", "condition"))
+    )
+    size = np.abs(expected.drives.signals).max()
+    np.testing.assert_allclose(signals, expected.drives.signals, atol=1e-10 * size)
+    reached = expected.displacements.values
+    np.testing.assert_allclose(moves, reached, atol=1e-10 * np.abs(reached).max())
+    assert undriven == pytest.approx(expected.drives.lost, abs=1e-9)
+    assert expected.drives.inversion is not None
+    np.testing.assert_allclose(condition, expected.drives.inversion.condition, rtol=1e-8)
+
+
+@needs_node
+def test_a_stimulus_of_ones_own(content: dict[str, Any], flat: Results, tmp_path: Path) -> None:
+    samples = np.sin(np.arange(60) * 0.4) * np.hanning(60)
+    np.savetxt(tmp_path / "own.csv", samples)
+    scenario = parse_scenario({**LAYERED, "rendering": {"wavelet": {"file": "own.csv"}}})
+    from forearm_fem.pipeline.simulation import render_transfer
+
+    expected = render_transfer(scenario, flat.transfer, base=tmp_path).strengths
+    stimulus = {"kind": "file", "name": "own.csv", "samples": np.loadtxt(tmp_path / "own.csv").tolist()}
+    np.testing.assert_allclose(asked(content, {"ask": "strengths", "stimulus": stimulus})[0], expected, rtol=1e-9)
+
+
+@needs_node
+def test_the_interval_is_the_runs_while_nothing_is_changed(content: dict[str, Any], flat: Results) -> None:
+    job = {"ask": "interval", "method": "funneling"}
+    known, changed, device = asked(
+        content, {**job, "settings": {"target": 3}}, {**job, "settings": {"target": 3, "zeros": "others"}},
+        {**job, "settings": {"target": 3, "device": {"gain": [1, 1, 1, 0.9]}}},
+    )  # fmt: skip
+    row = flat.run.signal_strength.model_dump()["methods"]["funneling"]["4"]
+    assert known == [row["low"], row["high"]]
+    assert changed is None
+    assert device is None
+
+
+@needs_node
+def test_arms_of_a_prediction_are_shown_while_they_are_of_this_scene(flat: Results, tmp_path: Path) -> None:
+    for name in ("scenario.json", "run.json", "transfer.nc"):
+        shutil.copy(flat.folder / name, tmp_path)
+    cell = {"arms": [0.5, 0.8, 1.1, 1.4, 2.0]}
+    prediction = {
+        "scenario": flat.scenario.model_dump(mode="json"), "levels": [0.05, 0.25, 0.5, 0.75, 0.95], "draws": 40,
+        "by_target": {"funneling": {"4": cell, "5": {"arms": [None] * 5}}},
+    }  # fmt: skip
+    (tmp_path / "prediction").mkdir()
+    write_json(tmp_path / "prediction" / "prediction.json", prediction)
+    found = content_of(Results.open(tmp_path))
+    job = {"ask": "arms", "method": "funneling"}
+    known, unknown, changed = asked(
+        found, {**job, "settings": {"target": 3}}, {**job, "settings": {"target": 4}},
+        {**job, "settings": {"target": 3, "amplitude": 1.0, "zeros": "others"}},
+    )  # fmt: skip
+    assert known == [0.5, 1.1, 2.0]
+    assert unknown is None
+    assert changed is None
+
+
+def test_few_shapes_hold_the_motion_of_the_skin(folder: Path) -> None:  # noqa: F811
+    run = Results.open(folder)
+    found = solved_field(run)
+    skin, states = found.surfaces[0], per_newton(run)
+    from forearm_fem.figures.show import body_of
+
+    exact = np.einsum("ncr,fra->fnca", body_of(run, "", "").modes, states, optimize=True)
+    held = np.einsum("nck,fka->fnca", skin.shapes, found.amplitudes, optimize=True)
+    left = np.sqrt(((held - exact) ** 2).__abs__().sum(axis=(1, 2)) / (np.abs(exact) ** 2).sum(axis=(1, 2)))
+    assert np.sqrt(np.mean(left**2)) < 2 * 3e-3  # stated for areas, measured here for vertices
+    assert found.error <= 3e-3
+    assert {s.name for s in found.surfaces} == {"skin", "along", "across"}
+    assert set(found.surfaces[1].tissues) == set(run.mesh.region_names)
+
+
+def test_shapes_state_what_they_leave_out() -> None:
+    rng = np.random.default_rng(1)
+    motion_of = rng.normal(size=(5, 40, 2)) + 1j * rng.normal(size=(5, 40, 2))
+    shapes, amplitudes, error = few_shapes(motion_of)
+    rest = motion_of - np.einsum("nk,fka->fna", shapes, amplitudes)
+    share = np.linalg.norm(rest, axis=1) / np.linalg.norm(motion_of, axis=1)
+    assert error <= 3e-3
+    assert np.sqrt(np.mean(share**2)) == pytest.approx(error, abs=1e-7)  # roots of rounding
+
+
+@needs_node
+def test_the_skin_moves_in_the_page_as_in_python(folder: Path) -> None:  # noqa: F811
+    """Shapes leave out 0.3 %, interpolation in time at 8 samples a cycle and more 1 %."""
+    run = Results.open(folder)
+    moved = motion(run, View("funneling", "5"), np.array([4e-3]))
+    from forearm_fem.figures.show import body_of
+
+    expected = moved.displacement(body_of(run, "", "").modes, 0)
+    job = {"ask": "skin", "method": "funneling", "time": 4e-3, "settings": {"target": 4}}
+    found = np.array(asked(content_of(run), job)[0]).reshape(-1, 3)
+    assert np.abs(found - expected).max() < 0.03 * np.abs(expected).max()
+
+
+@needs_node
+def test_a_free_place_at_a_point_moves_as_the_point(flat: Results, content: dict[str, Any]) -> None:
+    """On the twin's flat skin, at the vertex nearest to point 5: the picture's error and 1 mm between them."""
+    from base64 import b64decode
+
+    rest = np.frombuffer(b64decode(content["field"]["surfaces"][0]["rest"]["data"]), "<f4").reshape(-1, 3)
+    vertex = int(np.argmin(np.linalg.norm(rest - 1e3 * np.array(flat.transfer.outputs[4].position), axis=1)))
+    found = complex_of(asked(content, {"ask": "place", "vertex": vertex})[0]).reshape(-1, 4)
+    expected = flat.transfer.values[:, 4]
+    assert np.abs(found - expected).max() < 0.05 * np.abs(expected).max()
+
+
+@needs_node
+def test_a_measured_g_with_holes(flat: Results) -> None:
+    """Invalid entries are not driven, as in Python; no compliance, so the device cannot be changed."""
+    valid = np.ones(flat.transfer.values.shape, dtype=bool)
+    valid[:8, 2] = False
+    valid[:, :, 3] = False
+    g = replace(flat.transfer, valid=valid, contacts=None)
+    expected = render_all(g, wavelet=ricker(250.0, 1.0, 4000.0, 0.25)).strengths
+    found = measured_content(g, parse_scenario(LAYERED), "measured")
+    assert found["field"]["amplitudes"] is None
+    answer = np.array(asked(found, {"ask": "strengths"})[0], dtype=float)
+    np.testing.assert_allclose(answer, expected, rtol=1e-9)
+
+
+def test_points_on_a_line_are_drawn_too(flat: Results) -> None:
+    g = replace(flat.transfer, outputs=flat.transfer.outputs[:3], values=flat.transfer.values[:, :3], contacts=None)
+    found = measured_content(g, parse_scenario(LAYERED), "measured")
+    assert found["field"]["surfaces"][0]["shapes"]["values"]["shape"][2] == 3
+
+
+@needs_node
+def test_the_modules_own_tests() -> None:
+    command = [str(NODE), "--test", str(HERE / "workbench" / "files.test.mjs")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_types_of_the_front_end() -> None:
+    compiler = shutil.which("tsc")
+    if compiler is None:
+        pytest.skip("no tsc on this machine; `npm install --global typescript` brings it")
+    place = HERE.parent / "forearm_fem" / "workbench" / "page"
+    done = subprocess.run([compiler, "-p", str(place)], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_page_is_one_file_that_fetches_nothing(flat: Results, tmp_path: Path) -> None:
+    page = write_workbench(flat.folder, tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "default-src 'none'" in page
+    bare = page.replace("http://www.w3.org/2000/svg", "")  # the name of a language, not an address
+    assert not re.search(r"https?://|src=|<link|@import|url\(", bare)
+    assert len(page) < 15e6
+    assert page.count("</script>") == 2
+
+
+def test_names_stay_text(flat: Results) -> None:
+    bad = "<script>alert(1)</script>"
+    content = {**content_of(flat), "name": bad, "notes": [bad, "</script><img>"], "description": "%%SCRIPT%%"}
+    page = page_of(content)
+    assert bad not in page
+    assert page.count("</script>") == 2
+    assert page.count('"use strict"') == 1
+    inside = page.split('type="application/json">')[1].split("</script>")[0]
+    assert json.loads(inside)["name"] == bad
+
+
+def test_every_module_is_in_the_script_once() -> None:
+    text = script()
+    names = {p.stem for p in (HERE.parent / "forearm_fem" / "workbench" / "page").glob("*.js")}
+    assert sorted(re.findall(r"^const page_(\w+) = ", text, re.MULTILINE)) == sorted(names)
+    assert not re.search(r"^(import|export) ", text, re.MULTILINE)
+
+
+def test_a_notebook_shows_the_page_in_a_frame(flat: Results, tmp_path: Path) -> None:
+    shown = view(flat)
+    frame = shown._repr_html_()
+    assert frame.startswith("<iframe srcdoc=")
+    assert 'sandbox="allow-scripts' in frame
+    assert "<script" not in frame
+    assert shown.save(tmp_path / "a.html").read_text(encoding="utf-8") == shown.page
+
+
+def test_the_scenario_is_short_and_says_the_same() -> None:
+    scenario = parse_scenario(LAYERED)
+    short = short_scenario(scenario)
+    assert parse_scenario(short).model_dump() == scenario.model_dump()
+    assert "fem" not in json.dumps(short)
+    assert parse_scenario(short_scenario(Scenario(name="all defaults"))) == Scenario(name="all defaults")
+
+
+def test_the_command_writes_pages_of_runs_and_of_files(flat: Results, tmp_path: Path) -> None:
+    said = cli("workbench", str(flat.folder), "--save", str(tmp_path / "a.html"))
+    assert said.code == 0
+    assert "MB" in said.out
+    write_csv(tmp_path / "g.csv", flat.transfer)
+    (tmp_path / "s.toml").write_text('name = "s"\n[sweep]\nduration = 0.25\nsample_rate = 4000.0\nf_max = 400.0\n')
+    assert cli("workbench", str(tmp_path / "g.csv"), "--scenario", str(tmp_path / "s.toml")).code == 0
+    assert (tmp_path / "g.html").is_file()
+    said = cli("show", str(flat.folder), "--save", str(tmp_path / "b.html"))
+    assert said.code == 0
+    assert (tmp_path / "b.html").read_text(encoding="utf-8") == (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+def test_what_is_no_run_is_refused_and_nothing_written(tmp_path: Path) -> None:
+    said = cli("workbench", str(tmp_path / "no"), "--save", str(tmp_path / "a.html"))
+    assert said.code == 2
+    assert "no such results folder or file" in said.sentence
+    said = cli("workbench", str(tmp_path), "--save", str(tmp_path / "a.html"))
+    assert said.code == 2
+    assert "unfinished" in said.sentence
+    assert not (tmp_path / "a.html").exists()
+
+
+def test_a_results_folder_of_a_measured_g(flat: Results, tmp_path: Path) -> None:
+    write_transfer(tmp_path / "transfer.nc", replace(flat.transfer, contacts=None))
+    (tmp_path / "scenario.json").write_text(flat.scenario.model_dump_json())
+    with pytest.raises(DataError, match="no compliance"):
+        read_compliance(tmp_path / "transfer.nc")
+    assert content_of(Results.open(tmp_path))["model"]["kind"] == "transfer"
