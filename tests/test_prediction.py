@@ -14,9 +14,11 @@ import pytest
 from cli_runner import cli
 from scipy import stats
 
+from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.figures.data import Results
 from forearm_fem.io.jsonfiles import read_json
+from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
 from forearm_fem.prediction.arm import LayeredArm
@@ -27,6 +29,7 @@ from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import Prediction, Question, predict
 from forearm_fem.prediction.store import FILE, read_outcomes
 from forearm_fem.prediction.summary import summary
+from forearm_fem.rendering import drives, strengths
 from forearm_fem.report.prediction import strength_words
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import TransferMatrix
@@ -128,6 +131,24 @@ def test_without_noise_drives_play_as_calibrated() -> None:
     assert loud[1][setup.method_names.index("funneling")] == pytest.approx(
         quiet[1][setup.method_names.index("funneling")], rel=1e-12
     )
+
+
+def test_an_outcome_by_hand() -> None:
+    """Drives are designed on the calibrated G where the grid is believed to be, and play on the true one."""
+    _, setup, arm = setup_and_arm(question())
+    draw = draw_inputs(load_priors(), SCENE, 3, 1)
+    found = outcome_of(draw, setup, arm).strengths
+    moved = scenario_of(draw, SCENE)
+    true = close_loop(arm.compliance(moved, frequencies(moved.sweep)), moved.device)
+    true = replace(true, outputs=setup.outputs, inputs=setup.inputs)
+    calibrated = noisy(true, draw, moved)
+    sent = [[drives(m, calibrated, t, setup.shape) for t in setup.targets] for m in setup.methods]
+    by_hand = strengths(calibrated, setup.targets, setup.methods, setup.shape)
+    assert found[READINGS.index("calibrated")] == pytest.approx(by_hand, rel=1e-9)
+    played = strengths(true, setup.targets, setup.methods, setup.shape, fixed=sent)
+    assert found[READINGS.index("played")] == pytest.approx(played, rel=1e-9)
+    record = strengths(true, setup.targets, setup.methods, setup.shape, fixed=sent, window="record")
+    assert found[READINGS.index("played, record")] == pytest.approx(record, rel=1e-9)
 
 
 def test_noise_has_the_size_stated() -> None:
