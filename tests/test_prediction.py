@@ -21,7 +21,7 @@ from forearm_fem.io.jsonfiles import read_json
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
-from forearm_fem.prediction.arm import LayeredArm
+from forearm_fem.prediction.arm import LayeredArm, arm_model
 from forearm_fem.prediction.draws import draw_inputs, moved_points, scenario_of
 from forearm_fem.prediction.measuring import noisy
 from forearm_fem.prediction.outcome import READINGS, Outcome, outcome_of
@@ -189,6 +189,8 @@ def test_the_arm_model_states_its_error_and_keeps_it() -> None:
     difference = np.nanmax(np.abs(fast.values - truth.values), axis=(1, 2))
     assert (difference / np.nanmax(np.abs(truth.values), axis=(1, 2)) <= np.array(fast.errors[0].per_frequency)).all()
     assert fast.errors[0].band < 0.05
+    assert "solved by finite elements" in arm_model(parse_scenario({})).left_out
+    assert "solved by finite elements" not in arm_model(scene).left_out
 
 
 def test_an_arm_that_cannot_be_is_data(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -316,6 +318,9 @@ def test_bad_questions_are_one_sentence(changes: dict[str, Any], message: str, t
 
 
 def test_scenes_without_s_are_refused(tmp_path: Path) -> None:
+    mesh = parse_scenario({"limb": {"shape": "mesh", "file": "a.msh", "regions": {"1": "skin"}}})
+    with pytest.raises(ScenarioError, match=r"limb\.shape: 'mesh' has no layers to draw arms from"):
+        predict(Question(mesh, Path()), tmp_path, draws=N)
     for rendering, message in (({"methods": []}, "no S to predict"), ({"zeros": "search"}, "takes days")):
         scene = parse_scenario({**SMALL, "rendering": rendering})
         with pytest.raises(ScenarioError, match=message):
