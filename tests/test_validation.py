@@ -136,7 +136,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Pat
     patch = pytest.MonkeyPatch()
     patch.setattr(module, "_SUBJECT_DRAWS", 2)
     folder = tmp_path_factory.mktemp("validation")
-    found = validate(Question(parse_scenario(SMALL), Path()), folder, draws=30, workers=1)
+    found = validate(Question(parse_scenario(SMALL), Path()), folder, draws=21, workers=1)
     patch.undo()
     return found, folder
 
@@ -156,7 +156,7 @@ def test_the_page_says_first_where_it_fails(whole: tuple[dict[str, Any], Path]) 
     assert failures(found)[0].startswith(f"Table I, S over the wavelet's window: {len(out)} of 9 entries lie outside")
     assert page.count("not seen") >= 5
     assert "question of interest" in page
-    assert read_json(folder / "validation.json")["draws"] == 30
+    assert read_json(folder / "validation.json")["draws"] == 21
 
 
 def test_numbers_of_the_page_are_those_of_the_run(whole: tuple[dict[str, Any], Path]) -> None:
@@ -175,10 +175,10 @@ def test_observables_resume_and_other_questions_start_anew(
 ) -> None:
     found, folder = whole
     monkeypatch.setattr(module, "observables", lambda arm: pytest.fail("a finished draw was measured again"))
-    rows = module._observed(Question(parse_scenario(SMALL), Path()), folder, 30, True, None)
-    assert len(rows) == 30
+    rows = module._observed(Question(parse_scenario(SMALL), Path()), folder, 21, True, None)
+    assert len(rows) == 21
     assert module._kept(folder / module.OBSERVABLES, "another question") == []
-    assert found["draws"] == 30
+    assert found["draws"] == 21
 
 
 def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
