@@ -14,12 +14,14 @@ import pytest
 from cli_runner import cli
 from scipy import stats
 
+from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.figures.data import Results
 from forearm_fem.io.jsonfiles import read_json
+from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
-from forearm_fem.prediction.arm import LayeredArm
+from forearm_fem.prediction.arm import LayeredArm, arm_model
 from forearm_fem.prediction.draws import draw_inputs, moved_points, scenario_of
 from forearm_fem.prediction.measuring import noisy
 from forearm_fem.prediction.outcome import READINGS, Outcome, outcome_of
@@ -27,6 +29,7 @@ from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import Prediction, Question, predict
 from forearm_fem.prediction.store import FILE, read_outcomes
 from forearm_fem.prediction.summary import summary
+from forearm_fem.rendering import drives, strengths
 from forearm_fem.report.prediction import strength_words
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import TransferMatrix
@@ -130,6 +133,24 @@ def test_without_noise_drives_play_as_calibrated() -> None:
     )
 
 
+def test_an_outcome_by_hand() -> None:
+    """Drives are designed on the calibrated G where the grid is believed to be, and play on the true one."""
+    _, setup, arm = setup_and_arm(question())
+    draw = draw_inputs(load_priors(), SCENE, 3, 1)
+    found = outcome_of(draw, setup, arm).strengths
+    moved = scenario_of(draw, SCENE)
+    true = close_loop(arm.compliance(moved, frequencies(moved.sweep)), moved.device)
+    true = replace(true, outputs=setup.outputs, inputs=setup.inputs)
+    calibrated = noisy(true, draw, moved)
+    sent = [[drives(m, calibrated, t, setup.shape) for t in setup.targets] for m in setup.methods]
+    by_hand = strengths(calibrated, setup.targets, setup.methods, setup.shape)
+    assert found[READINGS.index("calibrated")] == pytest.approx(by_hand, rel=1e-9)
+    played = strengths(true, setup.targets, setup.methods, setup.shape, fixed=sent)
+    assert found[READINGS.index("played")] == pytest.approx(played, rel=1e-9)
+    record = strengths(true, setup.targets, setup.methods, setup.shape, fixed=sent, window="record")
+    assert found[READINGS.index("played, record")] == pytest.approx(record, rel=1e-9)
+
+
 def test_noise_has_the_size_stated() -> None:
     values = np.random.default_rng(0).standard_normal((400, 9, 4)) * np.array([1, 10, 0.1, 3]) + 0j
     g = TransferMatrix(np.arange(1.0, 401), values, (), ())
@@ -168,6 +189,8 @@ def test_the_arm_model_states_its_error_and_keeps_it() -> None:
     difference = np.nanmax(np.abs(fast.values - truth.values), axis=(1, 2))
     assert (difference / np.nanmax(np.abs(truth.values), axis=(1, 2)) <= np.array(fast.errors[0].per_frequency)).all()
     assert fast.errors[0].band < 0.05
+    assert "solved by finite elements" in arm_model(parse_scenario({})).left_out
+    assert "solved by finite elements" not in arm_model(scene).left_out
 
 
 def test_an_arm_that_cannot_be_is_data(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -295,6 +318,9 @@ def test_bad_questions_are_one_sentence(changes: dict[str, Any], message: str, t
 
 
 def test_scenes_without_s_are_refused(tmp_path: Path) -> None:
+    mesh = parse_scenario({"limb": {"shape": "mesh", "file": "a.msh", "regions": {"1": "skin"}}})
+    with pytest.raises(ScenarioError, match=r"limb\.shape: 'mesh' has no layers to draw arms from"):
+        predict(Question(mesh, Path()), tmp_path, draws=N)
     for rendering, message in (({"methods": []}, "no S to predict"), ({"zeros": "search"}, "takes days")):
         scene = parse_scenario({**SMALL, "rendering": rendering})
         with pytest.raises(ScenarioError, match=message):

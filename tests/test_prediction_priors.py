@@ -185,7 +185,12 @@ def test_a_draw_becomes_a_scenario() -> None:
     thickness = {layer.tissue: layer.thickness for layer in arm.limb.layers}
     assert thickness == {t: draw.values[f"{t} thickness"] for t in ("skin", "fat")}
     assert (arm.device.cone.radius / SCENE.device.cone.radius) ** 2 == pytest.approx(draw.values["contact area"])
-    assert arm.device.coil.moving_mass == draw.values["moving mass"]
+    assert arm.device.coil.moving_mass == pytest.approx(draw.values["moving mass"])
+    other = parse_scenario({"device": {"coil": {"moving_mass": 3.5e-3}, "gains": {"A1": 2.0}}})
+    drawn = scenario_of(draw, other).device  # another actuator: the same spread about its own numbers
+    assert drawn.coil.moving_mass == pytest.approx(10 * draw.values["moving mass"])
+    assert drawn.gains["A1"] == pytest.approx(2 * draw.values["gain A1"])
+    assert drawn.contact_springs["A4"] == draw.values["contact spring A4"]
     assert arm.rendering == SCENE.rendering
     held = scenario_of(draw, SCENE, held={"tissue", "skin tension", "grid x", "grid y", "grid turn"})
     assert held.tissues == SCENE.tissues

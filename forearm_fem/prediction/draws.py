@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import ScenarioError
 from ..scenario import Scenario
 from ..tissue import resolve_tissues
-from .priors import Prior, Priors
+from .priors import Prior, Priors, load_priors
 from .tissues import SOFT, law_parameters
 
 LAWS = ("kelvin-voigt", "zener", "springpot")
@@ -101,18 +101,25 @@ def _set_tissues(data: dict[str, Any], draw: Draw, scenario: Scenario) -> None:
 
 
 def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
+    """Spreads about the scenario's own device: what is drawn about a centre multiplies what it has."""
     if "contact area" in values:
         device["cone"]["radius"] *= math.sqrt(values["contact area"])
+    if "housing share" in values:
+        device["housing"]["skin_share"] = values["housing share"]
+    inputs = load_priors().inputs
     for part, key, name in (
         ("coil", "moving_mass", "moving mass"), ("coil", "resonance", "coil resonance"),
         ("coil", "quality", "coil quality"), ("housing", "mass", "housing mass"),
-        ("housing", "strap_stiffness", "strap stiffness"), ("housing", "skin_share", "housing share"),
+        ("housing", "strap_stiffness", "strap stiffness"),
     ):  # fmt: skip
         if name in values:
-            device[part][key] = values[name]
-    for key, name in (("contact_springs", "contact spring"), ("gains", "gain")):
-        found = {who: value for n, value in values.items() for what, _, who in [n.rpartition(" ")] if what == name}
-        device[key] = {**device[key], **found}
+            device[part][key] *= values[name] / inputs[name].centre
+    springs, gains = (
+        {who: value for n, value in values.items() for what, _, who in [n.rpartition(" ")] if what == name}
+        for name in ("contact spring", "gain")
+    )
+    device["contact_springs"] = {**device["contact_springs"], **springs}
+    device["gains"] = {**device["gains"], **{who: device["gains"].get(who, 1.0) * g for who, g in gains.items()}}
 
 
 def moved_points(scenario: Scenario, values: Mapping[str, float]) -> list[tuple[float, float]]:

@@ -112,8 +112,8 @@ def predict(
     check_question(question)
     out = Path(folder)
     tell(progress, "the scene itself", 0, 1)
+    _, setup, arm = _prepared(*_plain(question))  # an arm that cannot be is said before minutes of solving
     nominal = _nominal(question, progress)
-    _, setup, arm = _prepared(*_plain(question))
     kept = _kept(out / FILE, question.digest, draws) if resume else {}
     reused = len(kept)
     todo = [n for n in range(draws) if n not in kept]
@@ -147,6 +147,11 @@ def check_question(question: Question) -> None:
         raise ScenarioError(f"--law: no law is called '{bad[0]}'; known are {', '.join(LAWS)}")
     if not question.laws:
         raise ScenarioError(f"--law: expected at least one of {', '.join(LAWS)}")
+    if not hasattr(question.scenario.limb, "layers"):
+        raise ScenarioError(
+            f"limb.shape: '{question.scenario.limb.shape}' has no layers to draw arms from; give the limb as a "
+            "forearm, cylinder or slab"
+        )
     if not question.scenario.rendering.methods:
         raise ScenarioError("rendering.methods is empty, so there is no S to predict; name a method")
     if question.scenario.rendering.zeros == "search":

@@ -41,7 +41,9 @@ TARGETS = (
     Target("appendix A, decay levels off", "appendix A", "decay at 500 Hz within a quarter of that at 250 Hz", "trend",
            _A, note="a quarter is our reading of 'plateaus'"),
     Target("Zhang, speed", "Zhang", "surface speed at 200 Hz", "value",
-           "Zhang et al. 2011, abstract seen; distances not seen", 3.25, "+-0.19", "m/s", fitted=True),
+           "Zhang et al. 2011, abstract seen; distances not seen", 3.25, "+-0.19", "m/s",
+           fitted=True, note="5 to 15 mm taken, where the half-space of their mu and eta reads 4.2 m/s: near field, so "
+           "that the fit leans soft"),
     Target("Zhang, speeds of 30", "Zhang", "surface speed at 100, 150 and 200 Hz, 30 people", "not comparable",
            "PMC5743597, abstract seen", note="the speeds were not seen"),
     Target("Sueda, relaxed", "Sueda", "stiffness under 0.50 cm^2, relaxed", "value", "Sueda 1972, abstract seen", 80.0,
