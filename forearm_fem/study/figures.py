@@ -119,6 +119,7 @@ def plot_outlines(table: pd.DataFrame, grid: Sequence[Port]) -> Figure:
     u = np.linspace(xy[:, 0].min() - reach, xy[:, 0].max() + reach, 61)
     v = np.linspace(xy[:, 1].min() - reach, xy[:, 1].max() + reach, 61)
     for row, target in zip(axes, targets, strict=True):
+        letter(row[0], target)
         for ax, method in zip(row, methods, strict=True):
             drawn = table[(table["target"] == target) & (table["method"] == method)]["response_outline"].dropna()
             image = ax.pcolormesh(u, v, _share_inside(drawn, u, v), vmin=0, vmax=1, cmap="cividis", rasterized=True)
