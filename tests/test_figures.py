@@ -216,3 +216,23 @@ def test_vector_formats_and_any_back_end(folder: Path, tmp_path: Path) -> None: 
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "errors.pdf").read_bytes()[:5] == b"%PDF-"
     assert "discretisation" in (tmp_path / "errors.svg").read_text(encoding="utf-8")
+
+
+def test_widths_and_curves_that_cannot_be_are_refused_before_anything_is_drawn(run: Results, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="88 or 181 mm wide"):
+        make_figures(run, tmp_path / "out", only=["errors"], width=90)
+    (tmp_path / "c.csv").write_text("f,a\n1,0.5\n")
+    with pytest.raises(DataError, match="'transfer' is not among the figures made"):
+        make_figures(run, tmp_path / "out", only=["errors"], over={"transfer": tmp_path / "c.csv"})
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_journal_s_width_and_a_curve_are_in_the_picture(run: Results, tmp_path: Path) -> None:
+    (tmp_path / "c.csv").write_text("f,published\n100,60\n")
+    for name, wide in (("figure-a2", 88), ("transfer", 181)):
+        make_figures(run, tmp_path, only=[name], formats=["svg"], width=88, over={name: tmp_path / "c.csv"}
+                     if name == "figure-a2" else None)  # fmt: skip
+        text = (tmp_path / f"{name}.svg").read_text(encoding="utf-8")
+        points = float(text.split('width="')[1].split("pt")[0])
+        assert points / 72 * 25.4 == pytest.approx(wide, abs=0.1)
+    assert "published" in (tmp_path / "figure-a2.svg").read_text(encoding="utf-8")

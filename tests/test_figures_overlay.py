@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError
-from forearm_fem.figures import make_figures
 from forearm_fem.figures.overlay import fit_width, lay_over, read_curves
 from forearm_fem.figures.targets import moments
 
@@ -55,15 +53,6 @@ def test_a_figure_is_as_wide_as_a_column_or_a_page(inches, asked, made):
     figure = Figure(figsize=(inches, 3.0))
     fit_width(figure, asked)
     assert figure.get_figwidth() * 25.4 == pytest.approx(made)
-
-
-def test_widths_and_curves_that_cannot_be_are_refused_before_anything_is_drawn(folder, tmp_path):  # noqa: F811
-    with pytest.raises(DataError, match="88 or 181 mm wide"):
-        make_figures(folder, tmp_path / "out", only=["errors"], width=90)
-    (tmp_path / "c.csv").write_text("f,a\n1,0.5\n")
-    with pytest.raises(DataError, match="'transfer' is not among the figures made"):
-        make_figures(folder, tmp_path / "out", only=["errors"], over={"transfer": tmp_path / "c.csv"})
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("gap", [-9.0, -3.7, -0.4, 0.0, 1.1, 5.2])

@@ -17,7 +17,7 @@ from ..io.atomic import atomic_path
 from ..layered.tabulated import DEGREE, Column, Tabulated, tabulate
 from ..pipeline.frequencies import frequencies
 from ..pipeline.layered_engine import flat_disc, flat_layers, flat_ports, flat_surface
-from ..progress import Progress, tell
+from ..progress import Progress
 from ..scenario import Scenario
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
@@ -73,7 +73,7 @@ class TwinArm:
                 lambda: tabulate(
                     flat_layers(scenario), (2 * np.pi * low, 2 * np.pi * high), cone.radius, cone.contact,
                     surface=flat_surface(scenario.tissues), farthest=reach,
-                    progress=lambda done, total: tell(self._progress, "tables of the twin", done, total),
+                    progress=self._progress,
                 ),
             )  # fmt: skip
         return self._known[key]

@@ -17,7 +17,7 @@ from ..ports import Port, positions
 from ..transfer import ErrorEstimate, size_words
 from ..typing import FloatArray
 from .data import Results
-from .style import ACTUATORS, GREY, INK, figure_of, method_colour, panels, single, styled, widen
+from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled, widen
 from .tables import Table, markdown
 
 WHO = ("here", "record", "thesis")  # columns of Table I: S over the window, over the whole record, and measured
@@ -271,8 +271,5 @@ def plot_errors(data: Errors, *, ax: Axes | None = None) -> Axes:
         axes.annotate(f"asked {data.asked:g}", (0.01, data.asked), xycoords=("axes fraction", "data"), ha="left",
                       va="bottom", fontsize=7, color=GREY)  # fmt: skip
     axes.set(xlabel="frequency [Hz]", ylabel="e(f) = max |ΔG| / max |G| [-]", yscale="log")
-    if ax is None:
-        figure_of(axes).legend(title="source: $e_{band}$", loc="outside lower center", ncols=2)
-    else:
-        axes.legend(title="source: $e_{band}$")
+    axes.legend(title="source: $e_{band}$", loc="upper center", bbox_to_anchor=(0.45, -0.18), ncols=2)
     return axes

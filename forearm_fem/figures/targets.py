@@ -228,10 +228,12 @@ def _mark(ax: Axes, data: Target) -> None:
 
 
 def _scale_bar(ax: Axes) -> None:
-    """A bar of 10 mm below a map."""
-    left, low = ax.get_xlim()[0], ax.get_ylim()[0]
-    ax.plot([left, left + _BAR], [low, low], color=INK, lw=2, solid_capstyle="butt", clip_on=False)
-    ax.annotate(f"{_BAR:g} mm", (left + _BAR, low), (3, 0), textcoords="offset points", va="center", fontsize=6,
+    """A bar of 10 mm below a map, its length beside it."""
+    left, (low, high) = ax.get_xlim()[0], ax.get_ylim()
+    below = low - 0.09 * (high - low)
+    ax.plot([left, left + _BAR], [below, below], color=INK, lw=2, solid_capstyle="butt", clip_on=False, scalex=False,
+            scaley=False)  # fmt: skip
+    ax.annotate(f"{_BAR:g} mm", (left + _BAR, below), (3, 0), textcoords="offset points", va="center", fontsize=6,
                 annotation_clip=False)  # fmt: skip
 
 
@@ -246,7 +248,7 @@ def _traces(ax: Axes, data: Target, shown: Shown) -> None:
     colour = method_colour(shown.method, [s.method for s in data.shown])
     ax.set_title(shown.method, color=colour, fontweight="bold", fontsize=9)
     ax.set(xlabel=_TIME, ylabel="u [µm]", xlim=(1e3 * shown.time[0], 1e3 * shown.time[-1]))
-    ax.legend(loc="upper left", fontsize=6)
+    ax.legend(loc="upper right", fontsize=6)
 
 
 @styled

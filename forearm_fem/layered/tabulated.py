@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from ..errors import GeometryError
+from ..progress import Progress, tell
 from ..typing import ComplexArray, FloatArray, IntArray
 from .hankel import HankelTable
 from .integrals import Integrals, Medium
@@ -140,12 +141,12 @@ def tabulate(
     farthest: float = 0.1,
     tolerance: float = 1e-7,
     step: float = _STEP,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Tabulated:
     """Tables for discs of ``radius`` [m] on ``layers``, for angular frequencies in ``band`` [rad/s] and ports up to
     ``farthest`` [m] apart, ``step`` [m] fine at that end.
 
-    ``progress`` is told the distances done and all of them. Media with next to no loss are not covered: their sharp
+    ``progress`` counts distances. Media with next to no loss are not covered: their sharp
     resonances escape the Chebyshev rule, which ``checked`` then says.
     """
     check_layers(layers, "halfspace")
@@ -156,12 +157,11 @@ def tabulate(
     grids = [np.linspace(np.sqrt(0.9 * _CLEAR), np.sqrt(farthest - e), _count(farthest - e, step)) for e in edges]
     total, done = sum(len(g) for g in grids), [0]
 
-    def tell(count: int) -> None:
+    def counted(count: int) -> None:
         done[0] += count
-        if progress is not None:
-            progress(done[0], total)
+        tell(progress, "tables of the flat twin", done[0], total)
 
-    discs, points = (build.over(root, edge, tell) for root, edge in zip(grids, edges, strict=True))
+    discs, points = (build.over(root, edge, counted) for root, edge in zip(grids, edges, strict=True))
     made = Tabulated(
         medium.layers, medium.surface, radius, contact, farthest, *band, omega, build.own(), discs, points,
         np.zeros(omega.size),

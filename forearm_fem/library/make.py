@@ -74,7 +74,7 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     cone = scenario.device.cone
     twin = twin_table(
         medium, nodes, cone.radius, cone.contact, float(distances[-1]) + cone.radius,
-        progress=lambda done, total: tell(progress, "tables of the flat twin", done, total),
+        progress=progress,
     )  # fmt: skip
     library = ArmLibrary(
         scenario, bells.centres, bells.width, fine.limb, coarse.limb if coarse else None, fine.freed, COARSER,

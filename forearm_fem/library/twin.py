@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +13,7 @@ from ..layered.hankel import HankelTable, Radial
 from ..layered.integrals import Integrals, Medium
 from ..layered.rigid import Contact
 from ..layered.scattering import Galerkin, galerkin
+from ..progress import Progress, tell
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 
 TERMS, ORDERS = 5, 2  # of tractions under rigid discs: leave 1e-4 of an arrangement (docs/decisions/library.md)
@@ -126,7 +126,7 @@ def twin_table(
     contact: str,
     farthest: float,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> TwinTable:
     """Tabulate the twin of ``medium`` at ``frequency`` (n,) [Hz] up to the ``farthest`` distance [m]."""
     system = galerkin(_samples(radius, contact), medium.surface, TERMS, ORDERS)
@@ -146,8 +146,7 @@ def twin_table(
         for piece in np.array_split(distances, max(1, len(distances) // _AT_ONCE)):
             parts.append(_tabulated(medium, frequency, table.radials, keys, piece))
             done += 1
-            if progress is not None:
-                progress(done, 0)
+            tell(progress, "tables of the flat twin", done, 0)
         return Curves(radius, keys, distances, np.concatenate(parts, axis=2))
 
     alone = curves(~apart & (ends < 2), 0.0)
