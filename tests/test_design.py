@@ -185,10 +185,14 @@ def test_the_tabulated_twin_is_the_twin_within_its_statement(contact):
     found = made.compliance(omega, ports)
     error = np.abs(found.values[:, :, :2] - truth.values).max(axis=(1, 2)) / np.abs(truth.values).max(axis=(1, 2))
     assert np.all(error <= found.error + truth.error)
-    assert found.interpolation.max() < 1e-3
+    # of rigid discs two azimuthal orders are taken: close ones would ask for five
+    assert found.interpolation.max() < (1e-3 if contact == "pressure" else 0.03)
     assert np.isnan(found.values[:, 2:, 2:]).all()  # between points nothing is tabulated
     with pytest.raises(GeometryError, match="the tables reach 24 mm"):
         made.compliance(omega, [discs[0], Disc(0.03, 0.0)])
+    if contact == "pressure":  # rigid ones carry it
+        with pytest.raises(GeometryError, match="a point lies under a disc"):
+            made.compliance(omega, [discs[0], Disc(0.001, -0.002)])
     with pytest.raises(GeometryError, match=r"comes within 0\.05 mm"):
         made.compliance(omega, [discs[0], Disc(0.001, -0.002 + 0.00355)])
 
