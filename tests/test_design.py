@@ -241,7 +241,8 @@ def test_overlaps_and_places_off_the_skin_leave_nothing_feasible(tmp_path):
 
 def test_the_command_confirms_the_winner_and_prints_the_difference(tmp_path, monkeypatch):
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "cache"))
-    text = '[[variables]]\nkey = "device.spacing"\nvalues = [0.035, 0.045]\n[objective]\ntargets = ["5"]\n'
+    few = 'set = { "grid.rows" = 1, "grid.columns" = 3 }\n'  # points, so that the report is short
+    text = few + '[[variables]]\nkey = "device.spacing"\nvalues = [0.035, 0.045]\n[objective]\ntargets = ["2"]\n'
     design(tmp_path, text + QUICK)
     said = cli("design", tmp_path / "design.toml", "--out", tmp_path / "out")
     assert said.code == 0, said
