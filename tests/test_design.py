@@ -12,7 +12,7 @@ import pytest
 from cli_runner import cli
 
 from forearm_fem.design import Candidate, TwinArm, evaluate, load_design, pareto_front, run_design
-from forearm_fem.design.search import search
+from forearm_fem.design.search import planned, search
 from forearm_fem.design.store import Store
 from forearm_fem.errors import GeometryError, ScenarioError
 from forearm_fem.layered import Disc, Layer, layered_compliance
@@ -89,7 +89,7 @@ def test_few_choices_are_all_tried(tmp_path):
                              'key = "device.spacing"\nlow = 0.03\nhigh = 0.04\nstep = 0.005\n')  # fmt: skip
     tried = []
     search(asked, lambda wanted: tried.extend(wanted) or [])
-    assert len(tried) == 9
+    assert len(tried) == planned(asked) == 9
     assert {v["device.spacing"] for v in tried} == {0.03, 0.035, 0.04}
 
 

@@ -23,7 +23,7 @@ from .arm import ArmModel, TwinArm
 from .candidate import Candidate, evaluate, s_interval, score_of
 from .front import pareto_front
 from .model import Design, Values
-from .search import search
+from .search import planned, search
 from .store import Store
 
 Evaluate = Callable[[Sequence[Values]], Iterator[Candidate]]
@@ -78,7 +78,7 @@ def run_design(
     model = arm or TwinArm(progress=progress)
     spread = arm is None and (scheduler is not None or (workers or 1) > 1)
     with _evaluating(design, model, scheduler, workers, spread=spread) as many:
-        total = design.asked.search.candidates + design.asked.search.local
+        total = planned(design)
 
         def ask(wanted: Sequence[Values]) -> list[Candidate]:
             missing = [v for v in wanted if store.get(v) is None]
