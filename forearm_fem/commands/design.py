@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .common import Display, noted
+from .common import Display, LibraryFile, library_file, noted
 
 
 def design(
@@ -16,6 +16,7 @@ def design(
     confirm: Annotated[
         bool, typer.Option("--confirm/--no-confirm", help="solve the winner in full by the scenario's own engine")
     ] = True,
+    library: LibraryFile = None,
     scheduler: Annotated[
         str | None, typer.Option(help="address of a running Dask scheduler; default: this process")
     ] = None,
@@ -24,13 +25,17 @@ def design(
     """Search for the device with the largest S within limits; interrupted, it goes on where it was."""
     from ..design import load_design, run_design
     from ..design.report import summary
+    from ..errors import ScenarioError
     from ..io.lock import locked
 
     asked = load_design(file)
+    if library is not None and (scheduler is not None or (workers or 1) > 1):
+        raise ScenarioError("--library answers in this process: leave out --workers and --scheduler")
     folder = out or Path("results") / asked.asked.name
     with locked(folder), Display() as display, noted():
         result = run_design(
-            asked, folder, confirm=confirm, scheduler=scheduler, workers=workers, progress=display
+            asked, folder, arm=library_file(library), confirm=confirm, scheduler=scheduler, workers=workers,
+            progress=display,
         )
     for line in summary(result):
         typer.echo(line)

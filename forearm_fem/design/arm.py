@@ -115,10 +115,13 @@ def _read(file: Path, scenario: Scenario) -> Tabulated:
     with np.load(file, allow_pickle=False) as kept:
         keys = {name: [Column(*map(int, row)) for row in kept[f"{name}_keys"]] for name in ("own", "discs", "points")}
         low, high, farthest = map(float, kept["ends"])
-        splines = [({c: i for i, c in enumerate(keys[name])}, BSpline(kept[f"{name}_t"], kept[f"{name}_c"], DEGREE))
-                   for name in ("discs", "points")]  # fmt: skip
+        discs, points = (
+            ({c: i for i, c in enumerate(keys[name])}, BSpline(kept[f"{name}_t"], kept[f"{name}_c"], DEGREE))
+            for name in ("discs", "points")
+        )
         cone = scenario.device.cone
         return Tabulated(
             tuple(flat_layers(scenario)), flat_surface(scenario.tissues), cone.radius, cone.contact, farthest,
-            low, high, kept["omega"], dict(zip(keys["own"], kept["own"], strict=True)), *splines, kept["checked"],
+            low, high, kept["omega"], dict(zip(keys["own"], kept["own"], strict=True)), discs, points,
+            kept["checked"],
         )  # fmt: skip

@@ -82,7 +82,7 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
     except ForearmError as problem:
         return _impossible(values, str(problem))
     s = np.array([f.strengths for f in found])
-    scores = [_score(row, asked.objective) for row in s]
+    scores = [score_of(row, asked.objective) for row in s]
     over = min(scores) if asked.objective.over == "least" else float(np.mean(scores))
     count, limits = len(first.device.centres), asked.constraints
     voltage, power = max(f.voltage for f in found), max(f.power for f in found)
@@ -101,8 +101,8 @@ def s_interval(design: Design, candidate: Candidate, arm: ArmModel) -> tuple[flo
         g = transfer_on(scenario, arm)
         rendering = _rendered(scenario, g, _targets(scenario, asked.objective), design.base)
         account = account_of(scenario, g, rendering, base=design.base)
-        low.append(_score(account.low[0], asked.objective))
-        high.append(_score(account.high[0], asked.objective))
+        low.append(score_of(account.low[0], asked.objective))
+        high.append(score_of(account.high[0], asked.objective))
     pick = min if asked.objective.over == "least" else np.mean
     return float(pick(low)), float(pick(high))
 
@@ -156,7 +156,8 @@ def _share(rendering: Rendering, method: str, target: str, wanted: float) -> flo
     return wanted / reached if reached > 0 else math.inf
 
 
-def _score(strengths: FloatArray, objective: Objective) -> float:
+def score_of(strengths: FloatArray, objective: Objective) -> float:
+    """The objective [-] of S (n_target,)."""
     if objective.of == "share":
         return float(np.mean(strengths > 1))
     return float(strengths.min() if objective.of == "least" else strengths.mean())

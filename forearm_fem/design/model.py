@@ -41,7 +41,7 @@ from ..errors import ScenarioError
 from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario
 from ..scenario.base import Name, Part, Within
 from ..scenario.rendering import Method
-from ..typing import FloatArray
+from ..typing import BoolArray, FloatArray
 
 _TABLED = ("device.cone.radius", "device.cone.contact", "tissues", "limb", "sweep")
 Values = dict[str, Any]
@@ -169,7 +169,7 @@ class Design:
     data: tuple[Mapping[str, Any], ...]
 
     @property
-    def bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def bounds(self) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Low and high ends (n,) of the search's coordinates, and which of them are whole numbers (n,)."""
         rows = [_span(v) for v in self.asked.variables]
         if (p := self.asked.positions) is not None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,10 @@ from ..pipeline.folder import Run, run_all
 from ..progress import Progress, tell, within
 from ..results import read_run
 from .arm import ArmModel, TwinArm
-from .candidate import Candidate, evaluate, s_interval
+from .candidate import Candidate, evaluate, s_interval, score_of
 from .front import pareto_front
 from .model import Design, Values
-from .search import search
+from .search import planned, search
 from .store import Store
 
 Evaluate = Callable[[Sequence[Values]], Iterator[Candidate]]
@@ -77,7 +78,7 @@ def run_design(
     model = arm or TwinArm(progress=progress)
     spread = arm is None and (scheduler is not None or (workers or 1) > 1)
     with _evaluating(design, model, scheduler, workers, spread=spread) as many:
-        total = design.asked.search.candidates + design.asked.search.local
+        total = planned(design)
 
         def ask(wanted: Sequence[Values]) -> list[Candidate]:
             missing = [v for v in wanted if store.get(v) is None]
@@ -113,13 +114,13 @@ def _evaluating(
         return max(1, min(workers or os.cpu_count() or 1, int(SHARE * psutil.virtual_memory().available // LIGHT)))
 
     with cluster(scheduler, count, "a design on several processes") as client:
-        from distributed import as_completed
+        distributed: Any = import_module("distributed")
 
         def many(wanted: Sequence[Values]) -> Iterator[Candidate]:
             if wanted:
                 yield evaluate(design, wanted[0], arm)
             futures = client.map(lambda v: evaluate(design, v, _own_twin()), wanted[1:], pure=False)
-            yield from (future.result() for future in as_completed(futures))
+            yield from (future.result() for future in distributed.as_completed(futures))
 
         yield many
 
@@ -152,7 +153,7 @@ def _confirmed(design: Design, best: Candidate, out: Path, progress: Progress | 
         strength = read_run(folder / "run.json").signal_strength
         assert strength is not None
         s = np.array([entry.value for entry in strength.methods[objective.method].values()], dtype=float)
-        scores.append({"mean": s.mean, "least": s.min, "share": (s > 1).mean}[objective.of]())
+        scores.append(score_of(s, objective))
         folders.append(folder)
     over = min(scores) if objective.over == "least" else float(np.mean(scores))
     return Confirmation(float(over), best.score, tuple(folders))

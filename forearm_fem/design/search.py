@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 from scipy.stats import qmc
 
-from ..typing import FloatArray
+from ..typing import BoolArray, FloatArray
 from .candidate import Candidate
 from .model import Design, Values
 
@@ -25,8 +25,7 @@ def search(design: Design, ask: Ask) -> None:
     """
     low, high, whole = design.bounds
     options = design.asked.search
-    levels = np.prod(np.where(whole, high - low + 1, np.inf))
-    if whole.all() and levels <= options.candidates:
+    if _levels(low, high, whole) <= options.candidates:
         ask([design.values(at) for at in _all(low, high)])
         return
 
@@ -54,6 +53,18 @@ def search(design: Design, ask: Ask) -> None:
         one, ((found.x - low) / span)[free], method="Nelder-Mead", bounds=[(0, 1)] * int(free.sum()),
         options={"maxfev": options.local, "xatol": _STILL, "fatol": 1e-6},
     )  # fmt: skip
+
+
+def planned(design: Design) -> int:
+    """Candidates that the search asks for at most."""
+    options, (low, high, whole) = design.asked.search, design.bounds
+    levels = _levels(low, high, whole)
+    return int(levels) if levels <= options.candidates else options.candidates + options.local
+
+
+def _levels(low: FloatArray, high: FloatArray, whole: BoolArray) -> float:
+    """Combinations of choices; infinite where something is continuous."""
+    return float(np.prod(np.where(whole, high - low + 1, np.inf)))
 
 
 def _all(low: FloatArray, high: FloatArray) -> FloatArray:

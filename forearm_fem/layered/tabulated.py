@@ -28,10 +28,10 @@ from .scattering import Galerkin, galerkin
 _DEGREE = 48  # of the Chebyshev rule in the root of the frequency, as the twin's own first try
 _ORDERS = 2  # azimuthal, as the twin's own for discs 12 radii apart
 _CLEAR = 2e-4  # [m] from a rim: nearer, the field of a rigid disc has a root that no table follows
-_STEP = 8e-4  # [m] at the far end of a table; they lie closer towards the rims
+_STEP = 2e-3  # [m] at the far end of a table; they lie closer towards the rims (0.8 mm leaves 1e-9, by its 6th power)
 _AT_ONCE = 6  # distances of one quadrature
 DEGREE = 5  # of the splines over distance
-_MARGIN = 2.0  # times what one arrangement was seen to err by, for those not seen
+_MARGIN = 2.0  # times what one arrangement was seen to err by, for those not seen; and times what two orders foretell
 _FEW = 12  # every so many frequencies the series of tractions are judged
 
 
@@ -81,7 +81,7 @@ class Tabulated:
         _, lacking = system.compliance(found[judged])
         sampled, tail = chebyshev_between(self.low, self.high, omega, whole)
         x = np.sqrt(omega)
-        truncation = np.interp(x, np.sqrt(self.omega[judged])[::-1], lacking[::-1])
+        truncation = _MARGIN * np.interp(x, np.sqrt(self.omega[judged])[::-1], lacking[::-1])
         table = np.interp(x, np.sqrt(self.omega)[::-1], self.checked[::-1])
         free = np.array([disc.radius == 0 for disc in kinds])
         sampled[:, free[:, None] & free] = np.nan
@@ -106,7 +106,8 @@ class Tabulated:
         kinds, of = np.unique(np.stack([table.kernel, table.a, table.b, table.order]), axis=1, return_inverse=True)
         names = [_name(table, Column(*map(int, kind))) for kind in kinds.T]
         point = np.array([g.kind == "point" for g in table.radials])
-        points, own = point[table.a].astype(int) + point[table.b], table.distance == 0
+        points = point[table.a].astype(int) + point[table.b]
+        own = (table.distance == 0) & (points == 0)
         out = np.zeros((self.omega.size, table.a.size), dtype=complex)
         for i in np.flatnonzero(own):
             out[:, i] = self.own[names[of[i]]]
@@ -124,6 +125,8 @@ class Tabulated:
             raise GeometryError(
                 f"two ports are {1e3 * distance[-1]:.3g} mm apart, the tables reach {1e3 * self.farthest:.3g} mm"
             )
+        if distance[0] < edge:
+            raise GeometryError("a point lies under a disc: tables hold for points beside them; move either")
         if distance[0] < edge + _CLEAR:
             raise GeometryError(
                 f"a disc's rim comes within {1e3 * (distance[0] - edge):.2g} mm of a point or another disc, expected "
@@ -175,7 +178,8 @@ def _count(reach: float, step: float) -> int:
 
 
 def _seen(made: Tabulated, tolerance: float) -> FloatArray:
-    """e(f) (n_node,) of an arrangement without symmetry against the twin's own quadrature, all its orders taken."""
+    """e(f) (n_node,) of an arrangement without symmetry against the twin's own quadrature, as many orders taken: what
+    they leave out, each arrangement says itself."""
     r, reach = made.radius, 0.4 * made.farthest
     places = [(0.0, 0.0), (4.3 * r, 1.1 * r), (-2.1 * r, 0.6 * reach)]
     spots = [(2.2 * r, 2.4 * r), (0.5 * reach, -0.3 * reach), (-1.6 * r, -0.9 * r), (0.1 * reach, 0.8 * reach)]
@@ -183,10 +187,12 @@ def _seen(made: Tabulated, tolerance: float) -> FloatArray:
     discs = [*(Disc(x, y, r, contact) for x, y in places), *(Disc(x, y) for x, y in spots)]  # type: ignore[arg-type]
     n = len(places)
     few = made.omega[:: _FEW // 2]
-    truth = layered_compliance(made.layers, few, discs[:n], discs, surface=made.surface, tolerance=tolerance)
+    truth = layered_compliance(
+        made.layers, few, discs[:n], discs, surface=made.surface, tolerance=tolerance, orders=made.orders
+    )
     found = made.compliance(few, discs).values[:, :, :n]
     error = np.abs(found - truth.values).max(axis=(1, 2)) / np.abs(truth.values).max(axis=(1, 2))
-    return np.interp(np.sqrt(made.omega), np.sqrt(few)[::-1], error[::-1])
+    return np.asarray(np.interp(np.sqrt(made.omega), np.sqrt(few)[::-1], error[::-1]))
 
 
 @dataclass(frozen=True)
@@ -229,27 +235,38 @@ class _Builder:
             kinds = _part(kinds, np.array([i for i in range(kinds.a.size) if not _both_points(kinds, i)]))
         index = {_name(kinds, _column(kinds, i)): i for i in range(kinds.a.size)}
         values = []
-        distance = edge + root**2
+        distance, more = edge + root**2, _lacking(one, kinds)
         for start in range(0, len(root), _AT_ONCE):
             some = distance[start : start + _AT_ONCE]
-            values.append(self._at(kinds, some))
+            values.append(self._at(kinds, some, more))
             tell(len(some))
         return index, make_interp_spline(root, np.concatenate(values), k=DEGREE)
 
-    def _at(self, kinds: HankelTable, distance: FloatArray) -> ComplexArray:
-        """(n_distance, n_node, n_kind)."""
-        m = len(distance)
-        order = np.argsort(np.tile(kinds.kernel, m), kind="stable")
-        spread = [np.tile(x, m)[order] for x in (kinds.kernel, kinds.a, kinds.b, kinds.order)]
-        table = HankelTable(kinds.radials, *spread, np.repeat(distance, kinds.a.size)[order])
+    def _at(self, kinds: HankelTable, distance: FloatArray, more: HankelTable) -> ComplexArray:
+        """(n_distance, n_node, n_kind); the columns ``more`` are computed besides and left out."""
+        m, n = len(distance), kinds.a.size
+        columns = [np.concatenate([np.tile(x, m), y]) for x, y in zip(_columns(kinds), _columns(more), strict=True)]
+        columns[-1][: m * n] = np.repeat(distance, n)
+        order = np.argsort(columns[0], kind="stable")
         values = np.empty((self.omega.size, order.size), dtype=complex)
-        values[:, order] = self.solved(table)
-        return values.reshape(self.omega.size, m, kinds.a.size).swapaxes(0, 1)
+        values[:, order] = self.solved(HankelTable(kinds.radials, *(c[order] for c in columns)))
+        return values[:, : m * n].reshape(self.omega.size, m, n).swapaxes(0, 1)
+
+
+def _columns(table: HankelTable) -> tuple[IntArray, IntArray, IntArray, IntArray, FloatArray]:
+    return table.kernel, table.a, table.b, table.order, table.distance
 
 
 def _part(table: HankelTable, kept: IntArray) -> HankelTable:
-    columns = (table.kernel, table.a, table.b, table.order, table.distance)
-    return HankelTable(table.radials, *(c[kept] for c in columns))
+    kernel, a, b, order, distance = _columns(table)
+    return HankelTable(table.radials, kernel[kept], a[kept], b[kept], order[kept], distance[kept])
+
+
+def _lacking(table: HankelTable, kinds: HankelTable) -> HankelTable:
+    """A column of ``table`` for each kernel that ``kinds`` lack beside others than the first: the quadrature takes the
+    first alone, or all four."""
+    wanted = sorted(set(table.kernel.tolist()) - set(kinds.kernel.tolist())) if kinds.kernel.max() > 0 else []
+    return _part(table, np.array([int(np.flatnonzero(table.kernel == k)[0]) for k in wanted], dtype=int))
 
 
 def _column(table: HankelTable, i: int) -> Column:
@@ -265,6 +282,6 @@ def _name(table: HankelTable, column: Column) -> Column:
 
 
 def _both_points(table: HankelTable, i: int) -> bool:
-    return table.radials[table.a[i]].kind == "point" and table.radials[table.b[i]].kind == "point"
+    return bool(table.radials[table.a[i]].kind == "point" and table.radials[table.b[i]].kind == "point")
 
 
