@@ -11,7 +11,7 @@ RUN = ROOT / "results" / "quick"
 
 
 def quick() -> Results:
-    """Results of scenarios/quick.toml; solved first if they are not there (half a minute)."""
+    """Results of scenarios/quick.toml; solved first if they are not there (some twenty seconds)."""
     if not (RUN / "signal_strength.csv").is_file():
         from forearm_fem.pipeline.folder import Run, run_render
         from forearm_fem.scenario import load_scenario

@@ -19,13 +19,14 @@ from ..scenario import Scenario
 from ..scenario.limb import MeshLimb
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error_at
+from .dispersion import phase_lags
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
 from .model_notes import model_notes, resolution_notes
 from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
-from .two_meshes import change_around, estimated_errors
+from .two_meshes import agreed_upon, change_around, estimated_errors
 
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
 OTHER_ENDS, _OTHER = 0.5, "absorbing ends are clamped (or the reverse), on the coarser mesh"
@@ -88,7 +89,7 @@ def closed(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simul
     """G and its errors from compliances: the device enters here, at no further FE solve."""
     transfer = finite(close_loop(solved.compliance, scenario.device))
     coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None
-    errors = [*solved.unknown, *([_discretisation(transfer, coarse)] if coarse else [])]
+    errors = [*solved.unknown, *([_discretisation(transfer, coarse, scenario, mesh)] if coarse else [])]
     truncations = []
     if solved.freed:
         freed = finite(close_loop(solved.freed, scenario.device))
@@ -147,14 +148,22 @@ def account_of(
     return strength_account(rendering, renderers(scenario.rendering, shape, left_out), shape, measured)
 
 
-def _discretisation(fine: TransferMatrix, coarse: TransferMatrix) -> ErrorEstimate:
+def _discretisation(
+    fine: TransferMatrix, coarse: TransferMatrix, scenario: Scenario, mesh: TissueMesh
+) -> ErrorEstimate:
     ratio = float(coarse.provenance["ratio"])
-    band, error = estimated_errors(coarse.values, fine.values, fine.frequency, ratio)
+    lag, coarser = (
+        phase_lags(scenario, mesh, fine.outputs, fine.inputs, fine.frequency, scale) for scale in (1.0, max(ratio, 1.0))
+    )
+    unseen = agreed_upon(fine.values, lag, coarser)
+    band, error = estimated_errors(coarse.values, fine.values, fine.frequency, ratio, unseen)
+    lost = fine.frequency[unseen.any(axis=(1, 2))]
+    blind = f"; from {lost[0]:g} Hz on at least the lag of waves too short for the elements" if len(lost) else ""
     return ErrorEstimate(
         "discretisation",
         band,
         f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^p - 1|; order p is "
-        "1.85 where that is below 0.154, 3 above 0.157",
+        f"1.85 where that is below 0.115, 3 above 0.117{blind}",
         tuple(fine.frequency.tolist()),
         tuple(error.tolist()),
     )

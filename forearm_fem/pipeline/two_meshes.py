@@ -8,8 +8,8 @@ from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray
 
 COARSER = 2.0  # size ratio of the second mesh, where it can be made
-# Relative error, and the order assumed there: a change of 0.4 and of 1.1 with COARSER (docs/decisions/0015).
-_RESOLVED, _UNRESOLVED = (0.4 / (COARSER**1.85 - 1), 1.85), (1.1 / (COARSER**3 - 1), 3.0)
+# Relative error, and the order assumed there: a change of 0.3 and of 0.82 with COARSER (docs/decisions/0015).
+_RESOLVED, _UNRESOLVED = (0.3 / (COARSER**1.85 - 1), 1.85), (0.82 / (COARSER**3 - 1), 3.0)
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
 
 
@@ -17,10 +17,10 @@ def remaining_error(change: FloatArray, ratio: float = COARSER) -> FloatArray:
     """Relative error of a mesh from the relative ``change`` to one whose sizes are ``ratio`` (not 1) times its own.
 
     An error C h^p changes by C h^p |ratio^p - 1|, so change / |ratio^p - 1| is left. P2 outputs converge like h^3 to
-    h^4, like h at rigid rims: order 1.85 lies between and is on the safe side of what was seen up to a change of 0.4.
-    Beyond a change of 1.1, more than G itself, the coarser mesh does not carry the waves at all, and the finer one is
+    h^4, like h at rigid rims: order 1.85 lies between and is on the safe side of what was seen up to a change of 0.3.
+    Beyond a change of 0.82, nearly G itself, the coarser mesh does not carry the waves at all, and the finer one is
     better by order 3 at least. Changes between come from coarser meshes that are as good as useless, whose distance
-    tells little: finer ones erred by 0.05 to 0.3 there, and 0.154 to 0.157 is stated.
+    tells little: finer ones erred by 0.03 to 0.27 there, and 0.115 to 0.117 is stated.
     """
     (low, first), (high, last) = _RESOLVED, _UNRESOLVED
     near, far = abs(ratio**first - 1), abs(ratio**last - 1)
@@ -28,17 +28,37 @@ def remaining_error(change: FloatArray, ratio: float = COARSER) -> FloatArray:
 
 
 def estimated_errors(
-    other: ComplexArray, own: ComplexArray, frequency: FloatArray, ratio: float = COARSER
+    other: ComplexArray,
+    own: ComplexArray,
+    frequency: FloatArray,
+    ratio: float = COARSER,
+    unseen: FloatArray | None = None,
 ) -> tuple[float, FloatArray]:
     """e_band and e(f) (n_frequency,) of ``own`` (n_frequency, n_out, n_in), from ``other`` values on the second mesh.
 
     Errors of two meshes cancel at some frequencies by chance, so e(f) at ``frequency`` (n_frequency,) [Hz], increasing,
     comes from the change there or from the change of the third of an octave on either side, whichever is larger.
+    ``unseen`` are errors of the entries, shaped like them, that no change shows: less is never stated.
     """
     size = np.linalg.norm(own, axis=(1, 2))
-    change = np.linalg.norm(other - own, axis=(1, 2)) / size
-    band = np.linalg.norm(remaining_error(change, ratio) * size) / np.linalg.norm(size)
-    return float(band), remaining_error(change_around(other, own, frequency), ratio)
+    whole = remaining_error(np.linalg.norm(other - own, axis=(1, 2)) / size, ratio)
+    single = remaining_error(change_around(other, own, frequency), ratio)
+    if unseen is not None:
+        whole = np.maximum(whole, np.linalg.norm(unseen, axis=(1, 2)) / size)
+        single = np.maximum(single, unseen.max(axis=(1, 2)) / np.abs(own).max(axis=(1, 2)))
+    return float(np.linalg.norm(whole * size) / np.linalg.norm(size)), single
+
+
+def agreed_upon(own: ComplexArray, lag: FloatArray, coarser: FloatArray) -> FloatArray:
+    """Errors of ``own`` (n_frequency, n_out, n_in) by waves that arrive with a ``lag`` [rad] of the same shape, where
+    that of the ``coarser`` of two meshes is more than a radian; zero elsewhere, as their difference tells more there.
+
+    A wave that is a radian late is not the wave any more: two meshes that carry none agree, and both are wrong.
+    |e^(-i lag) - 1| = 2 sin(lag / 2).
+    """
+    size = np.abs(own)
+    lost = (size * coarser).max(axis=(1, 2)) > size.max(axis=(1, 2))
+    return np.asarray(np.where(lost[:, None, None], size * 2 * np.sin(np.minimum(lag, np.pi) / 2), 0.0))
 
 
 def change_around(other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:

@@ -1,0 +1,72 @@
+"""How late waves arrive on elements too large for them, and that agreeing meshes do not hide it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forearm_fem.device import close_loop
+from forearm_fem.geometry.build import build_mesh
+from forearm_fem.geometry.device.place import place_ports
+from forearm_fem.pipeline.dispersion import phase_error, phase_lags
+from forearm_fem.pipeline.layered_engine import solve_layered
+from forearm_fem.pipeline.simulation import simulate
+from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.transfer import relative_error
+
+FREQUENCY = np.array([180.0, 210.0])
+
+
+def bloch(order: int, kh: float) -> float:
+    """Wavenumber times h of a wave on a uniform line of elements, from their stiffness and consistent mass."""
+    k2 = kh**2
+    if order == 1:
+        return float(np.arccos((6 - 2 * k2) / (6 + k2)))
+    return float(np.arccos((240 - 104 * k2 + 3 * k2**2) / (240 + 16 * k2 + k2**2)))
+
+
+@pytest.mark.parametrize(("order", "kh"), [(1, 0.1), (2, 0.3)])
+def test_phase_error_is_that_of_a_line_of_elements(order, kh):
+    """To leading order: what follows is smaller by (k h)^2, below 1 %."""
+    assert phase_error(order, np.array(kh)) == pytest.approx(abs(bloch(order, kh) / kh - 1), rel=0.01)
+
+
+def coarse_slab(size: float) -> Scenario:
+    """A disc of pressure on a quarter slab; waves of fat at 210 Hz are 1.5 times 6 mm long."""
+    layers = [{"tissue": "skin", "thickness": 1.2e-3}, {"tissue": "fat", "thickness": 3e-3}]
+    limb = {"shape": "slab", "length": 0.12, "width": 0.12, "depth": 0.04, "symmetry": ["x", "y"], "layers": layers}
+    sizes = {"size_contact": size, "size_grid": size, "size_far": 0.03, "grading": 0.6}
+    return parse_scenario(
+        {
+            "accuracy": 0.3,
+            "limb": limb,
+            "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": "pressure"}},
+            "grid": {"points": [[0.013, 0.0], [0.0225, 0.0092], [0.0318, 0.0]]},
+            "sweep": {"frequencies": FREQUENCY.tolist()},
+            "solver": {"sweep": "direct"},
+            "mesh": {**sizes, "sublayers": {"skin": 1, "fat": 1}},
+        }
+    )
+
+
+def test_two_meshes_that_carry_no_wave_state_half_their_error_at_least():
+    """The change between them, 0.4 and 0.8 of G, states a quarter of it at 210 Hz."""
+    scenario = coarse_slab(6e-3)
+    found = simulate(scenario)
+    truth = close_loop(solve_layered(scenario, FREQUENCY), scenario.device)
+    (estimate,) = (e for e in found.transfer.errors if e.source == "discretisation")
+    error = relative_error(found.transfer.values, truth.values)
+    assert error[1] > 0.3
+    assert (np.array(estimate.per_frequency) > error / 2).all()
+    assert "lag of waves" in estimate.method
+
+
+def test_the_lag_falls_with_the_fourth_power_of_the_size_of_second_order_elements():
+    scenario = coarse_slab(6e-3)
+    mesh = build_mesh(scenario)
+    ports = place_ports(scenario, mesh)
+    points, contacts = (tuple(p for p in ports if p.kind == kind) for kind in ("point", "contact"))
+    fine, finer = (phase_lags(scenario, mesh, points, contacts, FREQUENCY, scale) for scale in (0.2, 0.1))
+    assert fine.shape == (2, 3, 1)
+    assert fine / finer == pytest.approx(np.full((2, 3, 1), 16.0))
+    assert (np.diff(fine[:, :, 0], axis=1) > 0).all()  # later the longer the way
