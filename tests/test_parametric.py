@@ -33,7 +33,8 @@ SCENE = {
     "solver": {"discretisation_estimate": False},
     "sweep": {"f_min": 20.0, "f_max": 500.0},
 }  # fmt: skip
-PROBES = np.array([20.0, 45.0, 80.0, 130.0, 200.0, 280.0, 360.0, 430.0, 500.0])
+PROBES = np.array([20.0, 80.0, 200.0, 330.0, 490.0])
+GROWTH = Growth(solves=15, checks=5)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,7 @@ def cache(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def model(cache):
-    return parametric_model(parse_scenario(SCENE), growth=Growth(solves=12, checks=6))
+    return parametric_model(parse_scenario(SCENE), growth=GROWTH)
 
 
 def solved(draw: Scenario, frequency: np.ndarray = PROBES) -> np.ndarray:
@@ -55,8 +56,8 @@ def solved(draw: Scenario, frequency: np.ndarray = PROBES) -> np.ndarray:
 
 
 def test_unseen_draws_are_as_right_as_stated(model):
-    """Each law twice, in the corners of a hypercube of another seed; asked is 2 %, and to be stated."""
-    for draw in Ranges().draws(parse_scenario(SCENE), 6, seed=99):
+    """One of each law, of a hypercube of another seed; asked is 2 %, and to be stated."""
+    for draw in Ranges().draws(parse_scenario(SCENE), 3, seed=99):
         found = model.compliance(draw, PROBES)
         true = band_error(found.block("point", "contact"), solved(draw))
         assert true < 0.02
@@ -132,14 +133,14 @@ def test_the_twin_needs_none():
 
 def test_it_is_made_once_and_read_back(model, tmp_path, monkeypatch):
     monkeypatch.setattr(parametric, "united_model", None)  # whatever is made again ends here
-    again = parametric_model(parse_scenario(SCENE), growth=Growth(solves=12, checks=6))
+    again = parametric_model(parse_scenario(SCENE), growth=GROWTH)
     draw = Ranges().draws(parse_scenario(SCENE), 2, seed=11)[1]
     first, second = (m.compliance(draw, PROBES) for m in (model, again))
     assert np.array_equal(np.nan_to_num(first.values), np.nan_to_num(second.values))
     assert first.errors == second.errors
     assert again.checks == model.checks
     with pytest.raises(TypeError):
-        parametric_model(parse_scenario(SCENE), growth=Growth(solves=13, checks=6))
+        parametric_model(parse_scenario(SCENE), growth=Growth(solves=9))
     save_parametric(tmp_path / "parametric.nc", model)
     broken = bytearray((tmp_path / "parametric.nc").read_bytes())
     broken[len(broken) // 2] ^= 0xFF

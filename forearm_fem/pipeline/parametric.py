@@ -172,7 +172,7 @@ class ParametricModel:
         return ErrorEstimate(
             "reduction",
             float(band),
-            f"change by the space's weaker directions at {len(probes)} frequencies, times {self.factor:.2g} as "
+            f"change without a third of the solves at {len(probes)} frequencies, times {self.factor:.2g} as "
             f"{len(self.checks)} direct solves of other draws had it{seen}",
             tuple(probes.tolist()),
             tuple(error.tolist()),

@@ -28,6 +28,7 @@ from .reduced_model import ReducedModel, empty_model, with_last_columns
 Coefficients = tuple[Coefficient, ...]  # one of each term: what a draw is to the operator
 _DERIVATIVES = 20  # about the rate, for the middle draw
 _LOOKED_AT = 16  # places among which the next solve is chosen; each costs two small dense solves
+_PARTS = 3  # of the band, equally many bins each
 _DROP = 1e-3  # of a solution's length: the error of C is the product of two of these
 
 
@@ -43,7 +44,8 @@ class Trial:
 
 @dataclass(frozen=True)
 class United:
-    """A reduced model for many coefficients. The first ``core`` directions alone give the estimate's smaller model.
+    """A reduced model for many coefficients. Its first ``core`` directions are the space that a third of the solves did
+    not extend: what an answer changes without the others is the estimate of its error.
 
     ``trials`` were compared while it grew and then extended it; ``checks`` afterwards, and did not. ``solves`` counts
     the factorisations.
@@ -64,7 +66,7 @@ class Growth:
     solves: int = 16
     checks: int = 6
     states: int = 160
-    drop: float = 3e-3
+    drop: float = 5e-4
     seed: int = 1
 
 
@@ -86,10 +88,13 @@ def united_model(
     tell(progress, stage, 0, growth.solves + growth.checks)
     work.start(frequency)
     trials = list[Trial]()
-    for i in range(growth.solves):
-        trials.append(work.extended_where_worst(_places(rng, len(draws), frequency, _LOOKED_AT)))
+    for i in range(growth.solves):  # each part of the band in turn, as errors are largest where waves are short
+        part = np.array_split(frequency, min(_PARTS, len(frequency)))[-1 - i % min(_PARTS, len(frequency))]
+        early = i // _PARTS % 3 != 2
+        trials.append(work.extended_where_worst(_places(rng, len(draws), part, _LOOKED_AT), early))
         tell(progress, stage, i + 1, growth.solves + growth.checks)
-    small, core = _compressed(work.reduced, draws, _places(rng, len(draws), frequency, growth.states), growth.drop)
+    places = _places(rng, len(draws), frequency, growth.states)
+    small, core = _compressed(work.reduced, work.early, draws, places, growth.drop)
     checks = list[Trial]()
     for i, place in enumerate(_places(rng, len(draws), frequency, growth.checks)):
         checks.append(work.tried(small, np.arange(small.size) < core, place)[0])
@@ -109,11 +114,15 @@ def _places(rng: np.random.Generator, draws: int, frequency: FloatArray, count: 
 
 
 class _Growing:
-    """The space as it grows; ``strong`` marks the columns without which it is looked at for an estimate."""
+    """The space as it grows.
+
+    ``strong`` marks columns but derivatives, on which it is looked at to choose the next solve, ``early`` those that
+    the estimate's smaller model has.
+    """
 
     def __init__(self, model: ForearmModel, draws: Sequence[Coefficients], solver: DirectSolver) -> None:
         self._model, self._draws, self._solver = model, draws, solver
-        self.reduced, self._strong = empty_model(model), np.zeros(0, dtype=bool)
+        self.reduced, self._strong, self.early = empty_model(model), np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
     def start(self, frequency: FloatArray) -> None:
         """Derivatives about a rate, where moduli that are no polynomials of it are replaced by Kelvin-Voigt ones."""
@@ -121,16 +130,16 @@ class _Growing:
         own = [kelvin_voigt_like(t.coefficient, rate) for t in self._model.operator.terms]
         space = RateSpace(self._of(tuple(own)), self._model.functionals, rate)
         for strong in (True, False):
-            self._added(space.more(_DERIVATIVES // 2).columns, strong)
+            self._added(space.more(_DERIVATIVES // 2).columns, strong, early=True)
 
-    def extended_where_worst(self, places: Sequence[Place]) -> Trial:
+    def extended_where_worst(self, places: Sequence[Place], early: bool) -> Trial:
         """The trial at the place with the largest estimate, whose solution then belongs to the space."""
         found = [_estimate(self.reduced, self._strong, self._draws[d], f, self._model) for d, f in places]
         draw, f = places[int(np.argmax(found))]
         trial, solution = self.tried(self.reduced, self._strong, (draw, f))
         series = self._of(self._draws[draw]).taylor(f, solution, np.ones(len(self._model.ports), dtype=int))
         for strong, columns in zip((True, False), series, strict=True):
-            self._added(real_columns([columns]), strong)
+            self._added(real_columns([columns]), strong, early)
         return trial
 
     def tried(self, reduced: ReducedModel, strong: BoolArray, place: Place) -> tuple[Trial, ComplexArray]:
@@ -146,11 +155,12 @@ class _Growing:
         """Give the factor's memory back."""
         self._solver.factor.release()
 
-    def _added(self, columns: Columns, strong: bool) -> None:
+    def _added(self, columns: Columns, strong: bool, early: bool) -> None:
         n_u, whole = self._model.operator.n_displacements, np.array(columns, dtype=float)
         new, _ = orthonormal_extension(self.reduced.basis, whole, [whole.shape[1]], n_u, drop=_DROP)
         self.reduced = with_last_columns(self.reduced, self._model, new.astype(np.float32))
         self._strong = np.append(self._strong, np.full(new.shape[1], strong))
+        self.early = np.append(self.early, np.full(new.shape[1], early))
 
     def _of(self, draw: Coefficients) -> DirectSolver:
         return replace(self._solver, model=with_coefficients(self._model, draw))
@@ -194,17 +204,32 @@ def part_of(reduced: ReducedModel, kept: BoolArray) -> ReducedModel:
 
 
 def _compressed(
-    reduced: ReducedModel, draws: Sequence[Coefficients], places: Sequence[Place], drop: float
+    reduced: ReducedModel, early: BoolArray, draws: Sequence[Coefficients], places: Sequence[Place], drop: float
 ) -> tuple[ReducedModel, int]:
-    """The model on the principal directions of its states at the ``places``, strongest first.
+    """The model on the principal directions of its states at the ``places``: first those of its ``early`` columns
+    alone, whose number is the second result, then what the states of all columns add to these."""
+    chosen, start = np.flatnonzero(early), part_of(reduced, early)
+    first = np.zeros((reduced.size, 0))
+    if len(chosen):
+        inside = _principal(_states(start, draws, places), drop)
+        first = np.zeros((reduced.size, inside.shape[1]))
+        first[chosen] = inside
+    states = _states(reduced, draws, places)
+    second = _principal(states - first @ (first.T @ states), drop * float(np.linalg.norm(states, 2)), relative=False)
+    return reduced.projected(np.linalg.qr(np.hstack([first, second]))[0]), first.shape[1]
 
-    The second result is how many are stronger than three times ``drop`` of the first: the smaller model's.
-    """
-    columns = []
+
+def _states(reduced: ReducedModel, draws: Sequence[Coefficients], places: Sequence[Place]) -> FloatArray:
+    """Real and imaginary parts of states (r, k), each state of unit length."""
+    columns = list[FloatArray]()
     for draw, f in places:
         states = replace(reduced, coefficients=draws[draw]).states(np.array([f]))[0]
-        columns.append(np.hstack([states.real, states.imag]) / np.linalg.norm(states, axis=0).repeat(2)[None, :])
-    left, values, _ = np.linalg.svd(np.hstack(columns), full_matrices=False)
-    kept = int(np.sum(values > drop * values[0]))
-    small = reduced.projected(left[:, :kept])
-    return small, int(np.sum(values > 3 * drop * values[0]))
+        states = states / np.linalg.norm(states, axis=0)
+        columns += [states.real, states.imag]
+    return np.hstack(columns)
+
+
+def _principal(columns: FloatArray, drop: float, *, relative: bool = True) -> FloatArray:
+    """Left singular vectors above ``drop``, of the largest value where ``relative``."""
+    left, values, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(left[:, values > (drop * values[0] if relative else drop)])
