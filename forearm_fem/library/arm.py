@@ -132,6 +132,8 @@ class ArmLibrary:
         layout_of(scenario)
         ports = ports_on(scenario, self.skin.skin)
         self._check_on_patch(ports)
+        if cone.contact == "pressure":
+            self._check_none_under(ports)
         return ports
 
     @cached_property
@@ -236,6 +238,18 @@ class ArmLibrary:
                     f"patch of {patch.length * 1e3:.3g} x {patch.width * 1e3:.3g} mm along the skin; move it, or make "
                     "a library with a larger library.length and library.width"
                 )
+
+
+    def _check_none_under(self, ports: tuple[Port, ...]) -> None:
+        """Under pressed discs points do not move with them, and the twin's tables begin at the rim."""
+        flat = self.skin.flat(positions(ports))
+        for port, at in zip(ports, flat, strict=True):
+            for disc, centre in zip(ports, flat, strict=True):
+                if port.kind == "point" and disc.kind == "contact" and np.linalg.norm(at - centre) < disc.radius:
+                    raise GeometryError(
+                        f"grid point {port.name} lies under the pressed disc {disc.name}, which a library does not "
+                        "answer for; move one of them, or make the library with device.cone.contact = 'bonded'"
+                    )
 
 
 def library_band(scenario: Scenario) -> tuple[float, float]:

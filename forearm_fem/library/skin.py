@@ -88,4 +88,6 @@ def _check_covers(made: FlatSkin, length: float, width: float) -> None:
 
 def _inverse(v: float, lengths: FloatArray, y: FloatArray) -> float:
     known: BoolArray = np.isfinite(lengths)
+    if not known.any():
+        return float("nan")
     return float(np.interp(v, lengths[known], y[known], left=np.nan, right=np.nan))

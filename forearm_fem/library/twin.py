@@ -84,7 +84,8 @@ class TwinTable:
         """Compliance (n_frequency, n, n) [m/N] of discs at ``centres`` (k, 2), then ``points`` (m, 2), and what the
         tractions' series lack (n_frequency,), relative to the largest entry.
 
-        Points move with the disc that they lie under. Entries between points are NaN.
+        Points move with the rigid disc that they lie under. Entries between points are NaN. Not covered: points under
+        pressed discs.
         """
         discs = [_disc(x, y, self.radius, self.contact) for x, y in centres.tolist()]
         under = [self._carrier(centres, p) for p in points]
