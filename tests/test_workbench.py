@@ -366,7 +366,7 @@ def test_types_of_the_front_end() -> None:
     compiler = shutil.which("tsc")
     if compiler is None:
         pytest.skip("no tsc on this machine; `npm install --global typescript` brings it")
-    place = HERE.parent / "forearm_fem" / "workbench" / "page"
+    place = HERE.parent / "forearm_fem" / "workbench" / "page" / "jsconfig.json"
     done = subprocess.run([compiler, "-p", str(place)], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout
 
