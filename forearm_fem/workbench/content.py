@@ -185,6 +185,7 @@ def short_scenario(scenario: Scenario) -> dict[str, Any]:
     whole: dict[str, Any] = scenario.model_dump(mode="json")
     short = {k: v for k, v in scenario.model_dump(mode="json", exclude_defaults=True).items() if k != "schema_version"}
     short["name"] = scenario.name
+    short["limb"] = {**short.get("limb", {}), "shape": scenario.limb.shape}  # tells which kind of limb it is
     try:
         same = parse_scenario(_without_none(short)).model_dump(mode="json") == whole
     except ScenarioError:
