@@ -113,6 +113,15 @@ def test_finished_draws_are_not_made_again_and_other_questions_are_not_taken(
     assert whole.reused == 0
 
 
+def test_draws_of_another_question_are_moved_not_lost(found: tuple[Prediction, Path], tmp_path: Path) -> None:
+    content = (found[1] / FILE).read_bytes()
+    (tmp_path / FILE).write_bytes(content)
+    with pytest.warns(UserWarning, match=r"answer another question and were moved to draws-older\.nc"):
+        predict(question(seed=1), tmp_path, draws=N, workers=1)
+    assert (tmp_path / "draws-older.nc").read_bytes() == content
+    assert len(read_outcomes(tmp_path / FILE, question(seed=1).digest)) == N
+
+
 def setup_and_arm(asked: Question) -> Any:
     return runs._prepared(*runs._plain(asked))
 

@@ -35,6 +35,7 @@ from .statistics import Draws, draws_of
 from .store import FILE, read_outcomes, write_outcomes
 
 DRAWS = 200
+OLDER = "draws-older.nc"
 _SAVE = 10.0  # s between two writings of what is done
 
 
@@ -115,6 +116,8 @@ def predict(
     _, setup, arm = _prepared(*_plain(question))  # an arm that cannot be is said before minutes of solving
     nominal = _nominal(question, progress)
     kept = _kept(out / FILE, question.digest, draws) if resume else {}
+    if not kept:
+        _set_aside(out / FILE)
     reused = len(kept)
     todo = [n for n in range(draws) if n not in kept]
     tell(progress, "draws", reused, draws)
@@ -194,6 +197,14 @@ def _kept(file: Path, digest: str, draws: int) -> dict[int, Outcome]:
         return {o.number: o for o in read_outcomes(file, digest) if o.number < draws}
     except DataError:
         return {}
+
+
+def _set_aside(file: Path) -> None:
+    """Draws of another question cost minutes, too: they are kept beside, and a warning says where."""
+    if file.is_file():
+        older = file.with_name(OLDER)
+        file.replace(older)
+        warnings.warn(f"{file}: its draws answer another question and were moved to {older.name}", stacklevel=3)
 
 
 def _write(out: Path, kept: Mapping[int, Outcome], setup: Setup, question: Question) -> None:

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..compare.crossplay import wavelet_for
 from ..errors import DataError, ForearmError, ScenarioError
 from ..io.jsonfiles import read_json, write_json
 from ..metrics.strength import thesis_table
-from ..pipeline.renderers import renderers, wavelet
+from ..pipeline.renderers import renderers
 from ..progress import Progress, tell
 from ..rendering import render_all
 from ..transfer import TransferMatrix
@@ -215,7 +216,7 @@ def _measured(transfer: TransferMatrix, question: Question, prediction: Predicti
     if missing := [t for t in prediction.draws.targets if t not in names]:
         raise DataError(f"the measured G has no output called '{missing[0]}'; it needs the scene's targets 1 to 9")
     options = question.scenario.rendering
-    shape = wavelet(options, question.scenario.sweep, question.base)
+    shape = wavelet_for(transfer.frequency)  # a record on whose bins this G lies
     methods = [m for m in renderers(options, shape) if m.name in prediction.draws.methods]
     found = render_all(transfer, prediction.draws.targets, methods, shape, window=options.window)
     point = group_means(found.strengths[None], prediction.draws.targets)[0]
