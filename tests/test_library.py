@@ -15,6 +15,7 @@ from forearm_fem.geometry.device.place import parametric_skin
 from forearm_fem.layered import Disc, Surface, layered_compliance, surface_kernel
 from forearm_fem.layered.integrals import Medium
 from forearm_fem.library import load_library, make_library, save_library
+from forearm_fem.library.arm import library_skin
 from forearm_fem.library.between import Lattice, Prior, Shape
 from forearm_fem.library.loads import Bells, bell_functionals
 from forearm_fem.library.make import lattice_bells, meshed_scenario
@@ -107,12 +108,13 @@ def test_waves_between_the_lattice_are_found_and_their_uncertainty_holds():
         assert ((known > 0.9 * before) & (known <= before)).all()
 
 
-def test_bells_read_the_mean_of_what_they_cover(slab, library):
+def test_bells_read_the_mean_of_what_they_cover(slab):
     """A rigid motion along z, whatever the rule and the elements."""
-    meshed = meshed_scenario(slab, library.skin)
+    skin = library_skin(slab)
+    meshed = meshed_scenario(slab, skin)
     model = fem_model(meshed, cached_mesh(meshed))
-    bells = Bells(np.array([[0.001, 0.002], [-0.006, 0.003]]), np.array([[0.0, 0, 1], [0, 0, 1]]), library.width)
-    seen = bell_functionals(model, library.skin, bells)
+    bells = Bells(np.array([[0.001, 0.002], [-0.006, 0.003]]), np.array([[0.0, 0, 1], [0, 0, 1]]), 0.002)
+    seen = bell_functionals(model, skin, bells)
     up = np.zeros((model.space.n_nodes, 3))
     up[:, 2] = 1.0
     free = model.constraints.transform  # the slab is held nowhere: every displacement is free
