@@ -89,7 +89,7 @@ def closed(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simul
     """G and its errors from compliances: the device enters here, at no further FE solve."""
     transfer = finite(close_loop(solved.compliance, scenario.device))
     coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None
-    errors = [*solved.unknown, *([_discretisation(transfer, coarse, scenario, mesh)] if coarse else [])]
+    errors = [*solved.unknown, *([_discretisation(transfer, coarse, scenario, mesh)] if coarse and mesh else [])]
     truncations = []
     if solved.freed:
         freed = finite(close_loop(solved.freed, scenario.device))
