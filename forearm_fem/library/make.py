@@ -35,7 +35,7 @@ from .skin import FlatSkin
 from .twin import bell_table, twin_table
 
 COARSER = 2.0  # size ratio of the second mesh
-_DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most (docs/decisions/library.md)
+_DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most (docs/decisions/0037-library.md)
 _AT_ONCE = 48  # loads
 _WITNESSES = 24  # loads of the direct solve that the reduced model is compared with
 _APART = 4  # widths between bells from which their compliance counts there

@@ -16,7 +16,7 @@ from ..layered.scattering import Galerkin, galerkin
 from ..progress import Progress, tell
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 
-TERMS, ORDERS = 5, 2  # of tractions under rigid discs: leave 1e-4 of an arrangement (docs/decisions/library.md)
+TERMS, ORDERS = 5, 2  # of tractions under rigid discs: leave 1e-4 of an arrangement (docs/decisions/0037-library.md)
 _STEP = 0.035  # between tabulated sqrt(distance/radius - 1): 0.9 mm at 100 mm for a radius of 3.5 mm
 _CLOSEST = 0.05  # the first of them: 9 um from a rim of 3.5 mm
 _TOUCHING = 1.01  # between discs: 2.02 radii apart

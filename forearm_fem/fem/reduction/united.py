@@ -3,7 +3,7 @@
 The terms' matrices do not depend on moduli or tension, so a space that holds solutions for several of these serves all
 between them. It starts from derivatives about a real rate for the model's own ones. Then, over and over, the place
 (draw and frequency) where the model changes most without its weaker half is solved directly. That gives a true error
-there, and the solution with its derivative extends the space (docs/decisions/parametric-model.md).
+there, and the solution with its derivative extends the space (docs/decisions/0038-parametric-model.md).
 """
 
 from __future__ import annotations
