@@ -36,6 +36,7 @@ from .twin import bell_table, twin_table
 
 COARSER = 2.0  # size ratio of the second mesh
 _DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most (docs/decisions/0037-library.md)
+_FASTER = 2.5  # than the sweep's rate: high frequencies are what a space cut at _DROP leaves out
 _AT_ONCE = 48  # loads
 _WITNESSES = 24  # loads of the direct solve that the reduced model is compared with
 _CHECKED = (0.0, 0.5, 1.0)  # of the band: far fields fall with frequency, so that its end is the hardest
@@ -154,7 +155,7 @@ def _reduced(
     assert all(is_polynomial(t.coefficient) for t in model.operator.terms)
     bare = replace(model, ports=(), functionals=np.zeros((model.operator.n, 0)), shares=np.zeros(0))
     solver = make_solver(bare, scenario.solver, float(frequency[-1]))
-    space = LoadSpace(solver, expansion_rate(frequency), drop=_DROP, derivatives=_ORDERS)
+    space = LoadSpace(solver, _FASTER * expansion_rate(frequency), drop=_DROP, derivatives=_ORDERS)
     reduced, functionals, total = empty_model(bare), [], seen.shape[1]
     order = np.argsort((np.arange(total) * 0.6180339887498949) % 1.0)  # batches spread over the patch
     for start in range(0, total, _AT_ONCE):
