@@ -18,6 +18,7 @@ from forearm_fem.fem.reduction.poles import pole_residue
 from forearm_fem.fem.reduction.reduced_model import ReducedModel, condensed, empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.pipeline.model_notes import model_notes
+from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
@@ -157,7 +158,7 @@ def test_unstable_poles_are_counted_as_they_are(stiffness):
 
 
 def test_a_note_says_so():
-    assert model_notes({"unstable_poles": 0}) == ()
-    (note,) = model_notes({"unstable_poles": 9})
+    assert model_notes(SolutionRecord(solver="multifrontal", unstable_poles=0)) == ()
+    (note,) = model_notes(SolutionRecord(solver="multifrontal", unstable_poles=9))
     assert "9 unstable poles" in note
     assert "band only" in note

@@ -167,7 +167,7 @@ def test_hand_placed_contacts_are_reported_as_they_lie() -> None:
     )
     assert "2 actuators at own places, the nearest 32 mm apart" in _device(placed)
     assert _grid(placed, 2) == "2 points at own places, the nearest 10 mm apart"
-    assert "4 actuators 45 mm apart" in _device(Scenario())
+    assert "4 actuators in 2 x 2, 45 mm apart" in _device(Scenario())
 
 
 def test_an_unknown_s_is_named() -> None:

@@ -18,8 +18,10 @@ _STRONG = 0.2  # rank correlation that is named
 
 
 def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path, Path]:
-    """``prediction.html`` (self-contained) and ``prediction.md`` of ``data`` (:func:`.summary`), and ``figures/`` with
-    their numbers; the paths of the two."""
+    """``prediction.html`` (self-contained) and ``prediction.md`` of ``data``, and ``figures/`` with their numbers.
+
+    ``data`` is what :func:`forearm_fem.prediction.summary.summary` makes. Returns the paths of the two.
+    """
     out = Path(folder)
     stamp = f"scene {data['scenario']['name']} · {data['draws']} arms, {data['model']} · forearm_fem {data['program']}"
     pictures = {name: _picture(name, data, stamp) for name in _FIGURES}
