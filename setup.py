@@ -8,12 +8,10 @@ setup(
     packages=[*find_namespace_packages(include=["forearm_fem", "forearm_fem.*"]), *DATA],
     package_dir=DATA,
     package_data={
-<<<<<<< HEAD
-        "forearm_fem": ["**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "prediction/*.toml", "tissue_laws.json",
-                        "py.typed"],
-=======
-        "forearm_fem": ["**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "workbench/page/*", "py.typed"],
->>>>>>> 8654dc8 (A workbench in one file: page, model in JavaScript and command (unfinished))
+        "forearm_fem": [
+            "**/*.mplstyle", "**/*.html.j2", "study/pages/**/*", "prediction/*.toml", "tissue_laws.json",
+            "workbench/page/*", "py.typed",
+        ],
         "forearm_fem._data.scenarios": ["*.toml"],
         "forearm_fem._data.meshes": ["*.vtu", "*.json", "sample/*.stl"],
     },
