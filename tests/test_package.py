@@ -14,8 +14,11 @@ from cli_runner import cli as run
 from pydantic import BaseModel
 
 import forearm_fem
+from forearm_fem.campaign.model import load_campaign
+from forearm_fem.design.model import load_design
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario, scenario_file, scenario_template
 from forearm_fem.scenario.shipped import shipped_folder, shipped_scenarios
+from forearm_fem.study.run import Prepared
 
 HOME = Path(__file__).parents[1]
 
@@ -34,6 +37,20 @@ def test_a_file_of_ones_own_wins_over_a_shipped_name(tmp_path, monkeypatch):
     assert scenario_file("thesis") == Path("thesis")
     assert scenario_file("quick.toml") == Path("quick.toml")  # a file that is missing is not replaced silently
     assert scenario_file("no-such") == Path("no-such")
+
+
+def test_files_that_name_a_scenario_find_shipped_ones_and_prefer_their_own(tmp_path):
+    """A study, a campaign and a design written into an empty folder work by a scenario's name, as `run` does."""
+    study, campaign, design = (tmp_path / f"{kind}.toml" for kind in ("study", "campaign", "design"))
+    study.write_text('name = "pilot"\nscenario = "quick"\n')
+    campaign.write_text('name = "few"\nscenario = "quick"\n[grid]\n"device.spacing" = [0.04]\n')
+    varied = '[[variables]]\nkey = "device.spacing"\nlow = 0.03\nhigh = 0.05\n'
+    design.write_text(f'name = "pitch"\nscenario = "quick"\n{varied}')
+    assert Prepared.of(study).scenario.name == "quick"
+    assert load_campaign(campaign).members[0].scenario.device.spacing == 0.04
+    assert load_design(design).data[0]["name"] == "quick"
+    (tmp_path / "quick").write_text('name = "mine"\nengine = "layered"\n')
+    assert Prepared.of(study).scenario.name == "mine"
 
 
 def test_template_is_valid_and_its_keys_are_the_defaults():

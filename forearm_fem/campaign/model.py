@@ -30,7 +30,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from ..errors import ScenarioError
-from ..scenario import Scenario, load_scenario
+from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Part
 from ..tissue import PRESETS, Sourced
 
@@ -88,7 +88,7 @@ def load_campaign(path: str | Path) -> Campaign:
     """Campaign from a TOML file, every member's scenario checked; raises ScenarioError in one sentence."""
     file = Path(path)
     asked = _parsed(file)
-    source = file.parent / asked.scenario
+    source = scenario_beside(file.parent, asked.scenario)
     preset = load_scenario(source, overrides=[_override(*item) for item in asked.set.items()])
     variants = list(_variants(asked, preset))
     names = [name for name, _ in variants]

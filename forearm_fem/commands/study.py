@@ -53,7 +53,9 @@ training = 1
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="letters, digits and hyphens")],
-    scenario: Annotated[str, typer.Option(help="scenario file of the device, seen from the study file")],
+    scenario: Annotated[
+        str, typer.Option(help="of the device: a file seen from the study file, or the name of a shipped one")
+    ],
     folder: Annotated[Path, typer.Option(help="where the file goes")] = Path(),
 ) -> None:
     """Write a commented study file: the thesis' two studies, to be changed."""

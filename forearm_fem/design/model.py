@@ -38,7 +38,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import ScenarioError
-from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario
+from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario, scenario_beside
 from ..scenario.base import Name, Part, Within
 from ..scenario.rendering import Method
 from ..typing import BoolArray, FloatArray
@@ -227,7 +227,7 @@ def load_design(path: str | Path) -> Design:
     if twice := sorted({k for k in keys if keys.count(k) > 1 or k in asked.set}):
         raise ScenarioError(f"{file}: {twice[0]} is given twice; name each key once, in variables or in set")
     names = [asked.scenario] if isinstance(asked.scenario, str) else list(asked.scenario)
-    sources = [file.parent / name for name in names]
+    sources = [scenario_beside(file.parent, name) for name in names]
     data = tuple(_read(source) for source in sources)
     for variable in asked.variables:
         if variable.levels is None and variable.key.startswith(_TABLED):

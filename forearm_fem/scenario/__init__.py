@@ -3,7 +3,7 @@
 from .body import BODIES, Tape
 from .load import apply_overrides, load_scenario, parse_scenario, scenario_schema
 from .model import Scenario
-from .shipped import scenario_file, shipped_scenarios
+from .shipped import scenario_beside, scenario_file, shipped_scenarios
 from .template import scenario_template
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "apply_overrides",
     "load_scenario",
     "parse_scenario",
+    "scenario_beside",
     "scenario_file",
     "scenario_schema",
     "scenario_template",

@@ -24,3 +24,11 @@ def scenario_file(given: str | Path) -> Path:
     if file.exists() or file.suffix or len(file.parts) != 1 or file.name not in shipped_scenarios():
         return file
     return shipped_folder("scenarios") / f"{file.name}.toml"
+
+
+def scenario_beside(folder: Path, named: str) -> Path:
+    """The scenario that a file in ``folder`` names: the file there, else the shipped scenario of that name."""
+    beside = folder / named
+    if beside.exists() or named not in shipped_scenarios():
+        return beside
+    return shipped_folder("scenarios") / f"{named}.toml"

@@ -143,7 +143,7 @@ class Study(Part):
     """A study: identification and confidence by default, as in de Vlam 2022, section V."""
 
     name: Name = Field(description="letters, digits and hyphens")
-    scenario: str = Field(description="scenario file of the device, beside the study file")
+    scenario: str = Field(description="of the device: a file seen from the study file, or the name of a shipped one")
     transfer: str = Field(
         default="calibration/{participant}/transfer.nc",
         description="each participant's G, relative to the study file; {participant} is replaced",

@@ -19,7 +19,7 @@ from ..pipeline.renderers import wavelet
 from ..ports import Port
 from ..progress import Progress, tell
 from ..rendering.wavelet import Wavelet
-from ..scenario import Scenario, load_scenario
+from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix
 from .devices import SIMULATED, BackEnd, back_end
@@ -47,8 +47,9 @@ class Prepared:
         """Everything that a study file names; data go to ``folder``, or beside the file into its name."""
         path = Path(file)
         study = load_study(path)
-        scenario = load_scenario(path.parent / study.scenario)
-        made = wavelet(scenario.rendering, scenario.sweep, (path.parent / study.scenario).parent)
+        source = scenario_beside(path.parent, study.scenario)
+        scenario = load_scenario(source)
+        made = wavelet(scenario.rendering, scenario.sweep, source.parent)
         return cls(study, scenario, made, path.parent, folder or path.parent / study.name)
 
     def store(self) -> Store:
