@@ -24,7 +24,7 @@ from forearm_fem.geometry.build import build_mesh
 from forearm_fem.metrics.uncertainty import relative_error_at
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.layered_engine import solve_layered
-from forearm_fem.pipeline.simulation import closed
+from forearm_fem.pipeline.simulation import with_device
 from forearm_fem.pipeline.solved import solve
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import TransferMatrix, band_error, relative_error, total_error
@@ -97,7 +97,7 @@ def lines(stack: str, diameter: float, contact: str, accuracy: float, **mesh: An
     facts = solved.facts
     for drive in DRIVES:
         own = scenario.model_copy(update={"device": scenario.device.model_copy(update={"drive": drive})})
-        found, truth = closed(own, first, solved).transfer, close_loop(exact, own.device)
+        found, truth = with_device(own, first, solved).transfer, close_loop(exact, own.device)
         error, single = relative_error(found.values, truth.values), stated(found)
         yield Line(
             stack, diameter, contact, accuracy, drive, scenario.element,

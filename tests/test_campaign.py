@@ -117,7 +117,7 @@ def test_finished_members_are_skipped_and_changed_ones_are_not(tmp_path: Path, h
 
 def test_a_killed_campaign_keeps_what_was_finished(tmp_path: Path, here: Here, monkeypatch: pytest.MonkeyPatch) -> None:
     file = made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04, 0.05]\n')
-    whole, calls = run.work, []
+    whole, calls = run.finish_member, []
 
     def killed(job: Any) -> Any:
         calls.append(job)
@@ -125,11 +125,11 @@ def test_a_killed_campaign_keeps_what_was_finished(tmp_path: Path, here: Here, m
             raise KeyboardInterrupt
         return whole(job)
 
-    monkeypatch.setattr(run, "work", killed)
+    monkeypatch.setattr(run, "finish_member", killed)
     with pytest.raises(KeyboardInterrupt):
         start(file)
     assert (tmp_path / "out/summary.csv").is_file()
-    monkeypatch.setattr(run, "work", whole)
+    monkeypatch.setattr(run, "finish_member", whole)
     assert [m.reused for m in start(file).members] == [False, False, True]
 
 
@@ -187,7 +187,7 @@ def test_memory_limits_the_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(run.os, "cpu_count", lambda: 64)
     for free, workers in ((0.1e9, 1), (1.6e9, 2), (100e9, 3)):
         monkeypatch.setattr(run.psutil, "virtual_memory", lambda free=free: type("M", (), {"available": free}))
-        assert run.worker_count(campaign, jobs) == workers
+        assert run.member_workers(campaign, jobs) == workers
 
 
 def test_no_scheduler_at_the_address_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from test_measurement_scene import RATE, SENSOR, SWEEP, device_for, part, plan_f
 
 from forearm_fem.compare.agreement import agreement, fdac_matrix
 from forearm_fem.compare.common import common_ground
-from forearm_fem.compare.compare import compare, summary
+from forearm_fem.compare.compare import compare, comparison_record
 from forearm_fem.compare.crossplay import cross_play, wavelet_for
 from forearm_fem.compare.report import as_csv, as_json, as_markdown, picture
 from forearm_fem.compare.run import run_compare
@@ -172,7 +172,7 @@ def test_what_cannot_be_rendered_is_said_not_raised():
     c = compare(line, line)
     assert c.crossed is None
     assert c.not_crossed in as_markdown(c)
-    assert summary(c)["signal_strength"]["missing"]
+    assert comparison_record(c)["signal_strength"]["missing"]
 
 
 def test_picture_names_its_axes_and_keeps_gaps():

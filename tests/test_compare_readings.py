@@ -13,7 +13,7 @@ from test_measurement_scene import INPUTS, OUTPUTS, part, wave_matrix
 
 from forearm_fem.compare.adapters import ScenarioModel, layered_compliance_of
 from forearm_fem.compare.common import common_ground
-from forearm_fem.compare.compare import compare, summary
+from forearm_fem.compare.compare import compare, comparison_record
 from forearm_fem.compare.readings import best_reading, explained
 from forearm_fem.compare.report import as_markdown
 from forearm_fem.compare.run import run_compare, run_fit
@@ -119,7 +119,7 @@ def test_data_are_not_changed_and_the_note_comes_first():
     assert c.agreement.band == pytest.approx(999)
     assert np.array_equal(c.ground.b, b.values)
     assert as_markdown(c).splitlines()[2].startswith("**Note:** B agrees with A when it is multiplied by 1e-3")
-    assert summary(c)["notes"] == list(c.notes)
+    assert comparison_record(c)["notes"] == list(c.notes)
     assert compare(limb("thesis"), limb("thesis"), render=False).notes == ()
 
 

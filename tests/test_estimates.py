@@ -20,7 +20,7 @@ from forearm_fem.geometry.mesh.quality import mean_ratio
 from forearm_fem.pipeline import second_mesh as module
 from forearm_fem.pipeline.folder import Run, run_all
 from forearm_fem.pipeline.second_mesh import second_mesh
-from forearm_fem.pipeline.simulation import closed, simulate
+from forearm_fem.pipeline.simulation import simulate, with_device
 from forearm_fem.pipeline.solved import Solved, solve_key
 from forearm_fem.pipeline.verdict import accuracy_verdict
 from forearm_fem.results import SolutionRecord
@@ -203,7 +203,8 @@ def test_truncation_counts_half_the_change_of_freed_ends():
     own, freed = Compliance(frequency, values, ports), Compliance(frequency, 1.2 * values, ports)
     modes, states = np.zeros((0, 3, 0)), np.zeros((2, 0, 0), dtype=complex)
     solved = Solved(own, None, freed, modes, states, SolutionRecord(ends_by="reduced model"))
-    (error,) = closed(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
+    cube = block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0)
+    (error,) = with_device(scenario, cube, solved).transfer.errors
     assert error.source == "truncation"
     assert 0.08 < error.band < 0.25  # 0.2 of change; true over change was seen from 0.05 to 1
 
@@ -225,7 +226,8 @@ def test_truncation_listens_to_its_neighbours():
     freed = Compliance(frequency, np.array([1.2, 1.0, 1.2])[:, None, None] * values, ports)
     modes, states = np.zeros((0, 3, 0)), np.zeros((3, 0, 0), dtype=complex)
     solved = Solved(own, None, freed, modes, states, SolutionRecord(ends_by="reduced model"))
-    (error,) = closed(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
+    cube = block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0)
+    (error,) = with_device(scenario, cube, solved).transfer.errors
     assert error.per_frequency[1] > 0.8 * error.per_frequency[0] > 0.05
 
 
@@ -243,7 +245,7 @@ def test_truncation_is_what_either_change_of_ends_shows_at_each_frequency():
     coarse = replace(own, provenance={"ratio": 2.0})
     modes, states = np.zeros((0, 3, 0)), np.zeros((3, 0, 0), dtype=complex)
     solved = Solved(own, coarse, freed, modes, states, SolutionRecord(ends_by="reduced model"), other_ends=clamped)
-    found = closed(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
+    found = with_device(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
     (error,) = [e for e in found if e.source == "truncation"]
     exact, true = np.ones((3, 2, 2)), (1 + share * back)[:, None, None] * np.ones((3, 2, 2))
     assert (np.array(error.per_frequency) >= 0.85 * relative_error(true, exact)).all()  # G is not linear in C
@@ -335,7 +337,7 @@ def test_a_model_with_limits_says_so_to_who_solves_in_python(own_mesh, cold):
     assert any("nodes per shear wavelength" in note for note in result.notes)
     assert not any("unstable" in note for note in result.notes)
     unstable = replace(result.solved, facts=result.solved.facts.model_copy(update={"unstable_poles": 9}))
-    assert any("9 unstable poles" in note for note in closed(scenario, result.mesh, unstable).notes)
+    assert any("9 unstable poles" in note for note in with_device(scenario, result.mesh, unstable).notes)
 
 
 def test_our_own_refinement_is_not_blamed_on_a_users_mesh(own_mesh, cold):

@@ -16,9 +16,9 @@ from forearm_fem.fem.linear.factor import CautiousFactor, make_factor, refined_s
 from forearm_fem.fem.linear.multifrontal import blas, panels
 from forearm_fem.fem.linear.multifrontal.factor import MultifrontalFactor, scales
 from forearm_fem.fem.linear.multifrontal.parts import divided
-from forearm_fem.fem.linear.multifrontal.supernodes import analyse
+from forearm_fem.fem.linear.multifrontal.supernodes import symbolic_factor
 from forearm_fem.fem.linear.ordering import nested_dissection
-from forearm_fem.fem.linear.pardiso import PardisoFactor, library
+from forearm_fem.fem.linear.pardiso import PardisoFactor, mkl_library
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.verification.scenes import flesh, held_block
 
@@ -26,7 +26,7 @@ FACTOR = "forearm_fem.fem.linear.multifrontal.factor"
 
 OMEGA = 2 * np.pi * 100
 pytestmark = pytest.mark.skipif(not factors._compiles(), reason="numba or pymetis is not installed")
-needs_mkl = pytest.mark.skipif(library() is None, reason="needs MKL")
+needs_mkl = pytest.mark.skipif(mkl_library() is None, reason="needs MKL")
 
 
 def upper_of(full: np.ndarray) -> csr_array:
@@ -61,7 +61,7 @@ def test_fronts_hold_the_factors_pattern(n, per_row, seed):
     """Each column's rows are in its front, and a front's last column has just the rows below it (merging adds zeros to
     first columns only)."""
     full = random_pattern(n, per_row, seed)
-    found = analyse(upper_of(full), np.random.default_rng(seed).permutation(n))
+    found = symbolic_factor(upper_of(full), np.random.default_rng(seed).permutation(n))
     exact, fronts = eliminated(full, found.order), found.fronts
     assert sorted(found.order) == list(range(n))
     for s in range(len(found.parent)):
@@ -264,7 +264,7 @@ def test_chosen_for_large_systems_in_single_precision(model, monkeypatch):
         return type(make_factor(model.operator, OMEGA, backend, **how)).__name__
 
     assert kind(single=True, matching=False) == kind("multifrontal", single=True, matching=False) == "CautiousFactor"
-    if library() is not None:
+    if mkl_library() is not None:
         assert kind(single=True) == kind(single=False) == "PardisoFactor"
         assert kind("pardiso", single=True, matching=False) == "PardisoFactor"
     with pytest.raises(SolverError, match="single precision"):
@@ -276,7 +276,7 @@ def test_chosen_for_large_systems_in_single_precision(model, monkeypatch):
 
 
 def test_without_mkl_there_is_nothing_after_it(model, monkeypatch):
-    monkeypatch.setattr(factors.pardiso, "library", lambda: None)
+    monkeypatch.setattr(factors.pardiso, "mkl_library", lambda: None)
     assert factors.available_backends() == ("multifrontal", "superlu")
     solver = make_factor(model.operator, OMEGA, "auto", single=True, matching=False)
     assert isinstance(solver, CautiousFactor)
@@ -370,12 +370,12 @@ def test_panels_are_multiplied_as_by_numpy(rows, columns, width, real):
     leading, row, taken = size * (rows + 5), size * 24, size * 8 * width
     exact_below, exact_own = below.astype(wide), own.astype(wide)
     exact_below[:rows, some] -= part @ own[:, some]
-    panels.subtract_product(
+    panels.subtract_panel(
         size, rows, columns, panel.ctypes.data, leading, own.ctypes.data, below.ctypes.data, row, taken
     )
     assert np.abs(below - exact_below).max() < 1e-5 * np.abs(exact_below).max()  # roundings of 6e-8 in 70 sums
     exact_own[:, some] -= part.T @ below[:rows, some]
-    panels.subtract_transposed(
+    panels.subtract_panel_transposed(
         size, rows, columns, panel.ctypes.data, leading, below.ctypes.data, own.ctypes.data, row, taken
     )
     assert np.abs(own - exact_own).max() < 1e-5 * np.abs(exact_own).max()

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.linear.direct import make_solver
-from forearm_fem.fem.linear.pardiso import library
+from forearm_fem.fem.linear.pardiso import mkl_library
 from forearm_fem.fem.reduction import basis as bases
 from forearm_fem.fem.reduction.basis import Basis, orthonormal_extension, real_columns
 from forearm_fem.fem.reduction.certificate import doubt, probe_frequencies
@@ -21,7 +21,7 @@ from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
-needs_mkl = pytest.mark.skipif(library() is None, reason="MKL is not installed")
+needs_mkl = pytest.mark.skipif(mkl_library() is None, reason="MKL is not installed")
 BAND = np.linspace(10.0, 500.0, 197)
 CHECK = np.array([10.0, 33.0, 80.0, 140.0, 210.0, 333.0, 470.0, 500.0])
 OPTIONS = SolverOptions(start="frequencies")

@@ -14,13 +14,13 @@ from forearm_fem.fem.kernels.symmetric import SymmetricMatrix
 from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.linear.factor import SuperLUFactor, make_factor, refined_solve
-from forearm_fem.fem.linear.pardiso import PardisoFactor, library
+from forearm_fem.fem.linear.pardiso import PardisoFactor, mkl_library
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
-needs_mkl = pytest.mark.skipif(library() is None, reason="MKL is not installed")
+needs_mkl = pytest.mark.skipif(mkl_library() is None, reason="MKL is not installed")
 OMEGA = 2 * np.pi * 150.0
 
 
@@ -218,7 +218,7 @@ def test_the_solver_advised_is_one_that_this_machine_can_have(
 
 
 def test_without_mkl_and_numba_superlu_serves(monkeypatch):
-    monkeypatch.setattr(factors.pardiso, "library", lambda: None)
+    monkeypatch.setattr(factors.pardiso, "mkl_library", lambda: None)
     monkeypatch.setattr(factors, "_compiles", lambda: False)
     assert factors.available_backends() == ("superlu",)
     assert factors.choose_backend("auto", 1000) == "superlu"

@@ -22,12 +22,12 @@ from test_measurement_scene import (
 from forearm_fem.compare.adapters import ScenarioModel, layered_compliance_of
 from forearm_fem.compare.compare import compare
 from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.measurement.calibrate import calibrate, collected
 from forearm_fem.measurement.estimators import spectra
 from forearm_fem.measurement.run import (
     VirtualSetup,
     calibration_plan,
-    planform_ports,
     run_calibration,
     virtual_device,
     with_loopback,

@@ -15,7 +15,7 @@ from scipy.signal import chirp
 from forearm_fem.errors import DataError, HardwareError
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.signals import read_drives
-from forearm_fem.measurement.daq import Session, Wiring
+from forearm_fem.measurement.daq import OpenDevice, Wiring
 from forearm_fem.measurement.loopback import delay_of, loopback, read_loopback
 from forearm_fem.measurement.sound import SoundCard
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions, VirtualSensor
@@ -94,7 +94,7 @@ def test_lost_samples_stop_the_session():
     device, stand_in = card(lose_at=5000)
     with (
         pytest.raises(HardwareError, match=r"samples were lost.*larger daq.block"),
-        Session(device, wiring()) as session,
+        OpenDevice(device, wiring()) as session,
     ):
         session.play(np.zeros((2, 48_000)), limit=1.0, fade=64)
     assert stand_in.open == 0
@@ -102,16 +102,16 @@ def test_lost_samples_stop_the_session():
 
 def test_too_many_channels_and_names_that_are_no_numbers():
     device, _ = card(channels=1)
-    with pytest.raises(HardwareError, match=r"it cannot play 2 and record 1 channel"), Session(device, wiring()):
+    with pytest.raises(HardwareError, match=r"it cannot play 2 and record 1 channel"), OpenDevice(device, wiring()):
         pass
     device, _ = card()
-    with pytest.raises(HardwareError, match="channels are numbers from '1'"), Session(device, wiring(("ao0",))):
+    with pytest.raises(HardwareError, match="channels are numbers from '1'"), OpenDevice(device, wiring(("ao0",))):
         pass
 
 
 def test_drives_beyond_full_scale_are_refused():
     device, _ = card()
-    with Session(device, wiring()) as session, pytest.raises(HardwareError, match="full scale of 2 V"):
+    with OpenDevice(device, wiring()) as session, pytest.raises(HardwareError, match="full scale of 2 V"):
         session._daq.exchange(3.0 * np.ones((2, 256)))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ReductionError, ScenarioError
-from forearm_fem.fem.reduction.rational import rational, sampled
+from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.fem.reduction.united import Growth
 from forearm_fem.geometry.cache import cached_mesh
@@ -182,7 +182,7 @@ def test_a_rational_function_is_found_and_a_wild_one_told():
         return (1 / (2j * np.pi * frequency[:, None] - poles)) @ shapes[:count]
 
     shapes = rng.normal(size=(300, 5))
-    nodes = sampled(f, 20)
+    nodes = chebyshev_frequencies(f, 20)
     smooth, wild = (rational(nodes, modes(n, nodes), 1e-6) for n in (6, 300))
     assert smooth.misfit < 1e-6
     assert np.abs(smooth.at(f) - modes(6, f)).max() < 1e-5 * np.abs(modes(6, f)).max()

@@ -56,7 +56,7 @@ for module in pkgutil.walk_packages(forearm_fem.__path__, "forearm_fem."):
 
 
 def test_without_mkl_the_multifrontal_solver_serves_and_superlu_where_double_precision_is_asked(monkeypatch):
-    monkeypatch.setattr(factors.pardiso, "library", lambda: None)
+    monkeypatch.setattr(factors.pardiso, "mkl_library", lambda: None)
     monkeypatch.setattr(factors.cudss, "available", lambda: False)
     monkeypatch.setattr(factors, "_compiles", lambda: True)
     assert factors.available_backends() == ("multifrontal", "superlu")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from forearm_fem.errors import GeometryError, ScenarioError
-from forearm_fem.fem.assembly.boundary import facet_area, facet_mass, facet_membrane, under_rectangle
+from forearm_fem.fem.assembly.boundary import covered_area, facet_mass, facet_membrane, under_rectangle
 from forearm_fem.fem.assembly.model import build_model
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.build import build_mesh
@@ -50,9 +50,9 @@ def test_a_rectangle_covers_its_area_of_the_upper_side():
     space = fem_model(scenario, build_mesh(scenario)).space
     skin = space.mesh.facets["skin"]
     under = space.mesh.facets["end"]
-    assert facet_area(space, skin, under_rectangle(1.0, 1.0)) == pytest.approx(facet_area(space, skin), rel=1e-12)
-    assert facet_area(space, skin, under_rectangle(0.02, 0.017)) == pytest.approx(0.02 * 0.017, rel=0.05)
-    assert facet_area(space, under, under_rectangle(1.0, 1.0)) == 0.0  # sides are upright, the bottom looks down
+    assert covered_area(space, skin, under_rectangle(1.0, 1.0)) == pytest.approx(covered_area(space, skin), rel=1e-12)
+    assert covered_area(space, skin, under_rectangle(0.02, 0.017)) == pytest.approx(0.02 * 0.017, rel=0.05)
+    assert covered_area(space, under, under_rectangle(1.0, 1.0)) == 0.0  # sides are upright, the bottom looks down
     everywhere = under_rectangle(1.0, 1.0)
     for matrix in (facet_mass, facet_membrane):
         assert abs(matrix(space, skin, everywhere) - matrix(space, skin)).max() == 0.0

@@ -19,7 +19,7 @@ from forearm_fem.study.percept import Felt, Percept, SimulatedParticipant, poole
 from forearm_fem.study.power import Supposed, needed, power_curve, supposed_from  # noqa: E402
 from forearm_fem.study.session import _outline  # noqa: E402
 from forearm_fem.study.tables import foreign_table  # noqa: E402
-from forearm_fem.study.thesis import judged  # noqa: E402
+from forearm_fem.study.thesis import verdicts  # noqa: E402
 from forearm_fem.transfer import TransferMatrix  # noqa: E402
 
 PLACES = np.array([p.position[:2] for p in GRID])
@@ -90,10 +90,10 @@ def test_repetitions_are_no_subjects():
 
 def test_the_thesis_counted_sixty_subjects():
     """All six tests fit 60 rows (20 participants x 3 repetitions) and none fits 20; probabilities follow from F."""
-    verdicts = judged()
-    assert [v.subjects for v in verdicts] == [60] * 6
-    assert all(0.7 < v.epsilon <= 1 for v in verdicts)
-    assert all(abs(v.p - v.claim.p) < 2e-3 for v in verdicts)
+    found = verdicts()
+    assert [v.subjects for v in found] == [60] * 6
+    assert all(0.7 < v.epsilon <= 1 for v in found)
+    assert all(abs(v.p - v.claim.p) < 2e-3 for v in found)
 
 
 def test_sensitivity_follows_verrillo():

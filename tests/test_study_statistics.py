@@ -12,7 +12,7 @@ from scipy import stats
 
 from forearm_fem.errors import DataError
 from forearm_fem.study.anova import repeated_measures
-from forearm_fem.study.comparisons import corrected, friedman, mixed_model, pairwise, residual_normality
+from forearm_fem.study.comparisons import corrected_p, friedman, mixed_model, pairwise, residual_normality
 
 DATA = Path(__file__).parent / "data" / "study"
 SIX_DIGITS = 1e-6  # what the reference file is written to, and more than the two programs' rounding
@@ -100,8 +100,8 @@ def test_missing_cells_and_single_subjects_are_refused():
 
 def test_holm_never_exceeds_bonferroni_and_keeps_order():
     p = np.array([0.04, 0.001, 0.03, 0.5])
-    assert np.all(corrected(p, "holm") <= corrected(p, "bonferroni"))
-    assert np.all(np.diff(corrected(p, "holm")[np.argsort(p)]) >= 0)
+    assert np.all(corrected_p(p, "holm") <= corrected_p(p, "bonferroni"))
+    assert np.all(np.diff(corrected_p(p, "holm")[np.argsort(p)]) >= 0)
 
 
 def test_corrected_test_keeps_its_level_where_the_plain_one_does_not():

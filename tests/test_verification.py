@@ -12,7 +12,7 @@ from forearm_fem.errors import GeometryError
 from forearm_fem.geometry.mesh.curved import true_volumes
 from forearm_fem.verification import cases, hard, slabs, twin
 from forearm_fem.verification.blocks import block_mesh, shell_mesh
-from forearm_fem.verification.hard_rows import HardCase, Outcome
+from forearm_fem.verification.hard_rows import HardCase, HardResult
 from forearm_fem.verification.mutations import BUGS, mutation_table, run_mutations
 from forearm_fem.verification.report import effectivity_section, stability_page, verification_page
 from forearm_fem.verification.rows import HardRow, Row, weakest
@@ -71,13 +71,14 @@ def test_verdicts():
         yield
 
     def crash():
-        yield Outcome("", "first", 0.1, 1.0)
+        yield HardResult("", "first", 0.1, 1.0)
         raise ValueError("bug")
 
-    assert [r.verdict for r in hard.judged(HardCase("n", "w", refuse))] == ["named error"]
-    assert [r.verdict for r in hard.judged(HardCase("n", "w", crash))] == ["right", "WRONG"]
+    assert [r.verdict for r in hard.hard_rows(HardCase("n", "w", refuse))] == ["named error"]
+    assert [r.verdict for r in hard.hard_rows(HardCase("n", "w", crash))] == ["right", "WRONG"]
     for error in (2.0, np.nan):
-        assert hard.judged(HardCase("n", "w", lambda e=error: iter([Outcome("", "r", e, 1.0)])))[0].verdict == "WRONG"
+        case = HardCase("n", "w", lambda e=error: iter([HardResult("", "r", e, 1.0)]))
+        assert hard.hard_rows(case)[0].verdict == "WRONG"
 
 
 def test_blocks_and_shells_fill_their_volume():
@@ -122,7 +123,7 @@ def test_fe_meets_the_twin_on_a_coarse_slab():
 
 def test_quick_hard_cases():
     names = {"two contacts touching", "contact over an edge", "held by nothing, static", "rotated, translated, scaled"}
-    rows = [r for case in hard.HARD if case.name in names for r in hard.judged(case)]
+    rows = [r for case in hard.HARD if case.name in names for r in hard.hard_rows(case)]
     assert {r.case for r in rows} == names
     assert all(r.verdict != "WRONG" for r in rows)
 

@@ -18,7 +18,7 @@ MARK = "member.json"
 
 
 @dataclass(frozen=True)
-class Job:
+class MemberJob:
     """All that a worker needs: plain data, so that it travels to any machine that sees ``folder`` and ``base``."""
 
     name: str
@@ -34,7 +34,7 @@ class Job:
         return hashlib.sha256(content.encode()).hexdigest()
 
 
-def finished(job: Job) -> dict[str, Any] | None:
+def finished(job: MemberJob) -> dict[str, Any] | None:
     """The summary of a member that was finished before, or None."""
     try:
         mark = read_json(Path(job.folder) / MARK)
@@ -46,7 +46,7 @@ def finished(job: Job) -> dict[str, Any] | None:
     return summary if isinstance(summary, dict) else None
 
 
-def work(job: Job) -> dict[str, Any]:
+def finish_member(job: MemberJob) -> dict[str, Any]:
     """Run the member; its summary, or {"problem": sentence}. Nothing it raises leaves the worker."""
     try:
         summary = _done(job)
@@ -60,7 +60,7 @@ def work(job: Job) -> dict[str, Any]:
         return {"problem": f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
 
 
-def _done(job: Job) -> dict[str, Any]:
+def _done(job: MemberJob) -> dict[str, Any]:
     from ..pipeline.folder import Run, run_all, run_render, run_solve
     from ..scenario import Scenario
 

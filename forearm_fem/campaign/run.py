@@ -14,9 +14,10 @@ import psutil
 
 from ..errors import ForearmError
 from ..io.atomic import write_text
+from ..io.markdown import markdown_table
 from ..progress import Progress, tell
 from .executor import LIGHT, SHARE, cluster, completed
-from .member import Job, finished, work
+from .member import MemberJob, finish_member, finished
 from .model import Campaign, Member
 
 
@@ -62,8 +63,8 @@ def run_campaign(
     tell(progress, "members", len(done), len(jobs))
     if missing:
         names = {f"{job.name}-{job.digest}": job for job in missing}
-        with cluster(scheduler, lambda: workers or worker_count(campaign, missing)) as client:
-            for key, found in completed(client, work, names):
+        with cluster(scheduler, lambda: workers or member_workers(campaign, missing)) as client:
+            for key, found in completed(client, finish_member, names):
                 name = names[key].name
                 done[name] = found
                 tell(progress, "members", len(done), len(jobs))
@@ -71,12 +72,12 @@ def run_campaign(
     return _write(out, _collected(campaign, done, reused))
 
 
-def _job(campaign: Campaign, member: Member, out: Path) -> Job:
+def _job(campaign: Campaign, member: Member, out: Path) -> MemberJob:
     scenario = member.scenario.model_dump_json()
-    return Job(member.name, scenario, campaign.stage, str(campaign.base.resolve()), str(out / member.name))
+    return MemberJob(member.name, scenario, campaign.stage, str(campaign.base.resolve()), str(out / member.name))
 
 
-def worker_count(campaign: Campaign, jobs: Sequence[Job]) -> int:
+def member_workers(campaign: Campaign, jobs: Sequence[MemberJob]) -> int:
     """Processes that cores and free memory allow, by the forecast of the first finite-element member."""
     wanted = {job.name for job in jobs}
     heavy = [m for m in campaign.members if m.name in wanted and m.scenario.engine == "fem"]
@@ -110,18 +111,15 @@ def _write(out: Path, members: Sequence[MemberResult]) -> CampaignResult:
     writer.writeheader()
     writer.writerows(rows)
     write_text(out / "summary.csv", stream.getvalue())
-    table = markdown(columns, rows)
-    write_text(out / "summary.md", table + "\n")
+    table = rows_table(columns, rows)
+    write_text(out / "summary.md", table)
     return CampaignResult(out, tuple(members), table)
 
 
-def markdown(columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
+def rows_table(columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
     """Rows as a markdown table, numbers to four digits."""
-    lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
-    lines += ["| " + " | ".join(_cell(row.get(c, "")) for c in columns) + " |" for row in rows]
-    return "\n".join(lines)
+    return markdown_table(columns, ([_cell(row.get(c, "")) for c in columns] for row in rows))
 
 
 def _cell(value: Any) -> str:
-    text = f"{value:.4g}" if isinstance(value, float) else str("" if value is None else value)
-    return text.replace("|", "\\|").replace("\n", " ")
+    return f"{value:.4g}" if isinstance(value, float) else str("" if value is None else value)

@@ -60,7 +60,7 @@ def verify(
         else:
             rows = verification.run_verification(full=full, progress=display)
             good = all(r.met for r in rows)
-            file, page, last = out / "verification.md", report.verification_page(rows), report.summary(rows)
+            file, page, last = out / "verification.md", report.verification_page(rows), report.count_met(rows)
         write_text(file, page)
     typer.echo(report.hard_table(cases) if hard else report.verification_table(rows))
     typer.echo(f"{last}\n{file}")

@@ -97,7 +97,7 @@ def _wave(frequency: FloatArray, distance: FloatArray, response: ComplexArray) -
     return fit_waves(frequency, x, merged)
 
 
-def summary(c: Comparison) -> dict[str, Any]:
+def comparison_record(c: Comparison) -> dict[str, Any]:
     """The comparison in plain numbers, for JSON; NaN becomes None."""
     g, agree = c.ground, c.agreement
     return {
@@ -135,7 +135,7 @@ def summary(c: Comparison) -> dict[str, Any]:
             for r, o in enumerate(g.outputs)
             for k, i in enumerate(g.inputs)
         ],
-        "condition_number": {"A": spread(c.condition_a), "B": spread(c.condition_b)},
+        "condition_number": {"A": extremes(c.condition_a), "B": extremes(c.condition_b)},
         "waves": [_wave_summary(g, c, k) for k in range(len(g.inputs))],
         "signal_strength": _crossed(c.crossed) if c.crossed else {"missing": c.not_crossed},
     }
@@ -146,7 +146,7 @@ def _wave_summary(g: CommonGround, c: Comparison, k: int) -> dict[str, Any]:
     return {
         "input": g.inputs[k].name,
         **{
-            name: None if w is None else {"speed_m_s": spread(w.speed), "attenuation_1_m": spread(w.attenuation)}
+            name: None if w is None else {"speed_m_s": extremes(w.speed), "attenuation_1_m": extremes(w.attenuation)}
             for name, w in both.items()
         },
     }
@@ -165,7 +165,7 @@ def plain(value: Any) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def spread(values: FloatArray) -> dict[str, float | None]:
+def extremes(values: FloatArray) -> dict[str, float | None]:
     """Smallest, median and largest of the finite values."""
     known = values[np.isfinite(values)]
     if not len(known):

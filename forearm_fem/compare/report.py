@@ -14,9 +14,10 @@ from matplotlib.figure import Figure
 
 from ..figures.style import ACTUATORS, GREY, INK, SIZE, decimal, letter, sign, single, styled
 from ..io.atomic import atomic_path, write_text
+from ..io.markdown import markdown_table
 from .agreement import fdac_matrix
 from .common import CommonGround
-from .compare import Comparison, summary
+from .compare import Comparison, comparison_record
 from .crossplay import CrossPlay
 
 _SIDES = (("A", ACTUATORS[0], "-"), ("B", ACTUATORS[5], "--"))
@@ -25,7 +26,7 @@ _COLUMNS = ("output", "input", "e", "dB_rms", "dB_bias", "phase_rad", "delay_s",
 
 def as_json(c: Comparison) -> str:
     """All numbers as JSON; what is unknown is null."""
-    return json.dumps(summary(c), indent=1, allow_nan=False)
+    return json.dumps(comparison_record(c), indent=1, allow_nan=False)
 
 
 def as_csv(c: Comparison) -> str:
@@ -33,13 +34,14 @@ def as_csv(c: Comparison) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(_COLUMNS)
-    writer.writerows([row[k] if row[k] is not None else "" for k in _COLUMNS] for row in summary(c)["entries"])
+    entries = comparison_record(c)["entries"]
+    writer.writerows([row[k] if row[k] is not None else "" for k in _COLUMNS] for row in entries)
     return stream.getvalue()
 
 
 def as_markdown(c: Comparison) -> str:
     """The comparison for people: what was compared, the overall numbers, entries, condition and S."""
-    s = summary(c)
+    s = comparison_record(c)
     parts = [
         f"# {s['B']} against {s['A']}",
         *(f"**Note:** {note}." for note in s["notes"]),
@@ -49,7 +51,7 @@ def as_markdown(c: Comparison) -> str:
         _condition(s),
         _strengths(c),
     ]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
 
 
 def _ground(s: dict[str, Any]) -> str:
@@ -72,7 +74,7 @@ def _overall(s: dict[str, Any]) -> str:
         ("FRAC", o["FRAC"], "1 if B is a constant times A"),
         ("misfit", o["misfit_in_sigma"], "rms difference in standard deviations; 1 = noise alone"),
     ]
-    return _table(("figure", "value", "meaning"), [(n, _number(v), m) for n, v, m in rows])
+    return markdown_table(("figure", "value", "meaning"), [(n, _number(v), m) for n, v, m in rows])
 
 
 def _entries(s: dict[str, Any]) -> str:
@@ -89,12 +91,12 @@ def _entries(s: dict[str, Any]) -> str:
         )
         for r in s["entries"]
     ]
-    return _table(header, rows)
+    return markdown_table(header, rows)
 
 
 def _condition(s: dict[str, Any]) -> str:
     rows = [(n, *(_number(v) for v in s["condition_number"][n].values())) for n in ("A", "B")]
-    return _table(("condition number", "smallest", "median", "largest"), rows)
+    return markdown_table(("condition number", "smallest", "median", "largest"), rows)
 
 
 def _strengths(c: Comparison) -> str:
@@ -103,7 +105,7 @@ def _strengths(c: Comparison) -> str:
     x = c.crossed
     header = ("S, mean over targets", "A on A", "B on B", "A on B", "B on A", "worth")
     arrays = (x.a_on_a, x.b_on_b, x.a_on_b, x.b_on_a, x.worth)
-    return _table(header, [(m, *(_number(_mean(a[j])) for a in arrays)) for j, m in enumerate(x.methods)])
+    return markdown_table(header, [(m, *(_number(_mean(a[j])) for a in arrays)) for j, m in enumerate(x.methods)])
 
 
 def _mean(row: Any) -> float | None:
@@ -113,11 +115,6 @@ def _mean(row: Any) -> float | None:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
-
-
-def _table(header: tuple[str, ...], rows: list[Any]) -> str:
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
 
 
 @styled

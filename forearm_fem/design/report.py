@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..campaign.run import markdown
+from ..campaign.run import rows_table
 from ..figures.registry import save_drawn
 from ..io.atomic import write_text
 from ..io.dataset import save
@@ -130,7 +130,7 @@ def page(result: DesignResult, pictures: Sequence[str]) -> str:
         "## Pareto front", "",
         "No other candidate has more S with as few actuators and as little power (all actuators together, for the "
         f"target's motion of {1e6 * result.design.asked.constraints.target_peak:g} um).", "",
-        markdown(columns, front), "",
+        rows_table(columns, front),
         *(f"![{name}]({name}.png)" for name in pictures), "",
         f"{count} candidates; {len(bad)} not feasible{': ' + told if told else ''}. All are in candidates.csv.", "",
     ])  # fmt: skip

@@ -12,13 +12,14 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import FigureBase
 
 from ..errors import DataError
+from ..io.markdown import markdown_table
 from ..metrics import StrengthTable, signal_strength_table, thesis_table
 from ..ports import Port, positions
 from ..transfer import ErrorEstimate, size_words
 from ..typing import FloatArray
 from .data import Results
 from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled, widen
-from .tables import Table, markdown
+from .tables import Table
 
 WHO = ("here", "record", "thesis")  # columns of Table I: S over the window, over the whole record, and measured
 
@@ -154,7 +155,7 @@ def _cell(mean: float, std: float) -> str:
 def table_one_markdown(data: Strengths) -> str:
     """Table I, simulated and thesis side by side."""
     header = ["S", *(f"{m}, {who}" for m in data.methods for who in WHO)]
-    return markdown(header, table_one_rows(data))
+    return markdown_table(header, table_one_rows(data))
 
 
 def table_one_extra(data: Strengths) -> dict[str, str]:

@@ -144,14 +144,14 @@ def resolution(results: Results) -> ResolutionMap:
     """Of a run's mesh at the highest frequency of its sweep."""
     mesh, f = results.mesh, float(results.transfer.frequency[-1])
     ports = (*results.transfer.inputs, *results.transfer.outputs)
-    value = nodes_per_wavelength(results, f)
+    value = nodes_per_wave(results, f)
     y = results.transfer.inputs[0].position[1]
     quantiles = [np.quantile(value[mesh.region == i], (0, 0.05, 0.5)) for i in range(len(mesh.region_names))]
     return ResolutionMap(f, _from_above(mesh, value), _section(mesh, value, y), y, ports, mesh.region_names,
                          np.array(quantiles))  # fmt: skip
 
 
-def nodes_per_wavelength(results: Results, frequency: float) -> FloatArray:
+def nodes_per_wave(results: Results, frequency: float) -> FloatArray:
     """Of each tetrahedron (n_tet,): shear wavelength over the distance of nodes, by its rms edge."""
     mesh, tissues = results.mesh, resolve_tissues(results.scenario)
     corner = mesh.points[mesh.tetrahedra]

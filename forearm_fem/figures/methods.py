@@ -19,7 +19,7 @@ from .data import Results
 from .device import LINES, busy
 from .matrix import MICRO, shown, unwrapped, zero_points
 from .style import ACTUATORS, FAINT, GREY, INK, METHODS, panels, styled, widen
-from .tables import Table, stacked
+from .tables import Table, stacked_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,7 +276,7 @@ def workflow_table(data: Workflow) -> Table:
         drives = {f"drive_{n}_{data.drive_unit}": d for n, d in zip(data.names, data.drives[k], strict=True)}
         asked = {"time_s": data.time, "asked": data.asked[k], "asked_unit": [data.asked_unit[k]] * len(data.time)}
         parts[m] = {**asked, **drives, f"u_{data.target}_m": data.moved[k][data.row]}
-    return stacked("method", parts)
+    return stacked_rows("method", parts)
 
 
 _START = {

@@ -35,7 +35,7 @@ def _texts(column: Iterable[Any]) -> list[str]:
     return [str(v) for v in values.tolist()]
 
 
-def stacked(key: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
+def stacked_rows(key: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
     """Tables below each other, told apart by a first column ``key``."""
     names = list(next(iter(parts.values())))
     lengths = {label: len(np.asarray(part[names[0]])) for label, part in parts.items()}
@@ -43,10 +43,3 @@ def stacked(key: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
     for name in names:
         columns[name] = np.concatenate([np.asarray(part[name]) for part in parts.values()])
     return Table(columns)
-
-
-def markdown(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A table in Markdown."""
-    head = list(header)
-    lines = [head, ["---"] * len(head), *([c.replace("|", "\\|") for c in row] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"

@@ -23,7 +23,7 @@ from .device import busy, record_of
 from .matrix import MICRO
 from .patch import VolarPatch, volar_patch
 from .style import FAINT, GREY, INK, SIGNED, figure_of, method_colour, panels, styled
-from .tables import Table, stacked
+from .tables import Table, stacked_rows
 
 _INSTANTS = 6
 _FLAT = 1e-3  # of the grid's size: points that are no further off a line span no surface
@@ -50,7 +50,7 @@ class Shown:
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class TargetWaves:
     """A target under every method; ``x`` (nx,) and ``y`` (ny,) [m] span the interpolated maps."""
 
     target: str
@@ -67,7 +67,7 @@ class Target:
         return [p.name for p in self.outputs].index(self.target)
 
 
-def target_waves(results: Results, target: str) -> Target:
+def target_waves(results: Results, target: str) -> TargetWaves:
     """Everything that figure 6 shows, for ``target``."""
     moved, g = results.displacements, results.transfer
     if target not in moved.targets:
@@ -77,7 +77,7 @@ def target_waves(results: Results, target: str) -> Target:
     places = positions(g.outputs)[:, :2]
     x, y = (np.linspace(low, high, _MESH) for low, high in _extent(places))
     shown = tuple(_shown(results, m, target, patch, x, y) for m in moved.methods)
-    return Target(target, g.outputs, g.inputs, shown, x, y, patch)
+    return TargetWaves(target, g.outputs, g.inputs, shown, x, y, patch)
 
 
 def _shown(results: Results, method: str, target: str, patch: VolarPatch | None, x: FloatArray, y: FloatArray) -> Shown:
@@ -151,14 +151,14 @@ def drive_series(drives: Signals, method: str, target: str, field: Wavefield) ->
     return np.asarray(to_spectrum(_one(drives, method, target), record)[:, index] * record.df)
 
 
-def target_table(data: Target) -> Table:
+def target_table(data: TargetWaves) -> Table:
     """Displacement of each grid point over time, method by method."""
     names = [f"u_{p.name}_m" for p in data.outputs]
     parts = {s.method: {"time_s": s.time, **dict(zip(names, s.values, strict=True))} for s in data.shown}
-    return stacked("method", parts)
+    return stacked_rows("method", parts)
 
 
-def target_extra(data: Target) -> dict[str, str]:
+def target_extra(data: TargetWaves) -> dict[str, str]:
     """The skin's own motion at the instants, vertex by vertex."""
     if data.patch is None:
         return {}
@@ -171,7 +171,7 @@ def target_extra(data: Target) -> dict[str, str]:
 
 
 @styled
-def plot_target(data: Target, *, ax: Axes | None = None) -> FigureBase:
+def plot_target(data: TargetWaves, *, ax: Axes | None = None) -> FigureBase:
     """Per method: maps at six instants (interpolated, and the field itself), and the grid points over time."""
     rows = 2 if data.patch is not None else 1
     figure = panels(ax, (10.2, 0.3 + len(data.shown) * (1.08 * rows + 0.4)))
@@ -182,7 +182,7 @@ def plot_target(data: Target, *, ax: Axes | None = None) -> FigureBase:
     return figure
 
 
-def _band(figure: FigureBase, data: Target, shown: Shown, rows: int) -> None:
+def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int) -> None:
     maps, right = figure.subfigures(1, 2, width_ratios=(2.6, 1), squeeze=False)[0]
     grid = maps.subplots(rows, _INSTANTS, squeeze=False)
     scale = _scale(shown)
@@ -214,7 +214,7 @@ def _scale(shown: Shown) -> Normalize:
     return Normalize(-most or -1.0, most or 1.0)
 
 
-def _mark(ax: Axes, data: Target) -> None:
+def _mark(ax: Axes, data: TargetWaves) -> None:
     places, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
     ax.plot(places[:, 0], places[:, 1], ".", color=INK, ms=1.5)
     ax.plot(*places[data.row, :2], "o", mfc="none", mec=INK, ms=7, mew=0.9)
@@ -237,7 +237,7 @@ def _scale_bar(ax: Axes) -> None:
                 annotation_clip=False)  # fmt: skip
 
 
-def _traces(ax: Axes, data: Target, shown: Shown) -> None:
+def _traces(ax: Axes, data: TargetWaves, shown: Shown) -> None:
     for k, trace in enumerate(shown.values):
         if k != data.row:
             ax.plot(1e3 * shown.time, MICRO * trace, color=GREY, lw=0.7, ls=":")
@@ -252,7 +252,7 @@ def _traces(ax: Axes, data: Target, shown: Shown) -> None:
 
 
 @styled
-def plot_traces(data: Target, *, ax: Axes | None = None) -> FigureBase:
+def plot_traces(data: TargetWaves, *, ax: Axes | None = None) -> FigureBase:
     """Only the grid points over time, one panel per method: the lower half of figures 6 and 7."""
     figure = panels(ax, (2.6 * len(data.shown), 2.4))
     axes = np.atleast_1d(figure.subplots(1, len(data.shown)))

@@ -25,7 +25,7 @@ from .matrix import MICRO, shown
 from .patch import volar_patch
 from .roots import trace_root
 from .style import FAINT, GREY, letter, panels, styled
-from .tables import Table, stacked
+from .tables import Table, stacked_rows
 
 _STRAIGHT = 0.5  # rad: beyond, the phase along the line is no line
 _STEP, _POINTS = 2.5e-3, 10  # appendix A: 10 points every 2.5 mm
@@ -181,7 +181,7 @@ def travel_table(data: Travel) -> Table:
         method: {"time_s": data.time, f"drive_{data.drive_unit}": drive, **dict(zip(names, moved, strict=True))}
         for method, drive, moved in zip(data.methods, data.drive, data.moved, strict=True)
     }
-    return stacked("method", parts)
+    return stacked_rows("method", parts)
 
 
 def travel_extra(data: Travel) -> dict[str, str]:
@@ -191,7 +191,7 @@ def travel_extra(data: Travel) -> dict[str, str]:
         method: {"frequency_Hz": data.frequency, **dict(zip(names, spectra, strict=True))}
         for method, spectra in zip(data.methods, data.spectra, strict=True)
     }
-    return {"spectra.csv": stacked("method", parts).as_csv()}
+    return {"spectra.csv": stacked_rows("method", parts).as_csv()}
 
 
 def _place_names(data: Travel) -> list[str]:

@@ -10,32 +10,25 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from ..ports import Port
 from ..typing import FloatArray
-from .dataset import labels, load, port_variables, ports_of, save, text
+from .dataset import load, save
+from .reduced import ReducedTerms, term_variables, terms_of
 
 _CONTENT = "parametric model"
 
 
 @dataclass(frozen=True)
-class ParametricFile:
-    """Contents of the file: ``matrices`` (n_term, r, r) of terms ``names``, ``functionals`` (r, n_port).
+class ParametricFile(ReducedTerms):
+    """Contents of the file beside those of :class:`ReducedTerms`.
 
     ``core`` is the size of the smaller model of the estimate, ``solves`` how many factorisations went into it;
     ``trials`` and ``checks`` (n, 4) are rows of draw, frequency, estimated and true error.
     """
 
-    names: tuple[str, ...]
-    matrices: FloatArray
-    functionals: FloatArray
-    shares: FloatArray
-    ports: tuple[Port, ...]
-    scenario: dict[str, Any]
     core: int
     solves: int
     trials: FloatArray
@@ -44,13 +37,8 @@ class ParametricFile:
 
 def write_parametric(path: str | Path, content: ParametricFile) -> None:
     """Write ``content``, whole or not at all."""
-    rows, columns = np.triu_indices(len(content.functionals))
     variables = {
-        "term": (("term",), labels(content.names), {}),
-        **port_variables("port", content.ports),
-        "upper": (("term", "entry"), content.matrices[:, rows, columns], {}),
-        "functional": (("row", "port"), content.functionals, {}),
-        "share": (("port",), content.shares, {}),
+        **term_variables(content),
         "trials": (("trial", "of_trial"), content.trials, {}),
         "checks": (("check", "of_check"), content.checks, {}),
         "counts": (("count",), np.array([content.core, content.solves]), {}),
@@ -64,16 +52,6 @@ def read_parametric(path: str | Path) -> ParametricFile:
 
 
 def _unpack(dataset: xr.Dataset) -> ParametricFile:
-    def numbers(name: str) -> FloatArray:
-        return np.asarray(dataset[name].values, dtype=float)
-
-    upper, size = numbers("upper"), dataset.sizes["row"]
-    rows, columns = np.triu_indices(size)
-    matrices = np.empty((len(upper), size, size))
-    matrices[:, rows, columns] = matrices[:, columns, rows] = upper
     core, solves = (int(n) for n in dataset["counts"].values)
-    return ParametricFile(
-        tuple(text(dataset["term"].values)), matrices, numbers("functional"), numbers("share"),
-        ports_of(dataset, "port"), json.loads(dataset.attrs["scenario"]), core, solves,
-        numbers("trials"), numbers("checks"),
-    )  # fmt: skip
+    trials, checks = (np.asarray(dataset[name].values, dtype=float) for name in ("trials", "checks"))
+    return ParametricFile(*terms_of(dataset), core, solves, trials, checks)

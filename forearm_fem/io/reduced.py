@@ -26,10 +26,9 @@ POLES = {"poles": ("mode",), "left": ("port", "mode"), "right": ("mode", "port")
 
 
 @dataclass(frozen=True)
-class ReducedFile:
-    """Contents of the file: ``matrices`` (n_term, r, r) of terms ``names``, ``functionals`` (r, n_port).
-
-    ``poles`` holds the arrays that ``POLES`` names, or nothing.
+class ReducedTerms:
+    """What every file of a reduced model holds: ``matrices`` (n_term, r, r) of terms ``names``, ``functionals``
+    (r, n_port), ``shares`` (n_port,), and the scenario that multiplies the terms.
     """
 
     names: tuple[str, ...]
@@ -38,21 +37,19 @@ class ReducedFile:
     shares: FloatArray
     ports: tuple[Port, ...]
     scenario: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ReducedFile(ReducedTerms):
+    """Contents of ``reduced.nc``; ``poles`` holds the arrays that ``POLES`` names, or nothing."""
+
     poles: dict[str, ComplexArray]
 
 
 def write_reduced(path: str | Path, content: ReducedFile) -> None:
     """Write ``content``, whole or not at all."""
-    rows, columns = np.triu_indices(len(content.functionals))
-    variables = {
-        "term": (("term",), labels(content.names), {}),
-        **port_variables("port", content.ports),
-        "upper": (("term", "entry"), content.matrices[:, rows, columns], {}),
-        "functional": (("row", "port"), content.functionals, {}),
-        "share": (("port",), content.shares, {}),
-        **{name: (POLES[name], values, {}) for name, values in content.poles.items()},
-    }
-    save(path, variables, {"content": _CONTENT, "scenario": json.dumps(content.scenario)})
+    poles: dict[str, Any] = {name: (POLES[name], values, {}) for name, values in content.poles.items()}
+    save(path, {**term_variables(content), **poles}, {"content": _CONTENT, "scenario": json.dumps(content.scenario)})
 
 
 def read_reduced(path: str | Path) -> ReducedFile:
@@ -61,15 +58,29 @@ def read_reduced(path: str | Path) -> ReducedFile:
 
 
 def _unpack(dataset: xr.Dataset) -> ReducedFile:
-    return ReducedFile(
-        tuple(text(dataset["term"].values)),
-        _matrices(dataset),
-        np.asarray(dataset["functional"].values, dtype=float),
-        np.asarray(dataset["share"].values, dtype=float),
-        ports_of(dataset, "port"),
-        json.loads(dataset.attrs["scenario"]),
-        {name: np.asarray(dataset[name].values, dtype=complex) for name in POLES if name in dataset},
-    )
+    poles = {name: np.asarray(dataset[name].values, dtype=complex) for name in POLES if name in dataset}
+    return ReducedFile(*terms_of(dataset), poles)
+
+
+def term_variables(content: ReducedTerms) -> dict[str, Any]:
+    """Variables of a file with these terms; the scenario is an attribute."""
+    rows, columns = np.triu_indices(len(content.functionals))
+    return {
+        "term": (("term",), labels(content.names), {}),
+        **port_variables("port", content.ports),
+        "upper": (("term", "entry"), content.matrices[:, rows, columns], {}),
+        "functional": (("row", "port"), content.functionals, {}),
+        "share": (("port",), content.shares, {}),
+    }
+
+
+def terms_of(
+    dataset: xr.Dataset,
+) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray, tuple[Port, ...], dict[str, Any]]:
+    """The fields of :class:`ReducedTerms` in their order."""
+    functional, share = (np.asarray(dataset[name].values, dtype=float) for name in ("functional", "share"))
+    names, scenario = tuple(text(dataset["term"].values)), json.loads(dataset.attrs["scenario"])
+    return names, _matrices(dataset), functional, share, ports_of(dataset, "port"), scenario
 
 
 def _matrices(dataset: xr.Dataset) -> FloatArray:

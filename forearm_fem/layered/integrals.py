@@ -75,7 +75,7 @@ class Medium(NamedTuple):
         return self._replace(layers=tuple(replace(x, modulus=_lossy(x.modulus, loss)) for x in self.layers))
 
 
-class Block(NamedTuple):
+class IntegralBlock(NamedTuple):
     """Values (n_freq, n_columns) [m/N], relative error (n_freq,) and kernel evaluations of one chunk."""
 
     values: ComplexArray
@@ -110,7 +110,7 @@ class Integrals:
                 start = i
         return out
 
-    def solve(self, omega: FloatArray) -> Block:
+    def solve(self, omega: FloatArray) -> IntegralBlock:
         """One chunk, on the path that its losses ask for; SolverError where no path is safe."""
         if self.medium.loss(omega[:1])[0] >= LOW_LOSS:
             return self._integrate(self.medium, self.real, omega)
@@ -131,7 +131,7 @@ class Integrals:
             )
         return axis.n_kernel + above.n_kernel
 
-    def _integrate(self, medium: Medium, rules: Rules, omega: FloatArray) -> Block:
+    def _integrate(self, medium: Medium, rules: Rules, omega: FloatArray) -> IntegralBlock:
         """Refine dyadic panels until every frequency of the chunk is converged."""
         first, core = _grid(medium, omega, self.table.smallest)
         ends = np.asarray(core * 2.0 ** np.arange(_TAIL_OCTAVES), dtype=float)
@@ -161,7 +161,7 @@ class Integrals:
                 active += [*octaves(core, end), *_quarters(end)]
                 total = total + self._mean_tail(medium, rules, end, omega)
             level += 1
-        return Block(total, error / np.max(np.abs(total), axis=1), n_kernel)
+        return IntegralBlock(total, error / np.max(np.abs(total), axis=1), n_kernel)
 
     def _remainders(self, medium: Medium, k: Numbers, omega: FloatArray) -> list[ComplexArray]:
         return medium.remainders(k, omega, len(self.table.parts) > 1)

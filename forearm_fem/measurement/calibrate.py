@@ -13,7 +13,7 @@ from ..errors import DataError, HardwareError
 from ..io.recording import Recording
 from ..ports import Port
 from ..scenario.measurement import MeasurementOptions
-from .daq import Daq, Session, Wiring
+from .daq import Daq, OpenDevice, Wiring
 from .diagnostics import Finding
 from .entry import Entry, Measured, assemble, entry
 from .store import Folder, digest_of
@@ -207,7 +207,7 @@ def record(plan: Plan, daq: Daq, place: tuple[int, int], *, stop: Callable[[], b
     terminals = np.zeros((len(plan.inputs), train.size))
     terminals[place[1]] = train / options.daq.amplifier_gain
     fade = round(options.daq.fade * sweep.sample_rate)
-    with Session(daq, plan.wiring) as session:
+    with OpenDevice(daq, plan.wiring) as session:
         limit = options.daq.max_voltage / options.daq.amplifier_gain
         capture = session.play(terminals, limit=limit, fade=fade, stop=stop)
     if capture.stopped:

@@ -85,7 +85,7 @@ class Capture:
     notes: tuple[str, ...] = ()
 
 
-class Session:
+class OpenDevice:
     """Opens a device for a ``with`` block and silences it whatever happens."""
 
     def __init__(self, daq: Daq, wiring: Wiring) -> None:

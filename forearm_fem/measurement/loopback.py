@@ -2,7 +2,7 @@
 
 The latency is that of output and input together (a round trip): a stimulus reaches the skin some time between none and
 all of it after it was sent. Gain is what the first input reads over what the first output was told, both at the full
-scales that the scenario states; it corrects G (:func:`corrected`), but only a voltmeter tells the volts of either.
+scales that the scenario states; it corrects G (:func:`with_latency`), but only a voltmeter tells the volts of either.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..errors import DataError, HardwareError
 from ..io.jsonfiles import read_json, write_json
 from ..scenario.measurement import MeasurementOptions
 from ..typing import FloatArray
-from .daq import Daq, Session, Wiring, faded
+from .daq import Daq, OpenDevice, Wiring, faded
 
 _FLOOR = 1e-3  # of the chirp's largest power: bins below do not carry it
 _UNLIKE = 0.7  # what came back is no copy of what was sent
@@ -52,7 +52,7 @@ def loopback(daq: Daq, wiring: Wiring, *, level: float = 0.1, seconds: float = 1
     sent = np.zeros((len(wiring.outputs), 2 * n))
     t = np.arange(n) / wiring.sample_rate
     sent[0, :n] = faded((level * chirp(t, 50.0, t[-1], 0.2 * wiring.sample_rate))[None], n // 20)[0]
-    with Session(daq, wiring) as session:
+    with OpenDevice(daq, wiring) as session:
         got = session.play(sent, limit=wiring.output_range, fade=64).inputs[0]
     latency, gain, residual = delay_of(sent[0], got)
     if residual > _UNLIKE:
@@ -114,7 +114,7 @@ def check_belongs(found: Loopback, daq: Daq, sample_rate: float) -> None:
         )
 
 
-def corrected(options: MeasurementOptions, found: Loopback) -> MeasurementOptions:
+def with_latency(options: MeasurementOptions, found: Loopback) -> MeasurementOptions:
     """``options`` with the latency taken off G and the gain of the whole chain taken into the sensor's sensitivity.
 
     What the input reads over what the output was told is G times the gain, so that dividing by it leaves G.

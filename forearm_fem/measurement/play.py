@@ -11,7 +11,7 @@ from ..errors import HardwareError
 from ..progress import Progress
 from ..scenario.measurement import DaqOptions
 from ..typing import FloatArray
-from .daq import Daq, Session, Wiring, check_limit, faded
+from .daq import Daq, OpenDevice, Wiring, check_limit, faded
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ def play(
         options.block,
         options.clock,
     )
-    with Session(daq, wiring) as session:
+    with OpenDevice(daq, wiring) as session:
         limit = options.max_voltage / options.amplifier_gain
         got = session.play(np.tile(once, repeats), limit=limit, fade=fade, stop=stop, progress=progress)
     return Played(got.inputs[0], np.abs(signals).max(axis=1), got.played / sample_rate, got.stopped)

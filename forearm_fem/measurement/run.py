@@ -10,11 +10,10 @@ from typing import Literal
 import numpy as np
 
 from ..errors import DataError, HardwareError, ScenarioError
-from ..geometry.device.layout import layout_of
+from ..geometry.device.layout import planform_ports
 from ..io.netcdf import write_transfer
 from ..io.signals import read_drives
 from ..io.wav import read_wav_drives
-from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions, MeasurementOptions, SensorOptions
@@ -23,7 +22,7 @@ from ..typing import FloatArray
 from .calibrate import Plan, Step, assembled, calibrate
 from .daq import Daq, Wiring
 from .entry import Measured
-from .loopback import Loopback, check_belongs, corrected, loopback
+from .loopback import Loopback, check_belongs, loopback, with_latency
 from .ni import NiDaq
 from .play import Played, play
 from .sound import SoundCard
@@ -108,7 +107,7 @@ def _timed(plan: Plan, kind: DaqKind | Daq, device: Daq, cable: Loopback | None)
     if cable is not None:
         check_belongs(cable, device, plan.sweep.sample_rate)
         basis = f"measured by a cable, {cable.taken}"
-        return replace(plan, options=corrected(plan.options, cable), latency_basis=basis)
+        return replace(plan, options=with_latency(plan.options, cable), latency_basis=basis)
     if daq.latency:
         return replace(plan, latency_basis="declared")
     if kind == "sound":
@@ -192,20 +191,6 @@ def _declared(sensor: SensorOptions) -> SensorOptions:
         return sensor
     built_in = VirtualSensor()
     return SensorOptions(quantity=built_in.quantity, sensitivity=built_in.sensitivity)
-
-
-def planform_ports(scenario: Scenario) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-    """Outputs and inputs seen from above (z = 0): a measured G needs names and places, not the limb's
-    surface.
-    """
-    layout = layout_of(scenario)
-    outputs = tuple(Port(str(k + 1), "point", (float(x), float(y), 0.0)) for k, (x, y) in enumerate(layout.points))
-    contact = scenario.device.cone.contact
-    inputs = tuple(
-        Port(name, "contact", (float(x), float(y), 0.0), radius=layout.radius, contact=contact)
-        for name, (x, y) in zip(layout.names, layout.contacts, strict=True)
-    )
-    return outputs, inputs
 
 
 def _device(kind: DaqKind, plan: Plan, virtual: VirtualSetup | None, card: str | None = None) -> Daq:

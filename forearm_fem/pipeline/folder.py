@@ -51,7 +51,7 @@ from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
 from .renderers import check_servable
 from .resources import Ledger
-from .simulation import AnswersForArm, Simulation, account_of, closed, render_transfer, simulate
+from .simulation import AnswersForArm, Simulation, account_of, render_transfer, simulate, with_device
 from .skin_model import save_skin_model
 from .solved import solve
 from .strengths import StrengthAccount
@@ -164,7 +164,7 @@ def _simulated(run: Run, mesh: TissueMesh | None) -> Simulation:
         for sentence in expected.sentences(float(frequencies(scenario.sweep)[-1])):
             warnings.warn(sentence, AccuracyWarning, stacklevel=2)
         solved = solve(scenario, mesh, frequencies(scenario.sweep), base=run.base, progress=run.progress)
-        result = closed(scenario, mesh, solved)
+        result = with_device(scenario, mesh, solved)
     run.notes += result.notes
     solver = result.solved.facts.solver if result.solved is not None else None
     return replace(result, transfer=replace(result.transfer, provenance=provenance(scenario, mesh, solver)))

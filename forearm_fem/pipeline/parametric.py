@@ -17,7 +17,7 @@ from .. import __version__
 from ..errors import DataError, ReductionError, ScenarioError
 from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
-from ..fem.reduction.rational import Rational, rational, sampled
+from ..fem.reduction.rational import Rational, chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
 from ..fem.reduction.united import Growth, Trial, United, part_of, united_model
 from ..geometry.cache import cached_mesh, default_cache_dir
@@ -30,7 +30,7 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import fem_model
 from .frequencies import frequencies
-from .skin_model import check_followable, with_scenario
+from .skin_model import check_followable, reduced_of, with_scenario
 from .solved import solve_key
 
 _log = logging.getLogger("forearm_fem.pipeline")
@@ -135,7 +135,7 @@ class ParametricModel:
         if len(frequency) <= _NODES[-1]:
             return frequency, drawn.compliance(frequency), 0.0
         for count in _NODES:
-            nodes = sampled(frequency, count)
+            nodes = chebyshev_frequencies(frequency, count)
             fit, places = self._fitted(nodes, drawn.compliance(nodes))
             if fit.misfit <= _BETWEEN:
                 break
@@ -242,12 +242,9 @@ def save_parametric(path: Path, model: ParametricModel) -> None:
 def load_parametric(path: str | Path) -> ParametricModel:
     """Read ``parametric.nc``; DataError for a missing or damaged file."""
     content = read_parametric(path)
-    scenario = parse_scenario(content.scenario, origin=str(path))
-    low = np.zeros((len(content.functionals), 0))
-    bare = ReducedModel(content.names, (), content.matrices, content.functionals, content.shares, Basis(), low)
+    scenario, model = reduced_of(content, path)
     tables = content.trials, content.checks
     trials, checks = (tuple(Trial(int(d), f, e, t) for d, f, e, t in table.tolist()) for table in tables)
-    model = with_scenario(bare, scenario)
     return ParametricModel(scenario, content.ports, model, content.core, trials, checks, content.solves)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..errors import GeometryError, ScenarioError
-from ..geometry.device.layout import layout_of
+from ..geometry.device.layout import planform_ports
 from ..ports import Port
 from ..progress import Progress
 from ..rendering import (
@@ -23,7 +23,7 @@ from ..rendering import (
     window_of,
 )
 from ..rendering.drives import Renderer
-from ..rendering.lattice import lattice
+from ..rendering.lattice import lattice_of
 from ..scenario import Scenario
 from ..scenario.rendering import Method, Rendering
 from ..scenario.sweep import Sweep
@@ -92,7 +92,7 @@ def _check(
         for target in targets:
             funneling_weights(inputs, target)
     if method != "funneling" and options.zeros == "thesis":
-        lattice(outputs, "zero points by the corner rule, outputs")
+        lattice_of(outputs, "zero points by the corner rule, outputs")
 
 
 def _remedy(method: str, problem: str) -> str:
@@ -106,12 +106,7 @@ def _remedy(method: str, problem: str) -> str:
 def check_servable(scenario: Scenario) -> dict[str, str]:
     """:func:`unsuited` seen from above, before anything is solved; ScenarioError if no method is left."""
     options = scenario.rendering
-    layout = layout_of(scenario)
-    outputs = tuple(Port(str(k + 1), "point", (float(x), float(y), 0.0)) for k, (x, y) in enumerate(layout.points))
-    inputs = tuple(
-        Port(f"A{k + 1}", "contact", (float(x), float(y), 0.0), radius=scenario.device.cone.radius)
-        for k, (x, y) in enumerate(layout.contacts)
-    )
+    outputs, inputs = planform_ports(scenario)
     targets = [p.name for p in outputs] if options.targets == "all" else list(options.targets)
     found = unsuited(options, outputs, inputs, targets)
     if options.methods and len(found) == len(options.methods):

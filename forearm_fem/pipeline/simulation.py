@@ -75,17 +75,17 @@ def simulate(
     frequency = frequencies(scenario.sweep)
     resolve_tissues(scenario)  # what they lack is said before anything is meshed
     if library is not None:
-        return closed(scenario, None, library.solved(scenario))
+        return with_device(scenario, None, library.solved(scenario))
     if scenario.engine == "layered":
         compliance = solve_layered(scenario, frequency, progress=progress)
         transfer = finite(close_loop(compliance, scenario.device))
         return Simulation(scenario, None, compliance, transfer, notes=flat_notes(compliance))
     mesh = mesh or cached_mesh(scenario, base=Path(base))
-    result = closed(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
+    result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
     return replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
 
 
-def closed(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
+def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
     """G and its errors from compliances: the device enters here, at no further FE solve."""
     transfer = finite(close_loop(solved.compliance, scenario.device))
     coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None

@@ -14,7 +14,7 @@ from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.poles import PoleResidue, pole_residue
 from ..fem.reduction.reduced_model import ReducedModel
-from ..io.reduced import POLES, ReducedFile, read_reduced, write_reduced
+from ..io.reduced import POLES, ReducedFile, ReducedTerms, read_reduced, write_reduced
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..scenario.load import apply_overrides
@@ -88,11 +88,17 @@ def save_skin_model(path: Path, model: SkinModel) -> None:
 def load_skin_model(path: str | Path) -> SkinModel:
     """Read ``reduced.nc``; DataError for a missing or damaged file."""
     content = read_reduced(path)
+    scenario, reduced = reduced_of(content, path)
+    poles = PoleResidue(**content.poles, shares=content.shares) if content.poles else None
+    return SkinModel(scenario, content.ports, reduced, poles)
+
+
+def reduced_of(content: ReducedTerms, path: str | Path) -> tuple[Scenario, ReducedModel]:
+    """The scenario of a file at ``path``, and its reduced model without a basis; ScenarioError for one not known."""
     scenario = parse_scenario(content.scenario, origin=str(path))
     low = np.zeros((len(content.functionals), 0))
     bare = ReducedModel(content.names, (), content.matrices, content.functionals, content.shares, Basis(), low)
-    poles = PoleResidue(**content.poles, shares=content.shares) if content.poles else None
-    return SkinModel(scenario, content.ports, with_scenario(bare, scenario), poles)
+    return scenario, with_scenario(bare, scenario)
 
 
 def _check_stable(model: SkinModel, frequency: FloatArray) -> None:

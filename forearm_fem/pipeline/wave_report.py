@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import ForearmError
 from ..io.atomic import write_text
+from ..io.markdown import markdown_table
 from ..metrics import fit_waves
 from ..metrics.waves import WaveFit
 from ..ports import distances
@@ -66,17 +67,14 @@ def waves_csv(fit: WaveFit) -> str:
 
 
 def _errors(transfer: TransferMatrix) -> list[str]:
-    lines = [
-        f"| {e.source} | {size_words(e.band)} | {size_words(e.worst)} | {e.method.replace('|', '/')} |"
-        for e in transfer.errors
-    ]
-    return ["| source | e_band | worst e(f) | how |", "| --- | --- | --- | --- |", *lines]
+    rows = ((e.source, size_words(e.band), size_words(e.worst), e.method) for e in transfer.errors)
+    return markdown_table(("source", "e_band", "worst e(f)", "how"), rows).splitlines()
 
 
 def _waves(fit: WaveFit) -> list[str]:
     chosen = np.unique(np.linspace(0, len(fit.frequency) - 1, min(10, len(fit.frequency))).astype(int))
-    rows = [f"| {fit.frequency[k]:g} | {fit.attenuation[k]:.0f} | {fit.speed[k]:.2f} |" for k in chosen]
-    return ["| Hz | attenuation 1/m | speed m/s |", "| --- | --- | --- |", *rows]
+    rows = ((f"{fit.frequency[k]:g}", f"{fit.attenuation[k]:.0f}", f"{fit.speed[k]:.2f}") for k in chosen)
+    return markdown_table(("Hz", "attenuation 1/m", "speed m/s"), rows).splitlines()
 
 
 def _twin(scenario: Scenario, transfer: TransferMatrix) -> list[str]:
@@ -88,13 +86,12 @@ def _twin(scenario: Scenario, transfer: TransferMatrix) -> list[str]:
     own: FloatArray = np.abs(transfer.values - truth)[:, :, 0] / np.abs(truth[:, :, 0])
     names = [f"{d * 1e3:.1f} mm" for d in distances(transfer.outputs, transfer.inputs)[:, 0]]
     overall = relative_error(transfer.values[:, 1:], truth[:, 1:]) if len(names) > 1 else np.zeros(len(own))
-    rows = [
-        f"| {f:g} | " + " | ".join(f"{v:.4f}" for v in row) + f" | {e:.4f} |"
+    rows = (
+        [f"{f:g}", *(f"{v:.4f}" for v in row), f"{e:.4f}"]
         for f, row, e in zip(transfer.frequency, own, overall, strict=True)
-    ]
-    header = "| Hz | " + " | ".join(names) + " | e(f) beyond the first |"
-    rule = "| --- " * (len(names) + 2) + "|"
-    return ["Error of each point relative to itself; e(f) relative to the largest of them.\n", header, rule, *rows]
+    )
+    table = markdown_table(("Hz", *names, "e(f) beyond the first"), rows).splitlines()
+    return ["Error of each point relative to itself; e(f) relative to the largest of them.\n", *table]
 
 
 def _written(out: Path, name: str, parts: list[str]) -> tuple[Path, Path]:

@@ -10,7 +10,7 @@ from ..errors import DataError, GeometryError
 from ..ports import Port, positions
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .drives import Aim
-from .lattice import SLACK, lattice
+from .lattice import SLACK, lattice_of
 from .spectrum import Placed
 from .triangles import line_through, nearest_distance, triangle_weights
 
@@ -29,7 +29,7 @@ def funneling_weights(inputs: tuple[Port, ...], target: Port) -> FloatArray:
     if len(inputs) < 2:
         raise GeometryError("funneling, actuators: expected two or more, got one")
     try:
-        grid = lattice(inputs, "funneling, actuators")
+        grid = lattice_of(inputs, "funneling, actuators")
     except GeometryError:  # no rectangle
         return _elsewhere(inputs, target)
     shares = [

@@ -28,7 +28,7 @@ class Interpolation:
     enabled: bool = True
 
 
-def fill(
+def filled_in(
     place: FloatArray,
     values: ComplexArray,
     valid: BoolArray,

@@ -33,7 +33,7 @@ class Lattice:
         return float(x), float(y)
 
 
-def lattice(ports: tuple[Port, ...], what: str) -> Lattice:
+def lattice_of(ports: tuple[Port, ...], what: str) -> Lattice:
     """The N x M rectangular array (N, M >= 2) formed by the planform x, y of ``ports``, at any rotation about
     z.
 
@@ -76,7 +76,7 @@ def is_thesis_grid(outputs: tuple[Port, ...]) -> bool:
     if not np.isfinite(positions(ordered)).all():
         return True
     try:
-        middle = lattice(ordered, "grid")
+        middle = lattice_of(ordered, "grid")
     except GeometryError:
         return False
     return middle.place[4].tolist() == [1, 1] and {tuple(middle.place[k]) for k in (0, 2, 6, 8)} == _CORNERS

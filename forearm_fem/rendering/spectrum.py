@@ -18,7 +18,7 @@ from ..errors import DataError, ScenarioError
 from ..ports import Port
 from ..transfer import TransferMatrix, relative_error_at
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .interpolation import Interpolation, fill
+from .interpolation import Interpolation, filled_in
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def place_on_bins(
     index = np.arange(max(1, int(np.ceil(place[0] - 1e-3))), min((record.n - 1) // 2, int(place[-1] + 1e-3)) + 1)
     out, on = np.zeros((0, flat.shape[1]), dtype=complex), np.zeros((0, flat.shape[1]), dtype=bool)
     if len(index):
-        out, on = fill(place, np.where(known, flat, 0), known, index, record.df, interpolation or Interpolation())
+        out, on = filled_in(place, np.where(known, flat, 0), known, index, record.df, interpolation or Interpolation())
     kept = on.any(axis=1)
     if not kept.any():
         raise DataError(

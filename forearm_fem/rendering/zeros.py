@@ -16,7 +16,7 @@ from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .drives import Aim, Renderer
-from .lattice import lattice
+from .lattice import lattice_of
 from .spectrum import Placed, place, respond
 from .wavelet import Wavelet, Window, window_of
 
@@ -43,7 +43,7 @@ class ThesisZeros:
 
     def choose(self, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
         """Names of the zero points; raises GeometryError if the outputs form no rectangle."""
-        grid = lattice(placed.outputs, "zero points by the corner rule, outputs")
+        grid = lattice_of(placed.outputs, "zero points by the corner rule, outputs")
         last = np.array([len(grid.rows) - 1, len(grid.columns) - 1])
         corner = (np.isin(grid.place, 0) | (grid.place == last)).all(axis=1)
         names = [p.name for p in placed.outputs]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..figures.tables import markdown
+from ..io.markdown import markdown_table
 
 _NAMES = {"all": "all laws", "kelvin-voigt": "Kelvin-Voigt", "zener": "standard linear solid", "springpot": "springpot"}
 _READINGS = {"window": "over the wavelet's window", "record": "over the whole record"}
@@ -21,7 +21,7 @@ def validation_page(data: Mapping[str, Any], scene: str = "thesis") -> str:
         *(f"- {line}" for line in failures(data)),
         "\n## What it is for\n",
         "In the spirit of ASME V&V 40 and the ten rules of credible practice:\n",
-        markdown(("question", "answer"), _PURPOSE),
+        markdown_table(("question", "answer"), _PURPOSE),
         "\n## Published measurements\n",
         "Band: 5-95 % over arms. A trend is inside where 5 % of the arms or more show it. *Fitted* findings made the "
         "tissue laws (`benchmarks/tissue_laws.py`) and are no test of them. Priors and laws were committed before any "
@@ -181,7 +181,7 @@ def _targets(data: Mapping[str, Any]) -> str:
         rows.append(
             [f"{t['name']}: {t['what']}{_note(t)}", measured, *(_cell(t, k) for k in _NAMES), verdict, t["source"]]
         )
-    return markdown(header, rows)
+    return markdown_table(header, rows)
 
 
 def _table_one(data: Mapping[str, Any]) -> list[str]:
@@ -195,7 +195,7 @@ def _table_one(data: Mapping[str, Any]) -> list[str]:
             cells = [f"{b['low']:.2f}-{b['high']:.2f}{'' if b['inside'] else ' (out)'}" for b in bands]
             rows.append([entry["group"], entry["method"], f"{entry['measured']:.2f}", *cells,
                          "yes" if entry["inside"] else "no"])  # fmt: skip
-        parts += [f"S {words}:\n", markdown(header, rows), _summary(found)]
+        parts += [f"S {words}:\n", markdown_table(header, rows), _summary(found)]
     return parts
 
 
@@ -212,7 +212,7 @@ def _summary(found: Mapping[str, Any]) -> str:
         ]
         for k, f in found.items()
     ]
-    return markdown(header, rows)
+    return markdown_table(header, rows)
 
 
 def _shah(subjects: Sequence[Mapping[str, Any]]) -> str:
@@ -224,7 +224,7 @@ def _shah(subjects: Sequence[Mapping[str, Any]]) -> str:
          *(f"{s['low'][k][p]:.2g}-{s['high'][k][p]:.2g}" for k in range(len(steps)) for p in (0, 1))]
         for s in subjects
     ]  # fmt: skip
-    return markdown(header, rows)
+    return markdown_table(header, rows)
 
 
 def _measured(data: Mapping[str, Any]) -> list[str]:
@@ -236,4 +236,4 @@ def _measured(data: Mapping[str, Any]) -> list[str]:
              "yes" if e["inside"] else "no"] for e in found["entries"]]  # fmt: skip
     told = (f"{found['inside']} of {len(rows)} inside; {_share(found['beyond'])} of the arms lie as far out "
             f"({found['distance']:.1f} times the median distance).\n")  # fmt: skip
-    return ["## A measured G through the same comparison\n", markdown(header, rows), told]
+    return ["## A measured G through the same comparison\n", markdown_table(header, rows), told]

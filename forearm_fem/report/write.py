@@ -19,9 +19,9 @@ from ..figures.motion import View
 from ..figures.registry import applies, kinds
 from ..figures.show import render_still
 from ..figures.style import SHEET, Drawn, figure_of, sign
-from ..figures.tables import markdown
 from ..figures.targets import plot_traces, target_waves
 from ..io.atomic import atomic_path, write_text
+from ..io.markdown import markdown_table
 from ..progress import Progress, tell
 from . import facts
 from .facts import Block
@@ -190,7 +190,7 @@ def markdown_of(title: str, lead: str, sections: list[Section], stamp: str) -> s
 def _markdown_body(section: Section) -> list[str]:
     lines = [text + "\n" for text in section.paragraphs]
     if section.block and section.block.rows:
-        lines.append(markdown(section.block.header, section.block.rows))
+        lines.append(markdown_table(section.block.header, section.block.rows))
     if section.block and section.block.note:
         lines.append(section.block.note + "\n")
     lines += [f"![{picture.title}](figures/{picture.name}.png)\n" for picture in section.pictures]

@@ -23,7 +23,7 @@ from .comparisons import (
     MixedModel,
     Normality,
     Pair,
-    corrected,
+    corrected_p,
     friedman,
     mixed_model,
     pairwise,
@@ -175,7 +175,7 @@ def _simple(
         part = np.take(values, k, axis=axis)
         if part.shape[1] > 1 and np.ptp(part) > 0:
             found.append((name, repeated_measures(part, ("level",))[0]))
-    p = corrected(np.array([effect.p_gg for _, effect in found]), correction) if found else np.zeros(0)
+    p = corrected_p(np.array([effect.p_gg for _, effect in found]), correction) if found else np.zeros(0)
     return tuple((name, effect, float(q)) for (name, effect), q in zip(found, p, strict=True))
 
 

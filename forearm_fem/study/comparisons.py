@@ -50,14 +50,14 @@ def pairwise(values: FloatArray, levels: Sequence[str], correction: Correction =
     with np.errstate(divide="ignore", invalid="ignore"):
         d_z = apart.mean(axis=1) / spread
     t = d_z * np.sqrt(len(cells))
-    p = corrected(2 * stats.t.sf(np.abs(t), len(cells) - 1), correction)
+    p = corrected_p(2 * stats.t.sf(np.abs(t), len(cells) - 1), correction)
     return tuple(
         Pair(levels[i], levels[j], float(a.mean()), float(t[k]), len(cells) - 1, float(p[k]), float(d_z[k]))
         for k, ((i, j), a) in enumerate(zip(pairs, apart, strict=True))
     )
 
 
-def corrected(p: FloatArray, correction: Correction) -> FloatArray:
+def corrected_p(p: FloatArray, correction: Correction) -> FloatArray:
     """Probabilities (n,) corrected for n tests; NaN (no variation) stays NaN and counts as a test."""
     p = np.asarray(p, dtype=float)
     if correction == "bonferroni":

@@ -26,7 +26,7 @@ from .analysis import Tests, analyse, confusion, ellipses, with_errors
 from .comparisons import Correction
 from .figures import plot_areas, plot_confusion, plot_ellipses, plot_outlines, plot_points
 from .plan import Answer, Study
-from .thesis import judged
+from .thesis import verdicts
 
 _SELECTION = (
     "Trials with the target inside are selected for larger answers: whoever names k of nine points at random "
@@ -68,7 +68,7 @@ def write_analysis(
     if devices is not None:
         sections.append(_device_section(devices, answers))
     if compare_with_thesis:
-        lines = [v.sentence for v in judged()]
+        lines = [v.sentence for v in verdicts()]
         sections.append(Section("thesis", "Do the thesis' own degrees of freedom add up?", bullets=lines))
     out = folder / "analysis"
     for name, table in tables.items():

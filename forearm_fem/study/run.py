@@ -11,9 +11,10 @@ import numpy as np
 import pandas as pd
 
 from ..errors import DataError, MissingExtra
+from ..geometry.device.layout import planform_ports
 from ..measurement.daq import Daq
 from ..measurement.loopback import Loopback, check_belongs
-from ..measurement.run import DaqKind, hardware, planform_ports, wired
+from ..measurement.run import DaqKind, hardware, wired
 from ..measurement.virtual import VirtualDaq, VirtualOptions
 from ..pipeline.renderers import wavelet
 from ..ports import Port

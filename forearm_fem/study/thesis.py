@@ -77,6 +77,6 @@ def _sentence(claim: Claim, subjects: int, participants: int, epsilon: float, p:
     return f"{claim.name}: {said}{off}."
 
 
-def judged(claims: Sequence[Claim] = PUBLISHED) -> tuple[Verdict, ...]:
+def verdicts(claims: Sequence[Claim] = PUBLISHED) -> tuple[Verdict, ...]:
     """The verdict on each of the thesis' tests."""
     return tuple(judge(c) for c in claims)

@@ -25,7 +25,7 @@ from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray
 from .blocks import block_mesh
 from .hard_drives import DRIVES
-from .hard_rows import HardCase, Outcome
+from .hard_rows import HardCase, HardResult
 from .hard_solvers import SOLVERS
 from .rows import HardRow
 from .scenes import (
@@ -44,7 +44,7 @@ from .scenes import (
 _COARSE = {"size_grid": 3e-3, "size_contact": 1.2e-3, "size_far": 9e-3}
 
 
-def judged(case: HardCase) -> list[HardRow]:
+def hard_rows(case: HardCase) -> list[HardRow]:
     """The case's outcomes with verdicts; a named error is an answer, any other exception is wrong."""
     rows: list[HardRow] = []
     try:
@@ -58,7 +58,7 @@ def judged(case: HardCase) -> list[HardRow]:
     return rows
 
 
-def _row(case: HardCase, outcome: Outcome) -> HardRow:
+def _row(case: HardCase, outcome: HardResult) -> HardRow:
     error = f"{outcome.error:.1e} of {outcome.allowed:.0e} allowed"
     right = np.isfinite(outcome.error) and outcome.error <= outcome.allowed
     return HardRow(case.name, outcome.what or case.what, outcome.result, error, "right" if right else "WRONG")
@@ -71,7 +71,7 @@ def _gap(found: ComplexArray, truth: ComplexArray) -> float:
 # --- materials -------------------------------------------------------------------------------------------------------
 
 
-def bulk_moduli() -> Iterator[Outcome]:
+def bulk_moduli() -> Iterator[HardResult]:
     """The 3 mm mesh leaves 2 % at 200 Hz whatever the bulk modulus."""
     for bulk in (1e4, 1e6, 1e8, 1e10, 1e12, None):
         override = {"muscle": {"bulk": bulk or "incompressible"}}
@@ -80,10 +80,10 @@ def bulk_moduli() -> Iterator[Outcome]:
         found, truth = slab_response(model, [200.0])[0], twin_response(scenario, [200.0])[0]
         name = f"bulk {bulk:.0e} Pa" if bulk else "incompressible"
         what, result = f"{name}, slab at 200 Hz against the twin", f"|u0/F| = {abs(found[0]):.4g} m/N"
-        yield Outcome(what, result, _gap(found, truth), 0.02)
+        yield HardResult(what, result, _gap(found, truth), 0.02)
 
 
-def lossless_resonance() -> Iterator[Outcome]:
+def lossless_resonance() -> Iterator[HardResult]:
     """A block without loss, its first resonances from a dense eigensolver: modal sum against direct solves."""
     model = held_block(1, tissue=flesh(eta=0.0, bulk=2.2e6))
     values, shapes = _modes(model)
@@ -93,7 +93,7 @@ def lossless_resonance() -> Iterator[Outcome]:
         truth = (shapes / (values - (2 * np.pi * f) ** 2)) @ shapes.T
         found = direct_sweep(model, np.array([f]), DIRECT).values[0]
         # the dense eigenvalue carries 1e-10 (condensed by hand), enlarged by 1 / detuning
-        yield Outcome(f"no loss, {detuning:g} beside {f0:.4g} Hz", f"|C| = {np.abs(found).max():.3g} m/N",
+        yield HardResult(f"no loss, {detuning:g} beside {f0:.4g} Hz", f"|C| = {np.abs(found).max():.3g} m/N",
                       _gap(found, truth.astype(complex)), 1e-9 / detuning)  # fmt: skip
 
 
@@ -107,35 +107,35 @@ def _modes(model: ForearmModel) -> tuple[FloatArray, FloatArray]:
     return values, model.functionals[:n].T @ vectors
 
 
-def resonance_itself() -> Iterator[Outcome]:
+def resonance_itself() -> Iterator[HardResult]:
     """At the resonance to the last digit: either refused, or a number as large as rounding makes it."""
     model = held_block(1, tissue=flesh(eta=0.0, bulk=2.2e6))
     f0 = float(np.sqrt(_modes(model)[0][0]) / (2 * np.pi))
     found = np.abs(direct_sweep(model, np.array([f0]), DIRECT).values[0]).max()
     static = np.abs(direct_sweep(model, np.array([0.1]), DIRECT).values[0]).max()
-    yield Outcome("", f"|C| is {found / static:.1e} times static: unmistakably resonant", float(static / found), 1e-7)
+    yield HardResult("", f"|C| is {found / static:.1e} times static: a resonance", float(static / found), 1e-7)
 
 
-def low_frequencies() -> Iterator[Outcome]:
+def low_frequencies() -> Iterator[HardResult]:
     """C = C0/(1 + i w eta/mu) for a homogeneous block, up to inertia (w/w0)^2."""
     model = held_block(2)
     still = direct_sweep(held_block(2, tissue=flesh(eta=0.0)), np.array([1e-6]), DIRECT).values[0]
     for f, allowed in ((0.0, 1e-9), (1e-3, 1e-7), (0.5, 5e-3)):
         found = direct_sweep(model, np.array([f]), DIRECT).values[0]
         exact = still / (1 + 2j * np.pi * f * 5.03 / 7860.0)
-        yield Outcome(f"{f:g} Hz, held block, against C0/(1 + i w eta/mu)", f"|C| = {np.abs(found).max():.4g} m/N",
+        yield HardResult(f"{f:g} Hz, held block, against C0/(1 + i w eta/mu)", f"|C| = {np.abs(found).max():.4g} m/N",
                       _gap(found, exact), allowed)  # fmt: skip
 
 
-def two_kilohertz() -> Iterator[Outcome]:
+def two_kilohertz() -> Iterator[HardResult]:
     """Far above the band: waves of 2-4 mm in skin."""
     mesh = {"size_grid": 1.5e-3, "size_contact": 0.8e-3, "size_far": 4e-3}
     scenario = quarter_slab((0.006,), side=0.05, depth=0.02, mesh=mesh, frequencies=(2000.0,))
     found, truth = slab_response(slab_model(scenario), [2000.0])[0], twin_response(scenario, [2000.0])[0]
-    yield Outcome("", f"u0/F = {found[0]:.3g} m/N", _gap(found, truth), 0.03)
+    yield HardResult("", f"u0/F = {found[0]:.3g} m/N", _gap(found, truth), 0.03)
 
 
-def stiff_epidermis() -> Iterator[Outcome]:
+def stiff_epidermis() -> Iterator[HardResult]:
     """1 MPa x 80 um on fat of 1 kPa: as a membrane, and as tetrahedra twelve times flatter than wide."""
     fat = {"density": 950.0, "mu": 1e3, "eta": 0.5, "bulk": 2.2e9}
     skin = {"density": 1100.0, "mu": 1e6, "eta": 20.0, "bulk": 2.2e9}
@@ -153,10 +153,10 @@ def stiff_epidermis() -> Iterator[Outcome]:
         tissues = scenario.tissues.model_copy(update={"membrane": sheet})
         found = slab_response(slab_model(scenario.model_copy(update={"tissues": tissues})), [100.0])[0]
         what = f"epidermis 80 um, 1 MPa on 1 kPa, as {name}, 100 Hz"
-        yield Outcome(what, f"u0/F = {found[0]:.3g} m/N", _gap(found, truth), 0.03)
+        yield HardResult(what, f"u0/F = {found[0]:.3g} m/N", _gap(found, truth), 0.03)
 
 
-def elastic_bone() -> Iterator[Outcome]:
+def elastic_bone() -> Iterator[HardResult]:
     """Flesh on half a block of bone held at its far end, against flesh held at the joint."""
     bone = Tissue("bone", 1860.0, Hysteretic(6.5e9, 0.02), 1.4e10)
     tissues, supports = {"bone": bone, "block": flesh()}, Supports(ends="fixed")
@@ -169,22 +169,22 @@ def elastic_bone() -> Iterator[Outcome]:
         model = build_model(mesh, ports, tissues, supports, Membrane())
         values.append(direct_sweep(model, np.array([5.0, 100.0, 500.0]), DIRECT).values)
     error = float(relative_error(*values).max())
-    yield Outcome("", f"|C| = {np.abs(values[0]).max():.3g} m/N", error, 1e-4)
+    yield HardResult("", f"|C| = {np.abs(values[0]).max():.3g} m/N", error, 1e-4)
 
 
 # --- meshes ----------------------------------------------------------------------------------------------------------
 
 
-def thin_layer() -> Iterator[Outcome]:
+def thin_layer() -> Iterator[HardResult]:
     """Skin of 0.15 mm on elements of 3 mm, 1:20."""
     layers = (("skin", 1.5e-4), ("fat", 3e-3))
     mesh = {"size_grid": 3e-3, "size_contact": 1.2e-3, "size_far": 9e-3}
     scenario = quarter_slab((0.01, 0.02), side=0.12, depth=0.05, layers=layers, preset="default", mesh=mesh)
     found, truth = slab_response(slab_model(scenario), [100.0])[0], twin_response(scenario, [100.0])[0]
-    yield Outcome("", f"u0/F = {found[0]:.3g} m/N", _gap(found, truth), 0.02)
+    yield HardResult("", f"u0/F = {found[0]:.3g} m/N", _gap(found, truth), 0.02)
 
 
-def slivers() -> Iterator[Outcome]:
+def slivers() -> Iterator[HardResult]:
     """Inner vertices pushed until their flattest tetrahedron keeps 1 % and 0.01 % of its height."""
     model = held_block(3)
     truth = direct_sweep(model, np.array([150.0]), DIRECT).values[:, :, :1]
@@ -194,7 +194,7 @@ def slivers() -> Iterator[Outcome]:
         found = direct_sweep(bad, np.array([150.0]), DIRECT).values[:, :, :1]
         name = f"20 vertices moved, flattest tetrahedron {worst:.0e} of its volume left"
         # the moved vertices change the mesh's own error of about 1 %
-        yield Outcome(name, f"|C| = {np.abs(found).max():.4g} m/N", _gap(found, truth), 0.01)
+        yield HardResult(name, f"|C| = {np.abs(found).max():.4g} m/N", _gap(found, truth), 0.01)
 
 
 def _flattened(mesh: TissueMesh, left: float) -> tuple[TissueMesh, float]:
@@ -217,32 +217,32 @@ def _flattened(mesh: TissueMesh, left: float) -> tuple[TissueMesh, float]:
     return replace(mesh, points=points), worst
 
 
-def moved_meshes() -> Iterator[Outcome]:
+def moved_meshes() -> Iterator[HardResult]:
     """Turned, shifted by metres, and scaled with omega and eta so that every group is kept."""
     truth = direct_sweep(held_block(2), MOVED_HZ, DIRECT).values
     for name, found in moved_compliances():
-        yield Outcome(f"mesh {name}", f"|C| = {np.abs(found).max():.6g} m/N", _gap(found, truth), 1e-9)
+        yield HardResult(f"mesh {name}", f"|C| = {np.abs(found).max():.6g} m/N", _gap(found, truth), 1e-9)
 
 
-def held_by_nothing() -> Iterator[Outcome]:
+def held_by_nothing() -> Iterator[HardResult]:
     """A free block is a mass at low frequency, with its elastic part left over."""
     model = held_block(2, ends="free")
     mass = 1050 * 0.024 * 0.016 * 0.008
     for f in (5.0, 0.5, 0.05, 0.01):  # elastic part: m w^2 C_elastic = 4.4e-4 (f / Hz)^2
         found = direct_sweep(model, np.array([f]), DIRECT).values[0, 0, 0]
         error = abs(-found * (2 * np.pi * f) ** 2 * mass - 1)
-        yield Outcome(
+        yield HardResult(
             f"free block, {f:g} Hz, against -1/(m w^2)", f"C = {found:.4g} m/N", float(error), 6e-4 * f**2 + 1e-6
         )
 
 
-def held_by_nothing_static() -> Iterator[Outcome]:
+def held_by_nothing_static() -> Iterator[HardResult]:
     """A free block has no static position: to be refused."""
     found = direct_sweep(held_block(2, ends="free"), np.array([0.0]), DIRECT).values
-    yield Outcome("", f"|C| = {np.abs(found).max():.3g} m/N although it has no static position", np.inf, 0.0)
+    yield HardResult("", f"|C| = {np.abs(found).max():.3g} m/N although it has no static position", np.inf, 0.0)
 
 
-def small_contact() -> Iterator[Outcome]:
+def small_contact() -> Iterator[HardResult]:
     """A disc of 0.4 mm radius on a mesh of 4 mm: sized by its radius where no size is asked, refused where 5 mm are."""
     for size, name in ((None, "left out"), (5e-3, "5 mm")):
         scenario = quarter_slab((0.01,), depth=0.06, mesh={"size_grid": 4e-3, "size_contact": size, "size_far": 12e-3,
@@ -250,18 +250,18 @@ def small_contact() -> Iterator[Outcome]:
         cone = scenario.device.cone.model_copy(update={"radius": 4e-4})
         scenario = scenario.model_copy(update={"device": scenario.device.model_copy(update={"cone": cone})})
         found, truth = slab_response(slab_model(scenario), [100.0])[0], twin_response(scenario, [100.0])[0]
-        yield Outcome(f"radius 0.4 mm, size_contact {name}", f"u0/F = {found[0]:.3g} m/N", _gap(found, truth), 0.03)
+        yield HardResult(f"radius 0.4 mm, size_contact {name}", f"u0/F = {found[0]:.3g} m/N", _gap(found, truth), 0.03)
 
 
-def thin_limb() -> Iterator[Outcome]:
+def thin_limb() -> Iterator[HardResult]:
     """A cone wider than the limb: half of it would hang in the air."""
     limb = {"shape": "cylinder", "diameter": 0.012}
     device = {"contacts": [[0.0, 0.0]], "cone": {"radius": 7e-3}}
     build_mesh(parse_scenario({"limb": limb, "device": device, "grid": {"points": [[0.02, 0.0]]}}))
-    yield Outcome("", "meshed", np.inf, 0.0)
+    yield HardResult("", "meshed", np.inf, 0.0)
 
 
-def curved_limb() -> Iterator[Outcome]:
+def curved_limb() -> Iterator[HardResult]:
     """Against a finer mesh, its facets nearer to the round skin; allowed is twice what the pipeline states.
 
     Sizes are those that the pipeline solves with; at 1.5 times these the coarser mesh cannot be made.
@@ -281,23 +281,23 @@ def curved_limb() -> Iterator[Outcome]:
     )
     stated = float(remaining_error(np.array(_gap(coarse, own))))
     result = f"u1/F = {own[0]:.3g} m/N, error stated {stated:.1e}"
-    yield Outcome("", result, _gap(own, fine), 2 * stated)
+    yield HardResult("", result, _gap(own, fine), 2 * stated)
 
 
-def touching_contacts() -> Iterator[Outcome]:
+def touching_contacts() -> Iterator[HardResult]:
     """Two discs that share a point of their rims: to be refused."""
     scenario = quarter_slab((0.02,))
     device = scenario.device.model_copy(update={"contacts": ((0.0, 0.0), (0.007, 0.0))})
     slab_model(scenario.model_copy(update={"device": device}))
-    yield Outcome("", "meshed", np.inf, 0.0)
+    yield HardResult("", "meshed", np.inf, 0.0)
 
 
-def contact_over_edge() -> Iterator[Outcome]:
+def contact_over_edge() -> Iterator[HardResult]:
     """A disc that hangs over the edge of the slab: to be refused."""
     scenario = quarter_slab((0.02,), side=0.06)
     device = scenario.device.model_copy(update={"contacts": ((0.028, 0.0),)})
     slab_model(scenario.model_copy(update={"device": device}))
-    yield Outcome("", "meshed", np.inf, 0.0)
+    yield HardResult("", "meshed", np.inf, 0.0)
 
 
 HARD: tuple[HardCase, ...] = (

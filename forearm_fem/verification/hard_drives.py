@@ -14,7 +14,7 @@ from ..rendering import InverseFilter, displacements, drives, ricker
 from ..rendering.inversion import Regularisation
 from ..scenario import Scenario, parse_scenario
 from ..transfer import TransferMatrix
-from .hard_rows import HardCase, Outcome
+from .hard_rows import HardCase, HardResult
 
 _BAND = np.arange(10.0, 500.1, 5.0)
 
@@ -34,7 +34,7 @@ def _reached(transfer: TransferMatrix, renderer: InverseFilter) -> np.ndarray[tu
     return np.asarray(displacements(transfer, drives(renderer, transfer, "5", ricker(duration=0.2))).values)
 
 
-def identical_actuators() -> Iterator[Outcome]:
+def identical_actuators() -> Iterator[HardResult]:
     """A4 a copy of A3: the best that three actuators can do is still reached."""
     g = _transfer()
     twice = replace(g, values=g.values[:, :, [0, 1, 2, 2]], contacts=None)
@@ -42,24 +42,25 @@ def identical_actuators() -> Iterator[Outcome]:
     renderer = InverseFilter(zeros=("1", "3", "7", "9"), regularisation=Regularisation(value=1e-9))
     a, b = _reached(twice, renderer), _reached(three, renderer)
     gap = float(np.abs(a - b).max() / np.abs(b).max())
-    yield Outcome("", f"peak {np.abs(a).max():.3g} m at rank 3 of 4", gap, 1e-6)
+    yield HardResult("", f"peak {np.abs(a).max():.3g} m at rank 3 of 4", gap, 1e-6)
 
 
-def out_of_contact() -> Iterator[Outcome]:
+def out_of_contact() -> Iterator[HardResult]:
     """A1 exerts no force: its column is zero and its drive must be, too."""
     scenario = _scenario(out_of_contact=("A1",))
     g = close_loop(solve_layered(scenario, _BAND), scenario.device)
     sent = drives(InverseFilter(zeros=("1", "3", "7", "9")), g, "5", ricker(duration=0.2))
-    yield Outcome("", f"drive of A1 {np.abs(sent.signals[0]).max():.1e} N", float(np.abs(sent.signals[0]).max()), 1e-12)
+    loudest = float(np.abs(sent.signals[0]).max())
+    yield HardResult("", f"drive of A1 {loudest:.1e} N", loudest, 1e-12)
 
 
-def target_is_zero() -> Iterator[Outcome]:
+def target_is_zero() -> Iterator[HardResult]:
     """The target is one of the points to be kept still: to be refused."""
     drives(InverseFilter(zeros=("5", "1")), _transfer(), "5", ricker(duration=0.2))
-    yield Outcome("", "rendered", np.inf, 0.0)
+    yield HardResult("", "rendered", np.inf, 0.0)
 
 
-def missing_bins() -> Iterator[Outcome]:
+def missing_bins() -> Iterator[HardResult]:
     """Every seventh bin is NaN: the drive must be finite, and the loss no larger than the bins' share."""
     g = _transfer()
     values = g.values.copy()
@@ -68,10 +69,10 @@ def missing_bins() -> Iterator[Outcome]:
     renderer, wavelet = InverseFilter(zeros=("1", "3", "7", "9")), ricker(duration=0.2)
     full, part = (displacements(g, drives(renderer, x, "5", wavelet)).values for x in (g, holes))
     loss = float(np.abs(full - part).max() / np.abs(full).max())
-    yield Outcome("", f"finite; peak {np.abs(part).max():.3g} m", loss if np.isfinite(part).all() else np.inf, 0.3)
+    yield HardResult("", f"finite; peak {np.abs(part).max():.3g} m", loss if np.isfinite(part).all() else np.inf, 0.3)
 
 
-def noise() -> Iterator[Outcome]:
+def noise() -> Iterator[HardResult]:
     """Drives from a noisy G, judged on the true one: the loss follows the noise until 0 dB ruins it, visibly."""
     g, rng = _transfer(), np.random.default_rng(1)
     # Tikhonov at the noise's own size; amplification by the condition number is then about 1 to 2
@@ -84,7 +85,7 @@ def noise() -> Iterator[Outcome]:
         noisy = replace(g, values=dirty, contacts=None)
         clean, real = (displacements(g, drives(renderer, x, "5", wavelet)).values for x in (g, noisy))
         loss = float(np.abs(clean - real).max() / np.abs(clean).max())
-        yield Outcome(f"noise {decibel} dB below G, Tikhonov", f"displacements off by {loss:.1%}", loss, 3 * size)
+        yield HardResult(f"noise {decibel} dB below G, Tikhonov", f"displacements off by {loss:.1%}", loss, 3 * size)
 
 
 DRIVES: tuple[HardCase, ...] = (

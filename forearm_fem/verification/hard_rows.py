@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Outcome:
+class HardResult:
     """One result with its true ``error`` and what is ``allowed``; an empty ``what`` takes the case's."""
 
     what: str
@@ -22,4 +22,4 @@ class HardCase:
 
     name: str
     what: str
-    run: Callable[[], Iterator[Outcome]]
+    run: Callable[[], Iterator[HardResult]]

@@ -12,25 +12,25 @@ from ..fem.reduction.sweep import direct_sweep, reduced_sweep
 from ..scenario.sweep import SolverOptions
 from ..transfer import relative_error
 from ..typing import FloatArray
-from .hard_rows import HardCase, Outcome
+from .hard_rows import HardCase, HardResult
 from .scenes import DIRECT, flesh, held_block
 
 
-def single_precision() -> Iterator[Outcome]:
+def single_precision() -> Iterator[HardResult]:
     """Refined single precision against double where the bulk modulus makes the system stiffest."""
     model, band = held_block(3, tissue=flesh(bulk=1e12)), np.array([0.5, 150.0, 2000.0])
     single, double = (direct_sweep(model, band, SolverOptions(precision=p)) for p in ("single", "double"))
     error = float(relative_error(single.values, double.values).max())
-    yield Outcome("", f"residual {single.residual:.1e}", error, 1e-7)
+    yield HardResult("", f"residual {single.residual:.1e}", error, 1e-7)
 
 
-def resonances(options: SolverOptions) -> Iterator[Outcome]:
+def resonances(options: SolverOptions) -> Iterator[HardResult]:
     """Sharp resonances (loss 0.3 % at 100 Hz) by a reduced model, against direct solves."""
     model, band = held_block(2, tissue=flesh(eta=0.04, bulk=2.2e9)), np.linspace(10.0, 500.0, 491)
     yield _swept(model, band, options, f"reduced sweep, {options.expansions} of {options.max_expansions} expansions")
 
 
-def repeated_expansions() -> Iterator[Outcome]:
+def repeated_expansions() -> Iterator[HardResult]:
     """Twelve expansions within 2 Hz, 0.2 Hz apart: their solutions and derivatives span nearly the same space."""
     model, band = held_block(2, tissue=flesh(eta=0.04, bulk=2.2e9)), np.linspace(99.0, 101.0, 41)
     yield _swept(
@@ -41,7 +41,7 @@ def repeated_expansions() -> Iterator[Outcome]:
     )
 
 
-def _swept(model: ForearmModel, band: FloatArray, options: SolverOptions, what: str) -> Outcome:
+def _swept(model: ForearmModel, band: FloatArray, options: SolverOptions, what: str) -> HardResult:
     """True e(f) at seven bins, the peak and its neighbours among them; allowed is five times what was stated."""
     swept = reduced_sweep(model, band, options, tolerance=1e-4)
     peak = int(np.argmax(np.abs(swept.values[:, 0, 0])))
@@ -53,7 +53,7 @@ def _swept(model: ForearmModel, band: FloatArray, options: SolverOptions, what: 
     met = "met" if stated <= 1e-4 else "not met, and says so"
     result = f"stated {stated:.1e} after {len(swept.expansions)} expansions: 1e-4 {met}"
     result = result if swept.certificates else f"{len(swept.expansions)} expansions, nothing stated"
-    return Outcome(f"{what}, peak at {band[peak]:g} Hz", result, error, max(1e-4, 5 * stated))
+    return HardResult(f"{what}, peak at {band[peak]:g} Hz", result, error, max(1e-4, 5 * stated))
 
 
 _SHARP = "reduced model at a resonance"

@@ -21,6 +21,7 @@ from ..fem.assembly import tissues as assembly
 from ..fem.assembly.coefficients import Polynomial
 from ..fem.assembly.operator import AffineOperator, WeightedSum
 from ..fem.space.numbering import MixedSpace
+from ..io.markdown import markdown_table
 from . import cases, slabs
 from .rows import Row
 
@@ -92,7 +93,7 @@ def probe_rows() -> Iterator[Row]:
     yield from cases.order_rows("P2", bulks=(1e4, 2.2e9, math.inf))
     yield from chain(cases.shear_bar_rows(), cases.sphere_rows(), cases.structure_rows())
     slab = slabs.CONVERGENCE
-    _, points = slabs.errors(slabs.solve_level(slab, 1.5).values, slabs.exact(slab))
+    _, points = slabs.errors_of(slabs.solve_level(slab, 1.5).values, slabs.exact(slab))
     yield Row("FE, preset O, 300 Hz, coarse", "layered twin", "e(f), r = 10, 20 mm", points, 0.04, "2.1 % without bugs")
 
 
@@ -113,11 +114,11 @@ def run_mutations() -> list[Caught]:
 
 def mutation_table(found: list[Caught]) -> str:
     """Markdown: the bug, the rows that caught it, the first one's error."""
-    lines = ["| deliberate bug | rows that catch it | e.g. |", "| --- | --- | --- |"]
+    lines = []
     for each in found:
         names = "; ".join(dict.fromkeys(r.case for r in each.rows)) or ("**none**" if not each.raised else "-")
         first = each.raised
         if each.rows:
             first = f"{each.rows[0].quantity}: {each.rows[0].error:.1e} of {each.rows[0].tolerance:.0e}"
-        lines.append(f"| {each.bug} | {names} | {first} |")
-    return "\n".join(lines) + "\n"
+        lines.append((each.bug, names, first))
+    return markdown_table(("deliberate bug", "rows that catch it", "e.g."), lines)

@@ -63,6 +63,6 @@ def run_hard_cases(progress: Progress | None = None) -> list[HardRow]:
     """Extreme scenes, each right within its stated error or refused by name."""
     rows: list[HardRow] = []
     for i, case in enumerate(hard.HARD):
-        rows += hard.judged(case)
+        rows += hard.hard_rows(case)
         tell(progress, case.name, i + 1, len(hard.HARD))
     return rows

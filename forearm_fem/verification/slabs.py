@@ -87,13 +87,13 @@ def exact(slab: Slab) -> ComplexArray:
     return np.asarray(twin_response(slab.scenario, [slab.frequency])[0])
 
 
-def errors(found: ComplexArray, truth: ComplexArray) -> tuple[float, float]:
+def errors_of(found: ComplexArray, truth: ComplexArray) -> tuple[float, float]:
     """Error under the disc (relative to itself) and e(f) over the points (relative to the largest of them)."""
     gap = np.abs(found - truth)
     return float(gap[0] / abs(truth[0])), float(gap[1:].max() / np.abs(truth[1:]).max())
 
 
-def estimate(coarse: ComplexArray, fine: ComplexArray) -> float:
+def stated_error(coarse: ComplexArray, fine: ComplexArray) -> float:
     """e(f) of the points, as the pipeline states it for the fine mesh."""
     return float(remaining_error(np.abs(coarse - fine)[1:].max() / np.abs(fine[1:]).max()))
 
@@ -119,7 +119,7 @@ def reference_rows(slabs: Sequence[Slab] = REFERENCE) -> Iterator[Row]:
     """1 % under the disc and e(f) <= 2 % over r = 10-31.8 mm, with unknowns and seconds."""
     for slab in slabs:
         level, truth = solve_level(slab), exact(slab)
-        disc, points = errors(level.values, truth)
+        disc, points = errors_of(level.values, truth)
         case = f"FE, {_name(slab)}, {slab.frequency:g} Hz, {level.unknowns} unknowns"
         reference = _reference(slab)
         reason = "asked for; rim polygon 0.5 %"
@@ -147,14 +147,14 @@ def convergence_rows(slab: Slab = CONVERGENCE, scales: Sequence[float] = (COARSE
     """Three levels: the order seen between the first and the last, and the two-mesh estimate on the finest."""
     truth = exact(slab)
     levels = [solve_level(slab, s) for s in scales]
-    found = [errors(level.values, truth)[1] for level in levels]
+    found = [errors_of(level.values, truth)[1] for level in levels]
     order = float(np.log(found[0] / found[-1]) / np.log(scales[0] / scales[-1]))
     seconds = sum(level.seconds for level in levels)
     case = f"FE, preset O, {slab.frequency:g} Hz, three levels to {levels[-1].unknowns} unknowns"
     reason = "below 3: sizes grow away from the ports and the coarsest mesh has 2.5 elements a wave"
     yield Row(case, "layered twin", f"3 - order seen ({order:.2f})", max(0.0, 3 - order), 1.0, reason, seconds)
     yield Row(case, "layered twin", "e(f) on the finest", found[-1], 0.02, "asked for", seconds)
-    effectivity = estimate(levels[0].values, levels[-1].values) / found[-1]
+    effectivity = stated_error(levels[0].values, levels[-1].values) / found[-1]
     low = max(0.0, 0.5 / effectivity - 1, effectivity / 5 - 1)
     reason = "asked for: estimated over true error between 0.5 and 5"
     yield Row(case, "layered twin", f"effectivity {effectivity:.2f} outside 0.5-5 by", low, 1e-9, reason, seconds)

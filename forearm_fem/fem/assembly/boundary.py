@@ -83,7 +83,7 @@ def facet_load(space: MixedSpace, facets: IntArray, direction: FloatArray) -> Fl
     return np.asarray(np.kron(scalar, direction), dtype=float)
 
 
-def facet_area(space: MixedSpace, facets: IntArray, covered: Covered | None = None) -> float:
+def covered_area(space: MixedSpace, facets: IntArray, covered: Covered | None = None) -> float:
     """Area [m^2] of boundary facets (k, 3), bent as they are, or of what is ``covered`` of them."""
     return float(sum(measure.sum() for _, _, _, measure, _ in _by_local_facet(space, facets, covered)))
 

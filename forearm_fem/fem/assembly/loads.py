@@ -13,7 +13,7 @@ from ...ports import Port
 from ...typing import FloatArray, IntArray
 from ..space.elements import tabulate
 from ..space.numbering import MixedSpace
-from .boundary import facet_area, facet_load
+from .boundary import covered_area, facet_load
 
 _SYMMETRY_AXIS = {"symmetry x": 0, "symmetry y": 1}
 
@@ -25,7 +25,7 @@ def port_functional(space: MixedSpace, port: Port) -> FloatArray:
     facets = space.mesh.facets.get(f"contact {port.name}")
     if facets is None or len(facets) == 0:
         raise GeometryError(f"the mesh has no facets named 'contact {port.name}'; mesh the scenario again")
-    return np.asarray(facet_load(space, facets, np.array(port.axis)) / facet_area(space, facets))
+    return np.asarray(facet_load(space, facets, np.array(port.axis)) / covered_area(space, facets))
 
 
 def force_share(space: MixedSpace, port: Port) -> float:

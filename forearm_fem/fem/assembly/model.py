@@ -23,7 +23,7 @@ from ..kernels.sparse import added, congruent
 from ..space.constraints import Constraints, RigidDisc, constraints
 from ..space.numbering import MixedSpace
 from ..space.orders import Orders, element_orders
-from .boundary import facet_area, facet_gradients, facet_mass, facet_membrane, under_rectangle
+from .boundary import covered_area, facet_gradients, facet_mass, facet_membrane, under_rectangle
 from .coefficients import Coefficient, is_polynomial
 from .loads import force_share, port_functional
 from .operator import AffineOperator, affine_operator
@@ -177,7 +177,7 @@ def _boundaries(
 def _patch(space: MixedSpace, patch: Patch) -> Matrices:
     """Mass and membrane of the ``patch`` on the skin that it covers seen from above; its edges cut through facets."""
     skin, covered = space.mesh.facets["skin"], under_rectangle(patch.length, patch.width)
-    if not facet_area(space, skin, covered):
+    if not covered_area(space, skin, covered):
         raise GeometryError("tissues.patch: no skin lies under it; make length and width larger, or leave it out")
     result: Matrices = [("patch mass", facet_mass(space, skin, covered))] if patch.mass else []
     if patch.stiffness or patch.viscosity:

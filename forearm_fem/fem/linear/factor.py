@@ -131,7 +131,7 @@ class CautiousFactor:
         """See :class:`Factor`; False where PARDISO is not installed or has done all it can."""
         if isinstance(self.now, pardiso.PardisoFactor):
             return self.now.harden()
-        if pardiso.library() is None:
+        if pardiso.mkl_library() is None:
             return False
         self.now.release()
         upper = csr_array((self._data, self._indices, self._indptr), shape=self._shape)
@@ -153,7 +153,7 @@ def available_backends() -> tuple[str, ...]:
     """Direct solvers found on this machine, the preferred one first; cuDSS serves only where it is asked for."""
     found = (
         ("multifrontal", _compiles()),
-        ("pardiso", pardiso.library() is not None),
+        ("pardiso", pardiso.mkl_library() is not None),
         ("superlu", True),
         ("cudss", cudss.available()),
     )
@@ -206,7 +206,7 @@ def make_factor(
     if chosen == "cudss":
         return cudss.CudssFactor(upper, single=single and not matching)
     order = None if matching else nested_dissection(upper, operator.n_displacements)
-    small = order is None and backend == "auto" and pardiso.library() is not None
+    small = order is None and backend == "auto" and pardiso.mkl_library() is not None
     if chosen == "multifrontal" and not small:
         return CautiousFactor(upper, operator.n_displacements, np.arange(operator.n) if order is None else order)
     return pardiso.PardisoFactor(upper, order, single=single, matching=matching)

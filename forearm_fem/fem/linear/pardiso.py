@@ -33,7 +33,7 @@ _MESSAGES = {
 
 
 @lru_cache(maxsize=1)
-def library() -> ctypes.CDLL | None:
+def mkl_library() -> ctypes.CDLL | None:
     """The MKL runtime, or None where it is not installed or FOREARM_FEM_MKL is "off" in the environment."""
     if os.environ.get("FOREARM_FEM_MKL") == "off":
         return None
@@ -68,7 +68,7 @@ class PardisoFactor:
     def __init__(
         self, upper: csr_array, order: IntArray | None = None, *, single: bool = False, matching: bool = True
     ) -> None:
-        mkl = library()
+        mkl = mkl_library()
         if mkl is None:
             raise SolverError("MKL PARDISO is not installed; python3 -m pip install mkl, or solver.backend='superlu'")
         self._mkl = mkl

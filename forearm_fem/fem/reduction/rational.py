@@ -69,7 +69,7 @@ def _weights(frequency: FloatArray, values: ComplexArray, supports: IntArray) ->
     return np.asarray(np.linalg.svd(np.linalg.qr(rows, mode="r"))[2][-1].conj())
 
 
-def sampled(band: FloatArray, count: int) -> FloatArray:
+def chebyshev_frequencies(band: FloatArray, count: int) -> FloatArray:
     """``count`` Chebyshev points in the square root of the frequency, the ends of the ``band`` (n,) [Hz] included."""
     low, high = np.sqrt(band[0]), np.sqrt(band[-1])
     return np.asarray((low + (high - low) * (1 - np.cos(np.pi * np.arange(count) / (count - 1))) / 2) ** 2)

@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from ...errors import GeometryError
+from ...ports import Port
 from ...scenario import Scenario
 from ...scenario.limb import CylinderLimb, ForearmLimb, LayerThickness, Limb, SlabLimb
 from ...typing import FloatArray
@@ -39,6 +40,17 @@ def layout_of(scenario: Scenario) -> Layout:
     layout = Layout(contacts, points, device.cone.radius)
     _check_overlap(layout)
     return layout
+
+
+def planform_ports(scenario: Scenario) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    """Outputs and inputs seen from above (z = 0), where names and places count and the limb's surface does not."""
+    layout, contact = layout_of(scenario), scenario.device.cone.contact
+    outputs = tuple(Port(str(k + 1), "point", (float(x), float(y), 0.0)) for k, (x, y) in enumerate(layout.points))
+    inputs = tuple(
+        Port(name, "contact", (float(x), float(y), 0.0), radius=layout.radius, contact=contact)
+        for name, (x, y) in zip(layout.names, layout.contacts, strict=True)
+    )
+    return outputs, inputs
 
 
 def layers_of(limb: Limb) -> tuple[LayerThickness, ...]:

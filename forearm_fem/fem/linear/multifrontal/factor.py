@@ -16,10 +16,10 @@ from ....errors import SolverError
 from ....typing import ComplexArray, FloatArray, IntArray
 from ...kernels.threads import in_threads, thread_count
 from .blas import BLOCK, arguments
-from .fronts import Scratch, Store, block_entries, factorise_part, scratch_entries
-from .parts import Part, Parts, divided
-from .substitution import LANES, Local, backward, forward, gather, scatter
-from .supernodes import Symbolic, analyse
+from .fronts import FrontStore, Scratch, block_entries, factorise_part, scratch_entries
+from .parts import Parts, ThreadPart, divided
+from .substitution import LANES, Local, backward, forward, put_back, take_in
+from .supernodes import Symbolic, symbolic_factor
 
 _MANY_ROWS = 20_000  # below, starting threads costs what they save
 PRESSURES = 0.3  # entries that couple pressures are scaled to this at most; 0.1 and 1 leave more of point forces
@@ -40,7 +40,7 @@ class MultifrontalFactor:
 
     def __init__(self, upper: csr_array, n_displacements: int, order: IntArray) -> None:
         self.n = int(upper.shape[0])
-        self.symbolic = analyse(upper, order)
+        self.symbolic = symbolic_factor(upper, order)
         self._indptr, self._indices, self._n_displacements = upper.indptr, upper.indices, n_displacements
         self._parts = divided(self.symbolic, thread_count())
         self._whole: _Memory | None = None
@@ -55,7 +55,7 @@ class MultifrontalFactor:
         memory = self._memory = self._whole.of_numbers(number)
         fronts, entries, remainder = self.symbolic.fronts, self.symbolic.entries, self._parts.remainder
 
-        def work(part: Part) -> int:
+        def work(part: ThreadPart) -> int:
             scratch = memory.scratch[part.number]
             return int(
                 factorise_part(part, fronts, entries, data, self._scale, memory.store, remainder, memory.stack, scratch)
@@ -73,12 +73,12 @@ class MultifrontalFactor:
         kind = float if number is np.float32 else complex
         columns = np.ascontiguousarray(right.reshape(self.n, -1), dtype=kind)
         x = np.empty((self.n, -(-columns.shape[1] // LANES) * LANES), number)
-        self._by_rows(lambda a, b: gather(columns, self.symbolic.order, self._scale, x, a, b))
+        self._by_rows(lambda a, b: take_in(columns, self.symbolic.order, self._scale, x, a, b))
         fronts, owner, memory = self.symbolic.fronts, self._parts.owner, self._memory
         locals_ = [self._local(part, x.shape[1]) for part in (*self._parts.subtrees, self._parts.top)]
         whole, top = (0, x.shape[1]), self._parts.top
 
-        def down(part: Part) -> NDArray[Any]:
+        def down(part: ThreadPart) -> NDArray[Any]:
             others = np.zeros_like(x)
             forward(part, fronts, memory.store, owner, x, others, locals_[part.number], whole)
             return others
@@ -87,7 +87,7 @@ class MultifrontalFactor:
             forward(top, fronts, memory.store, owner, x, x, locals_[top.number], some)
             backward(top, fronts, memory.store, x, locals_[top.number], some)
 
-        def up(part: Part) -> None:
+        def up(part: ThreadPart) -> None:
             backward(part, fronts, memory.store, x, locals_[part.number], whole)
 
         subtrees, above = self._parts.subtrees, owner == top.number
@@ -96,7 +96,7 @@ class MultifrontalFactor:
         in_threads(over_the_top, _shared(x.shape[1], len(subtrees)))
         in_threads(up, subtrees)
         solution = np.empty_like(columns)
-        self._by_rows(lambda a, b: scatter(x, self.symbolic.order, self._scale, solution, a, b))
+        self._by_rows(lambda a, b: put_back(x, self.symbolic.order, self._scale, solution, a, b))
         return solution.reshape(right.shape)
 
     def harden(self) -> bool:
@@ -117,7 +117,7 @@ class MultifrontalFactor:
         cuts = np.linspace(0, self.n, thread_count() + 1 if self.n > _MANY_ROWS else 2).astype(int).tolist()
         in_threads(lambda rows: work(*rows), list(pairwise(cuts)))
 
-    def _local(self, part: Part, count: int) -> Local:
+    def _local(self, part: ThreadPart, count: int) -> Local:
         rows = self.symbolic.remaining[part.supernodes].max(initial=0)
         assert self._memory is not None
         number = self._memory.store.panels.dtype
@@ -128,14 +128,14 @@ class MultifrontalFactor:
 class _Memory:
     """What is kept between factorisations: the factors, the stack of remainders, and each part's scratch."""
 
-    store: Store
+    store: FrontStore
     stack: NDArray[Any]
     scratch: tuple[Scratch, ...]
 
     def of_numbers(self, number: type[np.complex64] | type[np.float32]) -> _Memory:
         """The same memory for such numbers; of real ones it takes half."""
         store, stack = self.store, self.stack
-        kept = Store(_seen_as(store.panels, number), store.start, _seen_as(store.inverses, number), store.block)
+        kept = FrontStore(_seen_as(store.panels, number), store.start, _seen_as(store.inverses, number), store.block)
         scratch = tuple(
             Scratch(arguments(number), each.place, _seen_as(each.outer, number), _seen_as(each.under, number))
             for each in self.scratch
@@ -145,7 +145,7 @@ class _Memory:
     @classmethod
     def of(cls, symbolic: Symbolic, parts: Parts) -> _Memory:
         panels, blocks = panel_entries(symbolic), block_entries(symbolic.columns)
-        store = Store(
+        store = FrontStore(
             np.empty(panels.sum(), np.complex64),
             np.concatenate([[0], np.cumsum(panels)]),
             np.empty(blocks.sum(), np.complex64),
@@ -164,7 +164,7 @@ def panel_entries(symbolic: Symbolic) -> IntArray:
     return np.asarray(symbolic.columns * (symbolic.columns + symbolic.remaining))
 
 
-def _scratch(symbolic: Symbolic, part: Part) -> Scratch:
+def _scratch(symbolic: Symbolic, part: ThreadPart) -> Scratch:
     some = part.supernodes
     outer, under = scratch_entries(symbolic.columns[some], symbolic.remaining[some])
     place = np.empty(len(symbolic.order), np.int32)

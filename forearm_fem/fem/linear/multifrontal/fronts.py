@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ....typing import FloatArray, IntArray
 from .blas import BLOCK, SECOND, Arguments, invert_block, set_product, subtract_product
-from .parts import Part, lowest_child
+from .parts import ThreadPart, lowest_child
 from .supernodes import Fronts
 from .tree import Entries
 
@@ -22,7 +22,7 @@ _OUTER = 512  # columns that are eliminated before the panel's others hear of th
 _TILE, _NARROW = 256, 64  # a triangle is worked out in tiles of so many columns, those on its diagonal in narrow strips
 
 
-class Store(NamedTuple):
+class FrontStore(NamedTuple):
     """Factors: each supernode's panel from ``panels[start[s]]`` on, its inverted blocks from ``inverses[block[s]]``.
 
     complex64, or float32 for real matrices.
@@ -57,8 +57,8 @@ def scratch_entries(columns: IntArray, remaining: IntArray) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True)
 def factorise_part(
-    part: Part, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: Store, remainder: IntArray,
-    stack: NDArray[Any], scratch: Scratch,
+    part: ThreadPart, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore,
+    remainder: IntArray, stack: NDArray[Any], scratch: Scratch,
 ) -> int:  # fmt: skip
     """Factorise a part's fronts of the matrix with values ``data`` (nnz,), rows and columns multiplied by ``scale``.
 
@@ -96,7 +96,7 @@ def _placed(s: int, fronts: Fronts, place: NDArray[np.int32]) -> None:
 
 @njit(cache=True, nogil=True)
 def _start_panel(
-    s: int, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: Store, place: NDArray[np.int32]
+    s: int, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore, place: NDArray[np.int32]
 ) -> None:
     """The panel with A's own entries."""
     size = fronts.first[s + 1] - fronts.first[s] + fronts.below[s + 1] - fronts.below[s]
@@ -111,7 +111,7 @@ def _start_panel(
 
 @njit(cache=True, nogil=True)
 def _add_child(
-    s: int, child: int, source: int, target: int, fronts: Fronts, store: Store, stack: NDArray[Any],
+    s: int, child: int, source: int, target: int, fronts: Fronts, store: FrontStore, stack: NDArray[Any],
     place: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Add a child's remainder to the panel and the remainder of its parent ``s``."""
@@ -139,7 +139,7 @@ def _moved(stack: NDArray[Any], source: int, target: int, m: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _eliminate(k: int, m: int, store: Store, s: int, remainder: int, scratch: Scratch) -> int:
+def _eliminate(k: int, m: int, store: FrontStore, s: int, remainder: int, scratch: Scratch) -> int:
     """Eliminate a front's first k unknowns; its panel becomes L, with D's inverted blocks beside it.
 
     ``remainder`` is the address of the other m by m, which becomes the Schur complement.
@@ -187,7 +187,7 @@ def _subtract_lower(
 
 
 @njit(cache=True, nogil=True)
-def _block(store: Store, corner: int, size: int, width: int, inverse: int, call: Arguments) -> bool:
+def _block(store: FrontStore, corner: int, size: int, width: int, inverse: int, call: Arguments) -> bool:
     """Invert the diagonal block at ``corner`` of the panels into ``call.block`` and the store."""
     for c in range(width):
         for r in range(c, width):

@@ -24,7 +24,7 @@ _GATHERED = 8 if llvm.get_host_cpu_features().get("avx512f", False) else 2  # co
 
 
 @njit(cache=True, nogil=True)
-def subtract_product(
+def subtract_panel(
     bytes_: int, rows: int, columns: int, panel: int, leading: int, own: int, below: int, row: int, width: int
 ) -> None:
     """below (rows) -= panel own (columns)."""
@@ -41,7 +41,7 @@ def subtract_product(
 
 
 @njit(cache=True, nogil=True)
-def subtract_transposed(
+def subtract_panel_transposed(
     bytes_: int, rows: int, columns: int, panel: int, leading: int, below: int, own: int, row: int, width: int
 ) -> None:
     """own (columns) -= panel^T below (rows)."""

@@ -21,7 +21,7 @@ _SPLITS = 20  # divisions tried, times the number of threads
 _SLOWER = 1.25  # what fronts take longer with all threads of BLAS on one, assembly and short products not shared
 
 
-class Part(NamedTuple):
+class ThreadPart(NamedTuple):
     """Supernodes of one thread in the order of their elimination, and its stretch of the stack of remainders."""
 
     number: int
@@ -35,8 +35,8 @@ class Parts:
     """``subtrees`` for a thread each, then the ``top``; ``owner`` (n,) is the number of each unknown's part, and
     ``remainder`` (n_supernode,) where what is left of each front stands on the stack."""
 
-    subtrees: tuple[Part, ...]
-    top: Part
+    subtrees: tuple[ThreadPart, ...]
+    top: ThreadPart
     owner: NDArray[np.int32]
     remainder: IntArray
 
@@ -51,10 +51,10 @@ def divided(symbolic: Symbolic, threads: int) -> Parts:
     chosen, top = _subtrees(symbolic, threads)
     fronts = symbolic.fronts
     remainder, owner = np.zeros(len(symbolic.parent), np.int64), np.empty(fronts.first[-1], np.int32)
-    found, begin = list[Part](), 0
+    found, begin = list[ThreadPart](), 0
     for number, supernodes in enumerate([*chosen, top]):
         end = int(_stacked(supernodes, fronts, remainder, begin))
-        found.append(Part(number, supernodes, begin, end))
+        found.append(ThreadPart(number, supernodes, begin, end))
         owner[_columns(supernodes, fronts.first)] = number
         begin = end
     return Parts(tuple(found[:-1]), found[-1], owner, remainder)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ....typing import FloatArray, IntArray
 from .blas import BLOCK
-from .fronts import Store
-from .panels import subtract_product, subtract_transposed
-from .parts import Part
+from .fronts import FrontStore
+from .panels import subtract_panel, subtract_panel_transposed
+from .parts import ThreadPart
 from .supernodes import Fronts
 
 LANES = 8  # numbers in a vector
@@ -29,7 +29,7 @@ class Local(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def gather(right: NDArray[Any], order: IntArray, scale: FloatArray, x: NDArray[Any], begin: int, end: int) -> None:
+def take_in(right: NDArray[Any], order: IntArray, scale: FloatArray, x: NDArray[Any], begin: int, end: int) -> None:
     """Rows of ``right`` (n, count) in the order of elimination, scaled, to rows ``begin`` to ``end`` of ``x``, whose
     further columns become zero."""
     count = right.shape[1]
@@ -40,7 +40,7 @@ def gather(right: NDArray[Any], order: IntArray, scale: FloatArray, x: NDArray[A
 
 
 @njit(cache=True, nogil=True)
-def scatter(x: NDArray[Any], order: IntArray, scale: FloatArray, right: NDArray[Any], begin: int, end: int) -> None:
+def put_back(x: NDArray[Any], order: IntArray, scale: FloatArray, right: NDArray[Any], begin: int, end: int) -> None:
     """Rows ``begin`` to ``end`` of ``x`` back in the usual order to ``right`` (n, count), scaled."""
     for i in range(begin, end):
         for c in range(right.shape[1]):
@@ -49,7 +49,7 @@ def scatter(x: NDArray[Any], order: IntArray, scale: FloatArray, right: NDArray[
 
 @njit(cache=True, nogil=True)
 def forward(
-    part: Part, fronts: Fronts, store: Store, owner: NDArray[np.int32], x: NDArray[Any],
+    part: ThreadPart, fronts: Fronts, store: FrontStore, owner: NDArray[np.int32], x: NDArray[Any],
     others: NDArray[Any], local: Local, some: tuple[int, int],
 ) -> None:  # fmt: skip
     """L x = b for a part's columns; what it gives to unknowns of other parts is added to ``others`` (n, count).
@@ -67,8 +67,8 @@ def forward(
         for j in range(0, k, BLOCK):
             e, column = min(j + BLOCK, k), panel + bytes_ * j * size
             left = column + bytes_ * e
-            subtract_product(bytes_, k - e, e - j, left, bytes_ * size, own + row * j, own + row * e, row, width)
-            subtract_product(bytes_, m, e - j, column + bytes_ * k, bytes_ * size, own + row * j, below, row, width)
+            subtract_panel(bytes_, k - e, e - j, left, bytes_ * size, own + row * j, own + row * e, row, width)
+            subtract_panel(bytes_, m, e - j, column + bytes_ * k, bytes_ * size, own + row * j, below, row, width)
         for i in range(m):
             to = fronts.rows[fronts.below[s] + i]
             target = x if owner[to] == part.number else others
@@ -77,7 +77,9 @@ def forward(
 
 
 @njit(cache=True, nogil=True)
-def backward(part: Part, fronts: Fronts, store: Store, x: NDArray[Any], local: Local, some: tuple[int, int]) -> None:
+def backward(
+    part: ThreadPart, fronts: Fronts, store: FrontStore, x: NDArray[Any], local: Local, some: tuple[int, int]
+) -> None:
     """D L^T x = b for a part's columns, those above them known; see :func:`forward`."""
     bytes_ = x.itemsize
     row, skipped, width = bytes_ * x.shape[1], bytes_ * some[0], bytes_ * (some[1] - some[0])
@@ -96,6 +98,6 @@ def backward(part: Part, fronts: Fronts, store: Store, x: NDArray[Any], local: L
             local.block[:pivots, some[0] : some[1]] = -x[first + j : first + e, some[0] : some[1]]
             x[first + j : first + e, some[0] : some[1]] = 0
             left = column + bytes_ * e
-            subtract_product(bytes_, pivots, pivots, inverse, bytes_ * pivots, block, target, row, width)
-            subtract_transposed(bytes_, k - e, pivots, left, bytes_ * size, own + row * e, target, row, width)
-            subtract_transposed(bytes_, m, pivots, column + bytes_ * k, bytes_ * size, below, target, row, width)
+            subtract_panel(bytes_, pivots, pivots, inverse, bytes_ * pivots, block, target, row, width)
+            subtract_panel_transposed(bytes_, k - e, pivots, left, bytes_ * size, own + row * e, target, row, width)
+            subtract_panel_transposed(bytes_, m, pivots, column + bytes_ * k, bytes_ * size, below, target, row, width)

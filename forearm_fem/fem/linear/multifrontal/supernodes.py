@@ -64,7 +64,7 @@ class Symbolic:
         return np.asarray(4 * (k**3 / 3 + k**2 * m + k * m**2))
 
 
-def analyse(upper: csr_array, order: IntArray) -> Symbolic:
+def symbolic_factor(upper: csr_array, order: IntArray) -> Symbolic:
     """Symbolic factorisation of a symmetric pattern, its diagonal stored, for unknowns eliminated in about ``order``.
 
     The order kept is a postorder of the elimination tree, which leaves the same entries in the factor.
