@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -48,7 +48,7 @@ def main() -> None:
     except Exception as problem:
         if not _is_usage(problem):
             raise
-        if message := getattr(problem, "message", "") or str(problem):  # empty where the help was the answer
+        if message := _usage(problem):
             print_error(message)
         sys.exit(2)
     sys.exit(code if isinstance(code, int) else 0)
@@ -57,6 +57,16 @@ def main() -> None:
 def _is_usage(problem: Exception) -> bool:
     """A wrong option or argument, as the parser says it."""
     return type(problem).__module__.startswith(("click", "typer"))
+
+
+def _usage(problem: Any) -> str:
+    """What was wrong, with the option's name, and where to look; empty where the help was the answer."""
+    if not (getattr(problem, "message", "") or str(problem)):
+        return ""
+    said = problem.format_message() if hasattr(problem, "format_message") else str(problem)
+    context = getattr(problem, "ctx", None)
+    said = said.replace("Value error, ", "").rstrip(".")
+    return said + (f"; `{context.command_path} --help` says more" if context is not None else "")
 
 
 @app.callback(invoke_without_command=True)

@@ -139,6 +139,23 @@ def test_misuse_is_one_sentence(scene: Path, arguments: tuple[str, ...]) -> None
     assert answer.sentence
 
 
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("predict", "quick", "--draws", "0"), "'--draws'"),
+        (("calibrate", "quick", "--daq", "toaster"), "'--daq': 'toaster'"),
+        (("run", "quick", "extra"), "extra"),
+        (("run",), "'scenario'"),
+        (("frobnicate",), "'frobnicate'"),
+    ],
+)
+def test_a_wrong_option_is_named_with_the_help_that_lists_it(arguments: tuple[str, ...], says: str) -> None:
+    answer = cli(*arguments)
+    assert answer.code == 2
+    assert says in answer.sentence
+    assert " --help`" in answer.sentence
+
+
 def test_an_interruption_ends_with_130(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
