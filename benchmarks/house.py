@@ -38,15 +38,20 @@ def functions(files: Sources) -> Iterator[Function]:
         yield from (n for n in ast.walk(ast.parse(text)) if isinstance(n, Function))
 
 
-def doubled(files: Sources) -> list[str]:
-    """Public functions and classes whose name lives in two or more modules."""
-    names = Counter(
-        n.name
-        for text in files.values()
-        for n in ast.parse(text).body
-        if isinstance(n, Function | ast.ClassDef) and not n.name.startswith("_")
-    )
-    return sorted(name for name, count in names.items() if count > 1)
+def doubled(files: Sources) -> dict[str, list[str]]:
+    """Public functions and classes whose name lives in two or more modules, and those modules."""
+    homes: dict[str, list[str]] = {}
+    for file, text in files.items():
+        for n in ast.parse(text).body:
+            if isinstance(n, Function | ast.ClassDef) and not n.name.startswith("_"):
+                homes.setdefault(n.name, []).append(file)
+    return {name: found for name, found in sorted(homes.items()) if len(found) > 1}
+
+
+def doubled_beside_commands(files: Sources) -> dict[str, list[str]]:
+    """Of these, those that are not a command and the one function that it calls: a command bears that verb."""
+    inside = {name: [f for f in found if f"{PACKAGE}/commands/" not in f] for name, found in doubled(files).items()}
+    return {name: found for name, found in inside.items() if len(found) > 1}
 
 
 def used_once(files: Sources) -> tuple[int, int]:
@@ -95,6 +100,7 @@ ROWS: Mapping[str, Callable[[Sources], object]] = {
     "lines a function, mean": lambda s: f"{_mean([(f.end_lineno or 0) - f.lineno + 1 for f in functions(s)]):.1f}",
     "functions of more than 60 lines": _long,
     "public names in two modules": lambda s: len(doubled(s)),
+    "of these, beside commands": lambda s: len(doubled_beside_commands(s)),
     "file names that repeat": _repeated_files,
     "private functions used once": lambda s: "{} of {}".format(*used_once(s)),
     "public without docstring": undocumented,

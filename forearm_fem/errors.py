@@ -3,6 +3,22 @@
 The command line prints the message of a :class:`ForearmError` as one sentence and exits with code 2.
 """
 
+__all__ = [
+    "AccuracyWarning",
+    "DataError",
+    "ForearmError",
+    "GeometryError",
+    "HardwareError",
+    "MeshError",
+    "MeshTooLarge",
+    "MissingExtra",
+    "NotApplicable",
+    "ReductionError",
+    "ScenarioError",
+    "SolverError",
+    "one_sentence",
+]
+
 
 LONGEST_SENTENCE = 300  # characters of a message
 

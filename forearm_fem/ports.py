@@ -9,6 +9,8 @@ import numpy as np
 
 from .typing import FloatArray
 
+__all__ = ["Port", "distances", "positions"]
+
 PortKind = Literal["contact", "point"]
 ContactKind = Literal["pressure", "bonded", "frictionless"]
 

@@ -15,6 +15,19 @@ from .errors import SolverError
 from .ports import Port
 from .typing import BoolArray, ComplexArray, FloatArray
 
+__all__ = [
+    "Compliance",
+    "ErrorEstimate",
+    "TransferMatrix",
+    "band_error",
+    "finite",
+    "refuse_non_finite",
+    "relative_error",
+    "relative_error_at",
+    "size_words",
+    "total_error",
+]
+
 ErrorSource = Literal[
     "discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature", "bridging",
     "interpolation",

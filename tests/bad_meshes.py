@@ -254,7 +254,7 @@ def put(**bodies: Any) -> Callable[[Path], None]:
 
     def write(folder: Path) -> None:
         for tissue, body in bodies.items():
-            made = body if isinstance(body, trimesh.Trimesh) else trimesh.Trimesh(*body, process=False)
+            made = body if isinstance(body, trimesh.Trimesh) else trimesh.Trimesh(body[0], body[1], process=False)
             made.export(folder / f"{tissue}.stl")
 
     return write
@@ -284,7 +284,7 @@ def as_files(ending: str, **options: Any) -> Callable[[Path], None]:
     return write
 
 
-def joined(*bodies: Any) -> trimesh.Trimesh:
+def joined(*bodies: Any) -> Any:
     return trimesh.util.concatenate(bodies)
 
 

@@ -180,7 +180,7 @@ def outcome(data: dict[str, Any], *, render: bool = True) -> Outcome:
 
 def _judged(data: dict[str, Any], render: bool) -> Outcome:
     scenario = parse_scenario(data)
-    notes = Run.start(scenario, None, None).notes  # type: ignore[arg-type]  # nothing is written
+    notes = Run.start(scenario, None, None).notes  # nothing is written
     refuse_if_signals_too_large(scenario)
     band = frequencies(scenario.sweep)
     if scenario.engine == "fem":

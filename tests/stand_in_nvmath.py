@@ -80,6 +80,7 @@ def modules() -> dict[str, ModuleType]:
     found = {name: ModuleType(name) for name in names}
     for name, module in found.items():
         module.__spec__ = ModuleSpec(name, None)
-    last = found[names[-1]]
-    last.DirectSolver, last.DirectSolverMatrixType, last.DirectSolverMatrixViewType = DirectSolver, MatrixType, ViewType
+    vars(found[names[-1]]).update(
+        DirectSolver=DirectSolver, DirectSolverMatrixType=MatrixType, DirectSolverMatrixViewType=ViewType
+    )
     return found

@@ -183,7 +183,7 @@ def test_picture_names_its_axes_and_keeps_gaps():
     drawn = [ax for ax in figure.axes if ax.axison and ax.get_title()]
     assert [ax.get_title(loc="left") for ax in drawn] == ["a", "b", "c"]
     assert all(ax.get_xlabel() and ax.get_ylabel() for ax in drawn)
-    a, b = (line.get_ydata() for line in drawn[0].lines)
+    a, b = (np.asarray(line.get_ydata()) for line in drawn[0].lines)
     assert np.isnan(a[10:20]).all()
     assert np.isfinite(np.delete(b, range(10, 20))).all()
     assert any("first" in t.get_text() and "second" in t.get_text() for t in figure.texts)

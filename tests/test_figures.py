@@ -36,6 +36,7 @@ from forearm_fem.figures.waves import travel
 from forearm_fem.io import write_transfer
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
+from forearm_fem.tissue import KelvinVoigt
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +114,7 @@ def test_the_inverse_filter_delivers_the_wavelet_at_the_end_of_the_line(run: Res
 def test_the_traced_root_of_a_half_space_is_rayleighs() -> None:
     from forearm_fem.figures.roots import trace_root
 
-    layer = Layer(np.inf, 1050.0, lambda w: 7860.0 + 5.03j * w)
+    layer = Layer(np.inf, 1050.0, KelvinVoigt(7860.0, 5.03).at)
     omega = 2 * np.pi * np.array([50.0, 200.0, 500.0])
     root = trace_root(lambda k, w: surface_kernel(k, w, [layer]), [layer], omega)
     np.testing.assert_allclose(root, rayleigh_wavenumber(omega, layer.modulus(omega), 1050.0), rtol=1e-6)
@@ -196,7 +197,7 @@ def test_a_run_without_mesh_or_field_leaves_their_figures_out(folder: Path, tmp_
 )
 def test_wrong_requests_are_refused_in_one_sentence(folder: Path, call: dict[str, object], words: str) -> None:  # noqa: F811
     with pytest.raises(DataError, match=words):
-        make_figures(folder, **call)  # type: ignore[arg-type]
+        make_figures(folder, **call)
 
 
 def test_no_folder_no_figures(tmp_path: Path) -> None:

@@ -678,6 +678,7 @@ def test_the_table_in_the_docs_is_current():
 
 
 if __name__ == "__main__":
-    before, _, rest = DOCS.read_text(encoding="utf-8").partition(BEGIN)
-    DOCS.write_text(f"{before}{BEGIN}\n{table()}\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+    whole = DOCS.read_text(encoding="utf-8")
+    head, tail = whole.split(BEGIN)[0], whole.split(END)[1]
+    DOCS.write_text(f"{head}{BEGIN}\n{table()}\n{END}{tail}", encoding="utf-8")
     print(json.dumps(len(CASES)))

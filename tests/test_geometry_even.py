@@ -16,7 +16,7 @@ from forearm_fem.geometry.limb.core import _bone_wall, _check_tubes
 from forearm_fem.geometry.limb.filling import Shell, fill
 from forearm_fem.geometry.limb.prisms import oriented, stack_prisms
 from forearm_fem.geometry.limb.slivers import without_slivers
-from forearm_fem.geometry.limb.tube import lattice, tube_of
+from forearm_fem.geometry.limb.tube import tube_lattice, tube_of
 from forearm_fem.geometry.mesh.curved import true_volumes
 from forearm_fem.geometry.mesh.quality import check_mesh
 from forearm_fem.geometry.mesh.topology import boundary_faces, mean_ratios
@@ -208,7 +208,7 @@ def test_layers_thin_out_without_a_gap():
 
 
 def test_broken_walls_are_refused():
-    whole = lattice(4, 6)
+    whole = tube_lattice(4, 6)
     _check_tubes([whole])
     with pytest.raises(MeshError, match="too far apart"):
         _check_tubes([whole, np.delete(whole, 14, axis=0)])

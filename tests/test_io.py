@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -60,7 +61,7 @@ def transfer(frequency: np.ndarray = BINS) -> TransferMatrix:
     )
 
 
-def same(ours: object, other: object) -> None:
+def same(ours: Any, other: Any) -> None:
     """Every field equal, arrays bit for bit (NaN included) and of the same type."""
     assert type(ours) is type(other)
     for name in ours.__dataclass_fields__:
@@ -207,8 +208,8 @@ def test_matlab_refuses_frequencies_off_its_bins(tmp_path: Path, frequency: floa
 
 def test_signal_strength_csv(tmp_path: Path) -> None:
     values = np.array([[1 / 3, 1.31, np.inf], [0.63, 1e-17, 2.0]])
-    beside = [np.repeat([[s], [s + 0.3]], 3, axis=1) for s in (0.3, 0.4, 0.5)]
-    beside = ((beside[0], beside[1]), beside[2], (-0.1, 0.2))
+    low, high, record = (np.repeat([[s], [s + 0.3]], 3, axis=1) for s in (0.3, 0.4, 0.5))
+    beside = ((low, high), record, (-0.1, 0.2))
     rows = io.strength_rows(("inverse filter", "funneling"), ("5", "1", "8"), values, *beside)
     file = tmp_path / "signal_strength.csv"
     io.write_signal_strength_csv(file, rows)

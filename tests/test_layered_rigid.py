@@ -150,7 +150,8 @@ def test_turning_and_mirroring_the_device_changes_nothing():
     c, s = math.cos(0.7), math.sin(0.7)
     g = solved(MIXED, omega=OMEGA[1:2], orders=2).values
     for turn in ([[c, -s], [s, c]], [[c, s], [s, -c]]):
-        moved = [Disc(*(np.array(turn) @ (d.x, d.y)), d.radius, d.contact) for d in MIXED]
+        places = [(np.array(turn) @ (d.x, d.y)).tolist() for d in MIXED]
+        moved = [Disc(x, y, d.radius, d.contact) for (x, y), d in zip(places, MIXED, strict=True)]
         assert np.all(relative(solved(moved, omega=OMEGA[1:2], orders=2).values, g) < 1e-9)
 
 

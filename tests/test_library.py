@@ -86,7 +86,7 @@ def test_the_tabulated_twin_is_the_twin(contact):
     under = [-0.009, 0.001] if contact == "bonded" else [-0.009, 0.006]
     points = np.array([[0.0, 0.004], under, [0.02, 0.01]])
     values, _ = table.compliance(centres, points, Surface())
-    discs = [Disc(*c, radius, contact) for c in centres.tolist()]
+    discs = [Disc(x, y, radius, contact) for x, y in centres.tolist()]
     truth = layered_compliance(
         flat_layers(scenario), 2 * np.pi * frequency, discs, [*discs, *(Disc(*p) for p in points.tolist())]
     ).values

@@ -8,6 +8,7 @@ import inspect
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import nidaqmx
 import nidaqmx.constants
@@ -52,6 +53,7 @@ class Chassis:
         self.log: list[str] = []
         self.queue = np.zeros((0, 0))
         self.at_rest: list[float] = []
+        self.wiring: Any = None
         self.fail: tuple[str, int] | None = None
         self.constants = nidaqmx.constants
         device = SimpleNamespace(product_type="cDAQ-9174", name="cDAQ1")

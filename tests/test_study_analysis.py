@@ -206,7 +206,7 @@ def test_a_touch_on_a_point_names_it_alone():
     grid = tuple(Port(p.name, "point", (*xy, 0.0)) for p, xy in zip(GRID, places, strict=True))
     felt = Felt(places, np.ones(9), {("m", "5"): np.array([np.zeros(9), np.eye(9)[4]])})
     person = SimulatedParticipant(Percept(lapse=0.0), felt, grid, np.random.default_rng(0))
-    person._shift = lambda: np.zeros(2)
+    person._shift = lambda: np.zeros(2)  # type: ignore[method-assign]
     assert person.several_points("m", "5") == ("5",)
 
 

@@ -30,7 +30,7 @@ from forearm_fem.study.report import write_analysis  # noqa: E402
 from forearm_fem.study.run import answer_of, answers_of  # noqa: E402
 from forearm_fem.study.session import Given, Presented, Session  # noqa: E402
 from forearm_fem.study.stimuli import DevicePlayer, Stimulus  # noqa: E402
-from forearm_fem.study.store import Store  # noqa: E402
+from forearm_fem.study.store import StudyStore  # noqa: E402
 from forearm_fem.transfer import TransferMatrix  # noqa: E402
 
 SQUARE = np.array([[-5, -5], [5, -5], [5, 5], [-5, 5]]) * 1e-3
@@ -46,7 +46,7 @@ def answered(tmp_path):
             Task(name="drawn", answer="drawing", repetitions=2, blocks=1, training=0),
         ),
     )
-    store = Store.open(tmp_path / "data", plan)
+    store = StudyStore.open(tmp_path / "data", plan)
     for who in ("01", "02"):
         store.enrol(who, consent="2026-11-24", added="2026-11-24")
         for task in plan.tasks:
@@ -152,7 +152,7 @@ def test_what_was_not_measured_is_unknown_and_analysis_says_so(tmp_path):
     g = TransferMatrix(np.array([50.0, 100.0]), np.ones((2, 9, 1), dtype=complex), GRID, (GRID[0],))
     virtual = back_end(VirtualDaq(g, 1000.0, 0.1, VirtualOptions(latency=7)), DaqOptions(), 1000.0, None)
     assert (virtual.latency, virtual.latency_basis) == (7e-3, "known")
-    store = Store.open(tmp_path, small())
+    store = StudyStore.open(tmp_path, small())
     store.enrol("01", consent="2026-11-24", added="2026-11-24")
     _half(Session(store, "01", store.study.tasks[0], GRID, silent, back_end=blank))
     page = write_analysis(

@@ -19,7 +19,7 @@ from forearm_fem.ports import Port
 from forearm_fem.study.order import trials
 from forearm_fem.study.plan import Adaptive, Order, Stimuli, Study, Task, load_study
 from forearm_fem.study.session import Given, Presented, Session
-from forearm_fem.study.store import Store
+from forearm_fem.study.store import StudyStore
 
 GRID = tuple(
     Port(str(3 * r + c + 1), "point", (0.01 * (r - 1), 0.01 * (c - 1), 0.0)) for r in range(3) for c in range(3)
@@ -40,7 +40,7 @@ def silent(method, target, level):
 
 
 def opened(folder, plan, player=silent, participant="01"):
-    store = Store.open(folder, plan)
+    store = StudyStore.open(folder, plan)
     store.enrol(participant, consent="2026-11-24", added="2026-11-24")
     return Session(store, participant, plan.tasks[0], GRID, player)
 
@@ -92,7 +92,7 @@ def test_a_session_goes_on_at_the_same_trial(tmp_path):
     assert second.view()["answered"] == 2
     while second.view()["waiting"] != "done":
         answer_one(second)
-    rows = Store.open(tmp_path, plan).answers("01", "places")
+    rows = StudyStore.open(tmp_path, plan).answers("01", "places")
     assert [int(r["trial"]) for r in rows] == list(range(1, 7))
     assert {r["session"] for r in rows} == {"1", "2"}
 
@@ -147,7 +147,7 @@ def test_killed_at_random_moments_no_answer_is_lost_or_doubled(tmp_path, count):
 def test_a_changed_study_file_is_refused(tmp_path):
     answer_one(opened(tmp_path, small()))
     with pytest.raises(DataError, match="the study file was changed after data were taken"):
-        Store.open(tmp_path, small(repetitions=4))
+        StudyStore.open(tmp_path, small(repetitions=4))
 
 
 def test_answers_that_were_not_asked_are_refused_and_nothing_is_written(tmp_path):
@@ -192,7 +192,7 @@ def test_a_dead_device_pauses_and_the_stimulus_comes_again(tmp_path):
 def test_pause_repeat_and_break(tmp_path):
     now = [0.0]
     plan = small(break_seconds=30.0)
-    store = Store.open(tmp_path, plan)
+    store = StudyStore.open(tmp_path, plan)
     store.enrol("01", consent="2026-11-24", added="2026-11-24")
     session = Session(store, "01", plan.tasks[0], GRID, silent, clock=lambda: now[0])
     session.start()
@@ -218,7 +218,7 @@ def test_pause_repeat_and_break(tmp_path):
 def test_late_answers_are_kept_and_marked(tmp_path):
     now = [0.0]
     plan = small(answer_seconds=5.0)
-    store = Store.open(tmp_path, plan)
+    store = StudyStore.open(tmp_path, plan)
     store.enrol("01", consent="2026-11-24", added="2026-11-24")
     session = Session(store, "01", plan.tasks[0], GRID, silent, clock=lambda: now[0])
     for wait in (4.0, 6.0):
@@ -253,7 +253,7 @@ def test_drawings_give_centroid_and_area(tmp_path):
 
 
 def test_consent_and_withdrawal(tmp_path):
-    store = Store.open(tmp_path, small())
+    store = StudyStore.open(tmp_path, small())
     with pytest.raises(DataError, match="no consent is recorded"):
         store.enrol("01", consent="", added="2026-11-24")
     answer_one(opened(tmp_path, small()))

@@ -176,4 +176,4 @@ def test_an_unknown_s_is_named() -> None:
     from forearm_fem.pipeline.folder import unknown_strengths
 
     made = SimpleNamespace(methods=("funneling",), targets=("1", "2"), strengths=np.array([[np.nan, 1.0]]))
-    assert unknown_strengths(made)[0].startswith("S of funneling is unknown at 1:")  # type: ignore[arg-type]
+    assert unknown_strengths(made)[0].startswith("S of funneling is unknown at 1:")

@@ -191,13 +191,13 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     write_transfer(tmp_path / "g.nc", g)
     draws = table_of(np.exp(0.2 * np.random.default_rng(0).standard_normal(60)))
     prediction = type("P", (), {"draws": draws})()
-    told = module._measured(g, Question(scene, Path()), prediction)  # type: ignore[arg-type]
+    told = module._measured(g, Question(scene, Path()), prediction)
     assert len(told["entries"]) == 9
     page = validation_page({**found, "measured": told})
     assert "## A measured G through the same comparison" in page
     short = replace(g, outputs=g.outputs[:3], values=g.values[:, :3])
     with pytest.raises(DataError, match="no output called '4'"):
-        module._measured(short, Question(scene, Path()), prediction)  # type: ignore[arg-type]
+        module._measured(short, Question(scene, Path()), prediction)
 
 
 def test_scenes_that_cannot_be_judged_are_one_sentence(tmp_path: Path) -> None:

@@ -21,8 +21,9 @@ def scraper(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]
     """Figures of pyplot, and the one that the block's last line gave."""
     found = str(matplotlib_scraper(block, block_vars, gallery_conf, **options))
     names = block_vars["example_globals"]
-    if (figure := drawn(names.pop("___", None))) is None:
+    if (figure := drawn(names.get("___"))) is None:
         return found
+    names["___"] = None  # a later block without a value of its own does not show it again
     path = str(next(block_vars["image_path_iterator"]))
     figure.savefig(path, dpi=150)
     return found + str(figure_rst([path], gallery_conf["src_dir"]))

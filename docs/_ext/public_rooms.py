@@ -29,10 +29,5 @@ PUBLIC = {
 
 
 def public_names(room: str) -> list[str]:
-    """The names of a public room: its ``__all__``, else the classes and functions that it defines itself."""
-    module = importlib.import_module(room)
-    names: list[str] = getattr(module, "__all__", None) or [
-        name for name, thing in vars(module).items()
-        if not name.startswith("_") and getattr(thing, "__module__", "") == room
-    ]  # fmt: skip
-    return [n for n in names if not n.startswith("__")]
+    """The names of a public room: its ``__all__``."""
+    return [n for n in importlib.import_module(room).__all__ if not n.startswith("__")]

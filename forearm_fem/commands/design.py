@@ -24,7 +24,7 @@ def design(
 ) -> None:
     """Search for the device with the largest S within limits; interrupted, it goes on where it was."""
     from ..design import load_design, run_design
-    from ..design.report import summary
+    from ..design.report import outcome_words
     from ..errors import ScenarioError
     from ..io.lock import locked
 
@@ -37,6 +37,6 @@ def design(
             asked, folder, arm=library_file(library), confirm=confirm, scheduler=scheduler, workers=workers,
             progress=display,
         )
-    for line in summary(result):
+    for line in outcome_words(result):
         typer.echo(line)
     typer.echo(f"{len(result.candidates)} candidates, {len(result.front)} on the Pareto front: {folder / 'report.md'}")

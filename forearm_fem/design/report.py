@@ -23,7 +23,7 @@ from .run import DesignResult
 _NUMBERS = ("score", "actuators", "voltage", "power", "total_power", "mass", "error")
 
 
-def write_report(result: DesignResult) -> None:
+def write_design_report(result: DesignResult) -> None:
     """``candidates.csv`` and ``.nc``, ``front.csv``, ``best.json``, the pictures, and ``report.md``."""
     out = result.folder
     write_text(out / "candidates.csv", table(result.candidates))
@@ -80,7 +80,7 @@ def _netcdf(result: DesignResult) -> None:
     )  # fmt: skip
 
 
-def summary(result: DesignResult) -> list[str]:
+def outcome_words(result: DesignResult) -> list[str]:
     """The outcome in a few sentences."""
     best, reference, objective = result.best, result.reference, result.design.asked.objective
     what = {"mean": "mean S", "least": "least S", "share": "share of targets with S above 1"}[objective.of]
@@ -126,7 +126,7 @@ def page(result: DesignResult, pictures: Sequence[str]) -> str:
         reasons[reason] = reasons.get(reason, 0) + 1
     told = "; ".join(f"{n} {reason}" for reason, n in sorted(reasons.items(), key=lambda kv: -kv[1]))
     return "\n".join([
-        f"# Design {result.design.asked.name}", "", *summary(result), "",
+        f"# Design {result.design.asked.name}", "", *outcome_words(result), "",
         "## Pareto front", "",
         "No other candidate has more S with as few actuators and as little power (all actuators together, for the "
         f"target's motion of {1e6 * result.design.asked.constraints.target_peak:g} um).", "",

@@ -95,9 +95,9 @@ def run_design(
     found = DesignResult(
         design, out, store.all, pareto_front(store.all), best, interval, reference, confirmation
     )
-    from .report import write_report
+    from .report import write_design_report
 
-    write_report(found)
+    write_design_report(found)
     return found
 
 

@@ -1,0 +1,1 @@
+"""Limbs as tetrahedra: surfaces, layers, regions and bends, ports upon them, and the cache of meshes."""

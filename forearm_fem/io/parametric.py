@@ -16,7 +16,7 @@ import xarray as xr
 
 from ..typing import FloatArray
 from .dataset import load, save
-from .reduced import ReducedTerms, term_variables, terms_of
+from .reduced import ReducedTerms, read_terms, term_variables
 
 _CONTENT = "parametric model"
 
@@ -54,4 +54,4 @@ def read_parametric(path: str | Path) -> ParametricFile:
 def _unpack(dataset: xr.Dataset) -> ParametricFile:
     core, solves = (int(n) for n in dataset["counts"].values)
     trials, checks = (np.asarray(dataset[name].values, dtype=float) for name in ("trials", "checks"))
-    return ParametricFile(*terms_of(dataset), core, solves, trials, checks)
+    return ParametricFile(*read_terms(dataset), core, solves, trials, checks)

@@ -59,7 +59,7 @@ def read_reduced(path: str | Path) -> ReducedFile:
 
 def _unpack(dataset: xr.Dataset) -> ReducedFile:
     poles = {name: np.asarray(dataset[name].values, dtype=complex) for name in POLES if name in dataset}
-    return ReducedFile(*terms_of(dataset), poles)
+    return ReducedFile(*read_terms(dataset), poles)
 
 
 def term_variables(content: ReducedTerms) -> dict[str, Any]:
@@ -74,7 +74,7 @@ def term_variables(content: ReducedTerms) -> dict[str, Any]:
     }
 
 
-def terms_of(
+def read_terms(
     dataset: xr.Dataset,
 ) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray, tuple[Port, ...], dict[str, Any]]:
     """The fields of :class:`ReducedTerms` in their order."""

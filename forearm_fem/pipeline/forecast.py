@@ -81,7 +81,7 @@ def forecast(
         unknowns,
         _factor_bytes(scenario, unknowns) + _REST + _basis_bytes(scenario, unknowns, ports, rate=rate),
         one * factorisations * 2.2 + _SMALL if scenario.solver.sweep == "reduced" else one * factorisations * 1.2,
-        resolution(scenario, mesh),
+        resolution_near_ports(scenario, mesh),
     )
 
 
@@ -136,7 +136,7 @@ def refuse_if_signals_too_large(scenario: Scenario) -> None:
         )
 
 
-def resolution(scenario: Scenario, mesh: TissueMesh) -> tuple[Resolution, ...]:
+def resolution_near_ports(scenario: Scenario, mesh: TissueMesh) -> tuple[Resolution, ...]:
     """Nodes per shear wavelength and per decay length at the highest frequency, tissue by tissue."""
     f_max = float(frequencies(scenario.sweep)[-1])
     omega = np.array([2 * np.pi * f_max])

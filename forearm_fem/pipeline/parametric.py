@@ -19,7 +19,7 @@ from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.rational import Rational, chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
-from ..fem.reduction.united import Growth, Trial, United, part_of, united_model
+from ..fem.reduction.united import Growth, TrialSolve, United, part_of, united_model
 from ..geometry.cache import cached_mesh, default_cache_dir
 from ..io.parametric import ParametricFile, read_parametric, write_parametric
 from ..ports import Port
@@ -105,8 +105,8 @@ class ParametricModel:
     ports: tuple[Port, ...]
     reduced: ReducedModel
     core: int
-    trials: tuple[Trial, ...]
-    checks: tuple[Trial, ...]
+    trials: tuple[TrialSolve, ...]
+    checks: tuple[TrialSolve, ...]
     solves: int
 
     @property
@@ -244,7 +244,7 @@ def load_parametric(path: str | Path) -> ParametricModel:
     content = read_parametric(path)
     scenario, model = reduced_of(content, path)
     tables = content.trials, content.checks
-    trials, checks = (tuple(Trial(int(d), f, e, t) for d, f, e, t in table.tolist()) for table in tables)
+    trials, checks = (tuple(TrialSolve(int(d), f, e, t) for d, f, e, t in table.tolist()) for table in tables)
     return ParametricModel(scenario, content.ports, model, content.core, trials, checks, content.solves)
 
 

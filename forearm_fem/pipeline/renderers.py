@@ -25,14 +25,14 @@ from ..rendering import (
 from ..rendering.drives import Renderer
 from ..rendering.lattice import lattice_of
 from ..scenario import Scenario
-from ..scenario.rendering import Method, Rendering
+from ..scenario.rendering import Method, RenderingOptions
 from ..scenario.sweep import Sweep
 
 MICROMETRE = 1e-6
 
 
 def renderers(
-    options: Rendering,
+    options: RenderingOptions,
     shape: Wavelet,
     left_out: frozenset[str] = frozenset(),
     progress: Progress | None = None,
@@ -55,7 +55,7 @@ def renderers(
 
 
 def _zeros(
-    options: Rendering, shape: Wavelet, progress: Progress | None
+    options: RenderingOptions, shape: Wavelet, progress: Progress | None
 ) -> AutoZeros | ThesisZeros | SearchedZeros | tuple[str, ...]:
     if options.zeros == "search":
         return SearchedZeros(window=window_of(options.window, shape), progress=progress)
@@ -64,7 +64,7 @@ def _zeros(
     return ThesisZeros() if options.zeros == "thesis" else AutoZeros()
 
 
-def wavelet(options: Rendering, sweep: Sweep, base: Path) -> Wavelet:
+def wavelet(options: RenderingOptions, sweep: Sweep, base: Path) -> Wavelet:
     """The Ricker wavelet, or the samples in the scenario's file, at the sweep's rate and duration."""
     if options.wavelet.file is not None:
         return from_samples_file(base / options.wavelet.file, sweep.sample_rate, sweep.duration)
@@ -72,7 +72,7 @@ def wavelet(options: Rendering, sweep: Sweep, base: Path) -> Wavelet:
 
 
 def unsuited(
-    options: Rendering, outputs: tuple[Port, ...], inputs: tuple[Port, ...], targets: list[str]
+    options: RenderingOptions, outputs: tuple[Port, ...], inputs: tuple[Port, ...], targets: list[str]
 ) -> dict[str, str]:
     """Methods that cannot serve these ports, each with a sentence that names cause and remedy."""
     by_name = {p.name: p for p in outputs}
@@ -86,7 +86,7 @@ def unsuited(
 
 
 def _check(
-    method: Method, options: Rendering, outputs: tuple[Port, ...], inputs: tuple[Port, ...], targets: list[Port]
+    method: Method, options: RenderingOptions, outputs: tuple[Port, ...], inputs: tuple[Port, ...], targets: list[Port]
 ) -> None:
     if method != "inverse filter":
         for target in targets:

@@ -14,7 +14,7 @@ SLACK = 0.05  # of the nearest-neighbour distance that a port may lie off its ro
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class PortLattice:
     """A rectangular array turned by ``angle`` [rad] about z.
 
     ``rows`` (n,) and ``columns`` (m,) [m] are increasing coordinates along the turned x and y; ``place``
@@ -33,7 +33,7 @@ class Lattice:
         return float(x), float(y)
 
 
-def lattice_of(ports: tuple[Port, ...], what: str) -> Lattice:
+def lattice_of(ports: tuple[Port, ...], what: str) -> PortLattice:
     """The N x M rectangular array (N, M >= 2) formed by the planform x, y of ``ports``, at any rotation about
     z.
 
@@ -61,7 +61,7 @@ def lattice_of(ports: tuple[Port, ...], what: str) -> Lattice:
             f"{what}: expected a rectangular array of rows and columns, got {len(ports)} ports "
             f"on {len(rows)} rows and {len(columns)} columns"
         )
-    return Lattice(angle, rows, columns, place, SLACK * reach)
+    return PortLattice(angle, rows, columns, place, SLACK * reach)
 
 
 def is_thesis_grid(outputs: tuple[Port, ...]) -> bool:

@@ -12,7 +12,7 @@ from ..figures.prediction import bands_table, drivers_table, plot_bands, plot_dr
 from ..figures.style import Drawn
 from ..io.atomic import atomic_path, write_text
 from .facts import Block
-from .write import Picture, Section, embedded, markdown_of, page_of
+from .write import Picture, Section, embedded, html_of, markdown_of
 
 _STRONG = 0.2  # rank correlation that is named
 
@@ -33,7 +33,7 @@ def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path,
     title, lead, sections = f"Prediction for scene {data['scenario']['name']}", lead_of(data), _sections(data, pictures)
     page, plain = out / "prediction.html", out / "prediction.md"
     write_text(plain, markdown_of(title, lead, sections, stamp))
-    write_text(page, page_of(title, lead, sections, stamp))
+    write_text(page, html_of(title, lead, sections, stamp))
     return page, plain
 
 

@@ -66,8 +66,9 @@ def write_report(
     for picture in (p for section in sections for p in section.pictures):
         with atomic_path(folder / "figures" / f"{picture.name}.png") as target:
             target.write_bytes(base64.b64decode(picture.data))
-    write_text(paths[1], as_markdown(results, sections))
-    write_text(paths[0], as_html(results, sections))
+    whole = f"Run of scene {results.scenario.name}", facts.headline(results), sections, results.stamp
+    write_text(paths[1], markdown_of(*whole))
+    write_text(paths[0], html_of(*whole))
     return paths
 
 
@@ -160,25 +161,15 @@ def _still(results: Results, target: str) -> Picture:
     return Picture(title, base64.b64encode(stream.getvalue()).decode())
 
 
-def as_html(results: Results, sections: list[Section]) -> str:
-    """The page; nothing in it is fetched from elsewhere."""
-    return page_of(f"Run of scene {results.scenario.name}", facts.headline(results), sections, results.stamp)
-
-
-def page_of(title: str, lead: str, sections: list[Section], stamp: str) -> str:
-    """A self-contained page of ``sections`` below a ``title`` and a sentence that leads."""
+def html_of(title: str, lead: str, sections: list[Section], stamp: str) -> str:
+    """A self-contained page of ``sections`` below a ``title`` and a sentence that leads; it fetches nothing."""
     source = resources.files(__package__).joinpath("report.html.j2").read_text(encoding="utf-8")
     page = Environment(autoescape=True, trim_blocks=True).from_string(source)
     return page.render(title=title, lead=lead, sections=sections, stamp=stamp)
 
 
-def as_markdown(results: Results, sections: list[Section]) -> str:
-    """The same, with its pictures as files beside it."""
-    return markdown_of(f"Run of scene {results.scenario.name}", facts.headline(results), sections, results.stamp)
-
-
 def markdown_of(title: str, lead: str, sections: list[Section], stamp: str) -> str:
-    """The same as :func:`page_of` in Markdown."""
+    """The same as :func:`html_of` in Markdown, its pictures as files beside it."""
     parts = [f"# {title}\n", lead + "\n"]
     for section in sections:
         body = _markdown_body(section)

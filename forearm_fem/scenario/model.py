@@ -13,7 +13,7 @@ from .library import LibraryPatch
 from .limb import CylinderLimb, ForearmLimb, Limb, SlabLimb, forearm_length
 from .measurement import MeasurementOptions
 from .mesh import Element, MeshOptions
-from .rendering import Rendering
+from .rendering import RenderingOptions
 from .supports import Supports
 from .sweep import SolverOptions, Sweep
 from .tissues import Tissues
@@ -41,7 +41,7 @@ class Scenario(Part):
     sweep: Sweep = Sweep()
     mesh: MeshOptions = MeshOptions()
     solver: SolverOptions = SolverOptions()
-    rendering: Rendering = Rendering()
+    rendering: RenderingOptions = RenderingOptions()
     library: LibraryPatch = LibraryPatch()
     measurement: MeasurementOptions = MeasurementOptions()
 

@@ -18,7 +18,7 @@ class WaveletOptions(Part):
     file: str | None = Field(None, description="CSV, WAV or NPY samples at the sweep's rate, relative to the scenario")
 
 
-class Rendering(Part):
+class RenderingOptions(Part):
     """Renderers to run."""
 
     targets: tuple[str, ...] | Literal["all"] = Field("all", description="names of grid points to aim at, or all")

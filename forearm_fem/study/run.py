@@ -30,7 +30,7 @@ from .percept import Felt, Percept, SimulatedParticipant
 from .plan import Study, Task, load_study
 from .session import Given, Player, Presented, Session
 from .stimuli import DevicePlayer, Stimulus, stimuli_for, transfer_of
-from .store import Store
+from .store import StudyStore
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +53,9 @@ class Prepared:
         made = wavelet(scenario.rendering, scenario.sweep, source.parent)
         return cls(study, scenario, made, path.parent, folder or path.parent / study.name)
 
-    def store(self) -> Store:
+    def store(self) -> StudyStore:
         """The folder of data, opened or begun."""
-        return Store.open(self.folder, self.study)
+        return StudyStore.open(self.folder, self.study)
 
     def grid(self) -> tuple[Port, ...]:
         """The scenario's grid points, seen from above."""
@@ -117,7 +117,7 @@ def _device(kind: DaqKind, options: DaqOptions, transfer: TransferMatrix, wave: 
     return device
 
 
-def answers_of(store: Store, task: str) -> pd.DataFrame:
+def answers_of(store: StudyStore, task: str) -> pd.DataFrame:
     """All answers to a task, with ``participant``, withdrawn ones left out; DataError if there is none."""
     active = [p["participant_id"] for p in store.people() if p["status"] == "active"]
     rows = [
@@ -157,7 +157,7 @@ def rehearse(
     seed: int = 0,
     through_device: bool = False,
     progress: Progress | None = None,
-) -> Store:
+) -> StudyStore:
     """Let simulated participants do every task of the study; their answers look like anybody's, marked in ``note``.
 
     All share one G here; ``field`` is the skin's motion that belongs to it, the grid points' alone where there is none.
@@ -228,7 +228,7 @@ class _Clock:
         return self._now
 
 
-def statuses(store: Store, participants: Sequence[str] | None = None) -> list[tuple[str, str, int, int]]:
+def statuses(store: StudyStore, participants: Sequence[str] | None = None) -> list[tuple[str, str, int, int]]:
     """(participant, task, answered, planned) of all enrolled participants."""
     names = participants or [p["participant_id"].removeprefix("sub-") for p in store.people()]
     return [

@@ -21,7 +21,7 @@ from .adaptive import Track
 from .devices import BackEnd
 from .order import Trial, trials
 from .plan import Task
-from .store import Store
+from .store import StudyStore
 
 Waiting = Literal["start", "stimulus", "playing", "answer", "break", "pause", "done"]
 
@@ -62,7 +62,7 @@ class Session:
 
     def __init__(
         self,
-        store: Store,
+        store: StudyStore,
         participant: str,
         task: Task,
         grid: Sequence[Port],

@@ -76,14 +76,14 @@ and what is known of its latency and level, study.json the study as it was when 
 
 
 @dataclass(frozen=True)
-class Store:
+class StudyStore:
     """The folder of a study."""
 
     folder: Path
     study: Study
 
     @classmethod
-    def open(cls, folder: str | Path, study: Study) -> Store:
+    def open(cls, folder: str | Path, study: Study) -> StudyStore:
         """The folder, made if need be with the study it belongs to; DataError where another study lies there."""
         store, text = cls(Path(folder), study), study.model_dump_json(indent=2)
         kept = store.folder / "study.json"

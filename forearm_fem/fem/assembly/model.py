@@ -20,7 +20,7 @@ from ...scenario.tissues import Membrane, Patch
 from ...tissue import Tissue
 from ...typing import FloatArray, IntArray
 from ..kernels.sparse import added, congruent
-from ..space.constraints import Constraints, RigidDisc, constraints
+from ..space.constraints import LinearConstraints, RigidDisc, constraints
 from ..space.numbering import MixedSpace
 from ..space.orders import Orders, element_orders
 from .boundary import covered_area, facet_gradients, facet_mass, facet_membrane, under_rectangle
@@ -43,7 +43,7 @@ class ForearmModel:
     """
 
     space: MixedSpace
-    constraints: Constraints
+    constraints: LinearConstraints
     operator: AffineOperator
     ports: tuple[Port, ...]
     functionals: FloatArray
@@ -76,7 +76,7 @@ def build_model(
     """Assemble everything; raises GeometryError for contacts that the mesh cannot carry, and a patch beside it."""
     orders = element_orders(mesh, ports, element)
     space, kept = orders.high, _constraints(orders, ports, supports)
-    rules = Constraints(orders.carried(kept.transform), kept.masters)
+    rules = LinearConstraints(orders.carried(kept.transform), kept.masters)
     order = _order(space, rules)
     kept, rules = kept.renumbered(order), rules.renumbered(order)
     names = mesh.region_names
@@ -93,7 +93,7 @@ def build_model(
     return ForearmModel(space, rules, operator, ports, functionals, shares)
 
 
-def _order(space: MixedSpace, rules: Constraints) -> IntArray:
+def _order(space: MixedSpace, rules: LinearConstraints) -> IntArray:
     """Unknowns tissue by tissue, in each along the longest side, interfaces between their tissues.
 
     Products with a tissue's matrices then find rows together, and more of x in the cache.
@@ -113,13 +113,13 @@ def _tissue(space: MixedSpace) -> IntArray:
     return np.asarray(first + last)
 
 
-def _functional(space: MixedSpace, port: Port, rules: Constraints) -> FloatArray:
+def _functional(space: MixedSpace, port: Port, rules: LinearConstraints) -> FloatArray:
     if port.name in rules.masters and port.kind == "contact":
         return np.asarray(np.eye(1, rules.transform.shape[1], rules.masters[port.name])[0])
     return np.asarray(rules.transform.T @ port_functional(space, port))
 
 
-def _constraints(orders: Orders, ports: tuple[Port, ...], supports: Supports) -> Constraints:
+def _constraints(orders: Orders, ports: tuple[Port, ...], supports: Supports) -> LinearConstraints:
     """Rules for the kept nodes; those that no tetrahedron has are held, because nothing else does."""
     facets = orders.high.mesh.facets
     held = [facets[name] for name in _held(supports) if name in facets and len(facets[name])]

@@ -33,7 +33,7 @@ _DROP = 1e-3  # of a solution's length: the error of C is the product of two of 
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrialSolve:
     """The model's ``estimated`` and ``true`` e(f) at a place that it had not seen: a draw's number and a frequency."""
 
     draw: int
@@ -53,8 +53,8 @@ class United:
 
     reduced: ReducedModel
     core: int
-    trials: tuple[Trial, ...]
-    checks: tuple[Trial, ...]
+    trials: tuple[TrialSolve, ...]
+    checks: tuple[TrialSolve, ...]
     solves: int
 
 
@@ -87,7 +87,7 @@ def united_model(
     stage = "draws solved"
     tell(progress, stage, 0, growth.solves + growth.checks)
     work.start(frequency)
-    trials = list[Trial]()
+    trials = list[TrialSolve]()
     for i in range(growth.solves):  # each part of the band in turn, as errors are largest where waves are short
         part = np.array_split(frequency, min(_PARTS, len(frequency)))[-1 - i % min(_PARTS, len(frequency))]
         early = i // _PARTS % 3 != 2
@@ -95,7 +95,7 @@ def united_model(
         tell(progress, stage, i + 1, growth.solves + growth.checks)
     places = _places(rng, len(draws), frequency, growth.states)
     small, core = _compressed(work.reduced, work.early, draws, places, growth.drop)
-    checks = list[Trial]()
+    checks = list[TrialSolve]()
     for i, place in enumerate(_places(rng, len(draws), frequency, growth.checks)):
         checks.append(work.tried(small, np.arange(small.size) < core, place)[0])
         tell(progress, stage, growth.solves + i + 1, growth.solves + growth.checks)
@@ -132,7 +132,7 @@ class _Growing:
         for strong in (True, False):
             self._added(space.more(_DERIVATIVES // 2).columns, strong, early=True)
 
-    def extended_where_worst(self, places: Sequence[Place], early: bool) -> Trial:
+    def extended_where_worst(self, places: Sequence[Place], early: bool) -> TrialSolve:
         """The trial at the place with the largest estimate, whose solution then belongs to the space."""
         found = [_estimate(self.reduced, self._strong, self._draws[d], f, self._model) for d, f in places]
         draw, f = places[int(np.argmax(found))]
@@ -142,14 +142,14 @@ class _Growing:
             self._added(real_columns([columns]), strong, early)
         return trial
 
-    def tried(self, reduced: ReducedModel, strong: BoolArray, place: Place) -> tuple[Trial, ComplexArray]:
+    def tried(self, reduced: ReducedModel, strong: BoolArray, place: Place) -> tuple[TrialSolve, ComplexArray]:
         """What ``reduced`` says at a place, against a direct solution (n, n_port), which comes along."""
         draw, f = place
         estimated = _estimate(reduced, strong, self._draws[draw], f, self._model)
         solution = self._of(self._draws[draw]).at(f).values
         truth = np.asarray((self._model.functionals.T @ solution) * self._model.shares, dtype=complex)[None]
         found = replace(reduced, coefficients=self._draws[draw]).compliance(np.array([f]))
-        return Trial(draw, f, estimated, _watched_change(found, truth, self._model)), solution
+        return TrialSolve(draw, f, estimated, _watched_change(found, truth, self._model)), solution
 
     def release(self) -> None:
         """Give the factor's memory back."""

@@ -12,16 +12,16 @@ from ...typing import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class Constraints:
+class LinearConstraints:
     """Displacements u = T q: ``transform`` T (n_u, n_free) and the column of each rigid disc's displacement."""
 
     transform: csr_array
     masters: dict[str, int]
 
-    def renumbered(self, order: IntArray) -> Constraints:
+    def renumbered(self, order: IntArray) -> LinearConstraints:
         """The same rules with unknown ``order[i]`` as number i."""
         place = np.argsort(order)
-        return Constraints(self.transform[:, order], {name: int(place[i]) for name, i in self.masters.items()})
+        return LinearConstraints(self.transform[:, order], {name: int(place[i]) for name, i in self.masters.items()})
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,9 @@ class Triplets:
     values: FloatArray
 
 
-def constraints(n_nodes: int, held: IntArray, planes: dict[int, IntArray], discs: tuple[RigidDisc, ...]) -> Constraints:
+def constraints(
+    n_nodes: int, held: IntArray, planes: dict[int, IntArray], discs: tuple[RigidDisc, ...]
+) -> LinearConstraints:
     """Transform for nodes ``held`` still, nodes with component ``planes[component]`` zero, and rigid discs.
 
     Raises :class:`GeometryError` where a disc touches a held node or another disc.
@@ -64,7 +66,7 @@ def constraints(n_nodes: int, held: IntArray, planes: dict[int, IntArray], discs
         part, count = _disc_entries(disc, symmetric, count)
         parts.append(part)
     rows, columns, values = (np.concatenate([getattr(p, k) for p in parts]) for k in ("rows", "columns", "values"))
-    return Constraints(csr_array(coo_array((values, (rows, columns)), shape=(3 * n_nodes, count))), masters)
+    return LinearConstraints(csr_array(coo_array((values, (rows, columns)), shape=(3 * n_nodes, count))), masters)
 
 
 def _check_discs(held: IntArray, discs: tuple[RigidDisc, ...]) -> None:

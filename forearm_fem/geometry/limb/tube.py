@@ -216,7 +216,7 @@ def _check_apart(tube: Tube, first: BoneAxis, second: BoneAxis, x: FloatArray) -
         )
 
 
-def lattice(n: int, m: int) -> IntArray:
+def tube_lattice(n: int, m: int) -> IntArray:
     """Triangles (2 n m, 3) of a tube of n rings spacings and m points around: vertex (i, j) is i m + j."""
     i, j = (each.ravel() for each in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
     here, right = i * m + j, i * m + (j + 1) % m

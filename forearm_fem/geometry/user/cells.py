@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from ...errors import MeshError
 from ...typing import FloatArray, IntArray
 from ..mesh.topology import FACES, SIDES, boundary_faces, keys, mean_ratios
-from .shells import place
+from .shells import at_words
 
 _JOINED = 1e-7  # of the body's size: vertices closer than this are one
 _HOLE = 24  # fewer facets around a cavity are cells that were lost, not a bone that was left out
@@ -75,7 +75,7 @@ def check_body(file: Path, points: FloatArray, cells: IntArray, least: float) ->
         worst = int(ratio.argmin())
         raise MeshError(
             f"{file}: {len(flat)} tetrahedra are flatter than mesh.min_quality = {least:g} allows, the worst is number "
-            f"{worst} at {place(points[cells[worst]])} with quality {max(ratio[worst], 0):.1g}; remesh there"
+            f"{worst} at {at_words(points[cells[worst]])} with quality {max(ratio[worst], 0):.1g}; remesh there"
         )
     _check_faces(file, points, cells)
     _check_boundary(file, points, cells)
@@ -98,7 +98,7 @@ def _check_faces(file: Path, points: FloatArray, cells: IntArray) -> None:
         a, b = same[0] // 4
         raise MeshError(
             f"{file}: tetrahedra {a} and {b} lie on the same side of the face they share, at "
-            f"{place(points[cells[a]])} ({len(same)} such pairs); the mesh is folded over: remesh"
+            f"{at_words(points[cells[a]])} ({len(same)} such pairs); the mesh is folded over: remesh"
         )
     graph = coo_array((np.ones(len(shared), dtype=np.int8), tuple((shared // 4).T)), shape=(len(cells),) * 2)
     parts, label = connected_components(graph, directed=False)
@@ -107,7 +107,7 @@ def _check_faces(file: Path, points: FloatArray, cells: IntArray) -> None:
         first = int(np.flatnonzero(label == sizes.argmin())[0])
         raise MeshError(
             f"{file}: falls into {parts} parts that share no face, the smallest of {sizes.min()} tetrahedra, number "
-            f"{first} among them, at {place(points[cells[first]])}; join the parts or remove them"
+            f"{first} among them, at {at_words(points[cells[first]])}; join the parts or remove them"
         )
 
 
@@ -126,7 +126,7 @@ def _check_boundary(file: Path, points: FloatArray, cells: IntArray) -> None:
         at = int(owner[int(np.flatnonzero(often[inverse] != 2)[0]) // 3])
         raise MeshError(
             f"{file}: the boundary touches itself along {int((often != 2).sum())} edges, the first of tetrahedron {at} "
-            f"at {place(points[cells[at]])}; cells are missing there, or parts meet in an edge only"
+            f"at {at_words(points[cells[at]])}; cells are missing there, or parts meet in an edge only"
         )
     order = np.argsort(inverse, kind="stable").reshape(-1, 2) // 3
     graph = coo_array((np.ones(len(order), dtype=np.int8), tuple(order.T)), shape=(len(faces),) * 2)
@@ -137,6 +137,6 @@ def _check_boundary(file: Path, points: FloatArray, cells: IntArray) -> None:
     if (small := np.flatnonzero((volume < 0) & (facets < _HOLE))).size:
         where = points[faces[piece == small[0]]].reshape(-1, 3)
         raise MeshError(
-            f"{file}: {len(small)} cavities, the first at {place(where)} with {facets[small[0]]} facets; tetrahedra "
+            f"{file}: {len(small)} cavities, the first at {at_words(where)} with {facets[small[0]]} facets; tetrahedra "
             f"are missing there (a bone that is left out has {_HOLE} facets or more)"
         )

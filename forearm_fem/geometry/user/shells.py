@@ -46,7 +46,7 @@ def closed(file: Path, tissue: str, vertices: FloatArray, faces: IntArray) -> In
     if not opposite.all():
         raise GeometryError(
             f"{file}: triangles of '{tissue}' face both ways along {int((~opposite).sum())} edges, the first at "
-            f"{place(vertices[sides[order[~opposite][0, 0]]])}; make their winding consistent"
+            f"{at_words(vertices[sides[order[~opposite][0, 0]]])}; make their winding consistent"
         )
     body = bodies(faces, order // 3)
     volume = _volumes(vertices, faces, body)
@@ -67,8 +67,8 @@ def check_one_body(tissue: str, vertices: FloatArray, faces: IntArray) -> None:
         smallest = int(np.bincount(body).argmin())
         raise GeometryError(
             f"the surface of '{tissue}', the outermost, is {body.max() + 1} separate bodies, one of "
-            f"{int((body == smallest).sum())} triangles at {place(vertices[faces[body == smallest]].reshape(-1, 3))}; "
-            "keep the limb only"
+            f"{int((body == smallest).sum())} triangles at "
+            f"{at_words(vertices[faces[body == smallest]].reshape(-1, 3))}; keep the limb only"
         )
 
 
@@ -78,7 +78,7 @@ def bodies(faces: IntArray, neighbours: IntArray) -> IntArray:
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def place(points: FloatArray) -> str:
+def at_words(points: FloatArray) -> str:
     """The middle of ``points`` (n, 3) [m] in words."""
     x, y, z = np.round(points.mean(axis=0) * 1e3, 1) + 0.0  # no -0.0
     return f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
@@ -100,12 +100,12 @@ def _check_sides(file: Path, tissue: str, vertices: FloatArray, sides: IntArray,
     if (open_ := np.flatnonzero(often == 1)).size:
         raise GeometryError(
             f"{file}: the surface of '{tissue}' is not closed (watertight): {len(open_)} open edges, the first at "
-            f"{place(vertices[sides[open_[0]]])}; fill its holes"
+            f"{at_words(vertices[sides[open_[0]]])}; fill its holes"
         )
     if (many := np.flatnonzero(often > 2)).size:
         raise GeometryError(
             f"{file}: more than two triangles of '{tissue}' meet in an edge, the first at "
-            f"{place(vertices[sides[many[0]]])}; remove inner walls, or separate bodies that touch"
+            f"{at_words(vertices[sides[many[0]]])}; remove inner walls, or separate bodies that touch"
         )
 
 
@@ -124,6 +124,6 @@ def _check_hollow(
     inner = np.argwhere(within & ~np.eye(len(volume), dtype=bool) & (np.sign(volume)[:, None] != np.sign(volume)[None]))
     if len(inner):
         raise GeometryError(
-            f"{file}: the surface of '{tissue}' has a cavity at {place(corner[inner[0, 0]])}; give what is inside as a "
-            "surface and tissue of its own, or fill it"
+            f"{file}: the surface of '{tissue}' has a cavity at {at_words(corner[inner[0, 0]])}; give what is inside "
+            "as a surface and tissue of its own, or fill it"
         )

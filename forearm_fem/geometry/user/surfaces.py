@@ -23,7 +23,7 @@ from .boundary import with_boundaries, without_bone
 from .crossing import crossing_faces
 from .extent import check_extent
 from .levelset import cut_along
-from .shells import check_one_body, check_vertices, closed, place
+from .shells import at_words, check_one_body, check_vertices, closed
 from .tetwild import background_grid, tetrahedralise
 
 _REGULAR = 0.1179  # volume of a regular tetrahedron over its edge cubed
@@ -32,7 +32,7 @@ _PER_WIDTH = 0.25  # edge length over the smallest extent of an inner body
 
 
 @dataclass(frozen=True)
-class Surface:
+class ClosedSurface:
     """A closed triangulated surface with outward normals; everything inside belongs to ``tissue`` or deeper
     ones."""
 
@@ -62,7 +62,7 @@ class Surface:
         return np.asarray(self.shell.find_closest_cell(points, return_closest_point=True)[1], dtype=float)
 
 
-def read_surfaces(limb: SurfacesLimb, base: Path) -> tuple[Surface, ...]:
+def read_surfaces(limb: SurfacesLimb, base: Path) -> tuple[ClosedSurface, ...]:
     """Checked surfaces, the outermost first; raises :class:`GeometryError` naming the file or tissue at fault."""
     if not limb.surfaces:
         raise GeometryError("limb.surfaces is empty; give at least one closed surface, e.g. {skin = 'skin.stl'}")
@@ -79,7 +79,7 @@ def read_surfaces(limb: SurfacesLimb, base: Path) -> tuple[Surface, ...]:
     return tuple(found)
 
 
-def _read(tissue: str, file: Path, unit: float) -> Surface:
+def _read(tissue: str, file: Path, unit: float) -> ClosedSurface:
     if not file.is_file():
         raise GeometryError(
             f"{file}: no such surface for '{tissue}'; limb.surfaces is relative to the scenario's folder"
@@ -97,24 +97,24 @@ def _read(tissue: str, file: Path, unit: float) -> Surface:
     body.merge_vertices(merge_tex=True, merge_norm=True)
     vertices, faces = np.asarray(body.vertices, dtype=float) * unit, np.asarray(body.faces, dtype=np.int64)
     check_extent(file, vertices, unit)
-    return Surface(tissue, vertices, closed(file, tissue, vertices, faces))
+    return ClosedSurface(tissue, vertices, closed(file, tissue, vertices, faces))
 
 
-def _check_self(surface: Surface) -> None:
+def _check_self(surface: ClosedSurface) -> None:
     pairs = crossing_faces(surface.vertices[surface.faces], None, surface.faces)
     if len(pairs):
         raise GeometryError(
             f"the surface of '{surface.tissue}' crosses itself in {len(pairs)} pairs of triangles, the first at "
-            f"{place(surface.vertices[surface.faces[pairs[0, 0]]])}; repair it"
+            f"{at_words(surface.vertices[surface.faces[pairs[0, 0]]])}; repair it"
         )
 
 
-def _check_nested(outer: Surface, inner: Surface) -> None:
+def _check_nested(outer: ClosedSurface, inner: ClosedSurface) -> None:
     pairs = crossing_faces(outer.vertices[outer.faces], inner.vertices[inner.faces], None)
     if len(pairs):
         raise GeometryError(
             f"the surfaces of '{outer.tissue}' and '{inner.tissue}' cross in {len(pairs)} pairs of triangles, the "
-            f"first at {place(inner.vertices[inner.faces[pairs[0, 1]]])}; one must lie inside the other"
+            f"first at {at_words(inner.vertices[inner.faces[pairs[0, 1]]])}; one must lie inside the other"
         )
     slack = 1e-6 * float(np.ptp(outer.vertices, axis=0).max())
     away = outer.distance(inner.vertices)
@@ -133,7 +133,8 @@ def _check_nested(outer: Surface, inner: Surface) -> None:
 
 
 def surfaces_mesh(
-    surfaces: tuple[Surface, ...], size: Size3, far: float, most: float, progress: Progress | None, *, keep_bone: bool
+    surfaces: tuple[ClosedSurface, ...], size: Size3, far: float, most: float, progress: Progress | None, *,
+    keep_bone: bool,
 ) -> TissueMesh:
     """Outermost surface by fTetWild, boundary moved onto it, regions cut along the inner surfaces.
 
@@ -156,7 +157,7 @@ def surfaces_mesh(
     return with_boundaries(mesh, 1e-3 * float(high[0] - low[0]))
 
 
-def _check_count(outer: Surface, grid: FloatArray, wanted: FloatArray, most: float) -> None:
+def _check_count(outer: ClosedSurface, grid: FloatArray, wanted: FloatArray, most: float) -> None:
     """Refuse what would take hours: a limb in the wrong unit, or sizes meant for a smaller one."""
     inside = outer.distance(grid) < 0
     cell = float(np.ptp(outer.vertices, axis=0).max() / 40) ** 3
@@ -168,13 +169,13 @@ def _check_count(outer: Surface, grid: FloatArray, wanted: FloatArray, most: flo
         )
 
 
-def _size_around(inner: Surface, places: FloatArray) -> FloatArray:
+def _size_around(inner: ClosedSurface, places: FloatArray) -> FloatArray:
     """Edge lengths (n,) that resolve a slender inner body such as a bone, growing away from it."""
     width = float(np.ptp(inner.vertices, axis=0).min())
     return np.asarray(_PER_WIDTH * width + 0.5 * np.abs(inner.distance(places)))
 
 
-def _on_surface(mesh: TissueMesh, outer: Surface) -> TissueMesh:
+def _on_surface(mesh: TissueMesh, outer: ClosedSurface) -> TissueMesh:
     """Boundary vertices moved to the closest points of the surface where that flattens nothing."""
     rim = np.unique(boundary_faces(mesh.tetrahedra)[0])
     moved = mesh.points.copy()
@@ -185,16 +186,16 @@ def _on_surface(mesh: TissueMesh, outer: Surface) -> TissueMesh:
     return replace(mesh, points=moved)
 
 
-def _stretched(inner: Surface, low: float, high: float) -> Surface:
+def _stretched(inner: ClosedSurface, low: float, high: float) -> ClosedSurface:
     """Caps that coincide with the limb's cut ends pushed out, or distances there would be to the cap."""
     reach, length = 0.1 * (high - low), high - low
     x = inner.vertices[:, 0]
     moved = inner.vertices.copy()
     moved[:, 0] += reach * ((x > high - 1e-4 * length).astype(float) - (x < low + 1e-4 * length))
-    return Surface(inner.tissue, moved, inner.faces)
+    return ClosedSurface(inner.tissue, moved, inner.faces)
 
 
-def _with_region(mesh: TissueMesh, inner: Surface) -> TissueMesh:
+def _with_region(mesh: TissueMesh, inner: ClosedSurface) -> TissueMesh:
     mesh, inside = cut_along(mesh, inner.distance, name=inner.tissue)
     if not inside.any():
         raise GeometryError(f"no element lies inside the surface of '{inner.tissue}'; set mesh.size_grid smaller")
