@@ -1,8 +1,9 @@
-"""``parametric.nc``: one reduced model for many tissues, and what it was compared with.
+"""``parametric.nc``: reduced models for many tissues, one for each part of the band, and what they were compared with.
 
-Variables ``upper`` (term, entry), ``functional`` (row, port) and ``share`` (port,) as in :mod:`.reduced`; ``trials``
-and ``checks`` (trial or check, 4) hold the draw, the frequency [Hz], the estimated and the true error of each
-comparison. The scenario is kept as JSON.
+For each part k of the band ``high`` [Hz] is its end, ``upper-k-whole`` (term, entry) and ``functional-k-whole`` (row,
+port) are as in :mod:`.reduced`, and the same with ``core`` are the smaller model of its error estimate; ``share``
+(port,). ``trials`` and ``checks`` (trial or check, 4) hold the draw, the frequency [Hz], the estimated and the true
+error of each comparison. The scenario is kept as JSON.
 """
 
 from __future__ import annotations
@@ -22,21 +23,32 @@ from .dataset import labels, load, port_variables, ports_of, save, text
 _CONTENT = "parametric model"
 
 
+Model = tuple[FloatArray, FloatArray]  # matrices (n_term, r, r) and functionals (r, n_port)
+_MODELS = ("whole", "core")
+
+
+@dataclass(frozen=True)
+class PieceFile:
+    """The models of the part of the band up to ``high`` [Hz]."""
+
+    high: float
+    whole: Model
+    core: Model
+
+
 @dataclass(frozen=True)
 class ParametricFile:
-    """Contents of the file: ``matrices`` (n_term, r, r) of terms ``names``, ``functionals`` (r, n_port).
+    """Contents of the file: ``pieces`` with matrices of terms ``names``.
 
-    ``core`` is the size of the smaller model of the estimate, ``solves`` how many factorisations went into it;
-    ``trials`` and ``checks`` (n, 4) are rows of draw, frequency, estimated and true error.
+    ``solves`` says how many factorisations went into it; ``trials`` and ``checks`` (n, 4) are rows of draw, frequency,
+    estimated and true error.
     """
 
     names: tuple[str, ...]
-    matrices: FloatArray
-    functionals: FloatArray
+    pieces: tuple[PieceFile, ...]
     shares: FloatArray
     ports: tuple[Port, ...]
     scenario: dict[str, Any]
-    core: int
     solves: int
     trials: FloatArray
     checks: FloatArray
@@ -44,18 +56,23 @@ class ParametricFile:
 
 def write_parametric(path: str | Path, content: ParametricFile) -> None:
     """Write ``content``, whole or not at all."""
-    rows, columns = np.triu_indices(len(content.functionals))
-    variables = {
+    variables: dict[str, Any] = {
         "term": (("term",), labels(content.names), {}),
         **port_variables("port", content.ports),
-        "upper": (("term", "entry"), content.matrices[:, rows, columns], {}),
-        "functional": (("row", "port"), content.functionals, {}),
         "share": (("port",), content.shares, {}),
         "trials": (("trial", "of_trial"), content.trials, {}),
         "checks": (("check", "of_check"), content.checks, {}),
-        "counts": (("count",), np.array([content.core, content.solves]), {}),
+        "high": (("piece",), np.array([p.high for p in content.pieces]), {"units": "Hz"}),
     }
-    save(path, variables, {"content": _CONTENT, "scenario": json.dumps(content.scenario)})
+    for k, piece in enumerate(content.pieces):
+        for name in _MODELS:
+            matrices, functionals = getattr(piece, name)
+            rows, columns = np.triu_indices(len(functionals))
+            row, entry = f"row-{k}-{name}", f"entry-{k}-{name}"
+            variables[f"upper-{k}-{name}"] = (("term", entry), matrices[:, rows, columns], {})
+            variables[f"functional-{k}-{name}"] = ((row, "port"), functionals, {})
+    attributes = {"content": _CONTENT, "scenario": json.dumps(content.scenario), "solves": str(content.solves)}
+    save(path, variables, attributes)
 
 
 def read_parametric(path: str | Path) -> ParametricFile:
@@ -67,13 +84,17 @@ def _unpack(dataset: xr.Dataset) -> ParametricFile:
     def numbers(name: str) -> FloatArray:
         return np.asarray(dataset[name].values, dtype=float)
 
-    upper, size = numbers("upper"), dataset.sizes["row"]
-    rows, columns = np.triu_indices(size)
-    matrices = np.empty((len(upper), size, size))
-    matrices[:, rows, columns] = matrices[:, columns, rows] = upper
-    core, solves = (int(n) for n in dataset["counts"].values)
+    def model(k: int, name: str) -> Model:
+        upper, functionals = numbers(f"upper-{k}-{name}"), numbers(f"functional-{k}-{name}")
+        rows, columns = np.triu_indices(len(functionals))
+        matrices = np.empty((len(upper), len(functionals), len(functionals)))
+        matrices[:, rows, columns] = matrices[:, columns, rows] = upper
+        return matrices, functionals
+
+    pieces = tuple(
+        PieceFile(float(high), *(model(k, name) for name in _MODELS)) for k, high in enumerate(numbers("high"))
+    )
     return ParametricFile(
-        tuple(text(dataset["term"].values)), matrices, numbers("functional"), numbers("share"),
-        ports_of(dataset, "port"), json.loads(dataset.attrs["scenario"]), core, solves,
-        numbers("trials"), numbers("checks"),
+        tuple(text(dataset["term"].values)), pieces, numbers("share"), ports_of(dataset, "port"),
+        json.loads(dataset.attrs["scenario"]), int(dataset.attrs["solves"]), numbers("trials"), numbers("checks"),
     )  # fmt: skip
