@@ -46,7 +46,7 @@ THICK = {
     "grid": {"points": [[0.0, 0.005], [0.002, -0.007]]},
 }
 PROBES = np.array([20.0, 80.0, 200.0, 330.0, 490.0])
-GROWTH = Growth(solves=12, checks=6, parts=2, states=60)
+GROWTH = Growth(solves=9, checks=5, parts=2, states=50)
 
 
 @pytest.fixture(scope="module")

@@ -90,9 +90,9 @@ class Growth:
     frequencies) each: as many directions as err by ``tolerance`` (rms over the draws) beside the space, but ``most``.
     """
 
-    solves: int = 15
-    checks: int = 8
-    derivatives: int = 3
+    solves: int = 11
+    checks: int = 6
+    derivatives: int = 4
     parts: int = 4
     states: int = 90
     tolerance: float = 4e-3
