@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
+from forearm_fem.compare.adapters import ScenarioModel, common_parameters, fem_compliance_of, fem_model_for
+from forearm_fem.compare.fit import fit
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ReductionError, ScenarioError
-from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
+from forearm_fem.fem.reduction.quick import quick_compliance
+from forearm_fem.fem.reduction.rational import rational, chebyshev_frequencies
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.fem.reduction.united import Growth
 from forearm_fem.geometry.cache import cached_mesh
@@ -18,9 +20,13 @@ from forearm_fem.pipeline import parametric
 from forearm_fem.pipeline.fem_engine import fem_model
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.parametric import Ranges, load_parametric, parametric_model, save_parametric
+from forearm_fem.pipeline.skin_model import with_scenario
+from forearm_fem.prediction.arm import LayeredArm, ReducedArm, on_mesh_of
+from forearm_fem.prediction.draws import draw_inputs, scenario_of
+from forearm_fem.prediction.priors import load_priors
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.tissue import resolve_tissues
-from forearm_fem.transfer import band_error
+from forearm_fem.transfer import Compliance, band_error
 
 SCENE = {
     "name": "small",
@@ -34,8 +40,13 @@ SCENE = {
     "solver": {"discretisation_estimate": False},
     "sweep": {"f_min": 20.0, "f_max": 500.0},
 }  # fmt: skip
+THICK = {
+    **SCENE,
+    "limb": {**SCENE["limb"], "layers": [SCENE["limb"]["layers"][0], {"tissue": "fat", "thickness": 4.5e-3}]},
+    "grid": {"points": [[0.0, 0.005], [0.002, -0.007]]},
+}
 PROBES = np.array([20.0, 80.0, 200.0, 330.0, 490.0])
-GROWTH = Growth(solves=15, checks=5)
+GROWTH = Growth(solves=9, checks=5, parts=2, states=50)
 
 
 @pytest.fixture(scope="module")
@@ -66,22 +77,17 @@ def test_unseen_draws_are_as_right_as_stated(model):
 
 
 def test_far_outside_its_ranges_the_error_is_still_stated(model):
-    """Tissue eight times softer than any draw: beyond what the space can do, and said."""
-    far = Ranges(moduli=1.0, laws=("zener",)).draws(softer(8.0), 2, seed=3)[1]
+    """Tissue forty times softer than any draw: beyond what the space can do, and said."""
+    far = Ranges(moduli=1.0, laws=("zener",)).draws(softer(40.0), 2, seed=3)[1]
     found = model.compliance(far, PROBES)
     true = band_error(found.block("point", "contact"), solved(far))
     assert true > 0.05
     assert found.errors[0].band > true
 
 
-def _soft(scenario: Scenario) -> Any:
-    """Soft tissues by name, Kelvin-Voigt all."""
-    return {name: tissue for name, tissue in resolve_tissues(scenario).items() if name != "bone"}
-
-
 def softer(factor: float) -> Scenario:
     scenario = parse_scenario(SCENE)
-    moduli = {n: {"mu": t.modulus.mu / factor} for n, t in _soft(scenario).items()}
+    moduli = {n: {"mu": t.modulus.mu / factor} for n, t in resolve_tissues(scenario).items() if n != "bone"}
     return parse_scenario({**SCENE, "tissues": {"override": moduli}})
 
 
@@ -166,11 +172,11 @@ def test_the_worst_check_decides_what_is_stated(model):
 def test_draws_stay_within_their_ranges():
     scenario = parse_scenario(SCENE)
     draws = Ranges(moduli=2.0, tension=(10.0, 20.0)).draws(scenario, 30, seed=2)
-    own = _soft(scenario)
+    own = resolve_tissues(scenario)
     for i, draw in enumerate(draws):
         assert 10.0 <= draw.tissues.membrane.tension <= 20.0
         for name in ("skin", "fat", "muscle"):
-            modulus, before = _soft(draw)[name].modulus, own[name].modulus
+            modulus, before = resolve_tissues(draw)[name].modulus, own[name].modulus
             if i % 3 == 2:
                 size = abs(modulus.at(200 * np.pi)) / abs(before.at(200 * np.pi))
             else:
@@ -193,3 +199,73 @@ def test_a_rational_function_is_found_and_a_wild_one_told():
     assert smooth.misfit < 1e-6
     assert np.abs(smooth.at(f) - modes(6, f)).max() < 1e-5 * np.abs(modes(6, f)).max()
     assert wild.misfit > 1e-2
+
+
+def test_small_reduced_models_answer_in_single_precision(model):
+    """Three digits are asked; double precision of the same model tells what single leaves."""
+    for piece in model.pieces:
+        drawn = with_scenario(piece.whole, Ranges().draws(parse_scenario(SCENE), 3, seed=21)[1])
+        f = PROBES[piece.high >= PROBES][-1:]
+        exact, quick = drawn.compliance(f), quick_compliance(drawn, f)
+        assert np.nanmax(np.abs(quick - exact)) < 1e-3 * np.nanmax(np.abs(exact))
+
+
+def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
+    """Thicker fat and a grid laid 2 mm aside, against a mesh of that arm; the error stated covers what is left."""
+    scene = parse_scenario(SCENE)
+    arm = ReducedArm(scene, model, LayeredArm())
+    drawn = scenario_of(draw_inputs(load_priors(), scene, 0, 4), scene, ("contact area",))
+    drawn = drawn.model_copy(update={"limb": parse_scenario(THICK).limb, "grid": parse_scenario(THICK).grid})
+    found = arm.compliance(drawn, PROBES)
+    truth, own = solved(drawn), model.compliance(on_mesh_of(scene, drawn), PROBES).block("point", "contact")
+    errors = {e.source: e.band for e in found.errors}
+    left, held = (band_error(v, truth) for v in (found.block("point", "contact"), own))
+    assert held > 0.1  # else there is nothing to mend
+    assert left < held / 2
+    assert left < np.hypot(*errors.values()) < 10 * left
+    assert np.isnan(found.values[:, 2, 2]).all()  # a point on itself is unknown still
+
+
+def test_an_arm_that_differs_in_tissue_alone_is_the_models(model):
+    scene = parse_scenario(SCENE)
+    drawn = on_mesh_of(scene, scenario_of(draw_inputs(load_priors(), scene, 0, 5), scene))
+    one, other = ReducedArm(scene, model, LayeredArm()).compliance(drawn, PROBES), model.compliance(drawn, PROBES)
+    assert np.array_equal(np.nan_to_num(one.values), np.nan_to_num(other.values))
+    assert len(one.errors) == 1
+    assert ReducedArm(scene, model, LayeredArm()).held == frozenset()
+    taped = parse_scenario({**SCENE, "tissues": {"patch": {"length": 0.01, "width": 0.01, "mass": 0.1}}})
+    assert "placement" in ReducedArm(taped, model, LayeredArm()).held
+
+
+def test_a_fit_recovers_an_arm_of_finite_elements(model):
+    """Data of full solves, not of the reduced model, with noise; three parameters within their 95 % intervals."""
+    scene, names = parse_scenario(SCENE), ("skin.mu", "fat.mu", "muscle.eta")
+    chosen = common_parameters(scene, names)
+    true = {p.name: p.start * factor for p, factor in zip(chosen, (1.4, 0.7, 1.25), strict=True)}
+    answer = ScenarioModel(scene, fem_compliance_of(model, PROBES))
+    arm = answer.scenario(true)
+    clean = close_loop(model.compliance(arm, PROBES), arm.device)
+    values = fem_transfer(arm)
+    sigma = 0.02 * float(np.sqrt(np.mean(np.abs(values) ** 2)))
+    noise = np.random.default_rng(3).standard_normal((2, *values.shape)) * sigma / np.sqrt(2)
+    data = replace(clean, values=values + noise[0] + 1j * noise[1], deviation=np.full(values.shape, sigma), errors=())
+    result = fit(answer, data, chosen)
+    assert result.chi2 < 2  # reduction errs by less than the noise
+    for p in chosen:
+        assert abs(np.log(result.values[p.name] / true[p.name])) < 3 * np.log(
+            result.interval[p.name][1] / result.values[p.name]
+        ) / 1.96
+        assert result.interval[p.name][1] / result.interval[p.name][0] < 1.6  # and they say something
+
+
+def fem_transfer(draw: Scenario) -> np.ndarray:
+    """G of a draw by direct solves (n_frequency, n_point, n_contact)."""
+    whole = fem_model(draw, cached_mesh(draw))
+    values = direct_sweep(whole, PROBES, draw.solver).values
+    return close_loop(Compliance(PROBES, values, whole.ports), draw.device).values
+
+
+def test_a_fit_on_one_mesh_looks_for_no_thickness():
+    scene = parse_scenario(SCENE)
+    with pytest.raises(ScenarioError, match=r"limb\.layers\.1\.thickness: a mesh has one geometry"):
+        fem_model_for(scene, common_parameters(scene, ("fat.thickness",)))

@@ -211,17 +211,20 @@ def fit(
     out: OutFolder = None,
     declare: Declared = None,
     frequencies: Annotated[int, typer.Option(min=2, help="of the measured bins, evenly spread")] = 24,
+    fem: Annotated[
+        bool, typer.Option("--fem/--twin", help="on the scene's own finite elements (reduced once), or its flat twin")
+    ] = False,
 ) -> None:
-    """Fit parameters of a scenario (on its layered twin) to a measured G; says what the data cannot tell."""
+    """Fit parameters of a scenario to a measured G; says what the data cannot tell and what to measure next."""
     from ..compare.run import run_fit
     from ..io.lock import locked
 
     asked = load_scenario(scenario, overrides=overrides or ())
     folder = out or out_folder(None, asked, overrides) / "fit"
-    with locked(folder), noted(), console.status("fitting"):
+    with locked(folder), noted(), Display() as display:
         result = run_fit(
             asked, transfer_file(measured), parameters, folder=folder, declaration=declaration(declare),
-            frequencies=frequencies,
+            frequencies=frequencies, fem=fem, base=scenario.parent, progress=display,
         )  # fmt: skip
     typer.echo(result.text)
     typer.echo(f"fit: {folder}")

@@ -26,6 +26,9 @@ def predict(
         list[str] | None,
         typer.Option(help="keep the scenario's value of an input or group, e.g. tissue, placement, 'signal to noise'"),
     ] = None,
+    twin: Annotated[
+        bool, typer.Option("--twin/--own", help="arms on the layered twin, or by the scene's own engine")
+    ] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="go on with draws that the folder holds")] = True,
     workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
     scheduler: Annotated[str | None, typer.Option(help="address of a running Dask scheduler")] = None,
@@ -43,7 +46,7 @@ def predict(
 
     asked = load_scenario(scenario, overrides=overrides or ())
     folder = out_folder(out, asked, overrides) / FOLDER
-    question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()))
+    question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), twin)
     with locked(folder), noted():
         with Display() as display:
             found = run(

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats.qmc import LatinHypercube
 
 from ..device.loop import close_loop
 from ..errors import ScenarioError
 from ..geometry.device.layout import layers_of
 from ..layered import Layer, layered_compliance
 from ..pipeline.layered_engine import flat_disc, flat_surface
+from ..pipeline.parametric import ParametricModel, parametric_model
 from ..ports import Port
+from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
 from ..tissue import Tissue, resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
 from .parameters import Parameter
 
+_POOL = 120  # arms within the ranges of a fit, from which its finite elements are reduced
+_REACH = 3.0  # times or divided by: a fit's ranges reach to 6, where measured tissue is not
 _TERMS, _ORDERS = 4, 1  # under rigid cones: 1e-4 of the largest entry, far below what is measured
 ComplianceOf = Callable[[Scenario], Compliance]
 
@@ -105,6 +111,37 @@ def layered_compliance_of(
         return Compliance(frequency, values, ports, provenance={"engine": "layered"})
 
     return compute
+
+
+def fem_compliance_of(model: ParametricModel, frequency: FloatArray) -> ComplianceOf:
+    """The scene's finite elements, reduced for the tissues of a fit, at ``frequency`` (n,) [Hz] between its ports."""
+    return lambda scenario: model.compliance(scenario, frequency)
+
+
+def fem_model_for(
+    scenario: Scenario, parameters: Sequence[Parameter], *, base: str | Path = ".", progress: Progress | None = None
+) -> ParametricModel:
+    """The scene's finite elements for values of the ``parameters`` from a third to three times their start.
+
+    Kept in the cache. Raises ScenarioError for parameters that need another mesh, and what solving the scenario raises.
+    """
+    skin = [p for p in parameters if not _lumped(p.name) and p.name not in ("scale", "delay")]
+    if geometry := [p.name for p in skin if not p.name.startswith("tissues.")]:
+        raise ScenarioError(
+            f"{geometry[0]}: a mesh has one geometry, so that a fit on finite elements cannot look for it; leave it "
+            "out, or fit on the layered twin"
+        )
+    free = ScenarioModel(scenario, _never)
+    places = LatinHypercube(max(len(skin), 1), rng=np.random.default_rng(0)).random(_POOL)
+    drawn = [
+        free.scenario({p.name: p.start * _REACH ** (2 * x - 1) for p, x in zip(skin, row, strict=False)})
+        for row in places
+    ]
+    return parametric_model(scenario, base=base, draws=[scenario, *drawn], progress=progress)
+
+
+def _never(scenario: Scenario) -> Compliance:
+    raise AssertionError(f"{scenario.name} is not solved here")
 
 
 def layers_from(scenario: Scenario) -> tuple[Layer, ...]:

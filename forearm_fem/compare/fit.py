@@ -28,6 +28,7 @@ Model = Callable[[Values], "TransferMatrix | ComplexArray"]
 Gradient = Callable[[Values], Mapping[str, ComplexArray]]
 
 SCALE, DELAY = "scale", "delay"
+FALLBACK_NOISE = 0.05  # of the entries' rms, where no deviation is known
 _VAGUE = 0.25  # of the allowed range: a combination known no better than this is called unknown
 _STEP = 1e-4  # of the allowed range, for differences
 
@@ -81,7 +82,7 @@ def fit(
     parameters: Sequence[Parameter],
     *,
     gradient: Gradient | None = None,
-    fallback_noise: float = 0.05,
+    fallback_noise: float = FALLBACK_NOISE,
     starts: int = 1,
     max_evaluations: int = 200,
     tolerance: float = 1e-8,

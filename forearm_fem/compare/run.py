@@ -19,10 +19,18 @@ from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
-from .adapters import ComplianceOf, ScenarioModel, common_parameters, layered_compliance_of
+from .adapters import (
+    ComplianceOf,
+    ScenarioModel,
+    common_parameters,
+    fem_compliance_of,
+    fem_model_for,
+    layered_compliance_of,
+)
 from .common import common_ground
 from .compare import Comparison, compare, plain
-from .fit import FitResult, fit
+from .fit import FALLBACK_NOISE, FitResult, fit
+from .next_best import NextBest, next_best
 from .readings import best_reading, explained
 from .report import as_markdown, save_report
 
@@ -71,10 +79,16 @@ def _name(what: str | Path | TransferMatrix, otherwise: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class FitCommandResult:
-    """The fit, the fitted scenario's model of G on the frequencies used, a text and the files written."""
+    """The fit, the fitted scenario's model of G on the frequencies used, a text and the files written.
+
+    ``following`` is the next best measurement, ``reduction`` e_band that a reduced model of finite elements states for
+    itself at the fitted values (NaN on the twin).
+    """
 
     fit: FitResult
     model: TransferMatrix
+    following: NextBest
+    reduction: float
     text: str
     files: tuple[Path, ...]
 
@@ -88,32 +102,82 @@ def run_fit(
     declaration: Declaration | None = None,
     frequencies: int = 24,
     compliance_of: ComplianceOf | None = None,
+    fem: bool = False,
+    base: str | Path = ".",
     progress: Progress | None = None,
 ) -> FitCommandResult:
     """Fit ``parameters`` (short names of :func:`common_parameters`) of ``scenario`` to a measured G.
 
     ``frequencies`` of its bins are used, spread evenly; the layered twin answers unless ``compliance_of``
-    is given (a reduced FE model, say, on these frequencies). Actuators of the device that were not measured are there
+    is given, or the scenario's own finite elements with ``fem`` (a parametric model, made once and kept in the cache;
+    ``base`` is the folder of the scenario's files). Actuators of the device that were not measured are there
     all the same. Writes fit.json, fit.md and fitted.nc into ``folder``; their notes say which reading of the data
     (:mod:`.readings`) would make model and data agree. DataError for a G without valid entries, of another drive than
     ``device.drive``, or of inputs that the device does not have.
     """
     data = thinned(_load(measured, declaration), frequencies)
     _check_drive(scenario, data)
-    skin = compliance_of or layered_compliance_of(data.frequency, data.outputs, all_inputs(scenario, data))
+    chosen = common_parameters(scenario, parameters)
+    inputs, outputs = all_inputs(scenario, data), data.outputs
+    if fem:
+        reduced = fem_model_for(scenario, chosen, base=base, progress=progress)
+        skin, outputs = fem_compliance_of(reduced, data.frequency), tuple(p for p in reduced.ports if p.kind == "point")
+    elif compliance_of is None:
+        outputs = (*outputs, *_unmeasured(scenario, data))
+        skin = layered_compliance_of(data.frequency, outputs, inputs)
+    else:
+        skin = compliance_of
     whole = ScenarioModel(scenario, skin)
 
     def model(values: Mapping[str, float]) -> TransferMatrix:
         return answering(whole(values), data)
 
-    chosen = common_parameters(scenario, parameters)
     result = fit(model, data, chosen, progress=progress)
-    best = model({n: v for n, v in result.values.items() if n not in ("scale", "delay")})
+    free = {n: v for n, v in result.values.items() if n not in ("scale", "delay")}
+    best = model(free)
     start = model({p.name: p.start for p in chosen if p.name not in ("scale", "delay")})
-    notes = _explained(data, (start, best))
+    wide = _with_outputs(data, outputs)
+    following = next_best(
+        result, lambda values: answering(whole(values), wide).values, data.frequency, [p.name for p in outputs],
+        _noise_of(data),
+    )  # fmt: skip
+    reduction = float(whole(free).errors[0].band) if fem else float("nan")
+    notes = (*_explained(data, (start, best)), *_reduction_note(reduction, result), following.sentence)
     text = fit_text(result, notes)
     files = () if folder is None else _save_fit(Path(folder), result, best, text, notes)
-    return FitCommandResult(result, best, text, files)
+    return FitCommandResult(result, best, following, reduction, text, files)
+
+
+def _unmeasured(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:
+    """The scenario's grid points that the data have not: what could be measured next."""
+    known = {p.name for p in data.outputs}
+    own = enumerate(scenario.grid.places, start=1)
+    return tuple(Port(str(k), "point", (float(x), float(y), 0.0)) for k, (x, y) in own if str(k) not in known)
+
+
+def _with_outputs(data: TransferMatrix, outputs: tuple[Port, ...]) -> TransferMatrix:
+    """The same frequencies and inputs with other outputs, nothing known of them."""
+    values = np.zeros((len(data.frequency), len(outputs), len(data.inputs)), dtype=complex)
+    return replace(data, values=values, outputs=outputs, contacts=None, valid=None, deviation=None, errors=())
+
+
+def _noise_of(data: TransferMatrix) -> float:
+    """Standard deviation of an entry: the data's own in the median, else what the fit takes for it."""
+    stated = np.zeros(0) if data.deviation is None else data.deviation[np.isfinite(data.deviation)]
+    if (stated > 0).any():
+        return float(np.median(stated[stated > 0]))
+    finite = data.values[np.isfinite(data.values)]
+    return FALLBACK_NOISE * float(np.sqrt(np.mean(np.abs(finite) ** 2)))
+
+
+def _reduction_note(reduction: float, result: FitResult) -> tuple[str, ...]:
+    """What the reduced finite elements state for themselves, which is in no interval."""
+    if not np.isfinite(reduction):
+        return ()
+    return (
+        f"finite elements, reduced: e_band {100 * reduction:.2g} % stated at the fitted values, beside a misfit of "
+        f"{100 * result.e_band:.2g} %; intervals hold noise, not this",
+    )
 
 
 def _check_drive(scenario: Scenario, data: TransferMatrix) -> None:

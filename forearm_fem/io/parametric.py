@@ -1,8 +1,9 @@
-"""``parametric.nc``: one reduced model for many tissues, and what it was compared with.
+"""``parametric.nc``: reduced models for many tissues, one for each part of the band, and what they were compared with.
 
-Variables ``upper`` (term, entry), ``functional`` (row, port) and ``share`` (port,) as in :mod:`.reduced`; ``trials``
-and ``checks`` (trial or check, 4) hold the draw, the frequency [Hz], the estimated and the true error of each
-comparison. The scenario is kept as JSON.
+For each part k of the band ``high`` [Hz] is its end, ``upper-k-whole`` (term, entry) and ``functional-k-whole`` (row,
+port) are as in :mod:`.reduced`, and the same with ``core`` are the smaller model of its error estimate; ``share``
+(port,). ``trials`` and ``checks`` (trial or check, 4) hold the draw, the frequency [Hz], the estimated and the true
+error of each comparison. The scenario is kept as JSON.
 """
 
 from __future__ import annotations
@@ -10,26 +11,44 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from ..ports import Port
 from ..typing import FloatArray
-from .dataset import load, save
-from .reduced import ReducedTerms, read_terms, term_variables
+from .dataset import labels, load, port_variables, ports_of, save, text
 
 _CONTENT = "parametric model"
 
 
-@dataclass(frozen=True)
-class ParametricFile(ReducedTerms):
-    """Contents of the file beside those of :class:`ReducedTerms`.
+Model = tuple[FloatArray, FloatArray]  # matrices (n_term, r, r) and functionals (r, n_port)
+_MODELS = ("whole", "core")
 
-    ``core`` is the size of the smaller model of the estimate, ``solves`` how many factorisations went into it;
-    ``trials`` and ``checks`` (n, 4) are rows of draw, frequency, estimated and true error.
+
+@dataclass(frozen=True)
+class PieceFile:
+    """The models of the part of the band up to ``high`` [Hz]."""
+
+    high: float
+    whole: Model
+    core: Model
+
+
+@dataclass(frozen=True)
+class ParametricFile:
+    """Contents of the file: ``pieces`` with matrices of terms ``names``.
+
+    ``solves`` says how many factorisations went into it; ``trials`` and ``checks`` (n, 4) are rows of draw, frequency,
+    estimated and true error.
     """
 
-    core: int
+    names: tuple[str, ...]
+    pieces: tuple[PieceFile, ...]
+    shares: FloatArray
+    ports: tuple[Port, ...]
+    scenario: dict[str, Any]
     solves: int
     trials: FloatArray
     checks: FloatArray
@@ -37,13 +56,23 @@ class ParametricFile(ReducedTerms):
 
 def write_parametric(path: str | Path, content: ParametricFile) -> None:
     """Write ``content``, whole or not at all."""
-    variables = {
-        **term_variables(content),
+    variables: dict[str, Any] = {
+        "term": (("term",), labels(content.names), {}),
+        **port_variables("port", content.ports),
+        "share": (("port",), content.shares, {}),
         "trials": (("trial", "of_trial"), content.trials, {}),
         "checks": (("check", "of_check"), content.checks, {}),
-        "counts": (("count",), np.array([content.core, content.solves]), {}),
+        "high": (("piece",), np.array([p.high for p in content.pieces]), {"units": "Hz"}),
     }
-    save(path, variables, {"content": _CONTENT, "scenario": json.dumps(content.scenario)})
+    for k, piece in enumerate(content.pieces):
+        for name in _MODELS:
+            matrices, functionals = getattr(piece, name)
+            rows, columns = np.triu_indices(len(functionals))
+            row, entry = f"row-{k}-{name}", f"entry-{k}-{name}"
+            variables[f"upper-{k}-{name}"] = (("term", entry), matrices[:, rows, columns], {})
+            variables[f"functional-{k}-{name}"] = ((row, "port"), functionals, {})
+    attributes = {"content": _CONTENT, "scenario": json.dumps(content.scenario), "solves": str(content.solves)}
+    save(path, variables, attributes)
 
 
 def read_parametric(path: str | Path) -> ParametricFile:
@@ -52,6 +81,20 @@ def read_parametric(path: str | Path) -> ParametricFile:
 
 
 def _unpack(dataset: xr.Dataset) -> ParametricFile:
-    core, solves = (int(n) for n in dataset["counts"].values)
-    trials, checks = (np.asarray(dataset[name].values, dtype=float) for name in ("trials", "checks"))
-    return ParametricFile(*read_terms(dataset), core, solves, trials, checks)
+    def numbers(name: str) -> FloatArray:
+        return np.asarray(dataset[name].values, dtype=float)
+
+    def model(k: int, name: str) -> Model:
+        upper, functionals = numbers(f"upper-{k}-{name}"), numbers(f"functional-{k}-{name}")
+        rows, columns = np.triu_indices(len(functionals))
+        matrices = np.empty((len(upper), len(functionals), len(functionals)))
+        matrices[:, rows, columns] = matrices[:, columns, rows] = upper
+        return matrices, functionals
+
+    pieces = tuple(
+        PieceFile(float(high), *(model(k, name) for name in _MODELS)) for k, high in enumerate(numbers("high"))
+    )
+    return ParametricFile(
+        tuple(text(dataset["term"].values)), pieces, numbers("share"), ports_of(dataset, "port"),
+        json.loads(dataset.attrs["scenario"]), int(dataset.attrs["solves"]), numbers("trials"), numbers("checks"),
+    )  # fmt: skip

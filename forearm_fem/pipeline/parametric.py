@@ -17,11 +17,12 @@ from .. import __version__
 from ..errors import DataError, ReductionError, ScenarioError
 from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
-from ..fem.reduction.rational import Rational, chebyshev_frequencies, rational
+from ..fem.reduction.quick import quick_compliance
+from ..fem.reduction.rational import Rational, rational, chebyshev_frequencies
 from ..fem.reduction.reduced_model import ReducedModel
-from ..fem.reduction.united import Growth, TrialSolve, United, part_of, united_model
+from ..fem.reduction.united import Growth, Piece, TrialSolve, United, piece_at, united_model
 from ..geometry.cache import cached_mesh, default_cache_dir
-from ..io.parametric import ParametricFile, read_parametric, write_parametric
+from ..io.parametric import ParametricFile, PieceFile, read_parametric, write_parametric
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
@@ -30,16 +31,16 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import fem_model
 from .frequencies import frequencies
-from .skin_model import check_followable, reduced_of, with_scenario
+from .skin_model import check_followable, with_scenario
 from .solved import solve_key
 
 _log = logging.getLogger("forearm_fem.pipeline")
 # Keys that compliances do not follow from: a draw may differ in them.
 _UNREAD = ("rendering", "measurement", "sweep", "solver", "accuracy", "schema_version")
 _BEYOND = 1.05  # ratio to the ends of the band up to which a draw is answered
-_NODES = (25, 49)  # frequencies solved for a draw: more where a rational function through the first does not hold
+_NODES = (9, 17, 33)  # frequencies of a piece solved for a draw, more where a rational function does not hold
 _BETWEEN = 2e-3  # of the largest entry: what that function may miss at the nodes that it does not pass through
-_PROBED = 6  # every so many nodes the estimate's smaller model is solved, too
+_PROBED = 3  # nodes of a piece at which the estimate's core is solved, too
 _POOL = 48  # draws that a model is made from
 _TYPICAL = 100.0  # Hz at which springpots are as stiff as the scenario's tissue
 _MIDDLE = 0.5
@@ -97,17 +98,21 @@ def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
 class ParametricModel:
     """A limb seen through its ports for any tissue, tension and tape near those it was made from.
 
-    ``core`` is the size of a smaller model in it: what a draw's answer changes without the rest, times ``factor``, is
-    the error stated. ``checks`` are comparisons with direct solves that had no part in making it.
+    ``pieces`` are the reduced models of the parts of the band. ``checks`` are comparisons with direct solves that had
+    no part in making them; ``factor`` is what their estimates were too small by.
     """
 
     scenario: Scenario
     ports: tuple[Port, ...]
-    reduced: ReducedModel
-    core: int
+    pieces: tuple[Piece, ...]
     trials: tuple[TrialSolve, ...]
     checks: tuple[TrialSolve, ...]
     solves: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the terms, such as "shear muscle" and "skin tension"."""
+        return self.pieces[0].whole.names
 
     @property
     def factor(self) -> float:
@@ -122,26 +127,41 @@ class ParametricModel:
         Raises ScenarioError for anything else and ReductionError for frequencies more than 5 % beyond the band.
         """
         frequency = np.asarray(frequency, dtype=float)
-        check_followable(self.scenario, scenario, self.reduced.names, unread=_UNREAD)
+        check_followable(self.scenario, scenario, self.names, unread=_UNREAD)
         self._check_band(frequency)
-        drawn = with_scenario(self.reduced, scenario)
-        nodes, values, between = self._answered(drawn, frequency)
+        values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
+        found = list[_Answer]()
+        for piece in self.pieces:
+            mine = np.array([piece_at(self.pieces, f) is piece for f in frequency], dtype=bool)
+            if mine.any():
+                whole, core = (with_scenario(m, scenario) for m in (piece.whole, piece.core))
+                drawn = replace(piece, whole=whole, core=core)
+                found.append(self._answered(drawn, frequency[mine]))
+                values[mine] = found[-1].values
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         values[:, points, points] = np.nan
-        return Compliance(frequency, values, self.ports, (self._error(drawn, nodes, between),))
+        return Compliance(frequency, values, self.ports, (self._error(found),))
 
-    def _answered(self, drawn: ReducedModel, frequency: FloatArray) -> tuple[FloatArray, ComplexArray, float]:
-        """Frequencies solved, compliances at ``frequency``, and how far these may be off between."""
+    def _answered(self, drawn: Piece, frequency: FloatArray) -> _Answer:
+        """What a ``drawn`` piece says at ``frequency`` (n,), how far it may be off between, and what its core says."""
+        nodes, between = frequency, 0.0
         if len(frequency) <= _NODES[-1]:
-            return frequency, drawn.compliance(frequency), 0.0
-        for count in _NODES:
-            nodes = chebyshev_frequencies(frequency, count)
-            fit, places = self._fitted(nodes, drawn.compliance(nodes))
-            if fit.misfit <= _BETWEEN:
-                break
-        values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
-        values[:, places[0], places[1]] = values[:, places[1], places[0]] = fit.at(frequency)
-        return nodes, np.asarray(values * self._undone()), fit.misfit
+            values = at_nodes = quick_compliance(drawn.whole, frequency)
+        else:
+            known = dict[float, ComplexArray]()
+            for count in _NODES:  # each has the nodes of the one before
+                nodes = chebyshev_frequencies(frequency, count)
+                fresh = np.array([f for f in nodes.tolist() if f not in known])
+                known |= dict(zip(fresh.tolist(), quick_compliance(drawn.whole, fresh), strict=True))
+                at_nodes = np.array([known[f] for f in nodes.tolist()])
+                fit, places = self._fitted(nodes, at_nodes)
+                if fit.misfit <= _BETWEEN:
+                    break
+            values, between = np.empty((len(frequency), *at_nodes.shape[1:]), dtype=complex), fit.misfit
+            values[:, places[0], places[1]] = values[:, places[1], places[0]] = fit.at(frequency)
+            values *= self._undone()
+        some = np.unique(np.linspace(0, len(nodes) - 1, _PROBED).round().astype(int))
+        return _Answer(values, between, nodes[some], at_nodes[some], quick_compliance(drawn.core, nodes[some]))
 
     def _fitted(self, nodes: FloatArray, values: ComplexArray) -> tuple[Rational, tuple[Any, Any]]:
         """A rational function through the upper triangle, which keeps it reciprocal, contacts' entries first."""
@@ -155,16 +175,17 @@ class ParametricModel:
 
     def _undone(self) -> FloatArray:
         """Shares of force, 1 where a force has no symmetric solution."""
-        return np.where(np.isfinite(self.reduced.shares), self.reduced.shares, 1.0)
+        shares = self.pieces[0].whole.shares
+        return np.where(np.isfinite(shares), shares, 1.0)
 
-    def _error(self, drawn: ReducedModel, nodes: FloatArray, between: float) -> ErrorEstimate:
-        probes = nodes[:: max(1, len(nodes) // _PROBED)]
-        core = part_of(drawn, np.arange(drawn.size) < self.core)
+    def _error(self, found: Sequence[_Answer]) -> ErrorEstimate:
         contacts = [i for i, p in enumerate(self.ports) if p.kind == "contact"]
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"] or contacts
-        block = np.ix_(range(len(probes)), points, contacts or points)
-        whole, small = (m.compliance(probes)[block] for m in (drawn, core))
-        change = np.abs(whole - small)
+        block = np.ix_(points, contacts or points)
+        probes = np.concatenate([a.probes for a in found])
+        whole, core = (np.array([c[block] for a in found for c in getattr(a, part)]) for part in ("whole", "core"))
+        between = max(a.between for a in found)
+        change = np.abs(whole - core)
         error = self.factor * change.max(axis=(1, 2)) / np.abs(whole).max(axis=(1, 2)) + between
         band = self.factor * np.linalg.norm(change) / np.linalg.norm(whole) + between
         worst = max(self.checks, key=lambda c: c.true, default=None)
@@ -186,6 +207,17 @@ class ParametricModel:
                 f"{beyond[0]:g} Hz is outside the band of this parametric model, {band[0]:g} to {band[-1]:g} Hz; make "
                 "one for a wider band (sweep.f_min, sweep.f_max)"
             )
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """What a piece says of a draw: ``values`` at the frequencies asked, and ``whole`` and ``core`` at ``probes``."""
+
+    values: ComplexArray
+    between: float
+    probes: FloatArray
+    whole: ComplexArray
+    core: ComplexArray
 
 
 def parametric_model(
@@ -231,26 +263,35 @@ def parametric_model(
 
 def save_parametric(path: Path, model: ParametricModel) -> None:
     """Write ``parametric.nc``, whole or not at all."""
-    r, scenario = model.reduced, model.scenario.model_dump(mode="json")
+    first, scenario = model.pieces[0].whole, model.scenario.model_dump(mode="json")
     tables = (np.array([astuple(t) for t in some], dtype=float).reshape(-1, 4) for some in (model.trials, model.checks))
-    write_parametric(
-        path, ParametricFile(r.names, r.matrices, r.functionals, r.shares, model.ports, scenario, model.core,
-                             model.solves, *tables)
+    parts = tuple(
+        PieceFile(p.high, *((m.matrices, m.functionals) for m in (p.whole, p.core))) for p in model.pieces
     )  # fmt: skip
+    write_parametric(
+        path, ParametricFile(first.names, parts, first.shares, model.ports, scenario, model.solves, *tables)
+    )
 
 
 def load_parametric(path: str | Path) -> ParametricModel:
     """Read ``parametric.nc``; DataError for a missing or damaged file."""
     content = read_parametric(path)
-    scenario, model = reduced_of(content, path)
+    scenario = parse_scenario(content.scenario, origin=str(path))
+
+    def model(matrices: FloatArray, functionals: FloatArray) -> ReducedModel:
+        low = np.zeros((len(functionals), 0))
+        bare = ReducedModel(content.names, (), matrices, functionals, content.shares, Basis(), low)
+        return with_scenario(bare, scenario)
+
     tables = content.trials, content.checks
     trials, checks = (tuple(TrialSolve(int(d), f, e, t) for d, f, e, t in table.tolist()) for table in tables)
-    return ParametricModel(scenario, content.ports, model, content.core, trials, checks, content.solves)
+    pieces = tuple(Piece(p.high, model(*p.whole), model(*p.core)) for p in content.pieces)
+    return ParametricModel(scenario, content.ports, pieces, trials, checks, content.solves)
 
 
 def _model(scenario: Scenario, ports: tuple[Port, ...], united: United) -> ParametricModel:
-    bare = replace(united.reduced, basis=Basis())
-    return ParametricModel(scenario, ports, bare, united.core, united.trials, united.checks, united.solves)
+    pieces = tuple(replace(p, whole=replace(p.whole, basis=Basis())) for p in united.pieces)
+    return ParametricModel(scenario, ports, pieces, united.trials, united.checks, united.solves)
 
 
 def _kept(file: Path) -> ParametricModel | None:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from ..layered import layered_compliance
+from ..layered.sampling import chebyshev_between, chebyshev_nodes
 from ..pipeline.layered_engine import flat_disc, flat_layers, flat_ports, flat_surface
+from ..pipeline.parametric import ParametricModel, parametric_model
+from ..progress import Progress
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate
-from ..typing import FloatArray
+from ..typing import ComplexArray, FloatArray
 
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, 3  # a third of the time of the twin's own; what it costs is stated per draw
+_DEGREE = 32  # in the root of the frequency, of what geometry changes on the twin
+_MISSED = 0.5  # of the change by geometry that the twin may be wrong by (docs/decisions/arms-in-finite-elements.md)
+_GEOMETRY = ("thickness", "placement", "contact area")
 
 
 class ArmModel(Protocol):
@@ -71,7 +79,7 @@ class LayeredArm:
         discs = [flat_disc(port) for port in ports]
         found = layered_compliance(
             flat_layers(scenario), 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
-            tolerance=_TOLERANCE, terms=_TERMS, orders=_ORDERS,
+            tolerance=_TOLERANCE, terms=_TERMS, orders=_ORDERS, judge_all=False,
         )  # fmt: skip
         error = np.asarray(found.error)
         estimate = ErrorEstimate(
@@ -88,6 +96,97 @@ def without_bones(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"limb": scenario.limb.model_copy(update={"bones": ()})})
 
 
-def arm_model(scenario: Scenario) -> ArmModel:
-    """The model that answers draws of ``scenario``."""
-    return LayeredArm(scenario.engine == "fem")
+@dataclass(frozen=True)
+class ReducedArm:
+    """The scene's own finite elements for any tissue and tension (:mod:`forearm_fem.pipeline.parametric`).
+
+    A mesh has one geometry. What a draw's thicknesses, grid and contact radius change is taken from the twin, as the
+    difference of two of its answers for the draw's tissues, and stated to be wrong by up to half of itself. A scene
+    with tape on the skin, which the twin has not, holds them.
+    """
+
+    scenario: Scenario
+    model: ParametricModel
+    twin: LayeredArm
+
+    @property
+    def name(self) -> str:
+        """See :class:`ArmModel`."""
+        return "parametric finite elements, geometry by the twin"
+
+    @property
+    def held(self) -> frozenset[str]:
+        """See :class:`ArmModel`: nothing, or all geometry where the twin cannot say what it changes."""
+        return frozenset(_GEOMETRY if self.scenario.tissues.patch.is_on else ())
+
+    @property
+    def left_out(self) -> str:
+        """See :class:`ArmModel`."""
+        geometry = (
+            "thickness, contact area and the grid's place keep the scene's values, for there is tape on its skin"
+            if self.held
+            else "what thickness, contact area and the grid's place change is that of flat layers without end"
+        )
+        return f"girth, taper, bones and the device's place on the limb are the scene's own in every arm; {geometry}"
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """See :class:`ArmModel`; the geometry's share of the error is an estimate of its own."""
+        own = on_mesh_of(self.scenario, scenario)
+        found = self.model.compliance(own, frequency)
+        if own == scenario:
+            return found
+        change, error = self._change(scenario, own, np.asarray(frequency, dtype=float))
+        points = found.indices("point")
+        block = np.ix_(range(len(frequency)), points, found.indices("contact"))
+        size = np.abs(found.values[block]).max(axis=(1, 2))
+        missed = (_MISSED * np.abs(change[block]).max(axis=(1, 2)) + error) / size
+        band = _MISSED * np.linalg.norm(change[block]) / np.linalg.norm(found.values[block]) + (error / size).max()
+        estimate = ErrorEstimate(
+            "interpolation", float(band),
+            f"{_MISSED:g} of what the draw's thickness, contact area and the grid's place change on the twin",
+            tuple(frequency.tolist()), tuple(missed.tolist()),
+        )  # fmt: skip
+        return replace(found, values=found.values + change, errors=(*found.errors, estimate))
+
+    def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
+        """What the draw's geometry changes on the twin (n, n_port, n_port) [m/N], and the twin's errors in it (n,)."""
+        low, high = 2 * np.pi * frequency[0], 2 * np.pi * frequency[-1]
+        few = len(frequency) <= _DEGREE
+        nodes = frequency if few else chebyshev_nodes(low, high, _DEGREE) / (2 * np.pi)
+        answers = [self.twin.compliance(s, nodes) for s in (scenario, own)]
+        values = [np.nan_to_num(a.values) for a in answers]  # a point on itself stays unknown in the sum
+        sizes = [np.abs(v).max(axis=(1, 2)) * np.array(a.errors[0].per_frequency)
+                 for v, a in zip(values, answers, strict=True)]  # fmt: skip
+        change, error = values[0] - values[1], sizes[0] + sizes[1]
+        if few:
+            return change, error
+        between, tail = chebyshev_between(low, high, 2 * np.pi * frequency, change)
+        rising = np.interp(frequency, nodes[::-1], error[::-1])
+        return between, rising + tail * np.abs(between).max(axis=(1, 2))
+
+
+def on_mesh_of(scene: Scenario, draw: Scenario) -> Scenario:
+    """The ``draw`` with the geometry that the mesh of the ``scene`` has."""
+    cone = draw.device.cone.model_copy(update={"radius": scene.device.cone.radius})
+    device = draw.device.model_copy(update={"cone": cone})
+    return draw.model_copy(update={"limb": scene.limb, "grid": scene.grid, "device": device})
+
+
+def arm_model(
+    scenario: Scenario,
+    *,
+    base: str | Path = ".",
+    draws: Sequence[Scenario] = (),
+    twin: bool = False,
+    progress: Progress | None = None,
+) -> ArmModel:
+    """The model that answers draws of ``scenario``, whose user files lie in ``base``.
+
+    Finite elements for a scene of finite elements, made from ``draws`` like those that will be asked and kept in the
+    cache; the layered twin for the others, and where ``twin`` asks for it. Raises what solving the scenario raises.
+    """
+    if scenario.engine == "layered" or twin:
+        return LayeredArm(scenario.engine == "fem")
+    known = [on_mesh_of(scenario, d) for d in draws]
+    model = parametric_model(scenario, base=base, draws=known or None, progress=progress)
+    return ReducedArm(scenario, model, LayeredArm())

@@ -28,7 +28,7 @@ from ..progress import Progress, tell, within
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from .arm import ArmModel, arm_model
-from .draws import LAWS, draw_inputs
+from .draws import LAWS, draw_inputs, scenario_of
 from .outcome import READINGS, Outcome, Setup, outcome_of, setup_of
 from .priors import load_priors
 from .statistics import Draws, draws_of
@@ -36,6 +36,7 @@ from .store import FILE, read_outcomes, write_outcomes
 
 DRAWS = 200
 OLDER = "draws-older.nc"
+POOL = 200  # draws that a model of finite elements is made from: the first ones, however many are asked for
 _SAVE = 10.0  # s between two writings of what is done
 
 
@@ -44,6 +45,7 @@ class Question:
     """What is drawn: plain data, so that it travels to any process that sees ``base``.
 
     ``laws`` are those drawn from, ``held`` names or groups of inputs (priors.toml) that keep the scenario's values.
+    With ``twin`` arms are drawn on the layered twin, whatever solves the scene.
     """
 
     scenario: Scenario
@@ -51,13 +53,14 @@ class Question:
     seed: int = 0
     laws: tuple[str, ...] = LAWS
     held: tuple[str, ...] = ()
+    twin: bool = False
 
     @property
     def digest(self) -> str:
         """SHA-256 of all that a draw depends on but its number."""
         priors = load_priors()
         content = [__version__, self.scenario.model_dump(mode="json", exclude={"name", "description"}), self.seed,
-                   sorted(self.laws), sorted(self.held), repr(priors.inputs), repr(priors.laws),
+                   sorted(self.laws), sorted(self.held), self.twin, repr(priors.inputs), repr(priors.laws),
                    {law: joint.mean.tolist() for law, joint in priors.joint.items()}]  # fmt: skip
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
@@ -89,6 +92,7 @@ class Job:
     seed: int
     laws: tuple[str, ...]
     held: tuple[str, ...]
+    twin: bool
     number: int
 
 
@@ -112,8 +116,8 @@ def predict(
     began = time.monotonic()
     check_question(question)
     out = Path(folder)
+    _, setup, arm = _prepared(*_plain(question), progress)  # an arm that cannot be is said before minutes of solving
     tell(progress, "the scene itself", 0, 1)
-    _, setup, arm = _prepared(*_plain(question))  # an arm that cannot be is said before minutes of solving
     nominal = _nominal(question, progress)
     kept = _kept(out / FILE, question.digest, draws) if resume else {}
     if not kept:
@@ -247,7 +251,7 @@ def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outco
 def work(job: Job) -> dict[str, Any]:
     """The draw of ``job`` as plain data; nothing it raises leaves the worker."""
     try:
-        question, setup, arm = _prepared(job.question, job.base, job.seed, job.laws, job.held)
+        question, setup, arm = _prepared(job.question, job.base, job.seed, job.laws, job.held, job.twin)
         found = drawn(question, setup, arm, job.number)
         return {"law": found.law, "strengths": found.strengths.tolist(), "drivers": dict(found.drivers),
                 "numerics": found.numerics, "seconds": found.seconds, "problem": found.problem}  # fmt: skip
@@ -255,20 +259,35 @@ def work(job: Job) -> dict[str, Any]:
         return {"problem": f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
 
 
-def _plain(question: Question) -> tuple[str, str, int, tuple[str, ...], tuple[str, ...]]:
+def _plain(question: Question) -> tuple[str, str, int, tuple[str, ...], tuple[str, ...], bool]:
     text = question.scenario.model_dump_json()
-    return text, str(question.base.resolve()), question.seed, question.laws, question.held
+    return text, str(question.base.resolve()), question.seed, question.laws, question.held, question.twin
 
 
 @lru_cache(maxsize=2)
 def _prepared(
-    text: str, base: str, seed: int, laws: tuple[str, ...], held: tuple[str, ...]
-) -> tuple[Question, Setup, ArmModel]:
-    """What all draws of a process share. G of the scene serves for its ports alone, so one bin will do."""
-    question = Question(Scenario.model_validate_json(text), Path(base), seed, laws, held)
-    arm = arm_model(question.scenario)
+    text: str, base: str, seed: int, laws: tuple[str, ...], held: tuple[str, ...], twin: bool,
+    progress: Progress | None = None,
+) -> tuple[Question, Setup, ArmModel]:  # fmt: skip
+    """What all draws of a process share. G of the scene serves for its ports alone, so one bin will do.
+
+    A model of finite elements is made once and kept in the cache, where other processes find it.
+    """
+    question = Question(Scenario.model_validate_json(text), Path(base), seed, laws, held, twin)
+    on_twin = question.scenario.engine == "layered" or twin
+    arm = arm_model(
+        question.scenario, base=base, draws=() if on_twin else pool(question), twin=twin, progress=progress
+    )
     compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
     return question, _setup(question, close_loop(compliance, question.scenario.device), arm), arm
+
+
+def pool(question: Question) -> list[Scenario]:
+    """The arms that a model of finite elements is made from: the first 200 draws, and the scene itself."""
+    held, priors = expanded(question.held), load_priors()
+    numbers = range(POOL)
+    drawn = (draw_inputs(priors, question.scenario, question.seed, n, question.laws) for n in numbers)
+    return [question.scenario, *(scenario_of(d, question.scenario, held) for d in drawn)]
 
 
 def _unpacked(number: int, found: Mapping[str, Any], setup: Setup) -> Outcome:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -56,7 +57,6 @@ class Drives:
     record: Record
     frequency: FloatArray
     spectrum: ComplexArray
-    signals: FloatArray
     lost: float
     zeros: tuple[str, ...] = ()
     inversion: Inversion | None = None
@@ -66,6 +66,11 @@ class Drives:
     def time(self) -> FloatArray:
         """Time of the samples (n_t,) [s]; t = 0 is the wavelet's centre."""
         return self.record.time
+
+    @cached_property
+    def signals(self) -> FloatArray:
+        """Signals (n_in, n_t) in ``unit``, worked out where they are asked for: S needs none."""
+        return to_time(self.spectrum, np.rint(self.frequency / self.record.df).astype(int), self.record)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +123,6 @@ def drives(renderer: Renderer, transfer: TransferMatrix | Placed, target: str, w
         record=wavelet.record,
         frequency=placed.bins.frequency,
         spectrum=aim.spectrum,
-        signals=to_time(aim.spectrum, placed.bins.index, wavelet.record),
         lost=_lost(spectrum, placed.bins, aim.used, wavelet.record),
         zeros=aim.zeros,
         inversion=aim.inversion,
@@ -177,7 +181,7 @@ def _unanswered(placed: Placed, spectrum: ComplexArray, outside: float) -> Float
 
 def scaled(drives: Drives, factor: float) -> Drives:
     """The drives times ``factor`` [-]; everything is linear, so displacements scale alike and S stays."""
-    return replace(drives, signals=factor * drives.signals, spectrum=factor * drives.spectrum)
+    return replace(drives, spectrum=factor * drives.spectrum)
 
 
 def scale_to(

@@ -1,0 +1,79 @@
+"""Dense reduced systems solved in single precision, for answers that need three digits: a quarter of the time.
+
+Sums of terms are formed in double precision, so that what cancels between them (the coupling and the compression) is
+exact before it is rounded; what rounding leaves enters a compliance at 1e-4 of the largest entry at 700 directions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import cgesv
+
+from ...errors import SolverError
+from ...typing import BoolArray, ComplexArray, FloatArray
+from ..assembly.coefficients import grouped
+from .reduced_model import ReducedModel
+
+Single = NDArray[np.complex64]
+
+
+def quick_compliance(reduced: ReducedModel, frequency: FloatArray) -> ComplexArray:
+    """Compliance (n_frequency, n_port, n_port) [m/N] as :meth:`.ReducedModel.compliance`, to about 1e-4.
+
+    Raises SolverError where a system is singular.
+    """
+    right = _right(reduced)
+    found = [reduced.functionals.T @ _solution(matrix, right) for matrix in _matrices(reduced, frequency)]
+    return np.asarray(np.array(found, dtype=complex).reshape(-1, *reduced.shares.shape * 2) * reduced.shares)
+
+
+def quick_state(reduced: ReducedModel, frequency: float) -> Single:
+    """Reduced solution (r, n_port) at one frequency [Hz] for a unit force on each port; raises as above."""
+    return _solution(_matrix(reduced, frequency), _right(reduced))
+
+
+def with_and_without(reduced: ReducedModel, kept: BoolArray, frequency: float) -> tuple[ComplexArray, ComplexArray]:
+    """Compliances (n_port, n_port) at one frequency [Hz] of the model and of its ``kept`` (r,) directions alone."""
+    matrix, right, chosen = _matrix(reduced, frequency), _right(reduced), np.flatnonzero(kept)
+    part = np.asfortranarray(matrix[np.ix_(chosen, chosen)])
+    less = reduced.functionals[chosen].T @ _solution(part, np.asfortranarray(right[chosen]))
+    whole = reduced.functionals.T @ _solution(matrix, right)
+    return np.asarray(whole * reduced.shares, dtype=complex), np.asarray(less * reduced.shares, dtype=complex)
+
+
+def _right(reduced: ReducedModel) -> Single:
+    return np.asfortranarray(reduced.functionals.astype(np.complex64))
+
+
+def _matrix(reduced: ReducedModel, frequency: float) -> Single:
+    """A (r, r) in columns, from the terms one by one: cheaper than their sums for one frequency."""
+    theta = np.array([complex(c.at(np.array(2 * np.pi * frequency))) for c in reduced.coefficients])
+    flat, size = reduced.matrices.reshape(len(theta), -1), reduced.size
+    matrix = np.empty(size * size, dtype=np.complex64)
+    matrix.real, matrix.imag = theta.real @ flat, theta.imag @ flat
+    return matrix.reshape(size, size).T  # symmetric
+
+
+def _matrices(reduced: ReducedModel, frequency: FloatArray) -> Iterator[Single]:
+    omega, size = 2 * np.pi * np.asarray(frequency, dtype=float), reduced.size
+    sums = grouped(reduced.coefficients)
+    weights = np.array([w for w, _ in sums])
+    flat = (weights @ reduced.matrices.reshape(weights.shape[1], -1)).astype(np.float32)
+    theta = np.array([np.broadcast_to(c.at(omega), omega.shape) for _, c in sums]).astype(np.complex64)
+    for w in theta.T:
+        matrix = np.empty(size * size, dtype=np.complex64)
+        matrix.real, matrix.imag = w.real @ flat, w.imag @ flat
+        yield matrix.reshape(size, size).T
+
+
+def _solution(matrix: Single, right: Single) -> Single:
+    """Uses up the ``matrix``."""
+    if not len(right):
+        return right
+    _, _, x, info = cgesv(matrix, right, overwrite_a=1)
+    if info:
+        raise SolverError(f"a reduced system of {len(right)} directions is singular; make the model from other draws")
+    return np.asarray(x)
