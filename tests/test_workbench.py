@@ -29,6 +29,7 @@ from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.pipeline.skin_model import load_skin_model
 from forearm_fem.rendering import Funneling, render_all, ricker, strengths
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.transfer import ErrorEstimate
 from forearm_fem.workbench import content_of, page_of, view, write_workbench
 from forearm_fem.workbench.bundle import script
 from forearm_fem.workbench.content import measured_content, short_scenario
@@ -236,6 +237,52 @@ def test_drives_displacements_condition_and_what_is_not_driven(content: dict[str
     assert undriven == pytest.approx(expected.drives.lost, abs=1e-9)
     assert expected.drives.inversion is not None
     np.testing.assert_allclose(condition, expected.drives.inversion.condition, rtol=1e-8)
+
+
+@needs_node
+def test_intervals_drawn_in_the_page_follow_pythons_rule(content: dict[str, Any], flat: Results) -> None:
+    """With Python's own noise every half width is Python's (1e-6: the same sums in another order), and with the page's
+    that of another dozen draws. A mean square of 12 draws scatters by 40 %, so that two half widths differ by 30 % as a
+    rule; a factor of 2.5 is three times that in the logarithm."""
+    from forearm_fem.metrics.uncertainty import smooth_noise
+    from forearm_fem.pipeline.renderers import renderers
+    from forearm_fem.pipeline.simulation import render_transfer
+    from forearm_fem.pipeline.strengths import interval
+
+    g = replace(flat.transfer, errors=(
+        ErrorEstimate("discretisation", 0.08, "stated here", (40.0, 400.0), (0.02, 0.1)),
+        ErrorEstimate("truncation", 0.03, "stated here"),
+    ))  # fmt: skip
+    scenario = parse_scenario({**LAYERED, "rendering": {"regularisation": "tikhonov", "regularisation_value": 0.1}})
+    rendering, shape = render_transfer(scenario, g), ricker(250.0, 1.0, 4000.0, 0.25)
+    expected = interval(g, g.errors, rendering, renderers(scenario.rendering, shape), shape)
+    stated = measured_content(g, flat.scenario, "")
+    settings = {"rule": {"kind": "tikhonov", "value": 0.1}}
+    bins = np.array(asked(stated, {"ask": "bins"})[0])
+    rng = np.random.default_rng(0)
+    noise = []
+    for _ in range(12 * 2):
+        one = smooth_noise(bins, g.values.shape[1:], rng, 50.0)
+        one /= np.abs(one).max(axis=(1, 2), keepdims=True)
+        noise.append([one.real.ravel().tolist(), one.imag.ravel().tolist()])
+    same, own = asked(
+        stated, {"ask": "halves", "settings": settings, "noise": noise}, {"ask": "halves", "settings": settings}
+    )
+    np.testing.assert_allclose(same, expected, rtol=1e-6)
+    assert (np.abs(np.log(np.array(own) / expected)) < np.log(2.5)).all()
+    assert abs(np.median(np.log(np.array(own) / expected))) < np.log(1.4)
+
+
+@needs_node
+def test_a_change_in_the_page_has_an_interval_of_its_own(flat: Results) -> None:
+    """S exp(+-half) of the draws, where the run stated none for these settings; none without stated errors."""
+    stated = replace(flat.transfer, errors=(ErrorEstimate("discretisation", 0.05, "stated here"),))
+    settings = {"rule": {"kind": "tikhonov", "value": 0.1}, "target": 4}
+    found, s, half = asked(
+        measured_content(stated, flat.scenario, ""), {"ask": "drawn", "method": "combination", "settings": settings}
+    )[0]
+    assert found == pytest.approx([s * np.exp(-half), s * np.exp(half)])
+    assert 0.001 < half < 1
 
 
 @needs_node

@@ -15,9 +15,11 @@ from ..figures import Results
 from ..figures.style import METHODS, TISSUES
 from ..io.reduced import read_reduced
 from ..pipeline.renderers import wavelet
+from ..pipeline.strengths import at_least_band
 from ..pipeline.verdict import accuracy_verdict
 from ..ports import Port
 from ..rendering import (
+    Bridged,
     Placed,
     Record,
     Wavelet,
@@ -28,7 +30,7 @@ from ..rendering import (
     place_on_bins,
 )
 from ..scenario import Scenario, parse_scenario
-from ..transfer import ErrorEstimate, TransferMatrix
+from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at
 from ..typing import FloatArray
 from .field import Field, Surface, solved_field
 from .flat import between_points, twin_field
@@ -45,12 +47,13 @@ def content_of(results: Results) -> dict[str, Any]:
     if not results.has("compliance"):
         return measured_content(transfer, scenario, results.stamp)
     compliance = results.compliance
-    placed = place(bridged(transfer).transfer, record)
+    holes = bridged(transfer)
+    placed = place(holes.transfer, record)
     frequency = compliance.frequency
     field = _field(results, placed.bins.frequency)
     account = results.account
     return {
-        **_common(scenario, placed, transfer, field, record, _shape(results, scenario)),
+        **_common(scenario, holes, placed, field, record, _shape(results, scenario)),
         "name": scenario.name,
         "stamp": results.stamp,
         "model": _model(results, placed),
@@ -72,7 +75,7 @@ def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -
     shape = wavelet(scenario.rendering, scenario.sweep, Path())
     sentence = holes.sentence
     return {
-        **_common(scenario, placed, transfer, between_points(transfer.outputs), record, shape),
+        **_common(scenario, holes, placed, between_points(transfer.outputs), record, shape),
         "name": scenario.name,
         "stamp": stamp,
         "model": {
@@ -88,8 +91,10 @@ def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -
 
 
 def _common(
-    scenario: Scenario, placed: Placed, transfer: TransferMatrix, field: Field, record: Record, shape: Wavelet
+    scenario: Scenario, holes: Bridged, placed: Placed, field: Field, record: Record, shape: Wavelet
 ) -> dict[str, Any]:
+    transfer = holes.transfer
+    errors = (*transfer.errors, *((holes.error,) if holes.error is not None else ()))
     return {
         "format": FORMAT,
         "program": __version__,
@@ -102,7 +107,8 @@ def _common(
         "outputs": [_port(p) for p in transfer.outputs],
         "funneling": [_weights(transfer.inputs, p) for p in transfer.outputs],
         "error": packed(placed.error, "f8"),
-        "errors": [_estimate(e) for e in transfer.errors],
+        "errors": [_estimate(e, placed.bins.frequency) for e in errors],
+        "deviates": transfer.deviation is not None,
         "accuracy": accuracy_verdict(scenario, transfer.errors),
         "device": {**scenario.device.model_dump(mode="json"), "centres": scenario.device.centres},
         "rendering": scenario.rendering.model_dump(mode="json"),
@@ -213,9 +219,11 @@ def _port(port: Port) -> dict[str, Any]:
     return asdict(port)
 
 
-def _estimate(error: ErrorEstimate) -> dict[str, Any]:
+def _estimate(error: ErrorEstimate, frequency: FloatArray) -> dict[str, Any]:
+    """An estimate, and e(f) at ``frequency`` as draws of G take it."""
     known = {"band": error.band, "worst": error.worst} if error.known else {"band": None, "worst": None}
-    return {"source": error.source, **known, "method": error.method}
+    size = relative_error_at(at_least_band(error, frequency) if error.source == "discretisation" else error, frequency)
+    return {"source": error.source, **known, "method": error.method, "size": packed(size, "f8")}
 
 
 def _packed_field(field: Field) -> dict[str, Any]:

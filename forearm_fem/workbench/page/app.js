@@ -8,9 +8,11 @@
  */
 import { Arms } from "./arms.js";
 import { METHODS } from "./experiment.js";
+import { halves, noiseOf, whyNone } from "./interval.js";
 import { timeOf } from "./wavelet.js";
 
 const BEFORE = 0.012, AFTER = 0.045, HEARD = 1e-3;
+const PATIENCE = 250, SLICE = 12; // [ms] before intervals are drawn, and of work at a time
 
 export class App {
   /** @param {import("./experiment.js").Experiment} experiment @param {import("./field.js").Field} field @param {Arms} arms */
@@ -68,6 +70,24 @@ export class App {
     if (!(arms.time >= this.span[0] && arms.time <= this.span[1])) arms.time = this.span[0];
     for (const tell of this.listeners) tell();
     arms.draw(experiment);
+    this.drawIntervals();
+  }
+
+  /** Intervals of S for changed settings, little by little; given up as soon as something else is changed. */
+  drawIntervals() {
+    const { experiment, version } = this, key = experiment.question;
+    if (experiment.asRun || experiment.drawn?.key === key || whyNone(experiment.content)) return;
+    const work = halves(experiment, METHODS, noiseOf(1));
+    const slice = () => {
+      if (version !== this.version) return;
+      const end = performance.now() + SLICE;
+      let step = work.next();
+      while (!step.done && performance.now() < end) step = work.next();
+      if (!step.done) { setTimeout(slice, 0); return; }
+      experiment.drawn = { key, half: step.value };
+      for (const tell of this.listeners) tell();
+    };
+    setTimeout(slice, PATIENCE);
   }
 
   /** Scales alone, without new drives. */

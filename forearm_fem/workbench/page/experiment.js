@@ -73,6 +73,8 @@ export class Experiment {
     /** @type {Settings} */
     this.settings = this.original();
     this.cache = new Map();
+    /** Half widths of log S that were drawn here, and for which settings. @type {{key: string, half: number[][]} | null} */
+    this.drawn = null;
   }
 
   /** Settings with which the run was made. @returns {Settings} */
@@ -251,11 +253,21 @@ export class Experiment {
       && now.wavelet.name === then.wavelet.name && sameDevice(now.device, then.device);
   }
 
-  /** The run's interval of S, null where there is none or where something was changed.
+  /** The run's interval of S as long as nothing is changed, then that of draws made here; null where there is none.
    * @param {Method} method @param {number} target @returns {[number, number] | null} */
   interval(method, target) {
-    const row = this.asRun ? this.content.strength.methods?.[method]?.[this.points[target]?.name] : null;
+    if (!this.asRun) {
+      const half = this.drawn?.key === this.question ? this.drawn.half[METHODS.indexOf(method)][target] : NaN, s = this.strength(method, target);
+      return Number.isFinite(half) && Number.isFinite(s) ? [s * Math.exp(-half), s * Math.exp(half)] : null;
+    }
+    const row = this.content.strength.methods?.[method]?.[this.points[target]?.name];
     return row && row.low !== null && row.high !== null ? [row.low, row.high] : null;
+  }
+
+  /** Names all settings that an interval depends on: everything but the target. */
+  get question() {
+    const { zeros, rule, amplitude, window, wavelet, device, calibrated, place } = this.settings;
+    return JSON.stringify([zeros, rule, amplitude, window, wavelet.name, { ...device, spring: device.spring.map(String) }, calibrated, place?.vertex]);
   }
 
   /** S over arms [lower, middle, upper] that a prediction of this very scenario found, null otherwise.

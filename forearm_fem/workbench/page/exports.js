@@ -6,6 +6,7 @@
 import { METHODS } from "./experiment.js";
 import { $, h } from "./dom.js";
 import { transferCsv, transferJson, writeCsv, writeToml, writeWav } from "./files.js";
+import { mark } from "./plots.js";
 import { timeOf } from "./wavelet.js";
 
 /** @param {App} app */
@@ -41,10 +42,10 @@ export function caption(app) {
 
 /** The arms as seen, with names, S and scales. @param {App} app @returns {HTMLCanvasElement} */
 function composed(app) {
-  const { gl, over } = app.arms.parts, s = app.arms.sharp, out = /** @type {HTMLCanvasElement} */ (h("canvas", { width: over.width, height: over.height + Math.round(26 * s) }));
+  const { body, over } = app.arms.parts, s = app.arms.sharp, out = /** @type {HTMLCanvasElement} */ (h("canvas", { width: over.width, height: over.height + Math.round(26 * s) }));
   const g = /** @type {CanvasRenderingContext2D} */ (out.getContext("2d")), style = getComputedStyle(document.documentElement), ink = (/** @type {string} */ n) => style.getPropertyValue(n).trim();
   g.fillStyle = ink("--paper"); g.fillRect(0, 0, out.width, out.height);
-  if (app.arms.renderer) g.drawImage(gl, 0, 0, over.width, over.height);
+  g.drawImage(body, 0, 0, over.width, over.height);
   g.drawImage(over, 0, 0);
   g.setTransform(s, 0, 0, s, 0, 0);
   app.arms.boxes().forEach((box, i) => {
@@ -92,6 +93,7 @@ export function charts(app) {
   const style = getComputedStyle(document.documentElement), all = /** @type {SVGElement[]} */ (Array.from(document.querySelectorAll("#traces .chart, #spectra .chart")));
   const fill = (/** @type {string} */ text) => text.replace(/var\((--[a-z]+)\)/g, (_, n) => style.getPropertyValue(n).trim());
   const body = all.map((svg, k) => { const copy = /** @type {SVGElement} */ (svg.cloneNode(true)); copy.setAttribute("x", String(440 * (k % 2))); copy.setAttribute("y", String(225 * Math.floor(k / 2) + 24)); copy.setAttribute("width", "420"); copy.setAttribute("height", "190");
+    if (svg.closest("#traces")) mark(copy, 1e3 * app.arms.time, /** @type {[number, number]} */ (app.span.map((t) => 1e3 * t)));
     return `<text x="${440 * (k % 2) + 46}" y="${225 * Math.floor(k / 2) + 18}" font-weight="600">${escaped(svg.getAttribute("aria-label") ?? "")}</text>${fill(new XMLSerializer().serializeToString(copy))}`; }).join("\n");
   const height = 225 * Math.ceil(all.length / 2) + 30, css = fill(".grid{stroke:var(--grid)}.zero{stroke:var(--soft);stroke-width:.7}.cursor{stroke:var(--ink)}.limit{stroke:var(--warn);stroke-dasharray:5 3}.shade{fill:var(--field)}text{fill:var(--ink);font-family:Arial,sans-serif}");
   return `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 870 ${height}" font-size="10"><style>${css}</style><rect width="870" height="${height}" fill="${style.getPropertyValue("--paper").trim()}"/>${body}<text x="10" y="${height - 8}">${escaped(caption(app))}</text></svg>`;
