@@ -18,7 +18,7 @@ import pytest
 from scipy.io import wavfile
 from test_figures_scene import folder  # noqa: F401
 from test_skin_model import solved  # noqa: F401
-from test_workbench import LAYERED, content, flat  # noqa: F401
+from test_workbench import LAYERED, content, drawn, flat  # noqa: F401
 
 from forearm_fem.figures import Results
 from forearm_fem.io.csvfiles import write_csv
@@ -120,7 +120,7 @@ def test_g_at_twenty_frequencies_from_the_poles(browser: Any, solved: Any, tmp_p
 def test_a_click_on_an_arm_aims_there(tab: Any) -> None:
     """Point 2 on the second arm, then a place between the points, then a zero point with shift."""
     at = """i => { const {arms, experiment} = workbench, box = arms.boxes()[1], over = arms.parts.over.getBoundingClientRect();
-      const m = arms.renderer.panel(box, arms.view), p = experiment.points[i].position.map(v => 1e3 * v), q = [0, 1, 3].map(r => m[r] * p[0] + m[4 + r] * p[1] + m[8 + r] * p[2] + m[12 + r]);
+      const m = arms.matrix(box), p = experiment.points[i].position.map(v => 1e3 * v), q = [0, 1, 3].map(r => m[r] * p[0] + m[4 + r] * p[1] + m[8 + r] * p[2] + m[12 + r]);
       return [over.left + box.x + (.5 + .5 * q[0] / q[2]) * box.w, over.top + box.y + (.5 - .5 * q[1] / q[2]) * box.h]; }"""
     before, sent = strength(tab), tab.evaluate("[...workbench.app.outcome.signals[0].slice(480, 520)]")
     x, y = tab.evaluate(at, 1)
@@ -143,7 +143,10 @@ def test_a_free_place_has_drives_and_s_of_its_own(tab: Any) -> None:
       for (let v = 0; v < rest.length / 3; v++) { const d = Math.hypot(rest[3 * v] - 6, rest[3 * v + 1] - 7); if (d < gap) { gap = d; best = v; } }
       app.set({place: {vertex: best, position: [...rest.slice(3 * best, 3 * best + 3)].map(v => v / 1e3), normal: [...normals.slice(3 * best, 3 * best + 3)]}, target: 9, zeros: 'auto'}); }""")
     assert all(np.isfinite(strength(tab, m)) for m in METHODS)
-    assert "interval unknown" in tab.locator(".head .why").first.inner_text()
+    assert "being drawn" in tab.locator(".head .why").first.inner_text()
+    tab.get_by_text("by the errors of G").first.wait_for()
+    low, high = tab.evaluate("workbench.experiment.interval('inverse filter', 9)")
+    assert low < strength(tab) < high
     table = tomllib.loads(tab.evaluate("workbench.exports.scenarioToml()"))
     assert len(table["grid"]["points"]) == 10
     assert table["rendering"]["targets"] == ["10"]
@@ -376,6 +379,32 @@ def test_a_measured_page_offers_no_device_and_no_place_between(browser: Any, fla
     assert strength(tab) == pytest.approx(
         flat.run.signal_strength.model_dump()["methods"]["inverse filter"]["5"]["value"], rel=1e-6
     )
+    assert problems == []
+    tab.close()
+
+
+def test_drawn_arms_are_stepped_through(browser: Any, drawn: tuple[Path, Any], tmp_path: Path) -> None:  # noqa: F811
+    """By keys and buttons; points move, S changes, the skin between is said to be unknown."""
+    page = tmp_path / "arms.html"
+    page.write_text(page_of(content_of(Results.open(drawn[0]))), encoding="utf-8")
+    tab, problems = opened(browser, page)
+    own = strength(tab)
+    tab.keyboard.press("a")
+    assert tab.evaluate("workbench.experiment.settings.arm") == 1
+    first = strength(tab)
+    assert first != own
+    assert "a drawn arm" in tab.locator(".head .why").first.inner_text()
+    tab.get_by_text("Drawn arms", exact=True).click()
+    tab.locator("#armnext").click()
+    assert tab.locator("#arm").inner_text() == "draw 1, zener"
+    tab.wait_for_function("document.querySelectorAll('#armtable tbody tr').length === 3")
+    assert tab.locator("#armtable tr.now td").nth(1).inner_text().startswith(f"{strength(tab):.2f}"[:3])
+    tab.keyboard.press("A")
+    assert strength(tab) == first
+    with pytest.raises(Exception, match="drawn arm"):
+        tab.evaluate("workbench.exports.scenarioToml()")
+    tab.keyboard.press("A")
+    assert strength(tab) == own
     assert problems == []
     tab.close()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,18 @@ import numpy as np
 from .. import __version__
 from ..errors import DataError, GeometryError, ScenarioError
 from ..figures import Results
+from ..figures.data import PREDICTION
 from ..figures.style import METHODS, TISSUES
+from ..geometry.device.layout import layout_of
 from ..io.reduced import read_reduced
+from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import wavelet
+from ..pipeline.simulation import simulate
 from ..pipeline.strengths import at_least_band
 from ..pipeline.verdict import accuracy_verdict
 from ..ports import Port
+from ..prediction.store import FILE, read_outcomes
+from ..progress import Progress
 from ..rendering import (
     Bridged,
     Placed,
@@ -35,9 +41,15 @@ from ..typing import FloatArray
 from .field import Field, Surface, solved_field
 from .flat import between_points, twin_field
 from .packed import amplitudes_in_half_precision, in_half_precision, packed
+from .places import Arm, Places, patch_field, places_of
 
 FORMAT = 1  # of the content; the page's own files carry it too
+_ARMS = 8  # drawn arms that a page holds: 1.5 MB of the thesis' scene
 _SHORT = 2**16  # vertices that 16 bits count
+_OF_LIBRARY = (
+    "What a library cannot do: other tissues, another limb, discs of another size or contact, places off its patch, "
+    "frequencies beyond its band, motion inside the limb; waves that one cone scatters from another are left out here"
+)
 
 
 def content_of(results: Results) -> dict[str, Any]:
@@ -60,8 +72,45 @@ def content_of(results: Results) -> dict[str, Any]:
         "frequencies": packed(frequency, "f8"),
         "strength": account.signal_strength.model_dump(mode="json"),
         "arms": _arms(results.prediction),
+        "draws": _draws(results, placed),
         "notes": [*account.notes, *account.warnings],
     }
+
+
+def library_content(arm: Arm, scenario: Scenario, stamp: str, progress: Progress | None = None) -> dict[str, Any]:
+    """The page's content for an arm's library, whose actuators can be dragged; ``scenario`` is one on the same arm.
+
+    The errors are the library's for the scenario's own arrangement, and what the page's few places add.
+    """
+    record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
+    places, missed = places_of(arm, scenario, progress)
+    transfer = simulate(scenario, library=arm).transfer
+    holes = bridged(replace(transfer, errors=(*transfer.errors, missed)))
+    placed = place(holes.transfer, record)
+    found = np.searchsorted(placed.bins.frequency, places.frequency - 1e-6)
+    if len(found) != len(placed.bins.frequency) or not np.allclose(placed.bins.frequency, places.frequency, atol=1e-6):
+        raise DataError("sweep: a page of a library needs every bin of its record; leave sweep.frequencies out")
+    field = patch_field(arm, places)
+    return {
+        **_common(scenario, holes, placed, field, record, wavelet(scenario.rendering, scenario.sweep, Path())),
+        "name": scenario.name,
+        "stamp": stamp,
+        "model": _packed_places(places, arm, scenario),
+        "frequencies": packed(transfer.frequency, "f8"),
+        "strength": {},
+        "arms": None,
+        "notes": [_OF_LIBRARY],
+    }
+
+
+def _packed_places(places: Places, arm: Arm, scenario: Scenario) -> dict[str, Any]:
+    layout, patch = layout_of(scenario), arm.scenario.library
+    real = {k: packed(getattr(places, k), "f8") for k in ("xy", "flat", "position", "axis", "points", "inverse")}
+    return {
+        "kind": "places", **real, **{k: packed(getattr(places, k), "c8") for k in ("twin", "left", "right")},
+        "home": layout.contacts.tolist(), "half": [patch.length / 2, patch.width / 2], "radius": places.radius,
+        "reach": float(places.radii[-1]), "scale": places.scale, "pressed": scenario.device.cone.contact == "pressure",
+    }  # fmt: skip
 
 
 def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -> dict[str, Any]:
@@ -125,6 +174,23 @@ def _arms(prediction: Mapping[str, Any] | None) -> dict[str, Any] | None:
         return None
     table = {m: {t: cell["arms"] for t, cell in row.items()} for m, row in prediction["by_target"].items()}
     return {"levels": prediction["levels"], "draws": prediction["draws"], "methods": table}
+
+
+def _draws(results: Results, placed: Placed) -> list[dict[str, Any]]:
+    """G of some arms that a prediction of this scenario drew, on the page's bins, and what arms they are."""
+    file = results.folder / Path(PREDICTION).parent / FILE
+    if results.prediction is None or not file.is_file():
+        return []
+    frequency, sweep = frequencies(results.scenario.sweep), results.scenario.sweep
+    found = []
+    for outcome in [o for o in read_outcomes(file) if o.transfer is not None][:_ARMS]:
+        g = np.asarray(outcome.transfer, dtype=complex)
+        on_bins = place_on_bins(frequency, g, sweep.sample_rate, sweep.duration)
+        values = on_bins.values[np.searchsorted(on_bins.frequency, placed.bins.frequency - 1e-6)]
+        stiffness = {n: v for n, v in outcome.drivers.items() if n.endswith(("stiffness", "thickness"))}
+        packed_g = amplitudes_in_half_precision(values.reshape(len(values), -1, 1))
+        found.append({"number": outcome.number, "law": outcome.law, "drivers": stiffness, "values": packed_g})
+    return found
 
 
 def _field(results: Results, bins: FloatArray) -> Field:

@@ -29,6 +29,7 @@ function done(job) {
     undriven: () => experiment.outcome(job.method).undriven,
     condition: () => plain(experiment.outcome(job.method).aim.inversion.condition),
     interval: () => experiment.interval(job.method, job.settings?.target ?? 0),
+    "arm strengths": () => METHODS.map((m) => experiment.strengthOn(job.arm, m, job.settings.target)),
     arms: () => experiment.arms(job.method, job.settings?.target ?? 0),
     // with Python's own noise (draw by draw, source by source) if there is any
     halves: () => { const given = job.noise ?? []; let k = 0; const noise = job.noise ? () => { const [re, im] = given[k++]; return { re: Float64Array.from(re), im: Float64Array.from(im) }; } : noiseOf(1); const work = halves(experiment, METHODS, noise); let step = work.next(); while (!step.done) step = work.next(); return step.value; },

@@ -36,6 +36,8 @@ export class App {
     /** @type {(text: string, bad?: boolean) => void} */
     this.say = () => {};
     this.version = 0;
+    /** Where the actuators stood when the picture was worked out. @type {number[][] | null} */
+    this.stood = null;
   }
 
   /** Change settings and work everything out again; a change that cannot be is said, and undone. @param {Partial<Settings>} change */
@@ -55,17 +57,19 @@ export class App {
   refresh() {
     const { experiment, field, arms } = this, { record, index } = experiment;
     this.version++;
+    this.follow();
     this.span = this.shownSpan();
     const outcomes = METHODS.map((m) => experiment.outcome(m));
     const common = this.same ? Math.max(...METHODS.map((m) => arms.largest(experiment, m))) : null;
     arms.shown.clear();
     for (const o of outcomes) {
-      if (!o.sent || !o.spectra) continue;
+      if (!o.sent || !o.spectra || experiment.settings.arm) continue; // of a drawn arm only the points are known
       const force = experiment.changeable ? experiment.forces() : null;
       const track = field.track(force, o.sent, o.spectra, index, record.n / record.rate, this.span);
       arms.show(experiment, o.method, track, this.factor, common);
     }
     const { device } = experiment.settings;
+    arms.live = experiment.settings.arm > 0;
     arms.lifted = device.touching.map((t, k) => !t || device.gain[k] === 0);
     if (!(arms.time >= this.span[0] && arms.time <= this.span[1])) arms.time = this.span[0];
     for (const tell of this.listeners) tell();
@@ -73,10 +77,19 @@ export class App {
     this.drawIntervals();
   }
 
+  /** The picture and the bodies go where the actuators are. */
+  follow() {
+    const { experiment, field, arms } = this, { places, settings } = experiment;
+    if (!places || !settings.contacts || this.stood === settings.contacts) return;
+    this.stood = settings.contacts;
+    field.amplitudes = places.picture(settings.contacts);
+    arms.stand(experiment.inputs);
+  }
+
   /** Intervals of S for changed settings, little by little; given up as soon as something else is changed. */
   drawIntervals() {
     const { experiment, version } = this, key = experiment.question;
-    if (experiment.asRun || experiment.drawn?.key === key || whyNone(experiment.content)) return;
+    if (experiment.asRun || experiment.settings.arm || experiment.drawn?.key === key || whyNone(experiment.content)) return;
     const work = halves(experiment, METHODS, noiseOf(1));
     const slice = () => {
       if (version !== this.version) return;

@@ -40,6 +40,8 @@ export class Arms {
     this.theme = "light";
     /** Actuators that do nothing, drawn faintly. @type {boolean[]} */
     this.lifted = [];
+    /** Whether points carry the colours, as of a drawn arm nothing else is known. */
+    this.live = false;
     /** @type {"" | "along" | "across"} */
     this.section = "";
     /** @type {Map<Method, Shown>} */
@@ -63,6 +65,14 @@ export class Arms {
     this.amplitudes = METHODS.map(() => new Float64Array(field.k));
     /** @type {WeakMap<Track, number>} */
     this.reaches = new WeakMap();
+    /** @type {WeakMap<object, number>} */
+    this.most = new WeakMap();
+  }
+
+  /** Actuators somewhere else. @param {import("./device.js").Port[]} inputs */
+  stand(inputs) {
+    this.inputs = inputs;
+    this.bodies = inputs.map(actuatorBody);
   }
 
   /** @returns {Box[]} */
@@ -96,7 +106,9 @@ export class Arms {
 
   /** Largest displacement of the points while it is shown [m]. @param {Experiment} experiment @param {Method} method */
   largest(experiment, method) {
-    return experiment.outcome(method).moves.reduce((a, u) => u.reduce((b, v) => Math.max(b, Math.abs(v) || 0), a), 0);
+    const outcome = experiment.outcome(method), known = this.most.get(outcome) ?? outcome.moves.reduce((a, u) => u.reduce((b, v) => Math.max(b, Math.abs(v) || 0), a), 0);
+    this.most.set(outcome, known);
+    return known;
   }
 
   /** Everything anew: after a change of view, size, colours or settings. @param {Experiment | null} experiment */
@@ -111,8 +123,14 @@ export class Arms {
     this.move();
     METHODS.forEach((method, i) => {
       const box = this.places[i];
-      if (box.w >= 2 && box.h >= 2) this.label(g, matrixOf(this.view, box.w, box.h), box, experiment, method);
+      if (box.w >= 2 && box.h >= 2) this.label(g, this.matrix(box), box, experiment, method);
     });
+  }
+
+  /** Another instant: of the bodies, or of the points where no more is known. @param {Experiment} experiment */
+  turn(experiment) {
+    if (this.live) this.draw(experiment);
+    else this.move();
   }
 
   /** The bodies alone, at another instant. */
@@ -130,6 +148,11 @@ export class Arms {
     for (const s of this.drawn) displace(field.surfaces[s], this.amplitudes, work[s].states, work[s].seen.vertices);
     METHODS.forEach((_, i) => { if (places[i].w >= 2 && places[i].h >= 2) this.drawBody(i, places[i]); });
     /** @type {CanvasRenderingContext2D} */ (body.getContext("2d", { willReadFrequently: true })).putImageData(raster.image(), 0, 0);
+  }
+
+  /** From mm to a panel. @param {Box} box @returns {Float32Array} */
+  matrix(box) {
+    return matrixOf(this.view, box.w, box.h);
   }
 
   /** Names the view: changes when it does. */
@@ -179,6 +202,7 @@ export class Arms {
     outputs.forEach((p, i) => {
       const [x, y] = project(matrix, p.position.map((v, c) => 1e3 * v + 0.6 * p.axis[c]), box), aimed = i === experiment?.settings.target;
       g.lineWidth = 1.4;
+      if (this.live && outcome?.moves.length) this.spot(g, x, y, outcome.moves[i], experiment, method);
       g.strokeStyle = g.fillStyle = aimed ? ink : held.includes(i) ? warm : soft;
       g.beginPath();
       if (aimed) { g.arc(x, y, 6.5, 0, 7); g.stroke(); g.beginPath(); g.arc(x, y, 2, 0, 7); g.fill(); }
@@ -190,6 +214,15 @@ export class Arms {
     this.inputs.forEach((/** @type {any} */ p, /** @type {number} */ k) => { const [x, y] = project(matrix, this.bodies[k].top, box); g.fillText(p.name, x, y - 8); });
     this.bar(g, matrix, box, soft);
     g.restore();
+  }
+
+  /** A point's displacement as a coloured spot. @param {CanvasRenderingContext2D} g @param {number} x @param {number} y @param {Float64Array} u
+   * @param {any} experiment @param {Method} method */
+  spot(g, x, y, u, experiment, method) {
+    const { record } = experiment, j = Math.round(this.time * record.rate) + Math.floor(record.n / 2), limit = this.largest(experiment, method);
+    const level = Math.round(127.5 * (1 + Math.min(Math.max((u[j] || 0) / (limit || 1), -1), 1))), c = this.tables[this.theme === "dark" ? "dark" : "light"][256 * 53 + level];
+    g.fillStyle = `rgb(${c & 255},${(c >> 8) & 255},${(c >> 16) & 255})`;
+    g.beginPath(); g.arc(x, y, 11, 0, 7); g.fill();
   }
 
   /** 10 mm in the plane of the picture at the middle of the grid, drawn in the panel's lower right corner.
@@ -207,7 +240,7 @@ export class Arms {
   pick(x, y, experiment) {
     const box = this.boxes().find((b) => x >= b.x && x < b.x + b.w && y >= b.y && y < b.y + b.h);
     if (!box) return null;
-    const matrix = matrixOf(this.view, box.w, box.h);
+    const matrix = this.matrix(box);
     let best = -1, gap = NEAR;
     experiment.outputs.forEach((p, i) => { const q = project(matrix, p.position.map((v) => 1e3 * v), box), d = Math.hypot(q[0] - x, q[1] - y); if (d < gap) { gap = d; best = i; } });
     if (best >= 0) return { row: best };
@@ -220,6 +253,7 @@ export class Arms {
 
   /** @param {Method} method @returns {string} what the panel's scales are */
   words(method) {
+    if (this.live) return "a drawn arm: its points only, each coloured to its panel's largest";
     const shown = this.shown.get(method);
     if (!shown || !shown.limit) return "";
     return `colours to ±${say(1e6 * shown.limit, 2)} µm · motion drawn ${say(shown.gain / 1e3, 3)}×`;

@@ -159,6 +159,7 @@ function scenario(app) {
 export function scenarioToml(app) {
   const { experiment } = app, { settings, content } = experiment, then = experiment.original(), { device } = settings;
   if (experiment.kind === "transfer") throw new Error("this page holds a G that was given, not a scenario; keep G and signals as CSV instead");
+  if (settings.arm) throw new Error("a drawn arm is no scenario: forearm-fem predict draws it; go back to the run's own arm, or keep signals and G");
   const cannot = [device.gain.some((g) => g === 0) && "an actuator that is off", !settings.calibrated && "a device that was not measured again"].filter(Boolean);
   if (cannot.length) throw new Error(`a scenario has no key for ${cannot.join(", ")}: set ${cannot.length > 1 ? "them" : "it"} back to keep a scenario, or keep signals and G as CSV`);
   const table = structuredClone(content.scenario), notes = [];
@@ -171,6 +172,11 @@ export function scenarioToml(app) {
   put("device.out_of_contact", experiment.inputs.filter((_, k) => !device.touching[k]).map((p) => p.name));
   put("device.gains", named((k) => (device.gain[k] === 1 ? null : device.gain[k])));
   put("device.contact_springs", named((k) => (Number.isFinite(device.spring[k]) && device.touching[k] ? device.spring[k] : null)));
+  if (experiment.places && settings.contacts) {
+    const [c, s] = [Math.cos(content.device.rotation ?? 0), Math.sin(content.device.rotation ?? 0)];
+    put("device.contacts", settings.contacts.map(([x, y]) => [c * x + s * y, -s * x + c * y].map((v) => Number(v.toFixed(6)))));
+    notes.push("run it with --library and the library that this page was made of, or without for a solve");
+  }
   put("rendering.methods", METHODS);
   put("rendering.amplitude", settings.amplitude);
   put("rendering.window", settings.window);

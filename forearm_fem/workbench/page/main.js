@@ -29,7 +29,7 @@ function failed(problem) {
 function head(content) {
   $("name").textContent = content.name;
   $("description").textContent = content.description;
-  const engine = content.model.kind === "transfer" ? "a G that was given" : content.engine === "layered" ? "layered twin: flat, endless layers" : "finite elements";
+  const engine = content.model.kind === "transfer" ? "a G that was given" : content.model.kind === "places" ? "an arm's library: actuators can be dragged" : content.engine === "layered" ? "layered twin: flat, endless layers" : "finite elements";
   $("badge").textContent = `${engine} · ${content.inputs.length} actuators · ${content.outputs.length} points`;
   $("stamp").textContent = `${content.stamp} · forearm_fem ${content.program} · e^{+iωt}, displacement positive out of the skin`;
 }
@@ -66,13 +66,13 @@ function animate(app, bar) {
       app.arms.scale = coarse;
       app.arms.time += passed * app.speed;
       if (app.arms.time > to) app.arms.time = from + ((app.arms.time - from) % (to - from));
-      app.arms.move();
+      app.arms.turn(app.experiment);
       // drawing goes on after the call, so what counts is how far frames are apart; fewer pixels where they are too far
       slow = 0.9 * slow + 100 * passed;
       if (slow > SLOW && coarse > COARSEST) { coarse = Math.max(COARSEST, coarse * 0.85); slow = 0; }
     } else if (app.arms.drawnAt !== app.arms.time || app.arms.lookedAt !== looked) {
       [moved, looked, app.arms.scale] = [now, app.arms.lookedAt, coarse];
-      if (app.arms.drawnAt !== app.arms.time) app.arms.move();
+      if (app.arms.drawnAt !== app.arms.time) app.arms.turn(app.experiment);
     } else if (now - moved > AT_REST && app.arms.scale !== STILL) {
       app.arms.scale = STILL;
       app.arms.move();

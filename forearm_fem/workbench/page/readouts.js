@@ -39,7 +39,8 @@ export function heads(app) {
 
 /** @param {App} app */
 function whyUnknown(app) {
-  const { experiment } = app;
+  const { experiment } = app, { settings } = experiment;
+  if (settings.arm) return "a drawn arm: the errors of its own G are not kept";
   if (!experiment.asRun) return whyNone(experiment.content) ? `interval unknown: ${whyNone(experiment.content)}` : "interval: being drawn …";
   const rendered = experiment.content.strength.methods;
   return `interval unknown: ${rendered ? experiment.content.strength.unknown || "not rendered at this target" : "this G states none"}`;
@@ -70,6 +71,7 @@ export function traces(app) {
       under(charts[0]), legend([[colour(method), "target"], ["var(--warn)", "zero points", true], ["var(--soft)", "other points"]]),
       under(charts[1]), legend(experiment.inputs.map((p, i) => [ACTUATORS[i % ACTUATORS.length], p.name])));
   }));
+  cursor(app);
 }
 
 /** @param {[string, string, boolean?][]} entries */
@@ -202,7 +204,7 @@ export function overlayOnBins(app) {
 export function errors(app) {
   const { experiment, field } = app, { content } = experiment;
   const estimates = content.errors.map((/** @type {any} */ e) => h("li", {}, h("strong", { text: `${e.source} ` }), e.band === null ? "unknown" : `${say(100 * e.band)} % over the band, ${say(100 * e.worst)} % at the worst frequency`, h("span", { class: "soft", text: `: ${e.method}` })));
-  const changed = experiment.asRun ? [] : [`The errors of G above are those of the run as it was made. ${whyNone(content) ? `Intervals of S are unknown: ${whyNone(content)}.` : "Intervals of S are drawn anew here, from 12 copies of G as the run's were; they take what was changed to err by the same shares of G."}`];
+  const changed = experiment.asRun ? [] : [`${experiment.places ? "Intervals of S are for the errors of G above, wherever the actuators stand." : "The errors of G above are those of the run as it was made."} ${whyNone(content) ? `Intervals of S are unknown: ${whyNone(content)}.` : "Intervals of S are drawn anew here, from 12 copies of G as the run's were; they take what was changed to err by the same shares of G."}`];
   const unseen = experiment.inputs.filter((p, k) => content.device.out_of_contact.includes(p.name) && experiment.settings.device.touching[k]).map((p) => p.name);
   if (unseen.length && field.surfaces[0].components === 3) changed.push(`The picture leaves out what ${unseen.join(", ")} moves: out of contact in the run. Numbers at the points hold it.`);
   if (content.device.housing.skin_share && !content.device.housing.fixed) changed.push("The picture leaves out what the skin follows of the housing; numbers at the points hold it.");
