@@ -341,7 +341,8 @@ def drawn(flat: Results, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     for name in ("scenario.json", "run.json", "transfer.nc"):
         shutil.copy(flat.folder / name, place)
     (place / "prediction").mkdir()
-    prediction = {"scenario": flat.scenario.model_dump(mode="json"), "levels": [0.05, 0.95], "draws": 3, "by_target": {}}
+    scene = flat.scenario.model_dump(mode="json")
+    prediction = {"scenario": scene, "levels": [0.05, 0.95], "draws": 3, "by_target": {}}
     write_json(place / "prediction" / "prediction.json", prediction)
     g = flat.transfer
     ramp = np.exp(-1j * g.frequency / 300)[:, None, None]
@@ -364,7 +365,8 @@ def test_drawn_arms_have_the_s_of_their_own_g(drawn: tuple[Path, list[TransferMa
     assert found["draws"][0]["drivers"] == {"fat stiffness": 2e3}
     jobs = [{"ask": "strengths", "settings": {"arm": k}} for k in (1, 2)]
     table = {"ask": "arm strengths", "arm": 2, "settings": {"target": 4}}
-    *answers, other, kept = asked(found, *jobs, {"ask": "strengths", "settings": {"arm": 1, "calibrated": False}}, table)
+    unknowing = {"ask": "strengths", "settings": {"arm": 1, "calibrated": False}}
+    *answers, other, kept = asked(found, *jobs, unknowing, table)
     shape = ricker(250.0, 1.0, 4000.0, 0.25)
     for answer, arm in zip(answers, arms, strict=True):
         np.testing.assert_allclose(answer, render_all(arm, wavelet=shape).strengths, rtol=1e-3)
@@ -449,8 +451,9 @@ def test_points_on_a_line_are_drawn_too(flat: Results) -> None:
 
 
 @needs_node
-def test_the_modules_own_tests() -> None:
-    command = [str(NODE), "--test", str(HERE / "workbench" / "files.test.mjs")]
+@pytest.mark.parametrize("which", ["files", "picture"])
+def test_the_modules_own_tests(which: str) -> None:
+    command = [str(NODE), "--test", str(HERE / "workbench" / f"{which}.test.mjs")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout
 

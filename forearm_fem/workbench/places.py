@@ -105,7 +105,7 @@ class Places:
     def compliance(self, xy: FloatArray) -> ComplexArray:
         """(n_frequency, m + n_point, m) [m/N] of m discs at ``xy`` (m, 2), discs first."""
         m, weights = len(xy), self.weights(xy)
-        flat = self.between(self.flat, weights)
+        flat = xy + self.between(self.flat - self.xy, weights)
         away = np.linalg.norm(np.concatenate([flat, self.points])[:, None] - flat[None], axis=2)
         share = np.einsum("np,rnq->rpq", weights, self.right)
         n = len(self.xy)

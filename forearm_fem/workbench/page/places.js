@@ -40,22 +40,29 @@ export class Places {
     return out;
   }
 
-  /** Values (n x c) of the places at another. @param {Float64Array} values @param {Float64Array} weights @returns {number[]} */
-  between(values, weights) {
-    const c = values.length / this.n, mean = new Array(c).fill(0);
-    values.forEach((v, i) => { mean[i % c] += v / this.n; });
-    return mean.map((middle, j) => { let sum = middle; for (let i = 0; i < this.n; i++) sum += weights[i] * (values[i * c + j] - middle); return sum; });
+  /** Along the skin (u, v) [m] of a place seen from above. @param {number[]} at @param {Float64Array} weights @returns {number[]} */
+  along(at, weights) {
+    return this.between(this.flat, weights, true).map((v, c) => v + at[c]);
+  }
+
+  /** Values (n x c) of the places at another, or of what they differ from its coordinates. @param {Float64Array} values @param {Float64Array} weights @param {boolean} [less] @returns {number[]} */
+  between(values, weights, less = false) {
+    const c = values.length / this.n, mean = new Array(c).fill(0), { xy } = this;
+    const value = (/** @type {number} */ i, /** @type {number} */ j) => values[i * c + j] - (less && j < 2 ? xy[2 * i + j] : 0);
+    for (let i = 0; i < this.n; i++) for (let j = 0; j < c; j++) mean[j] += value(i, j) / this.n;
+    return mean.map((middle, j) => { let sum = middle; for (let i = 0; i < this.n; i++) sum += weights[i] * (value(i, j) - middle); return sum; });
   }
 
   /** Where a disc at (x, y), seen from above, stands on the limb. @param {number[]} at [m] @param {Port} port @returns {Port} */
   port(at, port) {
     const w = this.weights(at), axis = this.between(this.axis, w), size = Math.hypot(...axis);
-    return { ...port, position: this.between(this.position, w), axis: axis.map((v) => v / size) };
+    const position = this.between(this.position, w, true).map((v, c) => v + (at[c] ?? 0));
+    return { ...port, position, axis: axis.map((v) => v / size) };
   }
 
   /** Why discs cannot stand there; empty if they can. @param {number[][]} contacts @param {string[]} names @returns {string} */
   refusal(contacts, names) {
-    const { half, radius, pressed, m, points } = this, flat = contacts.map((at) => this.between(this.flat, this.weights(at)));
+    const { half, radius, pressed, m, points } = this, flat = contacts.map((at) => this.along(at, this.weights(at)));
     for (const [k, [u, v]] of flat.entries()) {
       if (Math.abs(u) + radius > half[0] + 1e-9 || Math.abs(v) + radius > half[1] + 1e-9) return `${names[k]} would leave the library's patch of ${(2e3 * half[0]).toFixed(0)} x ${(2e3 * half[1]).toFixed(0)} mm: nothing is known there`;
       for (let j = 0; j < k; j++) {
@@ -70,7 +77,7 @@ export class Places {
   /** Compliance (bins x (contacts + points) x contacts) [m/N] of discs at `contacts`. @param {number[][]} contacts @returns {Complex} */
   skin(contacts) {
     const c = contacts.length, { m, n, bins } = this, ports = c + m, out = zeros(bins * ports * c);
-    const weights = contacts.map((at) => this.weights(at)), flat = weights.map((w) => this.between(this.flat, w));
+    const weights = contacts.map((at) => this.weights(at)), flat = weights.map((w, k) => this.along(contacts[k], w));
     const put = (/** @type {number} */ row, /** @type {number} */ column, /** @type {Complex} */ values) => {
       for (let f = 0; f < bins; f++) { out.re[(f * ports + row) * c + column] += values.re[f]; out.im[(f * ports + row) * c + column] += values.im[f]; }
     };
@@ -91,7 +98,7 @@ export class Places {
   picture(contacts) {
     const c = contacts.length, { n, bins } = this, out = zeros(bins * n * c);
     contacts.forEach((at, k) => {
-      const w = this.weights(at), flat = this.between(this.flat, w), share = this.shares(w);
+      const w = this.weights(at), flat = this.along(at, w), share = this.shares(w);
       for (let i = 0; i < n; i++) {
         const one = this.seen(share, i, Math.hypot(this.flat[2 * i] - flat[0], this.flat[2 * i + 1] - flat[1]));
         for (let f = 0; f < bins; f++) { out.re[(f * n + i) * c + k] = one.re[f]; out.im[(f * n + i) * c + k] = one.im[f]; }
