@@ -229,7 +229,7 @@ export class Arms {
    * @param {CanvasRenderingContext2D} g @param {Float32Array} matrix @param {Box} box @param {string} ink */
   bar(g, matrix, box, ink) {
     const { centre, turn } = this.view, a = project(matrix, centre, box), b = project(matrix, [centre[0] - 10 * Math.sin(turn), centre[1] + 10 * Math.cos(turn), centre[2]], box);
-    const length = Math.hypot(b[0] - a[0], b[1] - a[1]), x = box.x + box.w - 14, y = box.y + box.h - 30;
+    const length = Math.hypot(b[0] - a[0], b[1] - a[1]), x = box.x + box.w - 14, y = box.y + box.h - (box.w < 300 ? 50 : 30);
     g.strokeStyle = g.fillStyle = ink; g.lineWidth = 2;
     g.beginPath(); g.moveTo(x, y); g.lineTo(x - length, y); g.stroke();
     g.font = "10.5px system-ui, sans-serif"; g.fillText("10 mm", x - length / 2, y - 8);

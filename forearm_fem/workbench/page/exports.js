@@ -52,6 +52,8 @@ function composed(app) {
     const method = METHODS[i], o = app.experiment.outcome(method);
     g.fillStyle = ink(`--${["inverse", "funneling", "combination"][i]}`); g.font = "600 14px system-ui, sans-serif"; g.fillText(method, box.x + 14, box.y + 24);
     g.fillStyle = ink("--ink"); g.font = "600 20px system-ui, sans-serif"; g.fillText(o.problem ? "" : `S ${o.strength.toPrecision(3)}`, box.x + 14, box.y + 48);
+    const range = app.experiment.interval(method, app.experiment.settings.target);
+    if (range) { g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(`${range.map((v) => v.toPrecision(3)).join(" to ")} by the errors of G`, box.x + 14, box.y + 64); }
     g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(app.arms.words(method), box.x + 14, box.y + box.h - 12);
   });
   g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(caption(app), 10, over.height / s + 17);
@@ -65,27 +67,39 @@ async function picture(app) {
   if (blob) save(app, ".png", blob, "image/png");
 }
 
+const FRAME = 40, MOST_FRAMES = 500; // [ms]
+
 /** One passage of the waves as WebM. @param {App} app */
 function film(app) {
   const still = composed(app);
   if (typeof MediaRecorder === "undefined" || !still.captureStream) throw new Error("this browser records no films; PNG and print work");
-  const g = /** @type {CanvasRenderingContext2D} */ (still.getContext("2d")), recorder = new MediaRecorder(still.captureStream(25), { mimeType: "video/webm", videoBitsPerSecond: 5e6 });
+  const g = /** @type {CanvasRenderingContext2D} */ (still.getContext("2d")), recorder = new MediaRecorder(still.captureStream(1e3 / FRAME), { mimeType: "video/webm", videoBitsPerSecond: 5e6 });
   /** @type {Blob[]} */
   const parts = [];
   recorder.ondataavailable = (e) => parts.push(e.data);
   const [from, to] = app.span, before = { playing: app.playing, time: app.arms.time };
   app.playing = false;
-  app.arms.time = from;
-  recorder.start();
-  const began = performance.now(), timer = setInterval(() => {
-    app.arms.time = from + ((performance.now() - began) / 1e3) * app.speed;
-    if (app.arms.time >= to || performance.now() - began > 20e3) { clearInterval(timer); recorder.stop(); return; }
+  let shown = 0, timer = 0;
+  // by numbers of frames, not by the clock: a slow machine makes the same film, only longer
+  const next = () => {
+    const time = from + shown++ * (FRAME / 1e3) * app.speed;
+    if (time > to || shown > MOST_FRAMES) { clearInterval(timer); setTimeout(() => recorder.stop(), 5 * FRAME); return; }
+    app.arms.time = time;
     app.arms.draw(app.experiment);
     g.setTransform(1, 0, 0, 1, 0, 0);
     g.drawImage(composed(app), 0, 0);
-    $("wait").textContent = `film: ${Math.round((100 * (app.arms.time - from)) / (to - from))} %`;
-  }, 40);
-  recorder.onstop = () => { $("wait").textContent = ""; Object.assign(app, { playing: before.playing }); app.arms.time = before.time; save(app, ".webm", new Blob(parts, { type: "video/webm" }), "video/webm"); };
+    $("wait").textContent = `film: ${Math.round((100 * (time - from)) / (to - from))} %`;
+  };
+  recorder.onstart = () => { timer = setInterval(next, FRAME); };
+  recorder.onstop = () => {
+    $("wait").textContent = "";
+    app.playing = before.playing;
+    app.arms.time = before.time;
+    const film = new Blob(parts, { type: "video/webm" });
+    if (film.size > 1000) save(app, ".webm", film, "video/webm");
+    else app.say("this browser recorded no picture; try once more, or keep PNGs", true);
+  };
+  recorder.start();
 }
 
 /** All charts under each other, with their own styles. @param {App} app */

@@ -31,7 +31,7 @@ function head(content) {
   $("description").textContent = content.description;
   const engine = content.model.kind === "transfer" ? "a G that was given" : content.model.kind === "places" ? "an arm's library: actuators can be dragged" : content.engine === "layered" ? "layered twin: flat, endless layers" : "finite elements";
   $("badge").textContent = `${engine} · ${content.inputs.length} actuators · ${content.outputs.length} points`;
-  $("stamp").textContent = `${content.stamp} · forearm_fem ${content.program} · e^{+iωt}, displacement positive out of the skin`;
+  $("stamp").textContent = `${content.stamp}${content.stamp.includes("forearm_fem") ? "" : ` · forearm_fem ${content.program}`} · e^{+iωt}, displacement positive out of the skin`;
 }
 
 /** @param {Arms} arms @param {() => void} redraw */

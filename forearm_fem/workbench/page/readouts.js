@@ -153,7 +153,7 @@ function fill(app, version, row) {
     const cell = document.querySelector(`[data-s="${CSS.escape(`${method} ${outputs[row].name}`)}"]`);
     if (!cell) continue;
     const s = experiment.strength(method, row), range = experiment.interval(method, row);
-    cell.textContent = range ? `${say(s)}  (${say(range[0])}–${say(range[1])})` : say(s);
+    cell.replaceChildren(say(s), ...(range ? [" ", h("small", { text: `(${say(range[0])}–${say(range[1])})` })] : []));
     /** @type {HTMLElement} */ (cell).dataset.value = String(s);
   }
   setTimeout(() => fill(app, version, row + 1), 0);
