@@ -8,16 +8,19 @@ from typing import Annotated
 import typer
 
 from ..scenario import load_scenario, scenario_file
-from .common import Declared, declaration, noted
+from .common import Declared, Display, declaration, noted
 
 
 def workbench(
-    what: Annotated[Path, typer.Argument(help="results folder of a run, or a file with a measured G")],
+    what: Annotated[
+        Path, typer.Argument(help="results folder of a run, NAME.library.nc of an arm, or a file with a measured G")
+    ],
     save: Annotated[
         Path | None, typer.Option("--save", help="the page; default workbench.html in the folder, NAME.html by a file")
     ] = None,
     scenario: Annotated[
-        Path | None, typer.Option(help="for a measured G: what was measured, for its record, wavelet and limits")
+        Path | None,
+        typer.Option(help="of a measured G, for its record, wavelet and limits; or a device on a library's arm"),
     ] = None,
     declare: Declared = None,
 ) -> None:  # fmt: skip
@@ -26,6 +29,6 @@ def workbench(
 
     asked = load_scenario(scenario_file(scenario)) if scenario is not None else None
     page = save or (what / "workbench.html" if what.is_dir() else what.with_suffix(".html"))
-    with noted():
-        write_workbench(what, page, scenario=asked, declaration=declaration(declare))
+    with noted(), Display() as display:
+        write_workbench(what, page, scenario=asked, declaration=declaration(declare), progress=display)
     typer.echo(f"{page}: {page.stat().st_size / 1e6:.1f} MB, opens in any browser")

@@ -135,7 +135,7 @@ def interval(
     # on every k-th bin, white noise would have k times its energy within the window
     whole = random is not None
     g, shape = (transfer, wavelet) if whole else _shorter(transfer, wavelet, rendering.window)
-    sources = tuple(_at_least_band(e, g.frequency) if e.source == "discretisation" else e for e in errors)
+    sources = tuple(at_least_band(e, g.frequency) if e.source == "discretisation" else e for e in errors)
     base = strengths(g, rendering.targets, methods, shape, window=window)
     rng = np.random.default_rng(_SEED)
     square, fall = np.zeros(base.shape), np.zeros(base.shape)
@@ -152,7 +152,8 @@ def interval(
     return np.asarray(half if random is None else half + np.abs(fall))
 
 
-def _at_least_band(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
+def at_least_band(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
+    """The estimate with e(f) at ``frequency`` (n,) [Hz] raised to its band value, as two meshes agree by chance."""
     size = np.maximum(relative_error_at(error, frequency), error.band)
     return replace(error, frequency=tuple(frequency.tolist()), per_frequency=tuple(size.tolist()))
 

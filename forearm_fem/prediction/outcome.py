@@ -20,12 +20,13 @@ from ..rendering.drives import Renderer
 from ..scenario import Scenario
 from ..tissue import resolve_tissues
 from ..transfer import TransferMatrix, finite, total_error
-from ..typing import FloatArray
+from ..typing import ComplexArray, FloatArray
 from .arm import ArmModel
 from .draws import Draw, scenario_of
 from .measuring import believed, noisy
 from .tissues import REFERENCE, SOFT
 
+KEPT = 16  # draws whose G is kept: 5 MB of the thesis' scene
 READINGS = ("calibrated", "played", "calibrated, record", "played, record")
 
 
@@ -66,6 +67,7 @@ class Outcome:
     played on the true G, over the scene's window and over the record. ``drivers`` are what S may hang on, by name: the
     draw's inputs, and size [Pa] and loss tangent at 150 Hz of each tissue instead of its law's own parameters.
     ``numerics`` is e_band of all errors stated for the draw's G. ``problem`` says why there is no S (then NaN).
+    ``transfer`` (n_frequency, n_out, n_in) is the true G of the first draws (:data:`KEPT`), to be looked at.
     """
 
     number: int
@@ -75,6 +77,7 @@ class Outcome:
     numerics: float = float("nan")
     seconds: float = float("nan")
     problem: str = ""
+    transfer: ComplexArray | None = None
 
 
 def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
@@ -89,7 +92,7 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
     found = strengths_of(setup, true, calibrated)
     return Outcome(
         draw.number, draw.law, found, drivers_of(draw, scenario, held), total_error(true.errors),
-        time.perf_counter() - began,
+        time.perf_counter() - began, transfer=true.values.astype(np.complex64) if draw.number < KEPT else None,
     )  # fmt: skip
 
 

@@ -212,7 +212,8 @@ def _set_aside(file: Path) -> None:
 
 
 def _write(out: Path, kept: Mapping[int, Outcome], setup: Setup, question: Question) -> None:
-    write_outcomes(out / FILE, list(kept.values()), setup.method_names, setup.targets, question.digest)
+    frequency = frequencies(question.scenario.sweep)
+    write_outcomes(out / FILE, list(kept.values()), setup.method_names, setup.targets, question.digest, frequency)
 
 
 def _outcomes(
@@ -254,7 +255,8 @@ def work(job: Job) -> dict[str, Any]:
         question, setup, arm = _prepared(job.question, job.base, job.seed, job.laws, job.held, job.twin)
         found = drawn(question, setup, arm, job.number)
         return {"law": found.law, "strengths": found.strengths.tolist(), "drivers": dict(found.drivers),
-                "numerics": found.numerics, "seconds": found.seconds, "problem": found.problem}  # fmt: skip
+                "numerics": found.numerics, "seconds": found.seconds, "problem": found.problem,
+                "transfer": found.transfer}  # fmt: skip
     except Exception as problem:
         return {"problem": f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
 
@@ -296,5 +298,5 @@ def _unpacked(number: int, found: Mapping[str, Any], setup: Setup) -> Outcome:
         return Outcome(number, "", np.full(shape, np.nan), problem=str(found["problem"]))
     return Outcome(
         number, found["law"], np.array(found["strengths"], dtype=float).reshape(shape), found["drivers"],
-        found["numerics"], found["seconds"], found["problem"],
+        found["numerics"], found["seconds"], found["problem"], found["transfer"],
     )  # fmt: skip

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from ..errors import DataError
-from ..io.dataset import Variables, labels, load, save, text
+from ..io.dataset import labels, load, save, text
+from ..typing import FloatArray
 from .outcome import READINGS, Outcome
 
 FILE = "draws.nc"
@@ -18,13 +20,17 @@ _CONTENT = "prediction"
 
 
 def write_outcomes(
-    path: Path, outcomes: Sequence[Outcome], methods: Sequence[str], targets: Sequence[str], digest: str
-) -> None:
-    """All ``outcomes`` in the order of their numbers, whole or not at all; ``digest`` names the question."""
+    path: Path, outcomes: Sequence[Outcome], methods: Sequence[str], targets: Sequence[str], digest: str,
+    frequency: FloatArray,
+) -> None:  # fmt: skip
+    """All ``outcomes`` in the order of their numbers, whole or not at all; ``digest`` names the question.
+
+    ``frequency`` (n,) [Hz] is that of the G kept of some.
+    """
     ordered = sorted(outcomes, key=lambda o: o.number)
     names = sorted({name for o in ordered for name in o.drivers})
     drivers = np.array([[o.drivers.get(name, np.nan) for name in names] for o in ordered]).reshape(len(ordered), -1)
-    variables: Variables = {
+    variables: dict[str, tuple[tuple[str, ...], Any, dict[str, str]]] = {
         "draw": (("draw",), np.array([o.number for o in ordered], dtype=np.int64), {"long_name": "number of the draw"}),
         "reading": (("reading",), labels(READINGS), {"long_name": "G that S is taken on, and over what"}),
         "method": (("method",), labels(tuple(methods)), {}),
@@ -41,6 +47,15 @@ def write_outcomes(
         "seconds": (("draw",), np.array([o.seconds for o in ordered]), {"units": "s"}),
         "problem": (("draw",), labels(tuple(o.problem for o in ordered)), {}),
     }
+    if kept := [o for o in ordered if o.transfer is not None]:
+        variables |= {
+            "frequency": (("frequency",), np.asarray(frequency, dtype=float), {"units": "Hz"}),
+            "kept": (("kept",), np.array([o.number for o in kept], dtype=np.int64), {"long_name": "draws with a G"}),
+            "G": (
+                ("kept", "frequency", "output", "input"), np.array([o.transfer for o in kept]),
+                {"long_name": "true transfer matrix of the draw", "time_convention": "e^{+i omega t}"},
+            ),
+        }  # fmt: skip
     save(path, variables, {"content": _CONTENT, "question": digest})
 
 
@@ -55,8 +70,9 @@ def read_outcomes(path: Path, digest: str | None = None) -> list[Outcome]:
             dataset["draw"].values, laws, dataset["S"].values, dataset["drivers"].values, dataset["numerics"].values,
             dataset["seconds"].values, problems, strict=True,
         )  # fmt: skip
+        kept = dict(zip(dataset["kept"].values, dataset["G"].values, strict=True)) if "kept" in dataset else {}
         return [
-            Outcome(int(n), law, s, _drivers(names, values), float(e), float(t), problem)
+            Outcome(int(n), law, s, _drivers(names, values), float(e), float(t), problem, kept.get(n))
             for n, law, s, values, e, t, problem in rows
         ]
 

@@ -14,28 +14,33 @@ from ..figures import Results
 from ..io.atomic import write_text
 from ..io.declaration import Declaration
 from ..io.recognise import read_measured
+from ..library import load_library
+from ..progress import Progress
 from ..scenario import Scenario
-from .content import content_of, measured_content
+from .content import content_of, library_content, measured_content
 
 _IMPORT = re.compile(r"^import \{ ([^}]*) \} from \"\./(\w+)\.js\";$", re.MULTILINE)
-_EXPORT = re.compile(r"^export ((?:async )?(?:const|function|class) ([\w$]+))", re.MULTILINE)
+_EXPORT = re.compile(r"^export ((?:async )?(?:const|function\*?|class) ([\w$]+))", re.MULTILINE)
 _FIRST = "main"
+LIBRARY = ".library.nc"
 
 
 def write_workbench(
     what: Results | str | Path, path: str | Path, *, scenario: Scenario | None = None,
-    declaration: Declaration | None = None,
+    declaration: Declaration | None = None, progress: Progress | None = None,
 ) -> Path:  # fmt: skip
-    """Write the page of a results folder, or of a file with a measured G, whole or not at all.
+    """Write the page of a results folder, a ``NAME.library.nc`` or a file with a measured G, whole or not at all.
 
-    ``scenario`` gives a measured file its record, wavelet and limits (default: the thesis' own). Raises DataError for
-    anything that is neither, and where the folder's run is unfinished.
+    ``scenario`` gives a measured file its record, wavelet and limits (default: the thesis' own), a library
+    its device. Raises DataError for anything that is neither, and where the folder's run is unfinished.
     """
-    write_text(path, page_of(_content(what, scenario, declaration)))
+    write_text(path, page_of(_content(what, scenario, declaration, progress)))
     return Path(path)
 
 
-def _content(what: Results | str | Path, scenario: Scenario | None, declaration: Declaration | None) -> dict[str, Any]:
+def _content(
+    what: Results | str | Path, scenario: Scenario | None, declaration: Declaration | None, progress: Progress | None
+) -> dict[str, Any]:
     if isinstance(what, Results):
         return content_of(what)
     place = Path(what)
@@ -43,6 +48,10 @@ def _content(what: Results | str | Path, scenario: Scenario | None, declaration:
         return content_of(Results.open(place))
     if not place.is_file():
         raise DataError(f"{place}: no such results folder or file; `forearm-fem run SCENARIO` makes a folder")
+    if place.name.endswith(LIBRARY):
+        arm = load_library(place)
+        asked = scenario or arm.scenario.model_copy(update={"name": place.name.removesuffix(LIBRARY)})
+        return library_content(arm, asked, f"library {place.name}", progress)
     asked = scenario or Scenario(name=place.stem)
     transfer = read_measured(place, declaration)
     return measured_content(transfer, asked.model_copy(update={"name": place.stem}), f"measured G of {place.name}")
@@ -80,6 +89,7 @@ def script() -> str:
 
     take(_FIRST)
     body = "\n".join(done.values())
+    assert not re.search(r"^(?:import|export) ", body, re.MULTILINE)  # a form that the patterns above do not know
     assert "</script" not in body  # would end the page's script element early, as the next would
     assert "<!--" not in body
     return f'"use strict";\n(() => {{\n{body}\n}})();'

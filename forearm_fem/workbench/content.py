@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,20 @@ import numpy as np
 from .. import __version__
 from ..errors import DataError, GeometryError, ScenarioError
 from ..figures import Results
+from ..figures.data import PREDICTION
 from ..figures.style import METHODS, TISSUES
+from ..geometry.device.layout import layout_of
 from ..io.reduced import read_reduced
+from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import wavelet
+from ..pipeline.simulation import simulate
+from ..pipeline.strengths import at_least_band
 from ..pipeline.verdict import accuracy_verdict
 from ..ports import Port
+from ..prediction.store import FILE, read_outcomes
+from ..progress import Progress
 from ..rendering import (
+    Bridged,
     Placed,
     Record,
     Wavelet,
@@ -28,14 +36,20 @@ from ..rendering import (
     place_on_bins,
 )
 from ..scenario import Scenario, parse_scenario
-from ..transfer import ErrorEstimate, TransferMatrix
+from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at
 from ..typing import FloatArray
 from .field import Field, Surface, solved_field
 from .flat import between_points, twin_field
 from .packed import amplitudes_in_half_precision, in_half_precision, packed
+from .places import Arm, Places, patch_field, places_of
 
 FORMAT = 1  # of the content; the page's own files carry it too
+_ARMS = 8  # drawn arms that a page holds: 1.5 MB of the thesis' scene
 _SHORT = 2**16  # vertices that 16 bits count
+_OF_LIBRARY = (
+    "What a library cannot do: other tissues, another limb, discs of another size or contact, places off its patch, "
+    "frequencies beyond its band, motion inside the limb; waves that one cone scatters from another are left out here"
+)
 
 
 def content_of(results: Results) -> dict[str, Any]:
@@ -45,20 +59,58 @@ def content_of(results: Results) -> dict[str, Any]:
     if not results.has("compliance"):
         return measured_content(transfer, scenario, results.stamp)
     compliance = results.compliance
-    placed = place(bridged(transfer).transfer, record)
+    holes = bridged(transfer)
+    placed = place(holes.transfer, record)
     frequency = compliance.frequency
     field = _field(results, placed.bins.frequency)
     account = results.account
     return {
-        **_common(scenario, placed, transfer, field, record, _shape(results, scenario)),
+        **_common(scenario, holes, placed, field, record, _shape(results, scenario)),
         "name": scenario.name,
         "stamp": results.stamp,
         "model": _model(results, placed),
         "frequencies": packed(frequency, "f8"),
         "strength": account.signal_strength.model_dump(mode="json"),
         "arms": _arms(results.prediction),
+        "draws": _draws(results, placed),
         "notes": [*account.notes, *account.warnings],
     }
+
+
+def library_content(arm: Arm, scenario: Scenario, stamp: str, progress: Progress | None = None) -> dict[str, Any]:
+    """The page's content for an arm's library, whose actuators can be dragged; ``scenario`` is one on the same arm.
+
+    The errors are the library's for the scenario's own arrangement, and what the page's few places add.
+    """
+    record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
+    places, missed = places_of(arm, scenario, progress)
+    transfer = simulate(scenario, library=arm).transfer
+    holes = bridged(replace(transfer, errors=(*transfer.errors, missed)))
+    placed = place(holes.transfer, record)
+    found = np.searchsorted(placed.bins.frequency, places.frequency - 1e-6)
+    if len(found) != len(placed.bins.frequency) or not np.allclose(placed.bins.frequency, places.frequency, atol=1e-6):
+        raise DataError("sweep: a page of a library needs every bin of its record; leave sweep.frequencies out")
+    field = patch_field(arm, places)
+    return {
+        **_common(scenario, holes, placed, field, record, wavelet(scenario.rendering, scenario.sweep, Path())),
+        "name": scenario.name,
+        "stamp": stamp,
+        "model": _packed_places(places, arm, scenario),
+        "frequencies": packed(transfer.frequency, "f8"),
+        "strength": {},
+        "arms": None,
+        "notes": [_OF_LIBRARY],
+    }
+
+
+def _packed_places(places: Places, arm: Arm, scenario: Scenario) -> dict[str, Any]:
+    layout, patch = layout_of(scenario), arm.scenario.library
+    real = {k: packed(getattr(places, k), "f8") for k in ("xy", "flat", "position", "axis", "points", "inverse")}
+    return {
+        "kind": "places", **real, **{k: packed(getattr(places, k), "c8") for k in ("twin", "left", "right")},
+        "home": layout.contacts.tolist(), "half": [patch.length / 2, patch.width / 2], "radius": places.radius,
+        "reach": float(places.radii[-1]), "scale": places.scale, "pressed": scenario.device.cone.contact == "pressure",
+    }  # fmt: skip
 
 
 def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -> dict[str, Any]:
@@ -72,7 +124,7 @@ def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -
     shape = wavelet(scenario.rendering, scenario.sweep, Path())
     sentence = holes.sentence
     return {
-        **_common(scenario, placed, transfer, between_points(transfer.outputs), record, shape),
+        **_common(scenario, holes, placed, between_points(transfer.outputs), record, shape),
         "name": scenario.name,
         "stamp": stamp,
         "model": {
@@ -88,8 +140,10 @@ def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -
 
 
 def _common(
-    scenario: Scenario, placed: Placed, transfer: TransferMatrix, field: Field, record: Record, shape: Wavelet
+    scenario: Scenario, holes: Bridged, placed: Placed, field: Field, record: Record, shape: Wavelet
 ) -> dict[str, Any]:
+    transfer = holes.transfer
+    errors = (*transfer.errors, *((holes.error,) if holes.error is not None else ()))
     return {
         "format": FORMAT,
         "program": __version__,
@@ -102,7 +156,8 @@ def _common(
         "outputs": [_port(p) for p in transfer.outputs],
         "funneling": [_weights(transfer.inputs, p) for p in transfer.outputs],
         "error": packed(placed.error, "f8"),
-        "errors": [_estimate(e) for e in transfer.errors],
+        "errors": [_estimate(e, placed.bins.frequency) for e in errors],
+        "deviates": transfer.deviation is not None,
         "accuracy": accuracy_verdict(scenario, transfer.errors),
         "device": {**scenario.device.model_dump(mode="json"), "centres": scenario.device.centres},
         "rendering": scenario.rendering.model_dump(mode="json"),
@@ -119,6 +174,23 @@ def _arms(prediction: Mapping[str, Any] | None) -> dict[str, Any] | None:
         return None
     table = {m: {t: cell["arms"] for t, cell in row.items()} for m, row in prediction["by_target"].items()}
     return {"levels": prediction["levels"], "draws": prediction["draws"], "methods": table}
+
+
+def _draws(results: Results, placed: Placed) -> list[dict[str, Any]]:
+    """G of some arms that a prediction of this scenario drew, on the page's bins, and what arms they are."""
+    file = results.folder / Path(PREDICTION).parent / FILE
+    if results.prediction is None or not file.is_file():
+        return []
+    frequency, sweep = frequencies(results.scenario.sweep), results.scenario.sweep
+    found = []
+    for outcome in [o for o in read_outcomes(file) if o.transfer is not None][:_ARMS]:
+        g = np.asarray(outcome.transfer, dtype=complex)
+        on_bins = place_on_bins(frequency, g, sweep.sample_rate, sweep.duration)
+        values = on_bins.values[np.searchsorted(on_bins.frequency, placed.bins.frequency - 1e-6)]
+        stiffness = {n: v for n, v in outcome.drivers.items() if n.endswith(("stiffness", "thickness"))}
+        packed_g = amplitudes_in_half_precision(values.reshape(len(values), -1, 1))
+        found.append({"number": outcome.number, "law": outcome.law, "drivers": stiffness, "values": packed_g})
+    return found
 
 
 def _field(results: Results, bins: FloatArray) -> Field:
@@ -213,9 +285,11 @@ def _port(port: Port) -> dict[str, Any]:
     return asdict(port)
 
 
-def _estimate(error: ErrorEstimate) -> dict[str, Any]:
+def _estimate(error: ErrorEstimate, frequency: FloatArray) -> dict[str, Any]:
+    """An estimate, and e(f) at ``frequency`` as draws of G take it."""
     known = {"band": error.band, "worst": error.worst} if error.known else {"band": None, "worst": None}
-    return {"source": error.source, **known, "method": error.method}
+    size = relative_error_at(at_least_band(error, frequency) if error.source == "discretisation" else error, frequency)
+    return {"source": error.source, **known, "method": error.method, "size": packed(size, "f8")}
 
 
 def _packed_field(field: Field) -> dict[str, Any]:

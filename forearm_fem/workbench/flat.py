@@ -31,8 +31,8 @@ def twin_field(scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArra
     surface = _rectangle(positions(ports)[:, :2], _MARGIN)
     far = np.linalg.norm(surface.rest[:, None, :2] / _MM - positions(tuple(contacts))[None, :, :2], axis=2)
     radii = np.asarray(_APART * np.arange(int(far.max() / _APART) + 2), dtype=float)
-    profile = _profile(scenario, contacts[0], frequency, radii)
-    motion = np.asarray(CubicSpline(radii, profile, axis=1)(far))
+    motion_at = profile(scenario, contacts[0], frequency, radii)
+    motion = np.asarray(CubicSpline(radii, motion_at, axis=1)(far))
     shapes, amplitudes, error = few_shapes(motion)
     words = (
         "flat skin of the layered twin, which has no limb; waves scattered by rigid cones are in G, not in the picture"
@@ -40,7 +40,7 @@ def twin_field(scenario: Scenario, ports: tuple[Port, ...], frequency: FloatArra
     return Field((_with(surface, shapes[:, None, :]),), amplitudes, error, words)
 
 
-def _profile(scenario: Scenario, contact: Port, frequency: FloatArray, radii: FloatArray) -> ComplexArray:
+def profile(scenario: Scenario, contact: Port, frequency: FloatArray, radii: FloatArray) -> ComplexArray:
     """Normal motion (n_frequency, n_radius) [m/N] at radii from 0 on; the cone's own mean at radius 0."""
     disc = flat_disc(contact)
     centred = Disc(0.0, 0.0, disc.radius, disc.contact)
@@ -99,11 +99,14 @@ def _rectangle(places: FloatArray, margin: float) -> Surface:
     x, y = (v.ravel() for v in np.meshgrid(*axes, indexing="ij"))
     rest = _MM * np.stack([x, y, np.zeros_like(x)], axis=1)
     return Surface(
-        rest, np.tile([0.0, 0.0, 1.0], (len(rest), 1)), _net(len(axes[0]), len(axes[1])), np.zeros((len(rest), 1, 0))
+        rest,
+        np.tile([0.0, 0.0, 1.0], (len(rest), 1)),
+        net_faces(len(axes[0]), len(axes[1])),
+        np.zeros((len(rest), 1, 0)),
     )
 
 
-def _net(rows: int, columns: int) -> IntArray:
+def net_faces(rows: int, columns: int) -> IntArray:
     """Triangles of a regular net, counted row by row."""
     k = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     return np.concatenate(

@@ -1,6 +1,7 @@
 // What the page computes, for tests/test_workbench.py: reads {content, jobs} from the file named, prints one JSON value a job.
 import { readFileSync } from "node:fs";
 import { Experiment, METHODS } from "../../forearm_fem/workbench/page/experiment.js";
+import { halves, noiseOf, shorter } from "../../forearm_fem/workbench/page/interval.js";
 import { amplitudesAt, displace, Field } from "../../forearm_fem/workbench/page/field.js";
 
 const { content, jobs } = JSON.parse(readFileSync(process.argv[2], "utf8"));
@@ -28,7 +29,12 @@ function done(job) {
     undriven: () => experiment.outcome(job.method).undriven,
     condition: () => plain(experiment.outcome(job.method).aim.inversion.condition),
     interval: () => experiment.interval(job.method, job.settings?.target ?? 0),
+    "arm strengths": () => METHODS.map((m) => experiment.strengthOn(job.arm, m, job.settings.target)),
     arms: () => experiment.arms(job.method, job.settings?.target ?? 0),
+    // with Python's own noise (draw by draw, source by source) if there is any
+    halves: () => { const given = job.noise ?? []; let k = 0; const noise = job.noise ? () => { const [re, im] = given[k++]; return { re: Float64Array.from(re), im: Float64Array.from(im) }; } : noiseOf(1); const work = halves(experiment, METHODS, noise); let step = work.next(); while (!step.done) step = work.next(); return step.value; },
+    drawn: () => { const work = halves(experiment, METHODS, noiseOf(1)); let step = work.next(); while (!step.done) step = work.next(); experiment.drawn = { key: experiment.question, half: step.value }; return [experiment.interval(job.method, 4), experiment.strength(job.method, 4), step.value[METHODS.indexOf(job.method)][4]]; },
+    bins: () => shorter(experiment).rows.map((b) => experiment.frequency[b]),
     skin: () => skin(experiment, job),
     place: () => { const field = new Field(content.field, experiment.inputs.length); experiment.reach = (v) => field.reach(v); experiment.set({ place: { vertex: job.vertex, position: [0, 0, 0], normal: [0, 0, 1] } }); const g = experiment.transfer(), m = g.outputs.length, n = g.inputs.length, rows = Array.from({ length: g.bins }, (_, b) => Array.from({ length: n }, (_, i) => (b * m + m - 1) * n + i)).flat(); return [rows.map((i) => g.values.re[i]), rows.map((i) => g.values.im[i])]; },
   };
@@ -40,9 +46,10 @@ function skin(experiment, job) {
   const field = new Field(content.field, experiment.inputs.length), o = experiment.outcome(job.method), surface = field.surfaces[job.surface ?? 0];
   const force = experiment.changeable ? experiment.forces() : null, duration = experiment.record.n / experiment.record.rate;
   const track = field.track(force, o.sent, o.spectra, experiment.index, duration, [job.time - 0.01, job.time + 0.01]);
-  const moved = new Float32Array(surface.rest.length), u = new Float32Array(surface.rest.length / 3);
-  displace(surface, amplitudesAt(track, job.time, new Float32Array(field.k)), moved, u);
-  return plain(moved);
+  const states = [0, 1, 2].map(() => ({ moved: new Float32Array(surface.rest.length), u: new Float32Array(surface.rest.length / 3) }));
+  const rows = states.map((_, i) => amplitudesAt(track, job.time + (i - 1) * 1e-3, new Float64Array(field.k)));
+  displace(surface, rows, states, Array.from(states[0].u.keys()));
+  return plain(states[1].moved);
 }
 
 console.log(JSON.stringify(jobs.map(done)));

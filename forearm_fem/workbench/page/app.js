@@ -8,9 +8,11 @@
  */
 import { Arms } from "./arms.js";
 import { METHODS } from "./experiment.js";
+import { halves, noiseOf, whyNone } from "./interval.js";
 import { timeOf } from "./wavelet.js";
 
 const BEFORE = 0.012, AFTER = 0.045, HEARD = 1e-3;
+const PATIENCE = 250, SLICE = 12; // [ms] before intervals are drawn, and of work at a time
 
 export class App {
   /** @param {import("./experiment.js").Experiment} experiment @param {import("./field.js").Field} field @param {Arms} arms */
@@ -34,6 +36,8 @@ export class App {
     /** @type {(text: string, bad?: boolean) => void} */
     this.say = () => {};
     this.version = 0;
+    /** Where the actuators stood when the picture was worked out. @type {number[][] | null} */
+    this.stood = null;
   }
 
   /** Change settings and work everything out again; a change that cannot be is said, and undone. @param {Partial<Settings>} change */
@@ -53,21 +57,50 @@ export class App {
   refresh() {
     const { experiment, field, arms } = this, { record, index } = experiment;
     this.version++;
+    this.follow();
     this.span = this.shownSpan();
     const outcomes = METHODS.map((m) => experiment.outcome(m));
     const common = this.same ? Math.max(...METHODS.map((m) => arms.largest(experiment, m))) : null;
     arms.shown.clear();
     for (const o of outcomes) {
-      if (!o.sent || !o.spectra) continue;
+      if (!o.sent || !o.spectra || experiment.settings.arm) continue; // of a drawn arm only the points are known
       const force = experiment.changeable ? experiment.forces() : null;
       const track = field.track(force, o.sent, o.spectra, index, record.n / record.rate, this.span);
       arms.show(experiment, o.method, track, this.factor, common);
     }
     const { device } = experiment.settings;
+    arms.live = experiment.settings.arm > 0;
     arms.lifted = device.touching.map((t, k) => !t || device.gain[k] === 0);
     if (!(arms.time >= this.span[0] && arms.time <= this.span[1])) arms.time = this.span[0];
     for (const tell of this.listeners) tell();
     arms.draw(experiment);
+    this.drawIntervals();
+  }
+
+  /** The picture and the bodies go where the actuators are. */
+  follow() {
+    const { experiment, field, arms } = this, { places, settings } = experiment;
+    if (!places || !settings.contacts || this.stood === settings.contacts) return;
+    this.stood = settings.contacts;
+    field.amplitudes = places.picture(settings.contacts);
+    arms.stand(experiment.inputs);
+  }
+
+  /** Intervals of S for changed settings, little by little; given up as soon as something else is changed. */
+  drawIntervals() {
+    const { experiment, version } = this, key = experiment.question;
+    if (experiment.asRun || experiment.settings.arm || experiment.drawn?.key === key || whyNone(experiment.content)) return;
+    const work = halves(experiment, METHODS, noiseOf(1));
+    const slice = () => {
+      if (version !== this.version) return;
+      const end = performance.now() + SLICE;
+      let step = work.next();
+      while (!step.done && performance.now() < end) step = work.next();
+      if (!step.done) { setTimeout(slice, 0); return; }
+      experiment.drawn = { key, half: step.value };
+      for (const tell of this.listeners) tell();
+    };
+    setTimeout(slice, PATIENCE);
   }
 
   /** Scales alone, without new drives. */

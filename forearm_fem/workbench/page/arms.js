@@ -5,33 +5,30 @@
  * @typedef {import("./experiment.js").Method} Method
  * @typedef {import("./field.js").Field} Field
  * @typedef {import("./field.js").Track} Track
- * @typedef {import("./gl.js").View} View
- * @typedef {import("./gl.js").Box} Box
+ * @typedef {import("./view.js").View} View
+ * @typedef {import("./view.js").Box} Box
  * @typedef {{track: Track, limit: number, gain: number}} Shown  colours end at `limit` [m], motion drawn `gain` [mm per m]
  */
 import { say } from "./dom.js";
 import { amplitudesAt, displace } from "./field.js";
-import { actuatorBody, deform, outlines, project, Renderer } from "./gl.js";
+import { actuatorBody, deform, outlines } from "./bodies.js";
+import { Raster, tableOf } from "./raster.js";
+import { all, openEdges, seen } from "./seen.js";
+import { eyeOf, matrixOf, project } from "./view.js";
 import { METHODS } from "./experiment.js";
 
-const BULGE = 3.5, HIGHEST = 7, GLANCES = 24, NEAR = 15, FREE = 14, NONE = [0, 0, 0, 1e9];
+const BULGE = 3.5, HIGHEST = 7, GLANCES = 24, NEAR = 15, FREE = 14;
 const STOPS = {
   light: [0.10, 0.27, 0.58, 0.45, 0.66, 0.87, 0.93, 0.915, 0.885, 0.95, 0.65, 0.42, 0.70, 0.22, 0.10],
   dark: [0.45, 0.72, 0.98, 0.22, 0.42, 0.66, 0.25, 0.255, 0.27, 0.68, 0.36, 0.20, 0.99, 0.62, 0.34],
 };
 
 export class Arms {
-  /** @param {Field} field @param {any} content @param {{gl: HTMLCanvasElement, over: HTMLCanvasElement, panels: HTMLElement[]}} parts */
+  /** @param {Field} field @param {any} content @param {{body: HTMLCanvasElement, over: HTMLCanvasElement, panels: HTMLElement[]}} parts */
   constructor(field, content, parts) {
     this.field = field;
     this.parts = parts;
-    /** @type {Renderer | null} */
-    this.renderer = null;
-    try {
-      this.renderer = new Renderer(parts.gl);
-    } catch (problem) {
-      this.problem = problem instanceof Error ? problem.message : String(problem);
-    }
+    this.raster = new Raster();
     const ports = [...content.inputs, ...content.outputs], places = ports.map((/** @type {any} */ p) => p.position.map((/** @type {number} */ v) => 1e3 * v));
     const low = [0, 1, 2].map((c) => Math.min(...places.map((p) => p[c]))), high = [0, 1, 2].map((c) => Math.max(...places.map((p) => p[c])));
     this.inputs = content.inputs;
@@ -43,6 +40,8 @@ export class Arms {
     this.theme = "light";
     /** Actuators that do nothing, drawn faintly. @type {boolean[]} */
     this.lifted = [];
+    /** Whether points carry the colours, as of a drawn arm nothing else is known. */
+    this.live = false;
     /** @type {"" | "along" | "across"} */
     this.section = "";
     /** @type {Map<Method, Shown>} */
@@ -52,10 +51,28 @@ export class Arms {
     /** Pixels per css pixel: of labels, and of what costs time. */
     this.sharp = Math.min(globalThis.devicePixelRatio || 1, 2);
     this.scale = this.sharp;
-    this.work = field.surfaces.map((s) => ({ moved: new Float32Array(s.rest.length), u: new Float32Array(s.rest.length / 3), positions: Float32Array.from(s.rest), normals: Float32Array.from(s.normals), lines: s.tissue ? outlines(s) : null }));
-    this.amplitudes = new Float32Array(field.k);
+    this.work = field.surfaces.map((s) => ({
+      positions: Float32Array.from(s.rest), normals: Float32Array.from(s.normals), lines: s.tissue ? outlines(s) : null, open: openEdges(s), whole: all(s), seen: all(s),
+      states: METHODS.map(() => ({ moved: new Float32Array(s.rest.length), u: new Float32Array(s.rest.length / 3) })),
+    }));
+    this.tables = { light: tableOf(STOPS.light), dark: tableOf(STOPS.dark) };
+    /** Of which view the triangles seen are. */
+    this.seenFrom = "";
+    /** Where the panels are, and how large all of them. @type {Box[]} */
+    this.places = [];
+    this.size = { w: 0, h: 0 };
+    this.drawnAt = NaN;
+    this.amplitudes = METHODS.map(() => new Float64Array(field.k));
     /** @type {WeakMap<Track, number>} */
     this.reaches = new WeakMap();
+    /** @type {WeakMap<object, number>} */
+    this.most = new WeakMap();
+  }
+
+  /** Actuators somewhere else. @param {import("./device.js").Port[]} inputs */
+  stand(inputs) {
+    this.inputs = inputs;
+    this.bodies = inputs.map(actuatorBody);
   }
 
   /** @returns {Box[]} */
@@ -76,11 +93,12 @@ export class Arms {
   highest(track) {
     const known = this.reaches.get(track);
     if (known !== undefined) return known;
-    const { moved, u } = this.work[0];
+    const { states, whole } = this.work[0];
     let most = 0;
-    for (let k = 0; k < GLANCES; k++) {
-      displace(this.field.skin, amplitudesAt(track, track.first + ((k + 0.5) / GLANCES) * (track.count / track.rate), this.amplitudes), moved, u);
-      for (const v of u) most = Math.max(most, Math.abs(v));
+    for (let k = 0; k < GLANCES; k += 3) {
+      const rows = this.amplitudes.map((row, i) => amplitudesAt(track, track.first + ((k + i + 0.5) / GLANCES) * (track.count / track.rate), row));
+      displace(this.field.skin, rows, states, whole.vertices);
+      for (const { u } of states) for (let v = 0; v < u.length; v++) most = Math.max(most, Math.abs(u[v]));
     }
     this.reaches.set(track, most);
     return most;
@@ -88,55 +106,88 @@ export class Arms {
 
   /** Largest displacement of the points while it is shown [m]. @param {Experiment} experiment @param {Method} method */
   largest(experiment, method) {
-    return experiment.outcome(method).moves.reduce((a, u) => u.reduce((b, v) => Math.max(b, Math.abs(v) || 0), a), 0);
+    const outcome = experiment.outcome(method), known = this.most.get(outcome) ?? outcome.moves.reduce((a, u) => u.reduce((b, v) => Math.max(b, Math.abs(v) || 0), a), 0);
+    this.most.set(outcome, known);
+    return known;
   }
 
-  /** @param {Experiment | null} experiment */
+  /** Everything anew: after a change of view, size, colours or settings. @param {Experiment | null} experiment */
   draw(experiment) {
-    this.frames++;
-    const { renderer } = this, boxes = this.boxes(), over = this.parts.over, g = /** @type {CanvasRenderingContext2D} */ (over.getContext("2d"));
-    const w = Math.round(over.clientWidth * this.sharp), h = Math.round(over.clientHeight * this.sharp);
+    const { over } = this.parts, g = /** @type {CanvasRenderingContext2D} */ (over.getContext("2d"));
+    this.places = this.boxes();
+    this.size = { w: over.clientWidth, h: over.clientHeight };
+    const w = Math.round(this.size.w * this.sharp), h = Math.round(this.size.h * this.sharp);
     if (over.width !== w || over.height !== h) { over.width = w; over.height = h; }
     g.setTransform(this.sharp, 0, 0, this.sharp, 0, 0);
     g.clearRect(0, 0, w, h);
-    renderer?.begin(this.scale);
+    this.move();
     METHODS.forEach((method, i) => {
-      if (boxes[i].w < 2 || boxes[i].h < 2) return;
-      const matrix = this.drawBody(method, boxes[i]);
-      this.label(g, matrix, boxes[i], experiment, method);
+      const box = this.places[i];
+      if (box.w >= 2 && box.h >= 2) this.label(g, this.matrix(box), box, experiment, method);
     });
   }
 
-  /** @param {Method} method @param {Box} box @returns {Float32Array} */
+  /** Another instant: of the bodies, or of the points where no more is known. @param {Experiment} experiment */
+  turn(experiment) {
+    if (this.live) this.draw(experiment);
+    else this.move();
+  }
+
+  /** The bodies alone, at another instant. */
+  move() {
+    const { places, raster, field, scale, work } = this, { body } = this.parts, w = Math.round(this.size.w * scale), h = Math.round(this.size.h * scale);
+    this.frames++;
+    this.drawnAt = this.time;
+    if (w < 2 || h < 2) return;
+    if (body.width !== w || body.height !== h) { body.width = w; body.height = h; }
+    raster.begin(w, h);
+    METHODS.forEach((method, i) => { const track = this.shown.get(method)?.track; if (track) amplitudesAt(track, this.time, this.amplitudes[i]); else this.amplitudes[i].fill(0); });
+    const open = places.find((b) => b.w >= 2 && b.h >= 2);
+    if (!open) return;
+    this.look(matrixOf(this.view, open.w, open.h));
+    for (const s of this.drawn) displace(field.surfaces[s], this.amplitudes, work[s].states, work[s].seen.vertices);
+    METHODS.forEach((_, i) => { if (places[i].w >= 2 && places[i].h >= 2) this.drawBody(i, places[i]); });
+    /** @type {CanvasRenderingContext2D} */ (body.getContext("2d", { willReadFrequently: true })).putImageData(raster.image(), 0, 0);
+  }
+
+  /** From mm to a panel. @param {Box} box @returns {Float32Array} */
+  matrix(box) {
+    return matrixOf(this.view, box.w, box.h);
+  }
+
+  /** Names the view: changes when it does. */
+  get lookedAt() {
+    const { turn, tilt, far } = this.view;
+    return `${turn} ${tilt} ${far}`;
+  }
+
+  /** Numbers of the surfaces that are drawn: the skin, and the section if there is one. @returns {number[]} */
+  get drawn() {
+    return [0, this.field.surfaces.findIndex((s) => s.name === this.section)].filter((s, i) => i === 0 || s > 0);
+  }
+
+  /** What the view shows of each surface, found again when the view changes; panels are alike. @param {Float32Array} matrix */
+  look(matrix) {
+    const key = `${matrix.join()} ${this.section}`, { view } = this, eye = eyeOf(view).map((e, c) => view.centre[c] + view.far * e);
+    if (key === this.seenFrom) return;
+    this.seenFrom = key;
+    this.field.surfaces.forEach((surface, s) => { this.work[s].seen = seen(surface, this.work[s].open, matrix, eye, s > 0 || this.section !== ""); });
+  }
+
+  /** @param {number} method its number @param {Box} box */
   drawBody(method, box) {
-    const { renderer, field, view } = this, shown = this.shown.get(method);
-    const matrix = /** @type {Renderer} */ (renderer ?? { panel: () => new Float32Array(16) }).panel(box, view);
-    if (!renderer) return matrix;
-    if (shown) amplitudesAt(shown.track, this.time, this.amplitudes);
-    else this.amplitudes.fill(0);
-    const stops = STOPS[this.theme === "dark" ? "dark" : "light"], cutting = field.surfaces.findIndex((s) => s.name === this.section);
-    const side = this.section === "along" ? [0, -1, 0] : [-1, 0, 0];
-    field.surfaces.forEach((surface, s) => {
-      if (s > 0 && s !== cutting) return;
-      const work = this.work[s];
-      displace(surface, this.amplitudes, work.moved, work.u);
-      deform(surface, work.moved, shown?.gain ?? 0, work.positions, work.normals);
-      const at = cutting > 0 ? this.field.surfaces[cutting].rest : null, wall = at ? side[0] * at[0] + side[1] * at[1] : 0;
-      const cut = s === 0 && at ? [...side, wall] : NONE;
-      renderer.surface(surface, work.positions, work.normals, work.u, { matrix, view, limit: shown?.limit || 1, stops, cut, flatness: s ? 1 : 0 });
-      if (work.lines) this.drawLines(work.lines, work.positions, matrix);
-    });
-    const tone = this.theme === "dark" ? [0.72, 0.76, 0.82, 0.26] : [0.30, 0.34, 0.40, 0.26];
-    this.bodies.forEach((/** @type {any} */ b, /** @type {number} */ k) => renderer.solid(b.triangles, b.normals, { matrix, view, tone: this.lifted[k] ? [...tone.slice(0, 3), 0.08] : tone }));
-    return matrix;
-  }
-
-  /** @param {Uint32Array} lines @param {Float32Array} positions @param {Float32Array} matrix */
-  drawLines(lines, positions, matrix) {
-    const ends = new Float32Array(3 * lines.length);
-    lines.forEach((v, k) => ends.set(positions.subarray(3 * v, 3 * v + 3), 3 * k));
-    const tone = this.theme === "dark" ? [0.9, 0.9, 0.9, 0.8] : [0.15, 0.15, 0.18, 0.75];
-    this.renderer?.solid(ends, new Float32Array(ends.length), { matrix, view: this.view, tone, lines: true });
+    const { field, view, raster, drawn } = this, shown = this.shown.get(METHODS[method]), dark = this.theme === "dark";
+    const camera = { matrix: matrixOf(view, box.w, box.h), eye: eyeOf(view), panel: raster.panel(box, this.scale) };
+    const side = this.section === "along" ? [0, -1, 0] : [-1, 0, 0], at = drawn.length > 1 ? field.surfaces[drawn[1]].rest : null;
+    for (const s of drawn) {
+      const { positions, normals, states, seen: part, lines } = this.work[s], { moved, u } = states[method];
+      deform(field.surfaces[s], part, moved, shown?.gain ?? 0, positions, normals);
+      const cut = s === 0 && at ? [...side, side[0] * at[0] + side[1] * at[1]] : null;
+      raster.surface(part, positions, normals, u, camera, { limit: shown?.limit || 1, table: this.tables[dark ? "dark" : "light"], cut, flat: s > 0 });
+      if (lines) raster.lines(lines, positions, dark ? [0.9, 0.9, 0.9, 0.8] : [0.15, 0.15, 0.18, 0.75], camera);
+    }
+    const tone = dark ? [0.72, 0.76, 0.82, 0.26] : [0.30, 0.34, 0.40, 0.26];
+    this.bodies.forEach((/** @type {any} */ b, /** @type {number} */ k) => raster.glass(b.triangles, b.normals, this.lifted[k] ? [...tone.slice(0, 3), 0.08] : tone, camera));
   }
 
   /** Points, target, zeros, cones and a scale bar over one panel. @param {CanvasRenderingContext2D} g @param {Float32Array} matrix @param {Box} box
@@ -151,6 +202,7 @@ export class Arms {
     outputs.forEach((p, i) => {
       const [x, y] = project(matrix, p.position.map((v, c) => 1e3 * v + 0.6 * p.axis[c]), box), aimed = i === experiment?.settings.target;
       g.lineWidth = 1.4;
+      if (this.live && outcome?.moves.length) this.spot(g, x, y, outcome.moves[i], experiment, method);
       g.strokeStyle = g.fillStyle = aimed ? ink : held.includes(i) ? warm : soft;
       g.beginPath();
       if (aimed) { g.arc(x, y, 6.5, 0, 7); g.stroke(); g.beginPath(); g.arc(x, y, 2, 0, 7); g.fill(); }
@@ -164,11 +216,20 @@ export class Arms {
     g.restore();
   }
 
+  /** A point's displacement as a coloured spot. @param {CanvasRenderingContext2D} g @param {number} x @param {number} y @param {Float64Array} u
+   * @param {any} experiment @param {Method} method */
+  spot(g, x, y, u, experiment, method) {
+    const { record } = experiment, j = Math.round(this.time * record.rate) + Math.floor(record.n / 2), limit = this.largest(experiment, method);
+    const level = Math.round(127.5 * (1 + Math.min(Math.max((u[j] || 0) / (limit || 1), -1), 1))), c = this.tables[this.theme === "dark" ? "dark" : "light"][256 * 53 + level];
+    g.fillStyle = `rgb(${c & 255},${(c >> 8) & 255},${(c >> 16) & 255})`;
+    g.beginPath(); g.arc(x, y, 11, 0, 7); g.fill();
+  }
+
   /** 10 mm in the plane of the picture at the middle of the grid, drawn in the panel's lower right corner.
    * @param {CanvasRenderingContext2D} g @param {Float32Array} matrix @param {Box} box @param {string} ink */
   bar(g, matrix, box, ink) {
     const { centre, turn } = this.view, a = project(matrix, centre, box), b = project(matrix, [centre[0] - 10 * Math.sin(turn), centre[1] + 10 * Math.cos(turn), centre[2]], box);
-    const length = Math.hypot(b[0] - a[0], b[1] - a[1]), x = box.x + box.w - 14, y = box.y + box.h - 30;
+    const length = Math.hypot(b[0] - a[0], b[1] - a[1]), x = box.x + box.w - 14, y = box.y + box.h - (box.w < 300 ? 50 : 30);
     g.strokeStyle = g.fillStyle = ink; g.lineWidth = 2;
     g.beginPath(); g.moveTo(x, y); g.lineTo(x - length, y); g.stroke();
     g.font = "10.5px system-ui, sans-serif"; g.fillText("10 mm", x - length / 2, y - 8);
@@ -179,8 +240,7 @@ export class Arms {
   pick(x, y, experiment) {
     const box = this.boxes().find((b) => x >= b.x && x < b.x + b.w && y >= b.y && y < b.y + b.h);
     if (!box) return null;
-    const matrix = /** @type {any} */ (this.renderer)?.panel(box, this.view);
-    if (!matrix) return null;
+    const matrix = this.matrix(box);
     let best = -1, gap = NEAR;
     experiment.outputs.forEach((p, i) => { const q = project(matrix, p.position.map((v) => 1e3 * v), box), d = Math.hypot(q[0] - x, q[1] - y); if (d < gap) { gap = d; best = i; } });
     if (best >= 0) return { row: best };
@@ -193,6 +253,7 @@ export class Arms {
 
   /** @param {Method} method @returns {string} what the panel's scales are */
   words(method) {
+    if (this.live) return "a drawn arm: its points only, each coloured to its panel's largest";
     const shown = this.shown.get(method);
     if (!shown || !shown.limit) return "";
     return `colours to ±${say(1e6 * shown.limit, 2)} µm · motion drawn ${say(shown.gain / 1e3, 3)}×`;

@@ -4,13 +4,14 @@
  * @typedef {import("./app.js").App} App
  * @typedef {import("./device.js").Device} Device
  */
-import { $, h, say } from "./dom.js";
+import { $, h, say, sayUnit } from "./dom.js";
+import { METHODS } from "./experiment.js";
 import { exportsPanel } from "./exports.js";
 import { checkSize, FileProblem, fitting, readSamplesCsv, readTransfer, readWav } from "./files.js";
 
 const SPEEDS = /** @type {[string, number][]} */ ([["real time", 1], ["10 times slower", 1 / 10], ["40 times slower", 1 / 40], ["200 times slower", 1 / 200]]);
 const STIFFNESS = /** @type {[string, number][]} */ ([["full contact", Infinity], ["partial: 5 N/mm", 5000], ["partial: 1 N/mm", 1000], ["partial: 0.2 N/mm", 200], ["lifted off", 0]]);
-const KEYS = /** @type {[string, string][]} */ ([["space", "play, pause"], ["← →", "a step in time"], ["1 … 9", "aim at this point"], ["shift 1 … 9", "make it a zero point, or not"], ["[ ]", "slower, faster"], ["m", "next method"], ["+ −", "nearer, farther"], ["shift arrows", "turn the arms"], ["r", "view as at first"], ["s", "section: none, along, across"], ["t", "light, dark"], ["?", "this list"]]);
+const KEYS = /** @type {[string, string][]} */ ([["space", "play, pause"], ["← →", "a step in time"], ["1 … 9", "aim at this point"], ["shift 1 … 9", "make it a zero point, or not"], ["[ ]", "slower, faster"], ["m", "next method"], ["a A", "next, last drawn arm"], ["+ −", "nearer, farther"], ["shift arrows", "turn the arms"], ["r", "view as at first"], ["s", "section: none, along, across"], ["t", "light, dark"], ["?", "this list"]]);
 
 /** @param {App} app @param {number} row */
 export function aimAt(app, row) {
@@ -45,7 +46,7 @@ export function transport(app) {
 
 /** @param {App} app */
 export function controls(app) {
-  const parts = [targetPart(app), stimulusPart(app), filterPart(app), devicePart(app), measuredPart(app), exportsPanel(app)];
+  const parts = [targetPart(app), stimulusPart(app), filterPart(app), devicePart(app), ...armsPart(app), measuredPart(app), exportsPanel(app)];
   $("controls").replaceChildren(...parts);
   app.listeners.push(() => pad(app));
   pad(app);
@@ -63,20 +64,21 @@ function targetPart(app) {
   app.listeners.push(() => { const z = app.experiment.settings.zeros; zeros.value = Array.isArray(z) ? "own" : z; });
   return part("Target and zero points", true,
     h("svg", { id: "pad", role: "group", "aria-label": "points: Enter aims, Z makes a zero point" }),
-    h("p", { class: "soft", style: "margin:2px 0 6px;font-size:12px", text: app.field.amplitudes ? "Click a point here or on an arm, or any other place of the skin. Shift-click: zero point." : "Click a point here or on an arm. Shift-click: zero point. Between the points nothing is known to aim at." }),
+    h("p", { class: "soft", style: "margin:2px 0 6px;font-size:12px", text: app.field.amplitudes ? `Click a point here or on an arm, or any other place of the skin. Shift-click: zero point.${app.experiment.places ? " Drag an actuator, or move it with the arrow keys." : ""}` : "Click a point here or on an arm. Shift-click: zero point. Between the points nothing is known to aim at." }),
     h("div", { class: "row" }, h("label", { class: "grow" }, "zeros", zeros)));
 }
 
 /** The points seen from above. @param {App} app */
 function pad(app) {
-  const { experiment } = app, { outputs, inputs, settings } = experiment, svg = $("pad"), all = [...outputs, ...inputs];
+  const { experiment } = app, { outputs, inputs, settings } = experiment, svg = $("pad"), { places } = experiment, all = [...outputs, ...inputs, ...(places ? Array.from({ length: places.n }, (_, i) => ({ position: Array.from(places.position.subarray(3 * i, 3 * i + 3)) })) : [])];
   const x = all.map((p) => 1e3 * p.position[0]), y = all.map((p) => -1e3 * p.position[1]), room = 7;
   const box = [Math.min(...x) - room, Math.min(...y) - room, Math.max(...x) - Math.min(...x) + 2 * room, Math.max(...y) - Math.min(...y) + 2 * room];
-  const held = experiment.zerosOf(app.focus === "funneling" ? "inverse filter" : app.focus, settings.target), active = document.activeElement?.getAttribute("data-row");
+  const held = experiment.zerosOf(app.focus === "funneling" ? "inverse filter" : app.focus, settings.target), focused = document.activeElement, active = ["data-row", "data-actuator"].map((n) => [n, focused?.getAttribute(n)]).find(([, v]) => v);
   svg.setAttribute("viewBox", box.join(" "));
   const small = Math.min(4.2, 0.32 * nearest(outputs));
   svg.replaceChildren(
-    ...inputs.map((p) => h("g", {}, h("circle", { class: "cone", cx: 1e3 * p.position[0], cy: -1e3 * p.position[1], r: Math.max(1e3 * p.radius, 1.5), "stroke-width": 0.4 }), h("text", { x: 1e3 * p.position[0], y: -1e3 * p.position[1] + 1.2, text: p.name, style: "font-size:3px;fill:var(--soft)" }))),
+    ...patch(app),
+    ...inputs.map((p, k) => h("g", experiment.places ? mover(app, k) : {}, h("circle", { class: "cone", cx: 1e3 * p.position[0], cy: -1e3 * p.position[1], r: Math.max(1e3 * p.radius, 1.5), "stroke-width": 0.4 }), h("text", { x: 1e3 * p.position[0], y: -1e3 * p.position[1] + 1.2, text: p.name, style: "font-size:3px;fill:var(--soft)" }))),
     ...outputs.map((p, row) => {
       const cx = 1e3 * p.position[0], cy = -1e3 * p.position[1], aimed = row === settings.target, zero = held.includes(row);
       return h("g", { class: `${aimed ? "aimed" : ""} ${zero ? "held" : ""}`, role: "button", tabindex: 0, "data-row": row, "aria-label": `point ${p.name}${aimed ? ", target" : zero ? ", zero point" : ""}`,
@@ -86,7 +88,43 @@ function pad(app) {
         zero ? h("path", { class: "cross", d: `M${cx + small * 0.55} ${cy - small * 1.15}l${small * 0.6} ${small * 0.6}m0 ${-small * 0.6}l${-small * 0.6} ${small * 0.6}`, fill: "none", "stroke-width": 0.5 }) : null);
     }));
   svg.querySelectorAll(".dot").forEach((/** @type {Element} */ c) => c.setAttribute("vector-effect", "non-scaling-stroke"));
-  if (active !== null && active !== undefined) svg.querySelector(`[data-row="${active}"]`)?.focus();
+  if (active) svg.querySelector(`[${active[0]}="${active[1]}"]`)?.focus();
+}
+
+/** Outline of a library's patch, seen from above; nothing without one. @param {App} app @returns {Element[]} */
+function patch(app) {
+  const { places } = app.experiment;
+  if (!places) return [];
+  const at = Array.from({ length: places.n }, (_, i) => [1e3 * places.xy[2 * i], -1e3 * places.xy[2 * i + 1]]), r = 1e3 * places.radius;
+  const [x, y] = [0, 1].map((c) => at.map((p) => p[c])), low = [Math.min(...x) - r, Math.min(...y) - r];
+  return [h("rect", { class: "patch", x: low[0], y: low[1], width: Math.max(...x) + r - low[0], height: Math.max(...y) + r - low[1], rx: 1 })];
+}
+
+/** What lets an actuator be dragged, or moved by the arrow keys. @param {App} app @param {number} k @returns {Record<string, any>} */
+function mover(app, k) {
+  const { experiment } = app, now = () => /** @type {number[][]} */ (experiment.settings.contacts), name = experiment.inputs[k].name;
+  const move = (/** @type {number} */ x, /** @type {number} */ y) => {
+    const rounded = [x, y].map((v) => Number(v.toFixed(6))); // [m]
+    app.set({ contacts: now().map((old, i) => (i === k ? rounded : old)) });
+  };
+  const place = (/** @type {PointerEvent} */ e) => { const m = $("pad").getScreenCTM().inverse(); return [m.a * e.clientX + m.e, m.d * e.clientY + m.f]; };
+  return {
+    class: "mover", role: "button", tabindex: 0, "data-actuator": k, "aria-label": `actuator ${name} at ${now()[k].map((v) => say(1e3 * v)).join(", ")} mm; arrow keys move it by 1 mm, with shift by 5 mm`,
+    onkeydown: (/** @type {KeyboardEvent} */ e) => {
+      const step = /** @type {Record<string, number[]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] })[e.key];
+      if (!step) return;
+      e.preventDefault(); e.stopPropagation();
+      const [x, y] = now()[k], d = e.shiftKey ? 5e-3 : 1e-3;
+      move(x + d * step[0], y + d * step[1]);
+    },
+    onpointerdown: (/** @type {PointerEvent} */ e) => {
+      const g = /** @type {SVGGElement} */ (e.currentTarget), [x, y] = now()[k], from = place(e);
+      let to = from;
+      g.setPointerCapture(e.pointerId);
+      g.onpointermove = (next) => { to = place(next); g.setAttribute("transform", `translate(${to[0] - from[0]} ${to[1] - from[1]})`); };
+      g.onpointerup = () => { g.onpointermove = g.onpointerup = null; g.removeAttribute("transform"); if (to !== from) move(x + (to[0] - from[0]) / 1e3, y - (to[1] - from[1]) / 1e3); };
+    },
+  };
 }
 
 /** @param {{position: number[]}[]} ports [mm] */
@@ -131,7 +169,7 @@ function filterPart(app) {
   const kind = h("select", { id: "rule", "aria-label": "regularisation", onchange: () => app.set({ rule: kind.value === "auto" ? null : { kind: kind.value, value: /** @type {any} */ (usual)[kind.value] } }) },
     ...[["auto", "automatic"], ["rcond", "pseudo-inverse"], ["tikhonov", "Tikhonov"], ["discrepancy", "discrepancy"], ["lcurve", "L-curve"], ["noise", "by G's error"]].map(([value, text]) => h("option", { value, text })));
   const value = field(app, "value", "value", "of the largest", [0, 0.999], () => experiment.settings.rule?.value ?? 0, (v) => { const { rule } = experiment.settings; if (rule) app.set({ rule: { ...rule, value: v } }); });
-  app.listeners.push(() => { const { rule } = experiment.settings; kind.value = rule?.kind ?? "auto"; value.style.visibility = rule ? "" : "hidden"; });
+  app.listeners.push(() => { const { rule } = experiment.settings; kind.value = rule?.kind ?? "auto"; value.style.display = rule ? "" : "none"; });
   const window = h("select", { id: "window", "aria-label": "window of S", onchange: () => app.set({ window: window.value === "run" ? experiment.content.rendering.window : window.value }) },
     ...[["run", "as in the run"], ["wavelet", "around the wavelet"], ["record", "whole record"]].map(([v, text]) => h("option", { value: v, text })));
   return part("Inverse filter and S", false, h("div", { class: "row" }, h("label", {}, "regularisation", kind)), h("div", { class: "row" }, value), h("div", { class: "row" }, h("label", {}, "S over", window)));
@@ -167,6 +205,40 @@ function devicePart(app) {
     ...(voltage ? [coil("moving_mass", "coil mass", "g", 1e3, [1e-3, 1e3]), h("div", { class: "row" }, field(app, "cone", "cone mass", "g", [0, 1e3], () => 1e3 * experiment.settings.device.cone.mass, (v) => change({ cone: { mass: v / 1e3 } }))), coil("resonance", "coil's own resonance", "Hz", 1, [0.01, 1e5]), coil("force_factor", "force factor Bl", "T m", 1, [1e-6, 1e4]), coil("resistance", "resistance", "ohm", 1, [1e-4, 1e6]), h("div", { class: "row" }, h("label", {}, fixed, "housing held still"))] : [h("p", { class: "soft", text: `drive: ${experiment.settings.device.drive}; coils play no part` })]),
     h("div", { class: "row" }, h("label", {}, again, "G measured again after changes: renderers know them")),
     h("div", { class: "row" }, h("button", { type: "button", onclick: () => { const o = experiment.original(); app.set({ device: o.device, calibrated: true }); }, text: "device as in the run" })));
+}
+
+/** The next or the last drawn arm, the run's own among them. @param {App} app @param {number} step */
+function stepArm(app, step) {
+  const { experiment } = app, count = experiment.drawnArms.length + 1, arm = (experiment.settings.arm + step + count) % count;
+  if (count === 1) return app.say("this page holds no drawn arms: forearm-fem predict draws some, then make the page again", true);
+  app.set(experiment.settings.place ? { arm, place: null, target: 0 } : { arm });
+}
+
+/** Arms that a prediction drew, one at a time and S of all of them. @param {App} app @returns {Element[]} */
+function armsPart(app) {
+  const { experiment } = app, { draws } = experiment.content;
+  if (!draws?.length) return [];
+  const name = h("strong", { id: "arm" }), facts = h("p", { class: "soft", id: "armfacts", style: "margin:2px 0 6px;font-size:12px" }), rows = h("tbody", {});
+  const box = part("Drawn arms", false,
+    h("div", { class: "row" }, h("button", { type: "button", id: "armback", "aria-label": "arm before", text: "‹", onclick: () => stepArm(app, -1) }), name, h("button", { type: "button", id: "armnext", "aria-label": "next arm", text: "›", onclick: () => stepArm(app, 1) })), facts,
+    h("table", { id: "armtable" }, h("thead", {}, h("tr", {}, h("th", { text: "S, arm" }), ...METHODS.map((m) => h("th", { text: m })))), rows));
+  const fill = (/** @type {number} */ version, /** @type {number} */ arm) => {
+    if (version !== app.version || !box.open || arm > draws.length) return;
+    const target = experiment.settings.target;
+    rows.append(h("tr", { class: arm === experiment.settings.arm ? "now" : "" }, h("td", {}, h("button", { type: "button", text: arm ? draws[arm - 1].number : "run", onclick: () => stepArm(app, arm - experiment.settings.arm) })),
+      ...METHODS.map((m) => h("td", { text: say(experiment.strengthOn(arm, m, target)) }))));
+    setTimeout(() => fill(version, arm + 1), 0);
+  };
+  const show = () => {
+    const { arm } = experiment.settings, draw = arm ? draws[arm - 1] : null;
+    name.textContent = draw ? `draw ${draw.number}, ${draw.law}` : "the run's own arm";
+    facts.textContent = draw ? `${Object.entries(draw.drivers).map(([k, v]) => `${k} ${k.endsWith("stiffness") ? sayUnit(/** @type {number} */ (v), "Pa") : `${say(1e3 * /** @type {number} */ (v))} mm`}`).join(", ")}. Its device was drawn, too: changes of the device play no part. Known at the points only.` : `${draws.length} of the arms drawn by forearm-fem predict: keys a and A step through them.`;
+    rows.replaceChildren();
+    if (box.open && !experiment.settings.place) fill(app.version, 0);
+  };
+  box.addEventListener("toggle", show);
+  app.listeners.push(show);
+  return [box];
 }
 
 /** @param {App} app */
@@ -232,6 +304,7 @@ export function keys(app, bar, theme) {
       ArrowUp: () => turn(0, 0.06), ArrowDown: () => turn(0, -0.06), "+": () => nearer(0.9), "=": () => nearer(0.9), "-": () => nearer(1.1),
       "[": () => faster(1), "]": () => faster(-1), r: () => { arms.view = { ...arms.home }; arms.draw(experiment); }, t: theme, "?": () => dialog.showModal(),
       m: () => { const all = /** @type {any[]} */ (["inverse filter", "funneling", "combination"]); app.focus = all[(all.indexOf(app.focus) + 1) % 3]; app.rescale(); },
+      a: () => stepArm(app, 1), A: () => stepArm(app, -1),
       s: () => { if (bar.section.disabled) return app.say(bar.section.title); bar.section.selectedIndex = (bar.section.selectedIndex + 1) % bar.section.options.length; arms.section = bar.section.value; app.rescale(); },
     };
     const vertical = e.key === "ArrowUp" || e.key === "ArrowDown";

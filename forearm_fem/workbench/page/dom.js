@@ -17,6 +17,14 @@ export function h(tag, props = {}, ...children) {
   return element;
 }
 
+/** New children in place of the old, with the focus where it was: on the element of the same number. @param {Element} parent
+ * @param {...(Node | null)} children */
+export function replace(parent, ...children) {
+  const all = () => Array.from(parent.querySelectorAll("button, input, select, [tabindex]")), held = all().indexOf(/** @type {Element} */ (document.activeElement));
+  parent.replaceChildren(...children.filter((c) => c !== null));
+  if (held >= 0) /** @type {HTMLElement | undefined} */ (all()[held])?.focus();
+}
+
 /** @param {string} id @returns {any} */
 export function $(id) {
   const found = document.getElementById(id);

@@ -21,6 +21,8 @@
  * @property {Wavelet} wavelet
  * @property {Device} device
  * @property {boolean} calibrated  whether renderers know the changed device
+ * @property {number} arm  0 is the run's own, the others are drawn ones
+ * @property {number[][] | null} contacts  where actuators stand, seen from above [m]; only with a library
  * @typedef {object} Outcome  one method at one target
  * @property {Method} method
  * @property {string} problem  why there is none; empty otherwise
@@ -33,10 +35,11 @@
  * @property {number} strength
  * @property {number} undriven  share of the wavelet's energy on bins that are not driven
  */
-import { unpack, unpackComplex, zeros } from "./arrays.js";
+import { unpack, unpackAmplitudes, unpackComplex, zeros } from "./arrays.js";
 import { complianceAt, polesOf } from "./compliance.js";
 import { closeLoop } from "./device.js";
 import { toSpectrum, toTime } from "./fft.js";
+import { Places } from "./places.js";
 import { aim, knownInputs, respond } from "./renderers.js";
 import { area, strengthOf } from "./strength.js";
 import { burst, placed, ricker, windowOf } from "./wavelet.js";
@@ -62,7 +65,9 @@ export class Experiment {
     this.error = unpack(content.error);
     this.kind = content.model.kind;
     this.poles = this.kind === "poles" ? polesOf(content.model) : null;
-    this.skin = this.poles
+    /** Where actuators may stand, if the page was made of a library. @type {Places | null} */
+    this.places = this.kind === "places" ? new Places(content.model) : null;
+    this.skin = this.places ? this.places.skin(content.model.home) : this.poles
       ? complianceAt(this.poles, this.frequency, this.inputs.length)
       : this.kind === "samples" ? unpackComplex(content.model.values) : zeros(0);
     this.measured = this.kind === "transfer"
@@ -72,7 +77,11 @@ export class Experiment {
     this.reach = null;
     /** @type {Settings} */
     this.settings = this.original();
+    /** G of arms that a prediction drew (bins x outputs x inputs). @type {Complex[]} */
+    this.drawnArms = (content.draws ?? []).map((/** @type {any} */ d) => unpackAmplitudes(d.values));
     this.cache = new Map();
+    /** Half widths of log S that were drawn here, and for which settings. @type {{key: string, half: number[][]} | null} */
+    this.drawn = null;
   }
 
   /** Settings with which the run was made. @returns {Settings} */
@@ -97,6 +106,8 @@ export class Experiment {
         spring: this.inputs.map((p) => device.contact_springs?.[p.name] ?? Infinity),
       },
       calibrated: true,
+      arm: 0,
+      contacts: this.kind === "places" ? this.content.model.home : null,
     };
   }
 
@@ -120,12 +131,23 @@ export class Experiment {
 
   /** Change settings; what does not depend on them is kept. @param {Partial<Settings>} change */
   set(change) {
+    if (change.arm && (change.place ?? this.settings.place)) throw new RangeError("of a drawn arm nothing is known between the points; choose a point first");
+    if (change.place && (change.arm ?? this.settings.arm)) throw new RangeError("of a drawn arm nothing is known between the points; choose a point, or the run's own arm");
+    if (change.contacts && this.places && change.contacts !== this.settings.contacts) this.stand(change.contacts);
     this.settings = { ...this.settings, ...change };
     for (const key of this.cache.keys()) {
-      if (!("device" in change || "place" in change) && (key.startsWith("loop") || key.startsWith("svd"))) continue;
+      if (!("device" in change || "place" in change || "contacts" in change || "arm" in change) && (key.startsWith("loop") || key.startsWith("svd"))) continue;
       if (!("wavelet" in change) && key === "wavelet") continue;
       this.cache.delete(key);
     }
+  }
+
+  /** Put the actuators elsewhere on a library's patch; a RangeError says where they cannot stand. @param {number[][]} contacts */
+  stand(contacts) {
+    const places = /** @type {Places} */ (this.places), problem = places.refusal(contacts, this.inputs.map((p) => p.name));
+    if (problem) throw new RangeError(problem);
+    this.skin = places.skin(contacts);
+    this.inputs = this.inputs.map((p, k) => places.port(contacts[k], p));
   }
 
   /** Compliance with the free place's row (frequency x ports x contacts). */
@@ -152,13 +174,14 @@ export class Experiment {
 
   /** G that plays: the present device's. @returns {Placed} */
   transfer() {
-    const { measured } = this, values = measured ? measured.values : this.once("loop now", () => this.loop(this.settings.device)).transfer;
-    return { values, valid: measured?.valid ?? null, error: this.error, outputs: this.outputs, inputs: this.inputs, bins: this.index.length, weights: this.content.funneling };
+    const { measured } = this, { arm } = this.settings, values = arm ? this.drawnArms[arm - 1] : measured ? measured.values : this.once("loop now", () => this.loop(this.settings.device)).transfer;
+    return { values, valid: measured?.valid ?? null, error: this.error, outputs: this.outputs, inputs: this.inputs, bins: this.index.length, weights: this.places ? undefined : this.content.funneling };
   }
 
   /** G that the renderers aim with: the present one, or the run's if the device was not calibrated again. @returns {Placed} */
   believed() {
     if (this.settings.calibrated || this.measured) return this.transfer();
+    if (this.settings.arm) return { ...this.transfer(), values: this.once("loop now", () => this.loop(this.settings.device)).transfer };
     return { ...this.transfer(), values: this.once("loop before", () => this.loop(this.original().device)).transfer };
   }
 
@@ -239,6 +262,21 @@ export class Experiment {
     };
   }
 
+  /** S on a drawn arm, whichever is chosen. @param {number} arm @param {Method} method @param {number} target @returns {number} */
+  strengthOn(arm, method, target) {
+    return this.once(`S ${method} ${target} of ${arm}`, () => {
+      const { settings, cache } = this;
+      this.settings = { ...settings, arm };
+      this.cache = new Map([["wavelet", this.wavelet()]]);
+      try {
+        return this.rendered(method, target).strength;
+      } finally {
+        this.settings = settings;
+        this.cache = cache;
+      }
+    });
+  }
+
   /** S of a method at a target, without keeping signals. @param {Method} method @param {number} target */
   strength(method, target) {
     return this.once(`S ${method} ${target}`, () => this.rendered(method, target).strength);
@@ -246,16 +284,27 @@ export class Experiment {
 
   /** Whether S is that of the run: nothing changed but target and view. @returns {boolean} */
   get asRun() {
+    if (this.places || this.settings.arm) return false;
     const now = this.settings, then = this.original();
     return now.place === null && now.zeros === "run" && JSON.stringify([now.rule, now.window]) === JSON.stringify([then.rule, then.window])
       && now.wavelet.name === then.wavelet.name && sameDevice(now.device, then.device);
   }
 
-  /** The run's interval of S, null where there is none or where something was changed.
+  /** The run's interval of S as long as nothing is changed, then that of draws made here; null where there is none.
    * @param {Method} method @param {number} target @returns {[number, number] | null} */
   interval(method, target) {
-    const row = this.asRun ? this.content.strength.methods?.[method]?.[this.points[target]?.name] : null;
+    if (!this.asRun) {
+      const half = this.drawn?.key === this.question ? this.drawn.half[METHODS.indexOf(method)][target] : NaN, s = this.strength(method, target);
+      return Number.isFinite(half) && Number.isFinite(s) ? [s * Math.exp(-half), s * Math.exp(half)] : null;
+    }
+    const row = this.content.strength.methods?.[method]?.[this.points[target]?.name];
     return row && row.low !== null && row.high !== null ? [row.low, row.high] : null;
+  }
+
+  /** Names all settings that an interval depends on: everything but the target. */
+  get question() {
+    const { zeros, rule, amplitude, window, wavelet, device, calibrated, place, contacts, arm } = this.settings;
+    return JSON.stringify([zeros, rule, amplitude, window, wavelet.name, { ...device, spring: device.spring.map(String) }, calibrated, place?.vertex, contacts, arm]);
   }
 
   /** S over arms [lower, middle, upper] that a prediction of this very scenario found, null otherwise.

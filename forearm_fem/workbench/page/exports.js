@@ -6,6 +6,7 @@
 import { METHODS } from "./experiment.js";
 import { $, h } from "./dom.js";
 import { transferCsv, transferJson, writeCsv, writeToml, writeWav } from "./files.js";
+import { mark } from "./plots.js";
 import { timeOf } from "./wavelet.js";
 
 /** @param {App} app */
@@ -41,16 +42,18 @@ export function caption(app) {
 
 /** The arms as seen, with names, S and scales. @param {App} app @returns {HTMLCanvasElement} */
 function composed(app) {
-  const { gl, over } = app.arms.parts, s = app.arms.sharp, out = /** @type {HTMLCanvasElement} */ (h("canvas", { width: over.width, height: over.height + Math.round(26 * s) }));
+  const { body, over } = app.arms.parts, s = app.arms.sharp, out = /** @type {HTMLCanvasElement} */ (h("canvas", { width: over.width, height: over.height + Math.round(26 * s) }));
   const g = /** @type {CanvasRenderingContext2D} */ (out.getContext("2d")), style = getComputedStyle(document.documentElement), ink = (/** @type {string} */ n) => style.getPropertyValue(n).trim();
   g.fillStyle = ink("--paper"); g.fillRect(0, 0, out.width, out.height);
-  if (app.arms.renderer) g.drawImage(gl, 0, 0, over.width, over.height);
+  g.drawImage(body, 0, 0, over.width, over.height);
   g.drawImage(over, 0, 0);
   g.setTransform(s, 0, 0, s, 0, 0);
   app.arms.boxes().forEach((box, i) => {
     const method = METHODS[i], o = app.experiment.outcome(method);
     g.fillStyle = ink(`--${["inverse", "funneling", "combination"][i]}`); g.font = "600 14px system-ui, sans-serif"; g.fillText(method, box.x + 14, box.y + 24);
     g.fillStyle = ink("--ink"); g.font = "600 20px system-ui, sans-serif"; g.fillText(o.problem ? "" : `S ${o.strength.toPrecision(3)}`, box.x + 14, box.y + 48);
+    const range = app.experiment.interval(method, app.experiment.settings.target);
+    if (range) { g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(`${range.map((v) => v.toPrecision(3)).join(" to ")} by the errors of G`, box.x + 14, box.y + 64); }
     g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(app.arms.words(method), box.x + 14, box.y + box.h - 12);
   });
   g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(caption(app), 10, over.height / s + 17);
@@ -64,27 +67,39 @@ async function picture(app) {
   if (blob) save(app, ".png", blob, "image/png");
 }
 
+const FRAME = 40, MOST_FRAMES = 500; // [ms]
+
 /** One passage of the waves as WebM. @param {App} app */
 function film(app) {
   const still = composed(app);
   if (typeof MediaRecorder === "undefined" || !still.captureStream) throw new Error("this browser records no films; PNG and print work");
-  const g = /** @type {CanvasRenderingContext2D} */ (still.getContext("2d")), recorder = new MediaRecorder(still.captureStream(25), { mimeType: "video/webm", videoBitsPerSecond: 5e6 });
+  const g = /** @type {CanvasRenderingContext2D} */ (still.getContext("2d")), recorder = new MediaRecorder(still.captureStream(1e3 / FRAME), { mimeType: "video/webm", videoBitsPerSecond: 5e6 });
   /** @type {Blob[]} */
   const parts = [];
   recorder.ondataavailable = (e) => parts.push(e.data);
   const [from, to] = app.span, before = { playing: app.playing, time: app.arms.time };
   app.playing = false;
-  app.arms.time = from;
-  recorder.start();
-  const began = performance.now(), timer = setInterval(() => {
-    app.arms.time = from + ((performance.now() - began) / 1e3) * app.speed;
-    if (app.arms.time >= to || performance.now() - began > 20e3) { clearInterval(timer); recorder.stop(); return; }
+  let shown = 0, timer = 0;
+  // by numbers of frames, not by the clock: a slow machine makes the same film, only longer
+  const next = () => {
+    const time = from + shown++ * (FRAME / 1e3) * app.speed;
+    if (time > to || shown > MOST_FRAMES) { clearInterval(timer); setTimeout(() => recorder.stop(), 5 * FRAME); return; }
+    app.arms.time = time;
     app.arms.draw(app.experiment);
     g.setTransform(1, 0, 0, 1, 0, 0);
     g.drawImage(composed(app), 0, 0);
-    $("wait").textContent = `film: ${Math.round((100 * (app.arms.time - from)) / (to - from))} %`;
-  }, 40);
-  recorder.onstop = () => { $("wait").textContent = ""; Object.assign(app, { playing: before.playing }); app.arms.time = before.time; save(app, ".webm", new Blob(parts, { type: "video/webm" }), "video/webm"); };
+    $("wait").textContent = `film: ${Math.round((100 * (time - from)) / (to - from))} %`;
+  };
+  recorder.onstart = () => { timer = setInterval(next, FRAME); };
+  recorder.onstop = () => {
+    $("wait").textContent = "";
+    app.playing = before.playing;
+    app.arms.time = before.time;
+    const film = new Blob(parts, { type: "video/webm" });
+    if (film.size > 1000) save(app, ".webm", film, "video/webm");
+    else app.say("this browser recorded no picture; try once more, or keep PNGs", true);
+  };
+  recorder.start();
 }
 
 /** All charts under each other, with their own styles. @param {App} app */
@@ -92,6 +107,7 @@ export function charts(app) {
   const style = getComputedStyle(document.documentElement), all = /** @type {SVGElement[]} */ (Array.from(document.querySelectorAll("#traces .chart, #spectra .chart")));
   const fill = (/** @type {string} */ text) => text.replace(/var\((--[a-z]+)\)/g, (_, n) => style.getPropertyValue(n).trim());
   const body = all.map((svg, k) => { const copy = /** @type {SVGElement} */ (svg.cloneNode(true)); copy.setAttribute("x", String(440 * (k % 2))); copy.setAttribute("y", String(225 * Math.floor(k / 2) + 24)); copy.setAttribute("width", "420"); copy.setAttribute("height", "190");
+    if (svg.closest("#traces")) mark(copy, 1e3 * app.arms.time, /** @type {[number, number]} */ (app.span.map((t) => 1e3 * t)));
     return `<text x="${440 * (k % 2) + 46}" y="${225 * Math.floor(k / 2) + 18}" font-weight="600">${escaped(svg.getAttribute("aria-label") ?? "")}</text>${fill(new XMLSerializer().serializeToString(copy))}`; }).join("\n");
   const height = 225 * Math.ceil(all.length / 2) + 30, css = fill(".grid{stroke:var(--grid)}.zero{stroke:var(--soft);stroke-width:.7}.cursor{stroke:var(--ink)}.limit{stroke:var(--warn);stroke-dasharray:5 3}.shade{fill:var(--field)}text{fill:var(--ink);font-family:Arial,sans-serif}");
   return `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 870 ${height}" font-size="10"><style>${css}</style><rect width="870" height="${height}" fill="${style.getPropertyValue("--paper").trim()}"/>${body}<text x="10" y="${height - 8}">${escaped(caption(app))}</text></svg>`;
@@ -157,6 +173,7 @@ function scenario(app) {
 export function scenarioToml(app) {
   const { experiment } = app, { settings, content } = experiment, then = experiment.original(), { device } = settings;
   if (experiment.kind === "transfer") throw new Error("this page holds a G that was given, not a scenario; keep G and signals as CSV instead");
+  if (settings.arm) throw new Error("a drawn arm is no scenario: forearm-fem predict draws it; go back to the run's own arm, or keep signals and G");
   const cannot = [device.gain.some((g) => g === 0) && "an actuator that is off", !settings.calibrated && "a device that was not measured again"].filter(Boolean);
   if (cannot.length) throw new Error(`a scenario has no key for ${cannot.join(", ")}: set ${cannot.length > 1 ? "them" : "it"} back to keep a scenario, or keep signals and G as CSV`);
   const table = structuredClone(content.scenario), notes = [];
@@ -169,6 +186,11 @@ export function scenarioToml(app) {
   put("device.out_of_contact", experiment.inputs.filter((_, k) => !device.touching[k]).map((p) => p.name));
   put("device.gains", named((k) => (device.gain[k] === 1 ? null : device.gain[k])));
   put("device.contact_springs", named((k) => (Number.isFinite(device.spring[k]) && device.touching[k] ? device.spring[k] : null)));
+  if (experiment.places && settings.contacts) {
+    const [c, s] = [Math.cos(content.device.rotation ?? 0), Math.sin(content.device.rotation ?? 0)];
+    put("device.contacts", settings.contacts.map(([x, y]) => [c * x + s * y, -s * x + c * y].map((v) => Number(v.toFixed(6)))));
+    notes.push("run it with --library and the library that this page was made of, or without for a solve");
+  }
   put("rendering.methods", METHODS);
   put("rendering.amplitude", settings.amplitude);
   put("rendering.window", settings.window);

@@ -110,7 +110,7 @@ export function fast(n) {
 }
 
 /** Amplitudes (k,) at an instant, a cubic through four neighbours (Catmull and Rom). @param {Track} track @param {number} t [s]
- * @param {Float32Array} out */
+ * @param {Float64Array} out */
 export function amplitudesAt(track, t, out) {
   const k = out.length, at = (t - track.first) * track.rate, i = Math.min(Math.max(Math.floor(at), 1), track.count - 3), x = at - i;
   if (at < 0 || at > track.count - 1) return out.fill(0);
@@ -124,21 +124,29 @@ export function amplitudesAt(track, t, out) {
 }
 
 /**
- * Displacement (n x 3) and its part along the normal (n,) of a surface [m].
- * @param {Surface} surface @param {Float32Array} amplitudes (k,) @param {Float32Array} moved @param {Float32Array} normal
+ * Displacement (n x 3) and its part along the normal (n,) of some vertices of a surface [m], at three states at once: reading
+ * the shapes costs more time than the sums.
+ * @param {Surface} surface @param {Float64Array[]} states three rows of amplitudes (k,)
+ * @param {{moved: Float32Array, u: Float32Array}[]} into one for each @param {ArrayLike<number>} vertices
  */
-export function displace(surface, amplitudes, moved, normal) {
-  const { shapes, normals, components } = surface, k = amplitudes.length, n = normal.length;
-  for (let v = 0, at = 0; v < n; v++) {
-    let along = 0;
-    for (let c = 0; c < components; c++) {
-      let sum = 0;
-      for (let j = 0; j < k; j++) sum += shapes[at + j] * amplitudes[j];
-      at += k;
-      if (components === 1) along = sum;
-      else { moved[3 * v + c] = sum; along += sum * normals[3 * v + c]; }
+export function displace(surface, [a, b, c], into, vertices) {
+  const { shapes, normals, components } = surface, k = a.length;
+  for (let i = 0; i < vertices.length; i++) {
+    const v = vertices[i];
+    let along = 0, bAlong = 0, cAlong = 0;
+    for (let part = 0; part < components; part++) {
+      const from = (v * components + part) * k, weight = components === 1 ? 1 : normals[3 * v + part];
+      let p = 0, q = 0, r = 0;
+      for (let j = 0; j < k; j++) {
+        const s = shapes[from + j];
+        p += s * a[j];
+        q += s * b[j];
+        r += s * c[j];
+      }
+      along += weight * p; bAlong += weight * q; cAlong += weight * r;
+      if (components > 1) { const at = 3 * v + part; into[0].moved[at] = p; into[1].moved[at] = q; into[2].moved[at] = r; }
     }
-    if (components === 1) for (let c = 0; c < 3; c++) moved[3 * v + c] = along * normals[3 * v + c];
-    normal[v] = along;
+    into[0].u[v] = along; into[1].u[v] = bAlong; into[2].u[v] = cAlong;
+    if (components === 1) for (const { moved, u } of into) for (let part = 0; part < 3; part++) moved[3 * v + part] = u[v] * normals[3 * v + part];
   }
 }

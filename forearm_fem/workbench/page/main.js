@@ -9,6 +9,7 @@ import { Field } from "./field.js";
 import { cursor, errors, heads, spectra, table, traces } from "./readouts.js";
 
 const SLOW = 45, COARSEST = 0.7; // [ms] between frames, pixels per css pixel
+const STILL = 2, AT_REST = 200; // pixels per css pixel of a still picture, [ms] until it is one
 
 const began = performance.now();
 
@@ -28,9 +29,9 @@ function failed(problem) {
 function head(content) {
   $("name").textContent = content.name;
   $("description").textContent = content.description;
-  const engine = content.model.kind === "transfer" ? "a G that was given" : content.engine === "layered" ? "layered twin: flat, endless layers" : "finite elements";
+  const engine = content.model.kind === "transfer" ? "a G that was given" : content.model.kind === "places" ? "an arm's library: actuators can be dragged" : content.engine === "layered" ? "layered twin: flat, endless layers" : "finite elements";
   $("badge").textContent = `${engine} · ${content.inputs.length} actuators · ${content.outputs.length} points`;
-  $("stamp").textContent = `${content.stamp} · forearm_fem ${content.program} · e^{+iωt}, displacement positive out of the skin`;
+  $("stamp").textContent = `${content.stamp}${content.stamp.includes("forearm_fem") ? "" : ` · forearm_fem ${content.program}`} · e^{+iωt}, displacement positive out of the skin`;
 }
 
 /** @param {Arms} arms @param {() => void} redraw */
@@ -56,25 +57,36 @@ function themes(arms, redraw) {
 
 /** @param {App} app @param {ReturnType<typeof transport>} bar */
 function animate(app, bar) {
-  let last = performance.now(), slow = 0;
+  let last = performance.now(), slow = 0, told = NaN, moved = last, coarse = app.arms.scale, looked = "";
   const step = (/** @type {number} */ now) => {
     const passed = Math.min(now - last, 200) / 1e3;
     last = now;
     const [from, to] = app.span;
     if (app.playing && !document.hidden) {
+      app.arms.scale = coarse;
       app.arms.time += passed * app.speed;
       if (app.arms.time > to) app.arms.time = from + ((app.arms.time - from) % (to - from));
-      app.arms.draw(app.experiment);
+      app.arms.turn(app.experiment);
       // drawing goes on after the call, so what counts is how far frames are apart; fewer pixels where they are too far
       slow = 0.9 * slow + 100 * passed;
-      if (slow > SLOW && app.arms.scale > COARSEST) { app.arms.scale = Math.max(COARSEST, app.arms.scale * 0.85); slow = 0; }
-    } else app.arms.draw(app.experiment);
-    bar.scrub.value = String(Math.round((1000 * (app.arms.time - from)) / (to - from)));
-    $("now").textContent = `t = ${(1e3 * app.arms.time).toFixed(1)} ms`;
-    cursor(app);
+      if (slow > SLOW && coarse > COARSEST) { coarse = Math.max(COARSEST, coarse * 0.85); slow = 0; }
+    } else if (app.arms.drawnAt !== app.arms.time || app.arms.lookedAt !== looked) {
+      [moved, looked, app.arms.scale] = [now, app.arms.lookedAt, coarse];
+      if (app.arms.drawnAt !== app.arms.time) app.arms.turn(app.experiment);
+    } else if (now - moved > AT_REST && app.arms.scale !== STILL) {
+      app.arms.scale = STILL;
+      app.arms.move();
+    }
+    if (told !== app.arms.time) {
+      told = app.arms.time;
+      bar.scrub.value = String(Math.round((1000 * (told - from)) / (to - from)));
+      $("now").textContent = `t = ${(1e3 * told).toFixed(1)} ms`;
+      cursor(app);
+    }
     requestAnimationFrame(step);
   };
   requestAnimationFrame(step);
+  new ResizeObserver(() => app.arms.draw(app.experiment)).observe($("stage"));
 }
 
 /** @param {any} content @param {Field} field @param {Arms} arms @param {() => void} ready */
@@ -104,8 +116,7 @@ try {
   const content = JSON.parse(/** @type {HTMLElement} */ (document.getElementById("content")).textContent ?? "");
   head(content);
   const field = new Field(content.field, content.inputs.length);
-  const arms = new Arms(field, content, { gl: $("gl"), over: $("over"), panels: Array.from(document.querySelectorAll(".panel")) });
-  if (arms.problem) tell(arms.problem, true);
+  const arms = new Arms(field, content, { body: $("bodies"), over: $("over"), panels: Array.from(document.querySelectorAll(".panel")) });
   arms.theme = document.documentElement.dataset.theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
   arms.draw(null);
   document.body.dataset.first = String(Math.round(performance.now()));

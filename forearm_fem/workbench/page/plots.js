@@ -40,19 +40,22 @@ export function draw(chart) {
   for (const s of chart.series) svg.append(h("path", { d: path(s.x ?? chart.x, s.y, px, py, chart), fill: "none", stroke: s.colour, "stroke-width": s.width ?? 1, "stroke-dasharray": s.dash, opacity: s.opacity, "stroke-linejoin": "round" }));
   svg.append(h("text", { x: (LEFT + W - RIGHT) / 2, y: H - 4, "text-anchor": "middle", class: "label", text: chart.xLabel }));
   svg.append(h("text", { transform: `translate(11 ${(TOP + H - BOTTOM) / 2}) rotate(-90)`, "text-anchor": "middle", class: "label", text: chart.yLabel }));
-  svg.append(h("line", { class: "cursor", y1: TOP, y2: H - BOTTOM, x1: -9, x2: -9 }));
   return svg;
 }
 
-/** Move the line that marks the instant shown. @param {SVGElement} svg @param {number} at @param {[number, number]} span */
-export function mark(svg, at, [x0, x1]) {
-  const x = at < x0 || at > x1 ? -9 : LEFT + ((at - x0) / (x1 - x0)) * (W - LEFT - RIGHT), line = svg.querySelector(".cursor");
-  line?.setAttribute("x1", String(x));
-  line?.setAttribute("x2", String(x));
+/** Where a value of x stands, in parts of the chart's width. @param {number} at @param {[number, number]} span */
+export function across(at, [x0, x1]) {
+  return (LEFT + ((Math.min(Math.max(at, x0), x1) - x0) / (x1 - x0)) * (W - LEFT - RIGHT)) / W;
+}
+
+/** The line that marks the instant shown, in the chart itself. @param {SVGElement} svg @param {number} at @param {[number, number]} span */
+export function mark(svg, at, span) {
+  const x = W * across(at, span);
+  svg.append(h("line", { class: "cursor", y1: TOP, y2: H - BOTTOM, x1: x, x2: x }));
 }
 
 /** Value of x under a pointer. @param {SVGSVGElement} svg @param {number} clientX @param {[number, number]} span */
-export function under(svg, clientX, [x0, x1]) {
+export function valueAt(svg, clientX, [x0, x1]) {
   const box = svg.getBoundingClientRect(), scale = Math.min(box.width / W, box.height / H), left = box.left + (box.width - W * scale) / 2;
   return x0 + (((clientX - left) / scale - LEFT) / (W - LEFT - RIGHT)) * (x1 - x0);
 }

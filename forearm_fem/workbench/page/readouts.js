@@ -6,9 +6,10 @@
  * @typedef {import("./plots.js").Series} Series
  */
 import { METHODS } from "./experiment.js";
-import { $, h, say, sayUnit } from "./dom.js";
+import { $, h, replace, say, sayUnit } from "./dom.js";
 import { between } from "./files.js";
-import { draw, mark, under } from "./plots.js";
+import { whyNone } from "./interval.js";
+import { across, draw, valueAt } from "./plots.js";
 import { levels } from "./strength.js";
 import { timeOf } from "./wavelet.js";
 
@@ -22,10 +23,10 @@ const colour = (method) => `var(--${CLASS[method]})`;
 /** S and scales over each arm. @param {App} app */
 export function heads(app) {
   const { experiment, arms } = app, { settings } = experiment;
-  $("heads").replaceChildren(...METHODS.map((method) => {
+  replace($("heads"), ...METHODS.map((method) => {
     const o = experiment.outcome(method), range = experiment.interval(method, settings.target);
     const band = experiment.arms(method, settings.target);
-    const why = o.problem ? o.problem : range ? `${say(range[0])} to ${say(range[1])} by the errors of G` : `interval unknown: ${whyUnknown(app)}`;
+    const why = o.problem ? o.problem : range ? `${say(range[0])} to ${say(range[1])} by the errors of G` : whyUnknown(app);
     return h("div", { class: "head" },
       h("div", {},
         h("button", { type: "button", class: CLASS[method], "aria-pressed": String(app.focus === method), onclick: () => { app.focus = method; app.rescale(); }, text: method }),
@@ -38,10 +39,11 @@ export function heads(app) {
 
 /** @param {App} app */
 function whyUnknown(app) {
-  const { experiment } = app;
-  if (!experiment.asRun) return "something was changed since the run";
+  const { experiment } = app, { settings } = experiment;
+  if (settings.arm) return "a drawn arm: the errors of its own G are not kept";
+  if (!experiment.asRun) return whyNone(experiment.content) ? `interval unknown: ${whyNone(experiment.content)}` : "interval: being drawn …";
   const rendered = experiment.content.strength.methods;
-  return rendered ? experiment.content.strength.unknown || "not rendered at this target" : "this G states none";
+  return `interval unknown: ${rendered ? experiment.content.strength.unknown || "not rendered at this target" : "this G states none"}`;
 }
 
 /** Displacements and drives, a column per method. @param {App} app */
@@ -63,12 +65,13 @@ export function traces(app) {
       draw({ title: `${method}: displacement of all points`, x, span: ms, xLabel: "time [ms]", yLabel: "outward displacement [µm]", series: moves, symmetric: true, shade }),
       draw({ title: `${method}: drives`, x, span: ms, xLabel: "time [ms]", yLabel: `drive [${unit}]`, series: sent, symmetric: true, limits }),
     ];
-    for (const svg of charts) svg.addEventListener("click", (e) => { app.playing = false; app.arms.time = Math.min(Math.max(under(svg, e.clientX, ms) / 1e3, span[0]), span[1]); });
+    for (const svg of charts) svg.addEventListener("click", (e) => { app.playing = false; app.arms.time = Math.min(Math.max(valueAt(svg, e.clientX, ms) / 1e3, span[0]), span[1]); });
     return h("div", { class: "trace" },
       h("h2", {}, h("span", { class: CLASS[method], text: method }), h("small", { text: o.problem ? ` ${o.problem}` : ` target ${experiment.outputs[settings.target].name}` })),
-      charts[0], legend([[colour(method), "target"], ["var(--warn)", "zero points", true], ["var(--soft)", "other points"]]),
-      charts[1], legend(experiment.inputs.map((p, i) => [ACTUATORS[i % ACTUATORS.length], p.name])));
+      under(charts[0]), legend([[colour(method), "target"], ["var(--warn)", "zero points", true], ["var(--soft)", "other points"]]),
+      under(charts[1]), legend(experiment.inputs.map((p, i) => [ACTUATORS[i % ACTUATORS.length], p.name])));
   }));
+  cursor(app);
 }
 
 /** @param {[string, string, boolean?][]} entries */
@@ -76,10 +79,15 @@ function legend(entries) {
   return h("div", { class: "legend" }, ...entries.map(([c, text, dash]) => h("span", {}, h("i", { class: dash ? "dash" : "", style: `border-color:${c}` }), text)));
 }
 
+/** A chart and the line of the instant shown, which moves without the chart being painted again. @param {SVGElement} chart */
+function under(chart) {
+  return h("div", { class: "plot" }, chart, h("i", { class: "instant" }));
+}
+
 /** Move the instant's line in all traces. @param {App} app */
 export function cursor(app) {
-  const ms = /** @type {[number, number]} */ (app.span.map((t) => 1e3 * t));
-  for (const svg of document.querySelectorAll("#traces .chart")) mark(/** @type {SVGElement} */ (svg), 1e3 * app.arms.time, ms);
+  const place = `translateX(${100 * across(1e3 * app.arms.time, /** @type {[number, number]} */ (app.span.map((t) => 1e3 * t)))}%)`;
+  for (const line of document.querySelectorAll("#traces .instant")) /** @type {HTMLElement} */ (line).style.transform = place;
 }
 
 /** G to the target, the drives' spectra and how well G inverts. @param {App} app */
@@ -125,7 +133,7 @@ export function table(app, choose) {
     h("td", {}, h("button", { type: "button", title: `aim at ${p.name}`, onclick: () => choose(row), text: p.name })),
     ...METHODS.map((method) => h("td", { "data-s": `${method} ${p.name}`, text: "…" }))));
   const played = app.overlay ? h("p", { class: "soft", id: "played" }) : null;
-  $("table").replaceChildren(
+  replace($("table"),
     h("h2", {}, "Signal strength S", h("small", { text: ` motion of the target over the mean of the other points, taken over ${over}; ${wavelet}` })),
     h("div", { class: "half" },
       h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, h("th", { text: "target" }), ...METHODS.map((m) => h("th", { class: CLASS[m], text: m })))), h("tbody", {}, ...rows))),
@@ -145,7 +153,7 @@ function fill(app, version, row) {
     const cell = document.querySelector(`[data-s="${CSS.escape(`${method} ${outputs[row].name}`)}"]`);
     if (!cell) continue;
     const s = experiment.strength(method, row), range = experiment.interval(method, row);
-    cell.textContent = range ? `${say(s)}  (${say(range[0])}–${say(range[1])})` : say(s);
+    cell.replaceChildren(say(s), ...(range ? [" ", h("small", { text: `(${say(range[0])}–${say(range[1])})` })] : []));
     /** @type {HTMLElement} */ (cell).dataset.value = String(s);
   }
   setTimeout(() => fill(app, version, row + 1), 0);
@@ -196,7 +204,7 @@ export function overlayOnBins(app) {
 export function errors(app) {
   const { experiment, field } = app, { content } = experiment;
   const estimates = content.errors.map((/** @type {any} */ e) => h("li", {}, h("strong", { text: `${e.source} ` }), e.band === null ? "unknown" : `${say(100 * e.band)} % over the band, ${say(100 * e.worst)} % at the worst frequency`, h("span", { class: "soft", text: `: ${e.method}` })));
-  const changed = experiment.asRun ? [] : ["The errors of G above, and the intervals of S, are those of the run as it was made; for what was changed here they are unknown."];
+  const changed = experiment.asRun ? [] : [`${experiment.places ? "Intervals of S are for the errors of G above, wherever the actuators stand." : "The errors of G above are those of the run as it was made."} ${whyNone(content) ? `Intervals of S are unknown: ${whyNone(content)}.` : "Intervals of S are drawn anew here, from 12 copies of G as the run's were; they take what was changed to err by the same shares of G."}`];
   const unseen = experiment.inputs.filter((p, k) => content.device.out_of_contact.includes(p.name) && experiment.settings.device.touching[k]).map((p) => p.name);
   if (unseen.length && field.surfaces[0].components === 3) changed.push(`The picture leaves out what ${unseen.join(", ")} moves: out of contact in the run. Numbers at the points hold it.`);
   if (content.device.housing.skin_share && !content.device.housing.fixed) changed.push("The picture leaves out what the skin follows of the housing; numbers at the points hold it.");

@@ -49,11 +49,30 @@ function lines(coordinate, slack) {
  * @param {Port[]} inputs @param {Port} target @param {number[] | null} known @returns {number[] | string} */
 export function funnelingWeights(inputs, target, known) {
   const grid = latticeOf(inputs);
-  if (!grid) return known ?? `funneling does not reach this place: these ${inputs.length} actuators form no rectangle around it`;
+  if (!grid) return known ?? triangleWeights(inputs.map((p) => p.position), target.position) ?? `funneling does not reach this place: these ${inputs.length} actuators form no rectangle around it`;
   const at = turn(target.position, -grid.angle);
   const shares = [grid.rows, grid.columns].map((found, axis) => sharesOf(at[axis], found, grid.slack));
   if (shares.some((s) => s === null)) return "funneling reaches only places inside the actuators' rectangle";
   return inputs.map((_, i) => /** @type {number[]} */ (shares[0])[grid.place[i][0]] * /** @type {number[]} */ (shares[1])[grid.place[i][1]]);
+}
+
+/** Shares (n,) of a point in the triangle of nearest places around it: no other lies in the triangle's circle. Where several
+ * triangles are as good, their mean; null outside all. As Python's rendering/triangles.py, but for points beside an edge.
+ * @param {number[][]} places @param {number[]} at @returns {number[] | null} */
+function triangleWeights(places, at) {
+  const out = places.map(() => 0), cross = (/** @type {number[]} */ a, /** @type {number[]} */ b, /** @type {number[]} */ c) => (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+  let count = 0;
+  places.forEach((a, i) => places.slice(0, i).forEach((b, j) => places.slice(0, j).forEach((c, k) => {
+    const area = cross(a, b, c), share = [cross(b, c, at), cross(c, a, at), cross(a, b, at)].map((v) => v / area);
+    if (!(Math.abs(area) > 1e-9 * ((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2)) || share.some((v) => v < -1e-9)) return;
+    const [x, y, u, v] = [b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]], p = x * x + y * y, q = u * u + v * v;
+    const centre = [a[0] + (v * p - y * q) / (2 * area), a[1] + (x * q - u * p) / (2 * area)], radius = Math.hypot(centre[0] - a[0], centre[1] - a[1]);
+    if (places.some((d) => Math.hypot(d[0] - centre[0], d[1] - centre[1]) < radius * (1 - 1e-6))) return;
+    const clipped = share.map((w) => Math.max(w, 0)), sum = clipped.reduce((s, w) => s + w, 0);
+    [i, j, k].forEach((corner, n) => { out[corner] += clipped[n] / sum; });
+    count++;
+  })));
+  return count ? out.map((w) => w / count) : null;
 }
 
 /** @param {number} at @param {number[]} found @param {number} slack @returns {number[] | null} */

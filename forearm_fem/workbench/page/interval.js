@@ -1,0 +1,170 @@
+/**
+ * How far S may be off: S of copies of G that err as G is stated to. As Python's pipeline/strengths.py, with random numbers
+ * of its own.
+ *
+ * @typedef {import("./arrays.js").Complex} Complex
+ * @typedef {import("./experiment.js").Experiment} Experiment
+ * @typedef {import("./renderers.js").Placed} Placed
+ * @typedef {import("./wavelet.js").Record} Record
+ * @typedef {(frequency: Float64Array, entries: number) => Complex} Noise  (frequency x entries), the largest of each frequency is 1
+ * @typedef {{rows: number[], index: Int32Array, record: Record, samples: Float64Array}} Short  a shorter record and its bins
+ */
+import { unpack, zeros } from "./arrays.js";
+import { toSpectrum, toTime } from "./fft.js";
+import { aim, respond } from "./renderers.js";
+import { area, strengthOf } from "./strength.js";
+
+const DRAWS = 12, CORRELATION = 50, WAVES = 64; // [Hz] over which errors are smooth
+const HALF_WIDTH = 2, LEAST_SPAN = 4; // rms changes of log S (decision on the interval of S); windows that the record holds
+
+/** Why no interval can be drawn; empty if one can. @param {any} content of the page @returns {string} */
+export function whyNone(content) {
+  if (!content.errors.length) return "this G states no errors";
+  const lost = content.errors.filter((/** @type {any} */ e) => e.band === null).map((/** @type {any} */ e) => e.source);
+  if (lost.length) return `the error by ${lost.join(", ")} is unknown`;
+  return content.deviates ? "the scatter between a measurement's sweeps is not drawn here" : "";
+}
+
+/**
+ * Half widths of the interval of log S, a row of outputs for each method; yields in between, so that the page stays awake.
+ *
+ * Each draw adds independent smooth noise of every source's e(f) max|G| and aims anew; no target gets less than the rms of
+ * its method over all. A changed device's G is taken to err by the same shares as the run's.
+ * @param {Experiment} experiment @param {import("./renderers.js").Method[]} methods @param {Noise} noise
+ * @returns {Generator<undefined, number[][], undefined>}
+ */
+export function* halves(experiment, methods, noise) {
+  const { settings, content } = experiment, short = shorter(experiment), outputs = experiment.outputs.map((_, i) => i);
+  const frequency = Float64Array.from(short.rows, (b) => experiment.frequency[b]);
+  const playing = thinned(experiment.transfer(), short.rows), believed = settings.calibrated ? playing : thinned(experiment.believed(), short.rows);
+  const sources = content.errors.map((/** @type {any} */ e) => { const all = unpack(e.size); return Float64Array.from(short.rows, (b) => all[b]); });
+  const square = methods.map(() => outputs.map(() => 0));
+  /** @type {number[][]} */
+  const base = [];
+  for (let draw = -1; draw < DRAWS; draw++) {
+    const shares = zeros(draw < 0 ? 0 : playing.values.re.length);
+    if (draw >= 0) for (const size of sources) {
+      add(shares, size, noise(frequency, shares.re.length / frequency.length));
+      yield;
+    }
+    const played = draw < 0 ? playing : perturbed(playing, shares), aimed = draw < 0 ? believed : played && believed === playing ? played : perturbed(believed, shares);
+    const known = new Map();
+    for (const [i, method] of methods.entries()) for (const target of outputs) {
+      const s = strengthIn(experiment, short, method, target, aimed, played, known);
+      if (draw < 0) (base[i] ??= [])[target] = s;
+      else square[i][target] += Math.log(s / base[i][target]) ** 2 / DRAWS;
+      yield;
+    }
+  }
+  return square.map((row) => {
+    const usual = row.filter(Number.isFinite), mean = usual.reduce((a, b) => a + b, 0) / usual.length;
+    return row.map((v) => HALF_WIDTH * Math.sqrt(Math.max(v, mean)));
+  });
+}
+
+/** S of one method at one target on the short record; NaN where the method reaches nothing. @param {Experiment} experiment
+ * @param {Short} short @param {import("./renderers.js").Method} method @param {number} target @param {Placed} aimed
+ * @param {Placed} played @param {Map<string, any>} known */
+function strengthIn(experiment, short, method, target, aimed, played, known) {
+  const { rule, amplitude } = experiment.settings, all = toSpectrum(short.samples, short.record.rate);
+  const wavelet = { re: Float64Array.from(short.index, (k) => all.re[k]), im: Float64Array.from(short.index, (k) => all.im[k]) };
+  try {
+    const found = aim(method, aimed, target, wavelet, { zeros: experiment.zerosOf(method, target), rule, amplitude }, known);
+    const { spectra, lost } = respond(played, found.spectrum), window = experiment.window();
+    const moves = toTime(spectra, played.outputs.length, short.index, short.record.n, short.record.rate);
+    return strengthOf(moves.map((u, p) => (lost[p] > 0.5 ? NaN : area(u, short.record, window))), target);
+  } catch {
+    return NaN;
+  }
+}
+
+/** The shortest record that holds four windows, a divisor of the page's: a draw on a quarter of the bins costs a quarter.
+ * @param {Experiment} experiment @returns {Short} */
+export function shorter(experiment) {
+  const { record, index, settings } = experiment, { samples } = settings.wavelet, window = experiment.window(), whole = record.n / record.rate;
+  const span = window ? window[1] - window[0] : whole, most = Math.floor(whole / (LEAST_SPAN * span));
+  let step = 1;
+  for (let m = 2; m <= most; m++) if (record.n % (2 * m) === 0) step = m;
+  const rows = Array.from(index.keys()).filter((b) => index[b] % step === 0), n = record.n / step, from = Math.floor(record.n / 2) - Math.floor(n / 2);
+  const cut = samples.subarray(from, from + n), largest = (/** @type {Float64Array} */ a) => a.reduce((m, v) => Math.max(m, Math.abs(v)), 0);
+  if (step === 1 || rows.length < 2 || largest(cut) < largest(samples)) return { rows: Array.from(index.keys()), index, record, samples };
+  return { rows, index: Int32Array.from(rows, (b) => index[b] / step), record: { rate: record.rate, n }, samples: cut };
+}
+
+/** G on some of its bins. @param {Placed} g @param {number[]} rows @returns {Placed} */
+function thinned(g, rows) {
+  const size = g.outputs.length * g.inputs.length, values = zeros(rows.length * size), valid = g.valid && new Uint8Array(rows.length * size);
+  rows.forEach((b, k) => {
+    values.re.set(g.values.re.subarray(b * size, (b + 1) * size), k * size);
+    values.im.set(g.values.im.subarray(b * size, (b + 1) * size), k * size);
+    valid?.set(/** @type {Uint8Array} */ (g.valid).subarray(b * size, (b + 1) * size), k * size);
+  });
+  return { ...g, values, valid, error: Float64Array.from(rows, (b) => g.error[b]), bins: rows.length };
+}
+
+/** @param {Complex} shares to which is added @param {Float64Array} size (frequency,) @param {Complex} noise */
+function add(shares, size, noise) {
+  const entries = shares.re.length / size.length;
+  for (let x = 0; x < shares.re.length; x++) {
+    const s = size[Math.floor(x / entries)];
+    shares.re[x] += s * noise.re[x];
+    shares.im[x] += s * noise.im[x];
+  }
+}
+
+/** G and `shares` of its largest entry at each frequency. @param {Placed} g @param {Complex} shares @returns {Placed} */
+function perturbed(g, shares) {
+  const size = g.values.re.length / g.bins, values = { re: g.values.re.slice(), im: g.values.im.slice() };
+  for (let b = 0; b < g.bins; b++) {
+    let most = 0;
+    for (let x = b * size; x < (b + 1) * size; x++) if (!g.valid || g.valid[x]) most = Math.max(most, Math.hypot(values.re[x], values.im[x]));
+    for (let x = b * size; x < (b + 1) * size; x++) { values.re[x] += most * shares.re[x]; values.im[x] += most * shares.im[x]; }
+  }
+  return { ...g, values };
+}
+
+/** Noise of its own from a number: sums of 64 waves, normal in strength and in how fast they turn. @param {number} seed
+ * @returns {Noise} */
+export function noiseOf(seed) {
+  const normal = normals(seed);
+  return (frequency, entries) => {
+    const out = zeros(frequency.length * entries), re = new Float64Array(WAVES * entries), im = new Float64Array(WAVES * entries);
+    const tau = Float64Array.from({ length: WAVES }, () => normal() / CORRELATION);
+    for (let x = 0; x < re.length; x++) { re[x] = normal(); im[x] = normal(); }
+    for (let f = 0; f < frequency.length; f++) {
+      for (let w = 0; w < WAVES; w++) {
+        const c = Math.cos(frequency[f] * tau[w]), s = Math.sin(frequency[f] * tau[w]);
+        for (let e = 0; e < entries; e++) {
+          const a = re[w * entries + e], b = im[w * entries + e];
+          out.re[f * entries + e] += c * a - s * b;
+          out.im[f * entries + e] += c * b + s * a;
+        }
+      }
+      let most = 0;
+      for (let x = f * entries; x < (f + 1) * entries; x++) most = Math.max(most, Math.hypot(out.re[x], out.im[x]));
+      for (let x = f * entries; x < (f + 1) * entries; x++) { out.re[x] /= most; out.im[x] /= most; }
+    }
+    return out;
+  };
+}
+
+/** Normal numbers (Marsaglia's polar method) of a 32-bit generator. @param {number} seed @returns {() => number} */
+function normals(seed) {
+  let state = seed >>> 0, kept = NaN;
+  const even = () => {
+    state = (state + 0x6d2b79f5) >>> 0;
+    let t = Math.imul(state ^ (state >>> 15), state | 1);
+    t ^= t + Math.imul(t ^ (t >>> 7), t | 61);
+    return ((t ^ (t >>> 14)) >>> 0) / 2 ** 32;
+  };
+  return () => {
+    if (!Number.isNaN(kept)) { const v = kept; kept = NaN; return v; }
+    for (;;) {
+      const a = 2 * even() - 1, b = 2 * even() - 1, r = a * a + b * b;
+      if (r === 0 || r >= 1) continue;
+      const size = Math.sqrt((-2 * Math.log(r)) / r);
+      kept = b * size;
+      return a * size;
+    }
+  };
+}
