@@ -18,7 +18,7 @@ from ..errors import DataError, ReductionError, ScenarioError
 from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.quick import quick_compliance
-from ..fem.reduction.rational import Rational, rational, chebyshev_frequencies
+from ..fem.reduction.rational import Rational, chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
 from ..fem.reduction.united import Growth, Piece, TrialSolve, United, piece_at, united_model
 from ..geometry.cache import cached_mesh, default_cache_dir
