@@ -23,6 +23,7 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .bands import Bands
 from .between import Lattice, Prior, shape_of
+from .limb import Limb
 from .skin import FlatSkin, flat_skin
 from .twin import TwinTable
 
@@ -30,28 +31,6 @@ MARGIN = 0.02  # [m] of skin around the patch that bells reach
 WIDTH = 0.4  # of a bell, in steps of the lattice
 _SPREAD, _LEAST, _NOISE = 0.7, 60.0, 1e-6  # kappa in shortest wavenumbers, and [1/m]; docs/decisions/0037-library.md
 _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its library
-
-
-@dataclass(frozen=True, eq=False)
-class Bell:
-    """The limb as the bells see it: compliance sum_k left_ik right_kj / (i omega - poles_k), made symmetric.
-
-    ``left`` (n, k), ``right`` (k, n), ``poles`` (k,) [1/s].
-    """
-
-    poles: ComplexArray
-    left: ComplexArray
-    right: ComplexArray
-
-    def between(self, frequency: FloatArray, weights: FloatArray) -> ComplexArray:
-        """Compliance (n_frequency, p, p) of p combinations ``weights`` (n, p) of bells."""
-        left, right = weights.T @ self.left, self.right @ weights
-        i, j = np.triu_indices(weights.shape[1])
-        pairs = (left[i] * right.T[j] + left[j] * right.T[i]) / 2
-        values = (1 / (2j * np.pi * frequency[:, None] - self.poles)) @ pairs.T
-        whole = np.empty((len(frequency), len(left), len(left)), dtype=complex)
-        whole[:, i, j] = whole[:, j, i] = values
-        return whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +48,9 @@ class ArmLibrary:
     scenario: Scenario
     centres: FloatArray
     width: float
-    fine: Bell
-    coarse: Bell | None
-    freed: Bell | None
+    fine: Limb
+    coarse: Limb | None
+    freed: Limb | None
     ratio: float
     distances: FloatArray
     flat: ComplexArray
@@ -102,7 +81,7 @@ class ArmLibrary:
         empty = np.zeros((0, 3, 0)), np.zeros((len(fine.frequency), 0, 0), dtype=complex)
         return Solved(fine, coarse, freed, *empty, SolutionRecord(solver="library"), unknown)
 
-    def _answer(self, scenario: Scenario, limb: Bell, *, with_errors: bool = False) -> Compliance:
+    def _answer(self, scenario: Scenario, limb: Limb, *, with_errors: bool = False) -> Compliance:
         ports, frequency = self.ports(scenario), frequencies(scenario.sweep)
         self._check_band(frequency)
         places = self.skin.flat(positions(ports))
@@ -238,7 +217,6 @@ class ArmLibrary:
                     f"patch of {patch.length * 1e3:.3g} x {patch.width * 1e3:.3g} mm along the skin; move it, or make "
                     "a library with a larger library.length and library.width"
                 )
-
 
     def _check_none_under(self, ports: tuple[Port, ...]) -> None:
         """Under pressed discs points do not move with them, and the twin's tables begin at the rim."""

@@ -13,7 +13,8 @@ import xarray as xr
 from ..io.dataset import load, provenance_json, save
 from ..scenario import parse_scenario
 from ..typing import ComplexArray
-from .arm import ArmLibrary, Bell
+from .arm import ArmLibrary
+from .limb import Limb
 from .twin import Curves, TwinTable
 
 _CONTENT = "arm's library"
@@ -33,7 +34,7 @@ def save_library(path: str | Path, library: ArmLibrary) -> None:
     """Write the ``library``; DataError where that cannot be done."""
     variables: dict[str, Any] = {name: (dims, getattr(library, name), {}) for name, dims in _ARRAYS.items()}
     for name in _LIMBS:
-        limb: Bell | None = getattr(library, name)
+        limb: Limb | None = getattr(library, name)
         if limb is not None:
             for field, dims in (("poles", ("m",)), ("left", ("bell", "m")), ("right", ("m", "bell"))):
                 named = tuple(f"{name}_mode" if d == "m" else d for d in dims)
@@ -80,7 +81,7 @@ def _curves(dataset: xr.Dataset, name: str, radius: float) -> Curves:
     return Curves(radius, dataset[f"{name}_keys"].values, dataset[f"{name}_distances"].values, values)
 
 
-def _limb(dataset: xr.Dataset, name: str) -> Bell | None:
+def _limb(dataset: xr.Dataset, name: str) -> Limb | None:
     if f"{name}_poles" not in dataset:
         return None
-    return Bell(*(dataset[f"{name}_{field.name}"].values for field in fields(Bell)))
+    return Limb(*(dataset[f"{name}_{field.name}"].values for field in fields(Limb)))
