@@ -13,17 +13,18 @@ from ..errors import ForearmError, ScenarioError
 from ..layered.integrals import Medium
 from ..pipeline.layered_engine import flat_layers, flat_surface
 from ..pipeline.malloc import freed_memory_kept
+from ..pipeline.twin_tables import kept_tables, tables_reach
 from ..progress import Progress, within
 from ..scenario import Scenario, parse_scenario
 from ..tissue import KelvinVoigt, limb_tissue_keys, resolve_tissues
 from ..typing import FloatArray
 from .arm import WIDTH, ArmLibrary, library_band, library_skin, pair_distances
 from .bands import Bands
+from .flat_bells import between_flat_bells
 from .kept import Side
 from .loads import Bells
 from .side import Patch, solved_side
 from .skin import FlatSkin
-from .twin import bell_table, twin_table
 
 COARSER = 2.0  # size ratio of the second mesh
 _DISC = 8e-3  # [m] radius of the one contact that the mesh is made around
@@ -48,12 +49,8 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     bands = Bands.of(*library_band(scenario))
     nodes = bands.nodes.ravel()
     _, distances = pair_distances(bells.centres)
-    flat = bell_table(medium, nodes, bells.width, distances).reshape(*bands.nodes.shape, -1)
-    cone = scenario.device.cone
-    twin = twin_table(
-        medium, nodes, cone.radius, cone.contact, float(distances[-1]) + cone.radius,
-        progress=progress,
-    )  # fmt: skip
+    flat = between_flat_bells(medium, nodes, bells.width, distances).reshape(*bands.nodes.shape, -1)
+    twin = kept_tables(scenario, tables_reach(float(distances[-1])), progress=progress)
     library = ArmLibrary(
         scenario, bells.centres, bells.width, fine.limb, coarse.limb if coarse else None, fine.freed, COARSER,
         distances, flat, twin, np.zeros(0), np.zeros((0, 0)), fine.reduction,
