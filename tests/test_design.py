@@ -16,7 +16,7 @@ from forearm_fem.design.search import planned, search
 from forearm_fem.design.store import Store
 from forearm_fem.errors import GeometryError, ScenarioError
 from forearm_fem.layered import Disc, Layer, layered_compliance
-from forearm_fem.layered.tabulated import tabulate
+from forearm_fem.layered.tabulating import tabulate
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.layered_engine import flat_ports
 from forearm_fem.pipeline.simulation import render, simulate
@@ -183,10 +183,12 @@ def test_the_tabulated_twin_is_the_twin_within_its_statement(contact):
     omega = np.linspace(*band, 7)
     truth = layered_compliance(LAYERS, omega, discs, ports, tolerance=1e-8)
     found = made.compliance(omega, ports)
-    error = np.abs(found.values[:, :, :2] - truth.values).max(axis=(1, 2)) / np.abs(truth.values).max(axis=(1, 2))
-    assert np.all(error <= found.error + truth.error)
+    for rows in (slice(0, 2), slice(2, None)):  # discs, and the points that are a tenth of them
+        error = np.abs((found.values[:, :, :2] - truth.values)[:, rows]).max(axis=(1, 2))
+        error = error / np.abs(truth.values[:, rows]).max(axis=(1, 2))
+        assert np.all(error <= found.error + truth.error)
     assert found.interpolation.max() < 1e-3
-    assert found.truncation.max() < 0.03  # of rigid discs two azimuthal orders are taken: such close ones ask for five
+    assert found.truncation.max() < 0.1  # of rigid discs two azimuthal orders are taken: such close ones ask for five
     assert np.isnan(found.values[:, 2:, 2:]).all()  # between points nothing is tabulated
     with pytest.raises(GeometryError, match="the tables reach 24 mm"):
         made.compliance(omega, [discs[0], Disc(0.03, 0.0)])

@@ -13,15 +13,15 @@ from forearm_fem.errors import DataError, ForearmError, GeometryError, ScenarioE
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import parametric_skin
-from forearm_fem.layered import Disc, Surface, layered_compliance, surface_kernel
+from forearm_fem.layered import Surface, surface_kernel
 from forearm_fem.layered.integrals import Medium
 from forearm_fem.library import load_library, make_library, save_library
 from forearm_fem.library.arm import library_skin
 from forearm_fem.library.between import Lattice, Prior, Shape, shape_of
+from forearm_fem.library.flat_bells import between_flat_bells
 from forearm_fem.library.loads import Bells, bell_functionals
 from forearm_fem.library.make import lattice_bells, meshed_scenario
 from forearm_fem.library.skin import flat_skin
-from forearm_fem.library.twin import bell_table, twin_table
 from forearm_fem.pipeline import simulate
 from forearm_fem.pipeline.fem_engine import fem_model
 from forearm_fem.pipeline.layered_engine import flat_layers
@@ -70,27 +70,12 @@ def test_a_cylinders_skin_is_laid_flat_by_its_arc():
 def test_bells_between_each_other_are_a_plain_integral_of_the_kernel():
     scenario, width, k = Scenario(), 1.5e-3, np.linspace(1e-3, 5e3, 100_001)
     distance = np.array([0.0, 4e-3, 3e-2])
-    found = bell_table(medium(scenario), np.array([120.0]), width, distance)[0]
+    found = between_flat_bells(medium(scenario), np.array([120.0]), width, distance)[0]
     from scipy.special import j0
 
     kernel = surface_kernel(k[None], np.array([[2 * np.pi * 120.0]]), flat_layers(scenario))[0]
     plain = [np.trapezoid(kernel * np.exp(-((k * width) ** 2)) * j0(k * d) * k, k) / (2 * np.pi) for d in distance]
     assert found == pytest.approx(np.array(plain), rel=1e-5)  # of the trapezoidal rule
-
-
-@pytest.mark.parametrize("contact", ["bonded", "pressure"])
-def test_the_tabulated_twin_is_the_twin(contact):
-    scenario, radius, frequency = Scenario(), 3e-3, np.array([80.0])
-    table = twin_table(medium(scenario), frequency, radius, contact, 0.04)
-    centres = np.array([[-0.01, 0.0], [0.008, 0.003]])
-    under = [-0.009, 0.001] if contact == "bonded" else [-0.009, 0.006]
-    points = np.array([[0.0, 0.004], under, [0.02, 0.01]])
-    values, _ = table.compliance(centres, points, Surface())
-    discs = [Disc(x, y, radius, contact) for x, y in centres.tolist()]
-    truth = layered_compliance(
-        flat_layers(scenario), 2 * np.pi * frequency, discs, [*discs, *(Disc(*p) for p in points.tolist())]
-    ).values
-    assert np.abs(values[:, :, :2] - truth).max() < 1e-3 * np.abs(truth).max()  # azimuthal orders above the second
 
 
 def test_a_pressed_disc_and_a_rigid_one_have_shapes_of_their_own():
@@ -161,7 +146,7 @@ def test_between_its_loads_it_states_what_interpolation_costs(slab, library):
     limb = weights.T @ library.fine.between(np.array([at]), np.eye(len(library.centres)))[0] @ weights
     flat = weights.T @ library._flat_bells[-1, node] @ weights
     apart = np.array([0.0, np.linalg.norm(places[0] - places[1])])
-    twin = bell_table(medium(slab), np.array([at]), library.width, apart)[0]
+    twin = between_flat_bells(medium(slab), np.array([at]), library.width, apart)[0]
     off = np.abs(limb - flat + twin[np.array([[0, 1], [1, 0]])] - truth)
     stated = library._deviation(len(library.bands.edges) - 2, places, np.stack([before, known]))
     assert (off < 3 * stated + 0.02 * np.abs(truth).max()).all()

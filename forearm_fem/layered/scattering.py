@@ -79,27 +79,35 @@ class Galerkin:
             out[:, :, ring] -= out[:, :, port]
         return out
 
-    def compliance(self, integrals: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+    def compliance(self, integrals: ComplexArray, *, apart: bool = False) -> tuple[ComplexArray, FloatArray]:
         """Ports' displacement per force (n_freq, ports, ports) [m/N], and over the largest of them what the series
-        still lack (n_freq,): NaN, unknown, where there are neighbours and no azimuthal orders for them."""
+        still lack (n_freq,): NaN, unknown, where there are neighbours and no azimuthal orders for them. With ``apart``
+        over the largest of their kind, between discs or from discs to points, whichever lacks more."""
         a, top = self.matrix(integrals), int(self.order.max())
+        kinds = self.kinds() if apart else (np.ones((self.ports, self.ports), dtype=bool),)
         whole = self._condensed(a, self.order <= top)
         if self.order.size == self.ports:
             return whole, np.zeros(len(a))
-        lacking = self.terms / 2 * _change(whole, self._condensed(a, ~self.last))
+        lacking = self.terms / 2 * changed(whole, self._condensed(a, ~self.last), kinds)
         if top == 0:  # exact of a disc alone; with neighbours nothing tells what leaving out their waves costs
             return whole, lacking if self.ports == 1 else np.full(len(a), np.nan)
         lower = self._condensed(a, self.order < top)
-        step = _change(whole, lower)
+        step = changed(whole, lower, kinds)
         if top == 1:
             return whole, lacking + step
-        before = _change(lower, self._condensed(a, self.order < top - 1))
+        before = changed(lower, self._condensed(a, self.order < top - 1), kinds)
         ratio = np.minimum(0.9, step / np.maximum(before, 1e-300))
         return whole, lacking + step * ratio / (1 - ratio)
 
     def compliance_only(self, integrals: ComplexArray) -> ComplexArray:
         """The first of :meth:`compliance` without judging the series, which costs three solves more."""
         return self._condensed(self.matrix(integrals), self.order <= int(self.order.max()))
+
+    def kinds(self) -> tuple[BoolArray, ...]:
+        """Entries (ports, ports) between discs, and those between a disc and a point, where there are such."""
+        point = np.zeros(self.ports, dtype=bool)
+        point[self.points] = True
+        return entries_by_kind(point)
 
     def _condensed(self, a: ComplexArray, kept: BoolArray) -> ComplexArray:
         """A_ii - A_ir A_rr^-1 A_ri over the ``kept`` tractions, symmetric to the last bit; 0 of a point on itself."""
@@ -113,9 +121,16 @@ class Galerkin:
         return whole
 
 
-def _change(whole: ComplexArray, less: ComplexArray) -> FloatArray:
-    """Largest change over the largest value, per frequency (n_freq,)."""
-    return np.asarray(np.abs(whole - less).max(axis=(1, 2)) / np.abs(whole).max(axis=(1, 2)))
+def entries_by_kind(point: BoolArray) -> tuple[BoolArray, ...]:
+    """Entries (n, n) between discs, and between a disc and a ``point`` (n,), where there are such."""
+    both = (~point[:, None] & ~point, point[:, None] ^ point)
+    return tuple(kind for kind in both if kind.any())
+
+
+def changed(more: ComplexArray, less: ComplexArray, kinds: Sequence[BoolArray]) -> FloatArray:
+    """Largest change over the largest value, per frequency (n_freq,), of the kind of entries where that is most."""
+    each = [np.abs(more - less)[:, kind].max(axis=1) / np.abs(more)[:, kind].max(axis=1) for kind in kinds]
+    return np.asarray(np.max(each, axis=0))
 
 
 def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -> Galerkin:

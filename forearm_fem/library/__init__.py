@@ -1,8 +1,9 @@
 """The arm's library: one long run for a patch of skin, after which any arrangement of discs on it is answered in a
 second.
 
-``make`` solves, ``arm`` answers, ``store`` keeps; ``skin`` lays the skin flat, ``loads`` spreads forces on it,
-``between`` interpolates, ``twin`` tabulates the flat twin, ``bands`` splits the band.
+``make`` makes it of two ``side``s, ``kept`` as they go, ``arm`` answers, ``store`` keeps; ``skin`` lays the skin flat,
+``loads`` spreads forces on it, ``limb`` is what they see, ``between`` interpolates, ``flat_bells`` are loads on the
+flat twin, ``bands`` splits the band.
 """
 
 from .arm import ArmLibrary

@@ -12,8 +12,11 @@ import numpy as np
 from ..errors import GeometryError, ScenarioError
 from ..geometry.device.layout import layout_of
 from ..geometry.device.place import parametric_skin, ports_on
+from ..layered.response import LayeredResult
+from ..layered.rigid import Disc
+from ..layered.tabulated import Tabulated
 from ..pipeline.frequencies import frequencies
-from ..pipeline.layered_engine import flat_layers, flat_surface
+from ..pipeline.layered_engine import flat_layers
 from ..pipeline.solved import Solved
 from ..ports import Port, positions
 from ..results import SolutionRecord
@@ -23,35 +26,13 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .bands import Bands
 from .between import Lattice, Prior, shape_of
+from .limb import Limb
 from .skin import FlatSkin, flat_skin
-from .twin import TwinTable
 
 MARGIN = 0.02  # [m] of skin around the patch that bells reach
 WIDTH = 0.4  # of a bell, in steps of the lattice
 _SPREAD, _LEAST, _NOISE = 0.7, 60.0, 1e-6  # kappa in shortest wavenumbers, and [1/m]; docs/decisions/0037-library.md
 _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its library
-
-
-@dataclass(frozen=True, eq=False)
-class Bell:
-    """The limb as the bells see it: compliance sum_k left_ik right_kj / (i omega - poles_k), made symmetric.
-
-    ``left`` (n, k), ``right`` (k, n), ``poles`` (k,) [1/s].
-    """
-
-    poles: ComplexArray
-    left: ComplexArray
-    right: ComplexArray
-
-    def between(self, frequency: FloatArray, weights: FloatArray) -> ComplexArray:
-        """Compliance (n_frequency, p, p) of p combinations ``weights`` (n, p) of bells."""
-        left, right = weights.T @ self.left, self.right @ weights
-        i, j = np.triu_indices(weights.shape[1])
-        pairs = (left[i] * right.T[j] + left[j] * right.T[i]) / 2
-        values = (1 / (2j * np.pi * frequency[:, None] - self.poles)) @ pairs.T
-        whole = np.empty((len(frequency), len(left), len(left)), dtype=complex)
-        whole[:, i, j] = whole[:, j, i] = values
-        return whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +50,13 @@ class ArmLibrary:
     scenario: Scenario
     centres: FloatArray
     width: float
-    fine: Bell
-    coarse: Bell | None
-    freed: Bell | None
+    fine: Limb
+    coarse: Limb | None
+    freed: Limb | None
     ratio: float
     distances: FloatArray
     flat: ComplexArray
-    twin: TwinTable
+    twin: Tabulated
     bins: FloatArray
     spread: FloatArray
     reduction: float
@@ -102,13 +83,13 @@ class ArmLibrary:
         empty = np.zeros((0, 3, 0)), np.zeros((len(fine.frequency), 0, 0), dtype=complex)
         return Solved(fine, coarse, freed, *empty, SolutionRecord(solver="library"), unknown)
 
-    def _answer(self, scenario: Scenario, limb: Bell, *, with_errors: bool = False) -> Compliance:
+    def _answer(self, scenario: Scenario, limb: Limb, *, with_errors: bool = False) -> Compliance:
         ports, frequency = self.ports(scenario), frequencies(scenario.sweep)
         self._check_band(frequency)
         places = self.skin.flat(positions(ports))
-        flat, lacking = self._flat_discs(ports, places, frequency)
+        flat = self._flat_discs(ports, places, frequency)
         part, carry = self.bands.number(frequency), self.bands.between(frequency)
-        values, errors = flat, []
+        values, errors = flat.values, []
         for b in np.unique(part):
             mine = part == b
             weights, variance = self._weights(int(b), ports, places)
@@ -118,7 +99,7 @@ class ArmLibrary:
                 errors.append(self._deviation(int(b), places, variance))
         values = 0.5 * (values + values.swapaxes(1, 2))
         found = Compliance(frequency, values, ports)
-        return replace(found, errors=self._errors(found, part, errors, lacking)) if with_errors else found
+        return replace(found, errors=self._errors(found, part, errors, flat.error)) if with_errors else found
 
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
         """Ports of ``scenario`` on the library's skin, after all that may be refused was."""
@@ -166,18 +147,11 @@ class ArmLibrary:
         number, _ = pair_distances(self.centres)
         return self.flat[:, :, number]
 
-    def _flat_discs(
-        self, ports: tuple[Port, ...], places: FloatArray, frequency: FloatArray
-    ) -> tuple[ComplexArray, FloatArray]:
-        """The twin of the ports (n_frequency, p, p) and what its series lack (n_frequency,)."""
-        count = sum(port.kind == "contact" for port in ports)
-        surface = flat_surface(self.scenario.tissues)
-        found, lacking = self.twin.compliance(places[:count], places[count:], surface)
-        shape = (len(self.bands.edges) - 1, -1)
-        carry, part = self.bands.between(frequency), self.bands.number(frequency)
-        nodes = found.reshape(*shape, *found.shape[1:])
-        values = np.einsum("fn,fnij->fij", carry, nodes[part])
-        return values, lacking.reshape(shape).max(axis=1)[part]
+    def _flat_discs(self, ports: tuple[Port, ...], places: FloatArray, frequency: FloatArray) -> LayeredResult:
+        """The flat twin of the ports."""
+        discs = [Disc(u, v) if port.kind == "point" else Disc(u, v, port.radius, port.contact)
+                 for port, (u, v) in zip(ports, places.tolist(), strict=True)]  # fmt: skip
+        return self.twin.compliance(2 * np.pi * frequency, discs)
 
     def _deviation(self, part: int, places: FloatArray, variance: FloatArray) -> FloatArray:
         """Standard deviation (p, p) [m/N] of what is interpolated between the ports."""
@@ -188,7 +162,7 @@ class ArmLibrary:
         return np.asarray(scale * np.sqrt(left))
 
     def _errors(
-        self, found: Compliance, part: Any, deviations: list[FloatArray], lacking: FloatArray
+        self, found: Compliance, part: Any, deviations: list[FloatArray], off: FloatArray
     ) -> tuple[ErrorEstimate, ...]:
         """Of interpolation, of the twin's tractions, and of the reduced model."""
         rows, columns = found.indices("point") or found.indices("contact"), found.indices("contact")
@@ -200,12 +174,12 @@ class ArmLibrary:
         between = deviation.max(axis=(1, 2)) / size
         band = float(np.linalg.norm(deviation) / np.linalg.norm(values))
         frequency = tuple(found.frequency.tolist())
-        series = lacking * np.nanmax(np.abs(found.values), axis=(1, 2)) / size
         return (
             ErrorEstimate("interpolation", band, "spread of what lies between the library's loads, by leaving each of "
                           "them out", frequency, tuple(between.tolist())),
-            ErrorEstimate("quadrature", float(np.linalg.norm(lacking)), "last terms of the tractions under the discs "
-                          "of the flat twin", frequency, tuple(series.tolist())),
+            ErrorEstimate("quadrature", float(np.linalg.norm(off * size) / np.linalg.norm(size)), "the flat twin's "
+                          "tables, and last terms and orders of the tractions under its discs", frequency,
+                          tuple(off.tolist())),
             ErrorEstimate("reduction", self.reduction, "against a direct solve for some of the library's loads"),
         )  # fmt: skip
 
@@ -238,7 +212,6 @@ class ArmLibrary:
                     f"patch of {patch.length * 1e3:.3g} x {patch.width * 1e3:.3g} mm along the skin; move it, or make "
                     "a library with a larger library.length and library.width"
                 )
-
 
     def _check_none_under(self, ports: tuple[Port, ...]) -> None:
         """Under pressed discs points do not move with them, and the twin's tables begin at the rim."""

@@ -3,81 +3,54 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
-from ..errors import ForearmError, ScenarioError, SolverError
-from ..fem.assembly.coefficients import Polynomial, is_polynomial
-from ..fem.assembly.model import ForearmModel
-from ..fem.linear.direct import make_solver
-from ..fem.reduction.expansion import expansion_rate
-from ..fem.reduction.many_loads import LoadSpace
-from ..fem.reduction.poles import pole_residue
-from ..fem.reduction.reduced_model import ReducedModel, empty_model, with_columns
-from ..geometry.cache import cached_mesh
+from ..errors import ForearmError, ScenarioError
 from ..layered.integrals import Medium
-from ..pipeline.fem_engine import fem_model
-from ..pipeline.frequencies import frequencies
 from ..pipeline.layered_engine import flat_layers, flat_surface
 from ..pipeline.malloc import freed_memory_kept
-from ..progress import Progress, tell, within
+from ..pipeline.twin_tables import kept_tables, tables_reach
+from ..progress import Progress, within
 from ..scenario import Scenario, parse_scenario
 from ..tissue import KelvinVoigt, limb_tissue_keys, resolve_tissues
 from ..typing import FloatArray
-from .arm import WIDTH, ArmLibrary, Bell, library_band, library_skin, pair_distances
+from .arm import WIDTH, ArmLibrary, library_band, library_skin, pair_distances
 from .bands import Bands
-from .loads import Bells, bell_functionals
+from .flat_bells import between_flat_bells
+from .kept import Side
+from .loads import Bells
+from .side import Patch, solved_side
 from .skin import FlatSkin
-from .twin import bell_table, twin_table
 
 COARSER = 2.0  # size ratio of the second mesh
-_DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most (docs/decisions/0037-library.md)
-_FASTER = 2.5  # than the sweep's rate: high frequencies are what a space cut at _DROP leaves out
-_AT_ONCE = 48  # loads
-_WITNESSES = 24  # loads of the direct solve that the reduced model is compared with
-_CHECKED = (0.0, 0.5, 1.0)  # of the band: far fields fall with frequency, so that its end is the hardest
-_APART = 4  # widths between bells from which their compliance counts there
 _DISC = 8e-3  # [m] radius of the one contact that the mesh is made around
 _BIN = 5e-3  # [m] of distance in which what is interpolated is taken as equally uncertain
-
-
-@dataclass(frozen=True, eq=False)
-class Side:
-    """One mesh's part: the limb through the bells, with free ends where it has absorbing ones, the error of the reduced
-    model, and facts."""
-
-    limb: Bell
-    freed: Bell | None
-    reduction: float
-    facts: dict[str, Any]
 
 
 def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progress | None = None) -> ArmLibrary:
     """Solve for the patch ``scenario.library`` of the limb, over the band of its sweep, for its cone.
 
-    Takes what several runs of the same accuracy take. Raises ScenarioError for limbs and tissues that no library is
-    made for: user's surfaces and meshes, symmetry planes, moduli that are not Kelvin-Voigt.
+    Takes what several runs of the same accuracy take; ended, it goes on from the cache. Raises ScenarioError for limbs
+    and tissues that no library is made for: user's surfaces and meshes, symmetry planes, moduli that are not
+    Kelvin-Voigt.
     """
     began = time.monotonic()
     _check_tissues(scenario)
     skin, bells = library_skin(scenario), lattice_bells(scenario)
     with freed_memory_kept():
-        fine = _solved_side(scenario, skin, bells, Path(base), 1.0, progress)
-        coarse = _second_side(scenario, skin, bells, Path(base), progress)
+        meshed, patch = meshed_scenario(scenario, skin), Patch(skin, bells)
+        fine = solved_side(meshed, patch, Path(base), progress=progress)
+        coarse = _second_side(meshed, patch, Path(base), progress)
     medium = Medium(tuple(flat_layers(scenario)), "halfspace", flat_surface(scenario.tissues))
     bands = Bands.of(*library_band(scenario))
     nodes = bands.nodes.ravel()
     _, distances = pair_distances(bells.centres)
-    flat = bell_table(medium, nodes, bells.width, distances).reshape(*bands.nodes.shape, -1)
-    cone = scenario.device.cone
-    twin = twin_table(
-        medium, nodes, cone.radius, cone.contact, float(distances[-1]) + cone.radius,
-        progress=progress,
-    )  # fmt: skip
+    flat = between_flat_bells(medium, nodes, bells.width, distances).reshape(*bands.nodes.shape, -1)
+    twin = kept_tables(scenario, tables_reach(float(distances[-1])), progress=progress)
     library = ArmLibrary(
         scenario, bells.centres, bells.width, fine.limb, coarse.limb if coarse else None, fine.freed, COARSER,
         distances, flat, twin, np.zeros(0), np.zeros((0, 0)), fine.reduction,
@@ -117,87 +90,14 @@ def meshed_scenario(scenario: Scenario, skin: FlatSkin) -> Scenario:
     return parse_scenario({**data, "device": device, "grid": {"points": places.tolist()}, "rendering": rendering})
 
 
-def _solved_side(
-    scenario: Scenario, skin: FlatSkin, bells: Bells, base: Path, scale: float, progress: Progress | None
-) -> Side:
-    meshed = meshed_scenario(scenario, skin)
-    mesh = cached_mesh(meshed, base=base, scale=scale, progress=within(progress, "mesh"))
-    tell(progress, "assembly", 0, 1)
-    model = fem_model(meshed, mesh)
-    seen = bell_functionals(model, skin, bells)
-    tell(progress, "assembly", 1, 1)
-    frequency = frequencies(scenario.sweep)
-    reduced, facts = _reduced(meshed, model, seen, frequency, progress)
-    reduction = _reduction_error(meshed, model, seen, reduced, bells, frequency) if scale == 1 else np.nan
-    names = [n for n in reduced.names if n.startswith("dashpots")]
-    freed = None
-    if names and scale == 1:
-        freed = _bell(reduced.changed(dict.fromkeys(names, Polynomial())), frequency)
-    return Side(_bell(reduced, frequency), freed, reduction, {**facts, "unknowns": model.operator.n})
-
-
-def _second_side(
-    scenario: Scenario, skin: FlatSkin, bells: Bells, base: Path, progress: Progress | None
-) -> Side | None:
+def _second_side(meshed: Scenario, patch: Patch, base: Path, progress: Progress | None) -> Side | None:
     """The second mesh's part; None where none was asked for or could be made."""
-    if not scenario.solver.discretisation_estimate:
+    if not meshed.solver.discretisation_estimate:
         return None
     try:
-        return _solved_side(scenario, skin, bells, base, COARSER, within(progress, "coarser mesh"))
+        return solved_side(meshed, patch, base, COARSER, within(progress, "coarser mesh"))
     except ForearmError:
         return None
-
-
-def _reduced(
-    scenario: Scenario, model: ForearmModel, seen: csr_array, frequency: FloatArray, progress: Progress | None
-) -> tuple[ReducedModel, dict[str, Any]]:
-    """The limb in the space of all loads; every load is an output, too."""
-    assert all(is_polynomial(t.coefficient) for t in model.operator.terms)
-    bare = replace(model, ports=(), functionals=np.zeros((model.operator.n, 0)), shares=np.zeros(0))
-    solver = make_solver(bare, scenario.solver, float(frequency[-1]))
-    space = LoadSpace(solver, _FASTER * expansion_rate(frequency), drop=_DROP, derivatives=_ORDERS)
-    reduced, functionals, total = empty_model(bare), [], seen.shape[1]
-    order = np.argsort((np.arange(total) * 0.6180339887498949) % 1.0)  # batches spread over the patch
-    for start in range(0, total, _AT_ONCE):
-        chosen = order[start : start + _AT_ONCE]
-        columns = list(space.add(seen[:, chosen].toarray()))
-        if columns:
-            block = np.hstack(columns)
-            reduced = with_columns(reduced, bare, block, np.zeros((reduced.size + block.shape[1], 0)))
-            functionals.append(np.asarray(seen.T @ block).T)
-        tell(progress, "loads on the patch", min(start + _AT_ONCE, total), total)
-    solver.factor.release()
-    facts = {"loads": total, "size": space.size, "solves": space.solves, "solver": solver.factor.name}
-    return replace(reduced, functionals=np.vstack(functionals).astype(float), shares=np.ones(total)), facts
-
-
-def _bell(reduced: ReducedModel, frequency: FloatArray) -> Bell:
-    found = pole_residue(reduced, frequency)
-    if found is None:
-        raise SolverError(
-            "the poles of the library's reduced model are inaccurate; choose a larger library.step, or another band"
-        )
-    return Bell(found.poles, found.left, found.right)
-
-
-def _reduction_error(
-    scenario: Scenario, model: ForearmModel, seen: csr_array, reduced: ReducedModel, bells: Bells, frequency: FloatArray
-) -> float:
-    """Largest error over the largest compliance between bells some widths apart, at the worst of ``_CHECKED``."""
-    some = np.unique(np.linspace(0, len(bells.centres) - 1, _WITNESSES).astype(int))
-    chosen = np.asarray(seen[:, some].toarray())
-    witness = replace(model, functionals=chosen, shares=np.ones(len(some)))
-    own = replace(reduced, functionals=reduced.functionals[:, some], shares=np.ones(len(some)))
-    away = np.linalg.norm(bells.centres[some][:, None] - bells.centres[some][None], axis=2)
-    far, worst = away > _APART * bells.width, 0.0
-    solver = make_solver(model, scenario.solver, float(frequency[-1]))
-    for share in _CHECKED:
-        at = frequency[round(share * (len(frequency) - 1))]
-        truth = chosen.T @ replace(solver, model=witness).at(float(at)).values
-        found = own.compliance(np.array([at]))[0]
-        worst = max(worst, float(np.abs(found - truth)[far].max() / np.abs(truth)[far].max()))
-    solver.factor.release()
-    return worst
 
 
 def _spread(library: ArmLibrary) -> tuple[FloatArray, FloatArray]:

@@ -7,18 +7,18 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from ..io.dataset import load, provenance_json, save
+from ..layered.tabulated import from_arrays
+from ..pipeline.layered_engine import flat_layers, flat_surface
 from ..scenario import parse_scenario
-from ..typing import ComplexArray
-from .arm import ArmLibrary, Bell
-from .twin import Curves, TwinTable
+from .arm import ArmLibrary
+from .limb import Limb
 
 _CONTENT = "arm's library"
 _LIMBS = ("fine", "coarse", "freed")
-_CURVES = ("alone", "beside", "points")
+_TABLES = "twin_"
 _NUMBERS = ("width", "ratio", "reduction")
 _ARRAYS = {
     "centres": ("bell", "uv"),
@@ -33,17 +33,14 @@ def save_library(path: str | Path, library: ArmLibrary) -> None:
     """Write the ``library``; DataError where that cannot be done."""
     variables: dict[str, Any] = {name: (dims, getattr(library, name), {}) for name, dims in _ARRAYS.items()}
     for name in _LIMBS:
-        limb: Bell | None = getattr(library, name)
+        limb: Limb | None = getattr(library, name)
         if limb is not None:
             for field, dims in (("poles", ("m",)), ("left", ("bell", "m")), ("right", ("m", "bell"))):
                 named = tuple(f"{name}_mode" if d == "m" else d for d in dims)
                 variables[f"{name}_{field}"] = (named, getattr(limb, field), {})
-    variables["twin_frequency"] = (("twin_node",), library.twin.frequency, {"units": "Hz"})
-    for name in _CURVES:
-        curves: Curves = getattr(library.twin, name)
-        variables[f"{name}_keys"] = ((f"{name}_key", "four"), curves.keys.astype(np.int64), {})
-        variables[f"{name}_distances"] = ((f"{name}_distance",), curves.distances, {"units": "m"})
-        variables[f"{name}_values"] = (("twin_node", f"{name}_key", f"{name}_distance"), curves.values, {})
+    for name, values in library.twin.arrays().items():
+        axes = tuple(f"{_TABLES}{name}_{axis}" for axis in range(values.ndim))
+        variables[_TABLES + name] = (axes, values, {})
     attributes = {
         "content": _CONTENT,
         "scenario": json.dumps(library.scenario.model_dump(mode="json")),
@@ -61,26 +58,22 @@ def load_library(path: str | Path) -> ArmLibrary:
 
 def _unpack(dataset: xr.Dataset) -> ArmLibrary:
     disc, number = (json.loads(dataset.attrs[name]) for name in ("disc", "numbers"))
-    radius = float(disc["radius"])
-    alone, beside, points = (_curves(dataset, name, radius) for name in _CURVES)
-    twin = TwinTable(radius, str(disc["contact"]), dataset["twin_frequency"].values, alone, beside, points)
+    scenario = parse_scenario(json.loads(dataset.attrs["scenario"]))
+    arrays = {str(k)[len(_TABLES):]: v.values for k, v in dataset.data_vars.items() if str(k).startswith(_TABLES)}
+    layers, surface = flat_layers(scenario), flat_surface(scenario.tissues)
+    twin = from_arrays(arrays, layers, surface, float(disc["radius"]), str(disc["contact"]))
     fine, coarse, freed = (_limb(dataset, name) for name in _LIMBS)
     if fine is None:
         raise ValueError("the limb itself is missing")
     return ArmLibrary(
-        parse_scenario(json.loads(dataset.attrs["scenario"])), dataset["centres"].values, float(number["width"]),
+        scenario, dataset["centres"].values, float(number["width"]),
         fine, coarse, freed, float(number["ratio"]), dataset["distances"].values, dataset["flat"].values, twin,
         dataset["bins"].values, dataset["spread"].values, float(number["reduction"]),
         json.loads(dataset.attrs["facts"]),
     )  # fmt: skip
 
 
-def _curves(dataset: xr.Dataset, name: str, radius: float) -> Curves:
-    values: ComplexArray = dataset[f"{name}_values"].values
-    return Curves(radius, dataset[f"{name}_keys"].values, dataset[f"{name}_distances"].values, values)
-
-
-def _limb(dataset: xr.Dataset, name: str) -> Bell | None:
+def _limb(dataset: xr.Dataset, name: str) -> Limb | None:
     if f"{name}_poles" not in dataset:
         return None
-    return Bell(*(dataset[f"{name}_{field.name}"].values for field in fields(Bell)))
+    return Limb(*(dataset[f"{name}_{field.name}"].values for field in fields(Limb)))

@@ -26,13 +26,15 @@ class LoadSpace:
     Kelvin-Voigt.
 
     ``drop`` is the share of a direction's length below which it is taken as known, ``derivatives`` the highest order.
-    ``solves`` counts right-hand sides.
+    ``basis`` are the columns that earlier loads gave. ``solves`` counts right-hand sides.
     """
 
-    def __init__(self, solver: DirectSolver, rate: float, *, drop: float, derivatives: int) -> None:
+    def __init__(
+        self, solver: DirectSolver, rate: float, *, drop: float, derivatives: int, basis: Basis | None = None
+    ) -> None:
         self._solver, self._drop, self._derivatives = solver, drop, derivatives
         self._weights = rate_weights([t.coefficient for t in solver.model.operator.terms], rate)
-        self.basis, self.solves = Basis(), 0
+        self.basis, self.solves = basis or Basis(), 0
         solver.factor.factorise(solver.model.operator.combine(self._weights[0].tolist()))
 
     @property
@@ -40,8 +42,15 @@ class LoadSpace:
         """Columns so far."""
         return sum(block.shape[1] for block in self.basis.blocks)
 
-    def add(self, forces: FloatArray) -> Iterator[Columns]:
-        """New columns (n, k), order by order, that ``forces`` (n, b) call for; orthonormal in their displacements."""
+    def add(self, forces: FloatArray) -> Columns:
+        """New columns (n, k) that ``forces`` (n, b) call for, orthonormal in their displacements, as one block."""
+        before = self.basis
+        block = np.hstack([np.zeros((len(forces), 0), dtype=np.float32), *self._orders(forces)])
+        self.basis = before.with_block(block) if block.shape[1] else before
+        return block
+
+    def _orders(self, forces: FloatArray) -> Iterator[Columns]:
+        """The new columns, order by order."""
         pairs, last = Pairs(np.zeros((self.size, 0)), np.zeros((self.size, 0))), 0
         for order in range(self._derivatives + 1):
             x = self._solved(forces) if order == 0 else self._derivative(pairs.last(last))

@@ -1,0 +1,167 @@
+"""One mesh's part of a library: one factorisation, a space for all loads on the patch, poles; kept as it goes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ..errors import SolverError
+from ..fem.assembly.coefficients import Polynomial, is_polynomial
+from ..fem.assembly.model import ForearmModel
+from ..fem.linear.direct import make_solver
+from ..fem.reduction.expansion import expansion_rate
+from ..fem.reduction.many_loads import LoadSpace
+from ..fem.reduction.poles import pole_residue
+from ..fem.reduction.reduced_model import ReducedModel, empty_model, with_columns
+from ..geometry.cache import cached_mesh, default_cache_dir
+from ..pipeline.fem_engine import fem_model
+from ..pipeline.frequencies import frequencies
+from ..progress import Progress, tell, within
+from ..scenario import Scenario
+from ..typing import FloatArray
+from .kept import Kept, Progressed, Side
+from .limb import Limb
+from .loads import Bells, bell_functionals
+from .skin import FlatSkin
+
+_MAKING = 1  # raise when the same question would give another part
+_DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most (docs/decisions/0037-library.md)
+_FASTER = 2.5  # than the sweep's rate: high frequencies are what a space cut at _DROP leaves out
+_AT_ONCE = 48  # loads
+_WITNESSES = 24  # loads of the direct solve that the reduced model is compared with
+_CHECKED = (0.0, 0.5, 1.0)  # of the band: far fields fall with frequency, so that its end is the hardest
+_APART = 4  # widths between bells from which their compliance counts there
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The ``bells`` on a limb's ``skin`` laid flat."""
+
+    skin: FlatSkin
+    bells: Bells
+
+
+def solved_side(
+    meshed: Scenario, patch: Patch, base: Path, scale: float = 1.0, progress: Progress | None = None
+) -> Side:
+    """The part of the mesh of ``meshed`` with sizes times ``scale``; only at scale 1 with freed ends and an error.
+
+    What is done is kept in the cache, and found there.
+    """
+    mesh = cached_mesh(meshed, base=base, scale=scale, progress=within(progress, "mesh"))
+    frequency = frequencies(meshed.sweep)
+    kept = Kept(default_cache_dir() / "library-parts" / _key(meshed, mesh.digest, patch.bells, scale))
+    if (found := kept.side()) is not None:
+        return found
+    tell(progress, "assembly", 0, 1)
+    model = fem_model(meshed, mesh)
+    seen = bell_functionals(model, patch.skin, patch.bells)
+    tell(progress, "assembly", 1, 1)
+    state = _spanned(meshed, model, seen, frequency, kept, progress)
+    side = _finished(meshed, model, seen, state, patch.bells, frequency, whole=scale == 1.0, progress=progress)
+    kept.finish(side)
+    return side
+
+
+def _key(meshed: Scenario, mesh: str, bells: Bells, scale: float) -> str:
+    """SHA-256 of all that a part depends on: not the disc, the grid or the renderers."""
+    asked = meshed.model_dump(mode="json", exclude={"name", "description", "rendering"})
+    parts = [_MAKING, asked, mesh, scale, bells.width, bells.centres.tolist(), _DROP, _ORDERS, _FASTER]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _spanned(
+    meshed: Scenario, model: ForearmModel, seen: csr_array, frequency: FloatArray, kept: Kept,
+    progress: Progress | None,
+) -> Progressed:
+    """The limb in the space of all loads, each an output, too; batch by batch, from where it was left."""
+    assert all(is_polynomial(t.coefficient) for t in model.operator.terms)
+    bare = replace(model, ports=(), functionals=np.zeros((model.operator.n, 0)), shares=np.zeros(0))
+    total = seen.shape[1]
+    state = kept.progressed(Progressed(empty_model(bare), np.zeros((0, total)), 0, 0, 0.0))
+    tell(progress, "loads on the patch", state.done, total)
+    if state.done == total:
+        return state
+    began = time.monotonic() - state.seconds
+    solver = make_solver(bare, meshed.solver, float(frequency[-1]))
+    rate = _FASTER * expansion_rate(frequency)
+    space = LoadSpace(solver, rate, drop=_DROP, derivatives=_ORDERS, basis=state.reduced.basis)
+    order = np.argsort((np.arange(total) * 0.6180339887498949) % 1.0)  # batches spread over the patch
+    for start in range(state.done, total, _AT_ONCE):
+        chosen, before = order[start : start + _AT_ONCE], space.solves
+        block = space.add(seen[:, chosen].toarray())
+        reduced, functionals = state.reduced, state.functionals
+        if block.shape[1]:
+            reduced = with_columns(reduced, bare, block, np.zeros((reduced.size + block.shape[1], 0)))
+            functionals = np.vstack([functionals, np.asarray(seen.T @ block).T.astype(float)])
+        solves = state.solves + space.solves - before
+        state = Progressed(reduced, functionals, start + len(chosen), solves, time.monotonic() - began)
+        kept.keep(state)
+        tell(progress, "loads on the patch", state.done, total)
+    solver.factor.release()
+    return state
+
+
+def _finished(
+    meshed: Scenario, model: ForearmModel, seen: csr_array, state: Progressed, bells: Bells, frequency: FloatArray,
+    *, whole: bool, progress: Progress | None,
+) -> Side:
+    """Poles and residues, those with free ends, and the error against direct solves."""
+    reduced = replace(state.reduced, functionals=state.functionals, shares=np.ones(seen.shape[1]))
+    names = [n for n in reduced.names if n.startswith("dashpots")] if whole else []
+    steps, began = 1 + bool(names) + whole, time.monotonic()
+    tell(progress, "poles", 0, steps)
+    limb, freed = _poles(reduced, frequency), None
+    tell(progress, "poles", 1, steps)
+    if names:
+        freed = _poles(reduced.changed(dict.fromkeys(names, Polynomial())), frequency)
+        tell(progress, "poles", 2, steps)
+    poles = time.monotonic() - began
+    off = _reduction_error(meshed, model, seen, reduced, bells, frequency) if whole else np.full(len(_CHECKED), np.nan)
+    tell(progress, "poles", steps, steps)
+    facts: dict[str, Any] = {
+        "loads": seen.shape[1], "size": reduced.size, "solves": state.solves, "unknowns": model.operator.n,
+        "seconds_loads": state.seconds, "seconds_poles": poles, "seconds_check": time.monotonic() - began - poles,
+        "reduction": dict(zip(_checked(frequency).tolist(), off.tolist(), strict=True)),
+    }  # fmt: skip
+    return Side(limb, freed, float(off.max()), facts)
+
+
+def _poles(reduced: ReducedModel, frequency: FloatArray) -> Limb:
+    found = pole_residue(reduced, frequency)
+    if found is None:
+        raise SolverError(
+            "the poles of the library's reduced model are inaccurate; choose a larger library.step, or another band"
+        )
+    return Limb(found.poles, found.left, found.right)
+
+
+def _checked(frequency: FloatArray) -> FloatArray:
+    """Frequencies (n,) [Hz] of direct solves."""
+    return frequency[[round(share * (len(frequency) - 1)) for share in _CHECKED]]
+
+
+def _reduction_error(
+    meshed: Scenario, model: ForearmModel, seen: csr_array, reduced: ReducedModel, bells: Bells, frequency: FloatArray
+) -> FloatArray:
+    """Largest error over the largest compliance between bells some widths apart, at each frequency checked."""
+    some = np.unique(np.linspace(0, len(bells.centres) - 1, _WITNESSES).astype(int))
+    chosen = np.asarray(seen[:, some].toarray())
+    witness = replace(model, functionals=chosen, shares=np.ones(len(some)))
+    own = replace(reduced, functionals=reduced.functionals[:, some], shares=np.ones(len(some)))
+    away = np.linalg.norm(bells.centres[some][:, None] - bells.centres[some][None], axis=2)
+    far, off = away > _APART * bells.width, []
+    solver = make_solver(model, meshed.solver, float(frequency[-1]))
+    for at in _checked(frequency):
+        truth = chosen.T @ replace(solver, model=witness).at(float(at)).values
+        found = own.compliance(np.array([at]))[0]
+        off.append(float(np.abs(found - truth)[far].max() / np.abs(truth)[far].max()))
+    solver.factor.release()
+    return np.array(off)
