@@ -24,7 +24,7 @@ from forearm_fem.prediction import statistics as numbers
 from forearm_fem.prediction.arm import LayeredArm, arm_model
 from forearm_fem.prediction.draws import draw_inputs, moved_points, scenario_of
 from forearm_fem.prediction.measuring import noisy
-from forearm_fem.prediction.outcome import READINGS, Outcome, outcome_of
+from forearm_fem.prediction.outcome import KEPT, READINGS, Outcome, outcome_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import Prediction, Question, predict
 from forearm_fem.prediction.store import FILE, read_outcomes
@@ -83,7 +83,7 @@ def test_other_processes_give_the_same_numbers(
     found: tuple[Prediction, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Dask itself is tested with campaigns: here jobs come back from a worker's function in another order."""
-    whole, _ = found
+    whole, folder = found
 
     @contextmanager
     def nobody(*_: object) -> Iterator[None]:
@@ -98,6 +98,9 @@ def test_other_processes_give_the_same_numbers(
     other = predict(question(), tmp_path, draws=N, workers=2)
     assert np.array_equal(other.draws.strengths, whole.draws.strengths)
     assert other.draws.laws == whole.draws.laws
+    one, two = (read_outcomes(place / FILE)[1].transfer for place in (folder, tmp_path))
+    assert one is not None
+    assert np.array_equal(one, two)
 
 
 def test_finished_draws_are_not_made_again_and_other_questions_are_not_taken(
@@ -305,6 +308,9 @@ def test_the_store_is_read_back_and_damage_is_told(found: tuple[Prediction, Path
     assert [o.number for o in back] == list(range(N))
     assert np.array_equal([o.strengths for o in back], whole.draws.strengths)
     assert isinstance(back[0], Outcome)
+    kept = [o.transfer for o in back if o.number < KEPT]
+    assert all(g is not None and np.isfinite(g).all() and g.shape == kept[0].shape for g in kept)
+    assert np.abs(kept[1] - kept[0]).max() > 0.01 * np.abs(kept[0]).max()  # another arm, another G
     content = bytearray((folder / FILE).read_bytes())
     content[len(content) // 2] ^= 0x40
     (tmp_path / FILE).write_bytes(content)

@@ -21,7 +21,7 @@ from ..typing import ComplexArray, FloatArray, IntArray
 from .field import Field, Surface
 from .flat import net_faces, profile
 
-_MOST = 80  # places that the library is asked for: the page holds a number for each two of them and each frequency
+_MOST = 60  # places that the library is asked for, seconds each; the page holds a number for each two of them
 _SCALES = 1e3 / np.array([6.0, 9.0, 13.0, 20.0, 30.0, 45.0])  # [1/m] tried for the length over which fields change
 _NOISE = 1e-6  # of the variance: no two places are alike to rounding
 _RADII, _FARTHEST = 64, 1.05  # of the twin's profile, and how far it reaches in diagonals of the patch
@@ -139,7 +139,7 @@ def kernel(scale: float, a: FloatArray, b: FloatArray) -> FloatArray:
 def places_of(arm: Arm, scenario: Scenario, progress: Progress | None = None) -> tuple[Places, ErrorEstimate]:
     """Places on the patch of ``arm`` for the contacts and points of ``scenario``, and what they miss of the library.
 
-    Asks the library for one disc at each of up to 80 places. The error is the worst of the scenario's arrangement and
+    Asks the library for one disc at each of up to 60 places. The error is the worst of the scenario's arrangement and
     four drawn ones, of G by the library itself.
     """
     layout = layout_of(scenario)
@@ -201,9 +201,9 @@ def _lattice(arm: Arm, scenario: Scenario) -> FloatArray:
     sides = np.array([patch.length, patch.width]) - 2 * a
     step = float(np.sqrt(np.prod(sides) / _MOST))
     counts = np.maximum(np.floor(sides / step + 1e-9).astype(int), 2)
-    axes = [np.linspace(-0.5, 0.5, int(n)) * side * (1 - 1e-9) for n, side in zip(counts, sides, strict=True)]
-    net = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    return np.array([p for p in net if _taken(arm, _with(scenario, p[None], _uncovered(p, a)[None]))])
+    axes = [np.linspace(-0.5, 0.5, int(n)) * side * (1 - 1e-6) for n, side in zip(counts, sides, strict=True)]
+    points, _ = arm.skin.places(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2))
+    return np.array([p for p in points[:, :2] if _taken(arm, _with(scenario, p[None], _uncovered(p, a)[None]))])
 
 
 def _uncovered(place: FloatArray, radius: float) -> FloatArray:
