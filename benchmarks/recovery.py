@@ -63,7 +63,7 @@ def main() -> None:
         clean = solved(answer.scenario(true))
         sigma = asked.noise * float(np.sqrt(np.mean(np.abs(clean.values) ** 2)))
         for _ in range(asked.seeds):
-            found.append((true, fit(answer, measured(clean, sigma, rng), chosen)))
+            found.append((true, fit(answer, measured(clean, sigma, rng), chosen, tolerance=1e-5)))
         print(f"{len(found)} fits, {time.process_time() - start:.0f} s", flush=True)
     rows = [row_of(p, found) for p in chosen]
     with (asked.out / "recovery.csv").open("w", newline="", encoding="utf-8") as file:

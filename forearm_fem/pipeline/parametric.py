@@ -20,7 +20,7 @@ from ..fem.reduction.basis import Basis
 from ..fem.reduction.quick import quick_compliance
 from ..fem.reduction.rational import Rational, chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
-from ..fem.reduction.united import Growth, Piece, TrialSolve, United, piece_at, united_model
+from ..fem.reduction.united import Growth, Piece, TrialSolve, piece_at, united_model
 from ..geometry.cache import cached_mesh, default_cache_dir
 from ..io.parametric import ParametricFile, PieceFile, read_parametric, write_parametric
 from ..ports import Port
@@ -253,7 +253,7 @@ def parametric_model(
         check_followable(own, draw, names, unread=_UNREAD)
     found = [_coefficients(names, draw) for draw in given]
     united = united_model(model, found, band, own.solver, growth, progress)
-    made = _model(own, model.ports, united)
+    made = ParametricModel(own, model.ports, united.pieces, united.trials, united.checks, united.solves)
     try:
         save_parametric(file, made)
     except (DataError, OSError) as problem:
@@ -287,11 +287,6 @@ def load_parametric(path: str | Path) -> ParametricModel:
     trials, checks = (tuple(TrialSolve(int(d), f, e, t) for d, f, e, t in table.tolist()) for table in tables)
     pieces = tuple(Piece(p.high, model(*p.whole), model(*p.core)) for p in content.pieces)
     return ParametricModel(scenario, content.ports, pieces, trials, checks, content.solves)
-
-
-def _model(scenario: Scenario, ports: tuple[Port, ...], united: United) -> ParametricModel:
-    pieces = tuple(replace(p, whole=replace(p.whole, basis=Basis())) for p in united.pieces)
-    return ParametricModel(scenario, ports, pieces, united.trials, united.checks, united.solves)
 
 
 def _kept(file: Path) -> ParametricModel | None:
