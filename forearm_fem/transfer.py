@@ -30,7 +30,7 @@ __all__ = [
 
 ErrorSource = Literal[
     "discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature", "bridging",
-    "interpolation",
+    "interpolation", "contact",
 ]
 
 

@@ -13,9 +13,9 @@ from forearm_fem.errors import DataError, ForearmError, GeometryError, ScenarioE
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import parametric_skin
-from forearm_fem.layered import Surface, surface_kernel
+from forearm_fem.layered import Disc, Surface, surface_kernel
 from forearm_fem.layered.integrals import Medium
-from forearm_fem.library import load_library, make_library, save_library
+from forearm_fem.library import load_library, make_library, save_library, side
 from forearm_fem.library.arm import library_skin
 from forearm_fem.library.between import Lattice, Prior, Shape, shape_of
 from forearm_fem.library.flat_bells import between_flat_bells
@@ -161,7 +161,57 @@ def test_a_slab_answers_nearly_as_its_twin(slab, library):
     assert np.abs(own - truth)[:, :2].max() < 0.15 * np.abs(truth).max()  # the sides come back: 50 mm at 60 Hz
     assert np.abs(own - truth)[:, :2].max() > 1e-3 * np.abs(truth).max()  # so the limb does count
     assert np.abs(found.values - found.values.swapaxes(1, 2))[:, :2, :2].max() < 1e-15
-    assert [e.source for e in found.errors] == ["interpolation", "quadrature", "reduction"]
+    assert [e.source for e in found.errors] == ["interpolation", "quadrature", "contact", "reduction"]
+
+
+def test_what_the_limb_does_to_a_discs_tilt_is_stated(slab, library):
+    """As much of the limb's difference as of the twin's own waves: none under pressed discs, more for close ones."""
+    contact = {e.source: e for e in library.compliance(slab).errors}["contact"]
+    discs = [Disc(*c, 0.002, "bonded") for c in SLAB["device"]["contacts"]] + [Disc(0.0, 0.0), Disc(0.001, -0.005)]
+    beside = library.twin.compliance(2 * np.pi * np.array([60.0, 100.0]), discs).beside
+    assert (beside > 1e-3).all()
+    wide = [replace(discs[0], x=-0.03), replace(discs[1], x=0.03), Disc(0.0, 0.0), Disc(0.001, -0.005)]
+    assert (library.twin.compliance(2 * np.pi * np.array([60.0, 100.0]), wide).beside < beside).all()
+    found = library.compliance(slab).values[:, 2:, :2]
+    flat = library.twin.compliance(2 * np.pi * np.array([60.0, 100.0]), discs).values[:, 2:, :2]
+    apart = np.abs(found[[0, -1]] - flat).max(axis=(1, 2)) / np.abs(found[[0, -1]]).max(axis=(1, 2))
+    assert np.array(contact.per_frequency)[[0, -1]] == pytest.approx(beside * apart, rel=1e-6)  # no curvature
+    assert contact.band > 0
+
+
+def test_a_cylinders_curvature_is_one_over_its_radius():
+    scenario = parse_scenario({"limb": {"shape": "cylinder", "diameter": 0.06}})
+    assert flat_skin(parametric_skin(scenario), 0.04, 0.04).curvature == pytest.approx(1 / 0.03, rel=1e-3)  # chords
+
+
+def test_a_library_that_was_ended_goes_on_to_the_same_to_the_bit(slab, library, tmp_path, monkeypatch):
+    """Ended after its first batch of loads: the rest is solved, the answer is that of one go, and then nothing is."""
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
+    monkeypatch.setattr(side, "_AT_ONCE", 10)
+    patch, meshed = side.Patch(library.skin, lattice_bells(slab)), meshed_scenario(slab, library.skin)
+    told: list[tuple[str, int]] = []
+
+    def ending(stage, done, total):
+        told.append((stage, done))
+        if (stage, done) == ("loads on the patch", 10):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        side.solved_side(meshed, patch, tmp_path, progress=ending)
+    (space,) = tmp_path.glob("library-parts/*/space.npz")
+    told.clear()
+    resumed = side.solved_side(meshed, patch, tmp_path, progress=lambda *a: told.append(a[:2]))
+    loads = [done for stage, done in told if stage == "loads on the patch"]
+    assert loads == [10, 20]
+    assert not space.exists()  # what is finished keeps no columns
+    told.clear()
+    again = side.solved_side(meshed, patch, tmp_path, progress=lambda *a: told.append(a[:2]))
+    assert "assembly" not in [stage for stage, _ in told]
+    every, at = np.eye(20), np.array([60.0, 100.0])
+    assert np.array_equal(again.limb.between(at, every), resumed.limb.between(at, every))
+    whole = library.fine.between(at, every)
+    # made in one batch of all: other directions are dropped
+    assert np.abs(resumed.limb.between(at, every) - whole).max() < 0.01 * np.abs(whole).max()
 
 
 @pytest.mark.slow  # bonded rims of 2 mm: 150 s

@@ -12,9 +12,8 @@ import numpy as np
 from ..errors import GeometryError, ScenarioError
 from ..geometry.device.layout import layout_of
 from ..geometry.device.place import parametric_skin, ports_on
-from ..layered.response import LayeredResult
 from ..layered.rigid import Disc
-from ..layered.tabulated import Tabulated
+from ..layered.tabulated import Tabulated, TabulatedResult
 from ..pipeline.frequencies import frequencies
 from ..pipeline.layered_engine import flat_layers
 from ..pipeline.solved import Solved
@@ -22,7 +21,7 @@ from ..ports import Port, positions
 from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
-from ..transfer import Compliance, ErrorEstimate
+from ..transfer import Compliance, ErrorEstimate, ErrorSource
 from ..typing import ComplexArray, FloatArray
 from .bands import Bands
 from .between import Lattice, Prior, shape_of
@@ -89,7 +88,7 @@ class ArmLibrary:
         places = self.skin.flat(positions(ports))
         flat = self._flat_discs(ports, places, frequency)
         part, carry = self.bands.number(frequency), self.bands.between(frequency)
-        values, errors = flat.values, []
+        values, errors = flat.values.copy(), []
         for b in np.unique(part):
             mine = part == b
             weights, variance = self._weights(int(b), ports, places)
@@ -99,7 +98,7 @@ class ArmLibrary:
                 errors.append(self._deviation(int(b), places, variance))
         values = 0.5 * (values + values.swapaxes(1, 2))
         found = Compliance(frequency, values, ports)
-        return replace(found, errors=self._errors(found, part, errors, flat.error)) if with_errors else found
+        return replace(found, errors=self._errors(found, part, errors, flat)) if with_errors else found
 
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
         """Ports of ``scenario`` on the library's skin, after all that may be refused was."""
@@ -147,7 +146,7 @@ class ArmLibrary:
         number, _ = pair_distances(self.centres)
         return self.flat[:, :, number]
 
-    def _flat_discs(self, ports: tuple[Port, ...], places: FloatArray, frequency: FloatArray) -> LayeredResult:
+    def _flat_discs(self, ports: tuple[Port, ...], places: FloatArray, frequency: FloatArray) -> TabulatedResult:
         """The flat twin of the ports."""
         discs = [Disc(u, v) if port.kind == "point" else Disc(u, v, port.radius, port.contact)
                  for port, (u, v) in zip(ports, places.tolist(), strict=True)]  # fmt: skip
@@ -162,9 +161,9 @@ class ArmLibrary:
         return np.asarray(scale * np.sqrt(left))
 
     def _errors(
-        self, found: Compliance, part: Any, deviations: list[FloatArray], off: FloatArray
+        self, found: Compliance, part: Any, deviations: list[FloatArray], flat: TabulatedResult
     ) -> tuple[ErrorEstimate, ...]:
-        """Of interpolation, of the twin's tractions, and of the reduced model."""
+        """Of interpolation, of the twin's tractions, of what the limb does to discs, and of the reduced model."""
         rows, columns = found.indices("point") or found.indices("contact"), found.indices("contact")
         block = np.ix_(rows, columns)
         values = found.values[:, block[0], block[1]]
@@ -174,12 +173,15 @@ class ArmLibrary:
         between = deviation.max(axis=(1, 2)) / size
         band = float(np.linalg.norm(deviation) / np.linalg.norm(values))
         frequency = tuple(found.frequency.tolist())
+        apart = np.abs(values - flat.values[:, block[0], block[1]]).max(axis=(1, 2)) / size
+        held = flat.beside * apart + 0.25 * (self.twin.radius * self.skin.curvature) ** 2
         return (
             ErrorEstimate("interpolation", band, "spread of what lies between the library's loads, by leaving each of "
                           "them out", frequency, tuple(between.tolist())),
-            ErrorEstimate("quadrature", float(np.linalg.norm(off * size) / np.linalg.norm(size)), "the flat twin's "
-                          "tables, and last terms and orders of the tractions under its discs", frequency,
-                          tuple(off.tolist())),
+            _weighed("quadrature", flat.error, size, frequency, "the flat twin's tables, and last terms and orders of "
+                     "the tractions under its discs"),
+            _weighed("contact", held, size, frequency, "the limb's difference from the flat twin times what slope and "
+                     "slide of waves change under the twin's discs, and a quarter of the radius' squared curvature"),
             ErrorEstimate("reduction", self.reduction, "against a direct solve for some of the library's loads"),
         )  # fmt: skip
 
@@ -223,6 +225,14 @@ class ArmLibrary:
                         f"grid point {port.name} lies under the pressed disc {disc.name}, which a library does not "
                         "answer for; move one of them, or make the library with device.cone.contact = 'bonded'"
                     )
+
+
+def _weighed(
+    source: ErrorSource, error: FloatArray, size: FloatArray, frequency: tuple[float, ...], method: str
+) -> ErrorEstimate:
+    """An estimate with e(f) ``error`` (n,) of compliances of ``size`` (n,) [m/N]."""
+    band = float(np.linalg.norm(error * size) / np.linalg.norm(size))
+    return ErrorEstimate(source, band, method, frequency, tuple(error.tolist()))
 
 
 def library_band(scenario: Scenario) -> tuple[float, float]:

@@ -17,9 +17,9 @@ from ..pipeline.twin_tables import kept_tables, tables_reach
 from ..progress import Progress, within
 from ..scenario import Scenario, parse_scenario
 from ..tissue import KelvinVoigt, limb_tissue_keys, resolve_tissues
-from ..typing import FloatArray
 from .arm import WIDTH, ArmLibrary, library_band, library_skin, pair_distances
 from .bands import Bands
+from .between import Shape
 from .flat_bells import between_flat_bells
 from .kept import Side
 from .loads import Bells
@@ -56,8 +56,7 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
         distances, flat, twin, np.zeros(0), np.zeros((0, 0)), fine.reduction,
         {**fine.facts, "seconds": time.monotonic() - began},
     )  # fmt: skip
-    bins, spread = _spread(library)
-    return replace(library, bins=bins, spread=spread)
+    return _judged(library)
 
 
 def lattice_bells(scenario: Scenario) -> Bells:
@@ -100,22 +99,21 @@ def _second_side(meshed: Scenario, patch: Patch, base: Path, progress: Progress 
         return None
 
 
-def _spread(library: ArmLibrary) -> tuple[FloatArray, FloatArray]:
-    """``bins`` and ``spread`` of the library: each bell left out in turn, in the middle of each part of the band."""
+def _judged(library: ArmLibrary) -> ArmLibrary:
+    """The library with ``bins`` and ``spread``: each bell left out in turn, in the middle of each part of the band.
+
+    Those on the patch's edge are not judged: without them what the others see is carried on, not interpolated.
+    """
+    pairs, _ = pair_distances(library.centres)
+    node, shape = library.bands.nodes.shape[1] // 2, Shape("bell", library.width)
+    at = library.bands.nodes[:, node]
+    every = library.fine.between(at, np.eye(len(library.centres))) - library.flat[:, node][:, pairs]
+    inside = (np.abs(library.centres) < np.abs(library.centres).max(axis=0) * (1 - 1e-9)).all(axis=1)
     away = np.linalg.norm(library.centres[:, None] - library.centres[None], axis=2)
     bins = np.arange(0.0, away.max() + _BIN, _BIN)
-    number, rows = np.rint(away / _BIN).astype(int), []
-    pairs, _ = pair_distances(library.centres)
-    for part, one in enumerate(library.lattices):
-        node = library.bands.nodes.shape[1] // 2
-        at = library.bands.nodes[part, node : node + 1]
-        limb = library.fine.between(at, np.eye(len(library.centres)))[0]
-        off = np.abs(one.left_out(limb - library.flat[part, node][pairs])) ** 2
-        own = one.prior.covariance(one.shape, one.shape, np.zeros(1))[0]
-        total = np.bincount(number.ravel(), weights=off.ravel(), minlength=len(bins))
-        count = np.bincount(number.ravel(), minlength=len(bins))
-        mean = np.where(count > 0, total / np.maximum(count, 1), 0.0)
-        rows.append(np.sqrt(mean / own))
-    return bins, np.array(rows)[:, : len(bins)]
-
-
+    number = np.rint(away[inside] / _BIN).astype(int).ravel()
+    count, rows = np.maximum(np.bincount(number, minlength=len(bins)), 1), []
+    for one, of in zip(library.lattices, every, strict=True):
+        off = np.abs(one.left_out(of)[inside]) ** 2 / one.prior.covariance(shape, shape, np.zeros(1))[0]
+        rows.append(np.sqrt(np.bincount(number, weights=off.ravel(), minlength=len(bins)) / count))
+    return replace(library, bins=bins, spread=np.array(rows)[:, : len(bins)])

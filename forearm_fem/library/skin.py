@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -40,6 +41,14 @@ class FlatSkin:
         result = np.column_stack([u, v])
         result[~(np.abs(points[:, 2] - z) < _NEAR)] = np.nan
         return result
+
+    @cached_property
+    def curvature(self) -> float:
+        """Of the section, in its middle half [1/m]: the angle that the skin turns by over a length along it."""
+        angle = np.arctan(np.gradient(self.height, self.y, axis=1))
+        quarter = len(self.y) // 4
+        turned = np.gradient(angle, axis=1) / np.gradient(self.across, axis=1)
+        return float(np.nanmedian(np.abs(turned[:, quarter:-quarter])))
 
     def places(self, flat: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (n, 3) and outward normals (n, 3) at ``flat`` (n, 2); NaN off the skin."""

@@ -89,7 +89,7 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
     """G and its errors from compliances: the device enters here, at no further FE solve."""
     transfer = finite(close_loop(solved.compliance, scenario.device))
     coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None
-    errors = [*solved.unknown, *([_discretisation(transfer, coarse, scenario, mesh)] if coarse and mesh else [])]
+    errors = [*solved.unknown, *([_discretisation(transfer, coarse, scenario, mesh)] if coarse else [])]
     truncations = []
     if solved.freed:
         freed = finite(close_loop(solved.freed, scenario.device))
@@ -149,16 +149,20 @@ def account_of(
 
 
 def _discretisation(
-    fine: TransferMatrix, coarse: TransferMatrix, scenario: Scenario, mesh: TissueMesh
+    fine: TransferMatrix, coarse: TransferMatrix, scenario: Scenario, mesh: TissueMesh | None
 ) -> ErrorEstimate:
-    ratio = float(coarse.provenance["ratio"])
-    lag, coarser = (
-        phase_lags(scenario, mesh, fine.outputs, fine.inputs, fine.frequency, scale) for scale in (1.0, max(ratio, 1.0))
-    )
-    unseen = agreed_upon(fine.values, lag, coarser)
+    ratio, unseen = float(coarse.provenance["ratio"]), np.zeros(fine.values.shape, dtype=bool)
+    if mesh is not None:
+        lag, coarser = (
+            phase_lags(scenario, mesh, fine.outputs, fine.inputs, fine.frequency, scale)
+            for scale in (1.0, max(ratio, 1.0))
+        )
+        unseen = agreed_upon(fine.values, lag, coarser)
     band, error = estimated_errors(coarse.values, fine.values, fine.frequency, ratio, unseen)
     lost = fine.frequency[unseen.any(axis=(1, 2))]
     blind = f"; from {lost[0]:g} Hz on at least the lag of waves too short for the elements" if len(lost) else ""
+    if mesh is None:
+        blind = "; waves too short for both meshes are not looked for, as a library has no mesh"
     return ErrorEstimate(
         "discretisation",
         band,
