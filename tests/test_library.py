@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cli_runner import cli
 from scipy.sparse.linalg import lsqr
 from scipy.special import j1
 
 from forearm_fem.device import close_loop
-from forearm_fem.errors import DataError, ForearmError, GeometryError, ScenarioError
+from forearm_fem.errors import AccuracyWarning, DataError, ForearmError, GeometryError, ScenarioError
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import parametric_skin
@@ -25,8 +26,9 @@ from forearm_fem.library.skin import flat_skin
 from forearm_fem.pipeline import simulate
 from forearm_fem.pipeline.fem_engine import fem_model
 from forearm_fem.pipeline.layered_engine import flat_layers
+from forearm_fem.pipeline.simulation import render_transfer
 from forearm_fem.ports import Port, positions
-from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 
 SLAB = {
     "accuracy": 0.3,
@@ -239,6 +241,71 @@ def test_a_library_comes_back_from_its_file_and_damage_is_told(slab, library, tm
         load_library(file)
     with pytest.raises(DataError, match="no such file"):
         load_library(tmp_path / "none.nc")
+
+
+DESIGN = """name = "d"
+scenario = "slab.toml"
+[[variables]]
+key = "device.contacts"
+values = [[[-0.006, 0.0], [0.005, 0.002]], [[-0.004, 0.001], [0.004, -0.002]], [[-0.02, 0.0], [0.02, 0.0]]]
+[objective]
+targets = ["2"]
+[constraints]
+clearance = 0.0005
+min_distance = 0.005
+[search]
+duration = 0.1
+"""
+
+
+def inline(value):
+    """A value as TOML writes it in one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {inline(of)}" for key, of in value.items()) + "}"
+    return json.dumps(value)
+
+
+@pytest.fixture
+def asked_design(library, tmp_path):
+    """A design of two discs and three points on the library's slab: its file, and the library's."""
+    points = [[0.0, 0.0], [0.0, 0.006], [0.0, -0.006]]
+    rendering = {"methods": ["inverse filter"], "wavelet": {"peak": 80.0}, "window": [-0.03, 0.03]}
+    data = {**SLAB, "grid": {"points": points}, "rendering": rendering}
+    (tmp_path / "slab.toml").write_text("".join(f"{key} = {inline(value)}\n" for key, value in data.items()))
+    (tmp_path / "design.toml").write_text(DESIGN)
+    save_library(tmp_path / "arm.nc", library)
+    return tmp_path / "design.toml", tmp_path / "arm.nc"
+
+
+def test_a_design_is_searched_on_a_library(library, asked_design, tmp_path):
+    """S of each candidate is that of a run with the library; what lies off the patch cannot be."""
+    file, arm = asked_design
+    said = cli("design", file, "--library", arm, "--out", tmp_path / "out", "--no-confirm")
+    assert said.code == 0, said
+    rows = [json.loads(line)["candidate"] for line in (tmp_path / "out/candidates.jsonl").read_text().splitlines()]
+    off = [row for row in rows if row["problem"]]
+    assert len(rows) == 3
+    assert ["off the library's patch" in row["problem"] for row in off] == [True]
+    best = max((row for row in rows if not row["problem"]), key=lambda row: row["score"])
+    contacts = json.dumps(best["values"]["device.contacts"])
+    scenario = load_scenario(tmp_path / "slab.toml", overrides=[f"device.contacts={contacts}"])
+    transfer = simulate(scenario, library=library).transfer
+    with pytest.warns(AccuracyWarning, match="they are not driven"):  # five bins hold two thirds of a wavelet
+        s = render_transfer(scenario, transfer).strengths[0]
+    assert best["score"] == pytest.approx(s[1], rel=1e-6)  # the same G and renderer
+    assert json.loads((tmp_path / "out/best.json").read_text())["values"] == best["values"]
+    refused = cli("design", file, "--library", arm, "--workers", "2", "--out", tmp_path / "out")
+    assert (refused.code, "answers in this process" in refused.err) == (2, True)
+
+
+@pytest.mark.slow  # rims of 2 mm: 90 s
+def test_a_librarys_winner_is_confirmed_by_finite_elements(asked_design, tmp_path):
+    file, arm = asked_design
+    said = cli("design", file, "--library", arm, "--out", tmp_path / "out")
+    assert said.code == 0, said
+    assert "Confirmed by a full run" in said.out
+    assert "off the model" in said.out
+    assert (tmp_path / "out/confirmed/signal_strength.csv").is_file()
 
 
 @pytest.mark.parametrize(
