@@ -227,6 +227,9 @@ def test_simulate_takes_a_library_and_says_what_is_unknown(slab, library):
     assert result.transfer.values.shape == (5, 2, 2)
     assert not np.isfinite(next(e.band for e in result.transfer.errors if e.source == "discretisation"))
     assert any(e.source == "truncation" and e.band > 0 for e in result.transfer.errors)
+    second = replace(library, coarse=replace(library.fine, left=1.02 * library.fine.left))
+    errors = {e.source: e for e in simulate(slab, library=second).transfer.errors}
+    assert 1e-3 < errors["discretisation"].band < 0.02  # 2 % on nodes twice as far apart, by at least order 1.85
 
 
 def test_a_library_comes_back_from_its_file_and_damage_is_told(slab, library, tmp_path):

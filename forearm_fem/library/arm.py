@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -70,6 +71,12 @@ class ArmLibrary:
     spread: FloatArray
     reduction: FloatArray
     facts: Mapping[str, Any]
+
+    @property
+    def mark(self) -> str:
+        """SHA-256 of the limb's poles and what its loads see of them."""
+        seen = hashlib.sha256(self.fine.poles.tobytes() + self.fine.left.tobytes() + repr(self.twin.contact).encode())
+        return seen.hexdigest()[:16]
 
     def compliance(self, scenario: Scenario) -> Compliance:
         """Compliance of the contacts and points of ``scenario`` with errors by interpolation, contacts and reduction.
