@@ -43,6 +43,8 @@ QUICK = "[search]\ncandidates = 24\npopulation = 8\nlocal = 6\nduration = 0.1\n"
 class Waves:
     """A stand-in arm: damped circular waves between any ports, 3 m/s, with an error of one in a thousand."""
 
+    mark = "waves"
+
     def __init__(self, most: int = 10**9) -> None:
         self.left = most
 
@@ -118,6 +120,7 @@ def test_another_constraint_is_another_question(tmp_path):
     assert len(Store(tmp_path, asked).all) == 1
     other = design(tmp_path, SPACING + QUICK + "[constraints]\nmax_power = 0.1\n")
     assert Store(tmp_path, other).all == ()
+    assert Store(tmp_path, asked, "another arm").all == ()
 
 
 def test_the_front_holds_what_nothing_beats():

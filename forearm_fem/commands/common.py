@@ -157,6 +157,8 @@ def stage(
             if kept is not None:
                 job.library = kept
                 job.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
+                job.notes.append("library: the limb acts on each disc's net force; what it does to a disc held against "
+                                 "tilt and slide is the flat twin's, and its error is stated as contact")
             work(job)
         print_notes(job.notes)
         yield job

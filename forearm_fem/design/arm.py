@@ -19,6 +19,10 @@ from ..transfer import Compliance, ErrorEstimate
 class ArmModel(Protocol):
     """An arm, ready for any device: what a design evaluates its candidates on."""
 
+    @property
+    def mark(self) -> str:
+        """What tells its answers from another model's."""
+
     def compliance(self, scenario: Scenario) -> Compliance:
         """Compliance of the scenario's ports with its errors; raises a ForearmError for a device that cannot be."""
 
@@ -32,6 +36,11 @@ class TwinArm:
     def __init__(self, folder: Path | None = None, progress: Progress | None = None) -> None:
         self._folder, self._progress = folder, progress
         self._known: dict[str, Tabulated] = {}
+
+    @property
+    def mark(self) -> str:
+        """The scenario says all."""
+        return "flat twin"
 
     def compliance(self, scenario: Scenario) -> Compliance:
         """See :class:`ArmModel`; entries between two points are NaN."""

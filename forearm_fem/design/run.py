@@ -74,8 +74,8 @@ def run_design(
     ``scheduler`` generations are spread over Dask, on the twin. Raises ScenarioError where no candidate is feasible.
     """
     out = Path(folder).resolve()
-    store = Store(out, design)
     model = arm or TwinArm(progress=progress)
+    store = Store(out, design, model.mark)
     spread = arm is None and (scheduler is not None or (workers or 1) > 1)
     with _evaluating(design, model, scheduler, workers, spread=spread) as many:
         total = planned(design)

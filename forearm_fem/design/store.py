@@ -13,14 +13,14 @@ from .model import Design, Values
 
 
 class Store:
-    """Candidates of one design in ``candidates.jsonl``, by their values.
+    """Candidates of one design on one model of the arm in ``candidates.jsonl``, by their values.
 
     Lines of an older question (another version, scenario or constraint) are left there and not used.
     """
 
-    def __init__(self, folder: Path, design: Design) -> None:
+    def __init__(self, folder: Path, design: Design, mark: str = "") -> None:
         self._file = folder / "candidates.jsonl"
-        self._question = question(design)
+        self._question = question(design, mark)
         self._known: dict[str, Candidate] = {}
         folder.mkdir(parents=True, exist_ok=True)
         text = self._file.read_text(encoding="utf-8") if self._file.is_file() else ""
@@ -56,10 +56,11 @@ class Store:
         return tuple(self._known.values())
 
 
-def question(design: Design) -> str:
-    """SHA-256 of what a candidate's numbers depend on: not the search's seed or length."""
+def question(design: Design, mark: str = "") -> str:
+    """SHA-256 of what a candidate's numbers depend on: not the search's seed or length. ``mark`` is the
+    arm model's."""
     asked = design.asked.model_dump(mode="json", include={"set", "objective", "constraints"})
-    parts = [__version__, asked, design.asked.search.duration, [dict(d) for d in design.data]]
+    parts = [__version__, mark, asked, design.asked.search.duration, [dict(d) for d in design.data]]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
 

@@ -57,7 +57,8 @@ def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T
         raise DataError(f"{file}: {problem}") from None
     except Exception as problem:  # damaged HDF5 fails in ways that h5py does not list
         first = str(problem).strip().splitlines()[0] if str(problem).strip() else type(problem).__name__
-        raise DataError(f"{file}: damaged or not a {content} file of forearm_fem ({first})") from problem
+        article = "an" if content[0] in "aeiou" else "a"
+        raise DataError(f"{file}: damaged or not {article} {content} file of forearm_fem ({first})") from problem
 
 
 def _probe(file: Path) -> None:

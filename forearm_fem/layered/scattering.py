@@ -103,11 +103,6 @@ class Galerkin:
         """The first of :meth:`compliance` without judging the series, which costs three solves more."""
         return self._condensed(self.matrix(integrals), self.order <= int(self.order.max()))
 
-    def axisymmetric_only(self, integrals: ComplexArray) -> ComplexArray:
-        """Ports' displacement per force, were discs not held against the tilt and slide that waves of others ask of
-        them: tractions of azimuthal order 1 and more left out."""
-        return self._condensed(self.matrix(integrals), self.order < 1)
-
     def kinds(self) -> tuple[BoolArray, ...]:
         """Entries (ports, ports) between discs, and those between a disc and a point, where there are such."""
         point = np.zeros(self.ports, dtype=bool)

@@ -22,7 +22,7 @@ from .kernel import Layer, Surface
 from .response import LayeredResult, distinct, terms_of
 from .rigid import Disc
 from .sampling import chebyshev_between
-from .scattering import Galerkin, changed, galerkin
+from .scattering import Galerkin, galerkin
 
 _ORDERS = 2  # azimuthal, as the twin's own for discs 12 radii apart
 CLEAR = 2e-4  # [m] from a rim: nearer, the field of a rigid disc has a root that no table follows
@@ -39,14 +39,6 @@ class Column(NamedTuple):
     a: int
     b: int
     order: int
-
-
-@dataclass(frozen=True)
-class TabulatedResult(LayeredResult):
-    """And ``beside`` (n_freq,): what tractions under the discs change that answer to the slope and slide of waves that
-    arrive, over the largest entry of its kind."""
-
-    beside: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +63,7 @@ class Tabulated:
     points: tuple[dict[Column, int], BSpline]
     checked: FloatArray
 
-    def compliance(self, omega: FloatArray, discs: Sequence[Disc]) -> TabulatedResult:
+    def compliance(self, omega: FloatArray, discs: Sequence[Disc]) -> LayeredResult:
         """Displacement per force between ``discs`` (points among them), as
         :func:`~forearm_fem.layered.layered_compliance` of them, at ``omega`` (n_freq,) [rad/s] within the band.
 
@@ -85,19 +77,16 @@ class Tabulated:
         found = self._integrals(system)
         whole = system.compliance_only(found)
         judged = slice(None, None, FEW)
-        some, lacking = system.compliance(found[judged], apart=True)
-        beside = changed(some, system.axisymmetric_only(found[judged]), system.kinds())
+        _, lacking = system.compliance(found[judged], apart=True)
         sampled, _ = chebyshev_between(self.low, self.high, omega, whole)
         tails = [chebyshev_between(self.low, self.high, omega, whole[:, kind])[1] for kind in system.kinds()]
         x, at = np.sqrt(omega), np.sqrt(self.omega[judged])[::-1]
-        truncation, beside = (np.interp(x, at, e[::-1]) for e in (MARGIN * lacking, beside))
+        truncation = MARGIN * np.interp(x, at, lacking[::-1])
         table = np.interp(x, np.sqrt(self.omega)[::-1], self.checked[::-1])
         free = np.array([disc.radius == 0 for disc in kinds])
         sampled[:, free[:, None] & free] = np.nan
         values = sampled[:, rows][:, :, columns]
-        return TabulatedResult(
-            values, np.zeros(omega.size), truncation, table + np.max(tails, axis=0), 0, np.asarray(beside)
-        )
+        return LayeredResult(values, np.zeros(omega.size), truncation, table + np.max(tails, axis=0), 0)
 
     def arrays(self) -> dict[str, FloatArray | IntArray | ComplexArray]:
         """Numbers for a file; :func:`from_arrays` takes them back with the layers."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,8 +14,9 @@ import numpy as np
 from ..errors import GeometryError, ScenarioError
 from ..geometry.device.layout import layout_of
 from ..geometry.device.place import parametric_skin, ports_on
+from ..layered.response import LayeredResult
 from ..layered.rigid import Disc
-from ..layered.tabulated import Tabulated, TabulatedResult
+from ..layered.tabulated import Tabulated
 from ..pipeline.frequencies import frequencies
 from ..pipeline.layered_engine import flat_layers
 from ..pipeline.solved import Solved
@@ -31,6 +34,14 @@ from .skin import FlatSkin, flat_skin
 MARGIN = 0.02  # [m] of skin around the patch that bells reach
 WIDTH = 0.4  # of a bell, in steps of the lattice
 _SPREAD, _LEAST, _NOISE = 0.7, 60.0, 1e-6  # kappa in shortest wavenumbers, and [1/m]; docs/decisions/0037-library.md
+_SIDEWAYS = 2 / 3  # stiffness of a bonded disc sideways over that along its normal
+_CONTACT = MappingProxyType({
+    "bonded": "what discs held sideways take from the limb's difference from its flat twin, were that as large "
+    "sideways as along the normal; and a quarter of the disc's squared curvature",
+    "frictionless": "what discs held against tilt take from the limb's own motion is not known; make the library with "
+    "device.cone.contact = 'bonded' or 'pressure'",
+    "pressure": "a quarter of the disc's squared curvature",
+})  # fmt: skip
 _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its library
 
 
@@ -43,7 +54,7 @@ class ArmLibrary:
     (None where none absorb). ``flat`` (n_part, n_node, n_distance) is the twin between two bells at ``distances``
     [m], at the nodes of :class:`Bands`; ``twin`` the twin for discs. ``spread`` (n_part, n_bin) is the standard
     deviation [m/N] of what is interpolated, by distance (``bins`` (n_bin,) [m]), in units of the prior. ``reduction``
-    is the error of the reduced model where it was compared with a direct solve.
+    (2, n) are frequencies [Hz] and the reduced model's e(f) there, against direct solves.
     """
 
     scenario: Scenario
@@ -58,8 +69,14 @@ class ArmLibrary:
     twin: Tabulated
     bins: FloatArray
     spread: FloatArray
-    reduction: float
+    reduction: FloatArray
     facts: Mapping[str, Any]
+
+    @property
+    def mark(self) -> str:
+        """SHA-256 of the limb's poles and what its loads see of them."""
+        seen = hashlib.sha256(self.fine.poles.tobytes() + self.fine.left.tobytes() + repr(self.twin.contact).encode())
+        return seen.hexdigest()[:16]
 
     def compliance(self, scenario: Scenario) -> Compliance:
         """Compliance of the contacts and points of ``scenario`` with errors by interpolation, contacts and reduction.
@@ -146,7 +163,7 @@ class ArmLibrary:
         number, _ = pair_distances(self.centres)
         return self.flat[:, :, number]
 
-    def _flat_discs(self, ports: tuple[Port, ...], places: FloatArray, frequency: FloatArray) -> TabulatedResult:
+    def _flat_discs(self, ports: tuple[Port, ...], places: FloatArray, frequency: FloatArray) -> LayeredResult:
         """The flat twin of the ports."""
         discs = [Disc(u, v) if port.kind == "point" else Disc(u, v, port.radius, port.contact)
                  for port, (u, v) in zip(ports, places.tolist(), strict=True)]  # fmt: skip
@@ -161,7 +178,7 @@ class ArmLibrary:
         return np.asarray(scale * np.sqrt(left))
 
     def _errors(
-        self, found: Compliance, part: Any, deviations: list[FloatArray], flat: TabulatedResult
+        self, found: Compliance, part: Any, deviations: list[FloatArray], flat: LayeredResult
     ) -> tuple[ErrorEstimate, ...]:
         """Of interpolation, of the twin's tractions, of what the limb does to discs, and of the reduced model."""
         rows, columns = found.indices("point") or found.indices("contact"), found.indices("contact")
@@ -173,17 +190,34 @@ class ArmLibrary:
         between = deviation.max(axis=(1, 2)) / size
         band = float(np.linalg.norm(deviation) / np.linalg.norm(values))
         frequency = tuple(found.frequency.tolist())
-        apart = np.abs(values - flat.values[:, block[0], block[1]]).max(axis=(1, 2)) / size
-        held = flat.beside * apart + 0.25 * (self.twin.radius * self.skin.curvature) ** 2
+        held = self._held(found, flat.values, rows, columns) + 0.25 * (self.twin.radius * self.skin.curvature) ** 2
+        reduction = np.interp(found.frequency, self.reduction[0], self.reduction[1])
         return (
             ErrorEstimate("interpolation", band, "spread of what lies between the library's loads, by leaving each of "
                           "them out", frequency, tuple(between.tolist())),
             _weighed("quadrature", flat.error, size, frequency, "the flat twin's tables, and last terms and orders of "
                      "the tractions under its discs"),
-            _weighed("contact", held, size, frequency, "the limb's difference from the flat twin times what slope and "
-                     "slide of waves change under the twin's discs, and a quarter of the radius' squared curvature"),
-            ErrorEstimate("reduction", self.reduction, "against a direct solve for some of the library's loads"),
+            _weighed("contact", held, size, frequency, _CONTACT[self.twin.contact]),
+            _weighed("reduction", reduction, size, frequency, "against direct solves for some of the library's loads "
+                     "at three frequencies, and between them"),
         )  # fmt: skip
+
+    def _held(self, found: Compliance, flat: ComplexArray, rows: list[int], discs: list[int]) -> FloatArray:
+        """e(f) (n_frequency,) of discs that hold the limb's own motion in silence.
+
+        A rigid disc keeps its place sideways with 16/3 mu a, two thirds of what 8 mu a along its normal is (Mindlin
+        1949, incompressible), so that n of them take x/(1 + x) of a motion D, x = n 2/3 |D|/|T|, with D of the limb
+        and T of the twin between the discs. Pressed discs hold nothing; of frictionless ones, which hold tilt alone, it
+        is NaN, unknown.
+        """
+        if self.twin.contact != "bonded":
+            return np.full(len(found.frequency), 0.0 if self.twin.contact == "pressure" else np.nan)
+        apart, own = found.values - flat, flat[:, discs, discs]
+        grip = len(discs) * _SIDEWAYS * np.abs(apart[:, discs][:, :, discs]).max(axis=(1, 2)) / np.abs(own).mean(axis=1)
+        seen = np.abs(apart[:, rows][:, :, discs]).max(axis=(1, 2)) / np.abs(found.values[:, rows][:, :, discs]).max(
+            axis=(1, 2)
+        )
+        return np.asarray(grip / (1 + grip) * seen)
 
     def _check_same(self, scenario: Scenario) -> None:
         if scenario.engine != "fem":

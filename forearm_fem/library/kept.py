@@ -27,12 +27,12 @@ _log = logging.getLogger("forearm_fem.library")
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One mesh's part: the limb through the bells, with free ends where it has absorbing ones, the error of the reduced
-    model, and facts."""
+    """One mesh's part: the limb through the bells, with free ends where it has absorbing ones, ``reduction`` (2, n),
+    frequencies [Hz] and the reduced model's error there, and facts."""
 
     limb: Limb
     freed: Limb | None
-    reduction: float
+    reduction: FloatArray
     facts: Mapping[str, Any]
 
 
@@ -62,14 +62,15 @@ class Kept:
             with np.load(self._folder / _SIDE, allow_pickle=False) as data:
                 limb, freed = (_limb(data, name) for name in _LIMBS)
                 facts = json.loads(str(data["facts"]))
-                return None if limb is None else Side(limb, freed, float(data["reduction"]), facts)
+                return None if limb is None else Side(limb, freed, _checked(facts), facts)
         except _UNREADABLE:
             return None
 
     def finish(self, side: Side) -> None:
         """Keep the part, and let its columns go."""
-        facts = json.dumps(dict(side.facts))
-        arrays: dict[str, Any] = {"reduction": np.array(side.reduction), "facts": np.array(facts)}
+        off = dict(zip(*side.reduction.tolist(), strict=True))
+        facts = json.dumps({**side.facts, "reduction": off})
+        arrays: dict[str, Any] = {"facts": np.array(facts)}
         for name in _LIMBS:
             limb: Limb | None = getattr(side, name)
             if limb is not None:
@@ -132,6 +133,10 @@ class Kept:
 def _told(folder: Path, problem: Exception) -> bool:
     _log.warning("what was solved for the library could not be kept in %s (%s); ended, it starts anew", folder, problem)
     return False
+
+
+def _checked(facts: Mapping[str, Any]) -> FloatArray:
+    return np.array([[float(f) for f in facts["reduction"]], list(facts["reduction"].values())])
 
 
 def _limb(data: Mapping[str, Any], name: str) -> Limb | None:

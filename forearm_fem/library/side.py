@@ -16,6 +16,7 @@ from ..errors import SolverError
 from ..fem.assembly.coefficients import Polynomial, is_polynomial
 from ..fem.assembly.model import ForearmModel
 from ..fem.linear.direct import make_solver
+from ..fem.reduction.basis import Basis
 from ..fem.reduction.expansion import expansion_rate
 from ..fem.reduction.many_loads import LoadSpace
 from ..fem.reduction.poles import pole_residue
@@ -88,7 +89,7 @@ def _spanned(
     state = kept.progressed(Progressed(empty_model(bare), np.zeros((0, total)), 0, 0, 0.0))
     tell(progress, "loads on the patch", state.done, total)
     if state.done == total:
-        return state
+        return _without_columns(state)
     began = time.monotonic() - state.seconds
     solver = make_solver(bare, meshed.solver, float(frequency[-1]))
     rate = _FASTER * expansion_rate(frequency)
@@ -106,7 +107,12 @@ def _spanned(
         kept.keep(state)
         tell(progress, "loads on the patch", state.done, total)
     solver.factor.release()
-    return state
+    return _without_columns(state)
+
+
+def _without_columns(state: Progressed) -> Progressed:
+    """What poles follow from: the columns themselves are gigabytes, and direct solves come next."""
+    return replace(state, reduced=replace(state.reduced, basis=Basis()))
 
 
 def _finished(
@@ -129,9 +135,8 @@ def _finished(
     facts: dict[str, Any] = {
         "loads": seen.shape[1], "size": reduced.size, "solves": state.solves, "unknowns": model.operator.n,
         "seconds_loads": state.seconds, "seconds_poles": poles, "seconds_check": time.monotonic() - began - poles,
-        "reduction": dict(zip(_checked(frequency).tolist(), off.tolist(), strict=True)),
     }  # fmt: skip
-    return Side(limb, freed, float(off.max()), facts)
+    return Side(limb, freed, np.stack([_checked(frequency), off]), facts)
 
 
 def _poles(reduced: ReducedModel, frequency: FloatArray) -> Limb:

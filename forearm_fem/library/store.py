@@ -19,13 +19,14 @@ from .limb import Limb
 _CONTENT = "arm's library"
 _LIMBS = ("fine", "coarse", "freed")
 _TABLES = "twin_"
-_NUMBERS = ("width", "ratio", "reduction")
+_NUMBERS = ("width", "ratio")
 _ARRAYS = {
     "centres": ("bell", "uv"),
     "distances": ("distance",),
     "flat": ("part", "node", "distance"),
     "bins": ("bin",),
     "spread": ("part", "bin"),
+    "reduction": ("frequency_and_error", "checked"),
 }
 
 
@@ -68,7 +69,7 @@ def _unpack(dataset: xr.Dataset) -> ArmLibrary:
     return ArmLibrary(
         scenario, dataset["centres"].values, float(number["width"]),
         fine, coarse, freed, float(number["ratio"]), dataset["distances"].values, dataset["flat"].values, twin,
-        dataset["bins"].values, dataset["spread"].values, float(number["reduction"]),
+        dataset["bins"].values, dataset["spread"].values, dataset["reduction"].values,
         json.loads(dataset.attrs["facts"]),
     )  # fmt: skip
 
