@@ -222,7 +222,7 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
     left, held = (band_error(v, truth) for v in (found.block("point", "contact"), own))
     assert held > 0.1  # else there is nothing to mend
     assert left < held / 2
-    assert left < np.hypot(*errors.values()) < 10 * left
+    assert left < np.linalg.norm(list(errors.values())) < 10 * left
     assert np.isnan(found.values[:, 2, 2]).all()  # a point on itself is unknown still
 
 
