@@ -1,6 +1,6 @@
 """Coverage of a fit's 95 % intervals: arms of finite elements with noise, fitted on the reduced finite elements.
 
-    python benchmarks/recovery.py [--arms 10] [--seeds 10] [--noise 0.02] [--out benchmarks/results]
+    python benchmarks/recovery.py [--arms 4] [--seeds 25] [--noise 0.02] [--out benchmarks/results]
 
 Each arm is solved directly (not by the reduced model that fits it) and measured ``seeds`` times with white noise of
 ``noise`` times the rms of G. Writes ``recovery.csv``: per parameter the share of intervals that hold the truth, their
@@ -47,8 +47,8 @@ REACH = 1.8  # times or divided by: of the true values about the start
 def main() -> None:
     """Make, solve, fit, count."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--arms", type=int, default=10)
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--arms", type=int, default=4)
+    parser.add_argument("--seeds", type=int, default=25)
     parser.add_argument("--noise", type=float, default=0.02)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     asked = parser.parse_args()

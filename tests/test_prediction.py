@@ -196,7 +196,7 @@ def test_the_arm_model_states_its_error_and_keeps_it() -> None:
     from forearm_fem.pipeline.layered_engine import solve_layered
 
     scene = parse_scenario({"engine": "layered", "tissues": {"membrane": {"tension": 40.0}}, "limb": {"bones": []}})
-    band = np.array([60.0, 250.0, 310.0, 380.0, 500.0])  # the last four in one chunk, judged at its ends
+    band = np.array([60.0, 250.0, 310.0, 380.0, 500.0])
     fast, truth = LayeredArm().compliance(scene, band), solve_layered(scene, band)
     difference = np.nanmax(np.abs(fast.values - truth.values), axis=(1, 2))
     assert (difference / np.nanmax(np.abs(truth.values), axis=(1, 2)) <= np.array(fast.errors[0].per_frequency)).all()

@@ -57,7 +57,6 @@ def layered_compliance(
     tolerance: float = 1e-6,
     terms: int | None = None,
     orders: int | None = None,
-    judge_all: bool = True,
     progress: Progress | None = None,
 ) -> LayeredResult:
     r"""Normal displacement of each output disc per normal force on each input disc.
@@ -79,8 +78,6 @@ def layered_compliance(
     tolerance : error of the integrals relative to the largest |value| at each frequency.
     terms, orders : of the tractions under rigid discs; None: as waves, layers and distances ask for. What they
         leave out is ``truncation`` of the result; NaN with ``orders`` = 0 where a disc is not alone.
-    judge_all : else what terms and orders leave out is looked at at both ends of each chunk of frequencies, half an
-        octave or less, and the larger stated for all of it: a third of the work.
     progress : counts frequencies against those expected.
 
     Not covered: tilt and sideways motion of rigid discs, tangential loads, anisotropy, omega = 0. With
@@ -99,7 +96,7 @@ def layered_compliance(
     terms = terms_of(discs, medium, omega) if terms is None else terms
     system = galerkin(discs, medium.surface, terms, _orders(discs) if orders is None else orders)
     expected = min(omega.size, MOST + 1)
-    evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, expected, judge_all, progress)
+    evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, expected, progress)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
     found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)
     out, errors, interpolation = found
@@ -119,7 +116,6 @@ class _Evaluation:
     integrals: Integrals
     system: Galerkin
     expected: int
-    judge_all: bool
     progress: Progress | None
     n_kernel: int = 0
     n_frequency: int = 0
@@ -129,18 +125,12 @@ class _Evaluation:
         values, errors = np.empty((omega.size, n, n), dtype=complex), np.empty((omega.size, 2))
         for chunk in self.integrals.chunks(omega):
             block = self.integrals.solve(omega[chunk])
-            values[chunk], errors[chunk, 1] = self._judged(block.values)
+            values[chunk], errors[chunk, 1] = self.system.compliance(block.values)
             errors[chunk, 0] = block.error
             self.n_kernel += block.n_kernel
             self.n_frequency += chunk.size
             tell(self.progress, "layered half-space", min(self.n_frequency, self.expected), self.expected)
         return values, errors
-
-    def _judged(self, integrals: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-        if self.judge_all or len(integrals) <= 2:
-            return self.system.compliance(integrals)
-        lacking = self.system.compliance(integrals[[0, -1]])[1].max()
-        return self.system.compliance_only(integrals), np.full(len(integrals), lacking)
 
 
 def terms_of(discs: Sequence[Disc], medium: Medium, omega: FloatArray) -> int:

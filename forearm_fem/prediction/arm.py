@@ -79,7 +79,7 @@ class LayeredArm:
         discs = [flat_disc(port) for port in ports]
         found = layered_compliance(
             flat_layers(scenario), 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
-            tolerance=_TOLERANCE, terms=_TERMS, orders=_ORDERS, judge_all=False,
+            tolerance=_TOLERANCE, terms=_TERMS, orders=_ORDERS,
         )  # fmt: skip
         error = np.asarray(found.error)
         estimate = ErrorEstimate(
