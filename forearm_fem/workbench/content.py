@@ -116,7 +116,7 @@ def _packed_places(places: Places, arm: Arm, scenario: Scenario) -> dict[str, An
 
 def _packed_near(near: Near | None) -> dict[str, Any]:
     assert near is not None
-    fields = {"left": packed(near.left, "c8"), "alpha": packed(near.alpha, "c8")}
+    fields = {"left": packed(near.left, "c8"), "alpha": packed(near.alpha, "c16")}  # large and of both signs
     return {"xy": packed(near.xy, "f8"), **fields, "scale": near.scale}
 
 

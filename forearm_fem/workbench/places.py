@@ -135,8 +135,8 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Near:
-    """The difference to the grid's points: ``left`` (n_frequency, r) times ``alpha`` (r, n, n_point), which is K^-1 times
-    what it is at ``xy`` (n, 2) [m]; ``scale`` [1/m] is that of the process."""
+    """The difference to the grid's points: ``left`` (n_frequency, r) times ``alpha`` (r, n, n_point), which is K^-1
+    times what it is at ``xy`` (n, 2) [m]; ``scale`` [1/m] is that of the process."""
 
     xy: FloatArray
     left: ComplexArray
