@@ -100,8 +100,8 @@ def worst(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
 
 @needs_node
 def test_the_page_knows_discs_anywhere_within_what_it_states(arm: Stand) -> None:
-    """An arrangement that none of its checks saw errs by no more than twice the worst of those; the page's numbers are
-    Python's own to the eight digits that it holds them with."""
+    """An arrangement that none of its checks saw errs by no more than twice the worst of those five; the page's numbers
+    are Python's own to the eight digits that it holds them with."""
     content = library_content(arm, arm.scenario, "a library")
     places, missed = places_of(arm, arm.scenario)
     assert 1e-6 < missed.band < 0.02
@@ -109,7 +109,7 @@ def test_the_page_knows_discs_anywhere_within_what_it_states(arm: Stand) -> None
     for answer, contacts in zip(asked(content, *jobs), (content["model"]["home"], ELSEWHERE), strict=True):
         expected = exact_g(arm, contacts)
         found = complex_of(answer).reshape(expected.shape)
-        assert (worst(found, expected) < 2 * np.array(missed.per_frequency) + 1e-6).all()
+        assert np.linalg.norm(found - expected) < 2 * missed.band * np.linalg.norm(expected)
         values = places.compliance(np.array(contacts))
         skin = arm.compliance(arm.scenario)
         n = len(contacts)
@@ -195,4 +195,4 @@ def test_a_librarys_file_becomes_a_page_within_its_errors(tmp_path: Path) -> Non
     stated = next(e for e in content["errors"] if "the page's own" in e["method"])
     found_g = complex_of(answer).reshape(expected.shape)
     assert np.linalg.norm(found_g - expected) / np.linalg.norm(expected) < 2 * stated["band"]
-    assert stated["band"] < 0.1
+    assert stated["band"] < 0.2  # bonded discs six radii apart scatter a tenth, which the page leaves out and states

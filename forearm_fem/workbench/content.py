@@ -41,7 +41,7 @@ from ..typing import FloatArray
 from .field import Field, Surface, solved_field
 from .flat import between_points, twin_field
 from .packed import amplitudes_in_half_precision, in_half_precision, packed
-from .places import Arm, Places, patch_field, places_of
+from .places import Arm, Near, Places, patch_field, places_of
 
 FORMAT = 1  # of the content; the page's own files carry it too
 _ARMS = 8  # drawn arms that a page holds: 1.5 MB of the thesis' scene
@@ -107,10 +107,17 @@ def _packed_places(places: Places, arm: Arm, scenario: Scenario) -> dict[str, An
     layout, patch = layout_of(scenario), arm.scenario.library
     real = {k: packed(getattr(places, k), "f8") for k in ("xy", "flat", "position", "axis", "points", "inverse")}
     return {
-        "kind": "places", **real, **{k: packed(getattr(places, k), "c8") for k in ("twin", "left", "right")},
+        "kind": "places", **real, "near": _packed_near(places.near),
+        **{k: packed(getattr(places, k), "c8") for k in ("twin", "left", "right")},
         "home": layout.contacts.tolist(), "half": [patch.length / 2, patch.width / 2], "radius": places.radius,
         "reach": float(places.radii[-1]), "scale": places.scale, "pressed": scenario.device.cone.contact == "pressure",
     }  # fmt: skip
+
+
+def _packed_near(near: Near | None) -> dict[str, Any]:
+    assert near is not None
+    fields = {"left": packed(near.left, "c8"), "alpha": packed(near.alpha, "c16")}  # large and of both signs
+    return {"xy": packed(near.xy, "f8"), **fields, "scale": near.scale}
 
 
 def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -> dict[str, Any]:

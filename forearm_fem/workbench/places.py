@@ -15,12 +15,12 @@ from ..pipeline.simulation import AnswersForArm
 from ..ports import Port, positions
 from ..progress import Progress, tell
 from ..scenario import Scenario
-from ..scenario.device import NEAREST
 from ..transfer import Compliance, ErrorEstimate, finite
-from ..typing import ComplexArray, FloatArray, IntArray
+from ..typing import ComplexArray, FloatArray
 from .field import Field, Surface
 from .flat import net_faces, profile
 
+_FINE, _AT_ONCE = 300, 100  # places for what the grid's points feel, and how many are read at once
 _MOST = 60  # places that the library is asked for, seconds each; the page holds a number for each two of them
 _SCALES = 1e3 / np.array([6.0, 9.0, 13.0, 20.0, 30.0, 45.0])  # [1/m] tried for the length over which fields change
 _NOISE = 1e-6  # of the variance: no two places are alike to rounding
@@ -28,6 +28,7 @@ _RADII, _FARTHEST = 64, 1.05  # of the twin's profile, and how far it reaches in
 _RANK = 1e-4  # of the largest combination of places: far below the error of interpolating between them
 _CHECKED, _SEED = 4, 0  # arrangements besides the scenario's own on which all of it is held against the library
 _TRIES = 400
+_RIM = 3e-4  # [m] from a rim to what is asked for: the twin's tables end there
 _SIDE = 48  # stretches of the picture's longer side
 
 
@@ -67,13 +68,13 @@ class Arm(AnswersForArm, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Compliance of discs anywhere: C(P, Q) = T(r) + w_P^T D w_Q, and D alone to the grid's points.
+    """Compliance of discs anywhere: C(P, Q) = T(r) + w_P^T D w_Q between discs, T(r) + k(P)^T E to the grid's points.
 
     ``xy`` (n, 2) are places seen from above, ``flat`` (n, 2) along the skin, ``position`` and ``axis`` (n, 3) on it,
     all [m]. ``twin`` (n_frequency, n_radius) is the flat twin of one disc at ``radii`` [m], its own motion first.
-    ``left`` (n_frequency, r) and ``right`` (r, n, n + n_point) are the difference to it. Weights are those of a
-    Gaussian process: w_P = ``inverse`` k(P), k = (1 + s + 2 s^2/5 + s^3/15) exp(-s), s = ``scale`` |P - place|.
-    ``points`` is the grid in flat coordinates.
+    D = ``left`` (n_frequency, r) ``right`` (r, n, n) is the difference to it. Weights are those of a Gaussian process:
+    w_P = ``inverse`` k(P), k = (1 + s + 2 s^2/5 + s^3/15) exp(-s), s = ``scale`` |P - place|. E, the difference to the
+    grid's ``points`` (in flat coordinates), stands on a finer net as ``near``, its K^-1 included.
 
     Left out: what other discs scatter, and that a cone feels the mean over its foot of what another sends, not the
     middle. :func:`places_of` measures what both and the interpolation cost.
@@ -92,6 +93,7 @@ class Places:
     right: ComplexArray
     inverse: FloatArray
     scale: float
+    near: Near | None = None
 
     def weights(self, xy: FloatArray) -> FloatArray:
         """(n, p) of places (p, 2)."""
@@ -107,10 +109,11 @@ class Places:
         m, weights = len(xy), self.weights(xy)
         flat = xy + self.between(self.flat - self.xy, weights)
         away = np.linalg.norm(np.concatenate([flat, self.points])[:, None] - flat[None], axis=2)
-        share = np.einsum("np,rnq->rpq", weights, self.right)
-        n = len(self.xy)
-        share = np.concatenate([share[:, :, :n] @ weights, share[:, :, n:]], axis=2)
-        found = np.einsum("fr,rpq->fqp", self.left, share) + self.twin_at(away.ravel()).reshape(-1, *away.shape)
+        share = np.einsum("np,rnq->rpq", weights, self.right) @ weights
+        found = self.twin_at(away.ravel()).reshape(-1, *away.shape)
+        found[:, :m] += np.einsum("fr,rpq->fqp", self.left, share)
+        if self.near is not None:
+            found[:, m:] += self.near.at(xy)
         found[:, :m] = (found[:, :m] + found[:, :m].swapaxes(1, 2)) / 2
         return np.asarray(found)
 
@@ -130,6 +133,22 @@ class Places:
         return found
 
 
+@dataclass(frozen=True, eq=False)
+class Near:
+    """The difference to the grid's points: ``left`` (n_frequency, r) times ``alpha`` (r, n, n_point), which is K^-1
+    times what it is at ``xy`` (n, 2) [m]; ``scale`` [1/m] is that of the process."""
+
+    xy: FloatArray
+    left: ComplexArray
+    alpha: ComplexArray
+    scale: float
+
+    def at(self, xy: FloatArray) -> ComplexArray:
+        """(n_frequency, n_point, p) for discs at ``xy`` (p, 2)."""
+        share = np.einsum("np,rnq->rqp", kernel(self.scale, self.xy, xy), self.alpha)
+        return np.asarray(np.einsum("fr,rqp->fqp", self.left, share))
+
+
 def kernel(scale: float, a: FloatArray, b: FloatArray) -> FloatArray:
     """(n, m) between places (n, 2) and (m, 2): Matern's of 7/2."""
     s = scale * np.linalg.norm(a[:, None] - b[None], axis=2)
@@ -139,13 +158,14 @@ def kernel(scale: float, a: FloatArray, b: FloatArray) -> FloatArray:
 def places_of(arm: Arm, scenario: Scenario, progress: Progress | None = None) -> tuple[Places, ErrorEstimate]:
     """Places on the patch of ``arm`` for the contacts and points of ``scenario``, and what they miss of the library.
 
-    Asks the library for one disc at each of up to 60 places. The error is the worst of the scenario's arrangement and
-    four drawn ones, of G by the library itself.
+    Asks the library for one disc at each of up to 60 places, and at each of the grid's points. The error is the worst
+    of the scenario's arrangement and four drawn ones, of G by the library itself.
     """
     layout = layout_of(scenario)
     plain = _with(scenario, layout.contacts, layout.points)
-    xy = _lattice(arm, plain)
-    ports = [arm.ports(_with(plain, place[None], layout.points))[0] for place in xy]
+    xy = _lattice(arm, plain, _MOST)
+    a = scenario.device.cone.radius
+    ports = [arm.ports(_with(plain, place[None], _uncovered(place, a)[None]))[0] for place in xy]
     flat, points = arm.skin.flat(positions(tuple(ports))), _points(arm, plain)
     frequency, radius = frequencies(plain.sweep), scenario.device.cone.radius
     reach = max(_FARTHEST * float(np.linalg.norm(np.ptp(np.concatenate([flat, points]), axis=0))), 4 * radius)
@@ -154,15 +174,13 @@ def places_of(arm: Arm, scenario: Scenario, progress: Progress | None = None) ->
     twin = profile(plain, ports[0], frequency, radii)
     bare = Places(
         frequency, xy, flat, positions(tuple(ports)), np.array([p.axis for p in ports]), points, radius, radii, twin,
-        np.zeros((len(frequency), 0), dtype=complex), np.zeros((0, len(xy), len(xy) + len(points)), dtype=complex),
+        np.zeros((len(frequency), 0), dtype=complex), np.zeros((0, len(xy), len(xy)), dtype=complex),
         np.eye(len(xy)), 1.0,
     )  # fmt: skip
-    difference = _difference(arm, plain, bare, layout.points, progress)
-    u, s, v = np.linalg.svd(difference.reshape(len(frequency), -1), full_matrices=False)
-    rank = max(int((s > _RANK * s[0]).sum()), 1) if s[0] > 0 else 1
-    scale, inverse = _process(xy, v[:rank].reshape(rank, len(xy), -1) * s[:rank, None, None])
-    right = v[:rank].reshape(rank, *difference.shape[1:])
-    found = replace(bare, left=u[:, :rank] * s[:rank], right=right, inverse=inverse, scale=scale)
+    left, right = _few(_difference(arm, plain, bare, progress))
+    scale, inverse = _process(xy, right, left)
+    near = _near(arm, plain, bare, layout.points, progress)
+    found = replace(bare, left=left, right=right, inverse=inverse, scale=scale, near=near)
     return found, _missed(arm, plain, found)
 
 
@@ -195,11 +213,11 @@ def _pairs(places: FloatArray) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in places)
 
 
-def _lattice(arm: Arm, scenario: Scenario) -> FloatArray:
-    """Places (n, 2) on an even net over the patch where the library takes a disc."""
+def _lattice(arm: Arm, scenario: Scenario, most: int) -> FloatArray:
+    """Places (n, 2), ``most`` at most, on an even net over the patch where the library takes a disc."""
     patch, a = arm.scenario.library, scenario.device.cone.radius
     sides = np.array([patch.length, patch.width]) - 2 * a
-    step = float(np.sqrt(np.prod(sides) / _MOST))
+    step = float(np.sqrt(np.prod(sides) / most))
     counts = np.maximum(np.floor(sides / step + 1e-9).astype(int), 2)
     axes = [np.linspace(-0.5, 0.5, int(n)) * side * (1 - 1e-6) for n, side in zip(counts, sides, strict=True)]
     points, _ = arm.skin.places(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2))
@@ -224,45 +242,71 @@ def _points(arm: Arm, scenario: Scenario) -> FloatArray:
     return np.asarray(arm.skin.flat(positions(tuple(p for p in arm.ports(scenario) if p.kind == "point"))))
 
 
-def _difference(
-    arm: Arm, scenario: Scenario, bare: Places, points: FloatArray, progress: Progress | None
-) -> ComplexArray:
-    """Library less twin (n_frequency, n, n + n_point): a disc at each place, seen at all places and points.
-
-    Under the disc itself its own difference stands.
-    """
-    seen, here = np.concatenate([bare.xy, points]), np.concatenate([bare.flat, bare.points])
-    found = np.empty((len(bare.frequency), len(bare.xy), len(seen)), dtype=complex)
+def _difference(arm: Arm, scenario: Scenario, bare: Places, progress: Progress | None) -> ComplexArray:
+    """Library less twin (n_frequency, n, n): a disc at each place, seen at all of them."""
+    found = []
     for i, place in enumerate(bare.xy):
         tell(progress, "places", i, len(bare.xy))
-        away = np.linalg.norm(here - bare.flat[i], axis=1)
-        open_ = np.flatnonzero(away > 1.02 * bare.radius)
-        rows = _apart(seen, open_)
-        answer = arm.compliance(_with(scenario, place[None], seen[rows]))
+        found.append(_sent(arm, scenario, bare, place, bare.flat[i], bare.xy, bare.flat))
+    return np.stack(found, axis=1)
+
+
+def _near(arm: Arm, scenario: Scenario, bare: Places, points: FloatArray, progress: Progress | None) -> Near:
+    """The difference from a disc anywhere to each of the grid's points.
+
+    By reciprocity: a disc stands at the point, and its motion is read at the places, as many as one likes. Which of the
+    two is the disc and which the point is exchanged; the difference to the twin hardly tells.
+    """
+    xy = _lattice(arm, scenario, _FINE)
+    flat = np.asarray(arm.skin.flat(_on_skin(arm, scenario, xy)))
+    rows = []
+    for q, place in enumerate(points):
+        tell(progress, "points", q, len(points))
+        rows.append(_sent(arm, scenario, bare, place, bare.points[q], xy, flat))
+    left, right = _few(np.stack(rows, axis=2))
+    scale, inverse = _process(xy, right, left)
+    return Near(xy, left, np.einsum("mn,rnq->rmq", inverse, right), scale)
+
+
+def _on_skin(arm: Arm, scenario: Scenario, xy: FloatArray) -> FloatArray:
+    """Positions (n, 3) of places seen from above."""
+    a = scenario.device.cone.radius
+    return positions(tuple(arm.ports(_with(scenario, p[None], _uncovered(p, a)[None]))[0] for p in xy))
+
+
+def _sent(
+    arm: Arm, scenario: Scenario, bare: Places, place: FloatArray, here: FloatArray, xy: FloatArray, flat: FloatArray
+) -> ComplexArray:
+    """Library less twin (n_frequency, n) of a disc at ``place`` (``here`` along the skin), seen at ``xy`` (n, 2).
+
+    Under the disc and at its rim its own difference stands.
+    """
+    away = np.linalg.norm(flat - here, axis=1)
+    open_ = np.flatnonzero(away > bare.radius + _RIM)
+    found = np.empty((len(bare.frequency), len(xy)), dtype=complex)
+    for rows in np.array_split(open_, max(len(open_) // _AT_ONCE, 1)):
+        answer = arm.compliance(_with(scenario, place[None], xy[rows]))
         contact = answer.indices("contact")[0]
-        found[:, i, :] = (answer.values[:, contact, contact] - bare.twin[:, 0])[:, None]
-        found[:, i, rows] = answer.values[:, answer.indices("point"), contact] - bare.twin_at(away[rows])
-        doubled = np.setdiff1d(open_, rows)
-        nearest = [rows[int(np.argmin(np.linalg.norm(seen[rows] - seen[d], axis=1)))] for d in doubled]
-        found[:, i, doubled] = found[:, i, nearest]
+        found[:, rows] = answer.values[:, answer.indices("point"), contact] - bare.twin_at(away[rows])
+        own = answer.values[:, contact, contact] - bare.twin[:, 0]
+    found[:, np.setdiff1d(np.arange(len(xy)), open_)] = own[:, None]
     return found
 
 
-def _apart(places: FloatArray, rows: IntArray) -> list[int]:
-    """Those of ``rows`` that lie further from all taken before than a grid's points must."""
-    kept: list[int] = []
-    for r in rows:
-        if all(np.linalg.norm(places[int(r)] - places[k]) > 1.05 * NEAREST for k in kept):
-            kept.append(int(r))
-    return kept
+def _few(difference: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """``difference`` (n_frequency, ...) as (n_frequency, r) times (r, ...)."""
+    u, s, v = np.linalg.svd(difference.reshape(len(difference), -1), full_matrices=False)
+    rank = max(int((s > _RANK * s[0]).sum()), 1)
+    return u[:, :rank] * s[:rank], v[:rank].reshape(rank, *difference.shape[1:])
 
 
-def _process(xy: FloatArray, rows: ComplexArray) -> tuple[float, FloatArray]:
+def _process(xy: FloatArray, right: ComplexArray, left: ComplexArray) -> tuple[float, FloatArray]:
     """The scale that predicts each place best from all others, and the inverse of the process' covariance.
 
-    ``rows`` (r, n, m) by the place of the disc; the residual of a place left out is (K^-1 y)_i / (K^-1)_ii.
+    ``right`` (r, n, m) by the place of the disc, as large as its columns of ``left``; the residual of a place left
+    out is (K^-1 y)_i / (K^-1)_ii.
     """
-    values = np.moveaxis(rows, 1, 0).reshape(len(xy), -1)
+    values = np.moveaxis(right * np.linalg.norm(left, axis=0)[:, None, None], 1, 0).reshape(len(xy), -1)
     best: tuple[float, float, FloatArray] | None = None
     for scale in _SCALES:
         inverse = np.asarray(np.linalg.inv(kernel(scale, xy, xy) + _NOISE * np.eye(len(xy))), dtype=float)
@@ -276,10 +320,10 @@ def _process(xy: FloatArray, rows: ComplexArray) -> tuple[float, FloatArray]:
 def _missed(arm: Arm, scenario: Scenario, places: Places) -> ErrorEstimate:
     """G of the places against G of the library, on the scenario's arrangement and drawn ones; the worst of them."""
     layout = layout_of(scenario)
-    arrangements = [layout.contacts, *_drawn(arm, scenario, layout.contacts)]
+    home = arm.compliance(_with(scenario, layout.contacts, layout.points))
+    arrangements = [(layout.contacts, home), *_drawn(arm, scenario, layout.contacts)]
     worst, band = np.zeros(len(places.frequency)), 0.0
-    for contacts in arrangements:
-        exact = arm.compliance(_with(scenario, contacts, layout.points))
+    for contacts, exact in arrangements:
         values, discs = exact.values.copy(), list(exact.indices("contact"))
         rows = [*discs, *exact.indices("point")]
         values[:, np.array(rows)[:, None], np.array(discs)] = answer = places.compliance(contacts)
@@ -294,17 +338,18 @@ def _missed(arm: Arm, scenario: Scenario, places: Places) -> ErrorEstimate:
     )  # fmt: skip
 
 
-def _drawn(arm: Arm, scenario: Scenario, home: FloatArray) -> list[FloatArray]:
-    """Arrangements of as many discs that the library takes."""
-    rng, found = np.random.default_rng(_SEED), []
+def _drawn(arm: Arm, scenario: Scenario, home: FloatArray) -> list[tuple[FloatArray, Compliance]]:
+    """Arrangements of as many discs that the library takes, and its answers."""
+    rng, points = np.random.default_rng(_SEED), layout_of(scenario).points
+    found: list[tuple[FloatArray, Compliance]] = []
     half = 0.5 * np.array([arm.scenario.library.length, arm.scenario.library.width])
     for _ in range(_TRIES):
         contacts = rng.uniform(-1, 1, size=home.shape) * half
         try:
-            arm.ports(_with(scenario, contacts, layout_of(scenario).points))
+            arm.ports(asked := _with(scenario, contacts, points))
+            found.append((contacts, arm.compliance(asked)))
         except GeometryError:
             continue
-        found.append(contacts)
         if len(found) == _CHECKED:
             break
     return found

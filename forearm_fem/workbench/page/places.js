@@ -8,6 +8,14 @@ import { unpack, unpackComplex, zeros } from "./arrays.js";
 
 const CLOSEST = 2.1; // radii between the middles of two discs
 
+/** Matern's of 7/2 between places and one more. @param {number} scale [1/m] @param {Float64Array} xy @param {number[]} at [m] */
+function kernel(scale, xy, at) {
+  return Float64Array.from({ length: xy.length / 2 }, (_, i) => {
+    const s = scale * Math.hypot(xy[2 * i] - at[0], xy[2 * i + 1] - at[1]);
+    return (1 + s + 0.4 * s * s + (s * s * s) / 15) * Math.exp(-s);
+  });
+}
+
 export class Places {
   /** @param {any} model packed */
   constructor(model) {
@@ -27,15 +35,13 @@ export class Places {
     this.left = unpackComplex(model.left);
     this.rank = model.left.shape[1];
     this.right = unpackComplex(model.right);
+    const { near } = model;
+    this.near = { xy: /** @type {Float64Array} */ (unpack(near.xy)), left: unpackComplex(near.left), alpha: unpackComplex(near.alpha), scale: near.scale, rank: near.left.shape[1] };
   }
 
   /** Weights (n,) of the places at another one. @param {number[]} at [m] */
   weights(at) {
-    const { n, xy, scale, inverse } = this, k = new Float64Array(n), out = new Float64Array(n);
-    for (let i = 0; i < n; i++) {
-      const s = scale * Math.hypot(xy[2 * i] - at[0], xy[2 * i + 1] - at[1]);
-      k[i] = (1 + s + 0.4 * s * s + (s * s * s) / 15) * Math.exp(-s);
-    }
+    const { n, inverse } = this, k = kernel(this.scale, this.xy, at), out = new Float64Array(n);
     for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) out[i] += inverse[i * n + j] * k[j];
     return out;
   }
@@ -76,7 +82,7 @@ export class Places {
 
   /** Compliance (bins x (contacts + points) x contacts) [m/N] of discs at `contacts`. @param {number[][]} contacts @returns {Complex} */
   skin(contacts) {
-    const c = contacts.length, { m, n, bins } = this, ports = c + m, out = zeros(bins * ports * c);
+    const c = contacts.length, { m, bins } = this, ports = c + m, out = zeros(bins * ports * c);
     const weights = contacts.map((at) => this.weights(at)), flat = weights.map((w, k) => this.along(contacts[k], w));
     const put = (/** @type {number} */ row, /** @type {number} */ column, /** @type {Complex} */ values) => {
       for (let f = 0; f < bins; f++) { out.re[(f * ports + row) * c + column] += values.re[f]; out.im[(f * ports + row) * c + column] += values.im[f]; }
@@ -88,7 +94,8 @@ export class Places {
         const one = this.seen(share, weights[j], Math.hypot(flat[j][0] - flat[k][0], flat[j][1] - flat[k][1])), half = { re: one.re.map((v) => v / 2), im: one.im.map((v) => v / 2) };
         put(j, k, half); put(k, j, half);
       }
-      for (let p = 0; p < m; p++) put(c + p, k, this.seen(share, n + p, Math.hypot(this.points[2 * p] - flat[k][0], this.points[2 * p + 1] - flat[k][1])));
+      const felt = this.felt(contacts[k]), { rank, left } = this.near;
+      for (let p = 0; p < m; p++) put(c + p, k, this.sum(left, rank, felt, m, p, this.twinAt(Math.hypot(this.points[2 * p] - flat[k][0], this.points[2 * p + 1] - flat[k][1]))));
     }
     return out;
   }
@@ -107,9 +114,19 @@ export class Places {
     return out;
   }
 
-  /** The difference's parts (rank x (places + points)) for a disc of these weights. @param {Float64Array} weights @returns {Complex} */
+  /** The difference's parts (rank x points) that the grid's points feel of a disc. @param {number[]} at @returns {Complex} */
+  felt(at) {
+    const { near: { xy, alpha, scale, rank }, m } = this, k = kernel(scale, xy, at), out = zeros(rank * m);
+    for (let r = 0; r < rank; r++) for (let i = 0; i < k.length; i++) for (let p = 0, from = (r * k.length + i) * m; p < m; p++, from++) {
+      out.re[r * m + p] += k[i] * alpha.re[from];
+      out.im[r * m + p] += k[i] * alpha.im[from];
+    }
+    return out;
+  }
+
+  /** The difference's parts (rank x places) for a disc of these weights. @param {Float64Array} weights @returns {Complex} */
   shares(weights) {
-    const { n, m, rank, right } = this, columns = n + m, out = zeros(rank * columns);
+    const { n, rank, right } = this, columns = n, out = zeros(rank * columns);
     for (let r = 0; r < rank; r++) for (let i = 0; i < n; i++) {
       const from = (r * n + i) * columns, to = r * columns, w = weights[i];
       for (let q = 0; q < columns; q++) { out.re[to + q] += w * right.re[from + q]; out.im[to + q] += w * right.im[from + q]; }
@@ -117,18 +134,23 @@ export class Places {
     return out;
   }
 
-  /** Motion (bins,) of a column, or of a mixture of the places, `away` [m] from a disc of these shares.
+  /** Motion (bins,) at a place, or at a mixture of the places, `away` [m] from a disc of these shares.
    * @param {Complex} share @param {number | Float64Array} where @param {number} away @returns {Complex} */
   seen(share, where, away) {
-    const { n, m, rank, left, bins } = this, columns = n + m, parts = zeros(rank), out = this.twinAt(away);
-    for (let r = 0; r < rank; r++) {
-      if (typeof where === "number") { parts.re[r] = share.re[r * columns + where]; parts.im[r] = share.im[r * columns + where]; }
-      else for (let i = 0; i < n; i++) { parts.re[r] += where[i] * share.re[r * columns + i]; parts.im[r] += where[i] * share.im[r * columns + i]; }
-    }
-    for (let f = 0; f < bins; f++) for (let r = 0; r < rank; r++) {
-      const a = left.re[f * rank + r], b = left.im[f * rank + r];
-      out.re[f] += a * parts.re[r] - b * parts.im[r];
-      out.im[f] += a * parts.im[r] + b * parts.re[r];
+    const { n, rank, left } = this, out = this.twinAt(away);
+    if (typeof where === "number") return this.sum(left, rank, share, n, where, out);
+    const parts = zeros(rank);
+    for (let r = 0; r < rank; r++) for (let i = 0; i < n; i++) { parts.re[r] += where[i] * share.re[r * n + i]; parts.im[r] += where[i] * share.im[r * n + i]; }
+    return this.sum(left, rank, parts, 1, 0, out);
+  }
+
+  /** Add left (bins x rank) times a column of parts (rank x columns) to `out`. @param {Complex} left @param {number} rank
+   * @param {Complex} parts @param {number} columns @param {number} column @param {Complex} out @returns {Complex} */
+  sum(left, rank, parts, columns, column, out) {
+    for (let f = 0; f < this.bins; f++) for (let r = 0; r < rank; r++) {
+      const a = left.re[f * rank + r], b = left.im[f * rank + r], x = parts.re[r * columns + column], y = parts.im[r * columns + column];
+      out.re[f] += a * x - b * y;
+      out.im[f] += a * y + b * x;
     }
     return out;
   }
