@@ -188,7 +188,7 @@ def test_a_library_that_was_ended_goes_on_to_the_same_to_the_bit(slab, library, 
     """Ended after its first batch of loads: the rest is solved, the answer is that of one go, and then nothing is."""
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
     monkeypatch.setattr(side, "_AT_ONCE", 10)
-    patch, meshed = side.Patch(library.skin, lattice_bells(slab)), meshed_scenario(slab, library.skin)
+    patch, meshed = side.LoadedSkin(library.skin, lattice_bells(slab)), meshed_scenario(slab, library.skin)
     told: list[tuple[str, int]] = []
 
     def ending(stage, done, total):

@@ -21,7 +21,7 @@ _WORTH = 0.9  # of the interval's width: a candidate that leaves more is not wor
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class PossibleMeasurement:
     """A measurement that could be made: ``output`` under all inputs at the ``rows`` of the frequencies asked."""
 
     output: str
@@ -39,7 +39,7 @@ class NextBest:
     """The ``candidate`` that shrinks the interval of ``parameter``, the widest, to ``share`` of its width [-]."""
 
     parameter: str
-    candidate: Candidate
+    candidate: PossibleMeasurement
     share: float
 
     @property
@@ -59,11 +59,11 @@ class NextBest:
 Answer = Callable[[Mapping[str, float]], ComplexArray]
 
 
-def candidates_of(frequency: FloatArray, outputs: Sequence[str], bands: int = 3) -> tuple[Candidate, ...]:
+def candidates_of(frequency: FloatArray, outputs: Sequence[str], bands: int = 3) -> tuple[PossibleMeasurement, ...]:
     """Every output in every one of ``bands`` with equally many of the ``frequency`` (n,) [Hz]."""
     ends = np.linspace(0, len(frequency), min(bands, len(frequency)) + 1).astype(int)
     return tuple(
-        Candidate(name, slice(a, b), (float(frequency[a]), float(frequency[b - 1])))
+        PossibleMeasurement(name, slice(a, b), (float(frequency[a]), float(frequency[b - 1])))
         for name in outputs
         for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
     )
@@ -85,7 +85,7 @@ def next_best(
     spreads = np.maximum(spreads, _ROUNDING * spreads[-1])
     known = (directions / spreads) @ directions.T
     slopes = _slopes(result, answer, frequency) * (math.sqrt(2) / noise)
-    best: tuple[float, Candidate] | None = None
+    best: tuple[float, PossibleMeasurement] | None = None
     for candidate in candidates_of(frequency, outputs, bands):
         part = slopes[:, candidate.rows, list(outputs).index(candidate.output)].reshape(len(span), -1)
         told = (part @ part.conj().T).real

@@ -21,7 +21,7 @@ from .device.imprint import imprint
 from .device.landing import FacetSkin
 from .device.layout import RIGID, layout_of
 from .device.place import place_ports, ports_on, true_skin
-from .device.sizing import WIDEST, SizeField, Sizes, SpaceField, element_sizes
+from .device.sizing import WIDEST, SizeField, Sizes, SpaceField, element_sizes, size_growth
 from .limb.bending import bent_middles, with_bends
 from .limb.layered import limb_mesh, underside
 from .limb.slab import slab_mesh
@@ -50,7 +50,7 @@ def build_mesh(
 ) -> TissueMesh:
     """Tetrahedra of the scenario's limb, bent along its walls; ``scale`` multiplies every element size."""
     sizes = element_sizes(scenario, shear_speed, scale=scale)
-    size = SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading)
+    size = SizeField.around(layout_of(scenario), sizes, size_growth(scenario, scale=scale))
     if isinstance(scenario.limb, MeshLimb):
         return _on_users_mesh(scenario, scenario.limb, base, size, progress, scale)
     for attempt in range(1, _ATTEMPTS + 1):

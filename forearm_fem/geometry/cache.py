@@ -20,7 +20,7 @@ from ..scenario.mesh import MeshOptions
 from .build import build_mesh
 from .device.cramped import refuse_if_too_many
 from .device.layout import RIGID, layout_of
-from .device.sizing import SizeField, element_sizes
+from .device.sizing import SizeField, element_sizes, size_growth
 from .limb.bending import with_bends
 from .mesh.files import read_mesh, write_mesh
 from .mesh.quality import check_count
@@ -47,7 +47,7 @@ def cached_mesh(
     passed over. Meshes come out the same each time, but for the user's surfaces: fTetWild is not repeatable.
     """
     sizes = element_sizes(scenario, shear_speed, scale=scale)
-    refuse_if_too_many(scenario, SizeField.around(layout_of(scenario), sizes, scenario.mesh.grading))
+    refuse_if_too_many(scenario, SizeField.around(layout_of(scenario), sizes, size_growth(scenario, scale=scale)))
     key = mesh_key(scenario, base=base, scale=scale, shear_speed=shear_speed)
     for folder in shipped_folders(base, shipped_dir):
         if (found := _look_up(folder, key)) is not None:
@@ -83,7 +83,7 @@ def mesh_key(
         "radius": layout.radius,
         "rigid": scenario.device.cone.contact in RIGID or ["pressure", scale],
         "points": layout.points.tolist(),
-        "grading": scenario.mesh.grading,
+        "grading": size_growth(scenario, scale=scale),
         "sizes": _rounded(asdict(element_sizes(scenario, shear_speed, scale=scale))),
         "bone": scenario.supports.bone,
     }

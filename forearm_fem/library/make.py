@@ -23,7 +23,7 @@ from .between import Shape
 from .flat_bells import between_flat_bells
 from .kept import Side
 from .loads import Bells
-from .side import Patch, solved_side
+from .side import LoadedSkin, solved_side
 from .skin import FlatSkin
 
 COARSER = 2.0  # size ratio of the second mesh
@@ -42,9 +42,9 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     _check_tissues(scenario)
     skin, bells = library_skin(scenario), lattice_bells(scenario)
     with freed_memory_kept():
-        meshed, patch = meshed_scenario(scenario, skin), Patch(skin, bells)
-        fine = solved_side(meshed, patch, Path(base), progress=progress)
-        coarse = _second_side(meshed, patch, Path(base), progress)
+        meshed, loaded = meshed_scenario(scenario, skin), LoadedSkin(skin, bells)
+        fine = solved_side(meshed, loaded, Path(base), progress=progress)
+        coarse = _second_side(meshed, loaded, Path(base), progress)
     medium = Medium(tuple(flat_layers(scenario)), "halfspace", flat_surface(scenario.tissues))
     bands = Bands.of(*library_band(scenario))
     nodes = bands.nodes.ravel()
@@ -89,12 +89,12 @@ def meshed_scenario(scenario: Scenario, skin: FlatSkin) -> Scenario:
     return parse_scenario({**data, "device": device, "grid": {"points": places.tolist()}, "rendering": rendering})
 
 
-def _second_side(meshed: Scenario, patch: Patch, base: Path, progress: Progress | None) -> Side | None:
+def _second_side(meshed: Scenario, loaded: LoadedSkin, base: Path, progress: Progress | None) -> Side | None:
     """The second mesh's part; None where none was asked for or could be made."""
     if not meshed.solver.discretisation_estimate:
         return None
     try:
-        return solved_side(meshed, patch, base, COARSER, within(progress, "coarser mesh"))
+        return solved_side(meshed, loaded, base, COARSER, within(progress, "coarser mesh"))
     except ForearmError:
         return None
 

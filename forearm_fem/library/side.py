@@ -42,7 +42,7 @@ _APART = 4  # widths between bells from which their compliance counts there
 
 
 @dataclass(frozen=True)
-class Patch:
+class LoadedSkin:
     """The ``bells`` on a limb's ``skin`` laid flat."""
 
     skin: FlatSkin
@@ -50,7 +50,7 @@ class Patch:
 
 
 def solved_side(
-    meshed: Scenario, patch: Patch, base: Path, scale: float = 1.0, progress: Progress | None = None
+    meshed: Scenario, loaded: LoadedSkin, base: Path, scale: float = 1.0, progress: Progress | None = None
 ) -> Side:
     """The part of the mesh of ``meshed`` with sizes times ``scale``; only at scale 1 with freed ends and an error.
 
@@ -58,15 +58,15 @@ def solved_side(
     """
     mesh = cached_mesh(meshed, base=base, scale=scale, progress=within(progress, "mesh"))
     frequency = frequencies(meshed.sweep)
-    kept = Kept(default_cache_dir() / "library-parts" / _key(meshed, mesh.digest, patch.bells, scale))
+    kept = Kept(default_cache_dir() / "library-parts" / _key(meshed, mesh.digest, loaded.bells, scale))
     if (found := kept.side()) is not None:
         return found
     tell(progress, "assembly", 0, 1)
     model = fem_model(meshed, mesh)
-    seen = bell_functionals(model, patch.skin, patch.bells)
+    seen = bell_functionals(model, loaded.skin, loaded.bells)
     tell(progress, "assembly", 1, 1)
     state = _spanned(meshed, model, seen, frequency, kept, progress)
-    side = _finished(meshed, model, seen, state, patch.bells, frequency, whole=scale == 1.0, progress=progress)
+    side = _finished(meshed, model, seen, state, loaded.bells, frequency, whole=scale == 1.0, progress=progress)
     kept.finish(side)
     return side
 
@@ -79,7 +79,11 @@ def _key(meshed: Scenario, mesh: str, bells: Bells, scale: float) -> str:
 
 
 def _spanned(
-    meshed: Scenario, model: ForearmModel, seen: csr_array, frequency: FloatArray, kept: Kept,
+    meshed: Scenario,
+    model: ForearmModel,
+    seen: csr_array,
+    frequency: FloatArray,
+    kept: Kept,
     progress: Progress | None,
 ) -> Progressed:
     """The limb in the space of all loads, each an output, too; batch by batch, from where it was left."""
@@ -116,8 +120,15 @@ def _without_columns(state: Progressed) -> Progressed:
 
 
 def _finished(
-    meshed: Scenario, model: ForearmModel, seen: csr_array, state: Progressed, bells: Bells, frequency: FloatArray,
-    *, whole: bool, progress: Progress | None,
+    meshed: Scenario,
+    model: ForearmModel,
+    seen: csr_array,
+    state: Progressed,
+    bells: Bells,
+    frequency: FloatArray,
+    *,
+    whole: bool,
+    progress: Progress | None,
 ) -> Side:
     """Poles and residues, those with free ends, and the error against direct solves."""
     reduced = replace(state.reduced, functionals=state.functionals, shares=np.ones(seen.shape[1]))

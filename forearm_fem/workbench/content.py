@@ -41,7 +41,7 @@ from ..typing import FloatArray
 from .field import Field, Surface, solved_field
 from .flat import between_points, twin_field
 from .packed import amplitudes_in_half_precision, in_half_precision, packed
-from .places import Arm, Near, Places, patch_field, places_of
+from .places import LibraryOfArm, Near, Places, patch_field, places_of
 
 FORMAT = 1  # of the content; the page's own files carry it too
 _ARMS = 8  # drawn arms that a page holds: 1.5 MB of the thesis' scene
@@ -77,7 +77,9 @@ def content_of(results: Results) -> dict[str, Any]:
     }
 
 
-def library_content(arm: Arm, scenario: Scenario, stamp: str, progress: Progress | None = None) -> dict[str, Any]:
+def library_content(
+    arm: LibraryOfArm, scenario: Scenario, stamp: str, progress: Progress | None = None
+) -> dict[str, Any]:
     """The page's content for an arm's library, whose actuators can be dragged; ``scenario`` is one on the same arm.
 
     The errors are the library's for the scenario's own arrangement, and what the page's few places add.
@@ -103,7 +105,7 @@ def library_content(arm: Arm, scenario: Scenario, stamp: str, progress: Progress
     }
 
 
-def _packed_places(places: Places, arm: Arm, scenario: Scenario) -> dict[str, Any]:
+def _packed_places(places: Places, arm: LibraryOfArm, scenario: Scenario) -> dict[str, Any]:
     layout, patch = layout_of(scenario), arm.scenario.library
     real = {k: packed(getattr(places, k), "f8") for k in ("xy", "flat", "position", "axis", "points", "inverse")}
     return {

@@ -44,7 +44,7 @@ class FlatLengths(Protocol):
         ...
 
 
-class Arm(AnswersForArm, Protocol):
+class LibraryOfArm(AnswersForArm, Protocol):
     """What an :class:`forearm_fem.library.ArmLibrary` offers."""
 
     @property
@@ -155,7 +155,7 @@ def kernel(scale: float, a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray((1 + s + 0.4 * s**2 + s**3 / 15) * np.exp(-s))
 
 
-def places_of(arm: Arm, scenario: Scenario, progress: Progress | None = None) -> tuple[Places, ErrorEstimate]:
+def places_of(arm: LibraryOfArm, scenario: Scenario, progress: Progress | None = None) -> tuple[Places, ErrorEstimate]:
     """Places on the patch of ``arm`` for the contacts and points of ``scenario``, and what they miss of the library.
 
     Asks the library for one disc at each of up to 60 places, and at each of the grid's points. The error is the worst
@@ -184,7 +184,7 @@ def places_of(arm: Arm, scenario: Scenario, progress: Progress | None = None) ->
     return found, _missed(arm, plain, found)
 
 
-def patch_field(arm: Arm, places: Places) -> Field:
+def patch_field(arm: LibraryOfArm, places: Places) -> Field:
     """The skin of a library's patch, drawn between the places that the page knows; its amplitudes are found there."""
     patch = arm.scenario.library
     sides = np.array([patch.length, patch.width]) * (1 - 1e-6)
@@ -213,7 +213,7 @@ def _pairs(places: FloatArray) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in places)
 
 
-def _lattice(arm: Arm, scenario: Scenario, most: int) -> FloatArray:
+def _lattice(arm: LibraryOfArm, scenario: Scenario, most: int) -> FloatArray:
     """Places (n, 2), ``most`` at most, on an even net over the patch where the library takes a disc."""
     patch, a = arm.scenario.library, scenario.device.cone.radius
     sides = np.array([patch.length, patch.width]) - 2 * a
@@ -229,7 +229,7 @@ def _uncovered(place: FloatArray, radius: float) -> FloatArray:
     return np.where(place > 0, -1.5, 1.5) * radius if np.linalg.norm(place) < 1.5 * radius else np.zeros(2)
 
 
-def _taken(arm: Arm, scenario: Scenario) -> bool:
+def _taken(arm: LibraryOfArm, scenario: Scenario) -> bool:
     try:
         arm.ports(scenario)
     except GeometryError:
@@ -237,12 +237,12 @@ def _taken(arm: Arm, scenario: Scenario) -> bool:
     return True
 
 
-def _points(arm: Arm, scenario: Scenario) -> FloatArray:
+def _points(arm: LibraryOfArm, scenario: Scenario) -> FloatArray:
     """The grid in flat coordinates."""
     return np.asarray(arm.skin.flat(positions(tuple(p for p in arm.ports(scenario) if p.kind == "point"))))
 
 
-def _difference(arm: Arm, scenario: Scenario, bare: Places, progress: Progress | None) -> ComplexArray:
+def _difference(arm: LibraryOfArm, scenario: Scenario, bare: Places, progress: Progress | None) -> ComplexArray:
     """Library less twin (n_frequency, n, n): a disc at each place, seen at all of them."""
     found = []
     for i, place in enumerate(bare.xy):
@@ -251,7 +251,7 @@ def _difference(arm: Arm, scenario: Scenario, bare: Places, progress: Progress |
     return np.stack(found, axis=1)
 
 
-def _near(arm: Arm, scenario: Scenario, bare: Places, points: FloatArray, progress: Progress | None) -> Near:
+def _near(arm: LibraryOfArm, scenario: Scenario, bare: Places, points: FloatArray, progress: Progress | None) -> Near:
     """The difference from a disc anywhere to each of the grid's points.
 
     By reciprocity: a disc stands at the point, and its motion is read at the places, as many as one likes. Which of the
@@ -268,14 +268,20 @@ def _near(arm: Arm, scenario: Scenario, bare: Places, points: FloatArray, progre
     return Near(xy, left, np.einsum("mn,rnq->rmq", inverse, right), scale)
 
 
-def _on_skin(arm: Arm, scenario: Scenario, xy: FloatArray) -> FloatArray:
+def _on_skin(arm: LibraryOfArm, scenario: Scenario, xy: FloatArray) -> FloatArray:
     """Positions (n, 3) of places seen from above."""
     a = scenario.device.cone.radius
     return positions(tuple(arm.ports(_with(scenario, p[None], _uncovered(p, a)[None]))[0] for p in xy))
 
 
 def _sent(
-    arm: Arm, scenario: Scenario, bare: Places, place: FloatArray, here: FloatArray, xy: FloatArray, flat: FloatArray
+    arm: LibraryOfArm,
+    scenario: Scenario,
+    bare: Places,
+    place: FloatArray,
+    here: FloatArray,
+    xy: FloatArray,
+    flat: FloatArray,
 ) -> ComplexArray:
     """Library less twin (n_frequency, n) of a disc at ``place`` (``here`` along the skin), seen at ``xy`` (n, 2).
 
@@ -317,7 +323,7 @@ def _process(xy: FloatArray, right: ComplexArray, left: ComplexArray) -> tuple[f
     return best[1], best[2]
 
 
-def _missed(arm: Arm, scenario: Scenario, places: Places) -> ErrorEstimate:
+def _missed(arm: LibraryOfArm, scenario: Scenario, places: Places) -> ErrorEstimate:
     """G of the places against G of the library, on the scenario's arrangement and drawn ones; the worst of them."""
     layout = layout_of(scenario)
     home = arm.compliance(_with(scenario, layout.contacts, layout.points))
@@ -338,7 +344,7 @@ def _missed(arm: Arm, scenario: Scenario, places: Places) -> ErrorEstimate:
     )  # fmt: skip
 
 
-def _drawn(arm: Arm, scenario: Scenario, home: FloatArray) -> list[tuple[FloatArray, Compliance]]:
+def _drawn(arm: LibraryOfArm, scenario: Scenario, home: FloatArray) -> list[tuple[FloatArray, Compliance]]:
     """Arrangements of as many discs that the library takes, and its answers."""
     rng, points = np.random.default_rng(_SEED), layout_of(scenario).points
     found: list[tuple[FloatArray, Compliance]] = []

@@ -96,6 +96,15 @@ def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = 
     return Sizes(contact, grid, max(far, grid), rim, scale * facet, scale * wall, rule.rim_lead, counts)
 
 
+def size_growth(scenario: Scenario, *, scale: float = 1.0) -> float:
+    """Growth of sizes per metre away from ports [m/m]; on slabs under rigid cones it follows ``scale`` as sizes do.
+
+    Elements that grow alike away from a small contact are as large on both meshes, and their error shows in no change.
+    Meshes of other limbs and contacts keep the growth that the estimate was judged with.
+    """
+    return scenario.mesh.grading * (scale if _cone_on_slab(scenario) else 1.0)
+
+
 def _cone_on_slab(scenario: Scenario) -> bool:
     """Whether rigid cones press a slab: meshes of other limbs keep the sizes that theirs were shipped with."""
     return scenario.device.cone.contact in RIGID and isinstance(scenario.limb, SlabLimb)
