@@ -168,9 +168,10 @@ def table_of(found: Sequence[Line]) -> str:
     fine = [line.receptance for line in found if line.accuracy <= 0.05]
     below = np.average([line.stated_below_half for line in found])
     lead = (
-        f"{sum(inside)} of {len(found)} have an effectivity (stated over true e_band) of 0.5 to 5; {100 * below:.1f} % "
-        f"of all bins state less than half their e(f); receptance under the cone at accuracy 0.05 and better: "
-        f"{100 * max(fine, default=np.nan):.2g} % at worst.\n\n"
+        "Effectivity is stated over true e_band; receptance is that under the cone.\n\n"
+        "| effectivity 0.5 to 5 | bins that state less than half their e(f) | worst receptance, accuracy 0.05 and better |\n"
+        "| --- | --- | --- |\n"
+        f"| {sum(inside)} of {len(found)} | {100 * below:.1f} % | {100 * max(fine, default=np.nan):.2g} % |\n\n"
     )
     head = ["stack", "cone mm", "contact", "asked", "drive", "element", "unknowns", "true e_band", "stated"]
     head += ["effectivity", "bins below half", "least e(f) ratio", "receptance"]

@@ -65,12 +65,13 @@ def report(g: TransferMatrix) -> str:
     wavelet = wavelet_for(g.frequency)
     table = render_all(g, methods=renderers(), wavelet=wavelet).table()
     lines = [
-        f"{len(g.frequency)} frequencies, {g.frequency[0]:.1f} to {g.frequency[-1]:.1f} Hz, "
-        f"{g.values.shape[1]}x{g.values.shape[2]}; "
-        f"condition number {condition.min():.1f} to {condition.max():.1f}, median "
-        f"{np.median(condition):.1f}; of the five "
-        f"control points for target 5 {control.min():.1f} to "
-        f"{control.max():.0f}, median {np.median(control):.0f}.",
+        "| G | |",
+        "|---|---|",
+        f"| frequencies | {len(g.frequency)}, {g.frequency[0]:.1f} to {g.frequency[-1]:.1f} Hz |",
+        f"| outputs, inputs | {g.values.shape[1]}, {g.values.shape[2]} |",
+        f"| condition number | {condition.min():.1f} to {condition.max():.1f}, median {np.median(condition):.1f} |",
+        f"| the same of the five control points for target 5 | {control.min():.1f} to {control.max():.0f}, median "
+        f"{np.median(control):.0f} |",
         "",
         "| S | " + " | ".join(table.groups) + " |",
         "|---|" + "---|" * len(table.groups),

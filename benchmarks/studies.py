@@ -65,9 +65,9 @@ def null_studies(count: int) -> list[str]:
         rows += [[name, way, *(f"{n / count:.3f}" for n in found)] for way, found in hits.items()]
     _write("studies-null.csv", ["scatter", "test", *EFFECTS], rows)
     return [
-        f"## False alarms\n\nShare of {count} studies without any effect in which p < 0.05 was found: {PEOPLE} "
-        f"participants, 9 targets, 3 methods, {REPETITIONS} repetitions. 0.05 is right; 0.036 to 0.064 are within two "
-        "standard deviations of it. The chosen test is the corrected one (Greenhouse-Geisser; subjects are "
+        f"## False alarms\n\nShare of {count} studies without any effect in which one was found (p < 0.05). Each has "
+        f"{PEOPLE} participants and {REPETITIONS} repetitions of every target and method. The right share is 0.05; "
+        "chance moves it by 0.014 to either side (two standard deviations). The chosen test is the corrected one (Greenhouse-Geisser; subjects are "
         "participants). In the uneven studies cells scatter up to 7.5 times more at some targets than at others. "
         "[studies-null.csv](studies-null.csv)\n",
         _table(["scatter", "test", *EFFECTS], rows),
@@ -88,9 +88,13 @@ def power(count: int) -> list[str]:
     rows = [[p.participants, f"{p.share:.3f}", f"{p.low:.3f}", f"{p.high:.3f}"] for p in curve]
     _write("studies-power.csv", ["participants", "share", "low", "high"], rows)
     return [
-        f"## Power\n\nShare of {count} studies that find one method 2 mm better than the other two, where each trial "
-        f"scatters by {1e3 * TRIAL:g} mm, participants by {1e3 * OWN:g} mm and their cells by {1e3 * CELL:g} mm "
-        "(supposed). `forearm-fem study power` does the same from a pilot's answers.\n",
+        f"## Power\n\nShare of {count} studies that find one method 2 mm better than the other two, with the scatter "
+        "that is supposed here. `forearm-fem study power` does the same from a pilot's answers.\n",
+        _table(
+            ["scatter of", "mm"],
+            [["a trial", f"{1e3 * TRIAL:g}"], ["participants", f"{1e3 * OWN:g}"], ["their cells", f"{1e3 * CELL:g}"]],
+        )
+        + "\n",
         "![power](studies-power.png)\n",
         _table(["participants", "share found", "95 % from", "to"], rows),
         "",
@@ -116,9 +120,9 @@ def simulated(study: Path, results: Path) -> list[str]:
     claims = _claims(prepared, answered)
     return [
         "## Simulated participants and the thesis\n\n**They predict nobody**: nothing was fitted, and what is compared "
-        "is one scene. 20 participants drawn with seed 0, 81 trials of each task. Felt is the skin's field of the "
+        "is one scene. 20 participants answer 81 trials of each task, drawn with a fixed seed. Felt is the skin's field of the "
         "finite elements (under and between the actuators, too), or the grid's nine points alone, or the field with "
-        "the two actuators beside points 1 to 3 moving 0.3 times as much, as the thesis suspects of its device "
+        "the two actuators beside the first row of points moving 0.3 times as much, as the thesis suspects of its device "
         "(inverse filter and combination are rendered on that G, funneling does not know).\n",
         _table(head, rows),
         "\n",

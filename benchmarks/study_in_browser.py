@@ -79,11 +79,13 @@ def write_page(row, folder: Path) -> None:  # type: ignore[no-untyped-def]
             ]
     lines = [
         "# A whole study through the pages\n",
-        f"{row['participants']} simulated participants gave {row['answers']} answers by keys and clicks in headless "
-        f"Chromium, {row['at_once']} at a time, every stimulus through the virtual device; sessions were killed "
-        f"{row['kills']} times. Answers lost, doubled or out of order in {row['problems']} sessions. From the last "
-        f"answer to the report: {row['seconds_to_report']} s. [study.csv](study.csv)\n",
-        "**Simulated answers, not people's.**\n",
+        "Simulated participants answer by keys and clicks in headless Chromium, every stimulus through the virtual "
+        "device, while sessions are killed again and again. **Simulated answers, not people's.** "
+        "[study.csv](study.csv)\n",
+        "| participants | at once | answers | times killed | sessions with answers lost, doubled or out of order | "
+        "last answer to report |\n|---|---|---|---|---|---|",
+        f"| {row['participants']} | {row['at_once']} | {row['answers']} | {row['kills']} | {row['problems']} | "
+        f"{row['seconds_to_report']} s |\n",
         *(f"![{title}](study-{name}.png)\n" for name, title in pictures.items()),
         "| task, measure | effect | F | epsilon | p (Greenhouse-Geisser) |\n|---|---|---|---|---|",
         *tests,

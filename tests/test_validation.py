@@ -22,7 +22,7 @@ from forearm_fem.prediction.run import Question
 from forearm_fem.prediction.statistics import Draws
 from forearm_fem.prediction.targets import SHAH_ARMS, TARGETS, Target
 from forearm_fem.prediction.validate import validate
-from forearm_fem.report.validation import coverage_words, failures, validation_page
+from forearm_fem.report.validation import coverage, failures, joint_words, validation_page
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.tissue import KelvinVoigt
 
@@ -145,15 +145,22 @@ def test_the_page_says_first_where_it_fails(whole: tuple[dict[str, Any], Path]) 
     found, folder = whole
     page = validation_page(found)
     assert page.index("## Where it fails") < page.index("## What it is for") < page.index("## Published measurements")
-    for line in failures(found):
-        assert f"- {line}" in page
-    assert coverage_words(found) in page
+    first = page.partition("## What it is for")[0]
+    for row in failures(found):
+        assert f"| {' | '.join(row)} |" in first
+    for line in joint_words(found):
+        assert f"- {line}" in first
+    for name, inside in coverage(found):
+        assert f"| {name} | {inside} |" in page
     for target in found["targets"]:
         assert target["name"] in page
         if target["kind"] != "not comparable" and not target["all"]["inside"]:
-            assert any(line.startswith(f"{target['name']}:") for line in failures(found))
+            assert any(what.startswith(f"{target['name']}:") for what, _, _ in failures(found))
     out = [e for e in found["table_one"]["window"]["all"]["entries"] if not e["inside"]]
-    assert failures(found)[0].startswith(f"Table I, S over the wavelet's window: {len(out)} of 9 entries lie outside")
+    assert joint_words(found)[0].startswith(
+        f"Table I, S over the wavelet's window: {len(out)} of 9 entries lie outside"
+    )
+    assert sum(what.startswith("Table I, S over the wavelet's window:") for what, _, _ in failures(found)) == len(out)
     assert page.count("not seen") >= 5
     assert "question of interest" in page
     assert read_json(folder / "validation.json")["draws"] == 21
@@ -165,9 +172,10 @@ def test_numbers_of_the_page_are_those_of_the_run(whole: tuple[dict[str, Any], P
     band = row["all"]
     assert f"| {band['low']:.3g}-{band['high']:.3g} |" in validation_page(found)
     changed = {**found, "targets": [{**row, "all": {**band, "low": 77.7, "inside": False}}]}
-    page = validation_page(changed)
+    first, found_at, page = validation_page(changed).partition("## What it is for")
+    assert found_at
     assert "77.7-" in page
-    assert "Zhang, speed: surface speed at 200 Hz: measured 3.25+-0.19 m/s, arms 77.7" in page
+    assert f"| {row['name']}: {row['what']} ({row['note']}) | 3.25+-0.19 m/s | 77.7-" in first
 
 
 def test_observables_resume_and_other_questions_start_anew(

@@ -48,10 +48,14 @@ def test_pages_carry_every_row():
     page = verification_page([GOOD, BAD])
     assert "1 of 2 rows met" in page
     assert "exact \\| other" in page
-    assert page.count("| NO |") == 1
-    assert all(text in page for text in ("why this tolerance", "because", "Weakest: *b*"))
+    assert page.count("| NO |") == 2  # in the table, and above it as the weakest
+    assert all(text in page for text in ("why this tolerance", "because"))
+    nearest, _, every = page.partition("Nearest to its tolerance")[2].partition("All of them")
+    assert ("| a |" in nearest, "| b |" in nearest) == (False, True)
+    assert "| a |" in every
+    assert "| b |" in every
     hard_page = stability_page([HardRow("c", "w", "r", "e", "WRONG")])
-    assert "1 wrong" in hard_page
+    assert "| WRONG | 1 |" in hard_page
 
 
 def test_effectivity_section_names_what_is_outside(tmp_path):
@@ -62,7 +66,8 @@ def test_effectivity_section_names_what_is_outside(tmp_path):
     rows = ("a,1.0,9,0.02,0.01,0.02,0.01,2.0,2.0", "b,1.5,8,0.07,0.01,0.02,0.01,7.0,2.0")
     file.write_text("\n".join([names + "effectivity_band,effectivity_single", *rows]))
     page = effectivity_section(file)
-    assert "1 of 2 between 0.5 and 5. Outside: b x1.5 (7)." in page
+    assert "| 2 | 2 | 2 | 7 | 1 of 2 |" in page
+    assert "Outside: b x1.5 (7)." in page
     assert "(../benchmarks/results/effectivity.png)" in page
 
 

@@ -43,7 +43,7 @@ def _machine(row: Row | None) -> list[str]:
     """The part's own machine; parts are run one by one, and machines differ."""
     if row is None:
         return []
-    return [f"*forearm_fem {row['forearm_fem']}, {row['processor']}, threads {row['threads']} of {row['cores']}*", ""]
+    return [f"*forearm_fem {row['forearm_fem']}, {row['processor']}. Threads: {row['threads']} of {row['cores']}.*", ""]
 
 
 def cheapest(rows: Sequence[Row], error: float, *, method: str | None = None) -> Row | None:
@@ -56,8 +56,8 @@ def cheapest(rows: Sequence[Row], error: float, *, method: str | None = None) ->
 def _error(rows: Sequence[Row]) -> list[str]:
     lines = ["## Speed against error", "", "![speed against error](error.png)", ""]
     lines += [
-        "From scenario to G at 161 bins on a quarter slab (skin, fat, muscle) against the exact layered solution; e is",
-        "the worst max|dG|/max|G| over 80-400 Hz (direct sweep: over the 11 frequencies solved, time extrapolated).",
+        "From scenario to G at 161 bins on a quarter slab (skin, fat, muscle) against the exact layered solution. Error",
+        "e is the worst max|dG|/max|G| over 80-400 Hz; direct sweeps are solved at 11 frequencies, their time extrapolated.",
         "Seconds are of processors; with one thread that is the wall time on an idle machine",
         f"(the wall time of this run was {_stretch(rows):.2f} times that, median).", "",
         "| asked e | cheapest | unknowns | seconds | peak GB | direct sweep, s | ratio |",
@@ -82,14 +82,9 @@ def _stretch(rows: Sequence[Row]) -> float:
 
 
 def _choice(rows: Sequence[Row]) -> str:
-    found = [(e, r) for e in ASKED if (r := cheapest(rows, e)) is not None]
-    if not found:
+    if all(cheapest(rows, e) is None for e in ASKED):
         return "None of the meshes reached 20 %; run `python benchmarks/speed.py --full`."
-    errors: dict[str, list[str]] = {}
-    for e, r in found:
-        errors.setdefault(_label(r), []).append(f"{100 * e:g} %")
-    says = "; ".join(f"{label} for {', '.join(wanted)}" for label, wanted in errors.items())
-    return f"**Choose** {says}. The twin costs next to nothing where a flat, endless limb will do."
+    return "**Choose** the second column. The twin costs next to nothing where a flat, endless limb will do."
 
 
 def _label(row: Row) -> str:
@@ -109,9 +104,9 @@ def _asked(rows: Sequence[Row]) -> list[str]:
     return [
         *lines,
         "",
-        "`accuracy` alone chose mesh and elements (P2 above 0.05, P2/P3 from there on; quarter slab, 161 bins,",
-        "80-400 Hz). Errors are against the exact",
-        "solution, of all outputs and of the points at 10 and 20 mm alone; seconds leave out the coarser mesh",
+        "`accuracy` alone chose mesh and elements: P2 above 0.05, P2/P3 from there on. All are of the quarter slab at",
+        "161 bins, 80-400 Hz. Errors are against the exact",
+        "solution, of all outputs and of the points at 10 and 20 mm alone. Seconds leave out the coarser mesh",
         f"that the estimate needs. {_met(rows)}",
         "**Choose** the accuracy that the question needs, then read the estimate.",
         "",
@@ -128,12 +123,14 @@ def _met(rows: Sequence[Row]) -> str:
 
 def _size(rows: Sequence[Row]) -> list[str]:
     largest = max(rows, key=lambda r: int(r["unknowns"]))
-    steps = {s: float(largest[f"seconds_{s}"]) for s in ("assembly", "analysis", "factorisation", "solve")}
-    shares = ", ".join(f"{s} {v:.2g} s" for s, v in steps.items())
+    steps = ("assembly", "analysis", "factorisation", "solve")
+    seconds = " | ".join(f"{float(largest[f'seconds_{s}']):.2g}" for s in steps)
     return [
         "## Cost against size", "", "![cost against size](size.png)", "",
-        f"At {largest['unknowns']} unknowns in {largest['precision']} precision: {shares}, "
-        f"{float(largest['peak_bytes']) / 1e9:.2g} GB. Exponents: see the legend.",
+        "| unknowns | precision | assembly, s | analysis, s | factorisation, s | solve, s | peak GB |",
+        "|---|---|---|---|---|---|---|",
+        f"| {largest['unknowns']} | {largest['precision']} | {seconds} | {float(largest['peak_bytes']) / 1e9:.2g} |", "",
+        "Exponents: see the legend.",
         *_precisions(rows),
         "",
     ]  # fmt: skip
@@ -147,8 +144,8 @@ def _precisions(rows: Sequence[Row]) -> list[str]:
     two, one = double[max(both)], single[max(both)]
     time, memory = (float(two[k]) / float(one[k]) for k in ("seconds_factorisation", "peak_bytes"))
     return [
-        f"**Choose** single precision where memory ends: at {max(both)} unknowns its factorisation",
-        f"takes 1/{time:.2g} of the time and {1 / memory:.2g} of the peak memory; solves are refined to double",
+        f"**Choose** single precision where memory ends. At {max(both)} unknowns its factorisation takes",
+        f"{1 / time:.2g} of the time. Peak memory is {1 / memory:.2g} of double's, and solves are refined to double",
         f"(residual {float(one['residual']):.0e}).",
     ]
 
@@ -184,7 +181,7 @@ def _peers(rows: Sequence[Row]) -> list[str]:
         "the default: factors in single precision, solves refined to 1e-9. One frequency is",
         "assembly, factorisation (analysis included) and solve at 400 Hz. The full G of 981 bins is what ours took;",
         "of the others it is extrapolated: the first frequency and 980 times the mean of the later ones, without",
-        "assembly. e is the worst error at 10 mm over the largest compliance, against the exact solution; apart is",
+        "assembly. Column e is the worst error at 10 mm over the largest compliance, against the exact solution; apart is",
         "the relative difference to our compliance there. `mumps` has a pressure that is continuous across tissues,",
         "another discretisation; all others have ours. CalculiX is left out (docs/decisions/0024). Made by",
         "`benchmarks/peers.py`.",

@@ -82,7 +82,7 @@ def validate(
     from ..prediction.run import Question
     from ..prediction.summary import FOLDER
     from ..prediction.validate import validate as run
-    from ..report.validation import coverage_words, failures, validation_page
+    from ..report.validation import coverage, failures, joint_words, validation_page
 
     asked = load_scenario(scenario, overrides=overrides or ())
     given = None if measured is None else read_transfer(transfer_file(measured))
@@ -94,6 +94,8 @@ def validate(
         )  # fmt: skip
     target = page or folder / "validation.md"
     write_text(target, validation_page(found, asked.name))
-    for line in (*failures(found), coverage_words(found)):
+    for what, seen, arms in failures(found):
+        typer.echo(f"{what}: {seen}, arms {arms}")
+    for line in (*joint_words(found), *(f"inside the band, {name}: {inside}" for name, inside in coverage(found))):
         typer.echo(line)
     typer.echo(f"validation: {target}")

@@ -3,8 +3,8 @@
 A *reading* multiplies B by a power of ten, a power of i omega and a phase e^{i omega tau}, conjugates it, or negates
 channels. Each combination of these is tried and the simplest that brings B to A is named. Nearness is
 s = ||A - B|| / sqrt(||A|| ||B||), which is as large for B a thousand times too small as for a thousand times too large.
-Not covered: gains that are no power of a thousand (said as a ratio), channels exchanged (see :mod:`~forearm_fem.compare.places`), and two
-different mistakes in different channels.
+Not covered: gains that are no power of a thousand (said as a ratio), channels exchanged (see
+:mod:`~forearm_fem.compare.places`), and two different mistakes in different channels.
 """
 
 from __future__ import annotations

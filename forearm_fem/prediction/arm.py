@@ -20,7 +20,7 @@ from ..typing import ComplexArray, FloatArray
 
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, 3  # a third of the time of the twin's own; what it costs is stated per draw
 _DEGREE = 32  # in the root of the frequency, of what geometry changes on the twin
-_MISSED = 0.5  # of the change by geometry that the twin may be wrong by (docs/decisions/arms-in-finite-elements.md)
+_MISSED = 0.5  # of the change by geometry that the twin may be wrong by (docs/decisions/0042)
 _GEOMETRY = ("thickness", "placement", "contact area")
 
 
