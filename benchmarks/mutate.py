@@ -198,11 +198,23 @@ def page(mutations: Sequence[Mutation]) -> str:
         "prints what was caught, `python benchmarks/mutate.py --page` writes this page. A test fails where the page or "
         "an entry is out of date.",
         "",
+        "Files are those of `forearm_fem`. *device: housing moves as a rigid body* is the test "
+        "`test_housing_moves_as_a_rigid_body` of `tests/test_device.py`.",
+        "",
         "| broken promise | file | caught by |",
         "| --- | --- | --- |",
     ]
-    lines += [f"| {m.name} | {m.file} | {', '.join(t.removeprefix('tests/') for t in m.tests)} |" for m in mutations]
+    lines += [
+        f"| {m.name} | {m.file.removeprefix(f'{PACKAGE}/')} | {'; '.join(map(_spoken, m.tests))} |" for m in mutations
+    ]
     return "\n".join(lines) + "\n"
+
+
+def _spoken(test: str) -> str:
+    """``tests/test_a.py::test_b_is_c`` as words, which a narrow column can break: a: b is c."""
+    file, _, name = test.partition("::")
+    words = name.removeprefix("test_").replace("_", " ")
+    return f"{Path(file).stem.removeprefix('test_').replace('_', ' ')}" + (f": {words}" if words else "")
 
 
 def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:

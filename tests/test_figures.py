@@ -7,12 +7,14 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from test_figures_scene import folder  # noqa: F401
 
@@ -26,7 +28,9 @@ from forearm_fem.figures import (
     make_figures,
     plot_conditioning,
     plot_errors,
+    plot_table_one,
     plot_target,
+    strengths,
     target_waves,
     versus_of,
 )
@@ -82,6 +86,24 @@ def test_table_one_beside_the_thesis(made: Path, run: Results) -> None:
     )
     assert float(middle["thesis_mean"]) == 0.63
     assert "| Middle (5) |" in (made / "table-1-table.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("people", [False, True])
+def test_numbers_of_table_one_do_not_run_into_each_other(run: Results, people: bool) -> None:
+    data = strengths(run)
+    if people:  # the widest cells: with what a prediction says of arms
+        groups = data.table().groups
+        band = {"arms": [10.25, 11.75]}
+        by_group = {m: dict.fromkeys(groups, band) for m in data.methods}
+        data = replace(data, arms={"by_group": by_group, "groups": dict.fromkeys(groups, data.targets)})
+    figure = plot_table_one(data)
+    FigureCanvasAgg(figure).draw()
+    renderer = figure.canvas.get_renderer()
+    (table,) = figure.axes[1].tables
+    assert len(table.get_celld()) == 5 * (1 + 3 * len(data.methods))
+    for cell in table.get_celld().values():
+        box, words = cell.get_window_extent(renderer), cell.get_text().get_window_extent(renderer)
+        assert not words.width or (box.x0 <= words.x0 and words.x1 <= box.x1), cell.get_text().get_text()
 
 
 def test_the_target_figure_holds_the_nine_displacements(made: Path, run: Results) -> None:

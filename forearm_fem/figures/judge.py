@@ -183,20 +183,32 @@ def table_one_csv(data: Strengths) -> Table:
 @styled
 def plot_table_one(data: Strengths, *, ax: Axes | None = None) -> FigureBase:
     """Signal strength by place on the grid, here (filled) and in the thesis (open), and the numbers below."""
-    figure = panels(ax, (6.4, 3.6))
-    top, bottom = figure.subplots(2, 1, height_ratios=(2.2, 1))
+    cells = _lines(data)
+    below = 0.16 * (len(cells) + 1)  # inches: lines of 7 pt
+    figure = panels(ax, (7.1 if data.arms else 6.4, 2.5 + below))
+    top, bottom = figure.subplots(2, 1, height_ratios=(2.5, below))
     _points(top, data)
     bottom.axis("off")
-    cells = [[row[0], *row[1:]] for row in table_one_rows(data)]
-    header = ["", *(f"{m}\n{who}" for m in data.methods for who in WHO)]
-    widths = [0.22, *[0.78 / (len(header) - 1)] * (len(header) - 1)]
-    table = bottom.table(cells, colLabels=header, colWidths=widths, loc="center", cellLoc="center", edges="horizontal")
+    header = ["place", "method", *WHO]
+    table = bottom.table(cells, colLabels=header, bbox=(0, 0, 1, 1), cellLoc="left", colLoc="left")
     table.auto_set_font_size(False)
     table.set_fontsize(7)
-    for (row, _), cell in table.get_celld().items():
-        cell.set_height(0.34 if row == 0 else 0.22)
+    wide = [max(map(len, column)) + 2 for column in zip(header, *cells, strict=True)]
+    for (row, column), cell in table.get_celld().items():
+        cell.set_width(wide[column])
+        cell.PAD = 0.02
         cell.set_linewidth(0.5)
+        cell.visible_edges = "T" if row == 0 or cells[row - 1][0] else ""
     return figure
+
+
+def _lines(data: Strengths) -> list[list[str]]:
+    """Table I for a figure: a line per place and method, the place named once, with S of each of :data:`WHO`."""
+    lines = []
+    for place, *cells in table_one_rows(data):
+        for m, method in enumerate(data.methods):
+            lines.append(["" if m else place, method, *cells[len(WHO) * m : len(WHO) * (m + 1)]])
+    return lines
 
 
 def _points(ax: Axes, data: Strengths) -> None:
