@@ -228,6 +228,13 @@ def test_nodes_per_wavelength_are_those_of_the_edges(quarter):
         assert 0 < r.per_decay <= r.per_decay_near_ports
 
 
+def test_a_tissue_that_lies_deep_is_judged_by_its_nearest_elements(quarter):
+    (near,) = nodes_per_wavelength(quarter, "P2", {"muscle": 3.0}, {}, 500, reach=0.02)
+    (deep,) = nodes_per_wavelength(quarter, "P2", {"muscle": 3.0}, {}, 500, reach=1e-4)
+    assert near.per_wavelength == deep.per_wavelength
+    assert deep.per_wavelength_near_ports > deep.per_wavelength
+
+
 BAD_SLABS = [
     ({"limb": {"depth": 0.004}}, "4.2 mm thick together"),
     ({"limb": {"length": 0.045}}, "contact A1 at .* does not lie on the modelled slab"),

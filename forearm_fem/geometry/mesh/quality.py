@@ -216,6 +216,9 @@ class Resolution:
     per_decay_near_ports: float
 
 
+_NEAREST = 1.5  # of the distance of a deep tissue's nearest element: what of it is called near the ports
+
+
 def nodes_per_wavelength(
     mesh: TissueMesh,
     element: str,
@@ -230,21 +233,21 @@ def nodes_per_wavelength(
     of each element.
 
     ``speeds`` maps tissues to shear wave speeds [m/s], ``decay`` to 1/e decay lengths [m], both at ``f_max``;
-    ``element`` is P1, P2, P2/P3 or P3. "Near" is within ``reach`` [m] of a port, or of a contact
-    where none are given.
+    ``element`` is P1, P2, P2/P3 or P3. "Near" is within ``reach`` [m] of a port, or of a contact where none are given;
+    of a tissue that lies deeper, within one and a half times the distance of its nearest element.
     """
     corner = mesh.points[mesh.tetrahedra]
     squared = ((corner[:, EDGES[:, 0]] - corner[:, EDGES[:, 1]]) ** 2).sum(axis=2)
     spacing = np.sqrt(squared.mean(axis=1)) / tetrahedron_orders(mesh, ports, element)
-    near = cKDTree(_places(mesh, ports)).query(corner.mean(axis=1))[0] < reach
+    gap = cKDTree(_places(mesh, ports)).query(corner.mean(axis=1))[0]
     found = []
     for i, tissue in enumerate(mesh.region_names):
         here = mesh.region == i
         if tissue not in speeds or not here.any():
             continue
         wave, fade = speeds[tissue] / f_max, decay.get(tissue, np.inf)
-        most, close = float(spacing[here].max()), float(spacing[here & near].max(initial=0.0))
-        close = close or most
+        near = here & (gap < max(reach, _NEAREST * float(gap[here].min())))
+        most, close = float(spacing[here].max()), float(spacing[near].max())
         found.append(Resolution(tissue, wave / most, wave / close, fade / most, fade / close))
     return tuple(found)
 
