@@ -186,8 +186,6 @@ def test_default_sizes_and_explicit_ones():
     block = {"limb": {"shape": "slab", "length": 0.2, "width": 0.2, "depth": 0.08}}
     assert element_sizes(parse_scenario(block)).far == pytest.approx(20e-3)
     assert element_sizes(parse_scenario({**block, "accuracy": 0.05 / 16})).far == pytest.approx(10e-3)
-    faster = element_sizes(Scenario(), {"skin": 3.0, "fat": 3.0})
-    assert faster.grid == pytest.approx(3.0 / 2.2 * sizes.grid)
     own = parse_scenario({"mesh": {"size_grid": 3e-3, "sublayers": {"fat": 4}}})
     assert element_sizes(own).grid == 3e-3
     assert element_sizes(own).sublayers == (1, 4)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,11 +44,10 @@ def build_mesh(
     *,
     base: Path = Path("."),
     scale: float = 1.0,
-    shear_speed: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> TissueMesh:
     """Tetrahedra of the scenario's limb, bent along its walls; ``scale`` multiplies every element size."""
-    sizes = element_sizes(scenario, shear_speed, scale=scale)
+    sizes = element_sizes(scenario, scale=scale)
     size = SizeField.around(layout_of(scenario), sizes, size_growth(scenario, scale=scale))
     if isinstance(scenario.limb, MeshLimb):
         return _on_users_mesh(scenario, scenario.limb, base, size, progress, scale)

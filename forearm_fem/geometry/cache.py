@@ -6,7 +6,6 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -36,7 +35,6 @@ def cached_mesh(
     *,
     base: Path = Path("."),
     scale: float = 1.0,
-    shear_speed: Mapping[str, float] | None = None,
     cache_dir: Path | None = None,
     shipped_dir: Path | None = None,
     progress: Progress | None = None,
@@ -46,16 +44,16 @@ def cached_mesh(
     ``base`` is the scenario file's folder. A file that cannot be read or whose contents changed is logged and
     passed over. Meshes come out the same each time, but for the user's surfaces: fTetWild is not repeatable.
     """
-    sizes = element_sizes(scenario, shear_speed, scale=scale)
+    sizes = element_sizes(scenario, scale=scale)
     refuse_if_too_many(scenario, SizeField.around(layout_of(scenario), sizes, size_growth(scenario, scale=scale)))
-    key = mesh_key(scenario, base=base, scale=scale, shear_speed=shear_speed)
+    key = mesh_key(scenario, base=base, scale=scale)
     for folder in shipped_folders(base, shipped_dir):
         if (found := _look_up(folder, key)) is not None:
             return _usable(scenario, found)
     home = cache_dir or default_cache_dir()
     if (found := _read(home / f"{key}.json", key)) is not None:
         return _usable(scenario, found)
-    mesh = build_mesh(scenario, base=base, scale=scale, shear_speed=shear_speed, progress=progress)
+    mesh = build_mesh(scenario, base=base, scale=scale, progress=progress)
     _try_store(mesh, home / f"{key}.vtu", key)
     return mesh
 
@@ -66,13 +64,7 @@ def _usable(scenario: Scenario, mesh: TissueMesh) -> TissueMesh:
     return with_bends(scenario, mesh)
 
 
-def mesh_key(
-    scenario: Scenario,
-    *,
-    base: Path = Path("."),
-    scale: float = 1.0,
-    shear_speed: Mapping[str, float] | None = None,
-) -> str:
+def mesh_key(scenario: Scenario, *, base: Path = Path("."), scale: float = 1.0) -> str:
     """SHA-256 of everything the mesh depends on, user files' contents included."""
     layout = layout_of(scenario)
     depends = {
@@ -84,7 +76,7 @@ def mesh_key(
         "rigid": scenario.device.cone.contact in RIGID or ["pressure", scale],
         "points": layout.points.tolist(),
         "grading": size_growth(scenario, scale=scale),
-        "sizes": _rounded(asdict(element_sizes(scenario, shear_speed, scale=scale))),
+        "sizes": _rounded(asdict(element_sizes(scenario, scale=scale))),
         "bone": scenario.supports.bone,
     }
     if isinstance(scenario.limb, MeshLimb | SurfacesLimb):

@@ -37,7 +37,6 @@ class SoundCard:
         self._block, self._device, self._out, self._in = block, device, volts_out, volts_in
         self._stream: Any = None
         self._wiring: Wiring | None = None
-        self.interruptions = 0
 
     @property
     def name(self) -> str:
@@ -71,7 +70,6 @@ class SoundCard:
             )  # fmt: skip
             self._stream.start()
             self._stream.write(np.zeros((self.ahead, channels[1]), dtype=np.float32))
-            self.interruptions = 0
         except Exception as problem:
             self.close()
             raise HardwareError(
@@ -102,7 +100,6 @@ class SoundCard:
                 f"sound card: it stopped answering ({' '.join(str(problem).split())[:120]})"
             ) from problem
         if lost or overflowed:
-            self.interruptions += 1
             raise HardwareError(
                 "sound card: samples were lost because the computer was too slow; use a larger daq.block"
             )

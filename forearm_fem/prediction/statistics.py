@@ -95,11 +95,6 @@ def rank_correlations(drivers: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray((x.T @ y / len(x)).reshape(drivers.shape[1], *values.shape[1:]))
 
 
-def noise_of_correlation(n: int) -> float:
-    """Two standard errors of Spearman's correlation of independent samples."""
-    return float(2 / np.sqrt(n - 1))
-
-
 def _standard(ranks: FloatArray) -> FloatArray:
     centred = ranks - ranks.mean(axis=0)
     size = centred.std(axis=0)

@@ -124,7 +124,7 @@ class SimulatedParticipant:
         self.percept, self._rng = percept, rng
         self._names = [p.name for p in grid]
         self._grid = np.array([p.position[:2] for p in grid])
-        self._places, self._area = felt.places, felt.area
+        self._places = felt.places
         both = np.array(list(felt.energy.values()))
         summed = pooled(both[:, 0], felt.places, felt.area, percept.pooling)
         total = dict(zip(felt.energy, summed + both[:, 1], strict=True))

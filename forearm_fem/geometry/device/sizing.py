@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,19 +65,18 @@ class Sizes:
     sublayers: tuple[int, ...] = ()
 
 
-def element_sizes(scenario: Scenario, shear_speed: Mapping[str, float] | None = None, *, scale: float = 1.0) -> Sizes:
+def element_sizes(scenario: Scenario, *, scale: float = 1.0) -> Sizes:
     """Sizes for ``scenario``; explicit mesh options win, ``scale`` multiplies every size: what two meshes share their
     difference does not show.
 
-    ``shear_speed`` maps tissues to their shear wave speed at ``f_max`` [m/s]. Outputs of P2 elements converge
-    like h^4, hence h = 0.885 lambda_min accuracy^(1/4), and twice that with third order around the ports.
+    Outputs of P2 elements converge like h^4, hence h = 0.885 lambda_min accuracy^(1/4), and twice that with third order
+    around the ports; lambda_min is that of waves at :data:`DEFAULT_SHEAR_SPEED`, whatever the tissues.
     """
     options, radius = scenario.mesh, scenario.device.cone.radius
     rule = GRADED if scenario.element == "P2/P3" else SECOND
     frequencies = scenario.sweep.frequencies
     f_max = frequencies[-1] if frequencies else scenario.sweep.f_max
-    wavelength = min(shear_speed.values(), default=DEFAULT_SHEAR_SPEED) if shear_speed else DEFAULT_SHEAR_SPEED
-    grid = float(np.clip(rule.per_wavelength * wavelength / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
+    grid = float(np.clip(rule.per_wavelength * DEFAULT_SHEAR_SPEED / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
     grid = scale * (options.size_grid or grid)
     contact = min(_CONTACT * grid, scale * rule.widest * radius)
     contact = scale * options.size_contact if options.size_contact else contact
