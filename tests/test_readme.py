@@ -5,15 +5,19 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from test_skin_model import SCENE
+from typer.main import get_command
 
+from forearm_fem.cli import app
 from forearm_fem.pipeline.folder import Run, run_solve
 from forearm_fem.scenario import parse_scenario
 
 HOME = Path(__file__).parents[1]
-EXAMPLES = re.findall(r"```python\n(.*?)```", (HOME / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+README = (HOME / "README.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +39,37 @@ def test_example_runs(example, folder, monkeypatch):
     exec(compile(example, "README.md", "exec"), {})
 
 
-TEXT = re.sub(r"\s+", " ", (HOME / "README.md").read_text(encoding="utf-8"))
+ROOT: Any = get_command(app)
+
+
+@pytest.mark.parametrize("line", sorted(set(re.findall(r"forearm-fem ([a-z][^`\n&]*)", README))))
+def test_a_command_of_the_readme_is_there_with_its_options(line):
+    command, words = ROOT, line.split()
+    while hasattr(command, "commands"):
+        command = command.commands[words.pop(0)]
+    known = {option for p in command.params for option in p.opts}
+    assert {w for w in words if w.startswith("--")} <= known
+    shipped = {p.stem for p in (HOME / "scenarios").glob("*.toml")}
+    assert all(w in shipped or w.isupper() or w == "virtual" for w in words if w.isalpha())
+
+
+def test_files_that_the_readme_names_are_there():
+    named = re.findall(r"(?:python3? |`)((?:scenarios|benchmarks|docs)/[\w/]+\.\w+)|\]\(([^)#]+)\)", README)
+    assert len(named) > 10
+    assert [n for pair in named for n in pair if n and not (HOME / n).exists()] == []
+
+
+def test_the_readme_can_be_finished():
+    assert len(README.splitlines()) <= 120
+
+
+TEXT = re.sub(r"\s+", " ", README)
 CLAIMS = tomllib.loads((HOME / "tests" / "readme_claims.toml").read_text(encoding="utf-8"))["claim"]
 
 
 def promises() -> list[str]:
     """Sentences and rows of the README, outside its examples, that give a figure or a command."""
-    prose = re.sub(r"```.*?```", "", (HOME / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+    prose = re.sub(r"```.*?```", "", README, flags=re.DOTALL)
     blocks = [" ".join(b.split()) for b in re.split(r"\n(?=\|)|\n\n", prose)]
     pieces = [p for b in blocks if not b.startswith(("#", "!")) for p in re.split(r"(?<=[.:;])\s(?=[A-Z])", b)]
     return [p for p in pieces if re.search(r"\d [%a-z]|`forearm-fem|`--", p) and not p.startswith("| ---")]
