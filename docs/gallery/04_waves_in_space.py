@@ -25,8 +25,8 @@ axes.imshow(plt.imread(file))
 axes.set_axis_off()
 
 # %%
-# What this page promises: at 150 Hz the skin moves more than three times as much 6 mm from the only actuator driven as
-# 25 mm away.
+# What this page promises: next to the only actuator driven the skin moves more than three times as much as two
+# centimetres and a half away.
 phasor = motion(run, View(frequency=150.0, actuator="A1")).phasor
 size = np.abs(run.wavefield.modes[:, 2] @ phasor)
 away = np.linalg.norm(run.field_mesh.points - run.transfer.inputs[0].position, axis=1)
