@@ -164,14 +164,13 @@ def write(found: Sequence[Line], folder: Path) -> None:
 
 def table_of(found: Sequence[Line]) -> str:
     """A line a scene and drive, and what all of them come to."""
-    inside = [0.5 <= line.effectivity <= 5 for line in found]
-    fine = [line.receptance for line in found if line.accuracy <= 0.05]
-    below = np.average([line.stated_below_half for line in found])
+    asked = sorted({x.accuracy for x in found}, reverse=True)
     lead = (
         "Effectivity is stated over true e_band; receptance is that under the cone.\n\n"
-        "| effectivity 0.5 to 5 | bins that state less than half their e(f) | worst receptance, accuracy 0.05 and better |\n"
-        "| --- | --- | --- |\n"
-        f"| {sum(inside)} of {len(found)} | {100 * below:.1f} % | {100 * max(fine, default=np.nan):.2g} % |\n\n"
+        "| accuracy | lines | effectivity, least | median | largest | above 5 | bins below half | worst receptance |\n"
+        "| --- | --- | --- | --- | --- | --- | --- | --- |\n"
+        + "\n".join(_summary(a, [x for x in found if x.accuracy == a]) for a in asked)
+        + "\n\n"
     )
     head = ["stack", "cone mm", "contact", "asked", "drive", "element", "unknowns", "true e_band", "stated"]
     head += ["effectivity", "bins below half", "least e(f) ratio", "receptance"]
@@ -182,6 +181,15 @@ def table_of(found: Sequence[Line]) -> str:
         for x in found
     ]
     return lead + "\n".join(["| " + " | ".join(head) + " |", "| --- " * len(head) + "|", *rows]) + "\n"
+
+
+def _summary(accuracy: float, found: Sequence[Line]) -> str:
+    values = [x.effectivity for x in found]
+    below, worst = np.mean([x.stated_below_half for x in found]), max(x.receptance for x in found)
+    return (
+        f"| {accuracy:g} | {len(found)} | {min(values):.2f} | {np.median(values):.2f} | {max(values):.1f} | "
+        f"{sum(v > 5 for v in values)} | {100 * below:.1f} % | {100 * worst:.2g} % |"
+    )
 
 
 def main() -> None:
