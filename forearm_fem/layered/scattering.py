@@ -114,7 +114,7 @@ class Galerkin:
         """
         a, n, r = self.matrix(integrals), self.ports, self.grips.shape[1]
         shown = np.concatenate([np.arange(n), *self.grips])
-        free = condensed(a, shown, np.setdiff1d(np.arange(a.shape[1]), shown))
+        free = eliminated(a, shown, np.setdiff1d(np.arange(a.shape[1]), shown))
         free[:, self.points, self.points] = 0
         one, turned = np.eye(r), np.eye(n + 2 * r, dtype=complex)
         turned[n:, n:] = -np.block([[one, 1j * one], [one, -1j * one]])
@@ -128,12 +128,12 @@ class Galerkin:
 
     def _condensed(self, a: ComplexArray, kept: BoolArray) -> ComplexArray:
         """A_ii - A_ir A_rr^-1 A_ri over the ``kept`` tractions, symmetric to the last bit; 0 of a point on itself."""
-        whole = condensed(a, np.arange(self.ports), np.flatnonzero(kept)[self.ports :])
+        whole = eliminated(a, np.arange(self.ports), np.flatnonzero(kept)[self.ports :])
         whole[:, self.points, self.points] = 0
         return whole
 
 
-def condensed(a: ComplexArray, shown: IntArray, hidden: IntArray) -> ComplexArray:
+def eliminated(a: ComplexArray, shown: IntArray, hidden: IntArray) -> ComplexArray:
     """A_ss - A_sh A_hh^-1 A_hs (n_freq, n, n) of a symmetric A, symmetric to the last bit: what ``shown`` places see
     where ``hidden`` ones are held, or are as no work is done on them."""
     whole = a[:, shown[:, None], shown]
