@@ -28,6 +28,6 @@ def library(
     patch, facts = asked.library, made.facts
     typer.echo(f"patch        {patch.length * 1e3:.3g} x {patch.width * 1e3:.3g} mm, {facts['loads']} loads")
     typer.echo(f"space        {facts['size']} directions from {facts['solves']} solves of {facts['unknowns']} unknowns")
-    off = ", ".join(f"{error:.1e} at {f:g} Hz" for f, error in made.reduction.T)
+    off = ", ".join(f"{error:.1e} at {f:g} Hz" for f, error, _ in made.reduction.T)
     typer.echo(f"reduction    {off}")
     typer.echo(f"library: {file} ({file.stat().st_size / 1e6:.0f} MB, {facts['seconds']:.0f} s)")

@@ -50,7 +50,8 @@ class Galerkin:
     ``place`` (2, n_pairs), ``column`` in the table, and ``factor``.
 
     The first ``ports`` tractions are the ports', ``points`` those of points; ``last`` marks the last of ``terms``,
-    ``order`` is the azimuthal order; ``rings`` (2, n) are ring tractions with a net force, and their port.
+    ``order`` is the azimuthal order; ``rings`` (2, n) are ring tractions with a net force, and the ball that takes it
+    over; ``grips`` (2, r) the tractions + and - of each bonded disc that hold it sideways, with a net force.
 
     What the series lack: leaving out the last terms changes the compliance by much more than they lack where they
     converge exponentially, and by 2/terms of it where the rim's singularity makes it a power of -2. Of azimuthal orders
@@ -66,6 +67,7 @@ class Galerkin:
     last: BoolArray
     order: IntArray
     rings: IntArray
+    grips: IntArray
 
     def matrix(self, integrals: ComplexArray) -> ComplexArray:
         """A (n_freq, n, n) [m/N] from the integrals (n_freq, n_columns); ring tractions freed of their net force."""
@@ -74,9 +76,9 @@ class Galerkin:
         values = self.factor * integrals[:, self.column]
         out[:, self.place[0], self.place[1]] = values
         out[:, self.place[1], self.place[0]] = values
-        for ring, port in self.rings.T:
-            out[:, ring] -= out[:, port]
-            out[:, :, ring] -= out[:, :, port]
+        for ring, ball in self.rings.T:
+            out[:, ring] -= out[:, ball]
+            out[:, :, ring] -= out[:, :, ball]
         return out
 
     def compliance(self, integrals: ComplexArray, *, apart: bool = False) -> tuple[ComplexArray, FloatArray]:
@@ -103,6 +105,21 @@ class Galerkin:
         """The first of :meth:`compliance` without judging the series, which costs three solves more."""
         return self._condensed(self.matrix(integrals), self.order <= int(self.order.max()))
 
+    def free_compliance(self, integrals: ComplexArray) -> ComplexArray:
+        r"""The same of bonded discs let go sideways: after the ports, their net forces along x, then those along y.
+
+        A force along x is :math:`t_+=t_-=-1`, along y :math:`t_\pm=\mp i`: tractions have z into the body, where ports
+        are positive outward, so that x and y turn round instead. Holding them again by
+        :math:`C_{zz}-C_{zt}C_{tt}^{-1}C_{tz}` gives the first of :meth:`compliance`.
+        """
+        a, n, r = self.matrix(integrals), self.ports, self.grips.shape[1]
+        shown = np.concatenate([np.arange(n), *self.grips])
+        free = eliminated(a, shown, np.setdiff1d(np.arange(a.shape[1]), shown))
+        free[:, self.points, self.points] = 0
+        one, turned = np.eye(r), np.eye(n + 2 * r, dtype=complex)
+        turned[n:, n:] = -np.block([[one, 1j * one], [one, -1j * one]])
+        return np.asarray(turned.T @ free @ turned)
+
     def kinds(self) -> tuple[BoolArray, ...]:
         """Entries (ports, ports) between discs, and those between a disc and a point, where there are such."""
         point = np.zeros(self.ports, dtype=bool)
@@ -111,14 +128,20 @@ class Galerkin:
 
     def _condensed(self, a: ComplexArray, kept: BoolArray) -> ComplexArray:
         """A_ii - A_ir A_rr^-1 A_ri over the ``kept`` tractions, symmetric to the last bit; 0 of a point on itself."""
-        inner = np.flatnonzero(kept)[self.ports :]
-        whole = a[:, : self.ports, : self.ports].copy()
-        if inner.size:
-            coupling = a[:, inner, : self.ports]
-            scattered = coupling.swapaxes(1, 2) @ np.linalg.solve(a[:, inner[:, None], inner], coupling)
-            whole -= 0.5 * (scattered + scattered.swapaxes(1, 2))
+        whole = eliminated(a, np.arange(self.ports), np.flatnonzero(kept)[self.ports :])
         whole[:, self.points, self.points] = 0
         return whole
+
+
+def eliminated(a: ComplexArray, shown: IntArray, hidden: IntArray) -> ComplexArray:
+    """A_ss - A_sh A_hh^-1 A_hs (n_freq, n, n) of a symmetric A, symmetric to the last bit: what ``shown`` places see
+    where ``hidden`` ones are held, or are as no work is done on them."""
+    whole = a[:, shown[:, None], shown]
+    if hidden.size:
+        coupling = a[:, hidden[:, None], shown]
+        scattered = coupling.swapaxes(1, 2) @ np.linalg.solve(a[:, hidden[:, None], hidden], coupling)
+        whole -= 0.5 * (scattered + scattered.swapaxes(1, 2))
+    return whole
 
 
 def entries_by_kind(point: BoolArray) -> tuple[BoolArray, ...]:
@@ -141,13 +164,16 @@ def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -
         tractions += inner
         owner += [i] * len(inner)
     where = np.array([(disc.x, disc.y) for disc in discs])[owner]
-    forced = [t.radial.kind == "ring" and (t.component, t.m) == ("z", 0) for t in tractions]
-    rings = [(i, owner[i]) for i in np.flatnonzero(forced)]
+    carrying = {(owner[i], t.component): i for i, t in enumerate(tractions)
+                if t.m == 0 and t.radial.degree == 0 and t.radial.kind != "ring"}  # fmt: skip
+    rings = [(i, carrying[owner[i], t.component]) for i, t in enumerate(tractions)
+             if t.radial.kind == "ring" and t.m == 0]  # fmt: skip
+    grips = [[carrying[i, sign] for sign in ("+", "-")] for i in range(len(discs)) if (i, "+") in carrying]
     table, place, column, factor = _pairs(tractions, where)
     last, order = np.array([(t.last, t.order) for t in tractions], dtype=int).T
     points = np.flatnonzero([disc.radius == 0 for disc in discs])
-    free = np.array(rings, dtype=int).reshape(-1, 2).T
-    return Galerkin(table, place, column, factor, len(discs), points, terms, last.astype(bool), order, free)
+    net, held = (np.array(pairs, dtype=int).reshape(-1, 2).T for pairs in (rings, grips))
+    return Galerkin(table, place, column, factor, len(discs), points, terms, last.astype(bool), order, net, held)
 
 
 def _pairs(tractions: Sequence[Traction], where: FloatArray) -> tuple[HankelTable, IntArray, IntArray, ComplexArray]:

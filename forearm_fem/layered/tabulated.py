@@ -63,29 +63,34 @@ class Tabulated:
     points: tuple[dict[Column, int], BSpline]
     checked: FloatArray
 
-    def compliance(self, omega: FloatArray, discs: Sequence[Disc]) -> LayeredResult:
+    def compliance(self, omega: FloatArray, discs: Sequence[Disc], *, free: bool = False) -> LayeredResult:
         """Displacement per force between ``discs`` (points among them), as
         :func:`~forearm_fem.layered.layered_compliance` of them, at ``omega`` (n_freq,) [rad/s] within the band.
 
         Entries between two points are NaN. Errors are over the largest of their kind, between discs or from discs to
         points, whichever is more: G divides the small ones by the large. ``interpolation`` is the table's error and
         that between its frequencies.
+        With ``free`` bonded discs are let go sideways, and rows and columns for their net forces along x, then along
+        y, follow (:meth:`~forearm_fem.layered.scattering.Galerkin.free_compliance`); errors are those of held ones.
         Raises GeometryError for discs further apart than the table reaches, and for a point within 0.2 mm of a rim.
         """
-        kinds, rows, columns = distinct(discs, discs)
+        kinds, rows, _ = distinct(discs, discs)
         system = galerkin(kinds, self.surface, terms_of(kinds, self._medium, self._ends), self.orders)
         found = self._integrals(system)
-        whole = system.compliance_only(found)
+        whole = system.free_compliance(found) if free else system.compliance_only(found)
         judged = slice(None, None, FEW)
         _, lacking = system.compliance(found[judged], apart=True)
         sampled, _ = chebyshev_between(self.low, self.high, omega, whole)
-        tails = [chebyshev_between(self.low, self.high, omega, whole[:, kind])[1] for kind in system.kinds()]
+        n = system.ports
+        tails = [chebyshev_between(self.low, self.high, omega, whole[:, :n, :n][:, kind])[1] for kind in system.kinds()]
         x, at = np.sqrt(omega), np.sqrt(self.omega[judged])[::-1]
         truncation = MARGIN * np.interp(x, at, lacking[::-1])
         table = np.interp(x, np.sqrt(self.omega)[::-1], self.checked[::-1])
-        free = np.array([disc.radius == 0 for disc in kinds])
-        sampled[:, free[:, None] & free] = np.nan
-        values = sampled[:, rows][:, :, columns]
+        sampled[:, system.points[:, None], system.points] = np.nan
+        held = [number for number, disc in zip(rows, discs, strict=True) if free and disc.radius > 0]
+        grip = n + np.cumsum([disc.radius > 0 for disc in kinds])[held] - 1
+        at_ports = np.concatenate([rows, grip, grip + system.grips.shape[1]]).astype(int)
+        values = sampled[:, at_ports][:, :, at_ports]
         return LayeredResult(values, np.zeros(omega.size), truncation, table + np.max(tails, axis=0), 0)
 
     def arrays(self) -> dict[str, FloatArray | IntArray | ComplexArray]:

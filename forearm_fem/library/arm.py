@@ -6,10 +6,10 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 
 from ..errors import GeometryError, ScenarioError
 from ..geometry.device.layout import layout_of
@@ -24,24 +24,19 @@ from ..ports import Port, positions
 from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
-from ..transfer import Compliance, ErrorEstimate, ErrorSource
+from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .bands import Bands
 from .between import Lattice, Prior, shape_of
+from .flat_bells import flat_compliance
+from .hold import deviation_held, held
 from .limb import Limb
 from .skin import FlatSkin, flat_skin
+from .stated import stated_errors, tilt_error
 
 MARGIN = 0.02  # [m] of skin around the patch that bells reach
 WIDTH = 0.4  # of a bell, in steps of the lattice
 _SPREAD, _LEAST, _NOISE = 0.7, 60.0, 1e-6  # kappa in shortest wavenumbers, and [1/m]; docs/decisions/0037-library.md
-_SIDEWAYS = 2 / 3  # stiffness of a bonded disc sideways over that along its normal
-_CONTACT = MappingProxyType({
-    "bonded": "what discs held sideways take from the limb's difference from its flat twin, were that as large "
-    "sideways as along the normal; and a quarter of the disc's squared curvature",
-    "frictionless": "what discs held against tilt take from the limb's own motion is not known; make the library with "
-    "device.cone.contact = 'bonded' or 'pressure'",
-    "pressure": "a quarter of the disc's squared curvature",
-})  # fmt: skip
 _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its library
 
 
@@ -49,16 +44,19 @@ _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its libra
 class ArmLibrary:
     """Answers for any arrangement of discs on the patch of ``scenario``'s limb.
 
-    ``centres`` (n, 2) [m] of bells of ``width`` [m] in flat coordinates; ``fine`` is the limb through them, ``coarse``
+    Bells of ``width`` [m] push along the normal at ``centres`` (n, 2) [m] in flat coordinates, and along u, then along
+    v, at ``sideways`` (s, 2), none but for bonded discs; ``fine`` is the limb through them, in this order, ``coarse``
     on a second mesh whose nodes are ``ratio`` times as far apart (None where there is none), ``freed`` with free ends
-    (None where none absorb). ``flat`` (n_part, n_node, n_distance) is the twin between two bells at ``distances``
-    [m], at the nodes of :class:`Bands`; ``twin`` the twin for discs. ``spread`` (n_part, n_bin) is the standard
-    deviation [m/N] of what is interpolated, by distance (``bins`` (n_bin,) [m]), in units of the prior. ``reduction``
-    (2, n) are frequencies [Hz] and the reduced model's e(f) there, against direct solves.
+    (None where none absorb). ``flat`` (n_part, n_node, 1 or 4, n_distance) are the twin's integrals between two bells
+    at ``distances`` [m], at the nodes of :class:`Bands`; ``twin`` the twin for discs. ``spread`` (n_part, 3, n_bin) is
+    the standard deviation [m/N] of what is interpolated, by distance (``bins`` (n_bin,) [m]), in units of the prior:
+    along the normal, between it and the skin, and along the skin. ``reduction`` (3, n) are frequencies [Hz] and the
+    reduced model's e(f) there, against direct solves, along the normal and along the skin.
     """
 
     scenario: Scenario
     centres: FloatArray
+    sideways: FloatArray
     width: float
     fine: Limb
     coarse: Limb | None
@@ -103,19 +101,32 @@ class ArmLibrary:
         ports, frequency = self.ports(scenario), frequencies(scenario.sweep)
         self._check_band(frequency)
         places = self.skin.flat(positions(ports))
+        gripped = [i for i, port in enumerate(ports) if port.kind == "contact" and len(self.sideways)]
         flat = self._flat_discs(ports, places, frequency)
         part, carry = self.bands.number(frequency), self.bands.between(frequency)
-        values, errors = flat.values.copy(), []
+        free, deviation = flat.values.copy(), np.zeros(flat.values.shape if with_errors else (0,))
         for b in np.unique(part):
             mine = part == b
-            weights, variance = self._weights(int(b), ports, places)
-            values[mine] += limb.between(frequency[mine], weights)
-            values[mine] -= np.einsum("fn,nij->fij", carry[mine], weights.T @ self._flat_bells[b] @ weights)
+            weights, known = self._weights(int(b), ports, places, gripped)
+            free[mine] += limb.between(frequency[mine], weights)
+            free[mine] -= np.einsum("fn,nij->fij", carry[mine], weights.T @ self._flat_bells[b] @ weights)
             if with_errors:
-                errors.append(self._deviation(int(b), places, variance))
-        values = 0.5 * (values + values.swapaxes(1, 2))
+                deviation[mine] = self._deviation(int(b), places, gripped, known)
+        values, hold = held(0.5 * (free + free.swapaxes(1, 2)), len(ports))
         found = Compliance(frequency, values, ports)
-        return replace(found, errors=self._errors(found, part, errors, flat)) if with_errors else found
+        if not with_errors:
+            return found
+        beside = 0.25 * (self.twin.radius * self.skin.curvature) ** 2 + self._tilt(found, flat.values)
+        reduction = np.interp(frequency, self.reduction[0], self.reduction[1])
+        spread = deviation_held(deviation, hold)
+        return replace(found, errors=stated_errors(found, spread, flat.error, beside, reduction, self.twin.contact))
+
+    def _tilt(self, found: Compliance, flat: ComplexArray) -> FloatArray:
+        """e(f) (n_frequency,) of discs held against tilt; none of pressed ones, NaN, unknown, of frictionless ones."""
+        if self.twin.contact != "bonded":
+            return np.full(len(found.frequency), 0.0 if self.twin.contact == "pressure" else np.nan)
+        length = self.twin.radius * shortest_wavenumber(self.scenario, found.frequency)
+        return tilt_error(found, held(flat, len(found.ports))[0], length)
 
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
         """Ports of ``scenario`` on the library's skin, after all that may be refused was."""
@@ -144,80 +155,52 @@ class ArmLibrary:
         return Bands.of(*library_band(self.scenario))
 
     @cached_property
-    def lattices(self) -> tuple[Lattice, ...]:
-        """The lattice in each part of the band."""
-        return tuple(lattice(self.scenario, self.centres, self.width, high) for high in self.bands.edges[1:])
+    def lattices(self) -> tuple[tuple[Lattice, ...], tuple[Lattice, ...]]:
+        """The lattices of loads along the normal, and along the skin, in each part of the band."""
+        made = []
+        for centres in (self.centres, self.sideways):
+            some = self.bands.edges[1:] if len(centres) else ()
+            made.append(tuple(lattice(self.scenario, centres, self.width, high) for high in some))
+        return made[0], made[1]
 
-    def _weights(self, part: int, ports: tuple[Port, ...], places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Weights (n, p) of bells and variances (2, p), before and known, for the ports."""
-        weights, variance = np.empty((len(self.centres), len(ports))), np.empty((2, len(ports)))
+    def _weights(
+        self, part: int, ports: tuple[Port, ...], places: FloatArray, gripped: list[int]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Weights (n + 2 s, p + 2 c) of bells for the ports, and for those ``gripped`` (c,) along u, then along v;
+        variances (2, p + c), before and known."""
         shapes = [shape_of(port) for port in ports]
+        weights, variance = np.empty((len(self.centres), len(ports))), np.empty((2, len(ports)))
         for shape in set(shapes):
             mine = [i for i, s in enumerate(shapes) if s == shape]
-            weights[:, mine], variance[:, mine] = self.lattices[part].weights(shape, places[mine])
-        return weights, variance
+            weights[:, mine], variance[:, mine] = self.lattices[0][part].weights(shape, places[mine])
+        if not gripped:
+            return np.pad(weights, ((0, 2 * len(self.sideways)), (0, 0))), variance
+        along, more = self.lattices[1][part].weights(shapes[gripped[0]], places[gripped])
+        return scipy.linalg.block_diag(weights, along, along), np.hstack([variance, more])
 
     @cached_property
     def _flat_bells(self) -> ComplexArray:
-        """The twin (n_part, n_node, n, n) between bells."""
-        number, _ = pair_distances(self.centres)
-        return self.flat[:, :, number]
+        """The twin (n_part, n_node, n + 2 s, n + 2 s) between bells."""
+        return flat_compliance(self.flat, self.distances, self.centres, self.sideways)
 
     def _flat_discs(self, ports: tuple[Port, ...], places: FloatArray, frequency: FloatArray) -> LayeredResult:
-        """The flat twin of the ports."""
+        """The flat twin of the ports, with bonded discs let go sideways."""
         discs = [Disc(u, v) if port.kind == "point" else Disc(u, v, port.radius, port.contact)
                  for port, (u, v) in zip(ports, places.tolist(), strict=True)]  # fmt: skip
-        return self.twin.compliance(2 * np.pi * frequency, discs)
+        return self.twin.compliance(2 * np.pi * frequency, discs, free=len(self.sideways) > 0)
 
-    def _deviation(self, part: int, places: FloatArray, variance: FloatArray) -> FloatArray:
-        """Standard deviation (p, p) [m/N] of what is interpolated between the ports."""
-        away = np.linalg.norm(places[:, None] - places[None], axis=2)
-        scale = np.interp(away, self.bins, self.spread[part])
+    def _deviation(self, part: int, places: FloatArray, gripped: list[int], variance: FloatArray) -> FloatArray:
+        """Standard deviation (p + 2 c, p + 2 c) [m/N] of what is interpolated between the ports, and the ``gripped``
+        ones along the skin, of which both directions are alike."""
+        every = np.concatenate([np.arange(len(places)), gripped]).astype(int)
+        along = np.arange(len(every)) >= len(places)
+        away = np.linalg.norm(places[every][:, None] - places[every][None], axis=2)
+        scale = np.array([np.interp(away, self.bins, spread) for spread in self.spread[part]])
         before, known = variance
-        left = np.maximum(np.outer(before, before) - np.outer(known, known), 0.0)
-        return np.asarray(scale * np.sqrt(left))
-
-    def _errors(
-        self, found: Compliance, part: Any, deviations: list[FloatArray], flat: LayeredResult
-    ) -> tuple[ErrorEstimate, ...]:
-        """Of interpolation, of the twin's tractions, of what the limb does to discs, and of the reduced model."""
-        rows, columns = found.indices("point") or found.indices("contact"), found.indices("contact")
-        block = np.ix_(rows, columns)
-        values = found.values[:, block[0], block[1]]
-        number = np.searchsorted(np.unique(part), part)
-        deviation = np.array([d[block] for d in deviations])[number]
-        size = np.abs(values).max(axis=(1, 2))
-        between = deviation.max(axis=(1, 2)) / size
-        band = float(np.linalg.norm(deviation) / np.linalg.norm(values))
-        frequency = tuple(found.frequency.tolist())
-        held = self._held(found, flat.values, rows, columns) + 0.25 * (self.twin.radius * self.skin.curvature) ** 2
-        reduction = np.interp(found.frequency, self.reduction[0], self.reduction[1])
-        return (
-            ErrorEstimate("interpolation", band, "spread of what lies between the library's loads, by leaving each of "
-                          "them out", frequency, tuple(between.tolist())),
-            _weighed("quadrature", flat.error, size, frequency, "the flat twin's tables, and last terms and orders of "
-                     "the tractions under its discs"),
-            _weighed("contact", held, size, frequency, _CONTACT[self.twin.contact]),
-            _weighed("reduction", reduction, size, frequency, "against direct solves for some of the library's loads "
-                     "at three frequencies, and between them"),
-        )  # fmt: skip
-
-    def _held(self, found: Compliance, flat: ComplexArray, rows: list[int], discs: list[int]) -> FloatArray:
-        """e(f) (n_frequency,) of discs that hold the limb's own motion in silence.
-
-        A rigid disc keeps its place sideways with 16/3 mu a, two thirds of what 8 mu a along its normal is (Mindlin
-        1949, incompressible), so that n of them take x/(1 + x) of a motion D, x = n 2/3 |D|/|T|, with D of the limb
-        and T of the twin between the discs. Pressed discs hold nothing; of frictionless ones, which hold tilt alone, it
-        is NaN, unknown.
-        """
-        if self.twin.contact != "bonded":
-            return np.full(len(found.frequency), 0.0 if self.twin.contact == "pressure" else np.nan)
-        apart, own = found.values - flat, flat[:, discs, discs]
-        grip = len(discs) * _SIDEWAYS * np.abs(apart[:, discs][:, :, discs]).max(axis=(1, 2)) / np.abs(own).mean(axis=1)
-        seen = np.abs(apart[:, rows][:, :, discs]).max(axis=(1, 2)) / np.abs(found.values[:, rows][:, :, discs]).max(
-            axis=(1, 2)
-        )
-        return np.asarray(grip / (1 + grip) * seen)
+        left = np.sqrt(np.maximum(np.outer(before, before) - np.outer(known, known), 0.0))
+        kind = along[:, None].astype(int) + along
+        both = np.concatenate([np.arange(len(every)), np.flatnonzero(along)])
+        return np.asarray((left * np.take_along_axis(scale, kind[None], axis=0)[0])[both[:, None], both])
 
     def _check_same(self, scenario: Scenario) -> None:
         if scenario.engine != "fem":
@@ -261,14 +244,6 @@ class ArmLibrary:
                     )
 
 
-def _weighed(
-    source: ErrorSource, error: FloatArray, size: FloatArray, frequency: tuple[float, ...], method: str
-) -> ErrorEstimate:
-    """An estimate with e(f) ``error`` (n,) of compliances of ``size`` (n,) [m/N]."""
-    band = float(np.linalg.norm(error * size) / np.linalg.norm(size))
-    return ErrorEstimate(source, band, method, frequency, tuple(error.tolist()))
-
-
 def library_band(scenario: Scenario) -> tuple[float, float]:
     """First and last frequency [Hz] of the scenario's sweep."""
     frequency = frequencies(scenario.sweep)
@@ -291,13 +266,12 @@ def library_skin(scenario: Scenario) -> FlatSkin:
 
 def lattice(scenario: Scenario, centres: FloatArray, width: float, high: float) -> Lattice:
     """The lattice for waves up to ``high`` [Hz]."""
-    omega = np.array([2 * np.pi * high])
-    shortest = max(float(abs(omega[0] * np.sqrt(x.density / x.modulus(omega)[0]))) for x in flat_layers(scenario))
+    shortest = float(shortest_wavenumber(scenario, np.array([high]))[0])
     return Lattice.of(centres, width, Prior(_SPREAD * shortest + _LEAST, _NOISE))
 
 
-def pair_distances(centres: FloatArray) -> tuple[Any, FloatArray]:
-    """The number (n, n) of each pair's distance among the distinct ones, and these (m,) [m], rising."""
-    away = np.linalg.norm(centres[:, None] - centres[None], axis=2).round(9)
-    distances, number = np.unique(away, return_inverse=True)
-    return number.reshape(away.shape), distances
+def shortest_wavenumber(scenario: Scenario, frequency: FloatArray) -> FloatArray:
+    """Largest |k| (n,) [1/m] of shear waves in the limb's layers at each ``frequency`` (n,) [Hz]."""
+    omega = 2 * np.pi * frequency
+    layers = flat_layers(scenario)
+    return np.asarray(np.max([np.abs(omega * np.sqrt(x.density / x.modulus(omega))) for x in layers], axis=0))

@@ -27,8 +27,8 @@ _log = logging.getLogger("forearm_fem.library")
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One mesh's part: the limb through the bells, with free ends where it has absorbing ones, ``reduction`` (2, n),
-    frequencies [Hz] and the reduced model's error there, and facts."""
+    """One mesh's part: the limb through the bells, with free ends where it has absorbing ones, ``reduction`` (3, n),
+    frequencies [Hz] and the reduced model's errors there along the normal and along the skin, and facts."""
 
     limb: Limb
     freed: Limb | None
@@ -62,15 +62,13 @@ class Kept:
             with np.load(self._folder / _SIDE, allow_pickle=False) as data:
                 limb, freed = (_limb(data, name) for name in _LIMBS)
                 facts = json.loads(str(data["facts"]))
-                return None if limb is None else Side(limb, freed, _checked(facts), facts)
+                return None if limb is None else Side(limb, freed, data["reduction"], facts)
         except _UNREADABLE:
             return None
 
     def finish(self, side: Side) -> None:
         """Keep the part, and let its columns go."""
-        off = dict(zip(*side.reduction.tolist(), strict=True))
-        facts = json.dumps({**side.facts, "reduction": off})
-        arrays: dict[str, Any] = {"facts": np.array(facts)}
+        arrays: dict[str, Any] = {"facts": np.array(json.dumps(dict(side.facts))), "reduction": side.reduction}
         for name in _LIMBS:
             limb: Limb | None = getattr(side, name)
             if limb is not None:
@@ -133,10 +131,6 @@ class Kept:
 def _told(folder: Path, problem: Exception) -> bool:
     _log.warning("what was solved for the library could not be kept in %s (%s); ended, it starts anew", folder, problem)
     return False
-
-
-def _checked(facts: Mapping[str, Any]) -> FloatArray:
-    return np.array([[float(f) for f in facts["reduction"]], list(facts["reduction"].values())])
 
 
 def _limb(data: Mapping[str, Any], name: str) -> Limb | None:

@@ -17,10 +17,11 @@ from ..pipeline.twin_tables import kept_tables, tables_reach
 from ..progress import Progress, within
 from ..scenario import Scenario, parse_scenario
 from ..tissue import KelvinVoigt, limb_tissue_keys, resolve_tissues
-from .arm import WIDTH, ArmLibrary, library_band, library_skin, pair_distances
+from ..typing import ComplexArray, FloatArray
+from .arm import WIDTH, ArmLibrary, library_band, library_skin
 from .bands import Bands
-from .between import Shape
-from .flat_bells import between_flat_bells
+from .between import Lattice
+from .flat_bells import between_flat_bells, flat_compliance, pair_distances
 from .kept import Side
 from .loads import Bells
 from .side import LoadedSkin, solved_side
@@ -40,31 +41,59 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     """
     began = time.monotonic()
     _check_tissues(scenario)
-    skin, bells = library_skin(scenario), lattice_bells(scenario)
+    loaded = loaded_skin(scenario)
     with freed_memory_kept():
-        meshed, loaded = meshed_scenario(scenario, skin), LoadedSkin(skin, bells)
+        meshed = meshed_scenario(scenario, loaded.skin)
         fine = solved_side(meshed, loaded, Path(base), progress=progress)
         coarse = _second_side(meshed, loaded, Path(base), progress)
+    centres, sideways, width = normal_lattice(scenario), sideways_lattice(scenario), loaded.bells.width
+    distances, bands = pair_distances(centres), Bands.of(*library_band(scenario))
     medium = Medium(tuple(flat_layers(scenario)), "halfspace", flat_surface(scenario.tissues))
-    bands = Bands.of(*library_band(scenario))
-    nodes = bands.nodes.ravel()
-    _, distances = pair_distances(bells.centres)
-    flat = between_flat_bells(medium, nodes, bells.width, distances).reshape(*bands.nodes.shape, -1)
+    flat = between_flat_bells(medium, bands.nodes.ravel(), width, distances, sideways=len(sideways) > 0)
     twin = kept_tables(scenario, tables_reach(float(distances[-1])), progress=progress)
     library = ArmLibrary(
-        scenario, bells.centres, bells.width, fine.limb, coarse.limb if coarse else None, fine.freed, COARSER,
-        distances, flat, twin, np.zeros(0), np.zeros((0, 0)), fine.reduction,
-        {**fine.facts, "seconds": time.monotonic() - began},
+        scenario, centres, sideways, width, fine.limb, coarse.limb if coarse else None, fine.freed, COARSER,
+        distances, flat.reshape(*bands.nodes.shape, *flat.shape[1:]), twin, np.zeros(0), np.zeros((0, 3, 0)),
+        fine.reduction, {**fine.facts, "seconds": time.monotonic() - began},
     )  # fmt: skip
     return _judged(library)
 
 
-def lattice_bells(scenario: Scenario) -> Bells:
-    """Bells over the patch, edges included, as nearly ``library.step`` apart as fits."""
-    patch = scenario.library
-    sides = [np.linspace(-0.5, 0.5, max(3, round(a / patch.step) + 1)) * a for a in (patch.length, patch.width)]
-    centres = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
-    return Bells(centres, library_skin(scenario).places(centres)[1], WIDTH * patch.step)
+def normal_lattice(scenario: Scenario) -> FloatArray:
+    """Places (n, 2) of loads over the patch, edges included, as nearly ``library.step`` apart as fits."""
+    return _grid([np.linspace(-0.5, 0.5, _count(a, scenario.library.step)) * a for a in _sides(scenario)])
+
+
+def sideways_lattice(scenario: Scenario) -> FloatArray:
+    """Places (n, 2) among those of the lattice of loads along the skin, two steps apart; none but for bonded discs."""
+    if scenario.device.cone.contact != "bonded":
+        return np.zeros((0, 2))
+    sides = []
+    for a in _sides(scenario):
+        count = _count(a, scenario.library.step)
+        kept = np.linspace(0, count - 1, max(3, (count + 2) // 2)).round().astype(int)
+        sides.append(np.linspace(-0.5, 0.5, count)[kept] * a)
+    return _grid(sides)
+
+
+def loaded_skin(scenario: Scenario) -> LoadedSkin:
+    """All loads: along the normal, then along u, then along v."""
+    skin, centres, sideways = library_skin(scenario), normal_lattice(scenario), sideways_lattice(scenario)
+    axes = np.concatenate([skin.places(centres)[1], *skin.tangents(sideways)])
+    bells = Bells(np.vstack([centres, sideways, sideways]), axes, WIDTH * scenario.library.step)
+    return LoadedSkin(skin, bells, len(centres))
+
+
+def _sides(scenario: Scenario) -> tuple[float, float]:
+    return scenario.library.length, scenario.library.width
+
+
+def _count(side: float, step: float) -> int:
+    return max(3, round(side / step) + 1)
+
+
+def _grid(sides: list[FloatArray]) -> FloatArray:
+    return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def _check_tissues(scenario: Scenario) -> None:
@@ -104,16 +133,29 @@ def _judged(library: ArmLibrary) -> ArmLibrary:
 
     Those on the patch's edge are not judged: without them what the others see is carried on, not interpolated.
     """
-    pairs, _ = pair_distances(library.centres)
-    node, shape = library.bands.nodes.shape[1] // 2, Shape("bell", library.width)
-    at = library.bands.nodes[:, node]
-    every = library.fine.between(at, np.eye(len(library.centres))) - library.flat[:, node][:, pairs]
-    inside = (np.abs(library.centres) < np.abs(library.centres).max(axis=0) * (1 - 1e-9)).all(axis=1)
-    away = np.linalg.norm(library.centres[:, None] - library.centres[None], axis=2)
-    bins = np.arange(0.0, away.max() + _BIN, _BIN)
-    number = np.rint(away[inside] / _BIN).astype(int).ravel()
-    count, rows = np.maximum(np.bincount(number, minlength=len(bins)), 1), []
-    for one, of in zip(library.lattices, every, strict=True):
-        off = np.abs(one.left_out(of)[inside]) ** 2 / one.prior.covariance(shape, shape, np.zeros(1))[0]
-        rows.append(np.sqrt(np.bincount(number, weights=off.ravel(), minlength=len(bins)) / count))
-    return replace(library, bins=bins, spread=np.array(rows)[:, : len(bins)])
+    n, node = len(library.centres), library.bands.nodes.shape[1] // 2
+    at, loads = library.bands.nodes[:, node], n + 2 * len(library.sideways)
+    flat = flat_compliance(library.flat[:, node], library.distances, library.centres, library.sideways)
+    every = library.fine.between(at, np.eye(loads)) - flat
+    bins = np.arange(0.0, library.distances[-1] + _BIN, _BIN)
+    spread = np.zeros((len(at), 3, len(bins)))
+    for k, of in enumerate(every):
+        spread[k, 0] = _left_out(library.lattices[0][k], of[:n, :n], library.centres, bins)
+        if len(library.sideways):
+            one = library.lattices[1][k]
+            u, v = np.split(of[n:], 2)
+            both = np.tile(library.sideways, (2, 1))
+            spread[k, 1] = _left_out(one, np.hstack([u[:, :n], v[:, :n]]), np.tile(library.centres, (2, 1)), bins)
+            spread[k, 2] = _left_out(one, np.hstack([u[:, n:], v[:, n:]]), np.tile(both, (2, 1)), bins)
+    return replace(library, bins=bins, spread=spread)
+
+
+def _left_out(lattice: Lattice, values: ComplexArray, readers: FloatArray, bins: FloatArray) -> FloatArray:
+    """Standard deviation (n_bin,) of ``values`` (n, m), read at ``readers`` (m, 2), found from the other loads."""
+    centres, shape = lattice.centres, lattice.shape
+    inside = (np.abs(centres) < np.abs(centres).max(axis=0) * (1 - 1e-9)).all(axis=1)
+    away = np.linalg.norm(centres[inside][:, None] - readers[None], axis=2)
+    number = np.minimum(np.rint(away / _BIN).astype(int), len(bins) - 1).ravel()
+    off = np.abs(lattice.left_out(values)[inside]) ** 2 / lattice.prior.covariance(shape, shape, np.zeros(1))[0]
+    count = np.maximum(np.bincount(number, minlength=len(bins)), 1)
+    return np.asarray(np.sqrt(np.bincount(number, weights=off.ravel(), minlength=len(bins)) / count))

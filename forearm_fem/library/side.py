@@ -26,14 +26,15 @@ from ..pipeline.fem_engine import fem_model
 from ..pipeline.frequencies import frequencies
 from ..progress import Progress, tell, within
 from ..scenario import Scenario
-from ..typing import FloatArray
+from ..typing import FloatArray, IntArray
 from .kept import Kept, Progressed, Side
 from .limb import Limb
 from .loads import Bells, bell_functionals
 from .skin import FlatSkin
 
-_MAKING = 1  # raise when the same question would give another part
+_MAKING = 2  # raise when the same question would give another part
 _DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most (docs/decisions/0037-library.md)
+_SIDEWAYS_DROP = 3e-2  # of those that loads along the skin add: what discs held sideways take is a correction
 _FASTER = 2.5  # than the sweep's rate: high frequencies are what a space cut at _DROP leaves out
 _AT_ONCE = 48  # loads
 _WITNESSES = 24  # loads of the direct solve that the reduced model is compared with
@@ -43,10 +44,23 @@ _APART = 4  # widths between bells from which their compliance counts there
 
 @dataclass(frozen=True)
 class LoadedSkin:
-    """The ``bells`` on a limb's ``skin`` laid flat."""
+    """The ``bells`` on a limb's ``skin`` laid flat, the first ``normal`` of them along its normal, others along it."""
 
     skin: FlatSkin
     bells: Bells
+    normal: int
+
+    @property
+    def batches(self) -> list[tuple[IntArray, float]]:
+        """Loads solved at once, and the share of a direction below which theirs are taken as known.
+
+        Each batch is spread over the patch; those along the normal come first.
+        """
+        out: list[tuple[IntArray, float]] = []
+        for first, last, drop in ((0, self.normal, _DROP), (self.normal, len(self.bells.centres), _SIDEWAYS_DROP)):
+            order = first + np.argsort((np.arange(last - first) * 0.6180339887498949) % 1.0)
+            out += [(order[start : start + _AT_ONCE], drop) for start in range(0, len(order), _AT_ONCE)]
+        return out
 
 
 def solved_side(
@@ -58,23 +72,24 @@ def solved_side(
     """
     mesh = cached_mesh(meshed, base=base, scale=scale, progress=within(progress, "mesh"))
     frequency = frequencies(meshed.sweep)
-    kept = Kept(default_cache_dir() / "library-parts" / _key(meshed, mesh.digest, loaded.bells, scale))
+    kept = Kept(default_cache_dir() / "library-parts" / _key(meshed, mesh.digest, loaded, scale))
     if (found := kept.side()) is not None:
         return found
     tell(progress, "assembly", 0, 1)
     model = fem_model(meshed, mesh)
     seen = bell_functionals(model, loaded.skin, loaded.bells)
     tell(progress, "assembly", 1, 1)
-    state = _spanned(meshed, model, seen, frequency, kept, progress)
-    side = _finished(meshed, model, seen, state, loaded.bells, frequency, whole=scale == 1.0, progress=progress)
+    state = _spanned(meshed, model, seen, loaded, frequency, kept, progress)
+    side = _finished(meshed, model, seen, state, loaded, frequency, whole=scale == 1.0, progress=progress)
     kept.finish(side)
     return side
 
 
-def _key(meshed: Scenario, mesh: str, bells: Bells, scale: float) -> str:
-    """SHA-256 of all that a part depends on: not the disc, the grid or the renderers."""
+def _key(meshed: Scenario, mesh: str, loaded: LoadedSkin, scale: float) -> str:
+    """SHA-256 of all that a part depends on: not the disc's radius, the grid or the renderers."""
     asked = meshed.model_dump(mode="json", exclude={"name", "description", "rendering"})
-    parts = [_MAKING, asked, mesh, scale, bells.width, bells.centres.tolist(), _DROP, _ORDERS, _FASTER]
+    loads = [loaded.bells.width, loaded.bells.centres.tolist(), loaded.normal]
+    parts = [_MAKING, asked, mesh, scale, *loads, _DROP, _SIDEWAYS_DROP, _ORDERS, _FASTER]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
 
 
@@ -82,6 +97,7 @@ def _spanned(
     meshed: Scenario,
     model: ForearmModel,
     seen: csr_array,
+    loaded: LoadedSkin,
     frequency: FloatArray,
     kept: Kept,
     progress: Progress | None,
@@ -97,17 +113,20 @@ def _spanned(
     began = time.monotonic() - state.seconds
     solver = make_solver(bare, meshed.solver, float(frequency[-1]))
     rate = _FASTER * expansion_rate(frequency)
-    space = LoadSpace(solver, rate, drop=_DROP, derivatives=_ORDERS, basis=state.reduced.basis)
-    order = np.argsort((np.arange(total) * 0.6180339887498949) % 1.0)  # batches spread over the patch
-    for start in range(state.done, total, _AT_ONCE):
-        chosen, before = order[start : start + _AT_ONCE], space.solves
-        block = space.add(seen[:, chosen].toarray())
+    space = LoadSpace(solver, rate, derivatives=_ORDERS, basis=state.reduced.basis)
+    done = 0
+    for chosen, drop in loaded.batches:
+        done += len(chosen)
+        if done <= state.done:
+            continue
+        before = space.solves
+        block = space.add(seen[:, chosen].toarray(), drop)
         reduced, functionals = state.reduced, state.functionals
         if block.shape[1]:
             reduced = with_columns(reduced, bare, block, np.zeros((reduced.size + block.shape[1], 0)))
             functionals = np.vstack([functionals, np.asarray(seen.T @ block).T.astype(float)])
         solves = state.solves + space.solves - before
-        state = Progressed(reduced, functionals, start + len(chosen), solves, time.monotonic() - began)
+        state = Progressed(reduced, functionals, done, solves, time.monotonic() - began)
         kept.keep(state)
         tell(progress, "loads on the patch", state.done, total)
     solver.factor.release()
@@ -124,7 +143,7 @@ def _finished(
     model: ForearmModel,
     seen: csr_array,
     state: Progressed,
-    bells: Bells,
+    loaded: LoadedSkin,
     frequency: FloatArray,
     *,
     whole: bool,
@@ -141,13 +160,15 @@ def _finished(
         freed = _poles(reduced.changed(dict.fromkeys(names, Polynomial())), frequency)
         tell(progress, "poles", 2, steps)
     poles = time.monotonic() - began
-    off = _reduction_error(meshed, model, seen, reduced, bells, frequency) if whole else np.full(len(_CHECKED), np.nan)
+    off = np.full((2, len(_CHECKED)), np.nan)
+    if whole:
+        off = _reduction_error(meshed, model, seen, reduced, loaded, frequency)
     tell(progress, "poles", steps, steps)
     facts: dict[str, Any] = {
         "loads": seen.shape[1], "size": reduced.size, "solves": state.solves, "unknowns": model.operator.n,
         "seconds_loads": state.seconds, "seconds_poles": poles, "seconds_check": time.monotonic() - began - poles,
     }  # fmt: skip
-    return Side(limb, freed, np.stack([_checked(frequency), off]), facts)
+    return Side(limb, freed, np.stack([_checked(frequency), *off]), facts)
 
 
 def _poles(reduced: ReducedModel, frequency: FloatArray) -> Limb:
@@ -165,19 +186,29 @@ def _checked(frequency: FloatArray) -> FloatArray:
 
 
 def _reduction_error(
-    meshed: Scenario, model: ForearmModel, seen: csr_array, reduced: ReducedModel, bells: Bells, frequency: FloatArray
+    meshed: Scenario,
+    model: ForearmModel,
+    seen: csr_array,
+    reduced: ReducedModel,
+    loaded: LoadedSkin,
+    frequency: FloatArray,
 ) -> FloatArray:
-    """Largest error over the largest compliance between bells some widths apart, at each frequency checked."""
-    some = np.unique(np.linspace(0, len(bells.centres) - 1, _WITNESSES).astype(int))
+    """Largest error over the largest compliance between bells some widths apart (2, n) at each frequency checked:
+    between those along the normal, and between those along the skin (NaN without)."""
+    bells, groups = loaded.bells, (np.arange(loaded.normal), np.arange(loaded.normal, len(loaded.bells.centres)))
+    spread = [of[np.unique(np.linspace(0, len(of) - 1, _WITNESSES).astype(int))] for of in groups if len(of)]
+    some = np.concatenate(spread)
     chosen = np.asarray(seen[:, some].toarray())
     witness = replace(model, functionals=chosen, shares=np.ones(len(some)))
     own = replace(reduced, functionals=reduced.functionals[:, some], shares=np.ones(len(some)))
     away = np.linalg.norm(bells.centres[some][:, None] - bells.centres[some][None], axis=2)
-    far, off = away > _APART * bells.width, []
+    along = some < loaded.normal
+    kinds = [(away > _APART * bells.width) & of[:, None] & of for of in (along, ~along)]
+    off = np.full((2, len(_CHECKED)), np.nan)
     solver = make_solver(model, meshed.solver, float(frequency[-1]))
-    for at in _checked(frequency):
+    for k, at in enumerate(_checked(frequency)):
         truth = chosen.T @ replace(solver, model=witness).at(float(at)).values
-        found = own.compliance(np.array([at]))[0]
-        off.append(float(np.abs(found - truth)[far].max() / np.abs(truth)[far].max()))
+        apart = np.abs(own.compliance(np.array([at]))[0] - truth)
+        off[: len(spread), k] = [apart[far].max() / np.abs(truth)[far].max() for far in kinds[: len(spread)]]
     solver.factor.release()
-    return np.array(off)
+    return off

@@ -14,6 +14,7 @@ from ..typing import BoolArray, FloatArray
 
 _STEP = 2.5e-4  # [m] between samples of the skin across the limb; ten times that along it
 _FACING = 0.1  # smallest n_z of skin that is laid flat: 84 degrees to the side
+_SHORT = 5e-4  # [m] between places whose difference is a tangent
 _NEAR = 5e-3  # [m] from the volar skin: points of the mesh further away are the limb's other side
 
 
@@ -59,6 +60,19 @@ class FlatSkin:
         y = np.array([_inverse(v, row, self.y) for v, row in zip(flat[:, 1], rows, strict=True)])
         return self.skin(np.column_stack([x, y]))
 
+    def tangents(self, flat: FloatArray) -> FloatArray:
+        """Unit vectors (2, n, 3) along u and along v at ``flat`` (n, 2), at right angles to the normal and each other.
+
+        Differences over a short way towards the middle, where there is skin. On a tapering limb lines of u and of v
+        meet at no quite right angle; that of u is kept.
+        """
+        here, normals = self.places(flat)
+        inward = np.where(flat > 0, -_SHORT, _SHORT)
+        u, v = (sign[:, None] * (self.places(flat + inward * way)[0] - here)
+                for way, sign in zip(np.eye(2), np.sign(inward).T, strict=True))  # fmt: skip
+        along = _unit(_across(u, normals))
+        return np.stack([along, _unit(_across(_across(v, normals), along))])
+
 
 def flat_skin(skin: Skin, length: float, width: float, margin: float = 0.0) -> FlatSkin:
     """The skin over at least ``length`` by ``width`` [m], in its own lengths, about the origin.
@@ -100,3 +114,12 @@ def _inverse(v: float, lengths: FloatArray, y: FloatArray) -> float:
     if not known.any():
         return float("nan")
     return float(np.interp(v, lengths[known], y[known], left=np.nan, right=np.nan))
+
+
+def _across(vectors: FloatArray, axes: FloatArray) -> FloatArray:
+    """What ``vectors`` (n, 3) have across the unit vectors ``axes`` (n, 3)."""
+    return np.asarray(vectors - (vectors * axes).sum(axis=1)[:, None] * axes)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])

@@ -9,6 +9,7 @@ from typing import Any
 
 import xarray as xr
 
+from ..errors import DataError
 from ..io.dataset import load, provenance_json, save
 from ..layered.tabulated import from_arrays
 from ..pipeline.layered_engine import flat_layers, flat_surface
@@ -17,16 +18,18 @@ from .arm import ArmLibrary
 from .limb import Limb
 
 _CONTENT = "arm's library"
+_MADE = 2  # raise when what a library holds is another
 _LIMBS = ("fine", "coarse", "freed")
 _TABLES = "twin_"
 _NUMBERS = ("width", "ratio")
 _ARRAYS = {
     "centres": ("bell", "uv"),
+    "sideways": ("sideways_bell", "uv"),
     "distances": ("distance",),
-    "flat": ("part", "node", "distance"),
+    "flat": ("part", "node", "integral", "distance"),
     "bins": ("bin",),
-    "spread": ("part", "bin"),
-    "reduction": ("frequency_and_error", "checked"),
+    "spread": ("part", "direction", "bin"),
+    "reduction": ("frequency_and_errors", "checked"),
 }
 
 
@@ -36,14 +39,15 @@ def save_library(path: str | Path, library: ArmLibrary) -> None:
     for name in _LIMBS:
         limb: Limb | None = getattr(library, name)
         if limb is not None:
-            for field, dims in (("poles", ("m",)), ("left", ("bell", "m")), ("right", ("m", "bell"))):
+            for field, dims in (("poles", ("m",)), ("left", ("load", "m")), ("right", ("m", "load"))):
                 named = tuple(f"{name}_mode" if d == "m" else d for d in dims)
                 variables[f"{name}_{field}"] = (named, getattr(limb, field), {})
     for name, values in library.twin.arrays().items():
         axes = tuple(f"{_TABLES}{name}_{axis}" for axis in range(values.ndim))
         variables[_TABLES + name] = (axes, values, {})
-    attributes = {
+    attributes: dict[str, Any] = {
         "content": _CONTENT,
+        "made": _MADE,
         "scenario": json.dumps(library.scenario.model_dump(mode="json")),
         "numbers": json.dumps({name: getattr(library, name) for name in _NUMBERS}),
         "disc": json.dumps({"radius": library.twin.radius, "contact": library.twin.contact}),
@@ -53,11 +57,16 @@ def save_library(path: str | Path, library: ArmLibrary) -> None:
 
 
 def load_library(path: str | Path) -> ArmLibrary:
-    """Read what :func:`save_library` wrote; DataError for a missing or damaged file."""
+    """Read what :func:`save_library` wrote; DataError for a missing, damaged or outdated file."""
     return load(path, _CONTENT, _unpack)
 
 
 def _unpack(dataset: xr.Dataset) -> ArmLibrary:
+    if dataset.attrs.get("made", 1) != _MADE:
+        raise DataError(
+            "this library was made by another version of forearm_fem, which kept other loads; make it again with "
+            "`forearm-fem library`"
+        )
     disc, number = (json.loads(dataset.attrs[name]) for name in ("disc", "numbers"))
     scenario = parse_scenario(json.loads(dataset.attrs["scenario"]))
     arrays = {str(k)[len(_TABLES):]: v.values for k, v in dataset.data_vars.items() if str(k).startswith(_TABLES)}
@@ -67,7 +76,7 @@ def _unpack(dataset: xr.Dataset) -> ArmLibrary:
     if fine is None:
         raise ValueError("the limb itself is missing")
     return ArmLibrary(
-        scenario, dataset["centres"].values, float(number["width"]),
+        scenario, dataset["centres"].values, dataset["sideways"].values, float(number["width"]),
         fine, coarse, freed, float(number["ratio"]), dataset["distances"].values, dataset["flat"].values, twin,
         dataset["bins"].values, dataset["spread"].values, dataset["reduction"].values,
         json.loads(dataset.attrs["facts"]),

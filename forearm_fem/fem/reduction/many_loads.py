@@ -1,7 +1,7 @@
 """A reduced space for hundreds of loads on one patch: the derivatives of each about a real rate, without what is known.
 
 As in :mod:`.rate_space`, but loads come in batches, and a direction whose solution or derivative the space holds
-already, to within ``drop`` of its length, is neither kept nor followed further: far from their loads fields of
+already, to within a share ``drop`` of its length, is neither kept nor followed further: far from their loads fields of
 neighbours are nearly the same. All loads are outputs, too, so the error of a compliance is that of both fields
 multiplied.
 """
@@ -25,14 +25,12 @@ class LoadSpace:
     """Grows one space of displacements and pressures for batches of loads about ``rate`` [1/s]; moduli must be
     Kelvin-Voigt.
 
-    ``drop`` is the share of a direction's length below which it is taken as known, ``derivatives`` the highest order.
-    ``basis`` are the columns that earlier loads gave. ``solves`` counts right-hand sides.
+    ``derivatives`` is the highest order, ``basis`` are the columns that earlier loads gave. ``solves`` counts
+    right-hand sides.
     """
 
-    def __init__(
-        self, solver: DirectSolver, rate: float, *, drop: float, derivatives: int, basis: Basis | None = None
-    ) -> None:
-        self._solver, self._drop, self._derivatives = solver, drop, derivatives
+    def __init__(self, solver: DirectSolver, rate: float, *, derivatives: int, basis: Basis | None = None) -> None:
+        self._solver, self._derivatives = solver, derivatives
         self._weights = rate_weights([t.coefficient for t in solver.model.operator.terms], rate)
         self.basis, self.solves = basis or Basis(), 0
         solver.factor.factorise(solver.model.operator.combine(self._weights[0].tolist()))
@@ -42,20 +40,23 @@ class LoadSpace:
         """Columns so far."""
         return sum(block.shape[1] for block in self.basis.blocks)
 
-    def add(self, forces: FloatArray) -> Columns:
-        """New columns (n, k) that ``forces`` (n, b) call for, orthonormal in their displacements, as one block."""
+    def add(self, forces: FloatArray, drop: float) -> Columns:
+        """New columns (n, k) that ``forces`` (n, b) call for, orthonormal in their displacements, as one block.
+
+        ``drop`` is the share of a direction's length below which it is taken as known.
+        """
         before = self.basis
-        block = np.hstack([np.zeros((len(forces), 0), dtype=np.float32), *self._orders(forces)])
+        block = np.hstack([np.zeros((len(forces), 0), dtype=np.float32), *self._orders(forces, drop)])
         self.basis = before.with_block(block) if block.shape[1] else before
         return block
 
-    def _orders(self, forces: FloatArray) -> Iterator[Columns]:
+    def _orders(self, forces: FloatArray, drop: float) -> Iterator[Columns]:
         """The new columns, order by order."""
         pairs, last = Pairs(np.zeros((self.size, 0)), np.zeros((self.size, 0))), 0
         for order in range(self._derivatives + 1):
             x = self._solved(forces) if order == 0 else self._derivative(pairs.last(last))
             before = pairs.last(last).upper if order else np.zeros((0, x.shape[1]))
-            new, columns = self._extended(x, before)
+            new, columns = self._extended(x, before, drop)
             if not columns.shape[1]:
                 return
             new = pairs.remainder(new)
@@ -73,7 +74,7 @@ class LoadSpace:
         matrices = self._solver.model.operator.matrices
         return self._solved(-matrices.real_sum(np.array([one - 2 * two, two]), halves))
 
-    def _extended(self, x: FloatArray, before: FloatArray) -> tuple[Pairs, Columns]:
+    def _extended(self, x: FloatArray, before: FloatArray, drop: float) -> tuple[Pairs, Columns]:
         """Pairs and columns of the directions of ``x`` (n, b) that the space lacks."""
         n_u = self._solver.model.operator.n_displacements
         lengths, coordinates = np.linalg.norm(x[:n_u], axis=0), np.zeros((self.size, x.shape[1]))
@@ -87,7 +88,7 @@ class LoadSpace:
                 break
         scale = 1 / np.where(lengths > 0, lengths, 1.0)
         values, vectors = np.linalg.eigh(scale[:, None] * gram * scale)
-        keep = values > self._drop**2
+        keep = values > drop**2
         chosen = scale[:, None] * vectors[:, keep]
         made = np.asarray(x @ (chosen / np.sqrt(values[keep])), dtype=np.float32)
         upper = np.vstack([coordinates @ chosen, np.diag(np.sqrt(values[keep]))])
