@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,11 @@ from forearm_fem.measurement.figures import save_live
 from forearm_fem.measurement.play import LONGEST, play
 from forearm_fem.measurement.run import VirtualSetup
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions
+from forearm_fem.pipeline.simulation import simulate
+from forearm_fem.pipeline.verdict import accuracy_verdict
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction.run import Question, predict
-from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario import Scenario, apply_overrides, parse_scenario
 from forearm_fem.scenario.measurement import DaqOptions
 from forearm_fem.study.plan import load_study
 
@@ -45,8 +48,6 @@ def test_an_override_of_several_lines_is_no_value() -> None:
 
 
 def parse_overridden(item: str) -> Scenario:
-    from forearm_fem.scenario import apply_overrides
-
     return parse_scenario(apply_overrides({}, [item]))
 
 
@@ -140,13 +141,11 @@ def test_what_would_play_for_days_is_refused(repeats: int, pause: float) -> None
 
 
 def test_pictures_of_no_difference_and_of_a_dead_channel_raise_no_warning(tmp_path: Path) -> None:
-    picture(compare(A, A, render=False)).savefig(io.BytesIO(), format="png")
+    picture(compare(A, A, render=False)).savefig(io.BytesIO(), format="png", dpi=20)
     dead = A.values.copy()
     dead[:, :, 0] = 0
-    from dataclasses import replace
-
     silent = replace(A, values=dead)
-    picture(compare(silent, A, render=False)).savefig(io.BytesIO(), format="png")
+    picture(compare(silent, A, render=False)).savefig(io.BytesIO(), format="png", dpi=20)
     save_live(tmp_path / "live.png", replace(A, values=0 * dead), np.ones(dead.shape))
     assert (tmp_path / "live.png").stat().st_size > 0
 
@@ -157,3 +156,39 @@ def test_an_option_without_effect_is_refused(tmp_path: Path) -> None:
     assert "--length: has no effect with --arm" in answer.sentence
     assert "leave no muscle" in cli("new", "mine", "--arm", "small", "--skinfold", 0.2, cwd=tmp_path).sentence
     assert leftovers(tmp_path) == []
+
+
+def test_a_sweep_that_misses_every_bin_is_refused_before_it_is_solved(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL)
+    for command in ("run", "render"):
+        answer = cli(command, "small.toml", "--set", "sweep.frequencies=[41.0]", cwd=tmp_path)
+        assert "no bin of the record" in answer.sentence
+        assert leftovers(tmp_path) == ["small.toml"]
+
+
+def test_points_abreast_of_each_other_are_no_line_to_fit_waves_on(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL)
+    sets = ("--set", "rendering.methods=[]", "--set", "rendering.targets='all'", "--set", "sweep.f_max=60")
+    answer = cli("run", "small.toml", *sets, "--set", "device.rows=1", "--out", "out", cwd=tmp_path)
+    assert answer.code == 0, answer.err
+    assert not (tmp_path / "out" / "waves.csv").exists()
+    line = "grid.points=[[0.01, 0.0], [0.015, 0.0], [0.02, 0.0], [0.025, 0.0], [0.03, 0.0]]"
+    answer = cli("run", "small.toml", *sets, "--set", "device.contacts=[[0.0, 0.0]]", "--set", line, "--out", "line",
+                 cwd=tmp_path)  # fmt: skip
+    assert answer.code == 0, answer.err
+    assert (tmp_path / "line" / "waves.csv").is_file()
+
+
+def test_an_error_that_nobody_asked_for_is_unknown_not_zero() -> None:
+    slab = {"shape": "slab", "length": 0.06, "width": 0.06, "depth": 0.02}
+    coarse = {"size_contact": 0.006, "size_grid": 0.01, "size_far": 0.02, "sublayers": {"skin": 1, "fat": 1}}
+    solver = {"sweep": "direct", "discretisation_estimate": False}
+    scenario = parse_scenario(
+        {"limb": slab, "mesh": coarse, "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": "pressure"}},
+         "grid": {"points": [[0.015, 0.0]]}, "sweep": {"frequencies": [100.0]}, "solver": solver, "accuracy": 0.5,
+         "rendering": {"methods": []}}
+    )  # fmt: skip
+    found = simulate(scenario)
+    assert {e.source for e in found.transfer.errors if not e.known} == {"discretisation", "truncation"}
+    assert "UNKNOWN" in accuracy_verdict(scenario, found.transfer.errors)
+    assert any("the error by discretisation is unknown" in note for note in found.notes)
