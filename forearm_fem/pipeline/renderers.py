@@ -115,7 +115,7 @@ def check_servable(scenario: Scenario) -> dict[str, str]:
     options, sweep = scenario.rendering, scenario.sweep
     if options.methods:
         band = frequencies(sweep)
-        place_on_bins(band, np.zeros((len(band), 1)), sweep.sample_rate, sweep.duration)
+        place_on_bins(band, np.zeros((len(band), 1), dtype=complex), sweep.sample_rate, sweep.duration)
     outputs, inputs = planform_ports(scenario)
     targets = [p.name for p in outputs] if options.targets == "all" else list(options.targets)
     found = unsuited(options, outputs, inputs, targets)
