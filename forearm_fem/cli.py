@@ -45,6 +45,9 @@ def main() -> None:
     except MemoryError:
         print_error("out of memory; set mesh sizes or accuracy larger, or solver.precision = 'single'")
         sys.exit(2)
+    except OSError as problem:  # names too long, no access, an output that takes no more: wherever they came up
+        print_error(f"{problem.filename or 'the output'}: {problem.strerror or problem}")
+        sys.exit(2)
     except Exception as problem:
         if not _is_usage(problem):
             raise

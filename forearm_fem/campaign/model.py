@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import itertools
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,10 +30,10 @@ from pydantic import Field, ValidationError
 
 from ..errors import ScenarioError
 from ..scenario import Scenario, load_scenario, scenario_beside
-from ..scenario.base import Part
+from ..scenario.base import Name, Part
+from ..scenario.toml import read_toml
 from ..tissue import PRESETS, Sourced
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
 Values = dict[str, Any]
 
 
@@ -104,17 +103,13 @@ def load_campaign(path: str | Path) -> Campaign:
 
 def _parsed(file: Path) -> CampaignFile:
     try:
-        return CampaignFile.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise ScenarioError(f"{file}: no such campaign file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as problem:
-        raise ScenarioError(f"{file}: cannot be read as TOML ({problem})") from None
+        return CampaignFile.model_validate(read_toml(file, "no such campaign file"))
     except ValidationError as problem:
         first = problem.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        raise ScenarioError(
-            f"{file}: {key}: {first['msg'].lower()}; known keys are {', '.join(CampaignFile.model_fields)}"
-        ) from None
+        said = first["msg"].removeprefix("Value error, ")
+        known = ", ".join(CampaignFile.model_fields)
+        raise ScenarioError(f"{file}: {key}: {said[0].lower()}{said[1:]}; known keys are {known}") from None
 
 
 def _variants(asked: CampaignFile, preset: Scenario) -> Iterator[tuple[str, Values]]:

@@ -42,14 +42,16 @@ def _limb(arm: str | None, tape: str | None, length: float | None, skinfold: flo
     if arm is not None:
         if arm not in BODIES:
             raise ScenarioError(f"--arm: no forearm is called '{arm}'; known are {', '.join(BODIES)}")
+        if length is not None:
+            raise ScenarioError("--length: has no effect with --arm, where the device's place is known; leave it out")
         body = BODIES[arm]
-        return Tape(body.circumference, length or body.length, skinfold, body.device).limb()
+        return Tape(body.circumference, body.length, skinfold, body.device).limb()
     if tape is not None:
         if length is None:
             raise ScenarioError("--tape needs --length, from elbow to wrist [m]: the device sits in its middle")
         return Tape(_pairs(tape), length, skinfold).limb()
     if length is not None or skinfold is not None:
-        raise ScenarioError("--length and --skinfold go with --tape or --arm; give one of these")
+        raise ScenarioError("--length and --skinfold go with --tape or --arm (--length with --tape alone); give one")
     return None
 
 

@@ -122,7 +122,8 @@ def plot_overlay(ground: CommonGround, output: int, source: int, *, ax: Axes | N
     """|G| of one entry of A and B over frequency; gaps stay gaps."""
     ax = single(ax)
     for (name, colour, line), values in zip(_SIDES, (ground.a, ground.b), strict=True):
-        size = np.where(ground.valid[:, output, source], np.abs(values[:, output, source]), np.nan)
+        size = np.abs(values[:, output, source])
+        size = np.where(ground.valid[:, output, source] & (size > 0), size, np.nan)
         ax.loglog(ground.frequency, size, line, color=colour, label=name)
     label = f"point {ground.outputs[output].name} from {ground.inputs[source].name}"
     ax.set(xlabel="frequency [Hz]", ylabel=f"|G| [{ground.unit}]", title=label)
@@ -135,13 +136,15 @@ def plot_overlay(ground: CommonGround, output: int, source: int, *, ax: Axes | N
 def plot_difference(c: Comparison, *, ax: Axes | None = None) -> Axes:
     """e(f) over frequency, and e_band as a line across."""
     ax = single(ax)
-    ax.loglog(c.ground.frequency, c.agreement.per_frequency, color=INK)
+    differ = bool(np.nanmax(c.agreement.per_frequency, initial=0) > 0)  # A on A: nothing that a logarithm could show
+    (ax.loglog if differ else ax.semilogx)(c.ground.frequency, c.agreement.per_frequency, color=INK)
     if c.agreement.band > 0:
         ax.axhline(c.agreement.band, color=GREY, ls="--", lw=0.8, label=f"e_band {c.agreement.band:.2g}")
         ax.legend()
     ax.set(xlabel="frequency [Hz]", ylabel="e(f)", title="difference over largest |A|")
     _band(ax, c.ground)
-    decimal(ax.yaxis)
+    if differ:
+        decimal(ax.yaxis)
     return ax
 
 

@@ -38,9 +38,11 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import ScenarioError
+from ..pipeline.unread import unread_because
 from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario, scenario_beside
 from ..scenario.base import Name, Part, Within
 from ..scenario.rendering import Method
+from ..scenario.toml import read_toml
 from ..typing import BoolArray, FloatArray
 
 _TABLED = ("device.cone.radius", "device.cone.contact", "tissues", "limb", "sweep")
@@ -241,11 +243,7 @@ def load_design(path: str | Path) -> Design:
 
 def _parsed(file: Path) -> DesignFile:
     try:
-        return DesignFile.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise ScenarioError(f"{file}: no such design file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as problem:
-        raise ScenarioError(f"{file}: cannot be read as TOML ({problem})") from None
+        return DesignFile.model_validate(read_toml(file, "no such design file"))
     except ValidationError as problem:
         first = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")[0]
         key = ".".join(map(str, first["loc"]))
@@ -272,12 +270,25 @@ def _check(file: Path, design: Design) -> None:
     """Keys that exist, targets that the grid has, at a candidate in the middle of everything."""
     low, high, whole = design.bounds
     middle = np.where(whole, np.floor((low + high) / 2), (low + high) / 2)
+    seen = list[Scenario]()
     for at in (middle, low, high):
         try:
             scenarios = design.scenarios(design.values(at))
         except ScenarioError as problem:
             raise ScenarioError(f"{file}: {str(problem).removeprefix('scenario: ')}") from None
+        seen += scenarios
+    for variable in design.asked.variables:
+        if why := _idle(variable.key, seen):
+            raise ScenarioError(f"{file}: {variable.key}: no candidate changes with it ({why}); vary another key")
     points = {str(k + 1) for k in range(len(scenarios[0].grid.places))}
     targets = design.asked.objective.targets
     if targets != "all" and (unknown := sorted(set(targets) - points)):
         raise ScenarioError(f"{file}: objective.targets names point {unknown[0]}, but the grid has 1..{len(points)}")
+
+
+def _idle(key: str, scenarios: Sequence[Scenario]) -> str | None:
+    """Why candidates, which no mesh is made for, do not read ``key`` in any of ``scenarios``."""
+    if key in ("name", "description", "engine"):
+        return "the twin or a library answers for all of them"
+    whys = [unread_because(scenario.model_copy(update={"engine": "layered"}), key) for scenario in scenarios]
+    return whys[0] if all(whys) else None

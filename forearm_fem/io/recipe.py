@@ -4,7 +4,6 @@ know them.
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -14,6 +13,7 @@ from scipy.fft import rfft, rfftfreq
 
 from ..errors import DataError
 from ..scenario.base import Part, Positive
+from ..scenario.toml import read_toml
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .declaration import Declaration, RawMatrix, understand
@@ -77,11 +77,7 @@ def load_recipe(path: str | Path) -> ImportRecipe:
     """The recipe in a TOML file; DataError in one sentence for what is wrong with it."""
     file = Path(path)
     try:
-        return ImportRecipe.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise DataError(f"{file}: no such recipe") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as problem:
-        raise DataError(f"{file}: not a TOML file: {problem}") from None
+        return ImportRecipe.model_validate(read_toml(file, "no such recipe", DataError))
     except ValidationError as problem:
         first = min(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")  # these cause others
         where = ".".join(str(p) for p in first["loc"]) or "recipe"

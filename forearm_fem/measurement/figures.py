@@ -21,6 +21,7 @@ def plot_entries(transfer: TransferMatrix, *, ax: Axes | None = None) -> Axes:
     """
     ax = single(ax)
     size = np.abs(transfer.values)
+    size = np.where(size > 0, size, np.nan)  # a dead channel has no logarithm
     valid = np.isfinite(size) if transfer.valid is None else transfer.valid
     for k, port in enumerate(transfer.inputs):
         colour = ACTUATORS[k % len(ACTUATORS)]
@@ -28,7 +29,7 @@ def plot_entries(transfer: TransferMatrix, *, ax: Axes | None = None) -> Axes:
         lines[0].set_label(port.name)
         ax.loglog(transfer.frequency, np.where(valid, np.nan, size)[:, :, k], ".", ms=1, color=FAINT, zorder=1)
     if transfer.deviation is not None:
-        noise = transfer.deviation.reshape(len(size), -1)
+        noise = np.where(transfer.deviation > 0, transfer.deviation, np.nan).reshape(len(size), -1)
         ax.loglog(transfer.frequency, noise, lw=0.4, color=FAINT, zorder=0)
     ax.set(xlabel="frequency [Hz]", ylabel=f"|G| [{transfer.unit}]", title="entries measured")
     ax.legend(ncols=2)

@@ -13,6 +13,8 @@ from ..scenario.measurement import DaqOptions
 from ..typing import FloatArray
 from .daq import Daq, OpenDevice, Wiring, check_limit, faded
 
+LONGEST = 3600.0  # s played at a time: signals are held in memory whole
+
 
 @dataclass(frozen=True, eq=False)
 class Played:
@@ -41,14 +43,16 @@ def play(
     between.
 
     Each repeat is faded in and out over ``options.fade``. HardwareError, before anything sounds, for more
-    than ``options.max_voltage`` or the wrong number of signals. ``stop`` is polled per block; when it turns
-    true, or on Ctrl-C, the drive is ramped down or cut, and the outputs are left at 0 V.
+    than ``options.max_voltage``, more than :data:`LONGEST` or the wrong number of signals. ``stop`` is polled per
+    block; when it turns true, or on Ctrl-C, the drive is ramped down or cut, and the outputs are left at 0 V.
     """
     if signals.ndim != 2 or len(signals) != len(options.outputs):
         raise HardwareError(
             f"expected {len(options.outputs)} drive signals, one per entry of daq.outputs, got shape {signals.shape}"
         )
     check_limit(signals, options.max_voltage)
+    if not (lasts := repeats * (signals.shape[1] / sample_rate + pause)) <= LONGEST:
+        raise HardwareError(f"that plays for {lasts:.3g} s, expected at most {LONGEST:g} s; lower repeats or pause")
     fade = round(options.fade * sample_rate)
     silence = np.zeros((len(signals), round(pause * sample_rate)))
     once = np.concatenate([faded(signals, fade), silence], axis=1) / options.amplifier_gain

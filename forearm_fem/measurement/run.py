@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,12 +33,13 @@ from .virtual import VirtualDaq, VirtualOptions, VirtualSensor, noise_for
 __all__ = ["CalibrationResult", "VirtualSetup", "hardware", "run_calibration", "run_loopback", "run_play", "wired"]
 
 DaqKind = Literal["virtual", "ni", "sound"]
+_MOST_SNR = 300  # dB: double precision holds no more
 
 
 @dataclass(frozen=True)
 class VirtualSetup:
-    """The virtual device of the command line: G to play through, noise as SNR [dB], bits, latency
-    [samples], seed.
+    """The virtual device of the command line: G to play through, noise as SNR [dB], infinite for none, bits, latency
+    [samples], seed. ScenarioError for an SNR that no sensor has.
     """
 
     transfer: TransferMatrix
@@ -45,6 +47,13 @@ class VirtualSetup:
     bits: int = 16
     latency: int = 0
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what would be recorded for minutes and be no measurement."""
+        if not (-_MOST_SNR <= self.snr_db <= _MOST_SNR or self.snr_db == math.inf):
+            raise ScenarioError(f"--snr: expected at most {_MOST_SNR} dB either way, or inf, got {self.snr_db}")
+        if self.seed < 0:
+            raise ScenarioError(f"--seed: expected 0 or more, got {self.seed}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import GeometryError, ScenarioError
 from ..geometry.device.layout import planform_ports
 from ..ports import Port
@@ -24,9 +26,11 @@ from ..rendering import (
 )
 from ..rendering.drives import Renderer
 from ..rendering.lattice import lattice_of
+from ..rendering.spectrum import place_on_bins
 from ..scenario import Scenario
 from ..scenario.rendering import Method, RenderingOptions
 from ..scenario.sweep import Sweep
+from .frequencies import frequencies
 
 MICROMETRE = 1e-6
 
@@ -104,8 +108,14 @@ def _remedy(method: str, problem: str) -> str:
 
 
 def check_servable(scenario: Scenario) -> dict[str, str]:
-    """:func:`unsuited` seen from above, before anything is solved; ScenarioError if no method is left."""
-    options = scenario.rendering
+    """:func:`unsuited` seen from above, before anything is solved.
+
+    ScenarioError if no method is left, DataError if none of the record's bins would have a G.
+    """
+    options, sweep = scenario.rendering, scenario.sweep
+    if options.methods:
+        band = frequencies(sweep)
+        place_on_bins(band, np.zeros((len(band), 1), dtype=complex), sweep.sample_rate, sweep.duration)
     outputs, inputs = planform_ports(scenario)
     targets = [p.name for p in outputs] if options.targets == "all" else list(options.targets)
     found = unsuited(options, outputs, inputs, targets)

@@ -49,7 +49,7 @@ class Solved:
 
     ``coarse`` is on the second mesh (None where no estimate was asked or could be made); ``freed`` has free ends on
     the same mesh, ``other_ends`` other ends on the second one at a few frequencies (None where not asked). ``unknown``
-    are the estimates that were asked for and could not be made. ``modes`` (n_point, 3, r) and ``states``
+    are the estimates that were not asked for or could not be made. ``modes`` (n_point, 3, r) and ``states``
     (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit contact force; empty for a direct
     sweep. ``facts`` are for the record; ``skin`` is the reduced model without its modes.
     """
@@ -78,11 +78,11 @@ def _solve(
 ) -> Solved:
     store = _Store(default_cache_dir() / "solves" / solve_key(scenario, mesh, frequency))
     main = _main_part(store, scenario, mesh, frequency, progress)
-    if not scenario.solver.discretisation_estimate:
-        return main
     # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
     unseen = main.freed is None or isinstance(scenario.limb, SlabLimb)
     cut = unseen and len(mesh.facets.get("end", ())) > 0
+    if not scenario.solver.discretisation_estimate:
+        return replace(main, unknown=_missing("solver.discretisation_estimate = false; set it to true", cut))
     try:
         second = second_mesh(scenario, mesh, base=base)
         coarse = store.compliance(
@@ -95,11 +95,14 @@ def _solve(
             clamped = store.compliance(f"other_ends-{second.label}", lambda: other_ends(second, frequency))
             tell(progress, "truncation estimate", 1, 1)
     except ForearmError as problem:
-        reason = f"not estimated: {problem}"
-        missing = [ErrorEstimate("discretisation", np.nan, reason)]
-        missing += [ErrorEstimate("truncation", np.nan, reason)] if cut else []
-        return replace(main, unknown=tuple(missing))
+        return replace(main, unknown=_missing(problem, cut))
     return replace(main, coarse=coarse, other_ends=clamped)
+
+
+def _missing(why: object, cut: bool) -> tuple[ErrorEstimate, ...]:
+    """What a second mesh would have told: of the elements, and of the ends where the limb is ``cut``."""
+    discretisation = ErrorEstimate("discretisation", np.nan, f"not estimated: {why}")
+    return (discretisation, replace(discretisation, source="truncation")) if cut else (discretisation,)
 
 
 def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> str:

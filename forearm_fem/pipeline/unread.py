@@ -123,6 +123,12 @@ def unread_notes(scenario: Scenario) -> tuple[str, ...]:
     return (*notes, *_strangers(scenario))
 
 
+def unread_because(scenario: Scenario, key: str) -> str | None:
+    """Why nothing reads ``key`` in ``scenario``, whatever its value; None where something does."""
+    rules = (rule for rule in _RULES if any(f"{key}.".startswith(f"{r}.") for r in rule.keys))
+    return next((rule.why for rule in rules if rule.when(scenario)), None)
+
+
 def changed_keys(scenario: Scenario) -> tuple[str, ...]:
     """Dotted paths of all keys that differ from their defaults; lists and free tables count as one key."""
     return tuple(_changed(scenario, scenario, ""))

@@ -23,6 +23,8 @@ from ..typing import FloatArray
 from .layered_engine import solve_layered
 from .verdict import accuracy_verdict
 
+_SAME = 1e-6  # m: between the distances of two points of a line
+
 
 def write_wave_report(
     scenario: Scenario, transfer: TransferMatrix, out: Path, *, notes: Sequence[str] = ()
@@ -48,11 +50,12 @@ def write_wave_report(
 
 
 def thesis_fit(transfer: TransferMatrix) -> WaveFit | None:
-    """Appendix A's estimator over the points that lie outside the first contact; None with fewer than four of them."""
+    """Appendix A's estimator over the points outside the first contact; None where they are fewer than four or no line.
+    """
     distance = distances(transfer.outputs, transfer.inputs)[:, 0]
     outside = np.flatnonzero(distance > 1e-3 if len(distance) else distance)
     order = outside[np.argsort(distance[outside])]
-    if len(order) < 4:
+    if len(order) < 4 or np.diff(distance[order]).min() < _SAME:  # points abreast of each other are no line
         return None
     return fit_waves(transfer.frequency, distance[order], transfer.values[:, order, 0])
 

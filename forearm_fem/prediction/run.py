@@ -134,7 +134,7 @@ def predict(
                 _write(out, kept, setup, question)
                 saved = time.monotonic()
     finally:  # an interruption, too, keeps what is done
-        if len(kept) > reused or not (out / FILE).is_file():
+        if kept and (len(kept) > reused or not (out / FILE).is_file()):
             _write(out, kept, setup, question)
     found = draws_of([kept[n] for n in range(draws)], setup.method_names, setup.targets)
     held = tuple(sorted({*question.held, *arm.held}))

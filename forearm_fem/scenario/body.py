@@ -36,7 +36,7 @@ class Tape:
     def limb(self) -> dict[str, Any]:
         """Keys of ``[limb]``: circumferences about the device, layers, and bones drawn to the scale of the muscle.
 
-        ScenarioError for places that do not increase or that the device lies beyond.
+        ScenarioError for places that do not increase or that the device lies beyond, and for more fat than arm.
         """
         at = self.length / 2 if self.device is None else self.device
         places = [d for d, _ in self.circumference]
@@ -58,7 +58,13 @@ class Tape:
         """The default bones, drawn to the scale of the muscle under the device."""
         places, girths = np.array(self.circumference, dtype=float).T
         cover = sum(layer["thickness"] for layer in self._layers())
-        scale = (float(np.interp(at, places, girths)) / (2 * math.pi) - cover) / (_NOMINAL - _COVER)
+        radius = float(np.interp(at, places, girths)) / (2 * math.pi)
+        if cover >= radius:
+            raise ScenarioError(
+                f"skin and fat of {1e3 * cover:.3g} mm leave no muscle in an arm of {1e3 * radius:.3g} mm radius; "
+                "is the skinfold in metres?"
+            )
+        scale = (radius - cover) / (_NOMINAL - _COVER)
         return [
             {"name": b.name, "y": round(scale * b.y, 6), "depth": round(cover + scale * (b.depth - _COVER), 6),
              "diameter": round(scale * b.diameter, 6)}

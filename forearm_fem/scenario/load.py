@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from datetime import date, time
@@ -13,7 +14,9 @@ from pydantic import ValidationError
 
 from ..errors import ScenarioError
 from .model import Scenario
+from .toml import read_toml
 
+_KIND = re.compile(r"(literal|tuple|list|dict|function-[a-z]+|constrained-[a-z]+)\[")  # of a union's members
 DEEPEST = 12  # levels of tables and lists; a scenario's own keys need 5
 
 
@@ -23,7 +26,8 @@ def load_scenario(path: str | Path, *, overrides: Sequence[str] = ()) -> Scenari
     Raises :class:`ScenarioError` for a missing or malformed file and for unknown or impossible keys.
     """
     file = Path(path)
-    return parse_scenario(apply_overrides(_read_toml(file), overrides), origin=str(file))
+    table = read_toml(file, "no such file; name a scenario such as scenarios/thesis.toml")
+    return parse_scenario(apply_overrides(table, overrides), origin=str(file))
 
 
 def parse_scenario(data: Mapping[str, Any], *, origin: str = "scenario") -> Scenario:
@@ -71,24 +75,10 @@ def _put(data: dict[str, Any], path: list[str], value: Any, item: str) -> None:
 
 def _toml_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        read = tomllib.loads(f"value = {text}")
+        return read["value"] if len(read) == 1 else text
     except (ValueError, RecursionError):  # the first is also what numbers of thousands of digits raise
         return text
-
-
-def _read_toml(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ScenarioError(f"{file}: no such file; name a scenario such as scenarios/thesis.toml") from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise ScenarioError(f"{file}: cannot be read as a text file ({problem})") from None
-    except RecursionError:
-        raise ScenarioError(f"{file}: not valid TOML: nested too deeply") from None
-    except tomllib.TOMLDecodeError as problem:
-        raise ScenarioError(f"{file}: not valid TOML: {problem}") from None
-    except ValueError:  # Python reads no more
-        raise ScenarioError(f"{file}: a number has more than 4300 digits") from None
 
 
 def _with_default_shape(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -100,15 +90,29 @@ def _with_default_shape(data: Mapping[str, Any]) -> dict[str, Any]:
 def _first_problem(problem: ValidationError) -> str:
     """One sentence: key path, what was expected, what came; unknown keys first, as they cause others."""
     errors = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    first = errors[0]
-    where = ".".join(str(p) for p in first["loc"] if p not in _UNION_TAGS)
-    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    first = next((e for e in errors if _key(e["loc"]).startswith(f"{_key(errors[0]['loc'])}.")), errors[0])
+    where = _key(first["loc"])
+    same = [e for e in errors if _key(e["loc"]) == where]  # a key of several kinds fails once for each of them
+    more = f" (and {len(errors) - len(same)} more)" if len(errors) > len(same) else ""
     if first["type"] == "extra_forbidden":
         return f"{where}: unknown key; `forearm-fem schema` lists the known ones{more}"
     came = first["input"]
     shown = "" if isinstance(came, Mapping) else f", got {_shown(came)}"
-    message = first["msg"].removeprefix("Value error, ")
-    return f"{where}{': ' if where else ''}{message[0].lower() + message[1:]}{shown}{more}"
+    said = dict.fromkeys(_sentence(e["msg"]) for e in same)
+    message = ", or ".join(m if k == 0 else m.removeprefix("input should be ") for k, m in enumerate(said))
+    return f"{where}{': ' if where else ''}{message}{shown}{more}"
+
+
+def _sentence(message: str) -> str:
+    said = message.removeprefix("Value error, ")
+    return said[0].lower() + said[1:]
+
+
+def _key(place: tuple[int | str, ...]) -> str:
+    """The dotted key at a validator's ``place``, without the limb's shape and what the validator calls its kinds."""
+    if place[:1] == ("limb",):
+        place = (*place[:1], *place[2:])
+    return ".".join(str(part) for part in place if not _KIND.match(str(part)))
 
 
 def _shown(value: Any) -> str:
@@ -116,5 +120,3 @@ def _shown(value: Any) -> str:
     text = str(value) if isinstance(value, date | time) else repr(value)
     return text if len(text) <= 60 else f"{text[:40]} ... {text[-15:]}"
 
-
-_UNION_TAGS = frozenset({"forearm", "slab", "cylinder", "surfaces", "mesh_limb"})

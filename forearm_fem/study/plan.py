@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -10,6 +9,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from ..errors import ScenarioError
 from ..scenario.base import NonNegative, Part, Positive
+from ..scenario.toml import read_toml
 
 Answer = Literal["one point", "several points", "drawing", "yes or no", "first or second"]
 Method = Literal["inverse filter", "funneling", "combination"]
@@ -180,13 +180,7 @@ def load_study(path: str | Path) -> Study:
     """The study in a TOML file; ScenarioError in one sentence for whatever is wrong with it."""
     file = Path(path)
     try:
-        return Study.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise ScenarioError(f"{file}: no such study file; `forearm-fem study new NAME` writes one") from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise ScenarioError(f"{file}: cannot be read as a text file ({type(problem).__name__})") from None
-    except tomllib.TOMLDecodeError as problem:
-        raise ScenarioError(f"{file}: not valid TOML: {problem}") from None
+        return Study.model_validate(read_toml(file, "no such study file; `forearm-fem study new NAME` writes one"))
     except ValidationError as problem:
         first = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")[0]
         where = ".".join(str(p) for p in first["loc"]) or "study"

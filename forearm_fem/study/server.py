@@ -42,7 +42,7 @@ def texts(language: str, base: Path) -> Mapping[str, str]:
     file = base / language
     try:
         own = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+    except (OSError, ValueError, RecursionError):
         raise ScenarioError(
             f"language: '{language}' is neither {', '.join(LANGUAGES)} nor a readable TOML file of texts"
         ) from None

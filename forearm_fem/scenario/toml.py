@@ -1,0 +1,25 @@
+"""Reading TOML files: whatever is wrong with one is a sentence."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from ..errors import ForearmError, ScenarioError
+
+
+def read_toml(file: Path, missing: str, error: type[ForearmError] = ScenarioError) -> dict[str, Any]:
+    """The table in ``file``; ``error`` with the sentence ``missing`` where there is none, or why it cannot be read."""
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise error(f"{file}: {missing}") from None
+    except (OSError, UnicodeDecodeError) as problem:
+        raise error(f"{file}: cannot be read as a text file ({problem})") from None
+    except RecursionError:
+        raise error(f"{file}: not valid TOML: nested too deeply") from None
+    except tomllib.TOMLDecodeError as problem:
+        raise error(f"{file}: not valid TOML: {problem}") from None
+    except ValueError:  # Python reads no more
+        raise error(f"{file}: a number has more than 4300 digits") from None

@@ -1,0 +1,194 @@
+"""Borders that a stranger found open: each mistake is one sentence before any work, or no mistake at all."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import SMALL, cli, leftovers
+from test_compare import A
+
+from forearm_fem.campaign.model import load_campaign
+from forearm_fem.compare.compare import compare
+from forearm_fem.compare.report import picture
+from forearm_fem.design import load_design
+from forearm_fem.errors import ForearmError, HardwareError, ScenarioError
+from forearm_fem.io.recipe import load_recipe
+from forearm_fem.measurement.figures import save_live
+from forearm_fem.measurement.play import LONGEST, play
+from forearm_fem.measurement.run import VirtualSetup
+from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions
+from forearm_fem.pipeline.simulation import simulate
+from forearm_fem.pipeline.verdict import accuracy_verdict
+from forearm_fem.prediction import run as runs
+from forearm_fem.prediction.run import Question, predict
+from forearm_fem.scenario import Scenario, apply_overrides, parse_scenario
+from forearm_fem.scenario.measurement import DaqOptions
+from forearm_fem.study.plan import load_study
+
+
+def test_what_the_system_refuses_is_a_sentence_wherever_it_comes_up(tmp_path: Path) -> None:
+    for arguments in (("run", "x" * 300), ("run", "thesis", "--dry-run", "--out", "y" * 300)):
+        answer = cli(*arguments, "--set", "engine=layered", cwd=tmp_path)
+        assert answer.code in (0, 2)  # a dry run writes nothing
+    assert cli("run", "x" * 300, cwd=tmp_path).sentence.endswith("File name too long")
+    (tmp_path / "small.toml").write_text(SMALL)
+    assert cli("solve", "small.toml", "--out", "y" * 300, cwd=tmp_path).sentence.endswith("File name too long")
+    assert leftovers(tmp_path) == ["small.toml"]
+
+
+def test_an_override_of_several_lines_is_no_value() -> None:
+    with pytest.raises(ScenarioError, match=r"device\.spacing: input should be a valid number"):
+        parse_overridden("device.spacing=0.04\ndevice.rows=9")
+
+
+def parse_overridden(item: str) -> Scenario:
+    return parse_scenario(apply_overrides({}, [item]))
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        ({"rendering": {"window": "all"}}, "rendering.window: input should be 'wavelet' or 'record', or a valid tuple"),
+        ({"device": {"columns": [1, 25]}}, "device.columns.1: expected 1 to 20, got 25"),
+        ({"limb": {"shape": "mesh", "file": "x", "regions": {"1": 5}}}, "limb.regions.1: input should be a valid s"),
+        ({"tissues": {"override": {"forearm": {"mu": "x"}}}}, "tissues.override.forearm.mu: input should be a valid n"),
+        ({"tissues": {"override": {"a[b": {"mu": "x"}}}}, "tissues.override.a[b.mu: input should be a valid number"),
+    ],
+)
+def test_sentences_name_keys_that_stand_in_the_file(data: Mapping[str, Any], says: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(data)
+    assert str(caught.value).startswith(f"scenario: {says}")
+
+
+@pytest.mark.parametrize("read", [load_campaign, load_design, load_study, load_recipe])
+@pytest.mark.parametrize("text", ["x = " + "[" * 4000, "x = " + "9" * 5000, "x = ", b"\xff"])
+def test_every_file_in_toml_is_read_with_the_same_care(tmp_path: Path, read: Any, text: str | bytes) -> None:
+    file = tmp_path / "file.toml"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ForearmError, match=r"file\.toml: "):
+        read(file)
+    with pytest.raises(ForearmError, match="no such"):
+        read(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize("name", ["..", ".", "-", "a/b", "con", "x" * 101])
+def test_a_campaign_stays_in_its_folder(tmp_path: Path, name: str) -> None:
+    (tmp_path / "small.toml").write_text(SMALL)
+    file = tmp_path / "c.toml"
+    file.write_text(f'name = "{name}"\nscenario = "small.toml"\n')
+    with pytest.raises(ScenarioError, match="name: expected a folder's name"):
+        load_campaign(file)
+    file.write_text(f'name = "c"\nscenario = "small.toml"\n[[members]]\nname = "{name}"\n')
+    with pytest.raises(ScenarioError, match="name: expected a folder's name"):
+        load_campaign(file)
+
+
+@pytest.mark.parametrize(
+    ("key", "values", "why"),
+    [
+        ("engine", '["fem", "layered"]', "answers for all of them"),
+        ("name", '["a", "b"]', "answers for all of them"),
+        ("mesh.size_grid", "[0.002, 0.004]", "no mesh"),
+        ("supports.ends", '["free", "absorb"]', "no mesh"),
+        ("grid.pitch", "[0.01, 0.012]", "grid.points is given"),
+    ],
+)
+def test_a_design_refuses_to_vary_what_no_candidate_reads(tmp_path: Path, key: str, values: str, why: str) -> None:
+    (tmp_path / "small.toml").write_text(SMALL + '[grid]\npoints = [[0.0, 0.0], [0.01, 0.0], [0.0, 0.01], [0.01, 0.01],'
+                                         '[-0.01, 0.0], [-0.01, -0.01]]\n')  # fmt: skip
+    file = tmp_path / "d.toml"
+    file.write_text(f'name = "d"\nscenario = "small.toml"\n[[variables]]\nkey = "{key}"\nvalues = {values}\n')
+    with pytest.raises(ScenarioError, match=f"{key}: no candidate changes with it .*{why}"):
+        load_design(file)
+    file.write_text(
+        'name = "d"\nscenario = "small.toml"\n[[variables]]\nkey = "device.rotation"\nvalues = [0.0, 0.1]\n'
+    )
+    assert load_design(file).asked.variables[0].key == "device.rotation"
+
+
+def test_a_prediction_that_ends_before_its_first_draw_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runs, "drawn", interrupted)
+    scene = {"engine": "layered", "sweep": {"duration": 0.1}, "device": {"cone": {"contact": "pressure"}}}
+    with pytest.raises(KeyboardInterrupt):
+        predict(Question(parse_scenario(scene), Path()), tmp_path / "p", draws=20, workers=1)
+    assert leftovers(tmp_path) == []
+
+
+@pytest.mark.parametrize(("snr", "seed"), [(float("nan"), 0), (-500.0, 0), (-float("inf"), 0), (60.0, -1)])
+def test_a_virtual_sensor_that_cannot_be_is_refused_before_it_records(snr: float, seed: int) -> None:
+    with pytest.raises(ScenarioError, match=r"--snr: expected|--seed: expected"):
+        VirtualSetup(A, snr, seed=seed)
+    assert VirtualSetup(A, float("inf")).seed == 0
+
+
+@pytest.mark.parametrize(("repeats", "pause"), [(10**9, 0.0), (1, 1e300), (1, float("nan"))])
+def test_what_would_play_for_days_is_refused(repeats: int, pause: float) -> None:
+    daq, options = VirtualDaq(A, 2000.0, 0.25, VirtualOptions()), DaqOptions(outputs=("a", "b", "c", "d"))
+    with pytest.raises(HardwareError, match=f"expected at most {LONGEST:g} s"):
+        play(daq, np.zeros((4, 500)), 2000.0, options, repeats=repeats, pause=pause)
+
+
+def test_pictures_of_no_difference_and_of_a_dead_channel_raise_no_warning(tmp_path: Path) -> None:
+    picture(compare(A, A, render=False)).savefig(io.BytesIO(), format="png", dpi=20)
+    dead = A.values.copy()
+    dead[:, :, 0] = 0
+    silent = replace(A, values=dead)
+    picture(compare(silent, A, render=False)).savefig(io.BytesIO(), format="png", dpi=20)
+    save_live(tmp_path / "live.png", replace(A, values=0 * dead), np.ones(dead.shape))
+    assert (tmp_path / "live.png").stat().st_size > 0
+
+
+def test_an_option_without_effect_is_refused(tmp_path: Path) -> None:
+    answer = cli("new", "mine", "--arm", "small", "--length", 0.3, cwd=tmp_path)
+    assert answer.code == 2
+    assert "--length: has no effect with --arm" in answer.sentence
+    assert "leave no muscle" in cli("new", "mine", "--arm", "small", "--skinfold", 0.2, cwd=tmp_path).sentence
+    assert leftovers(tmp_path) == []
+
+
+def test_a_sweep_that_misses_every_bin_is_refused_before_it_is_solved(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL)
+    for command in ("run", "render"):
+        answer = cli(command, "small.toml", "--set", "sweep.frequencies=[41.0]", cwd=tmp_path)
+        assert "no bin of the record" in answer.sentence
+        assert leftovers(tmp_path) == ["small.toml"]
+
+
+def test_points_abreast_of_each_other_are_no_line_to_fit_waves_on(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL)
+    sets = ("--set", "rendering.methods=[]", "--set", "rendering.targets='all'", "--set", "sweep.f_max=60")
+    answer = cli("run", "small.toml", *sets, "--set", "device.rows=1", "--out", "out", cwd=tmp_path)
+    assert answer.code == 0, answer.err
+    assert not (tmp_path / "out" / "waves.csv").exists()
+    line = "grid.points=[[0.01, 0.0], [0.015, 0.0], [0.02, 0.0], [0.025, 0.0], [0.03, 0.0]]"
+    answer = cli("run", "small.toml", *sets, "--set", "device.contacts=[[0.0, 0.0]]", "--set", line, "--out", "line",
+                 cwd=tmp_path)  # fmt: skip
+    assert answer.code == 0, answer.err
+    assert (tmp_path / "line" / "waves.csv").is_file()
+
+
+def test_an_error_that_nobody_asked_for_is_unknown_not_zero() -> None:
+    slab = {"shape": "slab", "length": 0.06, "width": 0.06, "depth": 0.02}
+    coarse = {"size_contact": 0.006, "size_grid": 0.01, "size_far": 0.02, "sublayers": {"skin": 1, "fat": 1}}
+    solver = {"sweep": "direct", "discretisation_estimate": False}
+    scenario = parse_scenario(
+        {"limb": slab, "mesh": coarse, "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": "pressure"}},
+         "grid": {"points": [[0.015, 0.0]]}, "sweep": {"frequencies": [100.0]}, "solver": solver, "accuracy": 0.5,
+         "rendering": {"methods": []}}
+    )  # fmt: skip
+    found = simulate(scenario)
+    assert {e.source for e in found.transfer.errors if not e.known} == {"discretisation", "truncation"}
+    assert "UNKNOWN" in accuracy_verdict(scenario, found.transfer.errors)
+    assert any("the error by discretisation is unknown" in note for note in found.notes)
