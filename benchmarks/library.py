@@ -4,7 +4,8 @@
 
 Makes ``FOLDER/arm.library.nc`` where it is not there, then solves one arrangement after another (2x2, 2x3, 3x3, free,
 in turn) and writes a line each to ``FOLDER/library.csv``: e_band of G and its estimate, the largest relative difference
-of S, seconds. Full runs are kept in ``FOLDER/raw`` and not made again.
+of S, what its interval states and how many S lie in it, seconds. Full runs are kept in ``FOLDER/raw`` and not made
+again.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 
 from forearm_fem.library import ArmLibrary, load_library, make_library, save_library
 from forearm_fem.pipeline import simulate
-from forearm_fem.pipeline.simulation import render_transfer
+from forearm_fem.pipeline.simulation import account_of, render_transfer
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.transfer import band_error, relative_error, total_error
 
@@ -30,7 +31,7 @@ _LOW = 100.0  # [Hz]: the table gives the error below and above
 _SOURCES = ("interpolation", "quadrature", "contact", "reduction", "discretisation", "truncation")
 _COLUMNS = (
     "number", "kind", "e_band", "stated", "effectivity", "e_below", "e_above", *_SOURCES,
-    "worst", "s_worst", "s_median", "library_s", "full_s",
+    "worst", "s_worst", "s_median", "s_stated", "s_inside", "library_s", "full_s",
 )  # fmt: skip
 
 
@@ -85,8 +86,10 @@ def compared(library: ArmLibrary, scenario: Scenario, raw: Path) -> dict[str, fl
     full = full_run(scenario, raw)
     began = time.monotonic()
     ours = simulate(scenario, library=library).transfer
-    s = np.array(render_transfer(scenario, ours).strengths)
+    rendering = render_transfer(scenario, ours)
+    s = np.array(rendering.strengths)
     took = time.monotonic() - began
+    account, truth = account_of(scenario, ours, rendering), full["s_full"]
     off, named = np.abs(s / full["s_full"] - 1), {e.source: e.band for e in ours.errors}
     true, stated = band_error(ours.values, full["full"]), total_error(ours.errors)
     low = full["frequency"] < _LOW
@@ -100,6 +103,8 @@ def compared(library: ArmLibrary, scenario: Scenario, raw: Path) -> dict[str, fl
         "worst": float(relative_error(ours.values, full["full"]).max()),
         "s_worst": float(np.nanmax(off)),
         "s_median": float(np.nanmedian(off)),
+        "s_stated": float(np.nanmedian(account.high / account.value - 1)),
+        "s_inside": float(((account.low <= truth) & (truth <= account.high)).sum() / np.isfinite(truth).sum()),
         "library_s": took,
         "full_s": float(full["seconds"]),
     }
