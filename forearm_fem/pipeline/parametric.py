@@ -24,7 +24,7 @@ from ..fem.reduction.united import Growth, Piece, TrialSolve, piece_at, united_m
 from ..geometry.cache import cached_mesh, default_cache_dir
 from ..io.parametric import ParametricFile, PieceFile, read_parametric, write_parametric
 from ..ports import Port
-from ..progress import Progress
+from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
 from ..tissue import limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
@@ -242,11 +242,13 @@ def parametric_model(
     if not given:
         raise ScenarioError("a parametric model needs at least one draw to be made from; give some, or ranges")
     own = _with_all_sheets(scenario, given)
-    mesh, band = cached_mesh(own, base=Path(base)), frequencies(own.sweep)
+    tell(progress, "mesh", 0, 0)
+    mesh, band = cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
     key = _key(solve_key(own, mesh, band), given, growth)
     file = default_cache_dir() / "parametric" / f"{key}.nc"
     if (kept := _kept(file)) is not None:
         return kept
+    tell(progress, "matrices", 0, 0)
     model = fem_model(own, mesh)
     names = tuple(t.name for t in model.operator.terms)
     for draw in given:
