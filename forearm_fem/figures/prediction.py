@@ -17,12 +17,17 @@ _MOST = 14  # drivers shown
 
 
 def bands_table(data: Mapping[str, Any]) -> Table:
-    """One line per method and target: S of the scene, its numerical interval, quantiles over arms, shares."""
+    """One line per method and target: S of the scene, its numerical interval, quantiles over arms, shares.
+
+    Quantiles hold each arm's own numerics but in S_bare; so do the shares that are surely or possibly above 1.
+    """
     cells = [(m, t, data["by_target"][m][t]) for m in data["methods"] for t in data["targets"]]
     columns: dict[str, Any] = {"method": [m for m, _, _ in cells], "target": [t for _, t, _ in cells]}
     for key in ("value", "low", "high", "above_one", "wins"):
         columns[f"S_{key}" if key in ("value", "low", "high") else key] = [_number(c[key]) for _, _, c in cells]
-    for what in ("arms", "played", "record"):
+    for k, which in enumerate(("surely", "possibly")):
+        columns[f"{which}_above_one"] = [_number(c["above_one_range"][k]) for _, _, c in cells]
+    for what in ("arms", "bare", "played", "record"):
         for k, level in enumerate(data["levels"]):
             columns[f"S_{what}_{100 * level:g}"] = [_number(c[what][k]) for _, _, c in cells]
     return Table({name: np.array(c) if not isinstance(c[0], str) else c for name, c in columns.items()})
