@@ -218,7 +218,8 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
     arm = ReducedArm(scene, model, LayeredArm())
     drawn = scenario_of(draw_inputs(load_priors(), scene, 0, 4), scene, ("contact area",))
     drawn = drawn.model_copy(update={"limb": parse_scenario(THICK).limb, "grid": parse_scenario(THICK).grid})
-    found = arm.compliance(drawn, PROBES)
+    answer = arm.answer(drawn, PROBES)
+    found = answer.compliance
     truth, own = solved(drawn), model.compliance(on_mesh_of(scene, drawn), PROBES).block("point", "contact")
     errors = {e.source: e.band for e in found.errors}
     left, held = (band_error(v, truth) for v in (found.block("point", "contact"), own))
@@ -226,6 +227,13 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
     assert left < held / 2
     assert left < np.linalg.norm(list(errors.values())) < 10 * left
     assert np.isnan(found.values[:, 2, 2]).all()  # a point on itself is unknown still
+    change = np.abs(np.nan_to_num(found.values - model.compliance(on_mesh_of(scene, drawn), PROBES).values))
+    off = [np.abs(np.nan_to_num(other.values - found.values)) for other in answer.others]
+    assert len(off) == 6
+    assert all((x <= 0.5 * change * (1 + 1e-9) + 1e-20).all() for x in off)  # half of it, in any phase
+    assert all((x.max(axis=(1, 2)) > 0.05 * change.max(axis=(1, 2))).all() for x in off)
+    assert all(np.allclose(o.values[:, 0, 1], o.values[:, 1, 0], rtol=1e-12) for o in answer.others)
+    assert answer.shown in errors
 
 
 def test_an_arm_that_differs_in_tissue_alone_is_the_models(model):

@@ -21,7 +21,7 @@ from forearm_fem.io.jsonfiles import read_json
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
-from forearm_fem.prediction.arm import LayeredArm, arm_model
+from forearm_fem.prediction.arm import Answer, LayeredArm, arm_model
 from forearm_fem.prediction.draws import draw_inputs, moved_points, scenario_of
 from forearm_fem.prediction.measuring import noisy
 from forearm_fem.prediction.outcome import KEPT, READINGS, Outcome, outcome_of
@@ -236,7 +236,8 @@ def test_an_arm_whose_error_is_as_large_as_its_g_is_left_out_and_counted(
 
     lost = runs.drawn(asked, setup, Poor(), 4)
     assert "may be wrong by as much as it is" in lost.problem
-    good = [replace(runs.drawn(asked, setup, arm, 4), number=k) for k in range(N)]
+    one = runs.drawn(asked, setup, arm, 4)
+    good = [replace(one, number=k) for k in range(N)]
     draws = numbers.draws_of([*good, replace(lost, number=N), replace(lost, number=N + 1)], ("a",) * 3, ("5", "1"))
     assert (len(draws.numerics), dict(draws.problems)) == (N, {lost.problem: 2})
     told = summary(replace(found[0], draws=replace(found[0].draws, problems=draws.problems)), sobol=False)
@@ -258,6 +259,25 @@ def test_an_arm_of_larger_error_has_a_wider_interval_of_s() -> None:
     one, ten = (runs.drawn(asked, setup, model, 4) for model in (fine, poor))
     assert np.array_equal(one.strengths, ten.strengths)
     assert (ten.spread > 6 * one.spread).all()  # the same noise ten times as large: 10 where log S is linear in it
+
+
+def test_an_error_of_known_shape_is_no_noise() -> None:
+    """What a model says it may be as well sets the interval, and the estimate of that source does not count twice."""
+    asked = question()
+    _, setup, arm = setup_and_arm(asked)
+
+    class Shaped(LayeredArm):
+        def answer(self, scenario: Any, frequency: Any) -> Answer:
+            found = arm.compliance(scenario, frequency)
+            found = replace(found, errors=(ErrorEstimate("interpolation", 0.3, "stated here"),))
+            return Answer(found, (replace(found, values=self.factor * found.values),), "interpolation")
+
+    f = np.linspace(0.8, 1.2, len(frequencies(SCENE.sweep)))[:, None, None]
+    same, other = (type("S", (Shaped,), {"factor": factor})() for factor in (1.0, f))
+    sure, unsure = (runs.drawn(asked, setup, model, 4) for model in (same, other))
+    assert sure.numerics == unsure.numerics >= 0.3
+    assert (sure.spread == 0).all()
+    assert (unsure.spread > 1e-4).all()
 
 
 def test_an_interruption_before_the_first_draw_leaves_no_file(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from .style import GREY, INK, SIGNED, letter, method_colour, panels, styled
 from .tables import Table
 
 _TICKS = (0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15, 20, 30)
+_DENSE = 60.0  # largest over smallest S from which labels would overlap
 _MOST = 14  # drivers shown
 
 
@@ -51,7 +52,8 @@ def plot_bands(data: Mapping[str, Any], *, ax: Axes | None = None) -> FigureBase
         letter(axes_m, f"{'abcdef'[m % 6]}  {method}")
         axes_m.set(yscale="log", ylabel="S [-]")
     low, high = axes[0].get_ylim()
-    ticks = [t for t in _TICKS if low <= t <= high]
+    fine = [t for t in _TICKS if low <= t <= high]
+    ticks = fine if high / low < _DENSE else [t for t in np.logspace(-4, 6, 11) if low <= t <= high]
     axes[0].set_yticks(ticks, [f"{t:g}" for t in ticks])
     for each in axes:
         each.minorticks_off()

@@ -134,8 +134,9 @@ def _drivers(data: Mapping[str, Any]) -> Block:
             named = [d for d in ranked if abs(d["rank"][method][group] or 0.0) >= _STRONG][:4]
             told = ", ".join(f"{d['name']} {d['rank'][method][group]:+.2f}{_share(d, method, group)}" for d in named)
             rows.append([group, method, told or "none above 0.2"])
-    note = ("Spearman's rank correlation with the group's S; in brackets the first-order Sobol' index, the share of "
-            f"the variance of log S that the driver explains alone. With {data['draws']} arms correlations within "
+    note = ("Spearman's rank correlation with the group's S; in brackets, from 100 arms on, the first-order Sobol' "
+            "index, the share of the variance of log S that the driver explains alone. Laws count in alphabetical "
+            f"order. With {data['draws']} arms correlations within "
             f"{2 / max(data['draws'] - 1, 1) ** 0.5:.2f} may be chance.")  # fmt: skip
     return Block(["place", "method", "strongest drivers"], rows, note)
 
