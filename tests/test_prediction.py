@@ -28,10 +28,11 @@ from forearm_fem.prediction.outcome import KEPT, READINGS, Outcome, outcome_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import Prediction, Question, predict
 from forearm_fem.prediction.store import FILE, read_outcomes
-from forearm_fem.prediction.summary import summary
+from forearm_fem.prediction.summary import shorter_waves, summary
 from forearm_fem.rendering import drives, strengths
 from forearm_fem.report.prediction import _numerics, _scope, lead_of, strength_words
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 
 # 50 bins, two targets and pressure discs: a draw in 0.1 s of an idle machine
@@ -278,6 +279,19 @@ def test_an_error_of_known_shape_is_no_noise() -> None:
     assert sure.numerics == unsure.numerics >= 0.3
     assert (sure.spread == 0).all()
     assert (unsure.spread > 1e-4).all()
+
+
+def test_arms_of_shorter_waves_than_the_mesh_was_made_for_are_told(found: tuple[Prediction, Path]) -> None:
+    whole, _ = found
+    assert shorter_waves(whole) is None  # the twin has no mesh
+    scene, drivers = parse_scenario({}), np.array(whole.draws.drivers)
+    for tissue, soft in (("skin", 9.0), ("muscle", 9.0), ("fat", 0.25)):  # half as long in every second arm's fat
+        own = abs(complex(resolve_tissues(scene)[tissue].modulus.at(2 * np.pi * 150.0)))
+        drivers[:, whole.draws.names.index(f"{tissue} stiffness")] = own * np.where(np.arange(N) % 2, soft, 9.0)
+    asked, draws = replace(whole.question, scenario=scene), replace(whole.draws, drivers=drivers)
+    assert shorter_waves(replace(whole, question=asked, draws=draws)) == {"share": 0.5, "factor": pytest.approx(2.0)}
+    told = {**summary(whole, sobol=False), "shorter_waves": {"share": 0.5, "factor": 2.0}}
+    assert "50% of the arms have shorter waves in some tissue, one in twenty by a factor of 2 or" in _numerics(told)
 
 
 def test_an_interruption_before_the_first_draw_leaves_no_file(tmp_path: Path) -> None:

@@ -10,9 +10,11 @@ import numpy as np
 
 from .. import __version__
 from ..io.jsonfiles import write_json
+from ..tissue import resolve_tissues
 from ..typing import FloatArray
 from .run import Prediction
 from .statistics import LEVELS, Enclosed, group_columns, quantiles, rank_correlations, sobol_indices, winners
+from .tissues import REFERENCE
 
 FOLDER, FILE = "prediction", "prediction.json"
 READING = "calibrated"  # as Table I: S on the G that was calibrated
@@ -47,6 +49,7 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
             "median": float(np.median(draws.numerics)), "largest": float(draws.numerics.max()),
             "factor": float(np.exp(np.median(draws.spread))), "largest factor": float(np.exp(draws.spread.max())),
         },
+        "shorter_waves": shorter_waves(prediction),
         "levels": list(LEVELS),
         "reading": READING,
         "methods": list(draws.methods),
@@ -68,6 +71,21 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
         ],
         "seconds_per_draw": float(np.median(draws.seconds)),
     }  # fmt: skip
+
+
+def shorter_waves(prediction: Prediction) -> dict[str, float] | None:
+    """Of arms on a mesh: the ``share`` whose shear waves at 150 Hz are shorter in some tissue than the scene's own, for
+    which the mesh was made, and the ``factor`` that one in twenty exceeds; None where arms have no mesh."""
+    question, draws = prediction.question, prediction.draws
+    if question.scenario.engine != "fem" or question.twin:
+        return None
+    own = {f"{n} stiffness": abs(complex(t.modulus.at(2 * np.pi * REFERENCE)))
+           for n, t in resolve_tissues(question.scenario).items()}  # fmt: skip
+    columns = [(draws.drivers[:, k], own[n]) for k, n in enumerate(draws.names) if n in own]
+    if not columns:
+        return None
+    factor = np.sqrt(np.max([scene / drawn for drawn, scene in columns], axis=0))
+    return {"share": float((factor > 1).mean()), "factor": float(np.quantile(factor, LEVELS[-1]))}
 
 
 def _spread(arms: Enclosed) -> dict[str, FloatArray]:

@@ -157,6 +157,10 @@ def _numerics(data: Mapping[str, Any]) -> str:
     if told["factor"] > _WIDE:
         parts.append("This widens the bands much: hold what you know (--hold thickness --hold contact --hold "
                      "placement), or draw the arms on the flat twin (--twin).")  # fmt: skip
+    if (mesh := data["shorter_waves"]) is not None and mesh["share"]:
+        parts.append(f"The mesh was made for the scene's own tissue: {mesh['share']:.0%} of the arms have shorter "
+                     f"waves in some tissue, one in twenty by a factor of {mesh['factor']:.2g} or more. For these it "
+                     "errs as it does for the scene at frequencies so much higher.")  # fmt: skip
     if lost:
         parts.append(f"Of {data['draws'] + lost} arms {lost} are left out, for the reasons below.")
     return " ".join(parts)
