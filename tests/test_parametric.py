@@ -9,12 +9,13 @@ import pytest
 
 from forearm_fem.compare.adapters import ScenarioModel, common_parameters, fem_compliance_of, fem_model_for
 from forearm_fem.compare.fit import fit
+from forearm_fem.compare.run import run_fit
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ReductionError, ScenarioError
 from forearm_fem.fem.reduction.quick import quick_compliance
 from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.fem.reduction.united import Growth
+from forearm_fem.fem.reduction.united import Growth, TrialSolve
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.pipeline import parametric
 from forearm_fem.pipeline.fem_engine import fem_model
@@ -46,6 +47,7 @@ THICK = {
     "grid": {"points": [[0.0, 0.005], [0.002, -0.007]]},
 }
 PROBES = np.array([20.0, 80.0, 200.0, 330.0, 490.0])
+CHECKS = (TrialSolve(0, 100.0, 0.01, 0.03),)
 GROWTH = Growth(solves=9, checks=5, parts=2, states=50)
 
 
@@ -216,7 +218,8 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
     arm = ReducedArm(scene, model, LayeredArm())
     drawn = scenario_of(draw_inputs(load_priors(), scene, 0, 4), scene, ("contact area",))
     drawn = drawn.model_copy(update={"limb": parse_scenario(THICK).limb, "grid": parse_scenario(THICK).grid})
-    found = arm.compliance(drawn, PROBES)
+    answer = arm.answer(drawn, PROBES)
+    found = answer.compliance
     truth, own = solved(drawn), model.compliance(on_mesh_of(scene, drawn), PROBES).block("point", "contact")
     errors = {e.source: e.band for e in found.errors}
     left, held = (band_error(v, truth) for v in (found.block("point", "contact"), own))
@@ -224,6 +227,13 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
     assert left < held / 2
     assert left < np.linalg.norm(list(errors.values())) < 10 * left
     assert np.isnan(found.values[:, 2, 2]).all()  # a point on itself is unknown still
+    change = np.abs(np.nan_to_num(found.values - model.compliance(on_mesh_of(scene, drawn), PROBES).values))
+    off = [np.abs(np.nan_to_num(other.values - found.values)) for other in answer.others]
+    assert len(off) == 6
+    assert all((x <= 0.5 * change * (1 + 1e-9) + 1e-20).all() for x in off)  # half of it, in any phase
+    assert all((x.max(axis=(1, 2)) > 0.05 * change.max(axis=(1, 2))).all() for x in off)
+    assert all(np.allclose(o.values[:, 0, 1], o.values[:, 1, 0], rtol=1e-12) for o in answer.others)
+    assert answer.shown in errors
 
 
 def test_an_arm_that_differs_in_tissue_alone_is_the_models(model):
@@ -256,6 +266,44 @@ def test_a_fit_recovers_an_arm_of_finite_elements(model):
             result.interval[p.name][1] / result.values[p.name]
         ) / 1.96
         assert result.interval[p.name][1] / result.interval[p.name][0] < 1.6  # and they say something
+
+
+def test_intervals_of_a_fit_hold_what_the_reduction_errs_by(model, monkeypatch):
+    """By hand: what a coarser model moves, times the checks' factor, is added to the half width in squares."""
+    scene, names = parse_scenario(SCENE), ("skin.mu", "muscle.eta")
+    clean = replace(close_loop(model.compliance(scene, PROBES), scene.device), errors=())
+    data = replace(clean, deviation=np.full(clean.values.shape, 2e-4 * float(np.abs(clean.values).max())))
+    chosen = common_parameters(scene, names)
+    monkeypatch.setattr("forearm_fem.compare.run.fem_model_for", lambda *_, **__: replace(model, checks=CHECKS))
+    whole = run_fit(scene, data, names, fem=True)
+    noise, coarse = (
+        fit(ScenarioModel(scene, fem_compliance_of(m, PROBES)), data, chosen) for m in (model, model.coarser)
+    )
+    for p in chosen:
+        own, moved = np.log(noise.interval[p.name][1] / noise.values[p.name]), np.log(coarse.values[p.name] / p.start)
+        half = np.log(whole.fit.interval[p.name][1] / whole.fit.values[p.name])
+        assert half == pytest.approx(np.hypot(own, 3 * moved), rel=0.01)  # fits end within 1e-4 of their values
+        assert abs(3 * moved) > 0.1 * own
+    assert np.diag(whole.fit.correlation) == pytest.approx(1.0)
+    assert "what a coarser reduction finds" in whole.text
+    assert "next best measurement: point " in whole.text
+
+
+@pytest.mark.parametrize(
+    ("names", "change", "said"),
+    [
+        (("skin.mu", "skin.mu"), {}, "skin.mu is named twice"),
+        (("bone.mu",), {}, "no parameter is called bone.mu"),
+        (("skin.mu",), {"sweep": {"f_min": 20.0, "f_max": 300.0}}, "the measured G has 330 Hz, the scene sweeps 20 to"),
+        (("skin.mu",), {"grid": {"points": [[0.0, 0.003]]}}, "the outputs 2, the scene's grid the points 1 to 1"),
+    ],
+)
+def test_a_fit_that_cannot_be_is_told_before_its_elements_are_reduced(model, names, change, said, monkeypatch):
+    arm = parse_scenario(SCENE)
+    data = replace(close_loop(model.compliance(arm, PROBES), arm.device), errors=())
+    monkeypatch.setattr("forearm_fem.compare.adapters.parametric_model", lambda *_, **__: pytest.fail("reduced"))
+    with pytest.raises((DataError, ScenarioError), match=said):
+        run_fit(parse_scenario({**SCENE, **change}), data, names, fem=True)
 
 
 def fem_transfer(draw: Scenario) -> np.ndarray:

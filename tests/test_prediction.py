@@ -21,18 +21,19 @@ from forearm_fem.io.jsonfiles import read_json
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
-from forearm_fem.prediction.arm import LayeredArm, arm_model
+from forearm_fem.prediction.arm import Answer, LayeredArm, arm_model
 from forearm_fem.prediction.draws import draw_inputs, moved_points, scenario_of
 from forearm_fem.prediction.measuring import noisy
 from forearm_fem.prediction.outcome import KEPT, READINGS, Outcome, outcome_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import Prediction, Question, predict
 from forearm_fem.prediction.store import FILE, read_outcomes
-from forearm_fem.prediction.summary import summary
+from forearm_fem.prediction.summary import shorter_waves, summary
 from forearm_fem.rendering import drives, strengths
-from forearm_fem.report.prediction import strength_words
+from forearm_fem.report.prediction import _numerics, _scope, lead_of, strength_words
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.transfer import TransferMatrix
+from forearm_fem.tissue import resolve_tissues
+from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 
 # 50 bins, two targets and pressure discs: a draw in 0.1 s of an idle machine
 SMALL = {
@@ -221,11 +222,121 @@ def test_an_arm_that_cannot_be_is_data(monkeypatch: pytest.MonkeyPatch) -> None:
         numbers.draws_of([*good, lost], setup.method_names, setup.targets)
 
 
+@pytest.mark.parametrize("band", [1.0, float("nan")])
+def test_an_arm_whose_error_is_as_large_as_its_g_is_left_out_and_counted(
+    band: float, found: tuple[Prediction, Path]
+) -> None:
+    """Its S would be noise, or unknown; the report says how many such arms there were."""
+    asked = question()
+    _, setup, arm = setup_and_arm(asked)
+
+    class Poor(LayeredArm):
+        def compliance(self, scenario: Any, frequency: Any) -> Any:
+            found = arm.compliance(scenario, frequency)
+            return replace(found, errors=(ErrorEstimate("reduction", band, "stated here"),))
+
+    lost = runs.drawn(asked, setup, Poor(), 4)
+    assert "may be wrong by as much as it is" in lost.problem
+    one = runs.drawn(asked, setup, arm, 4)
+    good = [replace(one, number=k) for k in range(N)]
+    draws = numbers.draws_of([*good, replace(lost, number=N), replace(lost, number=N + 1)], ("a",) * 3, ("5", "1"))
+    assert (len(draws.numerics), dict(draws.problems)) == (N, {lost.problem: 2})
+    told = summary(replace(found[0], draws=replace(found[0].draws, problems=draws.problems)), sobol=False)
+    assert "2 arms more without S left out" in lead_of(told)
+    assert f"Left out, 2 of {N + 2} arms: {lost.problem}" in _scope(told)
+    assert f"Of {N + 2} arms 2 are left out" in _numerics(told)
+
+
+def test_an_arm_of_larger_error_has_a_wider_interval_of_s() -> None:
+    asked = question()
+    _, setup, arm = setup_and_arm(asked)
+
+    class Stated(LayeredArm):
+        def compliance(self, scenario: Any, frequency: Any) -> Any:
+            found = arm.compliance(scenario, frequency)
+            return replace(found, errors=(ErrorEstimate("reduction", self.band, "stated here"),))
+
+    fine, poor = (type("S", (Stated,), {"band": band})() for band in (0.001, 0.01))
+    one, ten = (runs.drawn(asked, setup, model, 4) for model in (fine, poor))
+    assert np.array_equal(one.strengths, ten.strengths)
+    assert (ten.spread > 6 * one.spread).all()  # the same noise ten times as large: 10 where log S is linear in it
+
+
+def test_an_error_of_known_shape_is_no_noise() -> None:
+    """What a model says it may be as well sets the interval, and the estimate of that source does not count twice."""
+    asked = question()
+    _, setup, arm = setup_and_arm(asked)
+
+    class Shaped(LayeredArm):
+        def answer(self, scenario: Any, frequency: Any) -> Answer:
+            found = arm.compliance(scenario, frequency)
+            found = replace(found, errors=(ErrorEstimate("interpolation", 0.3, "stated here"),))
+            return Answer(found, (replace(found, values=self.factor * found.values),), "interpolation")
+
+    f = np.linspace(0.8, 1.2, len(frequencies(SCENE.sweep)))[:, None, None]
+    same, other = (type("S", (Shaped,), {"factor": factor})() for factor in (1.0, f))
+    sure, unsure = (runs.drawn(asked, setup, model, 4) for model in (same, other))
+    assert sure.numerics == unsure.numerics >= 0.3
+    assert (sure.spread == 0).all()
+    assert (unsure.spread > 1e-4).all()
+
+
+def test_arms_of_shorter_waves_than_the_mesh_was_made_for_are_told(found: tuple[Prediction, Path]) -> None:
+    whole, _ = found
+    assert shorter_waves(whole) is None  # the twin has no mesh
+    scene, drivers = parse_scenario({}), np.array(whole.draws.drivers)
+    for tissue, soft in (("skin", 9.0), ("muscle", 9.0), ("fat", 0.25)):  # half as long in every second arm's fat
+        own = abs(complex(resolve_tissues(scene)[tissue].modulus.at(2 * np.pi * 150.0)))
+        drivers[:, whole.draws.names.index(f"{tissue} stiffness")] = own * np.where(np.arange(N) % 2, soft, 9.0)
+    asked, draws = replace(whole.question, scenario=scene), replace(whole.draws, drivers=drivers)
+    assert shorter_waves(replace(whole, question=asked, draws=draws)) == {"share": 0.5, "factor": pytest.approx(2.0)}
+    told = {**summary(whole, sobol=False), "shorter_waves": {"share": 0.5, "factor": 2.0}}
+    assert "50% of the arms have shorter waves in some tissue, one in twenty by a factor of 2 or" in _numerics(told)
+
+
+def test_an_interruption_before_the_first_draw_leaves_no_file(tmp_path: Path) -> None:
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "draws":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        predict(question(), tmp_path, draws=N, workers=1, progress=stop)
+    assert not list(tmp_path.iterdir())
+
+
 def test_quantiles_by_hand() -> None:
     values = np.arange(101.0)[::-1, None] + np.array([0.0, 1000.0])
     assert numbers.quantiles(values) == pytest.approx(np.array([5, 25, 50, 75, 95])[:, None] + np.array([0, 1000.0]))
-    inside = numbers.inside(values, np.array([4.9, 1095.0]))
-    assert inside.tolist() == [False, True]
+    bare = numbers.Enclosed(values, values, values)
+    assert bare.quantiles() == pytest.approx(numbers.quantiles(values))
+    assert bare.judged(np.array([4.9, 1095.0]))[0].tolist() == [False, True]
+
+
+def test_what_numerics_may_do_to_an_arm_widens_the_band_and_never_narrows_it() -> None:
+    values = np.arange(1.0, 102)[:, None]
+    spread = np.where(values <= 10, math.log(2), 0.0)  # low arms alone are uncertain by a factor of two
+    arms = numbers.Enclosed(values, values * np.exp(-spread), values * np.exp(spread))
+    assert arms.quantiles()[:, 0] == pytest.approx([3.0, 26.0, 51.0, 76.0, 96.0])  # 6 is halved, the others stay
+    assert arms.above(8.0)[:, 0] == pytest.approx(np.array([91, 93, 97]) / 101)
+    both = numbers.Enclosed(values, values / 2, values * 2)
+    assert (both.quantiles()[[0, -1]] / arms.quantiles()[[0, -1]])[:, 0] == pytest.approx([1.0, 2.0])
+    targets = both.of_groups(["5"])
+    assert (targets.high / targets.low == 4).all()
+
+
+def test_a_verdict_that_other_draws_may_not_repeat_is_not_sure() -> None:
+    """A share of 5 % of 101 arms is known within 1.96 sqrt(.05 .95 / 101) = 4.25 %."""
+    values = np.arange(101.0)[:, None]
+    arms = numbers.Enclosed(values, values, values)
+    told = {x: tuple(bool(v[0]) for v in arms.judged(np.array([x]))) for x in (0.5, 4.0, 6.0, 9.0, 10.0, 95.5, 99.5)}
+    assert told == {
+        0.5: (False, True), 4.0: (False, False), 6.0: (True, False), 9.0: (True, False), 10.0: (True, True),
+        95.5: (False, False), 99.5: (False, True),
+    }  # fmt: skip
+    unsure = numbers.Enclosed(values, 0.5 * values, 2 * values)  # 15 is inside unless numerics double the low arms
+    assert [bool(v[0]) for v in unsure.judged(np.array([15.0]))] == [True, False]
+    few = numbers.Enclosed(values[:20], values[:20], values[:20])
+    assert not few.judged(np.array([-1.0]))[1].any()  # outside all of 20 arms: an end of their band is not known
 
 
 def test_groups_and_winners_by_hand() -> None:
@@ -265,8 +376,9 @@ def test_joint_distance_knows_correlation() -> None:
     z = np.random.default_rng(1).standard_normal((4000, 2))
     cloud = np.exp(np.column_stack([z[:, 0], 0.95 * z[:, 0] + np.sqrt(1 - 0.95**2) * z[:, 1]]))
     along, across = np.exp([1.5, 1.5]), np.exp([1.5, -1.5])  # both within each band of 90 %
-    assert numbers.inside(cloud, along).all()
-    assert numbers.inside(cloud, across).all()
+    arms = numbers.Enclosed(cloud, cloud, cloud)
+    assert arms.judged(along)[0].all()
+    assert arms.judged(across)[0].all()
     assert numbers.joint_distance(cloud, along)[1] > 0.2
     distance, beyond = numbers.joint_distance(cloud, across)
     assert beyond == 0
@@ -281,10 +393,14 @@ def test_numerics_and_arms_are_never_mixed(found: tuple[Prediction, Path]) -> No
     m, t = whole.nominal.methods.index("funneling"), whole.nominal.targets.index("5")
     expected = [whole.nominal.value[m, t], whole.nominal.low[m, t], whole.nominal.high[m, t]]
     assert [cell["value"], cell["low"], cell["high"]] == pytest.approx(expected, abs=1e-6)
-    column = whole.draws.reading("calibrated")[
-        :, whole.draws.methods.index("funneling"), whole.draws.targets.index("5")
-    ]
-    assert cell["arms"] == pytest.approx(np.quantile(column, [0.05, 0.25, 0.5, 0.75, 0.95]), abs=1e-6)
+    m, t = whole.draws.methods.index("funneling"), whole.draws.targets.index("5")
+    column, spread = whole.draws.reading("calibrated")[:, m, t], whole.draws.spread[:, m, t]
+    assert (spread > 0).all()
+    assert cell["bare"] == pytest.approx(np.quantile(column, [0.05, 0.25, 0.5, 0.75, 0.95]), abs=1e-6)
+    ends = np.quantile(column * np.exp(-spread), 0.05), np.quantile(column * np.exp(spread), 0.95)
+    assert [cell["arms"][0], cell["arms"][2], cell["arms"][-1]] == pytest.approx(
+        [ends[0], np.median(column), ends[1]], abs=1e-6
+    )
     wider = replace(whole, nominal=replace(whole.nominal, low=whole.nominal.low / 2, high=whole.nominal.high * 2))
     assert summary(wider, sobol=False)["by_target"]["funneling"]["5"]["arms"] == cell["arms"]
     words = strength_words({"value": 1.31, "low": 1.298, "high": 1.318, "arms": [0.7, 0.9, 1.2, 1.5, 1.8]})
@@ -359,7 +475,7 @@ def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
     assert strength_words(cell) in text
     assert strength_words(cell) in answer.out
     assert "flat layers without end" in text
-    assert (content["laws"], content["draws"], content["failed"]) == (["zener"], N, [])
+    assert (content["laws"], content["draws"], content["failed"]) == (["zener"], N, {})
     assert cli("run", "small.toml", "--out", "out", cwd=tmp_path).code == 0
     assert Results.open(tmp_path / "out").prediction == content
     report, table = (tmp_path / "out" / "report.md").read_text(), content["by_group"]["combination"]

@@ -95,11 +95,17 @@ ROWS = [{"law": ("zener", "springpot")[k % 2], "x": float(k), "t": float(k < 4)}
 def test_values_and_trends_are_judged_by_hand() -> None:
     value = Target("x", "g", "w", "value", "s", 5.0, unit="m/s")
     found = module._judged(value, ROWS)
-    assert found["all"] == {"low": 5.0, "median": 50.0, "high": 95.0, "inside": True, "width": math.sqrt(19)}
+    told = {"low": 5.0, "median": 50.0, "high": 95.0, "inside": True, "sure": False, "width": math.sqrt(19)}
+    assert found["all"] == told
     assert found["kelvin-voigt"] is None  # no arm of that law
     assert not module._judged(replace(value, value=4.9), ROWS)["all"]["inside"]
+    assert module._judged(replace(value, value=50.0), ROWS)["all"]["sure"]
     trend = module._judged(Target("t", "g", "w", "trend", "s"), ROWS)
-    assert trend["all"] == {"share": pytest.approx(4 / 101), "inside": False}  # 4 % show it, 5 % are asked
+    # 4 % show it, 5 % are asked
+    assert trend["all"] == {"share": pytest.approx(4 / 101), "inside": False, "sure": False}
+    assert module._sure_share(0.12, 190)  # Wilson: 8 to 17 %
+    assert module._sure_share(0.0, 190)
+    assert not module._sure_share(0.0, 60)  # up to 6 %
     assert trend["measured"] is None
     assert "all" not in module._judged(Target("t", "g", "w", "not comparable", "s", note="not seen"), ROWS)
 
@@ -113,7 +119,7 @@ def table_of(values: np.ndarray) -> Draws:
     methods, targets = thesis_table().methods, tuple(str(k) for k in range(1, 10))
     laws = tuple(("zener", "springpot")[k % 2] for k in range(len(values)))
     flat = np.zeros((len(values), 1))
-    return Draws(s, methods, targets, laws, ("law",), flat, flat[:, 0], flat[:, 0], ())
+    return Draws(s, methods, targets, laws, ("law",), flat, flat[:, 0], flat[:, 0], np.zeros_like(s[:, 0]), {})
 
 
 def test_table_one_is_judged_entry_by_entry_and_jointly() -> None:
@@ -201,8 +207,8 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     prediction = type("P", (), {"draws": draws})()
     told = module._measured(g, Question(scene, Path()), prediction)
     assert len(told["entries"]) == 9
-    page = validation_page({**found, "measured": told})
-    assert "## A measured G through the same comparison" in page
+    page = validation_page({**found, "measured": {"name": "g.nc", **told}})
+    assert "G of g.nc: " in page.partition("## A measured G through the same comparison")[2]
     short = replace(g, outputs=g.outputs[:3], values=g.values[:, :3])
     with pytest.raises(DataError, match="no output called '4'"):
         module._measured(short, Question(scene, Path()), prediction)

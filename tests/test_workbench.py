@@ -257,7 +257,8 @@ def test_intervals_drawn_in_the_page_follow_pythons_rule(content: dict[str, Any]
     ))  # fmt: skip
     scenario = parse_scenario({**LAYERED, "rendering": {"regularisation": "tikhonov", "regularisation_value": 0.1}})
     rendering, shape = render_transfer(scenario, g), ricker(250.0, 1.0, 4000.0, 0.25)
-    expected = interval(g, g.errors, rendering, renderers(scenario.rendering, shape), shape)
+    methods = renderers(scenario.rendering, shape)
+    expected = interval(g, g.errors, rendering.targets, rendering.window, methods, shape)
     stated = measured_content(g, flat.scenario, "")
     settings = {"rule": {"kind": "tikhonov", "value": 0.1}}
     bins = np.array(asked(stated, {"ask": "bins"})[0])

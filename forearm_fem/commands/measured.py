@@ -216,15 +216,18 @@ def fit(
     ] = False,
 ) -> None:
     """Fit parameters of a scenario to a measured G; says what the data cannot tell and what to measure next."""
-    from ..compare.run import run_fit
-    from ..io.lock import locked
-
     asked = load_scenario(scenario, overrides=overrides or ())
     folder = out or out_folder(None, asked, overrides) / "fit"
-    with locked(folder), noted(), Display() as display:
-        result = run_fit(
-            asked, transfer_file(measured), parameters, folder=folder, declaration=declaration(declare),
-            frequencies=frequencies, fem=fem, base=scenario.parent, progress=display,
-        )  # fmt: skip
+    with noted(), Display() as display:
+        display("libraries", 0, 1)  # seconds of a slow or busy machine
+        from ..compare.run import run_fit
+        from ..io.lock import locked
+
+        display("libraries", 1, 1)
+        with locked(folder):
+            result = run_fit(
+                asked, transfer_file(measured), parameters, folder=folder, declaration=declaration(declare),
+                frequencies=frequencies, fem=fem, base=scenario.parent, progress=display,
+            )  # fmt: skip
     typer.echo(result.text)
     typer.echo(f"fit: {folder}")

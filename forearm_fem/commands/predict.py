@@ -37,18 +37,20 @@ def predict(
     ] = True,
 ) -> None:
     """S on people: draws of arms, devices and measurements; bands apart from the error of the numerics."""
-    from ..io.lock import locked
-    from ..prediction.draws import LAWS
-    from ..prediction.run import Question
-    from ..prediction.run import predict as run
-    from ..prediction.summary import FOLDER, summary, write_summary
-    from ..report.prediction import write_prediction
-
     asked = load_scenario(scenario, overrides=overrides or ())
-    folder = out_folder(out, asked, overrides) / FOLDER
-    question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), twin)
-    with locked(folder), noted():
-        with Display() as display:
+    with noted(), Display() as display:
+        display("libraries", 0, 1)  # seconds of a slow or busy machine
+        from ..io.lock import locked
+        from ..prediction.draws import LAWS
+        from ..prediction.run import Question
+        from ..prediction.run import predict as run
+        from ..prediction.summary import FOLDER, summary, write_summary
+        from ..report.prediction import write_prediction
+
+        display("libraries", 1, 1)
+        folder = out_folder(out, asked, overrides) / FOLDER
+        question = Question(asked, scenario.parent, seed, tuple(law or LAWS), tuple(hold or ()), twin)
+        with locked(folder):
             found = run(
                 question, folder, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=display
             )
@@ -76,22 +78,26 @@ def validate(
     page: Annotated[Path | None, typer.Option(help="write the page there, e.g. docs/validation.md")] = None,
 ) -> None:
     """Judge predictions by what was published: measured, band over arms, inside or not; where it fails comes first."""
-    from ..io import read_transfer
-    from ..io.atomic import write_text
-    from ..io.lock import locked
-    from ..prediction.run import Question
-    from ..prediction.summary import FOLDER
-    from ..prediction.validate import validate as run
-    from ..report.validation import coverage, failures, joint_words, validation_page
-
     asked = load_scenario(scenario, overrides=overrides or ())
-    given = None if measured is None else read_transfer(transfer_file(measured))
-    folder = out_folder(out, asked, overrides) / FOLDER
-    with locked(folder), noted(), Display() as display:
-        found = run(
-            Question(asked, scenario.parent, seed), folder, draws=draws, resume=resume, workers=workers,
-            scheduler=scheduler, measured=given, progress=display,
-        )  # fmt: skip
+    name = "" if measured is None else measured.name
+    with noted(), Display() as display:
+        display("libraries", 0, 1)  # seconds of a slow or busy machine
+        from ..io import read_transfer
+        from ..io.atomic import write_text
+        from ..io.lock import locked
+        from ..prediction.run import Question
+        from ..prediction.summary import FOLDER
+        from ..prediction.validate import validate as run
+        from ..report.validation import coverage, failures, joint_words, validation_page
+
+        display("libraries", 1, 1)
+        given = None if measured is None else read_transfer(transfer_file(measured))
+        folder = out_folder(out, asked, overrides) / FOLDER
+        with locked(folder):
+            found = run(
+                Question(asked, scenario.parent, seed), folder, draws=draws, resume=resume, workers=workers,
+                scheduler=scheduler, measured=given, measured_name=name, progress=display,
+            )  # fmt: skip
     target = page or folder / "validation.md"
     write_text(target, validation_page(found, asked.name))
     for what, seen, arms in failures(found):

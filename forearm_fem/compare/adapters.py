@@ -19,7 +19,7 @@ from ..pipeline.parametric import ParametricModel, parametric_model
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
-from ..tissue import Tissue, resolve_tissues
+from ..tissue import Tissue, limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
 from .parameters import Parameter
@@ -161,8 +161,10 @@ def _layer(tissue: Tissue, thickness: float) -> Layer:
 def common_parameters(scenario: Scenario, names: Sequence[str]) -> tuple[Parameter, ...]:
     """Parameters with sourced ranges (physics_data.md 4 and 9) for short names: skin.mu, skin.eta, fat.mu, ...,
     coil.moving_mass, cone.mass, coil.resonance, coil.quality, fat.thickness, plus scale and delay (stage
-    0)."""
+    0). ScenarioError for names that are none, such as those of tissues that the limb has not, and for repeated ones."""
     known = _known(scenario)
+    if repeated := [n for n in dict.fromkeys(names) if list(names).count(n) > 1]:
+        raise ScenarioError(f"{repeated[0]} is named twice; name each parameter of a fit once")
     if unknown := [n for n in names if n not in known]:
         raise ScenarioError(f"no parameter is called {', '.join(unknown)}; known are {', '.join(known)}")
     return tuple(known[n] for n in names)
@@ -185,10 +187,11 @@ def _known(scenario: Scenario) -> dict[str, Parameter]:
         found[f"{part.tissue}.thickness"] = Parameter(
             key, part.thickness, part.thickness / 3, part.thickness * 3, log=True, unit="m"
         )
+    own = {*limb_tissue_keys(scenario.limb).values(), *(("bone",) if getattr(scenario.limb, "bones", ()) else ())}
     for name, tissue in tissues.items():
         for short, unit in (("mu", "Pa"), ("eta", "Pa s")):
             value = getattr(tissue.modulus, short, None)
-            if isinstance(value, float) and value > 0:
+            if name in own and isinstance(value, float) and value > 0:
                 key = f"tissues.override.{name}.{short}"
                 found[f"{name}.{short}"] = Parameter(key, value, value / 6, value * 6, log=True, unit=unit)
     return found

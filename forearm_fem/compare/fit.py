@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -252,6 +252,26 @@ class _Problem:
             xtol=tolerance,
             gtol=1e-12,
         )
+
+
+def with_model_error(result: FitResult, coarser: Values, factor: float) -> FitResult:
+    """The same with intervals that hold what the model errs by, beside the noise.
+
+    A model that errs moves all values together, and more data do not help. How far is told by the values that a
+    ``coarser`` model finds in the same data: ``factor`` times that is taken for the half width of a 95 % interval.
+    """
+    parameters = result.parameters
+    place, other = (np.array([p.to_unit(v[p.name]) for p in parameters]) for v in (result.values, coarser))
+    span = np.array([p.span for p in parameters])
+    moved = factor * (other - place) * span / 1.96
+    covariance = result.covariance + np.outer(moved, moved)
+    sd = np.sqrt(np.diag(covariance))
+    each = list(zip(parameters, place, sd / span, strict=True))
+    return replace(
+        result, covariance=covariance, correlation=covariance / np.outer(sd, sd),
+        deviation={p.name: _half_width(p, x, d) for p, x, d in each},
+        interval={p.name: _interval(p, x, 1.96 * d) for p, x, d in each},
+    )  # fmt: skip
 
 
 def _result(problem: _Problem, place: FloatArray, converged: bool, message: str) -> FitResult:

@@ -15,8 +15,9 @@ from ..io.atomic import write_text
 from ..io.declaration import Declaration
 from ..io.netcdf import write_transfer
 from ..io.recognise import read_measured
+from ..pipeline.parametric import BEYOND
 from ..ports import Port
-from ..progress import Progress
+from ..progress import Progress, within
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from .adapters import (
@@ -29,7 +30,7 @@ from .adapters import (
 )
 from .common import common_ground
 from .compare import Comparison, compare, plain
-from .fit import FALLBACK_NOISE, FitResult, fit
+from .fit import FALLBACK_NOISE, FitResult, fit, with_model_error
 from .next_best import NextBest, next_best
 from .readings import best_reading, explained
 from .report import as_markdown, save_report
@@ -120,6 +121,7 @@ def run_fit(
     chosen = common_parameters(scenario, parameters)
     inputs, outputs = all_inputs(scenario, data), data.outputs
     if fem:
+        _check_reach(scenario, data)
         reduced = fem_model_for(scenario, chosen, base=base, progress=progress)
         skin, outputs = fem_compliance_of(reduced, data.frequency), tuple(p for p in reduced.ports if p.kind == "point")
     elif compliance_of is None:
@@ -133,6 +135,11 @@ def run_fit(
         return answering(whole(values), data)
 
     result = fit(model, data, chosen, progress=progress)
+    if fem:
+        rough = ScenarioModel(scenario, fem_compliance_of(reduced.coarser, data.frequency))
+        again = [replace(p, start=min(max(result.values[p.name], p.lower), p.upper)) for p in chosen]
+        other = fit(lambda values: answering(rough(values), data), data, again, progress=within(progress, "reduction"))
+        result = with_model_error(result, other.values, reduced.factor)
     free = {n: v for n, v in result.values.items() if n not in ("scale", "delay")}
     best = model(free)
     start = model({p.name: p.start for p in chosen if p.name not in ("scale", "delay")})
@@ -176,8 +183,24 @@ def _reduction_note(reduction: float, result: FitResult) -> tuple[str, ...]:
         return ()
     return (
         f"finite elements, reduced: e_band {100 * reduction:.2g} % stated at the fitted values, beside a misfit of "
-        f"{100 * result.e_band:.2g} %; intervals hold noise, not this",
+        f"{100 * result.e_band:.2g} %; intervals hold noise and what a coarser reduction finds in the same data",
     )
+
+
+def _check_reach(scenario: Scenario, data: TransferMatrix) -> None:
+    """DataError where the scene's finite elements have not all that was measured, before minutes of reducing them."""
+    points = {str(k) for k in range(1, len(scenario.grid.places) + 1)}
+    if strange := [p.name for p in data.outputs if p.name not in points]:
+        raise DataError(
+            f"the measured G has the outputs {', '.join(strange)[:80]}, the scene's grid the points 1 to {len(points)};"
+            " name each output after its point, or lay the grid out as it was measured"
+        )
+    low, high = scenario.sweep.f_min, scenario.sweep.f_max
+    if beyond := [f for f in data.frequency.tolist() if not low / BEYOND <= f <= high * BEYOND]:
+        raise DataError(
+            f"the measured G has {beyond[0]:g} Hz, the scene sweeps {low:g} to {high:g} Hz; widen sweep.f_min and "
+            "sweep.f_max, or cut the data"
+        )
 
 
 def _check_drive(scenario: Scenario, data: TransferMatrix) -> None:

@@ -13,16 +13,22 @@ from .style import GREY, INK, SIGNED, letter, method_colour, panels, styled
 from .tables import Table
 
 _TICKS = (0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15, 20, 30)
+_DENSE = 60.0  # largest over smallest S from which labels would overlap
 _MOST = 14  # drivers shown
 
 
 def bands_table(data: Mapping[str, Any]) -> Table:
-    """One line per method and target: S of the scene, its numerical interval, quantiles over arms, shares."""
+    """One line per method and target: S of the scene, its numerical interval, quantiles over arms, shares.
+
+    Quantiles hold each arm's own numerics but in S_bare; so do the shares that are surely or possibly above 1.
+    """
     cells = [(m, t, data["by_target"][m][t]) for m in data["methods"] for t in data["targets"]]
     columns: dict[str, Any] = {"method": [m for m, _, _ in cells], "target": [t for _, t, _ in cells]}
     for key in ("value", "low", "high", "above_one", "wins"):
         columns[f"S_{key}" if key in ("value", "low", "high") else key] = [_number(c[key]) for _, _, c in cells]
-    for what in ("arms", "played", "record"):
+    for k, which in enumerate(("surely", "possibly")):
+        columns[f"{which}_above_one"] = [_number(c["above_one_range"][k]) for _, _, c in cells]
+    for what in ("arms", "bare", "played", "record"):
         for k, level in enumerate(data["levels"]):
             columns[f"S_{what}_{100 * level:g}"] = [_number(c[what][k]) for _, _, c in cells]
     return Table({name: np.array(c) if not isinstance(c[0], str) else c for name, c in columns.items()})
@@ -46,7 +52,8 @@ def plot_bands(data: Mapping[str, Any], *, ax: Axes | None = None) -> FigureBase
         letter(axes_m, f"{'abcdef'[m % 6]}  {method}")
         axes_m.set(yscale="log", ylabel="S [-]")
     low, high = axes[0].get_ylim()
-    ticks = [t for t in _TICKS if low <= t <= high]
+    fine = [t for t in _TICKS if low <= t <= high]
+    ticks = fine if high / low < _DENSE else [t for t in np.logspace(-4, 6, 11) if low <= t <= high]
     axes[0].set_yticks(ticks, [f"{t:g}" for t in ticks])
     for each in axes:
         each.minorticks_off()

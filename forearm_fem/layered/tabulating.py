@@ -17,11 +17,12 @@ from .response import layered_compliance, terms_of
 from .rigid import Disc
 from .sampling import chebyshev_nodes
 from .scattering import Galerkin, changed, galerkin
-from .tabulated import CLEAR, DEGREE, FEW, MARGIN, Column, Tabulated, named, orders_of
+from .tabulated import CLEAR, DEGREE, MARGIN, Column, Tabulated, named, orders_of
 
 _DEGREE = 48  # of the Chebyshev rule in the root of the frequency, as the twin's own first try
 _STEP = 2e-3  # [m] at the far end of a table; they lie closer towards the rims (0.8 mm leaves 1e-9, by its 6th power)
 _AT_ONCE = 6  # distances of one quadrature
+_SEEN_AT = 6  # every so many nodes a table is held against the twin's own quadrature
 
 
 def tabulate(
@@ -76,7 +77,7 @@ def _seen(made: Tabulated, tolerance: float) -> FloatArray:
     contact = made.contact
     discs = [*(Disc(x, y, r, contact) for x, y in places), *(Disc(x, y) for x, y in spots)]  # type: ignore[arg-type]
     n = len(places)
-    few = made.omega[:: FEW // 2]
+    few = made.omega[::_SEEN_AT]
     truth = layered_compliance(
         made.layers, few, discs[:n], discs, surface=made.surface, tolerance=tolerance, orders=made.orders
     )

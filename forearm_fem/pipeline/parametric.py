@@ -24,7 +24,7 @@ from ..fem.reduction.united import Growth, Piece, TrialSolve, piece_at, united_m
 from ..geometry.cache import cached_mesh, default_cache_dir
 from ..io.parametric import ParametricFile, PieceFile, read_parametric, write_parametric
 from ..ports import Port
-from ..progress import Progress
+from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
 from ..tissue import limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
@@ -37,7 +37,7 @@ from .solved import solve_key
 _log = logging.getLogger("forearm_fem.pipeline")
 # Keys that compliances do not follow from: a draw may differ in them.
 _UNREAD = ("rendering", "measurement", "sweep", "solver", "accuracy", "schema_version")
-_BEYOND = 1.05  # ratio to the ends of the band up to which a draw is answered
+BEYOND = 1.05  # ratio to the ends of the band up to which a draw is answered
 _NODES = (9, 17, 33)  # frequencies of a piece solved for a draw, more where a rational function does not hold
 _BETWEEN = 2e-3  # of the largest entry: what that function may miss at the nodes that it does not pass through
 _PROBED = 3  # nodes of a piece at which the estimate's core is solved, too
@@ -118,6 +118,11 @@ class ParametricModel:
     def factor(self) -> float:
         """What estimates are multiplied with: the largest ratio of a true to an estimated error among the checks."""
         return max([1.0, *(c.true / c.estimated for c in self.checks if c.estimated > 0)])
+
+    @property
+    def coarser(self) -> ParametricModel:
+        """The model without what a third of the solves gave it."""
+        return replace(self, pieces=tuple(replace(p, whole=p.core) for p in self.pieces))
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """Compliance of all ports for a draw, with the error of the reduction stated for it.
@@ -201,7 +206,7 @@ class ParametricModel:
 
     def _check_band(self, frequency: FloatArray) -> None:
         band = frequencies(self.scenario.sweep)
-        beyond = frequency[(frequency < band[0] / _BEYOND) | (frequency > band[-1] * _BEYOND)]
+        beyond = frequency[(frequency < band[0] / BEYOND) | (frequency > band[-1] * BEYOND)]
         if len(beyond):
             raise ReductionError(
                 f"{beyond[0]:g} Hz is outside the band of this parametric model, {band[0]:g} to {band[-1]:g} Hz; make "
@@ -242,11 +247,13 @@ def parametric_model(
     if not given:
         raise ScenarioError("a parametric model needs at least one draw to be made from; give some, or ranges")
     own = _with_all_sheets(scenario, given)
-    mesh, band = cached_mesh(own, base=Path(base)), frequencies(own.sweep)
+    tell(progress, "mesh", 0, 0)
+    mesh, band = cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
     key = _key(solve_key(own, mesh, band), given, growth)
     file = default_cache_dir() / "parametric" / f"{key}.nc"
     if (kept := _kept(file)) is not None:
         return kept
+    tell(progress, "matrices", 0, 0)
     model = fem_model(own, mesh)
     names = tuple(t.name for t in model.operator.terms)
     for draw in given:

@@ -79,7 +79,8 @@ def strength_account(
     random = _random_error(g)
     known = bool(g.errors) or random is not None
     unknown = _why_unknown(errors, known, measured)
-    spread = np.full(value.shape, np.nan) if unknown else interval(g, errors, rendering, kept, wavelet, random)
+    asked = rendering.targets, rendering.window
+    spread = np.full(value.shape, np.nan) if unknown else interval(g, errors, *asked, kept, wavelet, random)
     unknown = unknown or ("" if g.errors else _RANDOM_ONLY)
     tapered = wavelet.tapered(float(g.frequency[0]), float(g.frequency[-1]))
     return StrengthAccount(
@@ -118,35 +119,42 @@ def _why_unknown(errors: tuple[ErrorEstimate, ...], known: bool, measured: bool)
 def interval(
     transfer: TransferMatrix,
     errors: tuple[ErrorEstimate, ...],
-    rendering: Rendering,
+    targets: Sequence[str],
+    span: tuple[float, float] | None,
     methods: Sequence[Renderer],
     wavelet: Wavelet,
     random: FloatArray | None = None,
+    draws: int = _DRAWS,
+    others: Sequence[TransferMatrix] = (),
 ) -> FloatArray:
-    """Half width (n_method, n_target) of the interval of log S: twice its rms change over draws of G's errors.
+    """Half width (n_method, n_target) of the interval of log S: twice its rms change over ``draws`` of G's errors.
+
+    S is taken over the ``span`` [s] of :attr:`.Rendering.window`.
 
     Each draw adds to G independent complex noise of every source's e(f) (:func:`perturbed`), smooth over 50 Hz, and
-    aims anew. Two meshes agree at single frequencies by chance, so e(f) of the discretisation is its band value at
-    least. Random errors of a measurement, of standard deviation ``random`` (n, n_out, n_in) in G's unit, are
-    independent at each entry and frequency; they make S fall, and that mean fall is added. Draws
-    cancel at single targets by chance, so none gets less than the method's rms over its targets.
+    aims anew. It starts from the ``others`` in turn where there are such: G as it may be by an error that is not among
+    ``errors``, since its shape is known. Two meshes agree at single frequencies by chance, so e(f) of the
+    discretisation is its band value at least. Random errors of a measurement, of standard deviation ``random``
+    (n, n_out, n_in) in G's unit, are independent at each entry and frequency; they make S fall, and that mean fall is
+    added. Draws cancel at single targets by chance, so none gets less than the method's rms over its targets.
     """
-    window: Window = rendering.window if rendering.window is not None else "record"
+    window: Window = span if span is not None else "record"
     # on every k-th bin, white noise would have k times its energy within the window
     whole = random is not None
-    g, shape = (transfer, wavelet) if whole else _shorter(transfer, wavelet, rendering.window)
+    g, shape = (transfer, wavelet) if whole else _shorter(transfer, wavelet, span)
     sources = tuple(at_least_band(e, g.frequency) if e.source == "discretisation" else e for e in errors)
-    base = strengths(g, rendering.targets, methods, shape, window=window)
+    base = strengths(g, targets, methods, shape, window=window)
     rng = np.random.default_rng(_SEED)
     square, fall = np.zeros(base.shape), np.zeros(base.shape)
-    for _ in range(_DRAWS):
-        other = perturbed(g, sources, rng, _CORRELATION)
+    starts = [x if whole else _shorter(x, wavelet, span)[0] for x in others] or [g]
+    for k in range(draws):
+        other = perturbed(starts[k % len(starts)], sources, rng, _CORRELATION)
         if random is not None:
             noise = rng.normal(size=(2, *random.shape)) / np.sqrt(2)
             other = replace(other, values=other.values + random * (noise[0] + 1j * noise[1]))
-        drawn = strengths(other, rendering.targets, methods, shape, window=window)
-        square += np.log(drawn / base) ** 2 / _DRAWS
-        fall += np.log(base / drawn) / _DRAWS
+        drawn = strengths(other, targets, methods, shape, window=window)
+        square += np.log(drawn / base) ** 2 / draws
+        fall += np.log(base / drawn) / draws
     pooled = square.mean(axis=1, keepdims=True)
     half = _HALF_WIDTH * np.sqrt(np.maximum(square, pooled))
     return np.asarray(half if random is None else half + np.abs(fall))

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..layered import layered_compliance
 from ..layered.sampling import chebyshev_between, chebyshev_nodes
+from ..metrics import smooth_noise
 from ..pipeline.layered_engine import flat_disc, flat_layers, flat_ports, flat_surface
 from ..pipeline.parametric import ParametricModel, parametric_model
 from ..progress import Progress
@@ -20,8 +21,20 @@ from ..typing import ComplexArray, FloatArray
 
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, 3  # a third of the time of the twin's own; what it costs is stated per draw
 _DEGREE = 32  # in the root of the frequency, of what geometry changes on the twin
+_OTHERS = 6  # answers as wrong as geometry may make one
+_SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (docs/decisions/0027)
 _MISSED = 0.5  # of the change by geometry that the twin may be wrong by (docs/decisions/0042)
 _GEOMETRY = ("thickness", "placement", "contact area")
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a model says of a draw: its ``compliance``, and ``others`` that it may be as well by the error ``shown``
+    (its source), whose shape over ports is known; all other errors are taken for noise."""
+
+    compliance: Compliance
+    others: tuple[Compliance, ...] = ()
+    shown: str = ""
 
 
 class ArmModel(Protocol):
@@ -44,6 +57,10 @@ class ArmModel(Protocol):
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """Of the ports of ``scenario`` at ``frequency`` (n,) [Hz], with an estimate per source of error."""
+        ...
+
+    def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
+        """The same with what it may be as well."""
         ...
 
 
@@ -88,6 +105,10 @@ class LayeredArm:
         )  # fmt: skip
         return Compliance(frequency, found.values, ports, (estimate,))
 
+    def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
+        """See :class:`ArmModel`: its errors are noise."""
+        return Answer(self.compliance(scenario, frequency))
+
 
 def without_bones(scenario: Scenario) -> Scenario:
     """The same without bones, which the twin has not: thick fat need not fit around them."""
@@ -131,10 +152,14 @@ class ReducedArm:
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """See :class:`ArmModel`; the geometry's share of the error is an estimate of its own."""
+        return self.answer(scenario, frequency).compliance
+
+    def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
+        """See :class:`ArmModel`: half of what geometry changes may be missed at each pair of ports, in any phase."""
         own = on_mesh_of(self.scenario, scenario)
         found = self.model.compliance(own, frequency)
         if own == scenario:
-            return found
+            return Answer(found)
         change, error = self._change(scenario, own, np.asarray(frequency, dtype=float))
         points = found.indices("point")
         block = np.ix_(range(len(frequency)), points, found.indices("contact"))
@@ -146,7 +171,11 @@ class ReducedArm:
             f"{_MISSED:g} of what the draw's thickness, contact area and the grid's place change on the twin",
             tuple(frequency.tolist()), tuple(missed.tolist()),
         )  # fmt: skip
-        return replace(found, values=found.values + change, errors=(*found.errors, estimate))
+        whole = replace(found, values=found.values + change, errors=(*found.errors, estimate))
+        others = tuple(
+            replace(whole, values=whole.values + _MISSED * change * part) for part in _parts(frequency, change.shape[1])
+        )
+        return Answer(whole, others, estimate.source)
 
     def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """What the draw's geometry changes on the twin (n, n_port, n_port) [m/N], and the twin's errors in it (n,)."""
@@ -163,6 +192,17 @@ class ReducedArm:
         between, tail = chebyshev_between(low, high, 2 * np.pi * frequency, change)
         rising = np.interp(frequency, nodes[::-1], error[::-1])
         return between, rising + tail * np.abs(between).max(axis=(1, 2))
+
+
+def _parts(frequency: FloatArray, ports: int) -> list[ComplexArray]:
+    """Shares (n, n_port, n_port) of what geometry changes, 1 at most, smooth over frequency and reciprocal."""
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(_OTHERS):
+        noise = smooth_noise(frequency, (ports, ports), rng, _SMOOTH)
+        noise = noise + noise.swapaxes(1, 2)
+        found.append(noise / np.abs(noise).max(axis=(1, 2), keepdims=True))
+    return found
 
 
 def on_mesh_of(scene: Scenario, draw: Scenario) -> Scenario:

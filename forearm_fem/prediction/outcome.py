@@ -11,9 +11,11 @@ from types import MappingProxyType
 import numpy as np
 
 from ..device import close_loop
+from ..errors import ReductionError
 from ..metrics.strength import signal_strength
 from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import renderers, wavelet
+from ..pipeline.strengths import interval
 from ..ports import Port
 from ..rendering import Drives, Placed, Wavelet, displacements, drives, place, window_of
 from ..rendering.drives import Renderer
@@ -27,6 +29,8 @@ from .measuring import believed, noisy
 from .tissues import REFERENCE, SOFT
 
 KEPT = 16  # draws whose G is kept: 5 MB of the thesis' scene
+_MOST = 1.0  # e_band: nothing is known of a G that may be wrong by as much as it is
+_DRAWS = 6  # of an arm's errors, for the interval of its S; all targets of a method are pooled
 READINGS = ("calibrated", "played", "calibrated, record", "played, record")
 
 
@@ -66,7 +70,8 @@ class Outcome:
     ``strengths`` (n_reading, n_method, n_target) [-] by :data:`READINGS`: S on the G that was calibrated and S as
     played on the true G, over the scene's window and over the record. ``drivers`` are what S may hang on, by name: the
     draw's inputs, and size [Pa] and loss tangent at 150 Hz of each tissue instead of its law's own parameters.
-    ``numerics`` is e_band of all errors stated for the draw's G. ``problem`` says why there is no S (then NaN).
+    ``numerics`` is e_band of all errors stated for the draw's G, ``spread`` (n_method, n_target) the half width of the
+    interval of log S that these leave. ``problem`` says why there is no S (then NaN).
     ``transfer`` (n_frequency, n_out, n_in) is the true G of the first draws (:data:`KEPT`), to be looked at.
     """
 
@@ -78,21 +83,30 @@ class Outcome:
     seconds: float = float("nan")
     problem: str = ""
     transfer: ComplexArray | None = None
+    spread: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
-    """S of ``draw``; raises the :class:`ForearmError` of an arm that cannot be."""
+    """S of ``draw``; raises the :class:`ForearmError` of an arm that cannot be, or whose error is too large to say."""
     began = time.perf_counter()
     held = setup.held | arm.held
     scenario = scenario_of(draw, setup.scenario, held)
     values = {name: value for name, value in draw.values.items() if name not in held}
-    compliance = arm.compliance(scenario, frequencies(scenario.sweep))
-    true = believed(finite(close_loop(compliance, scenario.device)), setup.outputs, setup.inputs)
+    answer = arm.answer(scenario, frequencies(scenario.sweep))
+    true, *others = (
+        believed(finite(close_loop(c, scenario.device)), setup.outputs, setup.inputs)
+        for c in (answer.compliance, *answer.others)
+    )
+    if not total_error(true.errors) < _MOST:
+        raise ReductionError(f"G of the arm may be wrong by as much as it is: e_band is {_MOST:g} or more, or unknown")
     calibrated = noisy(true, replace(draw, values=values), scenario)
-    found = strengths_of(setup, true, calibrated)
+    found, window = strengths_of(setup, true, calibrated), window_of(setup.scenario.rendering.window, setup.shape)
+    noise = tuple(e for e in true.errors if e.source != answer.shown)
+    spread = interval(true, noise, setup.targets, window, setup.methods, setup.shape, draws=_DRAWS, others=others)
     return Outcome(
         draw.number, draw.law, found, drivers_of(draw, scenario, held), total_error(true.errors),
-        time.perf_counter() - began, transfer=true.values.astype(np.complex64) if draw.number < KEPT else None,
+        time.perf_counter() - began, spread=spread,
+        transfer=true.values.astype(np.complex64) if draw.number < KEPT else None,
     )  # fmt: skip
 
 

@@ -134,7 +134,7 @@ def predict(
                 _write(out, kept, setup, question)
                 saved = time.monotonic()
     finally:  # an interruption, too, keeps what is done
-        if kept and (len(kept) > reused or not (out / FILE).is_file()):
+        if len(kept) > reused:
             _write(out, kept, setup, question)
     found = draws_of([kept[n] for n in range(draws)], setup.method_names, setup.targets)
     held = tuple(sorted({*question.held, *arm.held}))
@@ -256,7 +256,7 @@ def work(job: Job) -> dict[str, Any]:
         found = drawn(question, setup, arm, job.number)
         return {"law": found.law, "strengths": found.strengths.tolist(), "drivers": dict(found.drivers),
                 "numerics": found.numerics, "seconds": found.seconds, "problem": found.problem,
-                "transfer": found.transfer}  # fmt: skip
+                "transfer": found.transfer, "spread": found.spread.tolist()}  # fmt: skip
     except Exception as problem:
         return {"problem": f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
 
@@ -299,4 +299,5 @@ def _unpacked(number: int, found: Mapping[str, Any], setup: Setup) -> Outcome:
     return Outcome(
         number, found["law"], np.array(found["strengths"], dtype=float).reshape(shape), found["drivers"],
         found["numerics"], found["seconds"], found["problem"], found["transfer"],
+        np.array(found["spread"], dtype=float).reshape(-1, shape[2]),
     )  # fmt: skip

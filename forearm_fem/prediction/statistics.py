@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,9 @@ _LEAST_SOBOL = 100
 @dataclass(frozen=True, eq=False)
 class Draws:
     """Draws that gave S: ``strengths`` (n, n_reading, n_method, n_target) [-], ``drivers`` (n, n_driver) by ``names``
-    (a categorical law as its index), ``laws`` (n,), ``numerics`` (n,) e_band of each G; ``problems`` of the others."""
+    (a categorical law as its index), ``laws`` (n,), ``numerics`` (n,) e_band of each G and ``spread``
+    (n, n_method, n_target) the half width of the interval of log S that it leaves; ``problems`` of the others, and how
+    many have them."""
 
     strengths: FloatArray
     methods: tuple[str, ...]
@@ -33,27 +37,34 @@ class Draws:
     drivers: FloatArray
     numerics: FloatArray
     seconds: FloatArray
-    problems: tuple[str, ...]
+    spread: FloatArray
+    problems: Mapping[str, int]
 
     def reading(self, name: str) -> FloatArray:
         """S (n, n_method, n_target) by one of :data:`READINGS`."""
         return np.asarray(self.strengths[:, READINGS.index(name)])
+
+    def enclosed(self, name: str) -> Enclosed:
+        """The same with what the errors of each arm's G leave it."""
+        value = self.reading(name)
+        return Enclosed(value, value * np.exp(-self.spread), value * np.exp(self.spread))
 
     def of_law(self, law: str) -> Draws:
         """The draws of one law only."""
         chosen = np.array([x == law for x in self.laws])
         return Draws(
             self.strengths[chosen], self.methods, self.targets, tuple(x for x in self.laws if x == law), self.names,
-            self.drivers[chosen], self.numerics[chosen], self.seconds[chosen], (),
+            self.drivers[chosen], self.numerics[chosen], self.seconds[chosen], self.spread[chosen],
+            MappingProxyType({}),
         )  # fmt: skip
 
 
 def draws_of(outcomes: Sequence[Outcome], methods: Sequence[str], targets: Sequence[str]) -> Draws:
     """The outcomes as arrays; DataError where fewer than :data:`LEAST` gave S."""
     good = [o for o in sorted(outcomes, key=lambda o: o.number) if not o.problem]
-    problems = tuple(dict.fromkeys(o.problem for o in outcomes if o.problem))
+    problems = MappingProxyType(Counter(o.problem for o in outcomes if o.problem))
     if len(good) < LEAST:
-        why = f"; the first failure: {problems[0]}" if problems else ", raise --draws"
+        why = f"; the first failure: {next(iter(problems))}" if problems else ", raise --draws"
         raise DataError(f"a band of 90 % needs {LEAST} draws with S, got {len(good)}{why}")
     shared = sorted(n for n in good[0].drivers if all(n in o.drivers for o in good))  # read back in any order
     laws = tuple(o.law for o in good)
@@ -61,13 +72,54 @@ def draws_of(outcomes: Sequence[Outcome], methods: Sequence[str], targets: Seque
     columns = [[o.drivers[n] for n in shared] + [float(known.index(o.law))] for o in good]
     return Draws(
         np.array([o.strengths for o in good]), tuple(methods), tuple(targets), laws, (*shared, "law"),
-        np.array(columns), np.array([o.numerics for o in good]), np.array([o.seconds for o in good]), problems,
+        np.array(columns), np.array([o.numerics for o in good]), np.array([o.seconds for o in good]),
+        np.array([o.spread for o in good]), problems,
     )  # fmt: skip
 
 
 def quantiles(values: FloatArray) -> FloatArray:
     """Quantiles (n_level, ...) at :data:`LEVELS` of ``values`` (n, ...), linear between draws."""
     return np.asarray(np.quantile(values, LEVELS, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Enclosed:
+    """What arms have (n, ...): ``value``, and the ends ``low`` and ``high`` that each arm's own numerics leave it."""
+
+    value: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    def quantiles(self) -> FloatArray:
+        """Quantiles (n_level, ...) at :data:`LEVELS`: of the low ends below the median, of the high ones above it, so
+        that what numerics may do to an arm widens the band and never narrows it."""
+        of = [self.low if level < 0.5 else self.high if level > 0.5 else self.value for level in LEVELS]
+        return np.stack([np.quantile(values, level, axis=0) for values, level in zip(of, LEVELS, strict=True)])
+
+    def of_groups(self, targets: Sequence[str]) -> Enclosed:
+        """Means over groups (:func:`group_means`); errors of a group's targets are taken to go together."""
+        return Enclosed(*(group_means(x, targets) for x in (self.value, self.low, self.high)))
+
+    def above(self, limit: float) -> FloatArray:
+        """Shares of arms (3, ...) above ``limit``: whatever their numerics, as they are, as numerics may make them."""
+        return np.stack([(x > limit).mean(axis=0) for x in (self.low, self.value, self.high)])
+
+    def judged(self, point: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Whether ``point`` (...) lies in the band of 5-95 %, and whether that is sure: it would be said of the bands
+        of most other draws of as many arms, and whichever way their numerics err.
+
+        An end of the band is known as the binomial law knows a share of n arms, within 1.96 deviations.
+        """
+        band = self.quantiles()
+        within = (point >= band[0]) & (point <= band[-1])
+        n, tail = len(self.value), LEVELS[0]
+        off = 1.96 * np.sqrt(tail * (1 - tail) / n)
+        outer = max(tail - off, 0.0)
+        widest = point < np.quantile(self.low, outer, axis=0), point > np.quantile(self.high, 1 - outer, axis=0)
+        narrow = (point >= np.quantile(self.high, tail + off, axis=0)) & (
+            point <= np.quantile(self.low, 1 - tail - off, axis=0)
+        )
+        return np.asarray(within), np.asarray(np.where(within, narrow, (widest[0] | widest[1]) & (outer > 0)))
 
 
 def group_columns(targets: Sequence[str]) -> dict[str, list[int]]:
@@ -153,9 +205,3 @@ def joint_distance(values: FloatArray, point: FloatArray) -> tuple[float, float]
 
     own, there = distance(logs), float(distance(at[None])[0])
     return there / float(np.median(own)), float(np.mean(own > there))
-
-
-def inside(values: FloatArray, point: FloatArray) -> BoolArray:
-    """Whether ``point`` (...) lies in the 5-95 % band of ``values`` (n, ...)."""
-    low, high = np.quantile(values, [LEVELS[0], LEVELS[-1]], axis=0)
-    return np.asarray((point >= low) & (point <= high))

@@ -43,6 +43,11 @@ def write_outcomes(
         ),
         "drivers": (("draw", "driver"), drivers, {"long_name": "inputs of the draw, SI; NaN where it has none"}),
         "law": (("draw",), labels(tuple(o.law for o in ordered)), {}),
+        "spread": (
+            ("draw", "method", "target"),
+            np.array([o.spread if o.spread.size else np.full((len(methods), len(targets)), np.nan) for o in ordered]),
+            {"units": "1", "long_name": "half width of the interval of log S that the errors of the draw's G leave"},
+        ),
         "numerics": (("draw",), np.array([o.numerics for o in ordered]), {"units": "1", "long_name": "e_band of G"}),
         "seconds": (("draw",), np.array([o.seconds for o in ordered]), {"units": "s"}),
         "problem": (("draw",), labels(tuple(o.problem for o in ordered)), {}),
@@ -68,12 +73,12 @@ def read_outcomes(path: Path, digest: str | None = None) -> list[Outcome]:
         names, laws, problems = (text(dataset[k].values) for k in ("driver", "law", "problem"))
         rows = zip(
             dataset["draw"].values, laws, dataset["S"].values, dataset["drivers"].values, dataset["numerics"].values,
-            dataset["seconds"].values, problems, strict=True,
+            dataset["seconds"].values, problems, dataset["spread"].values, strict=True,
         )  # fmt: skip
         kept = dict(zip(dataset["kept"].values, dataset["G"].values, strict=True)) if "kept" in dataset else {}
         return [
-            Outcome(int(n), law, s, _drivers(names, values), float(e), float(t), problem, kept.get(n))
-            for n, law, s, values, e, t, problem in rows
+            Outcome(int(n), law, s, _drivers(names, values), float(e), float(t), problem, kept.get(n), spread)
+            for n, law, s, values, e, t, problem, spread in rows
         ]
 
     return load(path, _CONTENT, unpack)

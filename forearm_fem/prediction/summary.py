@@ -10,19 +10,26 @@ import numpy as np
 
 from .. import __version__
 from ..io.jsonfiles import write_json
+from ..tissue import resolve_tissues
 from ..typing import FloatArray
 from .run import Prediction
-from .statistics import LEVELS, group_columns, group_means, quantiles, rank_correlations, sobol_indices, winners
+from .statistics import LEVELS, Enclosed, group_columns, quantiles, rank_correlations, sobol_indices, winners
+from .tissues import REFERENCE
 
 FOLDER, FILE = "prediction", "prediction.json"
 READING = "calibrated"  # as Table I: S on the G that was calibrated
 
 
 def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
-    """All that is said of a prediction, in plain numbers; quantiles are at ``levels``. NaN becomes None."""
+    """All that is said of a prediction, in plain numbers; quantiles are at ``levels``. NaN becomes None.
+
+    ``failed`` says of how many arms there is no S, and why; ``numerics`` are e_band of the arms' G and what it leaves
+    their S, as a factor to either side.
+    """
     draws, nominal = prediction.draws, prediction.nominal
-    calibrated, played = draws.reading("calibrated"), draws.reading("played")
-    means = group_means(calibrated, draws.targets)
+    calibrated, played, record = (draws.enclosed(name) for name in ("calibrated", "played", "calibrated, record"))
+    grouped = calibrated.of_groups(draws.targets)
+    means = grouped.value
     drivers = {"rank": rank_correlations(draws.drivers, means)}
     if sobol:
         drivers["sobol"] = sobol_indices(draws.drivers, draws.names, means)
@@ -36,9 +43,13 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
         "held": list(prediction.held),
         "model": prediction.model,
         "left_out": prediction.left_out,
-        "draws": len(calibrated),
-        "failed": list(draws.problems),
-        "numerics": {"median": float(np.median(draws.numerics)), "largest": float(draws.numerics.max())},
+        "draws": len(means),
+        "failed": dict(draws.problems),
+        "numerics": {
+            "median": float(np.median(draws.numerics)), "largest": float(draws.numerics.max()),
+            "factor": float(np.exp(np.median(draws.spread))), "largest factor": float(np.exp(draws.spread.max())),
+        },
+        "shorter_waves": shorter_waves(prediction),
         "levels": list(LEVELS),
         "reading": READING,
         "methods": list(draws.methods),
@@ -46,14 +57,12 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
         "groups": {g: [draws.targets[i] for i in c] for g, c in groups.items()},
         "by_target": _table(draws.methods, draws.targets, {
             "value": _aligned(nominal.value, prediction), "low": _aligned(nominal.low, prediction),
-            "high": _aligned(nominal.high, prediction), "arms": quantiles(calibrated), "played": quantiles(played),
-            "record": quantiles(draws.reading("calibrated, record")), "above_one": (calibrated > 1).mean(axis=0),
-            "wins": winners(calibrated),
+            "high": _aligned(nominal.high, prediction), **_spread(calibrated), "played": played.quantiles(),
+            "record": record.quantiles(), "wins": winners(calibrated.value),
         }),
         "by_group": _table(draws.methods, tuple(groups), {
-            "arms": quantiles(means), "played": quantiles(group_means(played, draws.targets)),
-            "record": quantiles(group_means(draws.reading("calibrated, record"), draws.targets)),
-            "above_one": (means > 1).mean(axis=0), "wins": winners(means),
+            **_spread(grouped), "played": played.of_groups(draws.targets).quantiles(),
+            "record": record.of_groups(draws.targets).quantiles(), "wins": winners(means),
         }),
         "drivers": [
             {"name": name, **{what: _table(draws.methods, tuple(groups), {"": found[k]}, flat=True)
@@ -62,6 +71,28 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
         ],
         "seconds_per_draw": float(np.median(draws.seconds)),
     }  # fmt: skip
+
+
+def shorter_waves(prediction: Prediction) -> dict[str, float] | None:
+    """Of arms on a mesh: the ``share`` whose shear waves at 150 Hz are shorter in some tissue than the scene's own, for
+    which the mesh was made, and the ``factor`` that one in twenty exceeds; None where arms have no mesh."""
+    question, draws = prediction.question, prediction.draws
+    if question.scenario.engine != "fem" or question.twin:
+        return None
+    own = {f"{n} stiffness": abs(complex(t.modulus.at(2 * np.pi * REFERENCE)))
+           for n, t in resolve_tissues(question.scenario).items()}  # fmt: skip
+    columns = [(draws.drivers[:, k], own[n]) for k, n in enumerate(draws.names) if n in own]
+    if not columns:
+        return None
+    factor = np.sqrt(np.max([scene / drawn for drawn, scene in columns], axis=0))
+    return {"share": float((factor > 1).mean()), "factor": float(np.quantile(factor, LEVELS[-1]))}
+
+
+def _spread(arms: Enclosed) -> dict[str, FloatArray]:
+    """Bands with what the arms' own numerics leave them and ``bare``, without; shares of arms with S above 1."""
+    sure, shown, possible = arms.above(1.0)
+    return {"arms": arms.quantiles(), "bare": quantiles(arms.value), "above_one": shown,
+            "above_one_range": np.stack([sure, possible])}  # fmt: skip
 
 
 def _aligned(values: FloatArray, prediction: Prediction) -> FloatArray:

@@ -28,7 +28,7 @@ from .draws import LAWS, Draw, draw_inputs, scenario_of
 from .observables import TOLERANCE, Arm, fat_of, motor_ratios, observables
 from .priors import load_priors
 from .run import Prediction, Question, expanded, predict
-from .statistics import LEVELS, Draws, group_columns, group_means, inside, joint_distance, winners
+from .statistics import LEVELS, Draws, Enclosed, group_columns, group_means, joint_distance, winners
 from .targets import SHAH_ARMS, SHAH_STEPS, TARGETS, Target
 
 FILE, OBSERVABLES = "validation.json", "observables.json"
@@ -48,13 +48,14 @@ def validate(
     workers: int | None = None,
     scheduler: str | None = None,
     measured: TransferMatrix | None = None,
+    measured_name: str = "",
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """All findings as plain data, and ``folder/validation.json``.
 
     ``draws`` arms of the question's scene give S (:func:`.run.predict`, resumable) and, on the same arms, what each
-    published measurement would have found. A ``measured`` G runs through the same comparison as Table I. Raises
-    ScenarioError for scenes without the thesis' targets or without layers.
+    published measurement would have found. A ``measured`` G, ``measured_name`` on the page, runs through the same
+    comparison as Table I. Raises ScenarioError for scenes without the thesis' targets or without layers.
     """
     if question.scenario.engine != "layered":
         raise ScenarioError("validate draws arms on the twin; set engine=layered (what it leaves out is said)")
@@ -74,11 +75,17 @@ def validate(
         "levels": [LEVELS[0], LEVELS[-1]],
         "model": prediction.model,
         "left_out": prediction.left_out,
-        "numerics": {"S": float(np.median(prediction.draws.numerics)), "observables": TOLERANCE},
+        "numerics": {
+            "S": float(np.median(prediction.draws.numerics)), "largest": float(prediction.draws.numerics.max()),
+            "factor": float(np.exp(np.median(prediction.draws.spread))), "observables": TOLERANCE,
+        },
+        "failed": dict(prediction.draws.problems),
         "targets": [_judged(t, rows) for t in TARGETS],
         "table_one": {name: _table_one(prediction.draws, reading) for name, reading in TABLE.items()},
         "shah": _shah(question, progress),
-        "measured": None if measured is None else _measured(measured, question, prediction),
+        "measured": None if measured is None else {
+            "name": measured_name, **_measured(measured, question, prediction)
+        },
     }
     write_json(out / FILE, content)
     return content
@@ -151,10 +158,19 @@ def _band(target: Target, rows: Sequence[dict[str, Any]]) -> dict[str, Any] | No
         return None
     if target.kind == "trend":
         share = float(values.mean())
-        return {"share": share, "inside": share >= _SEEN}
-    low, median, high = (float(x) for x in np.quantile(values, [LEVELS[0], 0.5, LEVELS[-1]]))
-    return {"low": low, "median": median, "high": high, "inside": low <= target.value <= high,
+        return {"share": share, "inside": share >= _SEEN, "sure": _sure_share(share, len(values))}
+    arms = Enclosed(values, values, values)
+    low, median, high = (float(x) for x in arms.quantiles()[[0, 2, -1]])
+    within, sure = arms.judged(np.array(target.value))
+    return {"low": low, "median": median, "high": high, "inside": bool(within), "sure": bool(sure),
             "width": float(np.sqrt(high / low)) if low > 0 else None}  # fmt: skip
+
+
+def _sure_share(share: float, count: int) -> bool:
+    """Whether most other draws of ``count`` arms would say the same of a trend: Wilson's interval of 95 %."""
+    z = 1.96**2 / count
+    middle, half = (share + z / 2) / (1 + z), np.sqrt(z * (share * (1 - share) + z / 4)) / (1 + z)
+    return not middle - half < _SEEN <= middle + half
 
 
 def _table_one(draws: Draws, reading: str) -> dict[str, Any]:
@@ -167,13 +183,14 @@ def _table_one(draws: Draws, reading: str) -> dict[str, Any]:
 
 def _entries(draws: Draws, reading: str, point: FloatArray) -> dict[str, Any]:
     """``point`` (n_method, n_group) against the group means of S."""
-    means = group_means(draws.reading(reading), draws.targets)
-    hit = inside(means, point)
-    low, median, high = np.quantile(means, [LEVELS[0], 0.5, LEVELS[-1]], axis=0)
+    arms = draws.enclosed(reading).of_groups(draws.targets)
+    means = arms.value
+    hit, sure = arms.judged(point)
+    low, median, high = arms.quantiles()[[0, 2, -1]]
     distance, beyond = joint_distance(means.reshape(len(means), -1), point.ravel())
     entries = [
         {"method": method, "group": group, "measured": float(point[m, g]), "low": float(low[m, g]),
-         "median": float(median[m, g]), "high": float(high[m, g]), "inside": bool(hit[m, g]),
+         "median": float(median[m, g]), "high": float(high[m, g]), "inside": bool(hit[m, g]), "sure": bool(sure[m, g]),
          "width": float(np.sqrt(high[m, g] / low[m, g]))}
         for m, method in enumerate(draws.methods)
         for g, group in enumerate(group_columns(draws.targets))

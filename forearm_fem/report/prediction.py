@@ -15,6 +15,7 @@ from .facts import Block
 from .write import Picture, Section, embedded, html_of, markdown_of
 
 _STRONG = 0.2  # rank correlation that is named
+_WIDE = 1.1  # factor of S, by errors of the arms' own G, from which on the report says what to do
 
 
 def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path, Path]:
@@ -56,8 +57,14 @@ def lead_of(data: Mapping[str, Any]) -> str:
     for method in data["methods"]:
         low, high = data["by_group"][method][group]["arms"][0], data["by_group"][method][group]["arms"][-1]
         parts.append(f"{method} {low:.2g} to {high:.2g}")
-    return (f"Nine in ten of {data['draws']} arms have, at {group}: {', '.join(parts)}. How wrong the numerics may be "
-            "is stated apart.")  # fmt: skip
+    lost = sum(data["failed"].values())
+    missing = f" {_arms(lost)} more without S left out (see below)." if lost else ""
+    return (f"Nine in ten of {data['draws']} arms have, at {group}: {', '.join(parts)}. Errors of each arm's own G are "
+            f"in these bands; those of the scene's S are stated apart.{missing}")  # fmt: skip
+
+
+def _arms(count: int) -> str:
+    return "1 arm" if count == 1 else f"{count} arms"
 
 
 def strength_words(cell: Mapping[str, Any]) -> str:
@@ -82,7 +89,8 @@ def _sections(data: Mapping[str, Any], pictures: Mapping[str, Picture]) -> list[
 def _targets(data: Mapping[str, Any]) -> Block:
     rows = [[t, *(strength_words(data["by_target"][m][t]) for m in data["methods"])] for t in data["targets"]]
     note = ("S of the scene itself, the interval of its numerics, and 5-95 % over arms and measurements, on the G that "
-            "was calibrated (as Table I). The two spreads are of different things and are never added.")  # fmt: skip
+            "was calibrated (as Table I), errors of each arm's own G included. The two spreads are of different things "
+            "and are never added.")  # fmt: skip
     return Block(["target", *data["methods"]], rows, note)
 
 
@@ -93,12 +101,22 @@ def _groups(data: Mapping[str, Any]) -> Block:
             cell = data["by_group"][method][group]
             rows.append([group, method, *(f"{x:.2f}" for x in cell["arms"]), f"{cell['played'][0]:.2f}-"
                          f"{cell['played'][-1]:.2f}", f"{cell['record'][0]:.2f}-{cell['record'][-1]:.2f}",
-                         f"{cell['above_one']:.0%}"])  # fmt: skip
+                         f"{cell['bare'][0]:.2f}-{cell['bare'][-1]:.2f}", _share_words(cell)])  # fmt: skip
     levels = [f"{100 * x:g} %" for x in data["levels"]]
-    header = ["place", "method", *levels, "as played, 5-95 %", "over the record, 5-95 %", "S > 1"]
-    note = ("Quantiles over arms of the group's mean S on the calibrated G. As played: the same drives on the true G, "
-            "without its noise. Over the record: as the thesis sums it, noise over two seconds included.")  # fmt: skip
+    header = ["place", "method", *levels, "as played, 5-95 %", "over the record, 5-95 %",
+              "without errors of the arms' G, 5-95 %", "S > 1"]
+    note = ("Quantiles over arms of the group's mean S on the calibrated G: below the median of the low ends, above it "
+            "of the high ends that errors of each arm's own G leave its S, so that they widen a band and never narrow "
+            "it. S > 1, in brackets: of how many arms that is sure, and of how many possible. As played: the same "
+            "drives on the true G, without its noise. Over the record: as the thesis sums it, noise over two seconds "
+            "included.")  # fmt: skip
     return Block(header, rows, note)
+
+
+def _share_words(cell: Mapping[str, Any]) -> str:
+    """E.g. ``88% (75-92%)``, or ``100%`` where the arms' numerics change nothing."""
+    low, high = (f"{share:.0%}" for share in cell["above_one_range"])
+    return f"{cell['above_one']:.0%}" + ("" if low == high else f" ({low[:-1]}-{high})")
 
 
 def _wins(data: Mapping[str, Any]) -> Block:
@@ -116,8 +134,9 @@ def _drivers(data: Mapping[str, Any]) -> Block:
             named = [d for d in ranked if abs(d["rank"][method][group] or 0.0) >= _STRONG][:4]
             told = ", ".join(f"{d['name']} {d['rank'][method][group]:+.2f}{_share(d, method, group)}" for d in named)
             rows.append([group, method, told or "none above 0.2"])
-    note = ("Spearman's rank correlation with the group's S; in brackets the first-order Sobol' index, the share of "
-            f"the variance of log S that the driver explains alone. With {data['draws']} arms correlations within "
+    note = ("Spearman's rank correlation with the group's S; in brackets, from 100 arms on, the first-order Sobol' "
+            "index, the share of the variance of log S that the driver explains alone. Laws count in alphabetical "
+            f"order. With {data['draws']} arms correlations within "
             f"{2 / max(data['draws'] - 1, 1) ** 0.5:.2f} may be chance.")  # fmt: skip
     return Block(["place", "method", "strongest drivers"], rows, note)
 
@@ -128,9 +147,23 @@ def _share(driver: Mapping[str, Any], method: str, group: str) -> str:
 
 
 def _numerics(data: Mapping[str, Any]) -> str:
-    return (f"The scene's own interval stands in the first table. G of each arm carries an error of its own: e_band "
-            f"{data['numerics']['median']:.1e} in the median, {data['numerics']['largest']:.1e} at most. None of it "
-            "is in the band over arms.")  # fmt: skip
+    told, lost = data["numerics"], sum(data["failed"].values())
+    parts = [
+        "The scene's own interval stands in the first table and holds what its mesh or series may miss; that is in no "
+        f"band over arms. G of each arm has an error of its own: e_band {told['median']:.1e} in the median, "
+        f"{told['largest']:.1e} at most. It leaves S of an arm a factor of {told['factor']:.2f} to either side in the "
+        f"median, {told['largest factor']:.2f} at most, and that is in the bands."
+    ]
+    if told["factor"] > _WIDE:
+        parts.append("This widens the bands much: hold what you know (--hold thickness --hold contact --hold "
+                     "placement), or draw the arms on the flat twin (--twin).")  # fmt: skip
+    if (mesh := data["shorter_waves"]) is not None and mesh["share"]:
+        parts.append(f"The mesh was made for the scene's own tissue: {mesh['share']:.0%} of the arms have shorter "
+                     f"waves in some tissue, one in twenty by a factor of {mesh['factor']:.2g} or more. For these it "
+                     "errs as it does for the scene at frequencies so much higher.")  # fmt: skip
+    if lost:
+        parts.append(f"Of {data['draws'] + lost} arms {lost} are left out, for the reasons below.")
+    return " ".join(parts)
 
 
 def _scope(data: Mapping[str, Any]) -> list[str]:
@@ -140,5 +173,6 @@ def _scope(data: Mapping[str, Any]) -> list[str]:
              "tissue_laws.json in the package; none was fitted to the thesis' Table I."]  # fmt: skip
     if data["held"]:
         lines.append(f"Held at the scene's own values: {', '.join(data['held'])}.")
-    lines += [f"An arm without S: {problem}" for problem in data["failed"]]
+    lines += [f"Left out, {count} of {data['draws'] + sum(data['failed'].values())} arms: {problem}"
+              for problem, count in data["failed"].items()]  # fmt: skip
     return lines

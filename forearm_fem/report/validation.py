@@ -25,14 +25,19 @@ def validation_page(data: Mapping[str, Any], scene: str = "thesis") -> str:
         "In the spirit of ASME V&V 40 and the ten rules of credible practice:\n",
         markdown_table(("question", "answer"), _PURPOSE),
         "\n## Published measurements\n",
-        "Band: 5-95 % over arms. A trend is inside where 5 % of the arms or more show it. *Fitted* findings made the "
-        "tissue laws (`benchmarks/tissue_laws.py`) and are no test of them. Priors and laws were committed before any "
-        f"of these comparisons was run. Numerics: {data['numerics']['observables']:.0e} of the largest displacement.\n",
+        "Band: 5-95 % over arms; half width: half of it in the logarithm, for a wide band says little. A trend is "
+        "inside where 5 % of the arms or more show it. *Just*: other draws of as many arms may say otherwise. *Fitted* "
+        "findings made the tissue laws (`benchmarks/tissue_laws.py`) and are no test of them. Priors and laws were "
+        "committed before any of these comparisons was run. Numerics: "
+        f"{data['numerics']['observables']:.0e} of the largest displacement.\n",
         _targets(data),
         markdown_table(("findings", "inside the band"), coverage(data)),
         "## Table I of the thesis\n",
         "One participant, on the G that was measured. The thesis does not state the time that S is summed over, so "
-        f"both readings are judged. Numerics of G in the median: e_band {data['numerics']['S']:.0e}.\n",
+        "both readings are judged. Numerics of the arms' G: e_band "
+        f"{data['numerics']['S']:.0e} in the median, {data['numerics']['largest']:.0e} at most; the factor of S that "
+        f"this leaves, {data['numerics']['factor']:.3f} in the median, widens the bands. *Just*: other draws of as "
+        f"many arms, or their numerics, may say otherwise.{_left_out(data)}\n",
         *_table_one(data),
         "\n## The six arms of Shah et al. 2019\n",
         "Acceleration [g], 5-95 % over arms, of a motor with the amplitude that the paper gives. Fat is from sex and "
@@ -113,6 +118,16 @@ _SCOPE = (
 )
 
 
+def _left_out(data: Mapping[str, Any]) -> str:
+    lost = sum(data["failed"].values())
+    return f" {lost} of {data['draws']} arms gave no S and are left out: {'; '.join(data['failed'])}." if lost else ""
+
+
+def verdict(judged: Mapping[str, Any]) -> str:
+    """E.g. ``yes`` or ``no, just``."""
+    return ("yes" if judged["inside"] else "no") + ("" if judged["sure"] else ", just")
+
+
 def _made(data: Mapping[str, Any]) -> tuple[str, ...]:
     return str(data["draws"]), str(data["seed"]), data["model"], data["program"]
 
@@ -121,13 +136,17 @@ def failures(data: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What lies outside the band: what it is, what was measured, what the arms show."""
     rows = [
         (f"Table I, S {words}: {e['method']} at {_short(e['group'])}", f"{e['measured']:.2f}",
-         f"{e['low']:.2f}-{e['high']:.2f}")
+         f"{e['low']:.2f}-{e['high']:.2f}{'' if e['sure'] else ' (just)'}")
         for reading, words in _READINGS.items()
         for e in data["table_one"][reading]["all"]["entries"]
         if not e["inside"]
     ]  # fmt: skip
     outside = (t for t in _compared(data) if not t["all"]["inside"])
-    return rows + [(f"{t['name']}: {t['what']}{_note(t)}", _measured_cell(t), _cell(t, "all")) for t in outside]
+    return rows + [
+        (f"{t['name']}: {t['what']}{_note(t)}", _measured_cell(t),
+         _cell(t, "all") + ("" if t["all"]["sure"] else " (just)"))
+        for t in outside
+    ]  # fmt: skip
 
 
 def joint_words(data: Mapping[str, Any]) -> list[str]:
@@ -206,14 +225,15 @@ def _cell(target: Mapping[str, Any], which: str) -> str:
 
 
 def _targets(data: Mapping[str, Any]) -> str:
-    header = ["finding", "measured", *_NAMES.values(), "inside", "source"]
+    header = ["finding", "measured", *_NAMES.values(), "half width, x/÷", "inside", "source"]
     rows = []
     for t in data["targets"]:
-        verdict = "not comparable" if t["kind"] == "not comparable" or t["all"] is None else (
-            ("yes" if t["all"]["inside"] else "no") + (", fitted" if t["fitted"] else ""))  # fmt: skip
+        told = "not comparable" if t["kind"] == "not comparable" or t["all"] is None else (
+            verdict(t["all"]) + (", fitted" if t["fitted"] else ""))  # fmt: skip
+        width = (t.get("all") or {}).get("width")
         rows.append(
-            [f"{t['name']}: {t['what']}{_note(t)}", _measured_cell(t), *(_cell(t, k) for k in _NAMES), verdict,
-             t["source"]]
+            [f"{t['name']}: {t['what']}{_note(t)}", _measured_cell(t), *(_cell(t, k) for k in _NAMES),
+             "–" if width is None else f"{width:.2f}", told, t["source"]]
         )  # fmt: skip
     return markdown_table(header, rows)
 
@@ -228,7 +248,7 @@ def _table_one(data: Mapping[str, Any]) -> list[str]:
             bands = [found[law]["entries"][k] for law in found]
             cells = [f"{b['low']:.2f}-{b['high']:.2f}{'' if b['inside'] else ' (out)'}" for b in bands]
             rows.append([entry["group"], entry["method"], f"{entry['measured']:.2f}", *cells,
-                         "yes" if entry["inside"] else "no"])  # fmt: skip
+                         verdict(entry)])  # fmt: skip
         parts += [f"S {words}:\n", markdown_table(header, rows), _summary(found)]
     return parts
 
@@ -267,7 +287,7 @@ def _measured(data: Mapping[str, Any]) -> list[str]:
         return []
     header = ["place", "method", "this G", "arms, 5-95 %", "inside"]
     rows = [[e["group"], e["method"], f"{e['measured']:.2f}", f"{e['low']:.2f}-{e['high']:.2f}",
-             "yes" if e["inside"] else "no"] for e in found["entries"]]  # fmt: skip
-    told = (f"{found['inside']} of {len(rows)} inside. {_share(found['beyond']).capitalize()} of the arms lie as far "
-            f"out ({found['distance']:.1f} times the median distance).\n")  # fmt: skip
+             verdict(e)] for e in found["entries"]]  # fmt: skip
+    told = (f"G of {found['name']}: {found['inside']} of {len(rows)} inside. {_share(found['beyond']).capitalize()} of "
+            f"the arms lie as far out ({found['distance']:.1f} times the median distance).\n")  # fmt: skip
     return ["## A measured G through the same comparison\n", markdown_table(header, rows), told]

@@ -28,7 +28,7 @@ from .rate_space import RateSpace
 from .reduced_model import ReducedModel, empty_model, with_last_columns
 
 Coefficients = tuple[Coefficient, ...]  # one of each term: what a draw is to the operator
-_DERIVATIVES = 20  # about the rate, for the middle draw
+_DERIVATIVES, _AT_ONCE = 20, 5  # about the rate, for the middle draw
 _LOOKED_AT = 12  # places among which the next solve is chosen; each costs two small dense solves
 _TURNS = 3  # parts of the band, equally many bins each, in which solves are placed in turn
 _FEW = 8  # bins below which a band is not cut
@@ -115,8 +115,8 @@ def united_model(
     work = _Growing(model, draws, make_solver(model, options, float(frequency[-1])))
     rng = np.random.default_rng(growth.seed)
     stage, total = "draws solved", growth.solves + growth.checks
+    work.start(frequency, progress)
     tell(progress, stage, 0, total)
-    work.start(frequency)
     turns = np.array_split(frequency, min(_TURNS, len(frequency)))
     trials = list[TrialSolve]()
     for i in range(growth.solves):  # each part of the band in turn, as errors are largest where waves are short
@@ -127,6 +127,7 @@ def united_model(
         tell(progress, stage, i + 1, total)
     parts = cut(frequency, growth.parts)
     pieces = list[Piece]()
+    tell(progress, "states gathered", 0, len(parts))
     for part in parts:
         pieces.append(work.piece(part, rng, growth))
         tell(progress, "states gathered", len(pieces), len(parts))
@@ -173,13 +174,15 @@ class _Growing:
         self.reduced, self._strong, self._early = empty_model(model), np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
         self._solved = set[int]()
 
-    def start(self, frequency: FloatArray) -> None:
+    def start(self, frequency: FloatArray, progress: Progress | None = None) -> None:
         """Derivatives about a rate, where moduli that are no polynomials of it are replaced by Kelvin-Voigt ones."""
         rate = expansion_rate(frequency)
         own = [kelvin_voigt_like(t.coefficient, rate) for t in self._model.operator.terms]
         space = RateSpace(self._of(tuple(own)), self._model.functionals, rate)
-        for strong in (True, False):
-            self._added(space.more(_DERIVATIVES // 2).columns, strong, early=True)
+        tell(progress, "derivatives", 0, _DERIVATIVES)
+        for done in range(0, _DERIVATIVES, _AT_ONCE):
+            self._added(space.more(_AT_ONCE).columns, done < _DERIVATIVES // 2, early=True)
+            tell(progress, "derivatives", done + _AT_ONCE, _DERIVATIVES)
 
     def unsolved(self) -> list[int]:
         """Draws that have not been solved; all once there is no other."""
