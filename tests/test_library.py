@@ -182,7 +182,7 @@ def test_bells_of_a_slab_push_and_read_as_their_twins_in_every_direction(library
 def test_discs_that_are_held_again_are_those_that_were_never_let_go(slab, library):
     ports, frequency = library.ports(slab), np.array([70.0, 90.0])
     places = library.skin.flat(positions(ports))
-    discs = [Disc(*at, 0.002, "bonded") for at in places[:2].tolist()] + [Disc(*at) for at in places[2:].tolist()]
+    discs = [Disc(x, y, 0.002, "bonded") for x, y in places[:2].tolist()] + [Disc(x, y) for x, y in places[2:].tolist()]
     free = library.twin.compliance(2 * np.pi * frequency, discs, free=True).values
     direct = library.twin.compliance(2 * np.pi * frequency, discs).values
     assert free.shape == (2, 8, 8)
