@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import meshio
 import numpy as np
 import pytest
 from cli_runner import SMALL, cli, leftovers
@@ -17,7 +18,8 @@ from forearm_fem.campaign.model import load_campaign
 from forearm_fem.compare.compare import compare
 from forearm_fem.compare.report import picture
 from forearm_fem.design import load_design
-from forearm_fem.errors import ForearmError, HardwareError, ScenarioError
+from forearm_fem.errors import ForearmError, HardwareError, MeshError, ScenarioError
+from forearm_fem.geometry.build import build_mesh
 from forearm_fem.io.recipe import load_recipe
 from forearm_fem.measurement.figures import save_live
 from forearm_fem.measurement.play import LONGEST, play
@@ -192,3 +194,21 @@ def test_an_error_that_nobody_asked_for_is_unknown_not_zero() -> None:
     assert {e.source for e in found.transfer.errors if not e.known} == {"discretisation", "truncation"}
     assert "UNKNOWN" in accuracy_verdict(scenario, found.transfer.errors)
     assert any("the error by discretisation is unknown" in note for note in found.notes)
+
+
+def test_a_mesh_too_coarse_for_its_contacts_is_told_where_and_how_fine(tmp_path: Path) -> None:
+    n = (8, 8, 4)
+    axes = [
+        np.linspace(low, high, k + 1) for low, high, k in zip((-0.04, -0.04, -0.02), (0.04, 0.04, 0.0), n, strict=True)
+    ]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(len(points)).reshape([k + 1 for k in n])
+    corners = [number[i : n[0] + i, j : n[1] + j, k : n[2] + k].ravel() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    kuhn = [(0, 1, 3, 7), (0, 5, 1, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 4, 5, 7), (0, 6, 4, 7)]
+    cells = np.vstack([np.stack([corners[c] for c in cell], axis=1) for cell in kuhn])
+    region = np.ones(len(cells), dtype=int)
+    meshio.Mesh(points, [("tetra", cells)], cell_data={"region": [region]}).write(tmp_path / "block.vtu")
+    limb = {"shape": "mesh", "file": "block.vtu", "regions": {"1": "muscle"}}
+    scene = {"limb": limb, "device": {"spacing": 0.03, "cone": {"contact": "pressure"}}, "grid": {"pitch": 0.008}}
+    with pytest.raises(MeshError, match=r"edges under contact A1 are 10 mm and longer, its radius is 3\.5 mm: remesh"):
+        build_mesh(parse_scenario(scene), base=tmp_path)

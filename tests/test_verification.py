@@ -127,6 +127,12 @@ def test_fe_meets_the_twin_on_a_coarse_slab():
     assert points < 0.03
 
 
+def test_three_levels_converge_to_the_twin_and_state_their_error():
+    """What `verify` asks of order, error and estimate, so that it does not fail first at a user's."""
+    missed = [r for r in slabs.convergence_rows() if not r.met]
+    assert not missed
+
+
 def test_quick_hard_cases():
     names = {"two contacts touching", "contact over an edge", "held by nothing, static", "rotated, translated, scaled"}
     rows = [r for case in hard.HARD if case.name in names for r in hard.hard_rows(case)]

@@ -78,9 +78,25 @@ def _on_users_mesh(
         except MeshError as found:
             problem = problem or found
     raise MeshError(
-        "the mesh itself is sound, but following the contacts' rims in it makes elements flat or inverted; set "
-        "mesh.size_contact near the length of the skin's edges there, use smaller ones, or lower mesh.min_quality"
+        "the mesh itself is sound, but following the contacts' rims in it makes elements flat or inverted; "
+        + _remedy(mesh, place_ports(scenario, mesh))
     ) from problem
+
+
+def _remedy(mesh: TissueMesh, ports: tuple[Port, ...]) -> str:
+    """What helps where rims cannot be followed: no size asked for makes up for skin edges far longer than a radius."""
+    middles, edges = mesh.points[mesh.facets["skin"]].mean(axis=1), mesh.points[mesh.facets["skin"]]
+    for port in (p for p in ports if p.kind == "contact"):
+        under = edges[np.argmin(np.linalg.norm(middles - np.asarray(port.position), axis=1))]
+        length = float(np.linalg.norm(under - np.roll(under, 1, axis=0), axis=1).min())
+        if length > 2 * port.radius:
+            return (
+                f"the skin's edges under contact {port.name} are {1e3 * length:.3g} mm and longer, its radius is "
+                f"{1e3 * port.radius:.3g} mm: remesh there with edges shorter than the radius"
+            )
+    return (
+        "set mesh.size_contact near the length of the skin's edges there, use smaller ones, or lower mesh.min_quality"
+    )
 
 
 def _unmarked(scenario: Scenario, base: Path, size: SizeField, progress: Progress | None, attempt: int) -> TissueMesh:

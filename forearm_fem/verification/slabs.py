@@ -141,9 +141,12 @@ def _name(slab: Slab) -> str:
 
 
 CONVERGENCE = Slab("default", 300.0, 0.07, 0.025, 1.3e-3, 5e-3, radii=(0.010, 0.020), contact=0.9e-3)
+# At 300 Hz the coarsest mesh has 2.5 elements a wave, which it does not carry: order 4 is seen, and 6.7 times the true
+# error stated. That is on the safe side, but says nothing about the estimate where it is one.
+LEVELS = replace(CONVERGENCE, frequency=250.0)
 
 
-def convergence_rows(slab: Slab = CONVERGENCE, scales: Sequence[float] = (COARSER, 1.4, 1.0)) -> Iterator[Row]:
+def convergence_rows(slab: Slab = LEVELS, scales: Sequence[float] = (COARSER, 1.4, 1.0)) -> Iterator[Row]:
     """Three levels: the order seen between the first and the last, and the two-mesh estimate on the finest."""
     truth = exact(slab)
     levels = [solve_level(slab, s) for s in scales]
@@ -151,7 +154,7 @@ def convergence_rows(slab: Slab = CONVERGENCE, scales: Sequence[float] = (COARSE
     order = float(np.log(found[0] / found[-1]) / np.log(scales[0] / scales[-1]))
     seconds = sum(level.seconds for level in levels)
     case = f"FE, preset O, {slab.frequency:g} Hz, three levels to {levels[-1].unknowns} unknowns"
-    reason = "below 3: sizes grow away from the ports and the coarsest mesh has 2.5 elements a wave"
+    reason = "below 3: sizes grow away from the ports and the coarsest mesh has 3 elements a wave"
     yield Row(case, "layered twin", f"3 - order seen ({order:.2f})", max(0.0, 3 - order), 1.0, reason, seconds)
     yield Row(case, "layered twin", "e(f) on the finest", found[-1], 0.02, "asked for", seconds)
     effectivity = stated_error(levels[0].values, levels[-1].values) / found[-1]
