@@ -294,13 +294,13 @@ def test_arms_of_shorter_waves_than_the_mesh_was_made_for_are_told(found: tuple[
     assert "50% of the arms have shorter waves in some tissue, one in twenty by a factor of 2 or" in _numerics(told)
 
 
-def test_an_interruption_before_the_first_draw_leaves_no_file(tmp_path: Path) -> None:
-    def stop(stage: str, done: int, total: int) -> None:
-        if stage == "draws":
-            raise KeyboardInterrupt
+def test_an_interruption_before_the_first_draw_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> Outcome:
+        raise KeyboardInterrupt
 
+    monkeypatch.setattr(runs, "drawn", stop)
     with pytest.raises(KeyboardInterrupt):
-        predict(question(), tmp_path, draws=N, workers=1, progress=stop)
+        predict(question(), tmp_path, draws=N, workers=1)
     assert not list(tmp_path.iterdir())
 
 

@@ -84,7 +84,7 @@ def validate(
         "table_one": {name: _table_one(prediction.draws, reading) for name, reading in TABLE.items()},
         "shah": _shah(question, progress),
         "measured": None if measured is None else {
-            "name": measured_name, **_measured(measured, question, prediction)
+            "name": measured.provenance.get("cite") or measured_name, **_measured(measured, question, prediction)
         },
     }
     write_json(out / FILE, content)
