@@ -277,6 +277,29 @@ def test_truncation_is_what_either_change_of_ends_shows_at_each_frequency():
     assert "clamped" in error.method
 
 
+def test_truncation_decays_between_the_few_frequencies_of_clamped_ends():
+    """E decays tenfold in 50 Hz; ends return a fifth of it: half way, a straight line is a hundred times too large."""
+    scenario = parse_scenario(SLAB)
+    ports = simulate(scenario.model_copy(update={"engine": "layered"})).compliance.ports
+    many, few = np.linspace(50.0, 250.0, 41), np.array([50.0, 250.0])
+
+    def ends(frequency, r):
+        back = r * 0.2 * 10 ** (-(frequency - 50) / 50)
+        return Compliance(frequency, (1 + back)[:, None, None] * np.ones((len(frequency), 2, 2)) + 0j, ports)
+
+    own, freed, clamped = ends(many, 0.2), ends(many, 1.0), ends(few, -1.0)
+    coarse = replace(own, provenance={"ratio": 2.0})
+    modes, states = np.zeros((0, 3, 0)), np.zeros((len(many), 0, 0), dtype=complex)
+    solved = Solved(own, coarse, freed, modes, states, SolutionRecord(ends_by="reduced model"), other_ends=clamped)
+    found = with_device(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
+    (error,) = [e for e in found if e.source == "truncation"]
+    exact = 0.2 * 0.2 * 10 ** (-(many - 50) / 50)
+    stated = np.interp(many, error.frequency, error.per_frequency)
+    # (1 + |r|) / (2 |r|) = 3 times the truth by the rule; neighbours a third of an octave away speak for up to .25 f
+    assert (stated >= 2 * exact).all()
+    assert (stated <= 3.3 * exact * 10 ** (0.25 * many / 50)).all()
+
+
 def test_supports_are_part_of_a_solves_key(cold):
     scenario = parse_scenario(SLAB)
     mesh = cached_mesh(scenario)

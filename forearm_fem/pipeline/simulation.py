@@ -19,6 +19,7 @@ from ..scenario import Scenario
 from ..scenario.limb import MeshLimb
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error_at
+from ..typing import FloatArray
 from .dispersion import phase_lags
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
@@ -174,18 +175,34 @@ def _discretisation(
 
 
 def _either(estimates: list[ErrorEstimate]) -> ErrorEstimate:
-    """The largest of ``estimates`` at each frequency: with ends that reflect a share r of -1 (clamped) to 1 (free), and
-    E what comes back from free ones, they err by |r| E and change by (1 - r) E when freed, (1 + r) E when clamped. Half
-    of the larger change is (1 + |r|) E / 2 >= |r| E, half of either alone may be zero.
+    """The largest of ``estimates``, freed ends first, at each frequency: with ends that reflect a share r of -1
+    (clamped) to 1 (free), and E what comes back from free ones, they err by |r| E and change by (1 - r) E when freed,
+    (1 + r) E when clamped. Half of the larger change is (1 + |r|) E / 2 >= |r| E, half of either alone may be zero.
     """
     if len(estimates) == 1:
         return estimates[0]
+    freed, clamped = estimates
     frequency = np.unique(np.concatenate([e.frequency for e in estimates]))
-    error = np.max([relative_error_at(e, frequency) for e in estimates], axis=0)
+    error = np.maximum(relative_error_at(freed, frequency), _between(clamped, freed, frequency))
     method = "at each frequency the larger of " + " and ".join(e.method for e in estimates)
     return ErrorEstimate(
         "truncation", max(e.band for e in estimates), method, tuple(frequency.tolist()), tuple(error.tolist())
     )
+
+
+def _between(few: ErrorEstimate, many: ErrorEstimate, frequency: FloatArray) -> FloatArray:
+    """e(f) (n,) of ``few`` at ``frequency`` (n,) [Hz], between its own ones in proportion to ``many``.
+
+    What comes back from ends decays by orders of magnitude between the few frequencies that clamped ends are solved
+    at, and E is common to both. A straight line, which overstates there, is never exceeded: where freed ends change
+    nothing, there is no proportion.
+    """
+    straight, at = relative_error_at(few, frequency), np.asarray(few.frequency)
+    own, other = relative_error_at(few, at), relative_error_at(many, at)
+    if not (own * other > 0).all():
+        return straight
+    share = np.exp(np.interp(np.sqrt(frequency), np.sqrt(at), np.log(own / other)))
+    return np.minimum(straight, share * relative_error_at(many, frequency))
 
 
 def _truncation(

@@ -15,7 +15,7 @@ import { aim, respond } from "./renderers.js";
 import { area, strengthOf } from "./strength.js";
 
 const DRAWS = 12, CORRELATION = 50, WAVES = 64; // [Hz] over which errors are smooth
-const HALF_WIDTH = 2, LEAST_SPAN = 4; // rms changes of log S (decision on the interval of S); windows that the record holds
+const HALF_WIDTH = 1.5, LEAST_SPAN = 4; // rms changes of log S (decision on the interval of S); windows that the record holds
 
 /** Why no interval can be drawn; empty if one can. @param {any} content of the page @returns {string} */
 export function whyNone(content) {
