@@ -15,7 +15,9 @@ from cli_runner import SMALL, cli, leftovers
 from test_compare import A
 
 from forearm_fem.campaign.model import load_campaign
+from forearm_fem.compare.common import common_ground
 from forearm_fem.compare.compare import compare
+from forearm_fem.compare.readings import explained
 from forearm_fem.compare.report import picture
 from forearm_fem.design import load_design
 from forearm_fem.errors import ForearmError, HardwareError, MeshError, ScenarioError
@@ -212,3 +214,14 @@ def test_a_mesh_too_coarse_for_its_contacts_is_told_where_and_how_fine(tmp_path:
     scene = {"limb": limb, "device": {"spacing": 0.03, "cone": {"contact": "pressure"}}, "grid": {"pitch": 0.008}}
     with pytest.raises(MeshError, match=r"edges under contact A1 are 10 mm and longer, its radius is 3\.5 mm: remesh"):
         build_mesh(parse_scenario(scene), base=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("dead", "says"), [(slice(None), "B is zero at every entry"), (1, "B is zero at A2: a dead c")]
+)
+def test_a_dead_channel_is_said_when_two_matrices_are_compared(dead: Any, says: str) -> None:
+    values = A.values.copy()
+    values[:, :, dead] = 0
+    assert explained(common_ground(A, replace(A, values=values))).startswith(says)
+    assert "A is zero" in explained(common_ground(replace(A, values=values), A))
+    assert explained(common_ground(A, A)) == ""

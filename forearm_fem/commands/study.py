@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from ..errors import DataError, ScenarioError
-from .common import Display, console, noted
+from .common import Display, noted, print_notes
 
 app = typer.Typer(no_args_is_help=True, help="Studies with people: new, run, status, analyse, rehearse, power.")
 
@@ -103,10 +103,9 @@ def run(
     kept = None if cable is None else read_loopback(cable)
     session, grid = session_for(prepared, participant, task, consent=consent, daq=daq, card=card, cable=kept)
     if session.back_end.latency_basis == "unknown":
-        console.print(
-            "note: the device's latency was not measured and is kept as unknown; `forearm-fem loopback` measures it",
-            highlight=False, soft_wrap=True,
-        )  # fmt: skip
+        print_notes(
+            ["the device's latency was not measured and is kept as unknown; `forearm-fem loopback` measures it"]
+        )
     if terminal:
         from ..study.terminal import run_in_terminal
 
@@ -119,7 +118,7 @@ def run(
 
     words = texts(prepared.study.language, prepared.base)
     if host not in ("127.0.0.1", "localhost"):
-        console.print("note: the page can be reached from other machines; its address is the only key")
+        print_notes(["the page can be reached from other machines; its address is the only key"])
     serve(session, grid, words, beep=prepared.study.beep, host=host, port=port, announce=announce)
     view = session.view()
     typer.echo(f"{view['answered']} of {view['total']} answered; data: {prepared.folder}")
@@ -169,7 +168,7 @@ def analyse(
             try:
                 answers[task.name] = answers_of(store, task.name)
             except DataError as problem:
-                console.print(f"note: {problem}", highlight=False, soft_wrap=True)
+                print_notes([str(problem)])
         if not answers:
             raise DataError(f"{prepared.folder}: there are no answers to analyse")
     with noted():
@@ -204,7 +203,7 @@ def rehearse(
     folder = data or file.parent / f"{prepared.study.name}-rehearsal"
     field = field_for(transfer)
     if field is None:
-        console.print("note: only the grid points' motion is known; skin between and under actuators is not felt")
+        print_notes(["only the grid points' motion is known; skin between and under actuators is not felt"])
     with Display() as display, noted():
         run_rehearsal(
             Prepared.of(file, folder), read_measured(transfer_file(transfer)), participants, Percept(), field=field,

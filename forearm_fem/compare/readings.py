@@ -90,13 +90,17 @@ _THOUSANDS = {
 
 
 def explained(ground: CommonGround) -> str:
-    """One sentence on the reading of B that makes it agree with A, or on a ratio that none explains; "" for neither.
+    """One sentence on what is zero in one alone, on the reading of B that makes it agree with A, or on a ratio.
+
+    The ratio is one that no reading explains; "" where there is nothing to say.
 
     Honest differences (another tissue, another coil, noise) get none: a reading must bring the two three times nearer
     and to within s = 1, or raise their correlation by 0.5 to above 0.6, or turn channels that run against A.
     """
     a, b = (np.where(ground.valid, m, 0) for m in (ground.a, ground.b))
-    if not a.any() or not b.any():
+    if dead := _dead(ground, "A", a, b) or _dead(ground, "B", b, a):
+        return dead
+    if not a.any():
         return ""
     if (found := best_reading(ground)) is not None:
         return found.sentence
@@ -107,6 +111,18 @@ def explained(ground: CommonGround) -> str:
         f"B is {ratio:.3g} times as large as A and no usual mistake (mm for m, velocity, acceleration, conjugate, "
         "negated channel, delay) explains it; check gains and units"
     )
+
+
+def _dead(ground: CommonGround, name: str, own: ComplexArray, other: ComplexArray) -> str:
+    """A sentence on ports at which ``own`` is zero throughout and ``other`` is not."""
+    if other.any() and not own.any():
+        return f"{name} is zero at every entry: nothing moved, or nothing was recorded"
+    sides = ((ground.inputs, (0, 1)), (ground.outputs, (0, 2)))
+    lost = [p.name for ports, axes in sides for p, here, there in
+            zip(ports, np.any(own != 0, axis=axes), np.any(other != 0, axis=axes), strict=True)
+            if there and not here]  # fmt: skip
+    where = ", ".join(lost[:6])
+    return f"{name} is zero at {where}: a dead channel, or an actuator out of contact" if lost else ""
 
 
 def best_reading(ground: CommonGround) -> Reading | None:

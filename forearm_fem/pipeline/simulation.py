@@ -98,7 +98,8 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
     if solved.other_ends and coarse:
         other = finite(close_loop(solved.other_ends, scenario.device))
         truncations.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
-    errors += [_either(truncations)] if truncations else []
+    if truncations and all(e.source != "truncation" for e in solved.unknown):  # half a reading is none
+        errors.append(_either(truncations))
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     notes = (*unknown, *model_notes(solved.facts), *_idle_sizes(scenario))
