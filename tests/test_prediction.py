@@ -206,6 +206,21 @@ def test_the_arm_model_states_its_error_and_keeps_it() -> None:
     assert "solved by finite elements" not in arm_model(scene).left_out
 
 
+def test_an_arm_that_few_orders_do_not_answer_is_asked_with_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Little loss and a grid laid out towards a cone: three orders say 66 % at 474 Hz, five 1 %."""
+    scene = parse_scenario({"engine": "layered"})
+    draw = scenario_of(draw_inputs(load_priors(), scene, 0, 147), scene)
+    band = np.array([440.0, 474.0, 500.0])
+    found = LayeredArm().compliance(draw, band)
+    assert found.errors[0].band < 0.05
+    monkeypatch.setattr("forearm_fem.prediction.arm._ORDERS", (3,))
+    rough = LayeredArm().compliance(draw, band)
+    assert rough.errors[0].band > 0.1
+    change = np.nanmax(np.abs(rough.values - found.values), axis=(1, 2))
+    size = np.nanmax(np.abs(found.values), axis=(1, 2))
+    assert (change / size <= np.array(rough.errors[0].per_frequency)).all()
+
+
 def test_an_arm_that_cannot_be_is_data(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = question()
     _, setup, arm = setup_and_arm(asked)
@@ -333,7 +348,7 @@ def test_a_verdict_that_other_draws_may_not_repeat_is_not_sure() -> None:
         0.5: (False, True), 4.0: (False, False), 6.0: (True, False), 9.0: (True, False), 10.0: (True, True),
         95.5: (False, False), 99.5: (False, True),
     }  # fmt: skip
-    unsure = numbers.Enclosed(values, 0.5 * values, 2 * values)  # 15 is inside unless numerics double the low arms
+    unsure = numbers.Enclosed(values, 0.5 * values, 2 * values)  # 15 is inside, unless numerics double the low arms
     assert [bool(v[0]) for v in unsure.judged(np.array([15.0]))] == [True, False]
     few = numbers.Enclosed(values[:20], values[:20], values[:20])
     assert not few.judged(np.array([-1.0]))[1].any()  # outside all of 20 arms: an end of their band is not known

@@ -105,12 +105,13 @@ class Enclosed:
         return np.stack([(x > limit).mean(axis=0) for x in (self.low, self.value, self.high)])
 
     def judged(self, point: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Whether ``point`` (...) lies in the band of 5-95 %, and whether that is sure: it would be said of the bands
-        of most other draws of as many arms, and whichever way their numerics err.
+        """Whether ``point`` (...) lies in the band of 5-95 % of the arms as they are, which poor numerics cannot widen,
+        and whether that is sure: it would be said of the bands of most other draws of as many arms, and whichever way
+        their numerics err.
 
         An end of the band is known as the binomial law knows a share of n arms, within 1.96 deviations.
         """
-        band = self.quantiles()
+        band = quantiles(self.value)
         within = (point >= band[0]) & (point <= band[-1])
         n, tail = len(self.value), LEVELS[0]
         off = 1.96 * np.sqrt(tail * (1 - tail) / n)

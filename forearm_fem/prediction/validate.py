@@ -28,7 +28,7 @@ from .draws import LAWS, Draw, draw_inputs, scenario_of
 from .observables import TOLERANCE, Arm, fat_of, motor_ratios, observables
 from .priors import load_priors
 from .run import Prediction, Question, expanded, predict
-from .statistics import LEVELS, Draws, Enclosed, group_columns, group_means, joint_distance, winners
+from .statistics import LEVELS, Draws, Enclosed, group_columns, group_means, joint_distance, quantiles, winners
 from .targets import SHAH_ARMS, SHAH_STEPS, TARGETS, Target
 
 FILE, OBSERVABLES = "validation.json", "observables.json"
@@ -186,7 +186,7 @@ def _entries(draws: Draws, reading: str, point: FloatArray) -> dict[str, Any]:
     arms = draws.enclosed(reading).of_groups(draws.targets)
     means = arms.value
     hit, sure = arms.judged(point)
-    low, median, high = arms.quantiles()[[0, 2, -1]]
+    low, median, high = quantiles(means)[[0, 2, -1]]
     distance, beyond = joint_distance(means.reshape(len(means), -1), point.ravel())
     entries = [
         {"method": method, "group": group, "measured": float(point[m, g]), "low": float(low[m, g]),

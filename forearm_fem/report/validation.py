@@ -34,10 +34,10 @@ def validation_page(data: Mapping[str, Any], scene: str = "thesis") -> str:
         markdown_table(("findings", "inside the band"), coverage(data)),
         "## Table I of the thesis\n",
         "One participant, on the G that was measured. The thesis does not state the time that S is summed over, so "
-        "both readings are judged. Numerics of the arms' G: e_band "
-        f"{data['numerics']['S']:.0e} in the median, {data['numerics']['largest']:.0e} at most; the factor of S that "
-        f"this leaves, {data['numerics']['factor']:.3f} in the median, widens the bands. *Just*: other draws of as "
-        f"many arms, or their numerics, may say otherwise.{_left_out(data)}\n",
+        "both readings are judged. Bands are of the arms as they are, so that poor numerics widen none. *Just*: other "
+        "draws of as many arms, or the numerics, may say otherwise. Numerics of the arms' G: e_band "
+        f"{data['numerics']['S']:.0e} in the median, {data['numerics']['largest']:.0e} at most, which leaves S a "
+        f"factor of {data['numerics']['factor']:.3f} in the median.{_left_out(data)}\n",
         *_table_one(data),
         "\n## The six arms of Shah et al. 2019\n",
         "Acceleration [g], 5-95 % over arms, of a motor with the amplitude that the paper gives. Fat is from sex and "
