@@ -208,8 +208,8 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     told = module._measured(g, Question(scene, Path()), prediction)
     assert len(told["entries"]) == 9
     page = validation_page({**found, "measured": {"name": "g.nc", **told}})
-    assert "G of g.nc, at the places" in page.partition("## A measured G through the same comparison")[2]
-    out = f"The measured G of g.nc: {9 - told['inside']} of 9 entries lie outside."
+    assert "G of `g.nc`, at the places" in page.partition("## A measured G through the same comparison")[2]
+    out = f"The measured G of `g.nc`: {9 - told['inside']} of 9 entries lie outside."
     assert out in page.partition("## What it is for")[0]
     short = replace(g, outputs=g.outputs[:3], values=g.values[:, :3])
     with pytest.raises(DataError, match="no output called '4'"):

@@ -36,8 +36,8 @@ def validation_page(data: Mapping[str, Any], scene: str = "thesis") -> str:
         "One participant, on the G that was measured. The thesis does not state the time that S is summed over, so "
         "both readings are judged. Bands are of the arms as they are, so that poor numerics widen none. *Just*: other "
         "draws of as many arms, or the numerics, may say otherwise. Numerics of the arms' G: e_band "
-        f"{data['numerics']['S']:.0e} in the median, {data['numerics']['largest']:.0e} at most, which leaves S a "
-        f"factor of {data['numerics']['factor']:.3f} in the median.{_left_out(data)}\n",
+        f"{data['numerics']['S']:.0e} in the median, {data['numerics']['largest']:.0e} at most. It leaves S a factor "
+        f"of {data['numerics']['factor']:.3f} in the median.{_left_out(data)}\n",
         *_table_one(data),
         "\n## The six arms of Shah et al. 2019\n",
         "Acceleration [g], 5-95 % over arms, of a motor with the amplitude that the paper gives. Fat is from sex and "
@@ -160,7 +160,7 @@ def joint_words(data: Mapping[str, Any]) -> list[str]:
             f"far from the middle as the thesis' nine do ({every['distance']:.1f} times the median distance)."
         )
     if (found := data["measured"]) is not None:
-        lines.append(f"The measured G of {found['name']}: {9 - found['inside']} of 9 entries lie outside.")
+        lines.append(f"The measured G of `{found['name']}`: {9 - found['inside']} of 9 entries lie outside.")
     never = _never(data)
     lines.append(f"In no law's band, whichever the reading: {', '.join(never)}." if never else
                  "Every entry of Table I lies in the band of some law and reading.")  # fmt: skip
@@ -290,7 +290,7 @@ def _measured(data: Mapping[str, Any]) -> list[str]:
     header = ["place", "method", "this G", "arms, 5-95 %", "inside"]
     rows = [[e["group"], e["method"], f"{e['measured']:.2f}", f"{e['low']:.2f}-{e['high']:.2f}",
              verdict(e)] for e in found["entries"]]  # fmt: skip
-    told = (f"G of {found['name']}, at the places that it declares: one measured elsewhere tests this comparison and "
-            f"not the arms. {found['inside']} of {len(rows)} inside. {_share(found['beyond']).capitalize()} of the "
+    told = (f"G of `{found['name']}`, at the places that it declares: one measured elsewhere tests this comparison "
+            f"and not the arms. {found['inside']} of {len(rows)} inside. {_share(found['beyond']).capitalize()} of the "
             f"arms lie as far out ({found['distance']:.1f} times the median distance).\n")  # fmt: skip
     return ["## A measured G through the same comparison\n", markdown_table(header, rows), told]
