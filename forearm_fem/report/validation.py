@@ -202,7 +202,7 @@ def _short(group: str) -> str:
 
 
 def _share(share: float) -> str:
-    return "none" if share == 0 else f"{share:.0%}"
+    return "none" if share == 0 else f"{share:.0%}" if share >= 0.01 else "fewer than 1%"
 
 
 def _note(target: Mapping[str, Any]) -> str:
