@@ -214,17 +214,18 @@ def test_a_slab_answers_nearly_as_its_twin(slab, library):
 
 
 def test_what_discs_held_against_tilt_may_take_is_stated(slab, library):
-    """A tenth along the normal, waves of k a = .3, two discs: x = 2 * 2/3 * .09 * .1, of which x/(1 + x) is taken."""
+    """By hand: C_rr is 3/2 of T over a^2, and each disc takes D_zr D_rz/C_rr and twice T_zr D_rz/C_rr."""
     found = library.compliance(slab)
     contact = {e.source: e for e in found.errors}["contact"]
-    assert contact.band > 1e-4  # never nothing
-    flat = np.zeros((1, 4, 4), dtype=complex)
-    flat[0, [0, 1], [0, 1]] = 1.0
-    made = flat.copy()
-    made[0, 0, 1] = made[0, 1, 0] = made[0, 2, 0] = made[0, 3, 1] = 0.1j
-    x = 2 * 2 / 3 * 0.09 * 0.1
+    assert 1e-6 < contact.band < 0.05  # never nothing; waves of 20 mm, discs of 2 mm
+    flat, slope, a = np.zeros((1, 4, 4), dtype=complex), np.zeros((1, 4, 4), dtype=complex), 2e-3
+    flat[0, [0, 1], [0, 1]], flat[0, 0, 1], flat[0, 1, 0] = 2.0, 0.5j, 0.5j
+    slope[0, :, 0], slope[0, :, 2] = 30.0, -40j  # at the first disc, along u and along v
+    made = np.ones((1, 4, 4), dtype=complex)
     one = replace(found, frequency=found.frequency[:1], values=made, errors=())
-    assert tilt_error(one, flat, np.array([0.3])) == pytest.approx([x / (1 + x)], rel=1e-12)  # G is all difference
+    stated = tilt_error(one, flat, slope, np.array([100.0]), a)
+    # from the points, where the twin's T is nothing here, to the second disc, where it is .5, with k = 100/m
+    assert stated == pytest.approx([(30 * (30 + 50) + 40 * (40 + 50)) * a**2 / (1.5 * 2)], rel=1e-12)
 
 
 def test_a_cylinders_curvature_is_one_over_its_radius():

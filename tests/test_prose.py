@@ -17,10 +17,7 @@ PAGES = [
     *sorted(p for room in ("tutorials", "gallery") for p in (HOME / "docs" / room).glob("[0-9]*.py")),
 ]
 MOST = 2
-OVERFULL = {  # page: how many sentences may still be too full, and why
-    "docs/decisions/0037-library.md": 7,  # a record of trials, each with what it gave
-    "docs/howto/library.md": 2,  # what one library cost and missed, in a sentence each
-}
+OVERFULL: dict[str, int] = {}  # page: how many sentences may still be too full
 _NUMBER = r"(?:\d[\d,]*(?:\.\d+)*(?:e[-+]?\d+)?|\.\d+)"
 # A range and a size count once; digits of names (AVX-512) do not.
 _QUANTITY = re.compile(rf"(?<![\w.])(?<!\w-)[-+±]?{_NUMBER}(?:(?:-|±|\+-| ?x ?){_NUMBER})?")

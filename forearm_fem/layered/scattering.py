@@ -55,7 +55,8 @@ class Galerkin:
 
     What the series lack: leaving out the last terms changes the compliance by much more than they lack where they
     converge exponentially, and by 2/terms of it where the rim's singularity makes it a power of -2. Of azimuthal orders
-    it is the sum of the geometric series that the changes by the last two orders begin."""
+    it is the sum of the geometric series that the changes by the last two orders begin, or that falls as a bound on
+    them says where that is less."""
 
     table: HankelTable
     place: IntArray
@@ -81,10 +82,13 @@ class Galerkin:
             out[:, :, ring] -= out[:, :, ball]
         return out
 
-    def compliance(self, integrals: ComplexArray, *, apart: bool = False) -> tuple[ComplexArray, FloatArray]:
+    def compliance(
+        self, integrals: ComplexArray, *, apart: bool = False, decay: FloatArray | float = 0.9
+    ) -> tuple[ComplexArray, FloatArray]:
         """Ports' displacement per force (n_freq, ports, ports) [m/N], and over the largest of them what the series
         still lack (n_freq,): NaN, unknown, where there are neighbours and no azimuthal orders for them. With ``apart``
-        over the largest of their kind, between discs or from discs to points, whichever lacks more."""
+        over the largest of their kind, between discs or from discs to points, whichever lacks more. ``decay`` (n_freq,)
+        is the largest ratio of what one azimuthal order scatters to what the one before does."""
         a, top = self.matrix(integrals), int(self.order.max())
         kinds = self.kinds() if apart else (np.ones((self.ports, self.ports), dtype=bool),)
         whole = self._condensed(a, self.order <= top)
@@ -98,7 +102,7 @@ class Galerkin:
         if top == 1:
             return whole, lacking + step
         before = changed(lower, self._condensed(a, self.order < top - 1), kinds)
-        ratio = np.minimum(0.9, step / np.maximum(before, 1e-300))
+        ratio = np.minimum(decay, step / np.maximum(before, 1e-300))
         return whole, lacking + step * ratio / (1 - ratio)
 
     def compliance_only(self, integrals: ComplexArray) -> ComplexArray:

@@ -79,7 +79,7 @@ class Tabulated:
         found = self._integrals(system)
         whole = system.free_compliance(found) if free else system.compliance_only(found)
         judged = np.unique([*range(0, self.omega.size, _FEW), self.omega.size - 1])
-        _, lacking = system.compliance(found[judged], apart=True)
+        _, lacking = system.compliance(found[judged], apart=True, decay=self._decay(kinds, self.omega[judged]))
         sampled, _ = chebyshev_between(self.low, self.high, omega, whole)
         n = system.ports
         tails = [chebyshev_between(self.low, self.high, omega, whole[:, :n, :n][:, kind])[1] for kind in system.kinds()]
@@ -113,6 +113,17 @@ class Tabulated:
     def orders(self) -> int:
         """Azimuthal orders taken."""
         return orders_of(self.contact)
+
+    def _decay(self, discs: Sequence[Disc], omega: FloatArray) -> FloatArray:
+        """Ratio (n_freq,) by which what azimuthal orders scatter falls at least, beyond the highest taken.
+
+        A field from a distance d is about a disc a series in (a/d)^l, or where waves are short in J_l(ka), whose ratio
+        is below ka/(2 l + 2). Two orders foretell nothing where they are as large as each other.
+        """
+        places = np.array([(disc.x, disc.y) for disc in discs if disc.radius > 0])
+        away = np.linalg.norm(places[:, None] - places[None], axis=2)[np.triu_indices(len(places), 1)]
+        waves = self.radius * self._medium.wavenumbers(omega)[0].max(axis=0) / (2 * self.orders + 2)
+        return np.asarray(np.clip(np.maximum(self.radius / away.min(initial=np.inf), waves), 0.0, 0.9))
 
     @property
     def _medium(self) -> Medium:

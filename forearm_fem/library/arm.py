@@ -27,7 +27,7 @@ from ..scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .bands import Bands
-from .between import Lattice, Prior, shape_of
+from .between import Lattice, Prior, Shape, shape_of
 from .flat_bells import flat_compliance
 from .hold import deviation_held, held
 from .limb import Limb
@@ -35,6 +35,7 @@ from .skin import FlatSkin, flat_skin
 from .stated import stated_errors, tilt_error
 
 MARGIN = 0.02  # [m] of skin around the patch that bells reach
+_TILT = 5e-4  # [m] either way, for slopes of what is interpolated
 WIDTH = 0.4  # of a bell, in steps of the lattice
 _SPREAD, _LEAST, _NOISE = 0.7, 60.0, 1e-6  # kappa in shortest wavenumbers, and [1/m]; docs/decisions/0037-library.md
 _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its library
@@ -105,28 +106,41 @@ class ArmLibrary:
         flat = self._flat_discs(ports, places, frequency)
         part, carry = self.bands.number(frequency), self.bands.between(frequency)
         free, deviation = flat.values.copy(), np.zeros(flat.values.shape if with_errors else (0,))
+        slope = np.zeros((len(frequency), len(ports), 2 * len(gripped) if with_errors else 0), dtype=complex)
         for b in np.unique(part):
             mine = part == b
             weights, known = self._weights(int(b), ports, places, gripped)
-            free[mine] += limb.between(frequency[mine], weights)
-            free[mine] -= np.einsum("fn,nij->fij", carry[mine], weights.T @ self._flat_bells[b] @ weights)
+            if slope.size:
+                weights = np.hstack([weights, self._slopes(int(b), places[gripped])])
+            apart = limb.between(frequency[mine], weights)
+            apart -= np.einsum("fn,nij->fij", carry[mine], weights.T @ self._flat_bells[b] @ weights)
+            free[mine] += apart[:, : free.shape[1], : free.shape[1]]
             if with_errors:
+                slope[mine] = apart[:, : len(ports), free.shape[1] :]
                 deviation[mine] = self._deviation(int(b), places, gripped, known)
         values, hold = held(0.5 * (free + free.swapaxes(1, 2)), len(ports))
         found = Compliance(frequency, values, ports)
         if not with_errors:
             return found
-        beside = 0.25 * (self.twin.radius * self.skin.curvature) ** 2 + self._tilt(found, flat.values)
+        beside = 0.25 * (self.twin.radius * self.skin.curvature) ** 2 + self._tilt(found, flat.values, slope)
         reduction = np.interp(frequency, self.reduction[0], self.reduction[1])
         spread = deviation_held(deviation, hold)
         return replace(found, errors=stated_errors(found, spread, flat.error, beside, reduction, self.twin.contact))
 
-    def _tilt(self, found: Compliance, flat: ComplexArray) -> FloatArray:
+    def _slopes(self, part: int, places: FloatArray) -> FloatArray:
+        """Weights (n + 2 s, 2 c) [1/m] of bells for the slopes, along u, then v, of what discs at ``places`` see."""
+        shape, columns = Shape("rigid", self.twin.radius), []
+        for way in np.eye(2) * _TILT:
+            ahead, behind = (self.lattices[0][part].weights(shape, places + sign * way)[0] for sign in (1, -1))
+            columns.append((ahead - behind) / (2 * _TILT))
+        return np.pad(np.hstack(columns), ((0, 2 * len(self.sideways)), (0, 0)))
+
+    def _tilt(self, found: Compliance, flat: ComplexArray, slope: ComplexArray) -> FloatArray:
         """e(f) (n_frequency,) of discs held against tilt; none of pressed ones, NaN, unknown, of frictionless ones."""
         if self.twin.contact != "bonded":
             return np.full(len(found.frequency), 0.0 if self.twin.contact == "pressure" else np.nan)
-        length = self.twin.radius * shortest_wavenumber(self.scenario, found.frequency)
-        return tilt_error(found, held(flat, len(found.ports))[0], length)
+        waves = shortest_wavenumber(self.scenario, found.frequency)
+        return tilt_error(found, held(flat, len(found.ports))[0], slope, waves, self.twin.radius)
 
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
         """Ports of ``scenario`` on the library's skin, after all that may be refused was."""

@@ -12,7 +12,6 @@ import numpy as np
 from ..errors import ForearmError, ScenarioError
 from ..layered.integrals import Medium
 from ..pipeline.layered_engine import flat_layers, flat_surface
-from ..pipeline.malloc import freed_memory_kept
 from ..pipeline.twin_tables import kept_tables, tables_reach
 from ..progress import Progress, within
 from ..scenario import Scenario, parse_scenario
@@ -42,10 +41,9 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     began = time.monotonic()
     _check_tissues(scenario)
     loaded = loaded_skin(scenario)
-    with freed_memory_kept():
-        meshed = meshed_scenario(scenario, loaded.skin)
-        fine = solved_side(meshed, loaded, Path(base), progress=progress)
-        coarse = _second_side(meshed, loaded, Path(base), progress)
+    meshed = meshed_scenario(scenario, loaded.skin)
+    fine = solved_side(meshed, loaded, Path(base), progress=progress)
+    coarse = _second_side(meshed, loaded, Path(base), progress)
     centres, sideways, width = normal_lattice(scenario), sideways_lattice(scenario), loaded.bells.width
     distances, bands = pair_distances(centres), Bands.of(*library_band(scenario))
     medium = Medium(tuple(flat_layers(scenario)), "halfspace", flat_surface(scenario.tissues))

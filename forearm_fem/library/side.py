@@ -24,6 +24,7 @@ from ..fem.reduction.reduced_model import ReducedModel, empty_model, with_column
 from ..geometry.cache import cached_mesh, default_cache_dir
 from ..pipeline.fem_engine import fem_model
 from ..pipeline.frequencies import frequencies
+from ..pipeline.malloc import freed_memory_kept
 from ..progress import Progress, tell, within
 from ..scenario import Scenario
 from ..typing import FloatArray, IntArray
@@ -79,7 +80,8 @@ def solved_side(
     model = fem_model(meshed, mesh)
     seen = bell_functionals(model, loaded.skin, loaded.bells)
     tell(progress, "assembly", 1, 1)
-    state = _spanned(meshed, model, seen, loaded, frequency, kept, progress)
+    with freed_memory_kept():  # as long as the columns live: poles and direct solves come to gigabytes of their own
+        state = _spanned(meshed, model, seen, loaded, frequency, kept, progress)
     side = _finished(meshed, model, seen, state, loaded, frequency, whole=scale == 1.0, progress=progress)
     kept.finish(side)
     return side

@@ -11,7 +11,7 @@ from ..typing import ComplexArray, FloatArray
 
 _CONTACT = MappingProxyType({
     "bonded": "a quarter of the disc's squared curvature; and what discs held against tilt take from the limb's "
-    "difference from its flat twin, were its slope that of the shortest wave",
+    "difference from its flat twin, by its slope",
     "frictionless": "what discs held against tilt take from the limb's own motion is not known; make the library with "
     "device.cone.contact = 'bonded' or 'pressure'",
     "pressure": "a quarter of the disc's squared curvature",
@@ -42,18 +42,25 @@ def stated_errors(
     )  # fmt: skip
 
 
-def tilt_error(found: Compliance, flat: ComplexArray, length: FloatArray) -> FloatArray:
+def tilt_error(
+    found: Compliance, flat: ComplexArray, slope: ComplexArray, waves: FloatArray, radius: float
+) -> FloatArray:
     """e(f) (n_frequency,) of bonded discs that are held against tilt, which the limb's difference from its twin moves.
 
-    A disc's tilt for a moment is 3/16 mu a^3, 3/2 of 1/(8 mu a) along its normal over a^2 (incompressible; Mindlin
-    1949), and a difference D of waves of ``length`` k a (n_frequency,) tilts it by k D: n discs take x/(1 + x) of D,
-    x = n 2/3 (k a)^2 |D|/|T|, with the twin's T, ``flat`` (n_frequency, p, p), of a disc itself.
+    A moment that holds a disc takes C_zr C_rz/C_rr, with the tilt C_rr of a disc for a moment, 3/16 mu a^3, that is 3/2
+    of its twin's T along the normal over a^2 (incompressible; Mindlin 1949). Of C_rz = T_rz + D_rz the twin has
+    T_rz T_zr already; T_rz is taken as T times the shortest wave's number, ``waves`` (n_frequency,) [1/m], and D_zr is
+    ``slope`` (n_frequency, p, 2 c) [1/N] of the difference at the c discs, along u, then along v. ``flat``
+    (n_frequency, p, p) is T; what is left of all discs and both directions is added up.
     """
     rows, discs = found.indices("point") or found.indices("contact"), found.indices("contact")
-    apart, own = found.values - flat, np.abs(flat[:, discs, discs]).mean(axis=1)
-    grip = len(discs) * 2 / 3 * length**2 * np.abs(apart[:, discs][:, :, discs]).max(axis=(1, 2)) / own
-    seen, size = (np.abs(of[:, rows][:, :, discs]).max(axis=(1, 2)) for of in (apart, found.values))
-    return np.asarray(grip / (1 + grip) * seen / size)
+    own, twin = np.abs(flat[:, discs, discs]), np.abs(flat[:, :, discs]) * waves[:, None, None]
+    twin[:, discs, np.arange(len(discs))] = 0.0  # a disc pushed does not tilt itself
+    grip = np.tile(radius**2 / (1.5 * own), 2)[:, None]
+    ours, twins = np.abs(slope), np.tile(twin, 2)
+    taken = ((ours + twins) * grip)[:, rows] @ ours[:, discs].swapaxes(1, 2)
+    taken += (ours * grip)[:, rows] @ twins[:, discs].swapaxes(1, 2)
+    return np.asarray(taken.max(axis=(1, 2)) / np.abs(found.values[:, rows][:, :, discs]).max(axis=(1, 2)))
 
 
 def _weighed(
