@@ -16,6 +16,7 @@ import numpy as np
 from .. import __version__
 from ..device import contact_state
 from ..errors import AccuracyWarning, DataError, ScenarioError
+from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.build import limb_volume
 from ..geometry.cache import cached_mesh
 from ..geometry.mesh.files import write_mesh
@@ -120,6 +121,7 @@ def run_mesh(run: Run) -> TissueMesh | None:
     """Make or find the mesh and write ``mesh.vtu``; None for the layered engine and a library, which need none."""
     if run.scenario.engine == "layered" or run.library is not None:
         return None
+    start_compiling()
     with run.stage("mesh"):
         mesh = cached_mesh(run.scenario, base=run.base, progress=within(run.progress, "mesh"))
         write_mesh(mesh, run.out / "mesh.vtu")

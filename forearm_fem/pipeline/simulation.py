@@ -11,6 +11,7 @@ import numpy as np
 
 from ..device import close_loop
 from ..errors import AccuracyWarning, ScenarioError
+from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.cache import cached_mesh
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress
@@ -81,7 +82,9 @@ def simulate(
         compliance = solve_layered(scenario, frequency, progress=progress)
         transfer = finite(close_loop(compliance, scenario.device))
         return Simulation(scenario, None, compliance, transfer, notes=flat_notes(compliance))
-    mesh = mesh or cached_mesh(scenario, base=Path(base))
+    if mesh is None:
+        start_compiling()
+        mesh = cached_mesh(scenario, base=Path(base))
     result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
     return replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
 

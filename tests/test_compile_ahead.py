@@ -1,0 +1,98 @@
+"""The process that compiles kernels beside a first run: all that the run will ask for, and only where it is of use."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from forearm_fem.fem.reduction import compile_ahead
+
+LEFT_TO_THE_RUN = {"scatter", "triple_products"}  # kernels of the assembly, needed before the process is ready
+AFTER_THE_KERNELS = """
+import sys
+from numba.core.dispatcher import Dispatcher
+from forearm_fem.fem.reduction.compile_ahead import compile_kernels
+from forearm_fem.pipeline.simulation import simulate
+from forearm_fem.scenario import load_scenario
+
+def known():
+    ours = [m for name, m in list(sys.modules.items()) if name.startswith("forearm_fem.fem.")]
+    return {(v.__module__, v.__name__, str(s)) for m in ours for v in vars(m).values()
+            if isinstance(v, Dispatcher) for s in v.signatures}
+
+compile_kernels()
+before = known()
+assert len(before) > 20
+solved = simulate(load_scenario(sys.argv[1], overrides=sys.argv[2:])).solved
+assert solved.facts.solver == "multifrontal", solved.facts
+for module, name, signature in sorted(known() - before):
+    print(module.rsplit(".", 1)[1], name, signature)
+"""
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """Commands of the processes that would have been started; the answer of an earlier test is forgotten."""
+    commands = []
+
+    class Process:
+        def __init__(self, command, **_):
+            commands.append(command)
+
+        def wait(self):
+            pass
+
+        def terminate(self):
+            pass
+
+    compile_ahead.start_compiling.cache_clear()
+    monkeypatch.setattr(compile_ahead.subprocess, "Popen", Process)
+    yield commands
+    compile_ahead.start_compiling.cache_clear()
+
+
+def test_a_run_compiles_nothing_that_the_process_beside_left_out(tmp_path):
+    # Small, but above the 3,000 unknowns from which the multifrontal solver is taken.
+    small = [
+        "accuracy=0.5", "sweep.f_max=80", "sweep.duration=0.2", "solver.discretisation_estimate=false",
+        "mesh.size_grid=0.012", "mesh.size_contact=0.012", "mesh.size_far=0.05", "rendering.wavelet.peak=65",
+    ]  # fmt: skip
+    pytest.importorskip("pymetis")
+    scene = str(Path(__file__).parents[1] / "scenarios" / "quick.toml")
+    done = subprocess.run(
+        [sys.executable, "-c", AFTER_THE_KERNELS, scene, *small], capture_output=True, text=True,
+        env={**os.environ, "FOREARM_FEM_CACHE": str(tmp_path)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    missing = [line for line in done.stdout.splitlines() if line.split()[0] not in LEFT_TO_THE_RUN]
+    assert not missing
+
+
+def test_it_is_started_where_nothing_is_kept_and_once(started, monkeypatch):
+    monkeypatch.setattr(compile_ahead, "are_kept", lambda folder, source: False)
+    compile_ahead.start_compiling()
+    compile_ahead.start_compiling()
+    assert started == [[sys.executable, "-m", "forearm_fem.fem.reduction.compile_ahead"]]
+
+
+def test_it_is_not_started_where_kernels_are_kept_or_cannot_be_compiled(started, monkeypatch):
+    monkeypatch.setattr(compile_ahead, "are_kept", lambda folder, source: True)
+    compile_ahead.start_compiling()
+    compile_ahead.start_compiling.cache_clear()
+    monkeypatch.setattr(compile_ahead, "compiled", lambda module: None)
+    compile_ahead.start_compiling()
+    assert not started
+
+
+def test_kernels_kept_of_an_older_module_do_not_count(tmp_path):
+    source, index = tmp_path / "factor.py", tmp_path / "substitution.backward-80.py311.nbi"
+    source.touch()
+    assert not compile_ahead.are_kept(tmp_path, source)
+    index.touch()
+    os.utime(source, (1000, 1000))
+    os.utime(index, (2000, 2000))
+    assert compile_ahead.are_kept(tmp_path, source)
+    os.utime(index, (500, 500))
+    assert not compile_ahead.are_kept(tmp_path, source)
