@@ -216,6 +216,15 @@ def test_pole_residue_equals_dense_solves(sweep):
     assert relative_error(fast.compliance(BAND), sweep.reduced.compliance(BAND)).max() < 1e-8
 
 
+def test_poles_are_summed_alike_for_one_frequency_and_for_many(sweep):
+    fast, frequency = pole_residue(sweep.reduced), np.linspace(20.0, 200.0, 60)
+    assert len(frequency) > len(fast.left) > 1  # all at once; one is summed by itself
+    together = fast.compliance(frequency)
+    single = np.concatenate([fast.compliance(frequency[k : k + 1]) for k in range(0, 60, 7)])
+    # Both sum the same terms: rounding alone, of terms that outweigh their sum by far less than the factor left here.
+    np.testing.assert_allclose(single, together[::7], rtol=0, atol=1e-9 * np.abs(together).max())
+
+
 def test_states_from_poles_are_the_dense_ones(sweep):
     """Fields come from these; each state against its own largest entry, as compliances above."""
     fast, ports = pole_residue(sweep.reduced), [0, sweep.reduced.functionals.shape[1] - 1]

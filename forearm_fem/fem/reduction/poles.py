@@ -48,6 +48,9 @@ class PoleResidue:
     def compliance(self, frequency: FloatArray) -> ComplexArray:
         """Compliance (n_frequency, n_port, n_port) [m/N]."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
+        if len(s) < len(self.left):  # pairs of hundreds of ports, times all poles, come to gigabytes
+            products = np.array([(self.left / (one - self.poles)) @ self.right for one in s])
+            return np.asarray((products + products.transpose(0, 2, 1)) / 2 * self.shares)
         i, j = np.triu_indices(len(self.left))
         pairs = (self.left[i] * self.right.T[j] + self.left[j] * self.right.T[i]) / 2  # reciprocal to the last digit
         values = np.empty((len(s), len(self.left), len(self.left)), dtype=complex)
