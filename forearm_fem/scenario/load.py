@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import ScenarioError
+from .meant import key_meant
 from .model import Scenario
 from .toml import read_toml
 
@@ -95,7 +96,9 @@ def _first_problem(problem: ValidationError) -> str:
     same = [e for e in errors if _key(e["loc"]) == where]  # a key of several kinds fails once for each of them
     more = f" (and {len(errors) - len(same)} more)" if len(errors) > len(same) else ""
     if first["type"] == "extra_forbidden":
-        return f"{where}: unknown key; `forearm-fem schema` lists the known ones{more}"
+        meant = key_meant(where, Scenario.model_json_schema())
+        advice = f"did you mean {meant}?" if meant else "`forearm-fem schema` lists the known ones"
+        return f"{where}: unknown key; {advice}{more}"
     came = first["input"]
     shown = "" if isinstance(came, Mapping) else f", got {_shown(came)}"
     said = dict.fromkeys(_sentence(e["msg"]) for e in same)
