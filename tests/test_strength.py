@@ -329,14 +329,27 @@ def test_energy_at_the_target_over_energy_elsewhere_cannot_fall_with_another_act
     assert np.all(np.diff(ratios, axis=0) > -1e-9 * np.array(ratios[1:]))  # rounding
 
 
-def test_damping_follows_the_error_stated_for_g():
+def test_damping_follows_the_error_that_a_measurement_states():
     g = waves(np.arange(100.0, 400.1, 50.0), nested(6), five_by_four(), gains=np.ones(6))
-    shape = ricker(duration=0.04)
-    for errors, e in (((), 0.02), ((ErrorEstimate("truncation", 0.1, "t"),), 0.1), ((MESH,), None)):
+    shape, measured = ricker(duration=0.04), replace(MESH, source="measurement")
+    for errors, e in (((), 0.02), ((replace(measured, band=0.1, frequency=(), per_frequency=()), MESH), 0.1),
+                      ((measured,), None)):  # fmt: skip
         sent = drives(InverseFilter(), replace(g, errors=errors), "7", shape)
         f = sent.inversion.frequency
         stated = np.full(len(f), e) if e else np.maximum(np.interp(f, MESH.frequency, MESH.per_frequency), 0.02)
         assert np.allclose(sent.inversion.parameter, stated * np.abs(g.values).max(axis=(1, 2)) * np.sqrt(20))
+
+
+@pytest.mark.parametrize("method", [InverseFilter(), Combination()], ids=["inverse filter", "combination"])
+def test_what_a_simulation_states_of_its_own_errors_moves_no_drive(method):
+    """Two runs of one device, one more cautious than the other, are driven alike; their intervals differ."""
+    shape, inputs = ricker(duration=0.25), nested(9) if isinstance(method, Combination) else nested(6)
+    plain = waves(BINS, inputs, five_by_four(), gains=np.ones(9))
+    cautious = replace(plain, errors=(replace(MESH, band=0.3, frequency=(), per_frequency=()),))
+    few, many = (strengths(g, ("7", "10"), (method,), shape) for g in (plain, cautious))
+    assert np.array_equal(few, many)
+    account = strength_account(render_all(cautious, ("7", "10"), (method,), shape), (method,), shape)
+    assert (account.high > 1.05 * account.value).all()
 
 
 def test_four_actuators_keep_the_thesis_choice():

@@ -25,8 +25,9 @@ class InverseFilter:
     without damping the target reaches the share 1 - m^2 of what was asked, m = ``Drives.inversion.misfit``,
     which varies with frequency. So ``peak`` [m], which scales the wavelet, is not reached either: use
     :func:`scale_to` for that. ``zeros`` is a rule or names of outputs. ``regularisation`` None follows the number of
-    actuators: up to the thesis' four, the pseudo-inverse; more, the damping that G's own error asks for
-    (:class:`Regularisation`, "noise"), with e(f) of at least 0.02.
+    actuators: up to the thesis' four, the pseudo-inverse; more, the damping that the error of a measured G asks for
+    (:class:`Regularisation`, "noise"), with e(f) of at least 0.02, which a simulated G gets whatever it states: two
+    runs of one device are driven alike.
     """
 
     zeros: Zeros = field(default_factory=AutoZeros)

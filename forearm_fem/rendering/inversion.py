@@ -25,8 +25,8 @@ class Regularisation:
     known to about ``value``); a U that lies below that is left undriven.
     ``lcurve``: lambda at the corner of the L-curve (largest curvature of log|S| over log|misfit|), searched
     from value s_max to s_max.
-    ``noise``: lambda = e max |H| sqrt(rows), e the error stated for G at the frequency but at least ``value``: least
-    squares in the mean over errors of that size, so that nothing is driven on the strength of G's errors.
+    ``noise``: lambda = e max |H| sqrt(rows), e the error that G's measurement states at the frequency but at least
+    ``value``: least squares in the mean over errors of that size, so that nothing is driven on the strength of them.
     In all kinds singular values below 4e-15 s_max are dropped: rounding.
     """
 
@@ -67,7 +67,7 @@ def invert(
     error: FloatArray | None = None,
 ) -> tuple[ComplexArray, Inversion]:
     """S (n, q) minimising |H S - U| per frequency, and the report; H is ``matrix`` (n, c, q), U ``wanted``
-    (n, c), ``error`` (n,) the e(f) [-] stated for H, NaN or None where unknown.
+    (n, c), ``error`` (n,) the e(f) [-] that H was measured with, NaN or None where unknown.
 
     A zero column (dead actuator) gets no drive; equal columns share it evenly (minimum norm). Entries must be
     finite.

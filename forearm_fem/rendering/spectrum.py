@@ -156,7 +156,8 @@ def _checked(frequency: FloatArray, values: ComplexArray, valid: BoolArray | Non
 class Placed:
     """A transfer matrix on the bins of a record: ``bins.values`` (n_bins, n_out, n_in) in ``unit``.
 
-    ``error`` (n_bins,) [-] is e(f) of all sources stated for it together, NaN where one is unknown or none is stated.
+    ``error`` (n_bins,) [-] is e(f) that its measurement states, NaN where that is unknown or G was not measured: a
+    simulation's numerical errors are in the interval of S and move no drive (docs/decisions/0027-interval-of-s.md).
     """
 
     bins: BinValues
@@ -193,7 +194,7 @@ def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation
         valid=transfer.valid,
         interpolation=interpolation,
     )
-    parts = [relative_error_at(e, bins.frequency) for e in transfer.errors]
+    parts = [relative_error_at(e, bins.frequency) for e in transfer.errors if e.source == "measurement"]
     error = np.linalg.norm(parts, axis=0) if parts else np.full(len(bins.index), np.nan)
     return Placed(bins, transfer.outputs, transfer.inputs, transfer.unit, np.asarray(error))
 

@@ -30,10 +30,12 @@ class RenderingOptions(Part):
     )
     regularisation: Literal["auto", "rcond", "tikhonov", "lcurve", "discrepancy", "noise"] = Field(
         "auto",
-        description="auto: rcond for up to four actuators, else noise: damping from G's stated error, 0.02 at least",
+        description="auto: rcond for up to four actuators, else noise: damping for a measured G's error, or 0.02",
     )
     regularisation_value: Annotated[float, Field(ge=0, lt=1)] = Field(
-        1e-12, description="relative to the largest singular value; noise: the least relative error of G"
+        1e-12,
+        description="relative to the largest singular value; noise: the least relative error of G, and that of a "
+        "simulated one",
     )
     window: Literal["wavelet", "record"] | tuple[float, float] = Field(
         "wavelet",
