@@ -17,7 +17,7 @@ from forearm_fem.errors import AccuracyWarning, ScenarioError
 from forearm_fem.figures import Results
 from forearm_fem.pipeline import strengths as account_module
 from forearm_fem.pipeline.folder import Run, run_render
-from forearm_fem.pipeline.renderers import check_servable
+from forearm_fem.pipeline.renderers import check_servable, renderers
 from forearm_fem.pipeline.simulation import account_of, render_transfer
 from forearm_fem.pipeline.strengths import strength_account
 from forearm_fem.ports import Port
@@ -36,7 +36,7 @@ from forearm_fem.rendering import (
     strengths,
     thesis_renderers,
 )
-from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import ErrorEstimate, band_error, relative_error
 
 TARGETS = tuple(str(k) for k in range(1, 10))
@@ -350,6 +350,17 @@ def test_what_a_simulation_states_of_its_own_errors_moves_no_drive(method):
     assert np.array_equal(few, many)
     account = strength_account(render_all(cautious, ("7", "10"), (method,), shape), (method,), shape)
     assert (account.high > 1.05 * account.value).all()
+
+
+def test_a_scenario_damps_for_the_accuracy_it_asks_for_and_four_actuators_for_none():
+    shape, fine, coarse = ricker(duration=0.04), Scenario(accuracy=0.01), Scenario(accuracy=0.3)
+    six, four = (waves(np.arange(100.0, 400.1, 50.0), nested(n), five_by_four(), gains=np.ones(n)) for n in (6, 4))
+    for scenario, e in ((fine, 0.02), (coarse, 0.3)):
+        for method in (m for m in renderers(scenario, shape) if m.name == "inverse filter"):
+            parameter = drives(method, six, "7", shape).inversion.parameter
+            assert np.allclose(parameter, e * np.abs(six.values).max(axis=(1, 2)) * np.sqrt(20))
+    exact, asked = (drives(renderers(s, shape)[0], four, "7", shape).signals for s in (fine, coarse))
+    assert np.array_equal(exact, asked)
 
 
 def test_four_actuators_keep_the_thesis_choice():

@@ -257,7 +257,7 @@ def test_intervals_drawn_in_the_page_follow_pythons_rule(content: dict[str, Any]
     ))  # fmt: skip
     scenario = parse_scenario({**LAYERED, "rendering": {"regularisation": "tikhonov", "regularisation_value": 0.1}})
     rendering, shape = render_transfer(scenario, g), ricker(250.0, 1.0, 4000.0, 0.25)
-    methods = renderers(scenario.rendering, shape)
+    methods = renderers(scenario, shape)
     expected = interval(g, g.errors, rendering.targets, rendering.window, methods, shape)
     stated = measured_content(g, flat.scenario, "")
     settings = {"rule": {"kind": "tikhonov", "value": 0.1}}

@@ -111,7 +111,7 @@ def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> _Own | N
             continue
         targets = [p.name for p in ground.outputs] if options.targets == "all" else list(options.targets)
         left_out = frozenset(unsuited(options, ground.outputs, ground.inputs, targets))
-        return _Own(tuple(renderers(options, shape, left_out)), tuple(targets), shape, options.window)
+        return _Own(tuple(renderers(scenario, shape, left_out)), tuple(targets), shape, options.window)
     return None
 
 

@@ -146,7 +146,7 @@ def _rendered(scenario: Scenario, g: TransferMatrix, targets: tuple[str, ...], b
     limits = Limits(device.max_voltage, device.max_power, device.coil.resistance)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AccuracyWarning)  # told by the confirmation
-        return render_all(g, targets, renderers(options, shape), shape, limits, window=options.window)
+        return render_all(g, targets, renderers(scenario, shape), shape, limits, window=options.window)
 
 
 def _share(rendering: Rendering, method: str, target: str, wanted: float) -> float:

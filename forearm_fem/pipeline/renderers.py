@@ -25,6 +25,7 @@ from ..rendering import (
     window_of,
 )
 from ..rendering.drives import Renderer
+from ..rendering.inverse_filter import LEAST_ERROR
 from ..rendering.lattice import lattice_of
 from ..rendering.spectrum import place_on_bins
 from ..scenario import Scenario
@@ -36,7 +37,7 @@ MICROMETRE = 1e-6
 
 
 def renderers(
-    options: RenderingOptions,
+    scenario: Scenario,
     shape: Wavelet,
     left_out: frozenset[str] = frozenset(),
     progress: Progress | None = None,
@@ -44,18 +45,26 @@ def renderers(
     """One renderer per method asked for and not ``left_out``, in the scenario's order.
 
     A search for zero points maximises S over the scenario's window of the wavelet ``shape`` and tells ``progress``.
+    More than four actuators are damped for the accuracy that the scenario asks of G: two runs of one device are driven
+    alike, whatever each states of its own error.
     """
+    options = scenario.rendering
     zeros = _zeros(options, shape, progress)
     rule = None
     if options.regularisation != "auto":
         rule = Regularisation(kind=options.regularisation, value=options.regularisation_value)
-    peak = options.amplitude * MICROMETRE
+    peak, least = options.amplitude * MICROMETRE, least_error(scenario)
     known: dict[str, Renderer] = {
-        "inverse filter": InverseFilter(zeros=zeros, regularisation=rule, peak=peak),
+        "inverse filter": InverseFilter(zeros=zeros, regularisation=rule, peak=peak, least_error=least),
         "funneling": Funneling(amplitude=options.amplitude),
-        "combination": Combination(zeros=zeros, regularisation=rule, amplitude=options.amplitude),
+        "combination": Combination(zeros=zeros, regularisation=rule, amplitude=options.amplitude, least_error=least),
     }
     return [known[m] for m in options.methods if m not in left_out]
+
+
+def least_error(scenario: Scenario) -> float:
+    """e(f) [-] that drives of more than four actuators are damped for at least."""
+    return max(LEAST_ERROR, scenario.accuracy)
 
 
 def _zeros(

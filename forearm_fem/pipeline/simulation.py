@@ -138,7 +138,7 @@ def render_transfer(
         warnings.warn(sentence, AccuracyWarning, stacklevel=2)
 
     return render_all(
-        transfer, targets, renderers(wanted, shape, frozenset(left_out), progress), shape, limits,
+        transfer, targets, renderers(scenario, shape, frozenset(left_out), progress), shape, limits,
         window=wanted.window, progress=progress,
     )  # fmt: skip
 
@@ -150,7 +150,7 @@ def account_of(
     shape = wavelet(scenario.rendering, scenario.sweep, Path(base))
     left_out = frozenset(scenario.rendering.methods) - frozenset(rendering.methods)
     measured = any(e.source == "measurement" for e in transfer.errors) or transfer.deviation is not None
-    return strength_account(rendering, renderers(scenario.rendering, shape, left_out), shape, measured)
+    return strength_account(rendering, renderers(scenario, shape, left_out), shape, measured)
 
 
 def _discretisation(

@@ -59,7 +59,7 @@ def setup_of(
     options = scenario.rendering
     shape = wavelet(options, scenario.sweep, base)
     targets = tuple(p.name for p in nominal.outputs) if options.targets == "all" else tuple(options.targets)
-    chosen = tuple(renderers(options, shape, frozenset(left_out)))
+    chosen = tuple(renderers(scenario, shape, frozenset(left_out)))
     return Setup(scenario, nominal.outputs, nominal.inputs, chosen, shape, targets, frozenset(held))
 
 

@@ -234,7 +234,7 @@ def _measured(transfer: TransferMatrix, question: Question, prediction: Predicti
         raise DataError(f"the measured G has no output called '{missing[0]}'; it needs the scene's targets 1 to 9")
     options = question.scenario.rendering
     shape = wavelet_for(transfer.frequency)  # a record on whose bins this G lies
-    methods = [m for m in renderers(options, shape) if m.name in prediction.draws.methods]
+    methods = [m for m in renderers(question.scenario, shape) if m.name in prediction.draws.methods]
     found = render_all(transfer, prediction.draws.targets, methods, shape, window=options.window)
     point = group_means(found.strengths[None], prediction.draws.targets)[0]
     return _entries(prediction.draws, "calibrated", point)

@@ -9,7 +9,7 @@ import numpy as np
 from ..typing import ComplexArray
 from .drives import Aim
 from .funneling import Funneling
-from .inverse_filter import aim_at
+from .inverse_filter import LEAST_ERROR, aim_at
 from .inversion import Regularisation
 from .spectrum import Placed
 from .zeros import AutoZeros, Zeros
@@ -27,6 +27,7 @@ class Combination:
     zeros: Zeros = field(default_factory=AutoZeros)
     regularisation: Regularisation | None = None
     amplitude: float = 1.0
+    least_error: float = LEAST_ERROR
     name: str = "combination"
 
     def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
@@ -34,7 +35,7 @@ class Combination:
         funneling = Funneling(self.amplitude).aim(placed, target, wavelet)
         row = placed.bins.values[:, placed.row(target)]
         displacement = np.asarray((row * funneling.spectrum).sum(axis=1))
-        aim = aim_at(placed, target, displacement, self.zeros, self.regularisation)
+        aim = aim_at(placed, target, displacement, self.zeros, self.regularisation or self.least_error)
         return replace(aim, used=aim.used & funneling.used)
 
     def with_zeros(self, zeros: Zeros) -> Combination:

@@ -13,7 +13,7 @@ from .inversion import Regularisation, invert
 from .spectrum import Placed
 from .zeros import AutoZeros, Zeros, chosen_zeros, within_thesis
 
-_LEAST_ERROR = 0.02  # e(f): no G of an arm is known better, and what S gains from less is its own error
+LEAST_ERROR = 0.02  # e(f): no G of an arm is known better, and what S gains from less is its own error
 
 
 @dataclass(frozen=True)
@@ -26,18 +26,18 @@ class InverseFilter:
     which varies with frequency. So ``peak`` [m], which scales the wavelet, is not reached either: use
     :func:`scale_to` for that. ``zeros`` is a rule or names of outputs. ``regularisation`` None follows the number of
     actuators: up to the thesis' four, the pseudo-inverse; more, the damping that the error of a measured G asks for
-    (:class:`Regularisation`, "noise"), with e(f) of at least 0.02, which a simulated G gets whatever it states: two
-    runs of one device are driven alike.
+    (:class:`Regularisation`, "noise"), at least that for ``least_error`` [-], e(f) that G is taken to err by.
     """
 
     zeros: Zeros = field(default_factory=AutoZeros)
     regularisation: Regularisation | None = None
     peak: float = 1e-6
+    least_error: float = LEAST_ERROR
     name: str = "inverse filter"
 
     def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
         """Drive spectra towards output ``target``; ``wavelet`` (n_bins,) [1/Hz]."""
-        return aim_at(placed, target, self.peak * wavelet, self.zeros, self.regularisation)
+        return aim_at(placed, target, self.peak * wavelet, self.zeros, self.regularisation or self.least_error)
 
     def with_zeros(self, zeros: Zeros) -> InverseFilter:
         """The same renderer with other zero points."""
@@ -45,16 +45,19 @@ class InverseFilter:
 
 
 def aim_at(
-    placed: Placed, target: str, displacement: ComplexArray, zeros: Zeros, regularisation: Regularisation | None
+    placed: Placed, target: str, displacement: ComplexArray, zeros: Zeros, regularisation: Regularisation | float
 ) -> Aim:
     """Drive spectra for ``displacement`` (n_bins,) [m/Hz] at output ``target`` and none at the zero points.
+
+    A number in place of a ``regularisation`` is the least error of :class:`InverseFilter`.
 
     Bins where G is unknown between the control points and the inputs are not driven. Raises ScenarioError for
     unknown or repeated control points and DataError if no bin is left.
     """
     placed.row(target)
-    few = within_thesis(placed)
-    rule = regularisation or (Regularisation() if few else Regularisation("noise", _LEAST_ERROR))
+    rule = regularisation
+    if not isinstance(rule, Regularisation):
+        rule = Regularisation() if within_thesis(placed) else Regularisation("noise", rule)
 
     def towards(names: tuple[str, ...]) -> Aim:
         return _least_squares(placed, (target, *names), displacement, rule)

@@ -156,8 +156,8 @@ def _checked(frequency: FloatArray, values: ComplexArray, valid: BoolArray | Non
 class Placed:
     """A transfer matrix on the bins of a record: ``bins.values`` (n_bins, n_out, n_in) in ``unit``.
 
-    ``error`` (n_bins,) [-] is e(f) that its measurement states, NaN where that is unknown or G was not measured: a
-    simulation's numerical errors are in the interval of S and move no drive (docs/decisions/0027-interval-of-s.md).
+    ``error`` (n_bins,) [-] is e(f) that its measurement states, NaN where that is unknown or G was not measured: what
+    a simulation states of itself is in the interval of S and moves no drive (docs/decisions/0027-interval-of-s.md).
     """
 
     bins: BinValues

@@ -30,12 +30,12 @@ class RenderingOptions(Part):
     )
     regularisation: Literal["auto", "rcond", "tikhonov", "lcurve", "discrepancy", "noise"] = Field(
         "auto",
-        description="auto: rcond for up to four actuators, else noise: damping for a measured G's error, or 0.02",
+        description="auto: rcond for up to four actuators, else noise for the accuracy asked (0.02 of finer ones)",
     )
     regularisation_value: Annotated[float, Field(ge=0, lt=1)] = Field(
         1e-12,
-        description="relative to the largest singular value; noise: the least relative error of G, and that of a "
-        "simulated one",
+        description="relative to the largest singular value; noise: the error of G that is damped for, or its "
+        "measurement's where that is larger",
     )
     window: Literal["wavelet", "record"] | tuple[float, float] = Field(
         "wavelet",

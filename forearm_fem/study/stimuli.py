@@ -59,7 +59,8 @@ def stimuli_for(
     """
     if transfer.unit != "m/V":
         raise ScenarioError(f"stimuli need a G in m/V, got {transfer.unit}; set device.drive = 'voltage'")
-    chosen = {r.name: r for r in renderers(scenario.rendering.model_copy(update={"methods": options.methods}), wavelet)}
+    wanted = scenario.rendering.model_copy(update={"methods": options.methods})
+    chosen = {r.name: r for r in renderers(scenario.model_copy(update={"rendering": wanted}), wavelet)}
     placed = place(transfer, wavelet.record)
     time = wavelet.record.time
     kept = (time >= -options.lead) & (time <= options.tail)

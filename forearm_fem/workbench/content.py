@@ -17,7 +17,7 @@ from ..figures.style import METHODS, TISSUES
 from ..geometry.device.layout import layout_of
 from ..io.reduced import read_reduced
 from ..pipeline.frequencies import frequencies
-from ..pipeline.renderers import wavelet
+from ..pipeline.renderers import least_error, wavelet
 from ..pipeline.simulation import simulate
 from ..pipeline.strengths import at_least_band
 from ..pipeline.verdict import accuracy_verdict
@@ -165,6 +165,7 @@ def _common(
         "outputs": [_port(p) for p in transfer.outputs],
         "funneling": [_weights(transfer.inputs, p) for p in transfer.outputs],
         "error": packed(placed.error, "f8"),
+        "least_error": least_error(scenario),
         "errors": [_estimate(e, placed.bins.frequency) for e in errors],
         "deviates": transfer.deviation is not None,
         "accuracy": accuracy_verdict(scenario, transfer.errors),

@@ -175,7 +175,7 @@ export class Experiment {
   /** G that plays: the present device's. @returns {Placed} */
   transfer() {
     const { measured } = this, { arm } = this.settings, values = arm ? this.drawnArms[arm - 1] : measured ? measured.values : this.once("loop now", () => this.loop(this.settings.device)).transfer;
-    return { values, valid: measured?.valid ?? null, error: this.error, outputs: this.outputs, inputs: this.inputs, bins: this.index.length, weights: this.places ? undefined : this.content.funneling };
+    return { values, valid: measured?.valid ?? null, error: this.error, least: this.content.least_error, outputs: this.outputs, inputs: this.inputs, bins: this.index.length, weights: this.places ? undefined : this.content.funneling };
   }
 
   /** G that the renderers aim with: the present one, or the run's if the device was not calibrated again. @returns {Placed} */
