@@ -184,22 +184,25 @@ def test_poles_give_g_at_any_frequency_of_the_band_and_none_beyond(solved: Any) 
 
 
 @needs_node
-def test_nine_actuators_and_their_zero_points() -> None:
-    """More than four: all other points are held, and damping follows G's error."""
+def test_nine_actuators_have_pythons_g_and_s(tmp_path: Path) -> None:
+    """A 3 x 3 device, its loop closed in the page: all other points are held, and damping follows G's error."""
     places = [[x, y] for x in (-0.03, 0.0, 0.03) for y in (-0.03, 0.0, 0.03)]
-    scenario = parse_scenario({**LAYERED, "device": {"cone": {"contact": "pressure"}, "contacts": places}})
-    g = simulate(scenario).transfer
-    found, zeros, problem = asked(
-        measured_content(g, scenario, ""),
+    results = rendered(tmp_path, device={"cone": {"contact": "pressure"}, "contacts": places})
+    found, zeros, problem, g = asked(
+        content_of(results),
         {"ask": "strengths"},
         {"ask": "zeros"},
         {"ask": "problem", "method": "funneling"},
+        {"ask": "transfer"},
     )
-    expected = render_all(g, wavelet=ricker(250.0, 1.0, 4000.0, 0.25)).strengths
+    table = results.run.signal_strength.model_dump()["methods"]
+    expected = [[table[m][t]["value"] for t in "123456789"] for m in ("inverse filter", "funneling", "combination")]
     np.testing.assert_allclose(found, expected, rtol=1e-6)  # damped: s^2 + lambda^2 sums in another order
     assert all(len(names) == 8 for names in zeros[1])
     assert zeros[0][4] == [str(k) for k in range(1, 10) if k != 5]
     assert problem == ""
+    whole = results.transfer.values
+    np.testing.assert_allclose(complex_of(g).reshape(whole.shape), whole, atol=1e-10 * np.abs(whole).max())
 
 
 @needs_node
@@ -493,6 +496,17 @@ def test_every_module_is_in_the_script_once() -> None:
     names = {p.stem for p in (HERE.parent / "forearm_fem" / "workbench" / "page").glob("*.js")}
     assert sorted(re.findall(r"^const page_(\w+) = ", text, re.MULTILINE)) == sorted(names)
     assert not re.search(r"^(import|export) ", text, re.MULTILINE)
+
+
+def test_what_a_module_exports_is_asked_for() -> None:
+    """By another module or by the modules' own tests: nothing dead lives in the room."""
+    page = HERE.parent / "forearm_fem" / "workbench" / "page"
+    read = {p: p.read_text(encoding="utf-8") for p in [*page.glob("*.js"), *(HERE / "workbench").glob("*.mjs")]}
+    for place, text in read.items():
+        others = "\n".join(t for p, t in read.items() if p != place)
+        for name in re.findall(r"^export (?:async )?(?:const|function\*?|class) ([\w$]+)", text, re.MULTILINE):
+            asked_for = re.search(rf"import {{[^}}]*(?<![\w$]){re.escape(name)}(?![\w$])[^}}]*}}", others)
+            assert asked_for, f"{place.name}: {name}"
 
 
 def test_a_notebook_shows_the_page_in_a_frame(flat: Results, tmp_path: Path) -> None:

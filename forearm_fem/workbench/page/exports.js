@@ -4,6 +4,7 @@
  * @typedef {import("./app.js").App} App
  */
 import { METHODS } from "./experiment.js";
+import { CLASS } from "./readouts.js";
 import { $, h } from "./dom.js";
 import { transferCsv, transferJson, writeCsv, writeToml, writeWav } from "./files.js";
 import { mark } from "./plots.js";
@@ -50,7 +51,7 @@ function composed(app) {
   g.setTransform(s, 0, 0, s, 0, 0);
   app.arms.boxes().forEach((box, i) => {
     const method = METHODS[i], o = app.experiment.outcome(method);
-    g.fillStyle = ink(`--${["inverse", "funneling", "combination"][i]}`); g.font = "600 14px system-ui, sans-serif"; g.fillText(method, box.x + 14, box.y + 24);
+    g.fillStyle = ink(`--${CLASS[method]}`); g.font = "600 14px system-ui, sans-serif"; g.fillText(method, box.x + 14, box.y + 24);
     g.fillStyle = ink("--ink"); g.font = "600 20px system-ui, sans-serif"; g.fillText(o.problem ? "" : `S ${o.strength.toPrecision(3)}`, box.x + 14, box.y + 48);
     const range = app.experiment.interval(method, app.experiment.settings.target);
     if (range) { g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(`${range.map((v) => v.toPrecision(3)).join(" to ")} by the errors of G`, box.x + 14, box.y + 64); }
@@ -60,10 +61,20 @@ function composed(app) {
   return out;
 }
 
+/** The same with as many pixels as a still picture deserves, for paper and slides. @param {App} app */
+export function still(app) {
+  const { arms, experiment } = app, before = [arms.sharp, arms.scale];
+  arms.sharp = arms.scale = 2;
+  arms.draw(experiment);
+  const out = composed(app);
+  [arms.sharp, arms.scale] = before;
+  arms.draw(experiment);
+  return out;
+}
+
 /** @param {App} app */
 async function picture(app) {
-  app.arms.draw(app.experiment);
-  const blob = await new Promise((done) => composed(app).toBlob(done, "image/png"));
+  const blob = await new Promise((done) => still(app).toBlob(done, "image/png"));
   if (blob) save(app, ".png", blob, "image/png");
 }
 
@@ -71,9 +82,9 @@ const FRAME = 40, MOST_FRAMES = 500; // [ms]
 
 /** One passage of the waves as WebM. @param {App} app */
 function film(app) {
-  const still = composed(app);
-  if (typeof MediaRecorder === "undefined" || !still.captureStream) throw new Error("this browser records no films; PNG and print work");
-  const g = /** @type {CanvasRenderingContext2D} */ (still.getContext("2d")), recorder = new MediaRecorder(still.captureStream(1e3 / FRAME), { mimeType: "video/webm", videoBitsPerSecond: 5e6 });
+  const screen = composed(app);
+  if (typeof MediaRecorder === "undefined" || !screen.captureStream) throw new Error("this browser records no films; PNG and print work");
+  const g = /** @type {CanvasRenderingContext2D} */ (screen.getContext("2d")), recorder = new MediaRecorder(screen.captureStream(1e3 / FRAME), { mimeType: "video/webm", videoBitsPerSecond: 5e6 });
   /** @type {Blob[]} */
   const parts = [];
   recorder.ondataavailable = (e) => parts.push(e.data);
@@ -105,7 +116,7 @@ function film(app) {
 /** All charts under each other, with their own styles. @param {App} app */
 export function charts(app) {
   const style = getComputedStyle(document.documentElement), all = /** @type {SVGElement[]} */ (Array.from(document.querySelectorAll("#traces .chart, #spectra .chart")));
-  const fill = (/** @type {string} */ text) => text.replace(/var\((--[a-z]+)\)/g, (_, n) => style.getPropertyValue(n).trim());
+  const fill = (/** @type {string} */ text) => text.replace(/var\((--[a-z0-9]+)\)/g, (_, n) => style.getPropertyValue(n).trim());
   const body = all.map((svg, k) => { const copy = /** @type {SVGElement} */ (svg.cloneNode(true)); copy.setAttribute("x", String(440 * (k % 2))); copy.setAttribute("y", String(225 * Math.floor(k / 2) + 24)); copy.setAttribute("width", "420"); copy.setAttribute("height", "190");
     if (svg.closest("#traces")) mark(copy, 1e3 * app.arms.time, /** @type {[number, number]} */ (app.span.map((t) => 1e3 * t)));
     return `<text x="${440 * (k % 2) + 46}" y="${225 * Math.floor(k / 2) + 18}" font-weight="600">${escaped(svg.getAttribute("aria-label") ?? "")}</text>${fill(new XMLSerializer().serializeToString(copy))}`; }).join("\n");
@@ -118,7 +129,7 @@ const escaped = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").repl
 
 /** Displacements and drives while they are shown. @param {App} app */
 export function signals(app) {
-  const { experiment, span } = app, { record } = experiment, first = Math.max(0, Math.round((span[0] - timeOf(record, 0)) * record.rate)), last = Math.min(record.n, first + Math.round((span[1] - span[0]) * record.rate) + 1);
+  const { experiment } = app, { record } = experiment, [first, last] = app.shownSamples;
   /** @type {Record<string, ArrayLike<number>>} */
   const columns = { time_s: Float64Array.from({ length: last - first }, (_, j) => timeOf(record, first + j)) }, unit = experiment.content.unit.split("/")[1];
   for (const method of METHODS) {
@@ -161,9 +172,9 @@ export function gAsJson(app) {
 
 /** @param {App} app */
 function scenario(app) {
-  const { settings, content } = app.experiment, file = settings.wavelet.kind !== "ricker" && settings.wavelet.name !== content.rendering.wavelet.file;
+  const { wavelet } = app.experiment.settings;
   save(app, ".toml", scenarioToml(app), "application/toml");
-  if (file) save(app, "-stimulus.csv", writeCsv({ sample: settings.wavelet.samples }, [settings.wavelet.name]), "text/csv");
+  if (hasOwnFile(wavelet)) save(app, "-stimulus.csv", writeCsv({ sample: wavelet.samples }, [wavelet.name]), "text/csv");
 }
 
 /**
@@ -198,7 +209,7 @@ export function scenarioToml(app) {
   if (settings.rule) put("rendering.regularisation_value", settings.rule.value);
   else if (table.rendering) delete table.rendering.regularisation_value;
   if (settings.wavelet.kind === "ricker") { put("rendering.wavelet.peak", settings.wavelet.peak); delete table.rendering.wavelet.file; }
-  else if (settings.wavelet.name !== content.rendering.wavelet.file) { put("rendering.wavelet.file", `${nameOf(app)}-stimulus.csv`); notes.push("its stimulus lies beside it, kept at the same time"); }
+  else if (hasOwnFile(settings.wavelet)) { put("rendering.wavelet.file", `${nameOf(app)}-stimulus.csv`); notes.push("its stimulus lies beside it, kept at the same time"); }
   const target = experiment.outputs[settings.target].name;
   if (settings.place) { put("grid.points", placesOf(app)); notes.push("the free place is the last point: it is solved anew, so S there agrees within the errors stated"); }
   const last = String(experiment.points.length + 1), zeros = experiment.zerosOf("inverse filter", settings.target).map((i) => (i < experiment.points.length ? experiment.outputs[i].name : last));
@@ -208,6 +219,9 @@ export function scenarioToml(app) {
   const lines = [`from the workbench: ${caption(app)}`, `S at ${target}: ${METHODS.map((m) => `${m} ${experiment.outcome(m).strength.toPrecision(6)}`).join(", ")}`, ...notes];
   return lines.map((l) => `# ${l.replace(/[\r\n\u0000-\u001f\u007f]+/g, " ")}\n`).join("") + writeToml(table);
 }
+
+/** Whether a scenario needs samples that no file holds yet. @param {import("./wavelet.js").Wavelet} wavelet */
+const hasOwnFile = (wavelet) => wavelet.kind === "burst" || wavelet.kind === "own";
 
 /** All points and the free place in the device's own frame [m]. @param {App} app @returns {number[][]} */
 function placesOf(app) {
