@@ -96,7 +96,8 @@ def _device_section(devices: Sequence[Mapping[str, str]], answers: Mapping[str, 
     }
     kinds: dict[tuple[str, ...], int] = {}
     for d in devices:
-        key = (d["device"], _milliseconds(d["latency"]), d["latency_basis"], _or_unknown(d["gain"]), d["level_basis"])
+        gain = "unknown" if d["gain"] == "n/a" else d["gain"]
+        key = (d["device"], _milliseconds(d["latency"]), d["latency_basis"], gain, d["level_basis"])
         kinds[key] = kinds.get(key, 0) + 1
     if lost := len(sittings - told):
         kinds[("unknown",) * 5] = lost
@@ -108,10 +109,6 @@ def _device_section(devices: Sequence[Mapping[str, str]], answers: Mapping[str, 
 
 def _milliseconds(text: str) -> str:
     return "unknown" if text == "n/a" else f"{1e3 * float(text):.3g} ms"
-
-
-def _or_unknown(text: str) -> str:
-    return "unknown" if text == "n/a" else text
 
 
 def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Correction, answer: Answer) -> Analysed:
