@@ -44,7 +44,7 @@ class Commands(SphinxDirective):
         section = nodes.section(ids=[nodes.make_id(f"command-{name}")])
         section += nodes.title("", name)
         self.state.document.note_implicit_target(section, section)
-        section += nodes.paragraph("", " ".join((command.help or "").split()))
+        section += _sentence(command.help or "")
         arguments = " ".join(
             _named(p) if p.required else f"[{_named(p)}]"
             for p in command.params if p.param_type_name == "argument"
@@ -68,8 +68,14 @@ def _entry(parameter: Any) -> nodes.definition_list_item:
     return nodes.definition_list_item(
         "",
         nodes.term("", "", nodes.literal("", name)),
-        nodes.definition("", nodes.paragraph("", " ".join(text.split()))),
+        nodes.definition("", _sentence(text)),
     )
+
+
+def _sentence(text: str) -> nodes.paragraph:
+    """A paragraph in which what stands between backticks is code."""
+    parts = enumerate(" ".join(text.split()).split("`"))
+    return nodes.paragraph("", "", *(nodes.literal("", p) if k % 2 else nodes.Text(p) for k, p in parts))
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

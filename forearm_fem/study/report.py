@@ -22,7 +22,7 @@ from ..ports import Port
 from ..report.facts import Block
 from ..report.write import Picture, Section
 from .adaptive import Track
-from .analysis import Tests, analyse, confusion, ellipses, with_errors
+from .analysis import Tests, analyse, confusion, ellipses, in_order, with_errors
 from .comparisons import Correction
 from .figures import plot_areas, plot_confusion, plot_ellipses, plot_outlines, plot_points
 from .plan import Answer, Study
@@ -115,7 +115,7 @@ def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Co
     main = with_errors(table, grid)
     found = ellipses(main)
     names = [p.name for p in grid]
-    shares = {m: confusion(main, names, m) for m in dict.fromkeys(main["method"])}
+    shares = {m: confusion(main, names, m) for m in in_order(main, "method")}
     pictures = [
         _picture(plot_ellipses(found, grid), f"{name}-ellipses", "Answers to each target: means and ellipses of one "
                  "standard deviation over all trials, the target a star (figure 8 of the thesis)"),
