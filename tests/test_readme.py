@@ -91,3 +91,18 @@ def test_every_promise_of_the_readme_names_what_holds_it():
     """A sentence that no claim of tests/readme_claims.toml speaks of has nothing behind it."""
     spoken = [c["says"] for c in CLAIMS]
     assert [p for p in promises() if not any(s in p for s in spoken)] == []
+
+
+def test_what_the_thesis_run_costs_is_said_alike():
+    """Three pages name minutes and gigabytes of `run thesis`; what was timed is benchmarks/results/account.csv."""
+    lines = (HOME / "benchmarks" / "results" / "account.csv").read_text(encoding="utf-8").splitlines()[1:]
+    stages = [line.split(",") for line in lines]
+    minutes = (float(stages[-1][1]) + float(stages[-1][2])) / 60
+    gigabytes = max(float(s[4]) for s in stages)
+    start, accuracy = ((HOME / "docs" / p).read_text(encoding="utf-8") for p in ("start.md", "howto/accuracy.md"))
+    words = {2: "two", 3: "three", 4: "four", 8: "eight", 9: "nine", 10: "ten", 11: "eleven"}
+    said = re.search(r"\| ([\d.]+) min from nothing, kernels included \| ([\d.]+) GB", README)
+    assert said is not None
+    assert [float(v) for v in said.groups()] == pytest.approx([minutes, gigabytes], abs=0.06)  # one digit is printed
+    assert f"{words[round(minutes)]} minutes and {words[round(gigabytes)]} gigabytes" in start
+    assert f"| 0.025 | {words[round(minutes)]} minutes |" in accuracy
