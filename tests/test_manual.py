@@ -6,6 +6,7 @@ import ast
 import json
 import re
 import runpy
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -140,6 +141,33 @@ def test_arrangements_that_the_manual_shows_fit_the_arm():
     assert len(_arms()) >= 3
     for _, table in _arms():
         assert flat_ports(parse_scenario(table))
+
+
+def _lines() -> set[str]:
+    """Command lines that a page shows to be copied: in a block, or after ``::`` in a tutorial."""
+    found = []
+    for page in [*PAGES, *SCRIPTS]:
+        text = page.read_text(encoding="utf-8")
+        blocks = re.findall(r"```([^\n`]*)\n(.*?)```", text, re.DOTALL)
+        shown = [b for language, b in blocks if not language] if page.suffix == ".md" else [text]
+        found += [line for block in shown for line in re.findall(r"^#? *(forearm-fem [a-z].*)$", block, re.MULTILINE)]
+    parts = (part.strip() for line in found for part in re.split(r" +# |&&", line))
+    return {part for part in parts if part.startswith("forearm-fem ")}
+
+
+def test_lines_to_be_copied_have_the_options_they_need_and_no_others():
+    from command_pages import every_command
+
+    commands = dict(every_command())
+    assert len(_lines()) > 30
+    for line in _lines():
+        words = shlex.split(line)[1:]
+        name = " ".join(words[:2]) if words[0] == "study" else words[0]
+        options = [p for p in commands[name].params if p.param_type_name == "option"]
+        known = {o for p in options for o in (*p.opts, *p.secondary_opts)}
+        given = {w for w in words if w.startswith("--")}
+        assert given <= known, line
+        assert {p.opts[0] for p in options if p.required} <= given, line
 
 
 def test_every_option_is_described_and_its_description_reaches_the_reader():

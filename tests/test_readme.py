@@ -49,6 +49,8 @@ def test_a_command_of_the_readme_is_there_with_its_options(line):
         command = command.commands[words.pop(0)]
     known = {option for p in command.params for option in p.opts}
     assert {w for w in words if w.startswith("--")} <= known
+    needed = [p.opts[0] for p in command.params if p.required and p.param_type_name == "option"]
+    assert set(needed) <= set(words), "the line ends in a complaint when it is copied"
     shipped = {p.stem for p in (HOME / "scenarios").glob("*.toml")}
     assert all(w in shipped or w.isupper() or w == "virtual" for w in words if w.isalpha())
 

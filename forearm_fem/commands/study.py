@@ -55,7 +55,7 @@ def new(
     name: Annotated[str, typer.Argument(help="letters, digits and hyphens")],
     scenario: Annotated[
         str, typer.Option(help="of the device: a file seen from the study file, or the name of a shipped one")
-    ],
+    ] = "thesis",
     folder: Annotated[Path, typer.Option(help="where the file goes")] = Path(),
 ) -> None:
     """Write a commented study file: the thesis' two studies, to be changed."""
