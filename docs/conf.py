@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parent), str(HERE / "_ext"), str(HERE / "gallery")]
+sys.path[:0] = [str(HERE.parent), str(HERE / "_ext")]
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import forearm_fem  # noqa: E402
@@ -31,10 +31,12 @@ extensions = [
     "public_api",
     "scenario_keys",
     "command_pages",
+    "quick_run",
 ]
 source_suffix = {".rst": "restructuredtext", ".md": "markdown"}
 exclude_patterns = ["_build", "gallery", "tutorials/*.py", "tutorials/GALLERY_HEADER.rst"]
 nitpicky = False
+smartquotes = False  # they make a dash of --set and curl the quotes of what is meant to be copied into a shell
 
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist", "fieldlist", "attrs_block"]
 myst_heading_anchors = 3
@@ -52,7 +54,6 @@ sphinx_gallery_conf = {
     "examples_dirs": [str(HERE / "tutorials"), str(HERE / "gallery")],
     "gallery_dirs": ["made/tutorials", "made/gallery"],
     "filename_pattern": r"[\\/]\d\d_",
-    "ignore_pattern": r"common\.py",
     "within_subsection_order": "FileNameSortKey",
     "download_all_examples": False,
     "remove_config_comments": True,

@@ -14,6 +14,7 @@ import pytest
 from cli_runner import SMALL, cli
 
 from forearm_fem.campaign import CampaignResult, executor, load_campaign, run, run_campaign
+from forearm_fem.campaign.executor import in_turn
 from forearm_fem.campaign.model import DrawTable, draws
 from forearm_fem.errors import MissingExtra, ScenarioError, SolverError
 from forearm_fem.scenario import Scenario
@@ -175,10 +176,18 @@ def test_a_missing_campaign_file_is_one_sentence(tmp_path: Path) -> None:
         load_campaign(tmp_path / "none.toml")
 
 
-def test_without_dask_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_dask_members_run_here_and_who_asks_for_processes_is_told_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What `pip install .` gives runs the commands of the manual as they stand there."""
     monkeypatch.setitem(sys.modules, "distributed", None)
+    file = made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04]\n')
+    assert [m.problem for m in start(file).members] == ["", ""]
     with pytest.raises(MissingExtra, match=r"forearm-fem\[campaign\]"):
-        start(made(tmp_path, ""))
+        run_campaign(load_campaign(file), tmp_path / "again", workers=2)
+    assert in_turn(None, None)
+    assert not in_turn(None, 2)
+    assert not in_turn("tcp://head:8786", None)
 
 
 def test_memory_limits_the_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

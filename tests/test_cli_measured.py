@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +105,36 @@ def test_fit_finds_the_modulus_and_rejects_unknown_names(lab: Path) -> None:
     wrong = cli(*common, "skin.colour", cwd=lab)
     assert wrong.code == 2
     assert "skin.mu" in wrong.sentence
+
+
+def test_a_table_without_places_takes_those_of_the_scenario_that_is_named(lab: Path) -> None:
+    """A lab's CSV knows names alone; who names the scenario that was measured has said where they are."""
+    g = read_transfer(lab / "results/small/calibration/transfer.nc")
+    rows = ["frequency_Hz,output,input,real,imag"]
+    for k, i, j in np.ndindex(g.values.shape):
+        value = 1e6 * g.values[k, i, j]
+        rows.append(f"{g.frequency[k]},{g.outputs[i].name},{g.inputs[j].name},{value.real!r},{value.imag!r}")
+    (lab / "lab.csv").write_text("\n".join(rows).replace("np.float64(", "").replace(")", ""))
+    places = ("--scenario", "small.toml", "--no-render")
+    asked = cli("compare", "lab.csv", "results/small", *places, cwd=lab).sentence
+    assert all(key in asked for key in ("spectrum =", "sign =", "unit ="))  # at once, not one by one
+    said = ("unit='um/V'", "sign='+iwt'", "spectrum='one-sided'")
+    known = [word for item in said for word in ("--declare-a", item)]
+    found = cli("compare", "lab.csv", "results/small/calibration", *known, *places, "--out", "same", cwd=lab)
+    assert found.code == 0, found.err
+    assert json.loads((lab / "same" / "comparison.json").read_text())["overall"]["e_band"] < 1e-9  # the same numbers
+    fitted = cli("fit", "small.toml", "lab.csv", "scale", "--frequencies", 6,
+                 *(word for item in said for word in ("--declare", item)), cwd=lab)  # fmt: skip
+    assert fitted.code == 0, fitted.err
+    lost = cli("compare", "lab.csv", "results/small", *known, "--out", "never", cwd=lab)
+    assert (lost.code, "name the scenario" in lost.sentence) == (2, True)
+
+
+def test_play_says_what_makes_drives_before_it_solves(lab: Path, tmp_path: Path) -> None:
+    (tmp_path / "bare").mkdir()
+    answer = cli("play", "small.toml", tmp_path / "bare", "--method", "funneling", cwd=lab)
+    assert answer.code == 2
+    assert "`forearm-fem render` makes a drives.nc" in answer.sentence
 
 
 def test_play_obeys_the_voltage_limit(lab: Path) -> None:

@@ -14,7 +14,7 @@ from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
 from forearm_fem.compare.adapters import ScenarioModel, common_parameters, layered_compliance_of
 from forearm_fem.compare.fit import fit
 from forearm_fem.compare.parameters import Parameter
-from forearm_fem.compare.run import run_fit
+from forearm_fem.compare.run import fit_text, run_fit
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.ports import distances
 from forearm_fem.scenario import parse_scenario
@@ -71,6 +71,15 @@ def test_coverage_of_the_stated_intervals(deviation):
     # binomial, 120 trials at 0.95: 0.89 is three standard deviations below
     assert 0.89 <= np.mean(inside) <= 1.0
     assert np.std(z) == pytest.approx(1.0, abs=0.2)  # 120 samples: +-0.065, three of these
+
+
+def test_the_ends_of_a_narrow_interval_are_told_apart():
+    """Quiet data: "3.4, 3.4 to 3.4" says nothing; as many digits are printed as the interval is narrow."""
+    result = fit(model, noisy(model(TRUE), 0, sigma=1e-11), PARAMETERS)
+    rows = [line.split(" | ") for line in fit_text(result).splitlines()[2 : 2 + len(TRUE)]]
+    for _, value, interval, _ in rows:
+        low, high = interval.split(" to ")
+        assert float(low) < float(value) < float(high)
 
 
 def test_scale_and_delay_are_fitted_with_the_rest():

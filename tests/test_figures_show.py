@@ -19,7 +19,7 @@ from forearm_fem.figures import Results
 from forearm_fem.figures.interact import Room, interact
 from forearm_fem.figures.motion import View, motion, nice
 from forearm_fem.figures.scene import plotter_for
-from forearm_fem.figures.show import Look, Stage, amplification, animate, body_of, render_still, write_pvd
+from forearm_fem.figures.show import Look, Stage, amplification, animate, body_of, render_still, standing, write_pvd
 
 SMALL = (320, 240)
 
@@ -96,6 +96,14 @@ def test_a_cut_limb_keeps_the_field_on_its_faces(run: Results, cut: str) -> None
     same = np.linalg.norm(rest[:, None] - body.rest[None, ::50], axis=2).argmin(axis=0)
     exact = np.linalg.norm(rest[same] - body.rest[::50], axis=1) < 1e-4
     np.testing.assert_allclose(body.modes[::50][exact], run.wavefield.modes[same[exact]], atol=1e-6)
+
+
+def test_nothing_stands_on_what_is_cut_away(run: Results) -> None:
+    ports = (*run.transfer.inputs, *run.transfer.outputs)
+    middle = next(p for p in run.transfer.outputs if p.name == "5").position
+    assert standing(ports, "", middle) == ports
+    for cut, gone in (("y", {"A1", "A3", "1", "4", "7"}), ("xy", {"A1", "1"})):
+        assert {p.name for p in ports} - {p.name for p in standing(ports, cut, middle)} == gone
 
 
 def test_a_film_has_all_its_frames(run: Results, tmp_path: Path) -> None:

@@ -6,14 +6,17 @@ import ast
 import json
 import re
 import runpy
+import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
 import forearm_fem
-from forearm_fem.scenario import scenario_schema
+from forearm_fem.pipeline.layered_engine import flat_ports
+from forearm_fem.scenario import Scenario, parse_scenario, scenario_schema
 
 HOME = Path(__file__).parents[1]
 DOCS = HOME / "docs"
@@ -78,13 +81,25 @@ def test_pages_of_the_gallery_assert_a_number(script):
     assert any(isinstance(node, ast.Assert) for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))))
 
 
-@pytest.mark.parametrize("script", [*SCRIPTS, DOCS / "gallery" / "common.py", HOME / "README.md"], ids=lambda p: p.stem)
+def _python(page: Path) -> str:
+    text = page.read_text(encoding="utf-8")
+    return "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL)) if page.suffix == ".md" else text
+
+
+WITH_PYTHON = [p for p in [*PAGES, HOME / "README.md"] if _python(p)]
+
+
+@pytest.mark.parametrize("script", [*SCRIPTS, *WITH_PYTHON], ids=lambda p: p.stem)
 def test_examples_keep_to_the_public_api(script):
     from public_rooms import PUBLIC, public_names
 
-    text = script.read_text(encoding="utf-8")
-    code = "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL)) if script.suffix == ".md" else text
-    for node in ast.walk(ast.parse(code)):
+    code = _python(script)
+    tree = ast.parse(code)
+    imported = {a.name.split(".")[0] for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    imported |= {str(n.module).split(".")[0] for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    others = imported - set(sys.stdlib_module_names) - {"__future__", "forearm_fem", "numpy", "matplotlib", "trimesh"}
+    assert not others, "a page that is downloaded runs where the package is installed"
+    for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("forearm_fem"):
             assert node.module in PUBLIC
             assert {alias.name for alias in node.names} <= set(public_names(node.module)), node.module
@@ -108,6 +123,66 @@ def test_readme_is_short_and_every_sentence_has_two_numbers_at_most():
     prose = re.sub(r"\]\([^)]*\)|`[^`]*`", "", prose)
     for sentence in re.split(r"(?<=[.:;])\s+", " ".join(prose.split())):
         assert len(re.findall(r"\d[\d.,]*", sentence)) <= 2, sentence
+
+
+def _arms() -> list[tuple[str, dict]]:
+    """(page, scenario) of the manual's TOML that is a scenario on a limb of the program's own."""
+    found = []
+    for page in PAGES:
+        for text in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
+            table = tomllib.loads(text)
+            if set(table) <= set(Scenario.model_fields) and "limb" not in table:
+                found.append((page.stem, table))
+    return found
+
+
+def test_arrangements_that_the_manual_shows_fit_the_arm():
+    """A reader copies them: they load, and each contact and point lands on the default arm's volar skin."""
+    assert len(_arms()) >= 3
+    for _, table in _arms():
+        assert flat_ports(parse_scenario(table))
+
+
+def _lines() -> set[str]:
+    """Command lines that a page shows to be copied: in a block, or after ``::`` in a tutorial."""
+    found = []
+    for page in [*PAGES, *SCRIPTS]:
+        text = page.read_text(encoding="utf-8")
+        blocks = re.findall(r"```([^\n`]*)\n(.*?)```", text, re.DOTALL)
+        shown = [b for language, b in blocks if not language] if page.suffix == ".md" else [text]
+        found += [line for block in shown for line in re.findall(r"^#? *(forearm-fem [a-z].*)$", block, re.MULTILINE)]
+    parts = (part.strip() for line in found for part in re.split(r" +# |&&", line))
+    return {part for part in parts if part.startswith("forearm-fem ")}
+
+
+def test_lines_to_be_copied_have_the_options_they_need_and_no_others():
+    from command_pages import every_command
+
+    commands = dict(every_command())
+    assert len(_lines()) > 30
+    for line in _lines():
+        words = shlex.split(line)[1:]
+        name = " ".join(words[:2]) if words[0] == "study" else words[0]
+        options = [p for p in commands[name].params if p.param_type_name == "option"]
+        known = {o for p in options for o in (*p.opts, *p.secondary_opts)}
+        given = {w for w in words if w.startswith("--")}
+        assert given <= known, line
+        assert {p.opts[0] for p in options if p.required} <= given, line
+
+
+def test_every_option_is_described_and_its_description_reaches_the_reader():
+    """The help is rich text, in which "[dB]" is a style and vanishes; the manual has both halves of a flag."""
+    from command_pages import every_command, option_text
+
+    names = [name for name, _ in every_command()]
+    assert {"run", "study run", "study withdraw"} <= set(names)
+    for name, command in every_command():
+        for given in command.params:
+            assert given.help or given.name == "help", f"{name}: {given.name}"
+            assert "[" not in (given.help or ""), f"{name}: {given.name}"
+    options = {p.name: p for p in dict(every_command())["fit"].params}
+    assert option_text(options["fem"])[0] == "--fem / --twin"
+    assert option_text(options["fem"])[1].endswith("(default: --twin)")
 
 
 def test_broken_links_of_a_built_page_are_found(tmp_path):

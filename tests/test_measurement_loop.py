@@ -30,7 +30,6 @@ from forearm_fem.measurement.run import (
     calibration_plan,
     run_calibration,
     virtual_device,
-    with_loopback,
 )
 from forearm_fem.measurement.sweep import ExponentialSweep, excited
 from forearm_fem.measurement.virtual import VirtualSensor, noise_for
@@ -118,7 +117,9 @@ def test_window_on_the_impulse_response_lowers_the_noise(tmp_path):
 
 def test_loopback_removes_an_unknown_latency_of_the_output(tmp_path):
     truth = part(wave_matrix(), 1, 1)
-    plan = with_loopback(plan_for(truth), "ai1")
+    plan = plan_for(truth)
+    daq = plan.options.daq.model_copy(update={"loopback": "ai1", "latency": 0.0})
+    plan = replace(plan, options=plan.options.model_copy(update={"daq": daq}))
     measured = calibrate(plan, device_for(truth, bits=0, ahead=500), tmp_path).transfer
     assert band_error(measured.values, truth.values) < 1e-12
 

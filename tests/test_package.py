@@ -27,7 +27,7 @@ def test_shipped_scenarios_are_found_by_name_and_load(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert {"thesis", "quick"} <= set(shipped_scenarios())
     for name in shipped_scenarios():
-        assert load_scenario(scenario_file(name)).name
+        assert load_scenario(name) == load_scenario(scenario_file(name))
     assert (shipped_folder("meshes") / "thesis.vtu").is_file()
 
 

@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 from forearm_fem.fem.linear import factor as factors
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-OPTIONAL = ("pymetis", "mkl", "nvmath", "nidaqmx", "pyuff", "nptdms", "imageio", "trame", "dask", "distributed")
+OPTIONAL = ("pymetis", "mkl", "nvmath", "nidaqmx", "pyuff", "nptdms", "imageio", "dask", "distributed")
 
 
 @pytest.mark.parametrize(

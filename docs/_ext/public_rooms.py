@@ -23,6 +23,7 @@ PUBLIC = {
     "forearm_fem.io": "Files",
     "forearm_fem.device": "The device's circuit and mechanics",
     "forearm_fem.layered": "The semi-analytic twin",
+    "forearm_fem.library": "An arm's library: any arrangement without a solve",
     "forearm_fem.campaign": "Campaigns",
     "forearm_fem.errors": "Named failures",
 }

@@ -7,12 +7,12 @@ beyond it the skin damps high frequencies away.
 """
 
 # %%
+# A run to draw, as ``forearm-fem run quick`` leaves it in the folder that this script is started in.
 import numpy as np
-from common import quick
 
-from forearm_fem.figures import conditioning, plot_conditioning, plot_transfer
+from forearm_fem.figures import Results, conditioning, plot_conditioning, plot_transfer
 
-run = quick()
+run = Results.open("results/quick")
 plot_transfer(run.transfer)
 
 # %%

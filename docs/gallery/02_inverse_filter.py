@@ -7,12 +7,12 @@ meet at the last place as the wavelet asked for. On the way the skin moves more 
 """
 
 # %%
+# A run to draw, as ``forearm-fem run quick`` leaves it in the folder that this script is started in.
 import numpy as np
-from common import quick
 
-from forearm_fem.figures import plot_travel, travel
+from forearm_fem.figures import Results, plot_travel, travel
 
-data = travel(quick())
+data = travel(Results.open("results/quick"))
 plot_travel(data)
 
 # %%

@@ -7,17 +7,18 @@ A still of the skin and of a cut beneath it, from the reduced basis: no new solv
 """
 
 # %%
+# A run to draw, as ``forearm-fem run quick`` leaves it in the folder that this script is started in.
 import tempfile
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import quick
 
+from forearm_fem.figures import Results
 from forearm_fem.figures.motion import View, motion
 from forearm_fem.figures.show import Look, render_still
 
-run = quick()
+run = Results.open("results/quick")
 file = Path(tempfile.mkdtemp()) / "still.png"
 render_still(run, file, view=View("funneling", "5"), look=Look(cut="y"), at=3e-3)
 figure, axes = plt.subplots(figsize=(7.1, 5.3), layout="constrained")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Any
 
 from ..errors import MissingExtra, SolverError
@@ -12,6 +13,11 @@ from ..errors import MissingExtra, SolverError
 LIGHT = 0.6e9  # bytes of a worker that solves no finite elements
 SHARE = 0.8  # of the free memory that workers may take together
 PATIENCE = 10  # s for a scheduler to answer
+
+
+def in_turn(scheduler: str | None, workers: int | None) -> bool:
+    """Whether nobody asked for processes and Dask, which would start them, is not installed: this one does the work."""
+    return scheduler is None and workers is None and find_spec("distributed") is None
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from ..errors import ForearmError
 from ..io.atomic import write_text
 from ..io.markdown import markdown_table
 from ..progress import Progress, tell
-from .executor import LIGHT, SHARE, cluster, completed
+from .executor import LIGHT, SHARE, cluster, completed, in_turn
 from .member import MemberJob, finish_member, finished
 from .model import Campaign, Member
 
@@ -53,7 +53,8 @@ def run_campaign(
 
     A failed member is reported and does not stop the others; running again does only what is missing. ``scheduler`` is
     the address of a Dask scheduler whose workers see ``folder`` and the scenario's folder under the same path;
-    otherwise ``workers`` local processes are started (default: as many as cores and forecast memory allow).
+    otherwise ``workers`` local processes are started (default: as many as cores and forecast memory allow; without Dask
+    members run here, one after the other).
     """
     out = Path(folder).resolve()
     jobs = [_job(campaign, m, out) for m in campaign.members]
@@ -63,13 +64,23 @@ def run_campaign(
     tell(progress, "members", len(done), len(jobs))
     if missing:
         names = {f"{job.name}-{job.digest}": job for job in missing}
-        with cluster(scheduler, lambda: workers or member_workers(campaign, missing)) as client:
-            for key, found in completed(client, finish_member, names):
-                name = names[key].name
-                done[name] = found
-                tell(progress, "members", len(done), len(jobs))
-                _write(out, _collected(campaign, done, reused))
+        for name, found in _finished(names, lambda: workers or member_workers(campaign, missing), scheduler, workers):
+            done[name] = found
+            tell(progress, "members", len(done), len(jobs))
+            _write(out, _collected(campaign, done, reused))
     return _write(out, _collected(campaign, done, reused))
+
+
+def _finished(
+    jobs: Mapping[str, MemberJob], count: Callable[[], int], scheduler: str | None, workers: int | None
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """(name, numbers) of members as they end."""
+    if in_turn(scheduler, workers):
+        yield from ((job.name, finish_member(job)) for job in jobs.values())
+        return
+    with cluster(scheduler, count) as client:
+        for key, found in completed(client, finish_member, jobs):
+            yield jobs[key].name, found
 
 
 def _job(campaign: Campaign, member: Member, out: Path) -> MemberJob:

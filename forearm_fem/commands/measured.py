@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..errors import HardwareError
+from ..errors import DataError, HardwareError
 from ..scenario import Scenario, load_scenario
 from .common import (
     Declared,
@@ -40,9 +40,9 @@ Through = Annotated[
     Path | None,
     typer.Option("--through", help="virtual: file or results folder of the G to play through; default: simulated now"),
 ]
-Snr = Annotated[float, typer.Option(help="virtual: strongest response over the sensor's noise [dB]")]
+Snr = Annotated[float, typer.Option(help="virtual: strongest response over the sensor's noise, in dB")]
 Bits = Annotated[int, typer.Option(min=0, max=32, help="virtual: of the converters; 0 = no quantisation")]
-Latency = Annotated[int, typer.Option(min=0, help="virtual: delay of the inputs [samples]")]
+Latency = Annotated[int, typer.Option(min=0, help="virtual: delay of the inputs, in samples")]
 Seed = Annotated[int, typer.Option(help="virtual: seed of the noise")]
 
 
@@ -122,6 +122,7 @@ def _virtual(
     asked: Scenario, file: Path, through: Path | None, snr: float, bits: int, latency: int, seed: int,
     overrides: Overrides,
 ) -> VirtualSetup:  # fmt: skip
+    from ..geometry.device.layout import planform_ports
     from ..io.recognise import read_measured
     from ..measurement.run import VirtualSetup
     from ..pipeline.folder import run_solve
@@ -129,7 +130,7 @@ def _virtual(
     if through is None:
         with stage(asked, file, None, run_solve, overrides) as job:
             through = job.out
-    return VirtualSetup(read_measured(transfer_file(through)), snr, bits, latency, seed)
+    return VirtualSetup(read_measured(transfer_file(through), ports=planform_ports(asked)), snr, bits, latency, seed)
 
 
 def play(
@@ -141,8 +142,8 @@ def play(
     daq: DaqChoice = "virtual",
     through: Through = None,
     scale: Annotated[float, typer.Option(help="multiplies the drives")] = 1.0,
-    repeats: Annotated[int, typer.Option(min=1)] = 1,
-    pause: Annotated[float, typer.Option(min=0.0, help="silence between repeats [s]")] = 0.0,
+    repeats: Annotated[int, typer.Option(min=1, help="how often the drives are sent")] = 1,
+    pause: Annotated[float, typer.Option(min=0.0, help="silence between repeats, in s")] = 0.0,
     snr: Snr = 60.0,
     card: Card = None,
 ) -> None:
@@ -151,6 +152,8 @@ def play(
 
     asked = load_scenario(scenario, overrides=overrides or ())
     signals = drives / "drives.nc" if drives.is_dir() else drives
+    if not signals.is_file():
+        raise DataError(f"{signals}: no such file; `forearm-fem render` makes a drives.nc")
     virtual = _virtual(asked, scenario, through, snr, 16, 0, 0, overrides) if daq == "virtual" else None
     with noted(), stop_on_ctrl_c() as stop:
         played = run_play(
@@ -187,6 +190,9 @@ def compare(
     out: Annotated[Path | None, typer.Option("--out", help="default results/compare-A-B")] = None,
     declare_a: Annotated[list[str] | None, typer.Option(help="what A does not say of itself, e.g. unit='mm/V'")] = None,
     declare_b: Annotated[list[str] | None, typer.Option(help="the same for B")] = None,
+    scenario: Annotated[
+        Path | None, typer.Option(help="that was measured: points and actuators of files that name no places")
+    ] = None,
     render: Annotated[bool, typer.Option(help="play the drives designed on one through the other")] = True,
 ) -> None:
     """How far apart two G are: per entry, overall, in S, in dispersion; table, figures, JSON."""
@@ -197,7 +203,8 @@ def compare(
     with locked(folder), noted():
         result = run_compare(
             transfer_file(a), transfer_file(b), folder=folder, declaration_a=declaration(declare_a),
-            declaration_b=declaration(declare_b), render=render,
+            declaration_b=declaration(declare_b), scenario=None if scenario is None else load_scenario(scenario),
+            render=render,
         )  # fmt: skip
     typer.echo(result.text)
     typer.echo(f"comparison: {folder}")

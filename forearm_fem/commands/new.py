@@ -17,10 +17,10 @@ def new(
     arm: Annotated[str | None, typer.Option(help="a forearm that was measured: small, median or large")] = None,
     tape: Annotated[
         str | None,
-        typer.Option(help="your own: DISTANCE:CIRCUMFERENCE from the elbow [m], e.g. 0:0.25,0.08:0.23,0.16:0.17"),
+        typer.Option(help="your own: DISTANCE:CIRCUMFERENCE from the elbow, in m, e.g. 0:0.25,0.08:0.23,0.16:0.17"),
     ] = None,
-    length: Annotated[float | None, typer.Option(help="elbow to wrist [m]; the device sits in its middle")] = None,
-    skinfold: Annotated[float | None, typer.Option(help="a caliper's reading on the volar forearm [m]")] = None,
+    length: Annotated[float | None, typer.Option(help="elbow to wrist, in m; the device sits in its middle")] = None,
+    skinfold: Annotated[float | None, typer.Option(help="a caliper's reading on the volar forearm, in m")] = None,
 ) -> None:
     """Write a scenario in which every key stands with its default and meaning, commented out."""
     from ..io.atomic import write_text

@@ -20,7 +20,7 @@ def figures(
     formats: Annotated[str, typer.Option("--format", help="any of png,pdf,svg")] = "png",
     out: Annotated[Path | None, typer.Option("--out", help="default: figures inside the results folder")] = None,
     width: Annotated[
-        int | None, typer.Option(help="of a journal [mm]: 88, one column (figures of many panels take 181), or 181")
+        int | None, typer.Option(help="of a journal, in mm: 88, one column (figures of many panels take 181), or 181")
     ] = None,
     over: Annotated[
         list[str] | None,

@@ -82,7 +82,8 @@ def validate(
     name = "" if measured is None else measured.name
     with noted(), Display() as display:
         display("libraries", 0, 1)  # seconds of a slow or busy machine
-        from ..io import read_transfer
+        from ..geometry.device.layout import planform_ports
+        from ..io import read_measured
         from ..io.atomic import write_text
         from ..io.lock import locked
         from ..prediction.run import Question
@@ -91,7 +92,7 @@ def validate(
         from ..report.validation import coverage, failures, joint_words, validation_page
 
         display("libraries", 1, 1)
-        given = None if measured is None else read_transfer(transfer_file(measured))
+        given = None if measured is None else read_measured(transfer_file(measured), ports=planform_ports(asked))
         folder = out_folder(out, asked, overrides) / FOLDER
         with locked(folder):
             found = run(

@@ -55,7 +55,7 @@ def new(
     name: Annotated[str, typer.Argument(help="letters, digits and hyphens")],
     scenario: Annotated[
         str, typer.Option(help="of the device: a file seen from the study file, or the name of a shipped one")
-    ],
+    ] = "thesis",
     folder: Annotated[Path, typer.Option(help="where the file goes")] = Path(),
 ) -> None:
     """Write a commented study file: the thesis' two studies, to be changed."""
@@ -80,7 +80,7 @@ def run(
     participant: Annotated[str, typer.Option(help="pseudonym: letters and digits, e.g. 01")],
     task: Annotated[str, typer.Option(help="of the study, e.g. identification")],
     consent: Annotated[str, typer.Option(help="date on which consent was signed; needed once per participant")] = "",
-    daq: Annotated[Literal["virtual", "ni", "sound"], typer.Option(help="what plays")] = "virtual",
+    daq: Annotated[Literal["virtual", "ni", "sound"], typer.Option(help="virtual, ni or sound")] = "virtual",
     card: Annotated[str | None, typer.Option("--card", help="sound: name or number of the card")] = None,
     cable: Annotated[
         Path | None, typer.Option("--loopback", help="record of `forearm-fem loopback`, kept with the answers")
@@ -141,7 +141,9 @@ def status(file: StudyFile, data: Data = None) -> None:
 def analyse(
     file: StudyFile,
     data: Data = None,
-    correction: Annotated[Literal["bonferroni", "holm"], typer.Option(help="of comparisons")] = "bonferroni",
+    correction: Annotated[
+        Literal["bonferroni", "holm"], typer.Option(help="of comparisons: bonferroni or holm")
+    ] = "bonferroni",
     thesis: Annotated[bool, typer.Option("--thesis", help="check the thesis' own degrees of freedom too")] = False,
     table: Annotated[
         Path | None, typer.Option(help="somebody else's answers: a CSV or TSV with the columns of an events file")
@@ -186,11 +188,12 @@ def rehearse(
         Path,
         typer.Option(help="G that all simulated participants share; of a results folder they feel the whole skin"),
     ],
-    participants: Annotated[int, typer.Option(min=1, max=1000)] = 20,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
+    participants: Annotated[int, typer.Option(min=1, max=1000, help="simulated ones")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="of their noise and lapses")] = 0,
     data: Annotated[Path | None, typer.Option("--data", help="default NAME-rehearsal beside the file")] = None,
 ) -> None:
     """Let simulated participants do the study: to try the analysis, never as a prediction of people."""
+    from ..geometry.device.layout import planform_ports
     from ..io.recognise import read_measured
     from ..study.field import field_for
     from ..study.percept import Percept
@@ -205,10 +208,10 @@ def rehearse(
     if field is None:
         print_notes(["only the grid points' motion is known; skin between and under actuators is not felt"])
     with Display() as display, noted():
+        g = read_measured(transfer_file(transfer), ports=planform_ports(prepared.scenario))
         run_rehearsal(
-            Prepared.of(file, folder), read_measured(transfer_file(transfer)), participants, Percept(), field=field,
-            seed=seed, progress=display,
-        )  # fmt: skip
+            Prepared.of(file, folder), g, participants, Percept(), field=field, seed=seed, progress=display
+        )
     typer.echo(f"{folder}: `forearm-fem study analyse {file} --data {folder}` analyses it")
 
 
@@ -218,9 +221,12 @@ def power(
     pilot: Annotated[Path, typer.Option(help="folder of answers to take effects and scatter from (or a rehearsal)")],
     task: Annotated[str, typer.Option(help="of the study")] = "identification",
     effect: Annotated[
-        Literal["location", "method", "location x method", "pairs"], typer.Option("--effect", help="to be found")
+        Literal["location", "method", "location x method", "pairs"],
+        typer.Option("--effect", help="to be found: location, method, 'location x method' or pairs"),
     ] = "method",
-    studies: Annotated[int, typer.Option(min=100, max=100_000)] = 1000,
+    studies: Annotated[
+        int, typer.Option(min=100, max=100_000, help="drawn for each number of participants")
+    ] = 1000,
 ) -> None:
     """How many participants find an effect, by studies drawn from a pilot's cell means and scatter."""
     from ..figures.style import SHEET

@@ -11,8 +11,9 @@ import numpy as np
 
 from ..device.loop import UNITS
 from ..errors import DataError
+from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
-from ..io.declaration import Declaration
+from ..io.declaration import Declaration, Ports
 from ..io.netcdf import write_transfer
 from ..io.recognise import read_measured
 from ..pipeline.parametric import BEYOND
@@ -54,12 +55,14 @@ def run_compare(
     folder: str | Path | None = None,
     declaration_a: Declaration | None = None,
     declaration_b: Declaration | None = None,
+    scenario: Scenario | None = None,
     render: bool = True,
 ) -> CompareResult:
     """Compare B against A, each a file of any kind known or a TransferMatrix; write into ``folder`` if
-    given.
+    given. ``scenario`` is what was measured: its points and actuators are those of files that name no places.
     """
-    first, second = _load(a, declaration_a), _load(b, declaration_b)
+    ports = None if scenario is None else planform_ports(scenario)
+    first, second = _load(a, declaration_a, ports), _load(b, declaration_b, ports)
     names = (_name(a, "A"), _name(b, "B"))
     folders = [Path(g).resolve().parent for g in (a, b) if not isinstance(g, TransferMatrix)]
     result = compare(first, second, names=names, render=render, folders=folders)
@@ -67,8 +70,10 @@ def run_compare(
     return CompareResult(result, as_markdown(result), files)
 
 
-def _load(what: str | Path | TransferMatrix, declaration: Declaration | None) -> TransferMatrix:
-    return what if isinstance(what, TransferMatrix) else read_measured(what, declaration)
+def _load(
+    what: str | Path | TransferMatrix, declaration: Declaration | None, ports: Ports | None
+) -> TransferMatrix:
+    return what if isinstance(what, TransferMatrix) else read_measured(what, declaration, ports=ports)
 
 
 def _name(what: str | Path | TransferMatrix, otherwise: str) -> str:
@@ -116,7 +121,7 @@ def run_fit(
     (:mod:`.readings`) would make model and data agree. DataError for a G without valid entries, of another drive than
     ``device.drive``, or of inputs that the device does not have.
     """
-    data = thinned(_load(measured, declaration), frequencies)
+    data = thinned(_load(measured, declaration, planform_ports(scenario)), frequencies)
     _check_drive(scenario, data)
     chosen = common_parameters(scenario, parameters)
     inputs, outputs = all_inputs(scenario, data), data.outputs
@@ -281,13 +286,22 @@ def fit_text(result: FitResult, notes: Sequence[str] = ()) -> str:
     lines = ["| parameter | value | 95 % interval | unit |", "|---|---|---|---|"]
     for p in result.parameters:
         low, high = result.interval[p.name]
-        lines.append(f"| {p.name} | {result.values[p.name]:.4g} | {low:.4g} to {high:.4g} | {p.unit or '-'} |")
+        value = result.values[p.name]
+        digits = _digits(value, high - low)
+        lines.append(f"| {p.name} | {value:.{digits}g} | {low:.{digits}g} to {high:.{digits}g} | {p.unit or '-'} |")
     chi = "unknown (no standard deviations)" if np.isnan(result.chi2) else f"{result.chi2:.2f}"
     lines += [
         "",
         f"reduced chi^2 {chi}; misfit {100 * result.e_band:.2g} % of the data's norm; {result.n_data} numbers.",
     ]
     return "\n".join([*lines, *notes, *result.sentences]) + "\n"
+
+
+def _digits(value: float, width: float) -> int:
+    """Digits of ``value`` that tell the ends of an interval of this width apart, two of the width itself; 4 to 12."""
+    if not (np.isfinite(width) and width > 0 and value):
+        return 4
+    return int(np.clip(np.ceil(np.log10(abs(value) / width)) + 2, 4, 12))
 
 
 def _save_fit(

@@ -102,7 +102,7 @@ def plot_cutaway(data: Cutaway, *, ax: Axes | None = None) -> Axes:
         for n, v, c in zip(data.names, data.volume, data.count, strict=True)
     ]
     handles = [Patch(fc=c, ec=INK, lw=0.4, label=t) for c, t in zip(colours, labels, strict=True)]
-    axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, -0.1), ncols=len(handles), fontsize=6.5)
+    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=len(handles), fontsize=6.5)
     axes.set_title(f"{data.total:,} vertices, {data.count.sum():,.0f} tetrahedra")
     return axes
 

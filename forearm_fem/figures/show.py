@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -119,6 +119,12 @@ def _behind(grid: Any, cut: str, place: FloatArray) -> Any:
     return grid.clip(normal="x", origin=place, invert=False).merge(front, merge_points=True)
 
 
+def standing(ports: Sequence[Port], cut: str, place: Sequence[float]) -> tuple[Port, ...]:
+    """Those of ``ports`` that stand on what a ``cut`` through ``place`` [m] leaves; the others would float."""
+    planes = [("x", "y").index(axis) for axis in cut]
+    return tuple(p for p in ports if not cut or any(p.position[k] > place[k] - 1e-9 for k in planes))
+
+
 def _port(ports: tuple[Port, ...], name: str) -> Port:
     return next((p for p in ports if p.name == name), ports[len(ports) // 2])
 
@@ -188,8 +194,9 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
     plotter.add_mesh(body.dataset, scalars="shown", cmap=_MAPS[view.quantity], clim=_range(stage), smooth_shading=True,
                      ambient=0.3, diffuse=0.62, specular=0.05, scalar_bar_args=_bar(view.quantity, look),
                      interpolate_before_map=view.quantity != "phase")  # fmt: skip
-    add_device(plotter, ports, opacity=0.25)
-    add_grid(plotter, ports, view.target if view.actuator is None else None, lift=0.6)
+    left = standing(ports, look.cut, _port(results.transfer.outputs, view.target).position)
+    add_device(plotter, left, opacity=0.25)
+    add_grid(plotter, left, view.target if view.actuator is None else None, lift=0.6)
     if look.cut:  # the whole skin hides them
         add_bones(plotter, results.mesh)
     low = MM * np.array([p.position for p in ports]).min(axis=0)

@@ -133,7 +133,9 @@ def _agreed(raw: RawMatrix, declaration: Declaration, key: str, needed: bool = T
             f"{raw.name}: the file says {key} = {said}, the declaration {declared}; correct the declaration"
         )
     if said is None and declared is None and needed:
-        raise DataError(f"{raw.name}: does not say its {key}; declare {key} = {_CHOICES[key]}")
+        unsaid = [k for k in _NEEDED if getattr(raw, k) is None and getattr(declaration, k) is None]  # all at once
+        asked = ", ".join(f"{k} = {_CHOICES[k]}" for k in unsaid)
+        raise DataError(f"{raw.name}: does not say its {', '.join(unsaid)}; declare {asked}")
     value = said if said is not None else declared
     if value is not None and value not in _ALLOWED.get(key, (value,)):
         raise DataError(f"{raw.name}: says {key} = {value!r}, which is unknown; correct the file to {_CHOICES[key]}")
@@ -145,6 +147,7 @@ _ALLOWED: Mapping[str, tuple[Any, ...]] = {
     "spectrum": ("one-sided", "two-sided"),
     "sign": ("+iwt", "-iwt"),
 }
+_NEEDED = ("spectrum", "sign", "unit")
 _CHOICES = {
     "quantity": "'displacement', 'velocity' or 'acceleration'",
     "unit": "motion over drive, e.g. 'mm/V' or '(mm/s)/V'",

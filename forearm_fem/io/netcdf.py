@@ -126,7 +126,8 @@ def _estimate(source: Any, method: str, band: float, frequency: FloatArray, size
 def _unpack_transfer(dataset: xr.Dataset) -> TransferMatrix:
     if "G" not in dataset:
         raise DataError("the file holds a compliance but no G; close the loop with a device first")
-    optional = {key: _optional(dataset, f"G_{key}") for key in ("contacts", "valid", "deviation")}
+    names = ("contacts", "valid", "deviation")
+    optional = {n: dataset[f"G_{n}"].values if f"G_{n}" in dataset else None for n in names}
     return TransferMatrix(
         frequency=dataset["frequency"].values,
         values=dataset["G"].values,
@@ -149,7 +150,3 @@ def _unpack_compliance(dataset: xr.Dataset) -> Compliance:
         errors=_errors_of(dataset, "compliance"),
         provenance=json.loads(dataset.attrs["compliance_provenance"]),
     )
-
-
-def _optional(dataset: xr.Dataset, name: str) -> Any:
-    return dataset[name].values if name in dataset else None

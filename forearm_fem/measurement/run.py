@@ -292,9 +292,3 @@ def _choice(file: Path, what: str, wanted: str | None, known: tuple[str, ...]) -
     if wanted not in known:
         raise DataError(f"{file}: choose a {what} among {', '.join(known)}" + (f", not '{wanted}'" if wanted else ""))
     return known.index(wanted)
-
-
-def with_loopback(plan: Plan, channel: str) -> Plan:
-    """``plan`` with the drive recorded on ``channel`` too: latency and amplifier drift then cancel."""
-    daq = plan.options.daq.model_copy(update={"loopback": channel, "latency": 0.0})
-    return replace(plan, options=plan.options.model_copy(update={"daq": daq}))

@@ -17,7 +17,7 @@ def actuator_notes(scenario: Scenario) -> tuple[str, ...]:
     low, high = min(asked), max(asked)
     if known.band is not None and not known.band[0] <= low <= high <= known.band[1]:
         notes.append(
-            f"sweep: {low:g} to {high:g} Hz reaches beyond the {known.band[0]:g} to {known.band[1]:g} Hz that a "
-            f"{known.name} plays; set sweep.f_min and sweep.f_max within, or take what is rendered there as its wish"
+            f"sweep: {low:g} to {high:g} Hz reaches beyond the {known.band[0]:g} to {known.band[1]:g} Hz of "
+            f"{known.name}; set sweep.f_min and sweep.f_max within, or take what is rendered there as its wish"
         )
     return tuple(notes)

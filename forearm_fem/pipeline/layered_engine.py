@@ -96,14 +96,13 @@ def flat_surface(tissues: Tissues) -> Surface:
 
 
 def flat_notes(compliance: Compliance) -> tuple[str, ...]:
-    """Sentences for the report: what the twin leaves out, and what its contacts cost in error."""
+    """Sentences for the report: what the twin leaves out, and what its contacts are."""
     contacts = [port for port in compliance.ports if port.kind == "contact"]
     notes = [f"engine = layered: flat layers without end; {_LEFT_OUT}"]
     if contacts and contacts[0].contact != "pressure":
-        worst = max(estimate.worst for estimate in compliance.errors)
         notes.append(
             f"the {contacts[0].contact} cones are rigid discs that scatter each other's waves and, as in the finite "
-            f"elements, cannot tilt or slide; e(f) of the whole is at most {worst:.1g}"
+            "elements, cannot tilt or slide"
         )
     return tuple(notes)
 

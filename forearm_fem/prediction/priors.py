@@ -92,7 +92,10 @@ class Priors:
 def load_priors() -> Priors:
     """The priors that come with the program (priors.toml), with the joint fit of the laws (tissue_laws.json)."""
     fitted = json.loads(files("forearm_fem").joinpath("tissue_laws.json").read_text(encoding="utf-8"))
-    joint = {law: _joint(found) for law, found in fitted["laws"].items()}
+    joint = {
+        law: Joint(tuple(found["names"]), np.array(found["mean"]), np.array(found["covariance"]))
+        for law, found in fitted["laws"].items()
+    }
     return replace(wide_priors(), joint=MappingProxyType(joint))
 
 
@@ -110,7 +113,3 @@ def _table(rows: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Prior]:
 def _prior(name: str, row: Mapping[str, Any]) -> Prior:
     stated: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row.items()}
     return Prior(name, **stated)
-
-
-def _joint(found: Mapping[str, Any]) -> Joint:
-    return Joint(tuple(found["names"]), np.array(found["mean"]), np.array(found["covariance"]))

@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 
 from .. import __version__
-from ..campaign.executor import LIGHT, SHARE, cluster, completed
+from ..campaign.executor import LIGHT, SHARE, cluster, completed, in_turn
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ForearmError, ScenarioError
 from ..pipeline.frequencies import frequencies
@@ -219,7 +219,7 @@ def _write(out: Path, kept: Mapping[int, Outcome], setup: Setup, question: Quest
 def _outcomes(
     question: Question, setup: Setup, arm: ArmModel, todo: list[int], workers: int | None, scheduler: str | None
 ) -> Iterator[tuple[int, Outcome]]:
-    count = workers or worker_count(len(todo))
+    count = 1 if in_turn(scheduler, workers) else workers or worker_count(len(todo))
     if not todo:
         return
     if scheduler is None and count == 1:

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from ..errors import ScenarioError
 from .meant import key_meant
 from .model import Scenario
+from .shipped import scenario_file, shipped_scenarios
 from .toml import read_toml
 
 _KIND = re.compile(r"(literal|tuple|list|dict|function-[a-z]+|constrained-[a-z]+)\[")  # of a union's members
@@ -22,12 +23,14 @@ DEEPEST = 12  # levels of tables and lists; a scenario's own keys need 5
 
 
 def load_scenario(path: str | Path, *, overrides: Sequence[str] = ()) -> Scenario:
-    """Scenario from a TOML file, with ``key.path=value`` overrides in TOML syntax.
+    """Scenario from a TOML file, or from one that comes with the program by its name, e.g. "thesis".
 
-    Raises :class:`ScenarioError` for a missing or malformed file and for unknown or impossible keys.
+    ``overrides`` are ``key.path=value`` in TOML syntax. Files that a scenario names are seen from the folder of
+    :func:`scenario_file`. Raises :class:`ScenarioError` for a missing or malformed file and for unknown or impossible
+    keys.
     """
-    file = Path(path)
-    table = read_toml(file, "no such file; name a scenario such as scenarios/thesis.toml")
+    file = scenario_file(path)
+    table = read_toml(file, f"no such file; by name there are {', '.join(shipped_scenarios())}")
     return parse_scenario(apply_overrides(table, overrides), origin=str(file))
 
 

@@ -127,10 +127,15 @@ def confusion(table: pd.DataFrame, names: Sequence[str], method: str) -> FloatAr
     return np.asarray(np.divide(counts, total, out=np.full_like(counts, np.nan), where=total > 0))
 
 
+def in_order(table: pd.DataFrame, column: str) -> list[str]:
+    """The values of a column, numbers by size: trials come in random order, which no figure may take over."""
+    return sorted(table[column].unique(), key=_natural)
+
+
 def cell_means(table: pd.DataFrame, measure: str) -> tuple[FloatArray, list[str], list[str], list[str]]:
     """Means (n_participant, n_target, n_method) of a measure over repetitions, NaN where a cell has none; and names."""
     means = table.groupby(["participant", "target", "method"])[measure].mean()
-    levels = [sorted(table[k].unique(), key=_natural) for k in ("participant", "target", "method")]
+    levels = [in_order(table, k) for k in ("participant", "target", "method")]
     index = pd.MultiIndex.from_product(levels, names=["participant", "target", "method"])
     values = means.reindex(index).to_numpy(float).reshape([len(level) for level in levels])
     return values, *levels

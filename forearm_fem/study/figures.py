@@ -14,7 +14,7 @@ from matplotlib.path import Path
 from ..figures.style import FAINT, INK, letter, method_colour, styled
 from ..ports import Port
 from ..typing import FloatArray
-from .analysis import Ellipse, outline
+from .analysis import Ellipse, in_order, outline
 from .power import Power
 
 _MM = 1e3
@@ -89,7 +89,7 @@ def plot_areas(table: pd.DataFrame) -> Figure:
 
 
 def _extents(table: pd.DataFrame, measure: str, unit: float, label: str, inside: str) -> Figure:
-    methods = list(dict.fromkeys(table["method"]))
+    methods = in_order(table, "method")
     figure = Figure(figsize=(7.1, 3.0), layout="constrained")
     parts = {"all trials": table, inside: table[table["inside"]], "the other trials": table[~table["inside"]]}
     for ax, (title, part), sign in zip(figure.subplots(1, 3, sharey=True), parts.items(), "abc", strict=True):
@@ -110,7 +110,7 @@ def _extents(table: pd.DataFrame, measure: str, unit: float, label: str, inside:
 @styled
 def plot_outlines(table: pd.DataFrame, grid: Sequence[Port]) -> Figure:
     """Share of answers whose outline holds each place: a row per target, a column per method."""
-    methods, targets = list(dict.fromkeys(table["method"])), list(dict.fromkeys(table["target"]))
+    methods, targets = in_order(table, "method"), in_order(table, "target")
     figure = Figure(figsize=(2.0 * len(methods) + 1.0, 1.9 * len(targets) + 0.6), layout="constrained")
     axes = figure.subplots(len(targets), len(methods), sharex=True, sharey=True, squeeze=False)
     places = {p.name: _MM * np.array([p.position[1], p.position[0]]) for p in grid}

@@ -22,7 +22,7 @@ from ..ports import Port
 from ..report.facts import Block
 from ..report.write import Picture, Section
 from .adaptive import Track
-from .analysis import Tests, analyse, confusion, ellipses, with_errors
+from .analysis import Tests, analyse, confusion, ellipses, in_order, with_errors
 from .comparisons import Correction
 from .figures import plot_areas, plot_confusion, plot_ellipses, plot_outlines, plot_points
 from .plan import Answer, Study
@@ -96,7 +96,8 @@ def _device_section(devices: Sequence[Mapping[str, str]], answers: Mapping[str, 
     }
     kinds: dict[tuple[str, ...], int] = {}
     for d in devices:
-        key = (d["device"], _milliseconds(d["latency"]), d["latency_basis"], _or_unknown(d["gain"]), d["level_basis"])
+        gain = "unknown" if d["gain"] == "n/a" else d["gain"]
+        key = (d["device"], _milliseconds(d["latency"]), d["latency_basis"], gain, d["level_basis"])
         kinds[key] = kinds.get(key, 0) + 1
     if lost := len(sittings - told):
         kinds[("unknown",) * 5] = lost
@@ -110,15 +111,11 @@ def _milliseconds(text: str) -> str:
     return "unknown" if text == "n/a" else f"{1e3 * float(text):.3g} ms"
 
 
-def _or_unknown(text: str) -> str:
-    return "unknown" if text == "n/a" else text
-
-
 def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Correction, answer: Answer) -> Analysed:
     main = with_errors(table, grid)
     found = ellipses(main)
     names = [p.name for p in grid]
-    shares = {m: confusion(main, names, m) for m in dict.fromkeys(main["method"])}
+    shares = {m: confusion(main, names, m) for m in in_order(main, "method")}
     pictures = [
         _picture(plot_ellipses(found, grid), f"{name}-ellipses", "Answers to each target: means and ellipses of one "
                  "standard deviation over all trials, the target a star (figure 8 of the thesis)"),

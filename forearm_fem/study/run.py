@@ -76,7 +76,7 @@ def session_for(
     HardwareError in one sentence for whatever prevents it.
     """
     asked = prepared.study.task(task)
-    transfer = transfer_of(prepared.study, prepared.base, participant)
+    transfer = transfer_of(prepared.study, prepared.base, participant, planform_ports(prepared.scenario))
     stimuli = prepared.stimuli(transfer)
     player, plays = device_player(prepared, transfer, stimuli, daq, card=card, cable=cable)
     store = prepared.store()

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import HardwareError, ScenarioError
+from ..io.declaration import Ports
 from ..io.recognise import read_measured
 from ..measurement.daq import Daq
 from ..measurement.play import play
@@ -35,15 +36,18 @@ class Stimulus:
     moved: FloatArray
 
 
-def transfer_of(study: Study, base: Path, participant: str) -> TransferMatrix:
-    """G of a participant as the study file says; ScenarioError naming the file and what makes it."""
+def transfer_of(study: Study, base: Path, participant: str, ports: Ports) -> TransferMatrix:
+    """G of a participant as the study file says; ScenarioError naming the file and what makes it.
+
+    ``ports`` (outputs, inputs) are those of the scenario, for files that name no places.
+    """
     file = base / study.transfer.replace("{participant}", participant)
     if not file.exists():
         raise ScenarioError(
-            f"{file}: no G for participant {participant}; calibrate into its folder "
-            "(`forearm-fem calibrate SCENARIO --out FOLDER`), or name a simulated one in the study's `transfer`"
+            f"{file}: no G for participant {participant}; `forearm-fem calibrate SCENARIO --out {file.parent}` "
+            "measures it, or name a simulated one in the study's `transfer`"
         )
-    return read_measured(file)
+    return read_measured(file, ports=ports)
 
 
 def stimuli_for(

@@ -11,6 +11,7 @@ from typing import Any
 
 from ..errors import DataError
 from ..figures import Results
+from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
 from ..io.declaration import Declaration
 from ..io.recognise import read_measured
@@ -31,8 +32,9 @@ def write_workbench(
 ) -> Path:  # fmt: skip
     """Write the page of a results folder, a ``NAME.library.nc`` or a file with a measured G, whole or not at all.
 
-    ``scenario`` gives a measured file its record, wavelet and limits (default: the thesis' own), a library
-    its device. Raises DataError for anything that is neither, and where the folder's run is unfinished.
+    ``scenario`` gives a measured file its record, wavelet, limits and, where it names none, its points and
+    actuators (default: the thesis' own), a library its device. Raises DataError for anything that is neither, and
+    where the folder's run is unfinished.
     """
     write_text(path, page_of(_content(what, scenario, declaration, progress)))
     return Path(path)
@@ -53,7 +55,7 @@ def _content(
         asked = scenario or arm.scenario.model_copy(update={"name": place.name.removesuffix(LIBRARY)})
         return library_content(arm, asked, f"library {place.name}", progress)
     asked = scenario or Scenario(name=place.stem)
-    transfer = read_measured(place, declaration)
+    transfer = read_measured(place, declaration, ports=planform_ports(asked))
     return measured_content(transfer, asked.model_copy(update={"name": place.stem}), f"measured G of {place.name}")
 
 

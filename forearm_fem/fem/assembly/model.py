@@ -127,7 +127,7 @@ def _constraints(orders: Orders, ports: tuple[Port, ...], supports: Supports) ->
     planes = {
         axis: orders.kept_on(facets[name]) for name, axis in (("symmetry x", 0), ("symmetry y", 1)) if name in facets
     }
-    discs = tuple(_disc(orders, p) for p in ports if _is_rigid(p))
+    discs = tuple(_disc(orders, p) for p in ports if p.kind == "contact" and p.contact != "pressure")
     return constraints(orders.spread.shape[1], np.unique(np.concatenate(nodes)), planes, discs)
 
 
@@ -135,10 +135,6 @@ def _held(supports: Supports) -> list[str]:
     names = ["bone"] if supports.bone == "rigid" else []
     names += ["end"] if supports.ends == "fixed" else []
     return names + (["underside"] if supports.underside == "fixed" else [])
-
-
-def _is_rigid(port: Port) -> bool:
-    return port.kind == "contact" and port.contact != "pressure"
 
 
 def _disc(orders: Orders, port: Port) -> RigidDisc:

@@ -9,7 +9,6 @@ import numpy as np
 from ...errors import MeshError
 from ...scenario import Scenario
 from ...scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
-from ...typing import FloatArray
 from .layout import Layout
 from .sizing import SizeField
 
@@ -36,7 +35,7 @@ def expected_tetrahedra(scenario: Scenario, size: SizeField) -> float:
     """
     (x, y), depth = _extent(scenario, size.layout)
     axes = (np.linspace(*x, 41), np.linspace(*y, 41), np.linspace(0, depth, 21))
-    places = np.stack(np.meshgrid(*(_middles(a) for a in axes), indexing="ij"), axis=-1).reshape(-1, 3)
+    places = np.stack(np.meshgrid(*((a[1:] + a[:-1]) / 2 for a in axes), indexing="ij"), axis=-1).reshape(-1, 3)
     cell = np.prod([a[1] - a[0] for a in axes])
     deep = size(places[:, :2], places[:, 2])
     wide = size(places[:, :2]) if isinstance(scenario.limb, SlabLimb) else deep  # columns keep their width
@@ -79,7 +78,3 @@ def _extent(scenario: Scenario, layout: Layout) -> tuple[tuple[tuple[float, floa
     places = np.vstack([layout.contacts, layout.points])
     low, high = places.min(axis=0) - layout.radius, places.max(axis=0) + layout.radius
     return ((float(low[0]), float(high[0])), (float(low[1]), float(high[1]))), layout.radius
-
-
-def _middles(edges: FloatArray) -> FloatArray:
-    return np.asarray((edges[1:] + edges[:-1]) / 2)

@@ -60,15 +60,15 @@ def ports_on(scenario: Scenario, skin: Skin) -> tuple[Port, ...]:
 
 
 Triple = tuple[float, float, float]
+_KEYS = {"contact": "device.spacing or device.spacing_y", "grid": "grid.pitch or grid.pitch_y"}
 
 
 def _landed(what: str, xy: FloatArray, skin: Skin) -> tuple[Triple, Triple]:
     point, normal = (each[0] for each in skin(xy[None]))
     if not np.isfinite(point).all():
         raise GeometryError(
-            f"{what} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm misses the limb; expected a place over "
-            "its volar "
-            "skin: reduce device.spacing or grid.pitch, or use a longer or wider limb"
+            f"{what} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm misses the limb; expected a place over its volar "
+            f"skin: reduce {_KEYS[what.split()[0]]}, or use a longer or wider limb"
         )
     if normal[2] < _STEEPEST:
         slope = np.degrees(np.arccos(normal[2]))
@@ -91,8 +91,7 @@ def _check_rims(layout: Layout, skin: Skin) -> None:
     for name, xy in zip(layout.names, layout.contacts, strict=True):
         if np.isfinite(skin(xy[None])[0]).all() and not np.isfinite(skin(xy + ring)[0]).all():
             raise GeometryError(
-                f"contact {name} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm reaches beyond the limb "
-                "with its radius "
+                f"contact {name} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm reaches beyond the limb with its radius "
                 f"of {layout.radius * 1e3:.3g} mm; move it inwards or use a longer or wider limb"
             )
 

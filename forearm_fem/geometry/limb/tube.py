@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.special import ellipe
 
 from ...errors import GeometryError
-from ...scenario.limb import Bone, CylinderLimb, ForearmLimb, LayerThickness
+from ...scenario.limb import CylinderLimb, ForearmLimb, LayerThickness
 from ...typing import FloatArray, IntArray
 
 _SLOPE_STEP = 1e-5  # [m] for the derivative of the profile
@@ -141,14 +141,10 @@ def tube_of(limb: ForearmLimb | CylinderLimb) -> Tube:
         heights = around / (4 * max(aspect, 1.0) * ellipe(1 - min(aspect, 1 / aspect) ** 2))
     bare = Tube(stations, heights, aspect, limb.length, limb.layers, limb.core, ())
     volar = float(bare.height(np.zeros(1))[0])
-    bones = tuple(_bone_axis(bone, volar) for bone in limb.bones)
+    bones = tuple(BoneAxis(b.name, b.y, volar - b.depth, b.diameter / 2) for b in limb.bones)
     tube = Tube(stations, heights, aspect, limb.length, limb.layers, limb.core, bones)
     check_tube(tube)
     return tube
-
-
-def _bone_axis(bone: Bone, volar: float) -> BoneAxis:
-    return BoneAxis(bone.name, bone.y, volar - bone.depth, bone.diameter / 2)
 
 
 _CLEARANCE = 1e-3  # [m] of muscle around a bone, or elements become needles
