@@ -44,7 +44,7 @@ def processors(browser: psutil.Process) -> float:
 def measured(page: Path, browser: Any, process: psutil.Process) -> dict[str, Any]:
     """One page, opened and watched while its waves play."""
     tab = browser.new_page(viewport={"width": 1440, "height": 900})
-    tab.goto(page.as_uri())
+    tab.goto(page.resolve().as_uri())
     tab.locator("body[data-ready]").wait_for(state="attached", timeout=120_000)
     first, ready = (float(tab.evaluate(f"document.body.dataset.{k}")) / 1e3 for k in ("first", "ready"))
     tab.evaluate("workbench.app.playing = true")

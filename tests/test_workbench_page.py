@@ -59,6 +59,7 @@ def opened(browser: Any, page: Path, **options: Any) -> tuple[Any, list[str]]:
         "console",
         lambda m: problems.append(m.text) if m.type in ("error", "warning") else None,
     )
+    tab.on("request", lambda r: problems.append(f"asks for {r.url}") if r.url.startswith(("http", "ws", "ftp")) else None)
     tab.goto(page.as_uri())
     tab.locator("body[data-ready]").wait_for(state="attached")
     tab.evaluate("workbench.app.playing = false")
@@ -151,6 +152,21 @@ def test_a_free_place_has_drives_and_s_of_its_own(tab: Any) -> None:
     assert len(table["grid"]["points"]) == 10
     assert table["rendering"]["targets"] == ["10"]
     assert table["grid"]["points"][0] == pytest.approx([-0.0133, -0.0133], abs=1e-6)
+
+
+def test_a_free_place_is_aimed_at_by_numbers(tab: Any) -> None:
+    """Without a pointer; where no skin was kept nothing changes."""
+    tab.locator("#placex").fill("6")
+    tab.locator("#placex").press("Enter")
+    assert tab.evaluate("workbench.experiment.settings.target") == 9
+    place = tab.evaluate("workbench.experiment.settings.place.position")
+    assert place[:2] == pytest.approx([6e-3, 0.0], abs=3e-3)  # a vertex of the picture, of a few mm
+    assert float(tab.locator("#placex").input_value()) == pytest.approx(1e3 * place[0], rel=1e-4)
+    s = strength(tab)
+    tab.locator("#placey").fill("1e9")
+    tab.locator("#placey").press("Enter")
+    assert "expected" in tab.locator("#say").inner_text()
+    assert strength(tab) == s
 
 
 def test_it_is_walked_by_keys_alone(tab: Any) -> None:
@@ -293,6 +309,22 @@ def test_a_wav_becomes_the_stimulus(tab: Any, tmp_path: Path) -> None:
     assert strength(tab) == pytest.approx(wave, rel=1e-9)  # the same samples
 
 
+def test_another_file_of_the_same_name_is_another_stimulus(tab: Any, tmp_path: Path) -> None:
+    """Its interval is drawn anew, and the scenario brings its own samples."""
+    known = []
+    for rate in (0.2, 0.5):
+        np.savetxt(tmp_path / "own.csv", np.sin(rate * np.arange(80)) * np.hanning(80))
+        tab.locator("#own").set_input_files(tmp_path / "own.csv")
+        tab.wait_for_function("before => workbench.experiment.outcome('inverse filter').strength !== before", arg=(known or [0])[-1])
+        assert "being drawn" in tab.locator(".head .why").first.inner_text()
+        known.append(strength(tab))
+        tab.get_by_text("by the errors of G").first.wait_for()
+    tab.evaluate("workbench.experiment.content.rendering.wavelet.file = 'own.csv'")  # as if the run had one of this name
+    assert not tab.evaluate("workbench.experiment.asRun")
+    table = tomllib.loads(tab.evaluate("workbench.exports.scenarioToml()"))
+    assert table["rendering"]["wavelet"]["file"] == "flat-stimulus.csv"
+
+
 def test_a_measured_g_is_laid_over(tab: Any, flat: Results, tmp_path: Path) -> None:  # noqa: F811
     from dataclasses import replace
 
@@ -338,6 +370,8 @@ def test_it_fits_every_width(browser: Any, html: Path, width: int, scheme: str) 
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
     assert tab.evaluate("document.documentElement.dataset.theme") == scheme
     assert all(b["w"] > 200 for b in tab.evaluate("workbench.arms.boxes()"))
+    finger = tab.evaluate("getComputedStyle(document.getElementById('over')).touchAction")
+    assert finger == ("pan-y" if width == 390 else "none")  # arms as tall as a phone must not hold the page
     assert problems == []
     tab.close()
 

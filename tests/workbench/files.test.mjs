@@ -60,6 +60,14 @@ test("a damaged or foreign G is refused in a sentence", () => {
   sentence(() => readTransfer("a.json", "{", OUT, IN, "m/V"), /is damaged/);
   sentence(() => readTransfer("a.json", "null", OUT, IN, "m/V"), /not the JSON that this page writes/);
   sentence(() => readTransfer("a.json", '{"content":"forearm_fem transfer","unit":"m/V","outputs":["1"],"inputs":["A1"],"frequency_Hz":[10],"real":[1],"imag":[]}', OUT, IN, "m/V"), /not the JSON/);
+  const json = { content: "forearm_fem transfer", unit: "m/V", outputs: OUT, inputs: IN, frequency_Hz: [10], real: [1, 2], imag: [0, 0] };
+  const changed = (change) => () => readTransfer("a.json", JSON.stringify({ ...json, ...change }), OUT, IN, "m/V");
+  sentence(changed({ outputs: "12" }), /not the JSON/);
+  sentence(changed({ frequency_Hz: ["a"] }), /no positive number/);
+  sentence(changed({ real: [null, null] }), /none of its 2 entries/);
+  sentence(changed({ unit: `m/V\n${"x".repeat(400)}` }), /is in m\/V x/);
+  sentence(() => readTransfer(`${"n".repeat(400)}\n.csv`, `${csv}Infinity,1,A1,1,0\n`, OUT, IN, "m/V"), /^n+…$/);
+  sentence(() => readTransfer("a.csv", `${csv}Infinity,1,A1,1,0\n`, OUT, IN, "m/V"), /line 2 is damaged/);
   sentence(() => checkSize("a", 0), /empty/);
   sentence(() => checkSize("a", 1e9), /too large/);
 });
@@ -74,6 +82,31 @@ test("WAV: what is written is read, what is not plain is refused", () => {
   const eight = new DataView(wave.slice(0));
   eight.setUint16(20, 1, true); eight.setUint16(34, 8, true);
   sentence(() => readWav("a.wav", eight.buffer), /8 bits/);
+});
+
+test("two hundred damaged files are read or refused in a sentence", () => {
+  const bytes = (text) => new TextEncoder().encode(text), text = (data) => new TextDecoder().decode(data), record = { rate: 10000, n: 200 };
+  const ports = (names) => names.map((name) => ({ name }));
+  /** @type {[Uint8Array, (data: Uint8Array) => unknown][]} */
+  const kinds = [
+    [bytes(transferCsv(F, G, ports(OUT), ports(IN), "m/V")), (d) => readTransfer("a.csv", text(d), OUT, IN, "m/V")],
+    [bytes(transferJson(F, G, OUT, IN, "m/V", "")), (d) => readTransfer("a.json", text(d), OUT, IN, "m/V")],
+    [bytes(writeCsv({ t: [0, 1e-4, 2e-4], v: [1, 2, 3] }, ["note"])), (d) => fitting("a.csv", readSamplesCsv("a.csv", text(d)), record)],
+    [new Uint8Array(writeWav([[0, 0.5, -1, 0.25]], 10000)), (d) => fitting("a.wav", readWav("a.wav", d.slice().buffer), record)],
+  ];
+  let state = 33, refused = 0;
+  const below = (n) => { state = (Math.imul(state, 1103515245) + 12345) >>> 0; return Math.floor((state / 2 ** 32) * n); };
+  for (let k = 0; k < 200; k++) {
+    const [whole, read] = kinds[k % 4], data = k % 3 ? whole.slice() : whole.slice(0, 1 + below(whole.length - 1));
+    if (k % 3) for (let i = 0; i < k % 5 + 1; i++) data[below(data.length)] = below(256);
+    try {
+      read(data);
+    } catch (problem) {
+      refused++;
+      assert.ok(problem instanceof FileProblem && problem.message.length < 300 && !/[\n\r]/.test(problem.message), `file ${k}: ${problem.stack}`);
+    }
+  }
+  assert.ok(refused > 100, `${refused} refused`); // most damage is seen; what changes a digit cannot be
 });
 
 test("samples must fit the record as they are", () => {

@@ -60,7 +60,7 @@ export class App {
     this.follow();
     this.span = this.shownSpan();
     const outcomes = METHODS.map((m) => experiment.outcome(m));
-    const common = this.same ? Math.max(...METHODS.map((m) => arms.largest(experiment, m))) : null;
+    const { common } = this;
     arms.shown.clear();
     for (const o of outcomes) {
       if (!o.sent || !o.spectra || experiment.settings.arm) continue; // of a drawn arm only the points are known
@@ -103,9 +103,20 @@ export class App {
     setTimeout(slice, PATIENCE);
   }
 
+  /** Where all arms' colours end [m]; null where each has its own. */
+  get common() {
+    return this.same ? Math.max(...METHODS.map((m) => this.arms.largest(this.experiment, m))) : null;
+  }
+
+  /** Samples [from, to) of the record that are shown. @returns {[number, number]} */
+  get shownSamples() {
+    const { record } = this.experiment, [from, to] = this.span, first = Math.max(0, Math.round((from - timeOf(record, 0)) * record.rate));
+    return [first, Math.min(record.n, first + Math.round((to - from) * record.rate) + 1)];
+  }
+
   /** Scales alone, without new drives. */
   rescale() {
-    const { experiment, arms } = this, common = this.same ? Math.max(...METHODS.map((m) => arms.largest(experiment, m))) : null;
+    const { experiment, arms, common } = this;
     for (const [method, shown] of arms.shown) arms.show(experiment, method, shown.track, this.factor, common);
     for (const tell of this.listeners) tell();
     arms.draw(experiment);

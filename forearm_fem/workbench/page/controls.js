@@ -7,9 +7,10 @@
 import { $, h, say, sayUnit } from "./dom.js";
 import { METHODS } from "./experiment.js";
 import { exportsPanel } from "./exports.js";
-import { checkSize, FileProblem, fitting, readSamplesCsv, readTransfer, readWav } from "./files.js";
+import { checkSize, FileProblem, fitting, inOneLine, readSamplesCsv, readTransfer, readWav } from "./files.js";
 
 const SPEEDS = /** @type {[string, number][]} */ ([["real time", 1], ["10 times slower", 1 / 10], ["40 times slower", 1 / 40], ["200 times slower", 1 / 200]]);
+const OFF = 10; // [mm] from the skin's vertices: elements are smaller
 const STIFFNESS = /** @type {[string, number][]} */ ([["full contact", Infinity], ["partial: 5 N/mm", 5000], ["partial: 1 N/mm", 1000], ["partial: 0.2 N/mm", 200], ["lifted off", 0]]);
 const KEYS = /** @type {[string, string][]} */ ([["space", "play, pause"], ["← →", "a step in time"], ["1 … 9", "aim at this point"], ["shift 1 … 9", "make it a zero point, or not"], ["[ ]", "slower, faster"], ["m", "next method"], ["a A", "next, last drawn arm"], ["+ −", "nearer, farther"], ["shift arrows", "turn the arms"], ["r", "view as at first"], ["s", "section: none, along, across"], ["t", "light, dark"], ["?", "this list"]]);
 
@@ -17,6 +18,26 @@ const KEYS = /** @type {[string, string][]} */ ([["space", "play, pause"], ["←
 export function aimAt(app, row) {
   const place = row < app.experiment.points.length ? null : app.experiment.settings.place;
   app.set({ target: row, place });
+}
+
+/** Aim at a vertex of the skin. @param {App} app @param {number} vertex */
+function aimBetween(app, vertex) {
+  const { experiment } = app, { rest, normals } = app.field.skin, at = (/** @type {Float32Array} */ a) => Array.from(a.subarray(3 * vertex, 3 * vertex + 3));
+  const place = { vertex, position: at(rest).map((v) => v / 1e3), normal: at(normals) };
+  app.set({ place, target: experiment.points.length, zeros: Array.isArray(experiment.settings.zeros) ? experiment.settings.zeros : "auto" });
+  if (experiment.settings.place === place) app.say(`aiming at ${place.position.map((v) => say(1e3 * v)).join(", ")} mm, a place P between the points; S there is over the mean of the points`);
+}
+
+/** Where the target is, as numbers that can be changed: any place of the skin, without a pointer. @param {App} app */
+function placeFields(app) {
+  const { experiment, field: { skin } } = app, now = (/** @type {number} */ c) => 1e3 * experiment.outputs[experiment.settings.target].position[c];
+  const move = (/** @type {number} */ x, /** @type {number} */ y) => {
+    const { vertex, away } = app.field.below(x, y);
+    if (away > OFF) app.say(`no skin was kept at ${say(x)}, ${say(y)} mm; the nearest is ${say(away)} mm away`, true);
+    else aimBetween(app, vertex);
+  };
+  const side = (/** @type {number} */ c) => { let low = Infinity, high = -Infinity; for (let v = c; v < skin.rest.length; v += 3) { low = Math.min(low, skin.rest[v]); high = Math.max(high, skin.rest[v]); } return /** @type {[number, number]} */ ([low, high]); };
+  return h("div", { class: "row" }, field(app, "placex", "at x", "mm", side(0), () => now(0), (x) => move(x, now(1))), field(app, "placey", "y", "mm", side(1), () => now(1), (y) => move(now(0), y)));
 }
 
 /** Make a point a zero point, or none. @param {App} app @param {number} row */
@@ -65,6 +86,7 @@ function targetPart(app) {
   return part("Target and zero points", true,
     h("svg", { id: "pad", role: "group", "aria-label": "points: Enter aims, Z makes a zero point" }),
     h("p", { class: "soft", style: "margin:2px 0 6px;font-size:12px", text: app.field.amplitudes ? `Click a point here or on an arm, or any other place of the skin. Shift-click: zero point.${app.experiment.places ? " Drag an actuator, or move it with the arrow keys." : ""}` : "Click a point here or on an arm. Shift-click: zero point. Between the points nothing is known to aim at." }),
+    app.field.amplitudes ? placeFields(app) : null,
     h("div", { class: "row" }, h("label", { class: "grow" }, "zeros", zeros)));
 }
 
@@ -122,7 +144,9 @@ function mover(app, k) {
       let to = from;
       g.setPointerCapture(e.pointerId);
       g.onpointermove = (next) => { to = place(next); g.setAttribute("transform", `translate(${to[0] - from[0]} ${to[1] - from[1]})`); };
-      g.onpointerup = () => { g.onpointermove = g.onpointerup = null; g.removeAttribute("transform"); if (to !== from) move(x + (to[0] - from[0]) / 1e3, y - (to[1] - from[1]) / 1e3); };
+      const end = () => { g.onpointermove = g.onpointerup = g.onpointercancel = null; g.removeAttribute("transform"); };
+      g.onpointercancel = end;
+      g.onpointerup = () => { end(); if (to !== from) move(x + (to[0] - from[0]) / 1e3, y - (to[1] - from[1]) / 1e3); };
     },
   };
 }
@@ -263,7 +287,7 @@ export async function take(app, files, onlyG = false) {
         else use(app, file.name, readSamplesCsv(file.name, text));
       }
     } catch (problem) {
-      app.say(problem instanceof FileProblem ? problem.message : `${file.name}: could not be read (${/** @type {Error} */ (problem).message}); nothing was changed`, true);
+      app.say(inOneLine(problem instanceof FileProblem ? problem.message : `${file.name}: could not be read (${/** @type {Error} */ (problem).message}); nothing was changed`), true);
     }
   }
 }
@@ -271,7 +295,7 @@ export async function take(app, files, onlyG = false) {
 /** @param {App} app @param {string} name @param {{samples: Float64Array, rate: number | null}} found */
 function use(app, name, found) {
   const samples = fitting(name, found, app.experiment.record);
-  app.experiment.stimulate({ kind: "file", name, samples });
+  app.experiment.stimulate({ kind: "own", name, samples });
   app.refresh();
   app.say(`${name}: ${samples.length} samples are the stimulus now`);
 }
@@ -303,7 +327,7 @@ export function keys(app, bar, theme) {
       " ": () => { app.playing = !app.playing; bar.said(); }, ArrowLeft: () => (held ? turn(0.08, 0) : step(-1)), ArrowRight: () => (held ? turn(-0.08, 0) : step(1)),
       ArrowUp: () => turn(0, 0.06), ArrowDown: () => turn(0, -0.06), "+": () => nearer(0.9), "=": () => nearer(0.9), "-": () => nearer(1.1),
       "[": () => faster(1), "]": () => faster(-1), r: () => { arms.view = { ...arms.home }; arms.draw(experiment); }, t: theme, "?": () => dialog.showModal(),
-      m: () => { const all = /** @type {any[]} */ (["inverse filter", "funneling", "combination"]); app.focus = all[(all.indexOf(app.focus) + 1) % 3]; app.rescale(); },
+      m: () => { app.focus = METHODS[(METHODS.indexOf(app.focus) + 1) % METHODS.length]; app.rescale(); },
       a: () => stepArm(app, 1), A: () => stepArm(app, -1),
       s: () => { if (bar.section.disabled) return app.say(bar.section.title); bar.section.selectedIndex = (bar.section.selectedIndex + 1) % bar.section.options.length; arms.section = bar.section.value; app.rescale(); },
     };
@@ -341,11 +365,9 @@ export function pointer(app) {
     if (!hit) return;
     if ("row" in hit) return e.shiftKey ? toggleZero(app, hit.row) : aimAt(app, hit.row);
     if (!app.field.amplitudes) return app.say("between the points nothing is known to aim at; click a point");
-    const { rest, normals } = app.field.skin, at = (/** @type {Float32Array} */ a) => Array.from(a.subarray(3 * hit.vertex, 3 * hit.vertex + 3));
-    const place = { vertex: hit.vertex, position: at(rest).map((v) => v / 1e3), normal: at(normals) };
-    app.set({ place, target: experiment.points.length, zeros: Array.isArray(experiment.settings.zeros) ? experiment.settings.zeros : "auto" });
-    app.say(`aiming at ${place.position.map((v) => say(1e3 * v)).join(", ")} mm, a place P between the points; S there is over the mean of the points`);
+    aimBetween(app, hit.vertex);
   });
+  over.addEventListener("pointercancel", () => { down = null; }); // a finger scrolls the page
   over.addEventListener("wheel", (/** @type {WheelEvent} */ e) => { if (!e.ctrlKey && document.activeElement !== over) return; e.preventDefault(); arms.view.far = Math.min(Math.max(arms.view.far * Math.exp(e.deltaY * 0.001), 25), 1500); arms.draw(experiment); }, { passive: false });
   document.addEventListener("dragover", (e) => { e.preventDefault(); document.body.classList.add("dropping"); });
   document.addEventListener("dragleave", (e) => { if (!e.relatedTarget) document.body.classList.remove("dropping"); });

@@ -287,7 +287,7 @@ export class Experiment {
     if (this.places || this.settings.arm) return false;
     const now = this.settings, then = this.original();
     return now.place === null && now.zeros === "run" && JSON.stringify([now.rule, now.window]) === JSON.stringify([then.rule, then.window])
-      && now.wavelet.name === then.wavelet.name && sameDevice(now.device, then.device);
+      && now.wavelet.kind === then.wavelet.kind && now.wavelet.name === then.wavelet.name && sameDevice(now.device, then.device);
   }
 
   /** The run's interval of S as long as nothing is changed, then that of draws made here; null where there is none.
@@ -317,12 +317,13 @@ export class Experiment {
   }
 
   /** Another stimulus. @param {{kind: "ricker", peak: number} | {kind: "burst", frequency: number, cycles: number}
-   *   | {kind: "file", name: string, samples: Float64Array}} asked */
+   *   | {kind: "own", name: string, samples: Float64Array}} asked */
   stimulate(asked) {
     const { record } = this;
+    this.drawn = null; // other samples may have the same name
     if (asked.kind === "ricker") this.set({ wavelet: ricker(asked.peak, record) });
     else if (asked.kind === "burst") this.set({ wavelet: burst(asked.frequency, asked.cycles, record) });
-    else this.set({ wavelet: { samples: placed(asked.samples, record), name: asked.name, kind: "file" } });
+    else this.set({ wavelet: { samples: placed(asked.samples, record), name: asked.name, kind: "own" } });
   }
 }
 

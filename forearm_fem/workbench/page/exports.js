@@ -105,7 +105,7 @@ function film(app) {
 /** All charts under each other, with their own styles. @param {App} app */
 export function charts(app) {
   const style = getComputedStyle(document.documentElement), all = /** @type {SVGElement[]} */ (Array.from(document.querySelectorAll("#traces .chart, #spectra .chart")));
-  const fill = (/** @type {string} */ text) => text.replace(/var\((--[a-z]+)\)/g, (_, n) => style.getPropertyValue(n).trim());
+  const fill = (/** @type {string} */ text) => text.replace(/var\((--[a-z0-9]+)\)/g, (_, n) => style.getPropertyValue(n).trim());
   const body = all.map((svg, k) => { const copy = /** @type {SVGElement} */ (svg.cloneNode(true)); copy.setAttribute("x", String(440 * (k % 2))); copy.setAttribute("y", String(225 * Math.floor(k / 2) + 24)); copy.setAttribute("width", "420"); copy.setAttribute("height", "190");
     if (svg.closest("#traces")) mark(copy, 1e3 * app.arms.time, /** @type {[number, number]} */ (app.span.map((t) => 1e3 * t)));
     return `<text x="${440 * (k % 2) + 46}" y="${225 * Math.floor(k / 2) + 18}" font-weight="600">${escaped(svg.getAttribute("aria-label") ?? "")}</text>${fill(new XMLSerializer().serializeToString(copy))}`; }).join("\n");
@@ -118,7 +118,7 @@ const escaped = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").repl
 
 /** Displacements and drives while they are shown. @param {App} app */
 export function signals(app) {
-  const { experiment, span } = app, { record } = experiment, first = Math.max(0, Math.round((span[0] - timeOf(record, 0)) * record.rate)), last = Math.min(record.n, first + Math.round((span[1] - span[0]) * record.rate) + 1);
+  const { experiment } = app, { record } = experiment, [first, last] = app.shownSamples;
   /** @type {Record<string, ArrayLike<number>>} */
   const columns = { time_s: Float64Array.from({ length: last - first }, (_, j) => timeOf(record, first + j)) }, unit = experiment.content.unit.split("/")[1];
   for (const method of METHODS) {
@@ -161,9 +161,9 @@ export function gAsJson(app) {
 
 /** @param {App} app */
 function scenario(app) {
-  const { settings, content } = app.experiment, file = settings.wavelet.kind !== "ricker" && settings.wavelet.name !== content.rendering.wavelet.file;
+  const { wavelet } = app.experiment.settings;
   save(app, ".toml", scenarioToml(app), "application/toml");
-  if (file) save(app, "-stimulus.csv", writeCsv({ sample: settings.wavelet.samples }, [settings.wavelet.name]), "text/csv");
+  if (hasOwnFile(wavelet)) save(app, "-stimulus.csv", writeCsv({ sample: wavelet.samples }, [wavelet.name]), "text/csv");
 }
 
 /**
@@ -198,7 +198,7 @@ export function scenarioToml(app) {
   if (settings.rule) put("rendering.regularisation_value", settings.rule.value);
   else if (table.rendering) delete table.rendering.regularisation_value;
   if (settings.wavelet.kind === "ricker") { put("rendering.wavelet.peak", settings.wavelet.peak); delete table.rendering.wavelet.file; }
-  else if (settings.wavelet.name !== content.rendering.wavelet.file) { put("rendering.wavelet.file", `${nameOf(app)}-stimulus.csv`); notes.push("its stimulus lies beside it, kept at the same time"); }
+  else if (hasOwnFile(settings.wavelet)) { put("rendering.wavelet.file", `${nameOf(app)}-stimulus.csv`); notes.push("its stimulus lies beside it, kept at the same time"); }
   const target = experiment.outputs[settings.target].name;
   if (settings.place) { put("grid.points", placesOf(app)); notes.push("the free place is the last point: it is solved anew, so S there agrees within the errors stated"); }
   const last = String(experiment.points.length + 1), zeros = experiment.zerosOf("inverse filter", settings.target).map((i) => (i < experiment.points.length ? experiment.outputs[i].name : last));
@@ -208,6 +208,9 @@ export function scenarioToml(app) {
   const lines = [`from the workbench: ${caption(app)}`, `S at ${target}: ${METHODS.map((m) => `${m} ${experiment.outcome(m).strength.toPrecision(6)}`).join(", ")}`, ...notes];
   return lines.map((l) => `# ${l.replace(/[\r\n\u0000-\u001f\u007f]+/g, " ")}\n`).join("") + writeToml(table);
 }
+
+/** Whether a scenario needs samples that no file holds yet. @param {import("./wavelet.js").Wavelet} wavelet */
+const hasOwnFile = (wavelet) => wavelet.kind === "burst" || wavelet.kind === "own";
 
 /** All points and the free place in the device's own frame [m]. @param {App} app @returns {number[][]} */
 function placesOf(app) {

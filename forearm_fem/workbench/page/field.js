@@ -31,6 +31,17 @@ export class Field {
     return this.surfaces[0];
   }
 
+  /** The vertex of the skin nearest to a place seen from above [mm], and how far it is. @param {number} x @param {number} y */
+  below(x, y) {
+    const { rest, normals } = this.skin;
+    let vertex = -1, away = Infinity;
+    for (let v = 0; v < rest.length / 3; v++) {
+      const d = Math.hypot(rest[3 * v] - x, rest[3 * v + 1] - y);
+      if (normals[3 * v + 2] > 0 && d < away) { vertex = v; away = d; }
+    }
+    return { vertex, away };
+  }
+
   /** Normal motion at a vertex of the skin per newton on each contact (bins x contacts), or null. @param {number} vertex
    * @returns {Complex | null} */
   reach(vertex) {

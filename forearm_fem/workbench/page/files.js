@@ -5,10 +5,21 @@
  */
 import { zeros } from "./arrays.js";
 
-/** A failure that the reader can act upon. */
-export class FileProblem extends Error {}
+/** A failure that the reader can act upon: one line, whatever a file's name or text hold. */
+export class FileProblem extends Error {
+  /** @param {string} message */
+  constructor(message) {
+    super(inOneLine(message));
+  }
+}
 
-const MOST = 64e6;
+/** @param {string} text */
+export function inOneLine(text) {
+  const plain = text.replace(/[\s\p{Cc}]+/gu, " ").trim();
+  return plain.length < LONGEST ? plain : `${plain.slice(0, LONGEST - 2)}…`;
+}
+
+const MOST = 64e6, LONGEST = 300; // bytes, letters
 
 /** @param {string} name @param {number} size */
 export function checkSize(name, size) {
@@ -87,7 +98,7 @@ export function readTransfer(name, text, outputs, inputs, unit) {
   const rows = /\.json$/i.test(name) || text.trimStart().startsWith("{") ? rowsOfJson(name, text, unit) : rowsOfCsv(name, text, unit);
   const frequency = Float64Array.from(new Set(rows.map((r) => r.f))).sort(), place = new Map(Array.from(frequency, (f, k) => [f, k]));
   const values = { re: new Float64Array(frequency.length * outputs.length * inputs.length).fill(NaN), im: new Float64Array(frequency.length * outputs.length * inputs.length).fill(NaN) };
-  let kept = 0;
+  let kept = 0, known = 0;
   for (const r of rows) {
     const o = outputs.indexOf(r.output), i = inputs.indexOf(r.input);
     if (o < 0 || i < 0) continue;
@@ -96,8 +107,10 @@ export function readTransfer(name, text, outputs, inputs, unit) {
     values.re[at] = r.valid ? r.re : NaN;
     values.im[at] = r.valid ? r.im : NaN;
     kept++;
+    if (r.valid) known++;
   }
   if (!kept) throw new FileProblem(`${name}: none of its outputs and inputs are called as here (${outputs.slice(0, 3).join(", ")}...; ${inputs.slice(0, 3).join(", ")}...)`);
+  if (!known) throw new FileProblem(`${name}: says of none of its ${kept} entries what it is; export it again, with numbers`);
   return { name, frequency, values };
 }
 
@@ -118,15 +131,15 @@ function rowsOfCsv(name, text, unit) {
     const cells = l.split(","), number = (/** @type {string} */ c) => (cells[at(c)]?.trim() === "nan" ? NaN : Number(cells[at(c)] || "x"));
     const f = number("frequency_Hz"), valid = at("valid") < 0 || Number(cells[at("valid")]) !== 0;
     const [a, b] = plain ? [number("real"), number("imag")] : [number("magnitude"), number("phase_rad")];
-    if (cells.length !== columns.length || !(f > 0) || (valid && !(Number.isFinite(a) && Number.isFinite(b)))) throw new FileProblem(`${name}: line ${k + 1} is damaged (${l.slice(0, 40)})`);
+    if (cells.length !== columns.length || !isFrequency(f) || (valid && !(Number.isFinite(a) && Number.isFinite(b)))) throw new FileProblem(`${name}: line ${k + 1} is damaged (${l.slice(0, 40)})`);
     return { f, output: cells[at("output")].trim(), input: cells[at("input")].trim(), re: plain ? a : a * Math.cos(b), im: plain ? b : a * Math.sin(b), valid };
   });
 }
 
 /** @param {string} name @param {string} text @param {string} unit @returns {Entry[]} */
 function rowsOfJson(name, text, unit) {
-  const found = parsed(name, text), count = (found?.outputs?.length ?? 0) * (found?.inputs?.length ?? 0) * (found?.frequency_Hz?.length ?? 0);
-  if (found?.content !== "forearm_fem transfer" || !count || found.real?.length !== count || found.imag?.length !== count) {
+  const found = parsed(name, text), size = (/** @type {string} */ key) => (Array.isArray(found?.[key]) ? found[key].length : 0), count = size("outputs") * size("inputs") * size("frequency_Hz");
+  if (found?.content !== "forearm_fem transfer" || !count || size("real") !== count || size("imag") !== count) {
     throw new FileProblem(`${name}: is not the JSON that this page writes; export G again, or use CSV`);
   }
   checkUnit(name, found, unit);
@@ -135,11 +148,14 @@ function rowsOfJson(name, text, unit) {
   let at = 0;
   for (const f of found.frequency_Hz) for (const output of found.outputs) for (const input of found.inputs) {
     const re = found.real[at], im = found.imag[at++], valid = Number.isFinite(re) && Number.isFinite(im);
-    if (!(f > 0)) throw new FileProblem(`${name}: a frequency is no positive number`);
+    if (!isFrequency(f)) throw new FileProblem(`${name}: a frequency is no positive number`);
     rows.push({ f, output: String(output), input: String(input), re, im, valid });
   }
   return rows;
 }
+
+/** @param {unknown} f [Hz] */
+const isFrequency = (f) => typeof f === "number" && Number.isFinite(f) && f > 0;
 
 /** @param {string} name @param {string} text @returns {any} */
 function parsed(name, text) {

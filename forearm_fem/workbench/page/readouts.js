@@ -15,7 +15,7 @@ import { timeOf } from "./wavelet.js";
 
 /** @type {Record<Method, string>} */
 export const CLASS = { "inverse filter": "inverse", funneling: "funneling", combination: "combination" };
-const ACTUATORS = ["#4477aa", "#ee8866", "#228833", "#aa3377", "#66ccee", "#bb9900", "#7755aa", "#cc4455", "#449988"];
+const ACTUATORS = Array.from({ length: 9 }, (_, k) => `var(--a${k})`);
 
 /** @param {Method} method */
 const colour = (method) => `var(--${CLASS[method]})`;
@@ -49,8 +49,7 @@ function whyUnknown(app) {
 /** Displacements and drives, a column per method. @param {App} app */
 export function traces(app) {
   const { experiment, span } = app, { record, settings } = experiment, ms = /** @type {[number, number]} */ (span.map((t) => 1e3 * t));
-  const first = Math.max(0, Math.round((span[0] - timeOf(record, 0)) * record.rate)), last = Math.min(record.n, first + Math.round((span[1] - span[0]) * record.rate) + 1);
-  const x = Float64Array.from({ length: last - first }, (_, j) => 1e3 * timeOf(record, first + j)), window = experiment.window();
+  const [first, last] = app.shownSamples, x = Float64Array.from({ length: last - first }, (_, j) => 1e3 * timeOf(record, first + j)), window = experiment.window();
   const shade = window ? /** @type {[number, number]} */ (window.map((t) => 1e3 * t)) : null, device = experiment.content.device;
   const volts = experiment.content.unit === "m/V", unit = experiment.content.unit.split("/")[1];
   $("traces").replaceChildren(...METHODS.map((method) => {
@@ -62,16 +61,24 @@ export function traces(app) {
     const sent = o.signals.map((s, i) => ({ y: cut(s, settings.device.gain[i]), colour: ACTUATORS[i % ACTUATORS.length], width: 1.2 }));
     const limits = volts ? [{ y: device.max_voltage, label: `limit ${say(device.max_voltage)} V` }, { y: -device.max_voltage, label: "" }] : [];
     const charts = [
-      draw({ title: `${method}: displacement of all points`, x, span: ms, xLabel: "time [ms]", yLabel: "outward displacement [µm]", series: moves, symmetric: true, shade }),
+      draw({ title: `${method}: outward displacement of all points`, x, span: ms, xLabel: "time [ms]", yLabel: "displacement [µm]", series: moves, symmetric: true, shade }),
       draw({ title: `${method}: drives`, x, span: ms, xLabel: "time [ms]", yLabel: `drive [${unit}]`, series: sent, symmetric: true, limits }),
     ];
     for (const svg of charts) svg.addEventListener("click", (e) => { app.playing = false; app.arms.time = Math.min(Math.max(valueAt(svg, e.clientX, ms) / 1e3, span[0]), span[1]); });
     return h("div", { class: "trace" },
       h("h2", {}, h("span", { class: CLASS[method], text: method }), h("small", { text: o.problem ? ` ${o.problem}` : ` target ${experiment.outputs[settings.target].name}` })),
       under(charts[0]), legend([[colour(method), "target"], ["var(--warn)", "zero points", true], ["var(--soft)", "other points"]]),
-      under(charts[1]), legend(experiment.inputs.map((p, i) => [ACTUATORS[i % ACTUATORS.length], p.name])));
+      under(charts[1]), legend([...experiment.inputs.map((p, i) => /** @type {[string, string]} */ ([ACTUATORS[i % ACTUATORS.length], p.name])), ...limitIn(sent, limits)]));
   }));
   cursor(app);
+}
+
+/** The drives' limit, and where it is when the chart ends before it. @param {Series[]} sent @param {{y: number}[]} limits
+ * @returns {[string, string, boolean][]} */
+function limitIn(sent, limits) {
+  if (!limits.length) return [];
+  const peak = sent.reduce((most, { y }) => Array.from(y).reduce((m, v) => Math.max(m, Math.abs(v)), most), 0);
+  return [["var(--warn)", `limit ±${say(limits[0].y)} V${peak > 0 && 1.08 * peak < limits[0].y ? `, ${say(limits[0].y / peak, 2)} times the peak` : ""}`, true]];
 }
 
 /** @param {[string, string, boolean?][]} entries */
@@ -103,7 +110,7 @@ export function spectra(app) {
   const parts = [
     card(`G to point ${target}`, "", draw({ title: "transfer matrix", x: frequency, span, xLabel: "frequency [Hz]", yLabel: `|G| [µm/${unit}]`, series: [...own, ...measured], log: true }), legend([...inputs.map((p, i) => /** @type {[string, string]} */ ([ACTUATORS[i % ACTUATORS.length], p.name])), ...(measured.length ? [/** @type {[string, string, boolean]} */ (["var(--soft)", /** @type {any} */ (overlay).name, true])] : [])])),
     card("Drive spectra", app.focus, draw({ title: "drive spectra", x: frequency, span, xLabel: "frequency [Hz]", yLabel: `|drive| [m${unit}/Hz]`, series: sent })),
-    card("Condition number", report ? app.focus : gentle[0], draw({ title: "condition number of the control points' rows", x: frequency, span, xLabel: "frequency [Hz]", yLabel: "largest / least singular value", series: report ? [{ y: report.condition, colour: colour(app.focus), width: 1.4 }] : [], log: true }),
+    card("Condition number", report ? app.focus : gentle[0], draw({ title: "condition number of the control points' rows: largest over least singular value", x: frequency, span, xLabel: "frequency [Hz]", yLabel: "condition number", series: report ? [{ y: report.condition, colour: colour(app.focus), width: 1.4 }] : [], log: true }),
       h("p", { class: "soft", style: "margin:2px 0 0;font-size:12px", text: report ? `An error of G grows up to that much in the drives. Part of target and zeros that cannot be had: ${say(100 * median(report.misfit), 2)} % in the median over the band.` : "Choose inverse filter or combination above an arm." })),
   ];
   $("spectra").replaceChildren(...parts);
@@ -212,5 +219,7 @@ export function errors(app) {
   const section = field.surfaces.length > 1 ? [] : ["No section: this run kept no motion inside the limb."];
   const arms = content.arms && `S over arms: the ${say(100 * content.arms.levels[0])} and ${say(100 * content.arms.levels[content.arms.levels.length - 1])} % quantiles of ${content.arms.draws} arms drawn by forearm-fem predict. It is no error of this arm's numbers, and is shown only while nothing is changed.`;
   const notes = [...changed, ...(arms ? [arms] : []), ...(experiment.kind === "transfer" ? [field.words[0].toUpperCase() + field.words.slice(1) + "."] : []), ...picture, ...section, "An interval of S holds nine in ten true values within the errors stated for G; how arms differ between people is never in it.", ...content.notes];
-  $("errors").replaceChildren(h("h2", { text: "How wrong may it be?" }), h("p", { style: "margin:0 0 4px", text: content.accuracy }), h("ul", {}, ...estimates), h("h2", { text: "Notes" }), h("ul", { class: "soft" }, ...notes.map((/** @type {string} */ t) => h("li", { text: t }))));
+  $("errors").replaceChildren(
+    h("div", {}, h("h2", { text: "How wrong may it be?" }), h("p", { style: "margin:0 0 4px", text: content.accuracy }), h("ul", {}, ...estimates)),
+    h("div", {}, h("h2", { text: "Notes" }), h("ul", { class: "soft" }, ...notes.map((/** @type {string} */ t) => h("li", { text: t })))));
 }

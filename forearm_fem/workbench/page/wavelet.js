@@ -2,7 +2,7 @@
  * The stimulus and what S is taken over. As Python's rendering/wavelet.py.
  *
  * @typedef {{rate: number, n: number}} Record
- * @typedef {{samples: Float64Array, name: string, kind: "ricker" | "burst" | "file", peak?: number}} Wavelet
+ * @typedef {{samples: Float64Array, name: string, kind: "ricker" | "burst" | "file" | "own", peak?: number}} Wavelet  a "file" is the run's
  */
 const HEARD = 1e-3, ROOM = 0.05;
 
