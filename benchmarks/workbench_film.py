@@ -27,7 +27,7 @@ def frames(page: Path, chromium: str) -> list[Image.Image]:
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
         tab = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
-        tab.goto(page.resolve().as_uri())
+        tab.goto(page.as_uri())
         tab.locator("body[data-ready]").wait_for(state="attached", timeout=120_000)
         stage, found = tab.locator("#stage"), []
         tab.evaluate("workbench.app.playing = false")
