@@ -116,7 +116,8 @@ test("samples must fit the record as they are", () => {
   sentence(() => fitting("a", readSamplesCsv("a.csv", "0,0\n0.1,1\n0.2,0\n"), record), /sampled at 10/);
   sentence(() => readSamplesCsv("a.csv", "0,0\n0.1,1\n0.5,0\n"), /evenly increasing/);
   sentence(() => readSamplesCsv("a.csv", "1\n2\nx\n"), /row 3/);
-  sentence(() => readSamplesCsv("a.csv", "1,2,3\n"), /3 columns/);
+  sentence(() => readSamplesCsv("a.csv", "1,2,3\n"), /3 columns of numbers/);
+  sentence(() => readSamplesCsv("a.pdf", "%PDF-1.4\n"), /no columns of numbers/);
   sentence(() => fitting("a", { samples: new Float64Array(5), rate: null }, record), /all 5 samples are zero/);
   sentence(() => fitting("a", { samples: new Float64Array(500).fill(1), rate: null }, record), /500 samples/);
 });

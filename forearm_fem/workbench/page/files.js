@@ -68,7 +68,7 @@ export function readSamplesCsv(name, text) {
   if (rows.length && rows[0].some((c) => c === "" || Number.isNaN(Number(c)))) rows.shift();
   const table = rows.map((r) => r.map((c) => (c === "" ? NaN : Number(c)))), width = table[0]?.length ?? 0;
   const bad = table.findIndex((r) => r.length !== width || r.some((v) => !Number.isFinite(v)));
-  if (!table.length || width > 2) throw new FileProblem(`${name}: expected one column of samples, or time and value, got ${width} columns`);
+  if (!table.length || width > 2) throw new FileProblem(`${name}: expected one column of samples, or time and value, got ${width || "no"} columns of numbers`);
   if (bad >= 0) throw new FileProblem(`${name}: row ${bad + 1} of the numbers is damaged (${rows[bad].join(",").slice(0, 40)})`);
   if (width === 1) return { samples: Float64Array.from(table, (r) => r[0]), rate: null };
   const step = (table[table.length - 1][0] - table[0][0]) / (table.length - 1);
