@@ -287,6 +287,29 @@ def test_what_it_keeps_can_be_read(tab: Any, flat: Results, tmp_path: Path) -> N
     assert "var(--" not in kept(tab, "svg").read_text(encoding="utf-8")
 
 
+def test_paper_has_the_arms_as_seen(tab: Any) -> None:
+    """A picture of all three, in the colours of paper and with the screen's proportions; nothing of it stays."""
+    tab.evaluate("document.getElementById('theme').click()")
+    theme = tab.evaluate("document.documentElement.dataset.theme")
+    stage = tab.locator("#stage").bounding_box()
+    tab.evaluate("dispatchEvent(new Event('beforeprint'))")
+    tab.emulate_media(media="print")
+    assert not tab.locator("#stage").is_visible()
+    assert not tab.locator("#controls").is_visible()
+    assert tab.evaluate("document.documentElement.dataset.theme") == "light"
+    width, height, inked = tab.evaluate(
+        """() => { const c = document.querySelector("#printed canvas"), {width, height} = c, px = c.getContext("2d").getImageData(0, 0, width, height).data;
+      return [width, height, [0, 1, 2].map(k => { const seen = new Set(); for (let y = 0; y < height; y += 7) for (let x = Math.round(k * width / 3); x < (k + 1) * width / 3; x += 7) { const i = 4 * (y * width + x); seen.add(px[i] >> 4 << 8 | px[i + 1] >> 4 << 4 | px[i + 2] >> 4); } return seen.size; })]; }"""
+    )
+    assert width == pytest.approx(2 * stage["width"], rel=0.01)
+    assert height == pytest.approx(2 * stage["height"] + 52, rel=0.01)  # and a line of words
+    assert min(inked) > 12  # shades: bare paper with labels has fewer
+    tab.emulate_media(media="screen")
+    tab.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert tab.locator("#printed canvas").count() == 0
+    assert tab.evaluate("document.documentElement.dataset.theme") == theme
+
+
 def test_a_film_is_kept(tab: Any) -> None:
     tab.locator("#speed").select_option("10 times slower")
     film = kept(tab, "film").read_bytes()

@@ -4,6 +4,7 @@
  * @typedef {import("./app.js").App} App
  */
 import { METHODS } from "./experiment.js";
+import { CLASS } from "./readouts.js";
 import { $, h } from "./dom.js";
 import { transferCsv, transferJson, writeCsv, writeToml, writeWav } from "./files.js";
 import { mark } from "./plots.js";
@@ -50,7 +51,7 @@ function composed(app) {
   g.setTransform(s, 0, 0, s, 0, 0);
   app.arms.boxes().forEach((box, i) => {
     const method = METHODS[i], o = app.experiment.outcome(method);
-    g.fillStyle = ink(`--${["inverse", "funneling", "combination"][i]}`); g.font = "600 14px system-ui, sans-serif"; g.fillText(method, box.x + 14, box.y + 24);
+    g.fillStyle = ink(`--${CLASS[method]}`); g.font = "600 14px system-ui, sans-serif"; g.fillText(method, box.x + 14, box.y + 24);
     g.fillStyle = ink("--ink"); g.font = "600 20px system-ui, sans-serif"; g.fillText(o.problem ? "" : `S ${o.strength.toPrecision(3)}`, box.x + 14, box.y + 48);
     const range = app.experiment.interval(method, app.experiment.settings.target);
     if (range) { g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(`${range.map((v) => v.toPrecision(3)).join(" to ")} by the errors of G`, box.x + 14, box.y + 64); }
@@ -60,10 +61,20 @@ function composed(app) {
   return out;
 }
 
+/** The same with as many pixels as a still picture deserves, for paper and slides. @param {App} app */
+export function still(app) {
+  const { arms, experiment } = app, before = [arms.sharp, arms.scale];
+  arms.sharp = arms.scale = 2;
+  arms.draw(experiment);
+  const out = composed(app);
+  [arms.sharp, arms.scale] = before;
+  arms.draw(experiment);
+  return out;
+}
+
 /** @param {App} app */
 async function picture(app) {
-  app.arms.draw(app.experiment);
-  const blob = await new Promise((done) => composed(app).toBlob(done, "image/png"));
+  const blob = await new Promise((done) => still(app).toBlob(done, "image/png"));
   if (blob) save(app, ".png", blob, "image/png");
 }
 
@@ -71,9 +82,9 @@ const FRAME = 40, MOST_FRAMES = 500; // [ms]
 
 /** One passage of the waves as WebM. @param {App} app */
 function film(app) {
-  const still = composed(app);
-  if (typeof MediaRecorder === "undefined" || !still.captureStream) throw new Error("this browser records no films; PNG and print work");
-  const g = /** @type {CanvasRenderingContext2D} */ (still.getContext("2d")), recorder = new MediaRecorder(still.captureStream(1e3 / FRAME), { mimeType: "video/webm", videoBitsPerSecond: 5e6 });
+  const screen = composed(app);
+  if (typeof MediaRecorder === "undefined" || !screen.captureStream) throw new Error("this browser records no films; PNG and print work");
+  const g = /** @type {CanvasRenderingContext2D} */ (screen.getContext("2d")), recorder = new MediaRecorder(screen.captureStream(1e3 / FRAME), { mimeType: "video/webm", videoBitsPerSecond: 5e6 });
   /** @type {Blob[]} */
   const parts = [];
   recorder.ondataavailable = (e) => parts.push(e.data);

@@ -4,7 +4,7 @@ import { Arms, stopsOf } from "./arms.js";
 import { aimAt, controls, keys, pointer, transport } from "./controls.js";
 import { $, say } from "./dom.js";
 import { Experiment, METHODS } from "./experiment.js";
-import { caption, charts, drives, gAsCsv, gAsJson, scenarioToml, signals } from "./exports.js";
+import { caption, charts, drives, gAsCsv, gAsJson, scenarioToml, signals, still } from "./exports.js";
 import { Field } from "./field.js";
 import { cursor, errors, heads, spectra, table, traces } from "./readouts.js";
 
@@ -102,6 +102,9 @@ function start(content, field, arms, ready) {
     $("high").textContent = shown ? `+${most} outwards` : "";
     $("scale").textContent = shown ? `${app.focus}; ${arms.section ? "on the cut: motion towards the volar side" : "displacement along the skin's normal"}` : "";
   });
+  // paper has another width than the screen: it gets a picture, drawn after the colours for paper are put
+  addEventListener("beforeprint", () => $("printed").replaceChildren(still(app)));
+  addEventListener("afterprint", () => $("printed").replaceChildren());
   controls(app);
   keys(app, bar, turn);
   pointer(app);
