@@ -100,16 +100,16 @@ function pad(app) {
   const small = Math.min(4.2, 0.32 * nearest(outputs));
   svg.replaceChildren(
     ...patch(app),
-    ...inputs.map((p, k) => h("g", experiment.places ? mover(app, k) : {}, h("circle", { class: "cone", cx: 1e3 * p.position[0], cy: -1e3 * p.position[1], r: Math.max(1e3 * p.radius, 1.5), "stroke-width": 0.4 }), h("text", { x: 1e3 * p.position[0], y: -1e3 * p.position[1] + 1.2, text: p.name, style: "font-size:3px;fill:var(--soft)" }))),
+    ...inputs.map((p, k) => h("g", experiment.places ? mover(app, k) : {}, h("circle", { class: "cone", cx: 1e3 * p.position[0], cy: -1e3 * p.position[1], r: Math.max(1e3 * p.radius, 1.5) }), h("text", { x: 1e3 * p.position[0], y: -1e3 * p.position[1] + 0.36 * Math.min(3, 0.8 * Math.max(1e3 * p.radius, 1.5)), text: p.name, style: `font-size:${Math.min(3, 0.8 * Math.max(1e3 * p.radius, 1.5))}px;fill:var(--soft)` }))),
     ...outputs.map((p, row) => {
       const cx = 1e3 * p.position[0], cy = -1e3 * p.position[1], aimed = row === settings.target, zero = held.includes(row);
       return h("g", { class: `${aimed ? "aimed" : ""} ${zero ? "held" : ""}`, role: "button", tabindex: 0, "data-row": row, "aria-label": `point ${p.name}${aimed ? ", target" : zero ? ", zero point" : ""}`,
         onclick: (/** @type {MouseEvent} */ e) => (e.shiftKey ? toggleZero(app, row) : aimAt(app, row)),
         onkeydown: (/** @type {KeyboardEvent} */ e) => { if (e.key === "Enter") { e.preventDefault(); aimAt(app, row); } else if (e.key.toLowerCase() === "z") toggleZero(app, row); } },
-        h("circle", { class: "dot", cx, cy, r: small, "stroke-width": 0.35 }), h("text", { x: cx, y: cy + small * 0.34, style: `font-size:${small * 0.95}px`, text: p.name }),
-        zero ? h("path", { class: "cross", d: `M${cx + small * 0.55} ${cy - small * 1.15}l${small * 0.6} ${small * 0.6}m0 ${-small * 0.6}l${-small * 0.6} ${small * 0.6}`, fill: "none", "stroke-width": 0.5 }) : null);
+        h("circle", { class: "dot", cx, cy, r: small }), h("text", { x: cx, y: cy + small * 0.34, style: `font-size:${small * 0.95}px`, text: p.name }),
+        zero ? h("path", { class: "cross", d: `M${cx + small * 0.55} ${cy - small * 1.15}l${small * 0.6} ${small * 0.6}m0 ${-small * 0.6}l${-small * 0.6} ${small * 0.6}`, fill: "none" }) : null);
     }));
-  svg.querySelectorAll(".dot").forEach((/** @type {Element} */ c) => c.setAttribute("vector-effect", "non-scaling-stroke"));
+  svg.querySelectorAll(".dot, .cone, .cross, .patch").forEach((/** @type {Element} */ c) => c.setAttribute("vector-effect", "non-scaling-stroke"));
   if (active) svg.querySelector(`[${active[0]}="${active[1]}"]`)?.focus();
 }
 

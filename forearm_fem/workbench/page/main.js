@@ -80,7 +80,7 @@ function animate(app, bar) {
     if (told !== app.arms.time) {
       told = app.arms.time;
       bar.scrub.value = String(Math.round((1000 * (told - from)) / (to - from)));
-      $("now").textContent = `t = ${(1e3 * told).toFixed(1)} ms`;
+      $("now").textContent = `t = ${(1e3 * told).toFixed(1).replace("-", "−")} ms`;
       cursor(app);
     }
     requestAnimationFrame(step);

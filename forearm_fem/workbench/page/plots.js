@@ -21,19 +21,20 @@ const W = 340, H = 180, LEFT = 54, RIGHT = 10, TOP = 8, BOTTOM = 34;
 
 /** @param {Chart} chart @returns {SVGSVGElement} */
 export function draw(chart) {
-  const [x0, x1] = chart.span, [y0, y1] = extent(chart);
+  const [x0, x1] = chart.span, range = extent(chart), [y0, y1] = range ?? [0, 1];
   const px = (/** @type {number} */ v) => LEFT + ((v - x0) / (x1 - x0)) * (W - LEFT - RIGHT);
   const to = (/** @type {number} */ v) => (chart.log ? Math.log10(v) : v);
   const py = (/** @type {number} */ v) => H - BOTTOM - ((to(v) - to(y0)) / (to(y1) - to(y0))) * (H - TOP - BOTTOM);
   const svg = h("svg", { viewBox: `0 0 ${W} ${H}`, class: "chart", role: "img", "aria-label": chart.title, preserveAspectRatio: "xMidYMid meet" });
   svg.append(h("title", { text: chart.title }));
   if (chart.shade) svg.append(h("rect", { x: px(Math.max(chart.shade[0], x0)), width: Math.max(px(Math.min(chart.shade[1], x1)) - px(Math.max(chart.shade[0], x0)), 0), y: TOP, height: H - TOP - BOTTOM, class: "shade" }));
-  for (const v of chart.log ? decades(y0, y1) : ticks(y0, y1, 4)) {
+  if (!range) svg.append(h("text", { x: (LEFT + W - RIGHT) / 2, y: (TOP + H - BOTTOM) / 2, "text-anchor": "middle", text: "nothing to show" }));
+  else for (const v of chart.log ? decades(y0, y1) : ticks(y0, y1, 4)) {
     svg.append(h("line", { x1: LEFT, x2: W - RIGHT, y1: py(v), y2: py(v), class: v === 0 ? "zero" : "grid" }));
     svg.append(h("text", { x: LEFT - 6, y: py(v) + 3.5, "text-anchor": "end", text: say(v) }));
   }
   for (const v of ticks(x0, x1, 5)) svg.append(h("text", { x: px(v), y: H - BOTTOM + 14, "text-anchor": "middle", text: say(v) }));
-  for (const l of chart.limits ?? []) if (l.y >= y0 && l.y <= y1) {
+  for (const l of chart.limits ?? []) if (range && l.y >= y0 && l.y <= y1) {
     svg.append(h("line", { x1: LEFT, x2: W - RIGHT, y1: py(l.y), y2: py(l.y), class: "limit" }));
     svg.append(h("text", { x: W - RIGHT - 2, y: py(l.y) + (l.y > 0 ? -3 : 10), "text-anchor": "end", class: "limit-text", text: l.label }));
   }
@@ -60,7 +61,7 @@ export function valueAt(svg, clientX, [x0, x1]) {
   return x0 + (((clientX - left) / scale - LEFT) / (W - LEFT - RIGHT)) * (x1 - x0);
 }
 
-/** @param {Chart} chart @returns {[number, number]} */
+/** Of y; null where no series says anything. @param {Chart} chart @returns {[number, number] | null} */
 function extent(chart) {
   let low = Infinity, high = -Infinity;
   for (const s of chart.series) {
@@ -72,7 +73,7 @@ function extent(chart) {
       high = Math.max(high, v);
     }
   }
-  if (low > high) return chart.log ? [0.1, 1] : [-1, 1];
+  if (low > high) return null;
   if (chart.log) return [Math.max(low * 0.8, high * 1e-5), high * 1.3];
   if (chart.symmetric) { const most = Math.max(-low, high, chart.least ?? 0) * 1.08 || 1; return [-most, most]; }
   const room = 0.06 * (high - low || Math.abs(high) || 1);
