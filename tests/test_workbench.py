@@ -495,6 +495,17 @@ def test_every_module_is_in_the_script_once() -> None:
     assert not re.search(r"^(import|export) ", text, re.MULTILINE)
 
 
+def test_what_a_module_exports_is_asked_for() -> None:
+    """By another module or by the modules' own tests: nothing dead lives in the room."""
+    page = HERE.parent / "forearm_fem" / "workbench" / "page"
+    read = {p: p.read_text(encoding="utf-8") for p in [*page.glob("*.js"), *(HERE / "workbench").glob("*.mjs")]}
+    for place, text in read.items():
+        others = "\n".join(t for p, t in read.items() if p != place)
+        for name in re.findall(r"^export (?:async )?(?:const|function\*?|class) ([\w$]+)", text, re.MULTILINE):
+            asked_for = re.search(rf"import {{[^}}]*(?<![\w$]){re.escape(name)}(?![\w$])[^}}]*}}", others)
+            assert asked_for, f"{place.name}: {name}"
+
+
 def test_a_notebook_shows_the_page_in_a_frame(flat: Results, tmp_path: Path) -> None:
     shown = view(flat)
     frame = shown._repr_html_()

@@ -261,7 +261,7 @@ export class Arms {
 }
 
 /** The largest of 1, 2, 5 times a power of ten up to `value`. @param {number} value */
-export function nice(value) {
+function nice(value) {
   const power = 10 ** Math.floor(Math.log10(value));
   return power * (value / power >= 5 ? 5 : value / power >= 2 ? 2 : 1);
 }

@@ -41,7 +41,7 @@ function placeFields(app) {
 }
 
 /** Make a point a zero point, or none. @param {App} app @param {number} row */
-export function toggleZero(app, row) {
+function toggleZero(app, row) {
   const { experiment } = app, now = experiment.zerosOf(app.focus === "funneling" ? "inverse filter" : app.focus, experiment.settings.target);
   if (row === experiment.settings.target) return app.say(`${experiment.outputs[row].name} is the target; choose another point as zero`, true);
   app.set({ zeros: now.includes(row) ? now.filter((i) => i !== row) : [...now, row].sort((a, b) => a - b) });
@@ -275,7 +275,7 @@ function measuredPart(app) {
 
 /** Files brought or dropped: a G, or samples. What cannot be read is said; nothing else changes.
  * @param {App} app @param {FileList | File[] | null} files @param {boolean} [onlyG] */
-export async function take(app, files, onlyG = false) {
+async function take(app, files, onlyG = false) {
   for (const file of Array.from(files ?? [])) {
     try {
       checkSize(file.name, file.size);

@@ -328,7 +328,7 @@ export class Experiment {
 }
 
 /** @param {Device} a @param {Device} b */
-export function sameDevice(a, b) {
+function sameDevice(a, b) {
   const plain = (/** @type {Device} */ d) => JSON.stringify({ ...d, spring: d.spring.map(String) });
   return plain(a) === plain(b);
 }

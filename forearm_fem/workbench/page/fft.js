@@ -147,7 +147,7 @@ class Bluestein {
 const made = new Map();
 
 /** The transform of length n, made once. @param {number} n @returns {Fft} */
-export function fftOf(n) {
+function fftOf(n) {
   const known = made.get(n) ?? new Fft(n);
   made.set(n, known);
   return known;

@@ -112,7 +112,7 @@ export class Field {
 }
 
 /** The smallest product of 2s, 3s and 5s from n on. @param {number} n */
-export function fast(n) {
+function fast(n) {
   for (let m = Math.ceil(n); ; m++) {
     let rest = m;
     for (const p of [2, 3, 5]) while (rest % p === 0) rest /= p;

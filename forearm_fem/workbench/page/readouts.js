@@ -197,7 +197,7 @@ function replayed(app) {
 }
 
 /** The overlay on the page's bins; NaN where it says nothing. @param {App} app @returns {import("./arrays.js").Complex} */
-export function overlayOnBins(app) {
+function overlayOnBins(app) {
   const { experiment } = app, overlay = /** @type {import("./app.js").Overlay} */ (app.overlay), { frequency } = experiment;
   const entries = experiment.points.length * experiment.inputs.length, out = { re: new Float64Array(frequency.length * entries), im: new Float64Array(frequency.length * entries) };
   for (let e = 0; e < entries; e++) for (const part of /** @type {("re" | "im")[]} */ (["re", "im"])) {

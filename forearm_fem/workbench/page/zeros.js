@@ -7,7 +7,7 @@
 const SLACK = 0.05;
 
 /** The N x M array (N, M >= 2) that ports form seen from above, or null. @param {Port[]} ports @returns {Lattice | null} */
-export function latticeOf(ports) {
+function latticeOf(ports) {
   if (ports.length < 4) return null;
   const step = ports.map((p) => [p.position[0] - ports[0].position[0], p.position[1] - ports[0].position[1]]);
   let nearest = 1;
