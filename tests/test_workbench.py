@@ -184,22 +184,25 @@ def test_poles_give_g_at_any_frequency_of_the_band_and_none_beyond(solved: Any) 
 
 
 @needs_node
-def test_nine_actuators_and_their_zero_points() -> None:
-    """More than four: all other points are held, and damping follows G's error."""
+def test_nine_actuators_have_pythons_g_and_s(tmp_path: Path) -> None:
+    """A 3 x 3 device, its loop closed in the page: all other points are held, and damping follows G's error."""
     places = [[x, y] for x in (-0.03, 0.0, 0.03) for y in (-0.03, 0.0, 0.03)]
-    scenario = parse_scenario({**LAYERED, "device": {"cone": {"contact": "pressure"}, "contacts": places}})
-    g = simulate(scenario).transfer
-    found, zeros, problem = asked(
-        measured_content(g, scenario, ""),
+    results = rendered(tmp_path, device={"cone": {"contact": "pressure"}, "contacts": places})
+    found, zeros, problem, g = asked(
+        content_of(results),
         {"ask": "strengths"},
         {"ask": "zeros"},
         {"ask": "problem", "method": "funneling"},
+        {"ask": "transfer"},
     )
-    expected = render_all(g, wavelet=ricker(250.0, 1.0, 4000.0, 0.25)).strengths
+    table = results.run.signal_strength.model_dump()["methods"]
+    expected = [[table[m][t]["value"] for t in "123456789"] for m in ("inverse filter", "funneling", "combination")]
     np.testing.assert_allclose(found, expected, rtol=1e-6)  # damped: s^2 + lambda^2 sums in another order
     assert all(len(names) == 8 for names in zeros[1])
     assert zeros[0][4] == [str(k) for k in range(1, 10) if k != 5]
     assert problem == ""
+    whole = results.transfer.values
+    np.testing.assert_allclose(complex_of(g).reshape(whole.shape), whole, atol=1e-10 * np.abs(whole).max())
 
 
 @needs_node

@@ -334,7 +334,7 @@ def test_a_wav_becomes_the_stimulus(tab: Any, tmp_path: Path) -> None:
 
 def test_another_file_of_the_same_name_is_another_stimulus(tab: Any, tmp_path: Path) -> None:
     """Its interval is drawn anew, and the scenario brings its own samples."""
-    known = []
+    known: list[float] = []
     for rate in (0.2, 0.5):
         np.savetxt(tmp_path / "own.csv", np.sin(rate * np.arange(80)) * np.hanning(80))
         tab.locator("#own").set_input_files(tmp_path / "own.csv")
