@@ -17,7 +17,7 @@
  */
 import { h, say } from "./dom.js";
 
-const W = 340, H = 180, LEFT = 54, RIGHT = 10, TOP = 8, BOTTOM = 34;
+const W = 340, H = 180, LEFT = 54, RIGHT = 16, TOP = 8, BOTTOM = 34;
 
 /** @param {Chart} chart @returns {SVGSVGElement} */
 export function draw(chart) {
