@@ -10,7 +10,7 @@
  * @typedef {object} Placed  G on the bins of a record
  * @property {Complex} values (bins x outputs x inputs)
  * @property {Uint8Array | null} valid of the same size; null: all
- * @property {Float64Array} error e(f) stated, NaN where unknown
+ * @property {Float64Array} error e(f) that a measurement states, NaN where unknown and for a simulated G
  * @property {Port[]} outputs
  * @property {Port[]} inputs
  * @property {number} bins
