@@ -284,6 +284,9 @@ def test_what_it_keeps_can_be_read(tab: Any, flat: Results, tmp_path: Path) -> N
 
     drawing = ElementTree.fromstring(kept(tab, "svg").read_text(encoding="utf-8"))
     assert len(drawing.findall("{http://www.w3.org/2000/svg}svg")) == 9
+    words = [text.text for text in drawing.findall("{http://www.w3.org/2000/svg}text")]
+    assert words.count("A4") == 5  # in the legends of drives, G and drive spectra
+    assert words.count("zero points") == 3
     assert "var(--" not in kept(tab, "svg").read_text(encoding="utf-8")
 
 

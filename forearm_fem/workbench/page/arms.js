@@ -251,9 +251,9 @@ export class Arms {
     return { vertex: near.filter((c) => c.depth < front + 8).sort((p, q) => p.d - q.d)[0].v };
   }
 
-  /** @param {Method} method @returns {string} what the panel's scales are */
-  words(method) {
-    if (this.live) return "a drawn arm: its points only, each coloured to its panel's largest";
+  /** What the panel's scales are. @param {Method} method @param {Experiment} experiment @returns {string} */
+  words(method, experiment) {
+    if (this.live) return `points only · colours to ±${say(1e6 * this.largest(experiment, method), 2)} µm`;
     const shown = this.shown.get(method);
     if (!shown || !shown.limit) return "";
     return `colours to ±${say(1e6 * shown.limit, 2)} µm · motion drawn ${say(shown.gain / 1e3, 3)}×`;

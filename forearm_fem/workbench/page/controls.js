@@ -191,7 +191,7 @@ function filterPart(app) {
   const { experiment } = app;
   const usual = { rcond: 1e-12, tikhonov: 0.05, discrepancy: 0.05, lcurve: 1e-3, noise: 0.02 };
   const kind = h("select", { id: "rule", "aria-label": "regularisation", onchange: () => app.set({ rule: kind.value === "auto" ? null : { kind: kind.value, value: /** @type {any} */ (usual)[kind.value] } }) },
-    ...[["auto", "automatic"], ["rcond", "pseudo-inverse"], ["tikhonov", "Tikhonov"], ["discrepancy", "discrepancy"], ["lcurve", "L-curve"], ["noise", "by G's error"]].map(([value, text]) => h("option", { value, text })));
+    ...[["auto", "automatic"], ["rcond", "pseudo-inverse"], ["tikhonov", "Tikhonov"], ["discrepancy", "discrepancy"], ["lcurve", "L-curve"], ["noise", "by measured error"]].map(([value, text]) => h("option", { value, text })));
   const value = field(app, "value", "value", "of the largest", [0, 0.999], () => experiment.settings.rule?.value ?? 0, (v) => { const { rule } = experiment.settings; if (rule) app.set({ rule: { ...rule, value: v } }); });
   app.listeners.push(() => { const { rule } = experiment.settings; kind.value = rule?.kind ?? "auto"; value.style.display = rule ? "" : "none"; });
   const window = h("select", { id: "window", "aria-label": "window of S", onchange: () => app.set({ window: window.value === "run" ? experiment.content.rendering.window : window.value }) },

@@ -55,7 +55,7 @@ function composed(app) {
     g.fillStyle = ink("--ink"); g.font = "600 20px system-ui, sans-serif"; g.fillText(o.problem ? "" : `S ${o.strength.toPrecision(3)}`, box.x + 14, box.y + 48);
     const range = app.experiment.interval(method, app.experiment.settings.target);
     if (range) { g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(`${range.map((v) => v.toPrecision(3)).join(" to ")} by the errors of G`, box.x + 14, box.y + 64); }
-    g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(app.arms.words(method), box.x + 14, box.y + box.h - 12);
+    g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(app.arms.words(method, app.experiment), box.x + 14, box.y + box.h - 12);
   });
   g.fillStyle = ink("--soft"); g.font = "11px system-ui, sans-serif"; g.fillText(caption(app), 10, over.height / s + 17);
   return out;
@@ -117,11 +117,24 @@ function film(app) {
 export function charts(app) {
   const style = getComputedStyle(document.documentElement), all = /** @type {SVGElement[]} */ (Array.from(document.querySelectorAll("#traces .chart, #spectra .chart")));
   const fill = (/** @type {string} */ text) => text.replace(/var\((--[a-z0-9]+)\)/g, (_, n) => style.getPropertyValue(n).trim());
-  const body = all.map((svg, k) => { const copy = /** @type {SVGElement} */ (svg.cloneNode(true)); copy.setAttribute("x", String(440 * (k % 2))); copy.setAttribute("y", String(225 * Math.floor(k / 2) + 24)); copy.setAttribute("width", "420"); copy.setAttribute("height", "190");
+  const body = all.map((svg, k) => { const copy = /** @type {SVGElement} */ (svg.cloneNode(true)); copy.setAttribute("x", String(440 * (k % 2))); copy.setAttribute("y", String(250 * Math.floor(k / 2) + 24)); copy.setAttribute("width", "420"); copy.setAttribute("height", "190");
     if (svg.closest("#traces")) mark(copy, 1e3 * app.arms.time, /** @type {[number, number]} */ (app.span.map((t) => 1e3 * t)));
-    return `<text x="${440 * (k % 2) + 46}" y="${225 * Math.floor(k / 2) + 18}" font-weight="600">${escaped(svg.getAttribute("aria-label") ?? "")}</text>${fill(new XMLSerializer().serializeToString(copy))}`; }).join("\n");
-  const height = 225 * Math.ceil(all.length / 2) + 30, css = fill(".grid{stroke:var(--grid)}.zero{stroke:var(--soft);stroke-width:.7}.cursor{stroke:var(--ink)}.limit{stroke:var(--warn);stroke-dasharray:5 3}.shade{fill:var(--field)}text{fill:var(--ink);font-family:Arial,sans-serif}");
+    return `<text x="${440 * (k % 2) + 46}" y="${250 * Math.floor(k / 2) + 18}" font-weight="600">${escaped(svg.getAttribute("aria-label") ?? "")}</text>${fill(new XMLSerializer().serializeToString(copy))}${legendOf(svg, 440 * (k % 2) + 46, 250 * Math.floor(k / 2) + 226)}`; }).join("\n");
+  const height = 250 * Math.ceil(all.length / 2) + 30, css = fill(".grid{stroke:var(--grid)}.zero{stroke:var(--soft);stroke-width:.7}.cursor{stroke:var(--ink)}.limit{stroke:var(--warn);stroke-dasharray:5 3}.shade{fill:var(--field)}text{fill:var(--ink);font-family:Arial,sans-serif}");
   return `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 870 ${height}" font-size="10"><style>${css}</style><rect width="870" height="${height}" fill="${style.getPropertyValue("--paper").trim()}"/>${body}<text x="10" y="${height - 8}">${escaped(caption(app))}</text></svg>`;
+}
+
+/** What a chart's colours stand for, from the legend beside it, as SVG from (x, y). @param {Element} chart @param {number} x @param {number} y */
+function legendOf(chart, x, y) {
+  const beside = (chart.closest(".plot") ?? chart).nextElementSibling;
+  let at = x, row = y;
+  return Array.from(beside?.className === "legend" ? beside.children : [], (entry) => {
+    const line = /** @type {Element} */ (entry.firstElementChild), text = entry.textContent ?? "", width = 26 + 5.2 * text.length;
+    if (at > x && at + width > x + 380) { at = x; row += 13; }
+    const drawn = `<line x1="${at}" x2="${at + 14}" y1="${row - 3.5}" y2="${row - 3.5}" stroke="${getComputedStyle(line).borderTopColor}" stroke-width="2"${line.className ? ' stroke-dasharray="4 2"' : ""}/><text x="${at + 18}" y="${row}">${escaped(text)}</text>`;
+    at += width;
+    return drawn;
+  }).join("");
 }
 
 /** @param {string} text */

@@ -96,10 +96,10 @@ function start(content, field, arms, ready) {
   const bar = transport(app);
   const turn = themes(arms, () => arms.draw(experiment));
   app.listeners.push(() => heads(app), () => traces(app), () => spectra(app), () => table(app, (row) => aimAt(app, row)), () => errors(app), () => {
-    const shown = arms.shown.get(app.focus);
-    const most = shown ? `${say(1e6 * shown.limit, 2)} µm` : "";
-    $("low").textContent = shown ? `−${most}` : "";
-    $("high").textContent = shown ? `+${most} outwards` : "";
+    const shown = arms.shown.get(app.focus), limit = shown?.limit ?? (arms.live ? arms.largest(experiment, app.focus) : 0);
+    const most = limit ? `${say(1e6 * limit, 2)} µm` : "";
+    $("low").textContent = most && `−${most}`;
+    $("high").textContent = most && `+${most} outwards`;
     $("scale").textContent = shown ? `${app.focus}; ${arms.section ? "on the cut: motion towards the volar side" : "displacement along the skin's normal"}` : "";
   });
   // paper has another width than the screen: it gets a picture, drawn after the colours for paper are put

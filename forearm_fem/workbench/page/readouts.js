@@ -33,7 +33,7 @@ export function heads(app) {
         h("div", { class: "s", "data-method": method }, h("small", { text: "S " }), o.problem ? "–" : say(o.strength)),
         h("div", { class: "why", text: why }),
         band ? h("div", { class: "why", "data-arms": method, text: `over arms ${say(band[0])} to ${say(band[2])}, half above ${say(band[1])}` }) : null),
-      h("div", { class: "foot", text: arms.words(method) }));
+      h("div", { class: "foot", text: arms.words(method, experiment) }));
   }));
 }
 
@@ -106,10 +106,11 @@ export function spectra(app) {
   const own = inputs.map((_, i) => ({ y: sizes(g.values, g.bins, (b) => (b * m + settings.target) * n + i, 1e6), colour: ACTUATORS[i % ACTUATORS.length], width: 1.3 }));
   const measured = overlay && settings.target < experiment.points.length ? inputs.map((_, i) => ({ x: overlay.frequency, y: sizes(overlay.values, overlay.frequency.length, (b) => (b * experiment.points.length + settings.target) * n + i, 1e6), colour: ACTUATORS[i % ACTUATORS.length], width: 1, dash: "4 3" })) : [];
   const sent = o.sent ? inputs.map((_, i) => ({ y: sizes(/** @type {any} */ (o.sent), g.bins, (b) => b * n + i, 1e3), colour: ACTUATORS[i % ACTUATORS.length], width: 1.3 })) : [];
+  const names = inputs.map((p, i) => /** @type {[string, string]} */ ([ACTUATORS[i % ACTUATORS.length], p.name]));
   const report = o.aim?.inversion, gentle = [app.focus === "funneling" ? "nothing is inverted in funneling" : ""];
   const parts = [
-    card(`G to point ${target}`, "", draw({ title: "transfer matrix", x: frequency, span, xLabel: "frequency [Hz]", yLabel: `|G| [µm/${unit}]`, series: [...own, ...measured], log: true }), legend([...inputs.map((p, i) => /** @type {[string, string]} */ ([ACTUATORS[i % ACTUATORS.length], p.name])), ...(measured.length ? [/** @type {[string, string, boolean]} */ (["var(--soft)", /** @type {any} */ (overlay).name, true])] : [])])),
-    card("Drive spectra", app.focus, draw({ title: "drive spectra", x: frequency, span, xLabel: "frequency [Hz]", yLabel: `|drive| [m${unit}/Hz]`, series: sent })),
+    card(`G to point ${target}`, "", draw({ title: "transfer matrix", x: frequency, span, xLabel: "frequency [Hz]", yLabel: `|G| [µm/${unit}]`, series: [...own, ...measured], log: true }), legend([...names, ...(measured.length ? [/** @type {[string, string, boolean]} */ (["var(--soft)", /** @type {any} */ (overlay).name, true])] : [])])),
+    card("Drive spectra", app.focus, draw({ title: "drive spectra", x: frequency, span, xLabel: "frequency [Hz]", yLabel: `|drive| [m${unit}/Hz]`, series: sent }), legend(names)),
     card("Condition number", report ? app.focus : gentle[0], draw({ title: "condition number of the control points' rows: largest over least singular value", x: frequency, span, xLabel: "frequency [Hz]", yLabel: "condition number", series: report ? [{ y: report.condition, colour: colour(app.focus), width: 1.4 }] : [], log: true }),
       h("p", { class: "soft", style: "margin:2px 0 0;font-size:12px", text: report ? `An error of G grows up to that much in the drives. Part of target and zeros that cannot be had: ${say(100 * median(report.misfit), 2)} % in the median over the band.` : "Choose inverse filter or combination above an arm." })),
   ];
@@ -211,7 +212,7 @@ function overlayOnBins(app) {
 export function errors(app) {
   const { experiment, field } = app, { content } = experiment;
   const estimates = content.errors.map((/** @type {any} */ e) => h("li", {}, h("strong", { text: `${e.source} ` }), e.band === null ? "unknown" : `${say(100 * e.band)} % over the band, ${say(100 * e.worst)} % at the worst frequency`, h("span", { class: "soft", text: `: ${e.method}` })));
-  const changed = experiment.asRun ? [] : [`${experiment.places ? "Intervals of S are for the errors of G above, wherever the actuators stand." : "The errors of G above are those of the run as it was made."} ${whyNone(content) ? `Intervals of S are unknown: ${whyNone(content)}.` : "Intervals of S are drawn anew here, from 12 copies of G as the run's were; they take what was changed to err by the same shares of G."}`];
+  const changed = experiment.asRun ? [] : experiment.settings.arm ? ["The errors of G above are those of the run's own arm: a drawn arm's are not kept, so that its intervals of S are unknown."] : [`${experiment.places ? "Intervals of S are for the errors of G above, wherever the actuators stand." : "The errors of G above are those of the run as it was made."} ${whyNone(content) ? `Intervals of S are unknown: ${whyNone(content)}.` : "Intervals of S are drawn anew here, from 12 copies of G as the run's were; they take what was changed to err by the same shares of G."}`];
   const unseen = experiment.inputs.filter((p, k) => content.device.out_of_contact.includes(p.name) && experiment.settings.device.touching[k]).map((p) => p.name);
   if (unseen.length && field.surfaces[0].components === 3) changed.push(`The picture leaves out what ${unseen.join(", ")} moves: out of contact in the run. Numbers at the points hold it.`);
   if (content.device.housing.skin_share && !content.device.housing.fixed) changed.push("The picture leaves out what the skin follows of the housing; numbers at the points hold it.");
