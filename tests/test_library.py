@@ -137,6 +137,14 @@ def test_own_loads_are_answered_as_a_direct_solve_does(slab, library):
     assert library.reduction[1].max() < 0.05
 
 
+def test_the_limb_is_summed_alike_for_one_frequency_and_for_many(library):
+    at, some = np.linspace(60.0, 100.0, 9), np.eye(library.fine.left.shape[0])[:, :4]
+    together = library.fine.between(at, some)  # all at once; one frequency is summed by itself
+    single = np.concatenate([library.fine.between(at[k : k + 1], some) for k in range(9)])
+    # The same terms: rounding, of terms that outweigh their sum by far less than the factor left here.
+    np.testing.assert_allclose(single, together, rtol=0, atol=1e-9 * np.abs(together).max())
+
+
 def test_between_its_loads_it_states_what_interpolation_costs(slab, library):
     """Bells at places that the library has not seen, on its own mesh, along the normal and along both tangents."""
     places = np.array([[0.0025, 0.0021], [-0.0049, -0.0018]])

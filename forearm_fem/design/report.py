@@ -99,7 +99,7 @@ def outcome_words(result: DesignResult) -> list[str]:
             f"Confirmed by a full run ({c.folders[0].name}/): {c.score:.3g}, {c.difference:+.1%} off the model."
         )
     else:
-        lines.append("Not confirmed by a full run (--no-confirm): what the flat twin leaves out is not in the error.")
+        lines.append("Not confirmed by a full run (--no-confirm): what the model leaves out is in no error.")
     return lines
 
 

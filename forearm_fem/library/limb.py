@@ -23,9 +23,13 @@ class Limb:
     def between(self, frequency: FloatArray, weights: FloatArray) -> ComplexArray:
         """Compliance (n_frequency, p, p) of p combinations ``weights`` (n, p) of bells."""
         left, right = weights.T @ self.left, self.right @ weights
+        s = 2j * np.pi * frequency
+        if len(s) < len(left):  # pairs of hundreds of bells, times all poles, come to gigabytes
+            products = np.array([(left / (one - self.poles)) @ right for one in s])
+            return np.asarray((products + products.transpose(0, 2, 1)) / 2)
         i, j = np.triu_indices(weights.shape[1])
         pairs = (left[i] * right.T[j] + left[j] * right.T[i]) / 2
-        values = (1 / (2j * np.pi * frequency[:, None] - self.poles)) @ pairs.T
+        values = (1 / (s[:, None] - self.poles)) @ pairs.T
         whole = np.empty((len(frequency), len(left), len(left)), dtype=complex)
         whole[:, i, j] = whole[:, j, i] = values
         return whole
