@@ -11,6 +11,7 @@
  * @property {Complex} values (bins x outputs x inputs)
  * @property {Uint8Array | null} valid of the same size; null: all
  * @property {Float64Array} error e(f) that a measurement states, NaN where unknown and for a simulated G
+ * @property {number} least e(f) that more than four inputs are damped for at least
  * @property {Port[]} outputs
  * @property {Port[]} inputs
  * @property {number} bins
@@ -22,7 +23,7 @@ import { zeros } from "./arrays.js";
 import { svd } from "./linear.js";
 import { funnelingWeights } from "./zeros.js";
 
-const ROUNDING = 4e-15, LEAST_ERROR = 0.02, TINY = 2.2250738585072014e-308;
+const ROUNDING = 4e-15, TINY = 2.2250738585072014e-308;
 const MOST_KNOWN = 4;
 
 /** Actuators known on any bin. @param {Placed} g */
@@ -94,7 +95,7 @@ function funneling(g, target, wavelet, amplitude) {
  */
 function inverse(g, target, wanted, options, known) {
   const rows = [target, ...options.zeros], n = g.inputs.length, used = knownBins(g, rows), absent = absentInputs(g, rows);
-  const rule = options.rule ?? (knownInputs(g) <= MOST_KNOWN ? { kind: "rcond", value: 1e-12 } : { kind: "noise", value: LEAST_ERROR });
+  const rule = options.rule ?? (knownInputs(g) <= MOST_KNOWN ? { kind: "rcond", value: 1e-12 } : { kind: "noise", value: g.least });
   const spectrum = zeros(g.bins * n), nan = () => new Float64Array(g.bins).fill(NaN);
   const inversion = { condition: nan(), misfit: nan(), rank: nan() };
   const key = rows.join(), parts = known?.get(key) ?? new Array(g.bins);
