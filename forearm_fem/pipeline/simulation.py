@@ -23,7 +23,7 @@ from ..typing import FloatArray
 from .dispersion import phase_lags
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
-from .model_notes import model_notes, resolution_notes
+from .model_notes import model_notes, near_disc_notes, resolution_notes
 from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
@@ -83,7 +83,7 @@ def simulate(
         return Simulation(scenario, None, compliance, transfer, notes=flat_notes(compliance))
     mesh = mesh or cached_mesh(scenario, base=Path(base))
     result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
-    return replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
+    return replace(result, notes=(*resolution_notes(scenario, mesh), *near_disc_notes(scenario), *result.notes))
 
 
 def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
