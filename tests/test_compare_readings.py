@@ -14,6 +14,7 @@ from test_measurement_scene import INPUTS, OUTPUTS, part, wave_matrix
 from forearm_fem.compare.adapters import ScenarioModel, layered_compliance_of
 from forearm_fem.compare.common import common_ground
 from forearm_fem.compare.compare import compare, comparison_record
+from forearm_fem.compare.exchanges import exchanged
 from forearm_fem.compare.readings import best_reading, explained
 from forearm_fem.compare.report import as_markdown
 from forearm_fem.compare.run import run_compare, run_fit
@@ -86,6 +87,37 @@ def test_each_mistake_is_named_and_e_band_after_it_is_the_noise(mistake):
     assert len(reading.sentence) <= 300
     # 30 dB of noise is 0.0316 of the norm; another 10 % for its scatter over 1,440 entries
     assert reading.after < 0.035 < reading.before
+
+
+def rewired(g, outputs=None, inputs=None):
+    """``g`` with its channels in another order under the old names."""
+    rows, columns = outputs or range(len(g.outputs)), inputs or range(len(g.inputs))
+    return replace(g, values=g.values[:, list(rows)][:, :, list(columns)])
+
+
+REWIRED = {
+    "two inputs": ({"inputs": (1, 0, 2, 3)}, "its inputs A1 and A2 are exchanged"),
+    "three inputs": ({"inputs": (1, 2, 0, 3)}, "its inputs A1 and A3 and A2 are permuted"),
+    "two outputs": ({"outputs": (0, 4, 2, 3, 1, 5, 6, 7, 8)}, "its outputs 2 and 5 are exchanged"),
+    # on a symmetric device other orders of both sides do as well
+    "both": ({"inputs": (0, 1, 3, 2), "outputs": (8, 1, 2, 3, 4, 5, 6, 7, 0)}, ", and its outputs"),
+}
+
+
+@pytest.mark.parametrize("which", REWIRED)
+def test_exchanged_channels_are_named_and_nothing_is_changed(which):
+    order, said = REWIRED[which]
+    b = rewired(noisy(limb("thesis")), **order)
+    kept = b.values.copy()
+    assert said in explained(common_ground(limb("thesis"), b))
+    assert exchanged(common_ground(limb("thesis"), b)).after < 0.035  # the noise, as above
+    assert np.array_equal(b.values, kept)
+
+
+def test_an_exchange_comes_with_what_it_would_bring():
+    found = exchanged(common_ground(limb("thesis"), rewired(noisy(limb("thesis")), inputs=(1, 0, 2, 3))))
+    assert found.after < 0.035 < 0.5 < found.before
+    assert exchanged(common_ground(limb("thesis"), limb("thesis"))) is None
 
 
 _PLAIN = ("millimetres", "velocity", "acceleration", "negated", "input A2 negated")

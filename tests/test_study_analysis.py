@@ -11,7 +11,7 @@ pd = pytest.importorskip("pandas")
 pytest.importorskip("statsmodels")
 
 from forearm_fem.cli import app  # noqa: E402
-from forearm_fem.errors import DataError  # noqa: E402
+from forearm_fem.errors import DataError, ScenarioError  # noqa: E402
 from forearm_fem.ports import Port  # noqa: E402
 from forearm_fem.study.analysis import analyse, cell_means, confusion, ellipses, with_errors  # noqa: E402
 from forearm_fem.study.field import SkinField, grid_field  # noqa: E402
@@ -275,6 +275,13 @@ contact = "pressure"
 sample_rate = 2000.0
 duration = 0.2
 """
+
+
+def test_a_new_study_of_no_scenario_leaves_no_file(tmp_path):
+    made = CliRunner().invoke(app, ["study", "new", "pilot", "--scenario", "nosuch", "--folder", str(tmp_path)])
+    assert isinstance(made.exception, ScenarioError)
+    assert "nosuch: no such file" in str(made.exception)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_rehearsed_study_is_analysed_from_the_command_line(tmp_path):

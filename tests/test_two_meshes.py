@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forearm_fem.pipeline.two_meshes import COARSER, agreed_upon, estimated_errors, remaining_error
+from forearm_fem.pipeline.two_meshes import COARSER, agreed_upon, assumed_order, estimated_errors, remaining_error
 
 
 def test_lower_order_where_resolved_and_three_where_not():
@@ -40,6 +40,24 @@ def test_any_ratio_recovers_an_error_of_the_assumed_order(ratio):
 
 def test_a_larger_change_never_states_a_smaller_error():
     assert np.diff(remaining_error(np.linspace(0.0, 2.0, 2001))).min() > 0
+
+
+def test_order_falls_where_the_largest_entries_are_late_on_the_mesh_itself():
+    """A twentieth of the largest entry may be as late as it likes."""
+    own = np.array([[[1.0, 0.05j]]]) * np.ones((4, 1, 1))
+    lag = np.array([[[0.03, 0.8]], [[0.06, 0.0]], [[0.08, 0.0]], [[0.5, 0.0]]])
+    assert assumed_order(own, lag) == pytest.approx([1.85, (1.85 + 1.3) / 2, 1.3, 1.3])
+
+
+def test_a_lower_order_states_more_until_the_coarser_mesh_is_useless():
+    """C h^1.3 is recovered up to 0.115; beyond a change of 0.82 nothing depends on the order assumed below."""
+    assert remaining_error(np.array([0.05]), order=1.3) == pytest.approx(0.05 / (2**1.3 - 1))
+    change = np.linspace(0.0, 2.0, 2001)
+    usual, late = remaining_error(change), remaining_error(change, order=np.full(2001, 1.3))
+    assert np.diff(late).min() > 0
+    assert (late >= usual * (1 - 1e-12)).all()
+    assert late[change >= 0.82] == pytest.approx(usual[change >= 0.82])
+    assert late.max() == usual.max()
 
 
 @pytest.fixture

@@ -60,11 +60,13 @@ def new(
 ) -> None:
     """Write a commented study file: the thesis' two studies, to be changed."""
     from ..io.atomic import write_text
+    from ..scenario import load_scenario, scenario_beside
     from ..study.plan import load_study
 
     file = folder / f"{name}.toml"
     if file.exists():
         raise ScenarioError(f"{file} exists already; take another name or remove it")
+    load_scenario(scenario_beside(folder, scenario))  # before anything is written
     write_text(file, _TEMPLATE.format(name=name, scenario=scenario))
     try:
         load_study(file)

@@ -1,10 +1,9 @@
 """Which mistake of units, convention or wiring would explain that two transfer matrices differ; data are never changed.
 
 A *reading* multiplies B by a power of ten, a power of i omega and a phase e^{i omega tau}, conjugates it, or negates
-channels. Each combination of these is tried and the simplest that brings B to A is named. Nearness is
-s = ||A - B|| / sqrt(||A|| ||B||), which is as large for B a thousand times too small as for a thousand times too large.
-Not covered: gains that are no power of a thousand (said as a ratio), channels exchanged (see
-:mod:`~forearm_fem.compare.places`), and two different mistakes in different channels.
+channels. Each combination of these is tried and the simplest that brings B to A is named.
+Exchanged channels are looked for as well (:mod:`~forearm_fem.compare.exchanges`). Not covered: gains that are no power
+of a thousand (said as a ratio), two different mistakes in different channels, and exchanged channels of another unit.
 """
 
 from __future__ import annotations
@@ -18,18 +17,13 @@ import numpy as np
 
 from ..typing import ComplexArray, FloatArray
 from .common import CommonGround
+from .exchanges import exchanged
+from .nearness import AGREES, FLOOR, LARGE, PRICE, correlation, distance, explains
 
 _ALIKE = 0.1  # s below this: nothing to explain
-_BETTER, _NEAR = 3.0, 1.0  # a reading must lower s at least so many times, to no more than this,
-_SHAPE, _GAINED = 0.6, 0.5  # or raise the correlation by the second to above the first, sizes being within _LARGE,
-_FAR, _NEARISH = 10.0, 2.0  # or bring what lies beyond the first, correlating so, to within the second
-_PRICE = 1.5  # every further element of a reading must lower s this many times
-_FLOOR = 1e-3  # s below this counts as exact: rounding must not choose
 _LONGEST = 0.02  # s: delays looked for
 _OPPOSED = 0.5  # or turn channels of which each correlates with A by less than minus this
-_LARGE = 30.0  # a ratio of norms beyond this is said even where no reading helps
 _ALL = "every entry"
-_AGREES = 0.5  # e_band up to which it is called so
 
 
 @dataclass(frozen=True)
@@ -56,7 +50,7 @@ class Reading:
     @property
     def sentence(self) -> str:
         """What would make the two agree, how well, and that nothing was done."""
-        how = "agrees with" if self.after < _AGREES else "comes nearest to"
+        how = "agrees with" if self.after < AGREES else "comes nearest to"
         return (
             f"B {how} A when it is {', '.join(self._parts())}: e_band {self.after:.2g} instead of {self.before:.2g}. "
             "Nothing was changed; correct or declare the one that is wrong"
@@ -102,15 +96,21 @@ def explained(ground: CommonGround) -> str:
         return dead
     if not a.any():
         return ""
-    if (found := best_reading(ground)) is not None:
-        return found.sentence
+    if said := mistake(ground):
+        return said
     ratio = float(np.linalg.norm(b) / np.linalg.norm(a))
-    if 1 / _LARGE < ratio < _LARGE:
+    if 1 / LARGE < ratio < LARGE:
         return ""
     return (
         f"B is {ratio:.3g} times as large as A and no usual mistake (mm for m, velocity, acceleration, conjugate, "
         "negated channel, delay) explains it; check gains and units"
     )
+
+
+def mistake(ground: CommonGround) -> str:
+    """One sentence on the reading or the exchange of channels, whichever brings B nearer to A; "" for neither."""
+    found = [r for r in (best_reading(ground), exchanged(ground)) if r is not None]
+    return min(found, key=lambda r: r.after).sentence if found else ""
 
 
 def _dead(ground: CommonGround, name: str, own: ComplexArray, other: ComplexArray) -> str:
@@ -128,13 +128,13 @@ def _dead(ground: CommonGround, name: str, own: ComplexArray, other: ComplexArra
 def best_reading(ground: CommonGround) -> Reading | None:
     """The simplest reading that makes B agree with A, None where B agrees as it is or none does."""
     a, b = (np.where(ground.valid, m, 0) for m in (ground.a, ground.b))
-    base = _distance(a, b)
+    base = distance(a, b)
     if not base > _ALIKE:
         return None
     tried = [(r, read(b, r, ground)) for r in _candidates(ground, a, b)]
-    reading, values = min(tried, key=lambda t: max(_distance(a, t[1]), _FLOOR) * _PRICE ** t[0].elements)
-    shapes = _correlation(a, b), _correlation(a, values)
-    if reading.elements == 0 or not _explains(base, shapes[0], _distance(a, values), shapes[1]):
+    reading, values = min(tried, key=lambda t: max(distance(a, t[1]), FLOOR) * PRICE ** t[0].elements)
+    shapes = correlation(a, b), correlation(a, values)
+    if reading.elements == 0 or not explains(base, shapes[0], distance(a, values), shapes[1]):
         reading = Reading(negated=_negated(ground, a, b))
         if not _turned(ground, a, b, reading.negated):
             return None
@@ -144,24 +144,12 @@ def best_reading(ground: CommonGround) -> Reading | None:
     return replace(reading, before=before, after=after)
 
 
-def _explains(base: float, shape_before: float, after: float, shape: float) -> bool:
-    """Whether distances and correlations before and after a reading are those of a mistake, not of another arm."""
-    nearer = after <= min(base / _BETTER, _NEAR)
-    alike = shape >= _SHAPE and shape - shape_before >= _GAINED and after <= _distance_of(_LARGE, shape)
-    return nearer or alike or (base >= _FAR and after <= _NEARISH and shape >= _SHAPE)
-
-
 def _turned(ground: CommonGround, a: ComplexArray, b: ComplexArray, negated: tuple[str, ...]) -> bool:
     """Whether each channel in ``negated`` by itself runs against ``a``; another arm does that to none."""
     names = [f"output {p.name}" for p in ground.outputs], [f"input {p.name}" for p in ground.inputs]
     channels = [(a[:, names[0].index(n)], b[:, names[0].index(n)]) for n in negated if n in names[0]]
     channels += [(a[:, :, names[1].index(n)], b[:, :, names[1].index(n)]) for n in negated if n in names[1]]
-    return bool(channels) and all(x.any() and y.any() and _correlation(x, y) <= -_OPPOSED for x, y in channels)
-
-
-def _distance_of(ratio: float, correlation: float) -> float:
-    """s of two matrices of a ratio of norms and a correlation."""
-    return math.sqrt(ratio + 1 / ratio - 2 * correlation)
+    return bool(channels) and all(x.any() and y.any() and correlation(x, y) <= -_OPPOSED for x, y in channels)
 
 
 def read(b: ComplexArray, reading: Reading, ground: CommonGround) -> ComplexArray:
@@ -220,12 +208,3 @@ def _negated(ground: CommonGround, a: ComplexArray, b: ComplexArray) -> tuple[st
         return () if rows[0] * columns[0] > 0 else (_ALL,)
     names = (*(f"output {p.name}" for p in ground.outputs), *(f"input {p.name}" for p in ground.inputs))
     return tuple(n for n, s in zip(names, (*rows, *columns), strict=True) if s < 0)
-
-
-def _distance(a: ComplexArray, b: ComplexArray) -> float:
-    return float(np.linalg.norm(a - b) / np.sqrt(np.linalg.norm(a) * np.linalg.norm(b)))
-
-
-def _correlation(a: ComplexArray, b: ComplexArray) -> float:
-    """Re <a, b> / (||a|| ||b||) [-]."""
-    return float((a.conj() * b).real.sum() / (np.linalg.norm(a) * np.linalg.norm(b)))

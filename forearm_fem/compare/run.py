@@ -33,7 +33,7 @@ from .common import common_ground
 from .compare import Comparison, compare, plain
 from .fit import FALLBACK_NOISE, FitResult, fit, with_model_error
 from .next_best import NextBest, next_best
-from .readings import best_reading, explained
+from .readings import explained, mistake
 from .report import as_markdown, save_report
 
 __all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
@@ -256,7 +256,7 @@ def answering(model: TransferMatrix, data: TransferMatrix) -> TransferMatrix:
 def _explained(data: TransferMatrix, models: tuple[TransferMatrix, ...]) -> tuple[str, ...]:
     """The reading of the data (B) that brings them to one of the ``models`` (A), or a ratio that none explains."""
     grounds = [common_ground(model, data) for model in models]
-    readings = [r.sentence for g in grounds if (r := best_reading(g)) is not None]
+    readings = [said for g in grounds if (said := mistake(g))]
     sentence = readings[0] if readings else explained(grounds[-1])
     return (f"model A, data B: {sentence}",) if sentence else ()
 

@@ -24,11 +24,11 @@ from ..typing import FloatArray
 from .dispersion import phase_lags
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
-from .model_notes import model_notes, resolution_notes
+from .model_notes import model_notes, near_disc_notes, resolution_notes
 from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
-from .two_meshes import agreed_upon, change_around, estimated_errors
+from .two_meshes import agreed_upon, assumed_order, change_around, estimated_errors
 
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
 OTHER_ENDS, _OTHER = 0.5, "absorbing ends are clamped (or the reverse), on the coarser mesh"
@@ -86,7 +86,7 @@ def simulate(
         start_compiling()
         mesh = cached_mesh(scenario, base=Path(base))
     result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
-    return replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
+    return replace(result, notes=(*resolution_notes(scenario, mesh), *near_disc_notes(scenario), *result.notes))
 
 
 def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
@@ -157,13 +157,15 @@ def _discretisation(
     fine: TransferMatrix, coarse: TransferMatrix, scenario: Scenario, mesh: TissueMesh | None
 ) -> ErrorEstimate:
     ratio, unseen = float(coarse.provenance["ratio"]), np.zeros(fine.values.shape, dtype=bool)
+    lag = np.zeros(fine.values.shape)
     if mesh is not None:
         lag, coarser = (
             phase_lags(scenario, mesh, fine.outputs, fine.inputs, fine.frequency, scale)
             for scale in (1.0, max(ratio, 1.0))
         )
         unseen = agreed_upon(fine.values, lag, coarser)
-    band, error = estimated_errors(coarse.values, fine.values, fine.frequency, ratio, unseen)
+    order = assumed_order(fine.values, lag)
+    band, error = estimated_errors(coarse.values, fine.values, fine.frequency, ratio, unseen, order)
     lost = fine.frequency[unseen.any(axis=(1, 2))]
     blind = f"; from {lost[0]:g} Hz on at least the lag of waves too short for the elements" if len(lost) else ""
     if mesh is None:
@@ -172,7 +174,7 @@ def _discretisation(
         "discretisation",
         band,
         f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^p - 1|; order p is "
-        f"1.85 where that is below 0.115, 3 above 0.117{blind}",
+        f"1.85 where that is below 0.115 ({order.min():.3g} where waves are latest), 3 above 0.117{blind}",
         tuple(fine.frequency.tolist()),
         tuple(error.tolist()),
     )

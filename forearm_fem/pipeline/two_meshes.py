@@ -10,21 +10,39 @@ from ..typing import ComplexArray, FloatArray
 COARSER = 2.0  # size ratio of the second mesh, where it can be made
 # Relative error, and the order assumed there: a change of 0.3 and of 0.82 with COARSER (docs/decisions/0015).
 _RESOLVED, _UNRESOLVED = (0.3 / (COARSER**1.85 - 1), 1.85), (0.82 / (COARSER**3 - 1), 3.0)
+# Lags [rad] of waves on the mesh itself between which the order assumed falls to the last number (same decision).
+_IN_TIME, _LATE, _LATE_ORDER = 0.04, 0.08, 1.3
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
 
 
-def remaining_error(change: FloatArray, ratio: float = COARSER) -> FloatArray:
+def remaining_error(
+    change: FloatArray, ratio: float = COARSER, order: FloatArray | float = _RESOLVED[1]
+) -> FloatArray:
     """Relative error of a mesh from the relative ``change`` to one whose sizes are ``ratio`` (not 1) times its own.
 
     An error C h^p changes by C h^p |ratio^p - 1|, so change / |ratio^p - 1| is left. P2 outputs converge like h^3 to
-    h^4, like h at rigid rims: order 1.85 lies between and is on the safe side of what was seen up to a change of 0.3.
+    h^4, like h at rigid rims: ``order`` 1.85 lies between and is on the safe side of what was seen up to an error of
+    0.115 (a change of 0.3) where waves are in time (:func:`assumed_order`).
     Beyond a change of 0.82, nearly G itself, the coarser mesh does not carry the waves at all, and the finer one is
     better by order 3 at least. Changes between come from coarser meshes that are as good as useless, whose distance
     tells little: finer ones erred by 0.03 to 0.27 there, and 0.115 to 0.117 is stated.
     """
-    (low, first), (high, last) = _RESOLVED, _UNRESOLVED
-    near, far = abs(ratio**first - 1), abs(ratio**last - 1)
-    return np.asarray(change / np.interp(change, (low * near, high * far), (near, far)))
+    (low, _), (high, last) = _RESOLVED, _UNRESOLVED
+    near, far = np.abs(ratio**order - 1), abs(ratio**last - 1)
+    useless = np.clip((change - low * near) / (high * far - low * near), 0.0, 1.0)
+    return np.asarray(change / (near + useless * (far - near)))
+
+
+def assumed_order(own: ComplexArray, lag: FloatArray) -> FloatArray:
+    """Order of convergence (n_frequency,) assumed of ``own`` (n_frequency, n_out, n_in), whose waves arrive with a
+    ``lag`` [rad] of the same shape.
+
+    Waves that are late on the mesh itself are carried by elements that have not reached their order: coarser ones
+    were seen to be hardly worse, 0.6 to 1.2 of the change was left. Lags count as G's entries do, by their size.
+    """
+    size = np.abs(own)
+    late = (size * lag).max(axis=(1, 2)) / size.max(axis=(1, 2))
+    return np.asarray(np.interp(late, (_IN_TIME, _LATE), (_RESOLVED[1], _LATE_ORDER)))
 
 
 def estimated_errors(
@@ -33,16 +51,18 @@ def estimated_errors(
     frequency: FloatArray,
     ratio: float = COARSER,
     unseen: FloatArray | None = None,
+    order: FloatArray | float = _RESOLVED[1],
 ) -> tuple[float, FloatArray]:
     """e_band and e(f) (n_frequency,) of ``own`` (n_frequency, n_out, n_in), from ``other`` values on the second mesh.
 
     Errors of two meshes cancel at some frequencies by chance, so e(f) at ``frequency`` (n_frequency,) [Hz], increasing,
     comes from the change there or from the change of the third of an octave on either side, whichever is larger.
-    ``unseen`` are errors of the entries, shaped like them, that no change shows: less is never stated.
+    ``order`` is that of :func:`assumed_order`. ``unseen`` are errors of the entries, shaped like them, that no change
+    shows: less is never stated.
     """
     size = np.linalg.norm(own, axis=(1, 2))
-    whole = remaining_error(np.linalg.norm(other - own, axis=(1, 2)) / size, ratio)
-    single = remaining_error(change_around(other, own, frequency), ratio)
+    whole = remaining_error(np.linalg.norm(other - own, axis=(1, 2)) / size, ratio, order)
+    single = remaining_error(change_around(other, own, frequency), ratio, order)
     if unseen is not None:
         whole = np.maximum(whole, np.linalg.norm(unseen, axis=(1, 2)) / size)
         single = np.maximum(single, unseen.max(axis=(1, 2)) / np.abs(own).max(axis=(1, 2)))
