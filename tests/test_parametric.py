@@ -12,10 +12,11 @@ from forearm_fem.compare.fit import fit
 from forearm_fem.compare.run import run_fit
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ReductionError, ScenarioError
+from forearm_fem.fem.reduction.growing import TrialSolve
 from forearm_fem.fem.reduction.quick import quick_compliance
 from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.fem.reduction.united import Growth, TrialSolve
+from forearm_fem.fem.reduction.united import Growth
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.pipeline import parametric
 from forearm_fem.pipeline.fem_engine import fem_model

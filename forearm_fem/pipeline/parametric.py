@@ -17,12 +17,14 @@ from .. import __version__
 from ..errors import DataError, ReductionError, ScenarioError
 from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
+from ..fem.reduction.growing import TrialSolve
 from ..fem.reduction.quick import quick_compliance
 from ..fem.reduction.rational import Rational, chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
-from ..fem.reduction.united import Growth, Piece, TrialSolve, piece_at, united_model
+from ..fem.reduction.united import Growth, Piece, piece_at, united_model
 from ..geometry.cache import cached_mesh, default_cache_dir
 from ..io.parametric import ParametricFile, PieceFile, read_parametric, write_parametric
+from ..io.parts import PartFolder
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
@@ -31,6 +33,7 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import fem_model
 from .frequencies import frequencies
+from .malloc import freed_memory_kept
 from .skin_model import check_followable, with_scenario
 from .solved import solve_key
 
@@ -259,12 +262,16 @@ def parametric_model(
     for draw in given:
         check_followable(own, draw, names, unread=_UNREAD)
     found = [_coefficients(names, draw) for draw in given]
-    united = united_model(model, found, band, own.solver, growth, progress)
+    parts = PartFolder(file.with_suffix(".parts"))
+    with freed_memory_kept():
+        united = united_model(model, found, band, own.solver, growth, progress, parts)
     made = ParametricModel(own, model.ports, united.pieces, united.trials, united.checks, united.solves)
     try:
         save_parametric(file, made)
     except (DataError, OSError) as problem:
         _log.warning("the parametric model could not be kept for a later run: %s", problem)
+    else:
+        parts.drop()
     return made
 
 
