@@ -12,7 +12,8 @@ from forearm_fem.compare.fit import fit
 from forearm_fem.compare.run import run_fit
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ReductionError, ScenarioError
-from forearm_fem.fem.reduction.growing import TrialSolve
+from forearm_fem.fem.linear.direct import DirectSolver
+from forearm_fem.fem.reduction.growing import Growing, TrialSolve
 from forearm_fem.fem.reduction.quick import quick_compliance
 from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
 from forearm_fem.fem.reduction.sweep import direct_sweep
@@ -23,7 +24,7 @@ from forearm_fem.pipeline.fem_engine import fem_model
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.parametric import Ranges, load_parametric, parametric_model, save_parametric
 from forearm_fem.pipeline.skin_model import with_scenario
-from forearm_fem.prediction.arm import LayeredArm, ReducedArm, on_mesh_of
+from forearm_fem.prediction.arm import LayeredArm, ReducedArm, arm_model, on_mesh_of
 from forearm_fem.prediction.draws import draw_inputs, scenario_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.scenario import Scenario, parse_scenario
@@ -47,6 +48,9 @@ THICK = {
     "limb": {**SCENE["limb"], "layers": [SCENE["limb"]["layers"][0], {"tissue": "fat", "thickness": 4.5e-3}]},
     "grid": {"points": [[0.0, 0.005], [0.002, -0.007]]},
 }
+COARSE = {"size_contact": 7.2e-3, "size_grid": 12.8e-3, "size_far": 19.2e-3, "sublayers": {"skin": 1, "fat": 1}}
+SOFT = {n: {"mu": mu} for n, mu in (("skin", 5e3), ("fat", 1.5e3), ("muscle", 3e3))}
+LOW = np.array([40.0, 80.0, 130.0, 190.0])
 PROBES = np.array([20.0, 80.0, 200.0, 330.0, 490.0])
 CHECKS = (TrialSolve(0, 100.0, 0.01, 0.03),)
 GROWTH = Growth(solves=9, checks=5, parts=2, states=50)
@@ -162,6 +166,91 @@ def test_it_is_made_once_and_read_back(model, tmp_path, monkeypatch):
     (tmp_path / "parametric.nc").write_bytes(broken)
     with pytest.raises(DataError):
         load_parametric(tmp_path / "parametric.nc")
+
+
+SMALL = Growth(rate=5, solves=3, checks=2, parts=2, states=15)
+STEPS, FACTORISED = 1 + 3 + 2 + 2, 1 + 3 + 2
+
+
+def test_what_was_finished_before_an_interruption_is_not_made_again(tmp_path, monkeypatch):
+    """Stopped after a solve, a piece and a check, and amid a solve: factorisations are counted, results are those of an
+    uninterrupted making to the last digit."""
+    counted, at, about = list[str](), DirectSolver.at, DirectSolver.about_rate
+    monkeypatch.setattr(DirectSolver, "at", lambda *a: (counted.append("at"), at(*a))[1])
+    monkeypatch.setattr(DirectSolver, "about_rate", lambda *a: (counted.append("rate"), about(*a))[1])
+    scene, told = parse_scenario({**SCENE, "mesh": COARSE}), list[int]()
+
+    def made(stop: int = STEPS + 1, amid: int = STEPS + 1):
+        def listen(stage: str, done: int, total: int) -> None:
+            if stage == "arms solved":
+                told.append(done)
+                assert total == STEPS
+                if done == stop:
+                    raise KeyboardInterrupt
+                if done == amid:
+                    monkeypatch.setattr(Growing, "_added", interrupt)
+
+        return parametric_model(scene, growth=SMALL, progress=listen)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "whole"))
+    whole = made()
+    assert len(counted) == FACTORISED
+    counted.clear()
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "halting"))
+    added = Growing._added
+    for stop, amid in ((2, 99), (99, 3), (5, 99), (STEPS - 1, 99)):
+        with pytest.raises(KeyboardInterrupt):
+            made(stop, amid)
+        monkeypatch.setattr(Growing, "_added", added)
+    halting = made()
+    assert len(counted) == FACTORISED + 1  # the solve that was under way
+    assert told[-1] == STEPS
+    for draw in Ranges().draws(scene, 2, seed=4):
+        one, other = (m.compliance(draw, PROBES) for m in (whole, halting))
+        assert np.array_equal(np.nan_to_num(one.values), np.nan_to_num(other.values))
+        assert one.errors == other.errors
+    assert not list((tmp_path / "halting").rglob("*.parts"))  # nothing is left beside the finished model
+
+
+def test_damaged_parts_are_made_again(tmp_path, monkeypatch):
+    """Half of the columns of one step are gone: the space starts anew and comes out the same."""
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
+    scene, growth = parse_scenario({**SCENE, "mesh": COARSE}), replace(SMALL, solves=1, checks=0, parts=1)
+
+    def stopped(stage: str, done: int, _: int) -> None:
+        if (stage, done) == ("arms solved", 2):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        parametric_model(scene, growth=growth, progress=stopped)
+    (file,) = tmp_path.rglob("columns-1.npz")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    found = parametric_model(scene, growth=growth).compliance(scene, PROBES[:2])
+    assert band_error(found.block("point", "contact"), solved(scene, PROBES[:2])) < 0.02
+
+
+def test_what_elements_err_by_is_estimated_for_each_arm(tmp_path, monkeypatch):
+    """Against a mesh of half the size: stated at least at three quarters (dispersion of two coarse meshes) and at most
+    three times the truth, for the scene and for a softer arm, whose elements err more."""
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
+    scene = parse_scenario({**SCENE, "mesh": COARSE, "solver": {}})
+    soft = parse_scenario({**scene.model_dump(mode="json", exclude_none=True), "tissues": {"override": SOFT}})
+    arm = arm_model(scene, draws=[scene, soft])
+    assert arm.unknown == ""
+    fine, stated, true = cached_mesh(scene, scale=0.5), [], []
+    for draw in (scene, soft):
+        found = arm.compliance(draw, LOW)
+        stated.append({e.source: e.band for e in found.errors}["discretisation"])
+        truth = direct_sweep(fem_model(draw, fine), LOW, draw.solver).values[:, 2:, :2]
+        true.append(band_error(found.block("point", "contact"), truth))
+    assert true[1] > 1.3 * true[0]  # else there is nothing to tell
+    assert all(0.75 * t < s < 3 * t for s, t in zip(stated, true, strict=True))
+    without = arm_model(parse_scenario({**SCENE, "mesh": COARSE}), draws=[scene])
+    assert "discretisation_estimate is false" in without.unknown
+    assert [e.source for e in without.compliance(scene, LOW[:1]).errors] == ["reduction"]
 
 
 def test_the_worst_check_decides_what_is_stated(model):

@@ -118,7 +118,7 @@ class Growing:
         solution = self._of(self._draws[place[0]]).at(place[1], columns).values
         truth = (self._model.functionals[:, rows].T @ solution) * self._model.shares[columns]
         block = np.ix_(rows, columns)
-        true = float(relative_error(whole[block][None], np.asarray(truth)[None])[0])
+        true = float(relative_error(whole[block][None], np.asarray(truth, dtype=complex)[None])[0])
         return self._difference(core, whole), true
 
     def states(self, places: Sequence[Place]) -> list[ComplexArray]:

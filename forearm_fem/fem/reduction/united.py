@@ -24,8 +24,8 @@ from .quick import quick_compliance
 from .reduced_model import ReducedModel, empty_model
 
 _STAGE = "arms solved"
-_LOOKED_AT = 12  # places among which the next solve is chosen; each costs two small dense solves
-_TURNS = 3  # parts of the band, equally many bins each, in which solves are placed in turn
+_LOOKED_AT = 24  # places among which the next solve is chosen; each costs two small dense solves
+_THIRDS = 3  # of the band, equally many bins each
 _FEW = 8  # bins below which a band is not cut
 _TESTED = 12  # states of each part that size its model and do not shape it
 _CORE = 0.8  # of the whole model's directions
@@ -75,11 +75,11 @@ class Growth:
     by ``tolerance`` (rms over the draws) beside the space, but ``most``.
     """
 
-    rate: int = 20
-    solves: int = 11
-    checks: int = 4
+    rate: int = 12
+    solves: int = 7
+    checks: int = 3
     of_contacts: int = 4
-    of_points: int = 4
+    of_points: int = 3
     parts: int = 4
     states: int = 60
     tolerance: float = 4e-3
@@ -140,16 +140,16 @@ def united_model(
 
 
 def _grow(work: Growing, step: int, draws: int, frequency: FloatArray, growth: Growth) -> None:
-    """Derivatives about a rate first; then a solve in each part of the band in turn, the upper ones first, as errors
-    are largest where waves are short."""
+    """Derivatives about a rate first; then a solve in the upper, the middle and the lower third of the band, and from
+    there on in the upper two in turn: errors are largest where waves are short."""
     if step == 0:
         work.start(frequency, growth.rate)
         return
-    turns = np.array_split(frequency, min(_TURNS, len(frequency)))
-    turn, fresh = turns[-1 - (step - 1) % len(turns)], work.unsolved()
-    found = _places(np.random.default_rng([growth.seed, 0, step]), len(fresh), turn, _LOOKED_AT)
-    places = [(fresh[d], f) for d, f in found]
-    early = step <= growth.solves - _TURNS or (step - 1) % _TURNS == _TURNS - 1
+    place, thirds = step - 1, np.array_split(frequency, min(_THIRDS, len(frequency)))
+    third = thirds[-1 - (place if place < _THIRDS else (place - _THIRDS) % 2) % len(thirds)]
+    rng, fresh = np.random.default_rng([growth.seed, 0, place]), work.unsolved()
+    places = [(fresh[d], f) for d, f in _places(rng, len(fresh), third, _LOOKED_AT)]
+    early = place < growth.solves - max(1, growth.solves // 3)
     work.extended_where_worst(places, growth.of_contacts, growth.of_points, early=early)
 
 
@@ -217,6 +217,6 @@ def piece_at(pieces: Sequence[Piece], frequency: float) -> Piece:
 
 def _places(rng: np.random.Generator, draws: int, frequency: FloatArray, count: int) -> list[Place]:
     """Random draws, each as often as the others, at bins that are dense in the square root of the frequency."""
-    order = np.concatenate([rng.permutation(draws) for _ in range(-(-count // draws))])[:count]
+    order = np.concatenate([rng.permutation(draws) for _ in range(1 + count // draws)])[:count]
     wanted = rng.uniform(np.sqrt(frequency[0]), np.sqrt(frequency[-1]), count) ** 2
     return [(int(d), float(frequency[np.argmin(np.abs(frequency - f))])) for d, f in zip(order, wanted, strict=True)]
