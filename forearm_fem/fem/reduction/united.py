@@ -113,30 +113,34 @@ def united_model(
     """
     kept = kept or NothingKept()
     work = Growing(model, draws, options, float(frequency[-1]), kept)
+    work.restored()
     parts = cut(frequency, growth.parts)
-    done, total = 0, 1 + growth.solves + len(parts) + growth.checks
+    places = _places(np.random.default_rng([growth.seed, 2]), len(draws), frequency, growth.checks)
+    pieces = [_read_piece(kept, model, k) for k in range(len(parts))]
+    checks = [_read_check(kept, i) for i in range(len(places))]
+    done, total = 0, 1 + growth.solves - work.steps + sum(x is None for x in (*pieces, *checks))
 
     def step() -> None:
         nonlocal done
         done += 1
         tell(progress, _STAGE, done, total)
 
-    tell(progress, _STAGE, 0, total)
-    work.restored()
-    for i in range(1 + growth.solves):
-        if i >= work.steps:
-            _grow(work, i, len(draws), frequency, growth)
+    tell(progress, _STAGE, 0, total)  # of what is left, so that the time left is told from what was done now
+    for i in range(work.steps, 1 + growth.solves):
+        _grow(work, i, len(draws), frequency, growth)
         step()
-    pieces = list[Piece]()
-    for k, part in enumerate(parts):
-        pieces.append(_read_piece(kept, model, k) or _made_piece(work, kept, k, part, len(draws), growth))
-        step()
-    checks = list[TrialSolve]()
-    for i, place in enumerate(_places(np.random.default_rng([growth.seed, 2]), len(draws), frequency, growth.checks)):
-        checks.append(_read_check(kept, i) or _made_check(work, kept, i, place, piece_at(pieces, place[1]), draws))
-        step()
+    whole = list[Piece]()
+    for k, (part, piece) in enumerate(zip(parts, pieces, strict=True)):
+        whole.append(piece or _made_piece(work, kept, k, part, len(draws), growth))
+        if piece is None:
+            step()
+    compared = list[TrialSolve]()
+    for i, (place, check) in enumerate(zip(places, checks, strict=True)):
+        compared.append(check or _made_check(work, kept, i, place, piece_at(whole, place[1]), draws))
+        if check is None:
+            step()
     work.release()
-    return United(tuple(pieces), tuple(work.trials), tuple(checks), 1 + growth.solves + growth.checks)
+    return United(tuple(whole), tuple(work.trials), tuple(compared), 1 + growth.solves + growth.checks)
 
 
 def _grow(work: Growing, step: int, draws: int, frequency: FloatArray, growth: Growth) -> None:
