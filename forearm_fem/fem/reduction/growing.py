@@ -27,7 +27,7 @@ _DROP = 1e-2  # of a solution's length: the error of C is the product of two of 
 _SPACE = "space"
 
 
-class Kept(Protocol):
+class PartStore(Protocol):
     """Where finished parts are kept by name, so that an interrupted call loses at most the one under way."""
 
     def get(self, name: str) -> Mapping[str, Any] | None:
@@ -57,7 +57,7 @@ class Growing:
     """
 
     def __init__(
-        self, model: ForearmModel, draws: Sequence[Coefficients], options: SolverOptions, highest: float, kept: Kept
+        self, model: ForearmModel, draws: Sequence[Coefficients], options: SolverOptions, highest: float, kept: PartStore
     ) -> None:
         self._model, self._draws, self._options, self._highest = model, draws, options, highest
         self._kept, self._ready = kept, None

@@ -19,7 +19,7 @@ from ...progress import Progress, tell
 from ...scenario.sweep import SolverOptions
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
-from .growing import Coefficients, Growing, Kept, Place, TrialSolve, part_of
+from .growing import Coefficients, Growing, PartStore, Place, TrialSolve, part_of
 from .quick import quick_compliance
 from .reduced_model import ReducedModel, empty_model
 
@@ -28,7 +28,7 @@ _LOOKED_AT = 24  # places among which the next solve is chosen; each costs two s
 _THIRDS = 3  # of the band, equally many bins each
 _FEW = 8  # bins below which a band is not cut
 _TESTED = 12  # states of each part that size its model and do not shape it
-_CORE = 0.8  # of the whole model's directions
+_CORE = 0.7  # of the whole model's directions
 _STEP = 1.25  # ratio of the sizes tried
 _LEAST = 40  # directions
 _MODELS, _ARRAYS = ("whole", "core"), ("matrices", "functionals")
@@ -75,7 +75,7 @@ class Growth:
     by ``tolerance`` (rms over the draws) beside the space, but ``most``.
     """
 
-    rate: int = 12
+    rate: int = 20
     solves: int = 7
     checks: int = 3
     of_contacts: int = 4
@@ -91,10 +91,10 @@ class NothingKept:
     """For a model that is made in one go."""
 
     def get(self, name: str) -> Mapping[str, Any] | None:
-        """See :class:`.growing.Kept`."""
+        """See :class:`.growing.PartStore`."""
 
     def put(self, name: str, parts: Mapping[str, Any]) -> None:
-        """See :class:`.growing.Kept`."""
+        """See :class:`.growing.PartStore`."""
 
 
 def united_model(
@@ -104,7 +104,7 @@ def united_model(
     options: SolverOptions,
     growth: Growth,
     progress: Progress | None = None,
-    kept: Kept | None = None,
+    kept: PartStore | None = None,
 ) -> United:
     """A space for the model's own coefficients and those of the ``draws``, in the band of ``frequency`` (n,) [Hz].
 
@@ -157,7 +157,7 @@ def _grow(work: Growing, step: int, draws: int, frequency: FloatArray, growth: G
     work.extended_where_worst(places, growth.of_contacts, growth.of_points, early=early)
 
 
-def _made_piece(work: Growing, kept: Kept, number: int, part: FloatArray, draws: int, growth: Growth) -> Piece:
+def _made_piece(work: Growing, kept: PartStore, number: int, part: FloatArray, draws: int, growth: Growth) -> Piece:
     """The models of a ``part`` (n,) [Hz] of the band, of as few directions as serve some of the states, which had no
     part in them."""
     rng = np.random.default_rng([growth.seed, 1, number])
@@ -179,7 +179,7 @@ def _made_piece(work: Growing, kept: Kept, number: int, part: FloatArray, draws:
     return piece
 
 
-def _read_piece(kept: Kept, model: ForearmModel, number: int) -> Piece | None:
+def _read_piece(kept: PartStore, model: ForearmModel, number: int) -> Piece | None:
     found = kept.get(f"piece-{number}")
     if found is None:
         return None
@@ -189,7 +189,7 @@ def _read_piece(kept: Kept, model: ForearmModel, number: int) -> Piece | None:
 
 
 def _made_check(
-    work: Growing, kept: Kept, number: int, place: Place, piece: Piece, draws: Sequence[Coefficients]
+    work: Growing, kept: PartStore, number: int, place: Place, piece: Piece, draws: Sequence[Coefficients]
 ) -> TrialSolve:
     """What a finished ``piece`` says at a place, against a direct solution."""
     whole, core = piece.change(draws[place[0]], place[1])
@@ -198,7 +198,7 @@ def _made_check(
     return check
 
 
-def _read_check(kept: Kept, number: int) -> TrialSolve | None:
+def _read_check(kept: PartStore, number: int) -> TrialSolve | None:
     found = kept.get(f"check-{number}")
     if found is None:
         return None
