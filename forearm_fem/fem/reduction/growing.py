@@ -57,7 +57,12 @@ class Growing:
     """
 
     def __init__(
-        self, model: ForearmModel, draws: Sequence[Coefficients], options: SolverOptions, highest: float, kept: PartStore
+        self,
+        model: ForearmModel,
+        draws: Sequence[Coefficients],
+        options: SolverOptions,
+        highest: float,
+        kept: PartStore,
     ) -> None:
         self._model, self._draws, self._options, self._highest = model, draws, options, highest
         self._kept, self._ready = kept, None
