@@ -12,17 +12,19 @@ from forearm_fem.compare.fit import fit
 from forearm_fem.compare.run import run_fit
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ReductionError, ScenarioError
+from forearm_fem.fem.linear.direct import DirectSolver
+from forearm_fem.fem.reduction.growing import Growing, TrialSolve
 from forearm_fem.fem.reduction.quick import quick_compliance
 from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.fem.reduction.united import Growth, TrialSolve
+from forearm_fem.fem.reduction.united import Growth
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.pipeline import parametric
 from forearm_fem.pipeline.fem_engine import fem_model
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.parametric import Ranges, load_parametric, parametric_model, save_parametric
 from forearm_fem.pipeline.skin_model import with_scenario
-from forearm_fem.prediction.arm import LayeredArm, ReducedArm, on_mesh_of
+from forearm_fem.prediction.arm import LayeredArm, ReducedArm, arm_model, on_mesh_of
 from forearm_fem.prediction.draws import draw_inputs, scenario_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.scenario import Scenario, parse_scenario
@@ -46,9 +48,13 @@ THICK = {
     "limb": {**SCENE["limb"], "layers": [SCENE["limb"]["layers"][0], {"tissue": "fat", "thickness": 4.5e-3}]},
     "grid": {"points": [[0.0, 0.005], [0.002, -0.007]]},
 }
+COARSE = {"size_contact": 7.2e-3, "size_grid": 12.8e-3, "size_far": 19.2e-3, "sublayers": {"skin": 1, "fat": 1}}
+_SOFT = (("skin", 13e3, 3.0), ("fat", 5e3, 1.5), ("muscle", 1e4, 4.0))
+STIFF = {name: {"mu": 5 * mu, "eta": 5 * eta} for name, mu, eta in _SOFT}
+LOW = np.array([40.0, 80.0, 130.0, 190.0])
 PROBES = np.array([20.0, 80.0, 200.0, 330.0, 490.0])
 CHECKS = (TrialSolve(0, 100.0, 0.01, 0.03),)
-GROWTH = Growth(solves=9, checks=5, parts=2, states=50)
+GROWTH = Growth(rate=20, solves=9, checks=5, of_points=4, parts=2, states=50)
 
 
 @pytest.fixture(scope="module")
@@ -161,6 +167,94 @@ def test_it_is_made_once_and_read_back(model, tmp_path, monkeypatch):
     (tmp_path / "parametric.nc").write_bytes(broken)
     with pytest.raises(DataError):
         load_parametric(tmp_path / "parametric.nc")
+
+
+SMALL = Growth(rate=5, solves=3, checks=2, parts=2, states=15)
+STEPS, FACTORISED = 1 + 3 + 2 + 2, 1 + 3 + 2
+
+
+def test_what_was_finished_before_an_interruption_is_not_made_again(tmp_path, monkeypatch):
+    """Stopped after a solve, a piece and a check, and amid a solve: factorisations are counted, results are those of an
+    uninterrupted making to the last digit."""
+    counted, at, about = list[str](), DirectSolver.at, DirectSolver.about_rate
+    monkeypatch.setattr(DirectSolver, "at", lambda *a: (counted.append("at"), at(*a))[1])
+    monkeypatch.setattr(DirectSolver, "about_rate", lambda *a: (counted.append("rate"), about(*a))[1])
+    scene, told = parse_scenario({**SCENE, "mesh": COARSE}), list[tuple[int, int]]()
+
+    def made(stop: int = 99, amid: int = 99):
+        def listen(stage: str, done: int, total: int) -> None:
+            if stage == "arms solved":
+                told.append((done, total))
+                if total - done == stop:
+                    raise KeyboardInterrupt
+                if total - done == amid:
+                    monkeypatch.setattr(Growing, "_added", interrupt)
+
+        return parametric_model(scene, growth=SMALL, progress=listen)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "whole"))
+    whole = made()
+    assert len(counted) == FACTORISED
+    counted.clear()
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "halting"))
+    added = Growing._added
+    for stop, amid in ((STEPS - 2, 99), (99, STEPS - 3), (3, 99), (1, 99)):  # steps that are left
+        with pytest.raises(KeyboardInterrupt):
+            made(stop, amid)
+        monkeypatch.setattr(Growing, "_added", added)
+    halting = made()
+    assert len(counted) == FACTORISED + 1  # the solve that was under way
+    assert (told[0], told[-1]) == ((0, STEPS), (1, 1))  # of what is left each time
+    for draw in Ranges().draws(scene, 2, seed=4):
+        one, other = (m.compliance(draw, PROBES) for m in (whole, halting))
+        assert np.array_equal(np.nan_to_num(one.values), np.nan_to_num(other.values))
+        assert one.errors == other.errors
+    assert not list((tmp_path / "halting").rglob("*.parts"))  # nothing is left beside the finished model
+
+
+def test_damaged_parts_are_made_again(tmp_path, monkeypatch):
+    """Half of the columns of one step are gone: the space starts anew and comes out the same."""
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
+    scene, growth = parse_scenario({**SCENE, "mesh": COARSE}), replace(SMALL, solves=1, checks=0, parts=1)
+
+    def stopped(stage: str, done: int, _: int) -> None:
+        if (stage, done) == ("arms solved", 2):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        parametric_model(scene, growth=growth, progress=stopped)
+    (file,) = tmp_path.rglob("columns-1.npz")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    found = parametric_model(scene, growth=growth).compliance(scene, PROBES)
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "whole"))
+    whole = parametric_model(scene, growth=growth).compliance(scene, PROBES)
+    assert np.array_equal(np.nan_to_num(found.values), np.nan_to_num(whole.values))
+
+
+def test_what_elements_err_by_is_estimated_for_each_arm(tmp_path, monkeypatch):
+    """Against a mesh of half the size: stated at least at three quarters (dispersion of two coarse meshes) and at most
+    three times the truth, for the scene and for an arm five times as stiff, whose waves are longer."""
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
+    monkeypatch.setattr(parametric, "Growth", lambda: replace(SMALL, rate=12, solves=4, checks=1, states=20))
+    scene = parse_scenario({**SCENE, "mesh": COARSE, "solver": {}})
+    stiff = parse_scenario({**SCENE, "mesh": COARSE, "solver": {}, "tissues": {"override": STIFF}})
+    arm = arm_model(scene, draws=[scene, stiff])
+    assert arm.unknown == ""
+    fine, stated, true = cached_mesh(scene, scale=0.5), [], []
+    for draw in (scene, stiff):
+        found = arm.compliance(draw, LOW)
+        stated.append({e.source: e.band for e in found.errors}["discretisation"])
+        truth = direct_sweep(fem_model(draw, fine), LOW, draw.solver).values[:, 2:, :2]
+        true.append(band_error(found.block("point", "contact"), truth))
+    assert true[0] > 1.3 * true[1]  # else there is nothing to tell
+    assert stated[0] > 1.3 * stated[1]
+    assert all(0.75 * t < s < 3 * t for s, t in zip(stated, true, strict=True))
+    without = arm_model(parse_scenario({**SCENE, "mesh": COARSE}), draws=[scene])
+    assert "discretisation_estimate is false" in without.unknown
+    assert [e.source for e in without.compliance(scene, LOW[:1]).errors] == ["reduction"]
 
 
 def test_the_worst_check_decides_what_is_stated(model):

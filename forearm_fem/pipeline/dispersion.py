@@ -46,23 +46,40 @@ def phase_lags(
     error is a mean over elements up to ``REACH`` from the nearest contact, weighted as a surface wave passes them:
     e^(-k' depth - a r) / r. What waves do that change from one tissue to another is not covered.
     """
-    some = np.unique(np.linspace(0, len(frequency) - 1, _AT_MOST).round().astype(int))
-    order = tetrahedron_orders(mesh, place_ports(scenario, mesh), scenario.element)
-    around = _Surroundings.of(mesh, order, inputs)
-    away, found = distances(outputs, inputs), np.zeros((len(some), len(outputs), len(inputs)))
-    tissues = resolve_tissues(scenario)
-    for region, name in enumerate(mesh.region_names):
-        if name not in tissues:
-            continue
-        per_metre, decay = around.lag_per_metre(region, tissues[name], frequency[some], scale)
-        lasting = -np.expm1(-decay[:, None, None] * away) / decay[:, None, None]
-        found = np.maximum(found, per_metre[:, None, None] * lasting)
-    rows = [np.interp(frequency, frequency[some], column) for column in found.reshape(len(some), -1).T]
-    return np.array(rows).T.reshape(len(frequency), *away.shape)
+    return Lags.of(scenario, mesh, outputs, inputs).phases(scenario, frequency, scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Lags:
+    """:func:`phase_lags` for any tissue on one mesh: ``around`` is what there is near the contacts, ``regions`` name
+    the mesh's tissues, ``away`` (n_out, n_in) [m] are the distances from contacts to points."""
+
+    around: Surroundings
+    regions: tuple[str, ...]
+    away: FloatArray
+
+    @classmethod
+    def of(cls, scenario: Scenario, mesh: TissueMesh, outputs: tuple[Port, ...], inputs: tuple[Port, ...]) -> Lags:
+        """Those of a scenario's own ``mesh``."""
+        order = tetrahedron_orders(mesh, place_ports(scenario, mesh), scenario.element)
+        return cls(Surroundings.of(mesh, order, inputs), tuple(mesh.region_names), distances(outputs, inputs))
+
+    def phases(self, scenario: Scenario, frequency: FloatArray, scale: float = 1.0) -> FloatArray:
+        """:func:`phase_lags` for the tissues of a ``scenario``."""
+        some = np.unique(np.linspace(0, len(frequency) - 1, _AT_MOST).round().astype(int))
+        found, tissues = np.zeros((len(some), *self.away.shape)), resolve_tissues(scenario)
+        for region, name in enumerate(self.regions):
+            if name not in tissues:
+                continue
+            per_metre, decay = self.around.lag_per_metre(region, tissues[name], frequency[some], scale)
+            lasting = -np.expm1(-decay[:, None, None] * self.away) / decay[:, None, None]
+            found = np.maximum(found, per_metre[:, None, None] * lasting)
+        rows = [np.interp(frequency, frequency[some], column) for column in found.reshape(len(some), -1).T]
+        return np.array(rows).T.reshape(len(frequency), *self.away.shape)
 
 
 @dataclass(frozen=True)
-class _Surroundings:
+class Surroundings:
     """Elements around the contacts: root-mean-square edge [m], order, region, volume [m^3], depth and distance [m] from
     the nearest contact, all (n,)."""
 
@@ -74,7 +91,7 @@ class _Surroundings:
     away: FloatArray
 
     @classmethod
-    def of(cls, mesh: TissueMesh, order: IntArray, contacts: tuple[Port, ...]) -> _Surroundings:
+    def of(cls, mesh: TissueMesh, order: IntArray, contacts: tuple[Port, ...]) -> Surroundings:
         """Those within ``REACH`` along the skin."""
         corners = mesh.points[mesh.tetrahedra]
         edges = corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]]

@@ -17,12 +17,15 @@ from .. import __version__
 from ..errors import DataError, ReductionError, ScenarioError
 from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
+from ..fem.reduction.growing import TrialSolve
 from ..fem.reduction.quick import quick_compliance
 from ..fem.reduction.rational import Rational, chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
-from ..fem.reduction.united import Growth, Piece, TrialSolve, piece_at, united_model
+from ..fem.reduction.united import Growth, Piece, piece_at, united_model
 from ..geometry.cache import cached_mesh, default_cache_dir
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.parametric import ParametricFile, PieceFile, read_parametric, write_parametric
+from ..io.parts import PartFolder
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
@@ -31,6 +34,7 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import fem_model
 from .frequencies import frequencies
+from .malloc import freed_memory_kept
 from .skin_model import check_followable, with_scenario
 from .solved import solve_key
 
@@ -232,13 +236,15 @@ def parametric_model(
     ranges: Ranges | None = None,
     draws: Sequence[Scenario] | None = None,
     growth: Growth | None = None,
+    mesh: TissueMesh | None = None,
     progress: Progress | None = None,
 ) -> ParametricModel:
     """The model for ``draws`` of ``scenario``, or for 48 within ``ranges`` of it; kept in the cache.
 
-    ``base`` is the folder that user files refer to. Draws, and what will be asked, may differ as
-    :meth:`ParametricModel.compliance` says; give those that will be asked, or some like them. Raises what a run of the
-    scenario raises, and ScenarioError for the layered engine, which needs no such model.
+    ``base`` is the folder that user files refer to, ``mesh`` another one than the scenario's own. Draws, and what will
+    be asked, may differ as :meth:`ParametricModel.compliance` says; give those that will be asked, or some like them.
+    What an interrupted call has finished is not made again. Raises what a run of the scenario raises, and ScenarioError
+    for the layered engine, which needs no such model.
     """
     if scenario.engine == "layered":
         raise ScenarioError("engine: a parametric model needs engine = 'fem'; the layered twin solves each draw itself")
@@ -248,7 +254,7 @@ def parametric_model(
         raise ScenarioError("a parametric model needs at least one draw to be made from; give some, or ranges")
     own = _with_all_sheets(scenario, given)
     tell(progress, "mesh", 0, 0)
-    mesh, band = cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
+    mesh, band = mesh or cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
     key = _key(solve_key(own, mesh, band), given, growth)
     file = default_cache_dir() / "parametric" / f"{key}.nc"
     if (kept := _kept(file)) is not None:
@@ -259,12 +265,16 @@ def parametric_model(
     for draw in given:
         check_followable(own, draw, names, unread=_UNREAD)
     found = [_coefficients(names, draw) for draw in given]
-    united = united_model(model, found, band, own.solver, growth, progress)
+    parts = PartFolder(file.with_suffix(".parts"))
+    with freed_memory_kept():
+        united = united_model(model, found, band, own.solver, growth, progress, parts)
     made = ParametricModel(own, model.ports, united.pieces, united.trials, united.checks, united.solves)
     try:
         save_parametric(file, made)
     except (DataError, OSError) as problem:
         _log.warning("the parametric model could not be kept for a later run: %s", problem)
+    else:
+        parts.drop()
     return made
 
 

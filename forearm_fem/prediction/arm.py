@@ -9,15 +9,17 @@ from typing import Protocol
 
 import numpy as np
 
+from ..errors import ForearmError
 from ..layered import layered_compliance
 from ..layered.sampling import chebyshev_between, chebyshev_nodes
 from ..metrics import smooth_noise
 from ..pipeline.layered_engine import flat_disc, flat_layers, flat_ports, flat_surface
 from ..pipeline.parametric import ParametricModel, parametric_model
-from ..progress import Progress
+from ..progress import Progress, within
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
+from .two_meshes import ArmMeshes, arm_meshes
 
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)  # a third of the time of the twin's own; what it costs is stated per draw
 _ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
@@ -56,6 +58,11 @@ class ArmModel(Protocol):
         """What of an arm the model has not, in a sentence."""
         ...
 
+    @property
+    def unknown(self) -> str:
+        """What of an answer's error could not be estimated and is in no band, in a sentence; empty where nothing."""
+        ...
+
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """Of the ports of ``scenario`` at ``frequency`` (n,) [Hz], with an estimate per source of error."""
         ...
@@ -89,6 +96,11 @@ class LayeredArm:
             "the arms are flat layers without end: girth, taper, bones and the device's place on the limb are not in "
             f"the band{beside if self.solved else ''}"
         )
+
+    @property
+    def unknown(self) -> str:
+        """See :class:`ArmModel`: nothing."""
+        return ""
 
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """See :class:`ArmModel`."""
@@ -127,12 +139,15 @@ class ReducedArm:
 
     A mesh has one geometry. What a draw's thicknesses, grid and contact radius change is taken from the twin, as the
     difference of two of its answers for the draw's tissues, and stated to be wrong by up to half of itself. A scene
-    with tape on the skin, which the twin has not, holds them.
+    with tape on the skin, which the twin has not, holds them. ``meshes`` tell what the elements err by for each draw;
+    where there are none, ``without`` says why.
     """
 
     scenario: Scenario
     model: ParametricModel
     twin: LayeredArm
+    meshes: ArmMeshes | None = None
+    without: str = ""
 
     @property
     def name(self) -> str:
@@ -154,14 +169,21 @@ class ReducedArm:
         )
         return f"girth, taper, bones and the device's place on the limb are the scene's own in every arm; {geometry}"
 
+    @property
+    def unknown(self) -> str:
+        """See :class:`ArmModel`: the mesh's error where there is no second mesh."""
+        return f"what the mesh errs by for each arm is unknown ({self.without})" if self.meshes is None else ""
+
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
-        """See :class:`ArmModel`; the geometry's share of the error is an estimate of its own."""
+        """See :class:`ArmModel`; the mesh's and the geometry's share of the error are estimates of their own."""
         return self.answer(scenario, frequency).compliance
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """See :class:`ArmModel`: half of what geometry changes may be missed at each pair of ports, in any phase."""
         own = on_mesh_of(self.scenario, scenario)
         found = self.model.compliance(own, frequency)
+        if self.meshes is not None:
+            found = replace(found, errors=(*found.errors, self.meshes.error(own, found)))
         if own == scenario:
             return Answer(found)
         change, error = self._change(scenario, own, np.asarray(frequency, dtype=float))
@@ -233,4 +255,8 @@ def arm_model(
         return LayeredArm(scenario.engine == "fem")
     known = [on_mesh_of(scenario, d) for d in draws]
     model = parametric_model(scenario, base=base, draws=known or None, progress=progress)
-    return ReducedArm(scenario, model, LayeredArm())
+    try:
+        meshes, without = arm_meshes(scenario, base, known or None, within(progress, "coarser mesh")), ""
+    except ForearmError as problem:
+        meshes, without = None, str(problem)
+    return ReducedArm(scenario, model, LayeredArm(), meshes, without)

@@ -69,8 +69,8 @@ class Question:
 class Prediction:
     """S of the scene itself with its numerical interval (``nominal``), and what arms do to it (``draws``).
 
-    ``left_out`` says what the arms' model has not, ``held`` which inputs kept the scenario's values, ``reused`` how
-    many draws were there before, ``seconds`` what this call took.
+    ``left_out`` says what the arms' model has not, ``unknown`` what of its error is in no band, ``held`` which inputs
+    kept the scenario's values, ``reused`` how many draws were there before, ``seconds`` what this call took.
     """
 
     question: Question
@@ -81,6 +81,7 @@ class Prediction:
     held: tuple[str, ...]
     reused: int
     seconds: float
+    unknown: str = ""
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,9 @@ def predict(
             _write(out, kept, setup, question)
     found = draws_of([kept[n] for n in range(draws)], setup.method_names, setup.targets)
     held = tuple(sorted({*question.held, *arm.held}))
-    return Prediction(question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began)
+    return Prediction(
+        question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began, arm.unknown
+    )  # fmt: skip
 
 
 def check_question(question: Question) -> None:
@@ -277,9 +280,7 @@ def _prepared(
     """
     question = Question(Scenario.model_validate_json(text), Path(base), seed, laws, held, twin)
     on_twin = question.scenario.engine == "layered" or twin
-    arm = arm_model(
-        question.scenario, base=base, draws=() if on_twin else pool(question), twin=twin, progress=progress
-    )
+    arm = arm_model(question.scenario, base=base, draws=() if on_twin else pool(question), twin=twin, progress=progress)
     compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
     return question, _setup(question, close_loop(compliance, question.scenario.device), arm), arm
 

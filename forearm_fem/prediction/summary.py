@@ -50,6 +50,7 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
             "factor": float(np.exp(np.median(draws.spread))), "largest factor": float(np.exp(draws.spread.max())),
         },
         "shorter_waves": shorter_waves(prediction),
+        "unknown": prediction.unknown,
         "levels": list(LEVELS),
         "reading": READING,
         "methods": list(draws.methods),

@@ -149,8 +149,8 @@ def _share(driver: Mapping[str, Any], method: str, group: str) -> str:
 def _numerics(data: Mapping[str, Any]) -> str:
     told, lost = data["numerics"], sum(data["failed"].values())
     parts = [
-        "The scene's own interval stands in the first table and holds what its mesh or series may miss; that is in no "
-        f"band over arms. G of each arm has an error of its own: e_band {told['median']:.1e} in the median, "
+        "The scene's own interval stands in the first table and is in no band over arms. G of each arm has an error of "
+        f"its own, what mesh or series may miss for its waves included: e_band {told['median']:.1e} in the median, "
         f"{told['largest']:.1e} at most. It leaves S of an arm a factor of {told['factor']:.2f} to either side in the "
         f"median, {told['largest factor']:.2f} at most, and that is in the bands."
     ]
@@ -159,8 +159,9 @@ def _numerics(data: Mapping[str, Any]) -> str:
                      "placement), or draw the arms on the flat twin (--twin).")  # fmt: skip
     if (mesh := data["shorter_waves"]) is not None and mesh["share"]:
         parts.append(f"The mesh was made for the scene's own tissue: {mesh['share']:.0%} of the arms have shorter "
-                     f"waves in some tissue, one in twenty by a factor of {mesh['factor']:.2g} or more. For these it "
-                     "errs as it does for the scene at frequencies so much higher.")  # fmt: skip
+                     f"waves in some tissue, one in twenty by a factor of {mesh['factor']:.2g} or more.")  # fmt: skip
+    if data["unknown"]:
+        parts.append(f"But {data['unknown']}, and in no band.")
     if lost:
         parts.append(f"Of {data['draws'] + lost} arms {lost} are left out, for the reasons below.")
     return " ".join(parts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,11 +35,13 @@ class DirectSolver:
     tolerance: float = 1e-11
     safe: bool = False
 
-    def at(self, frequency: float) -> Solution:
-        """Solutions (n, n_port) for a unit force on each port; the factor stays for more right-hand sides."""
-        omega = 2 * np.pi * frequency
+    def at(self, frequency: float, ports: Sequence[int] | None = None) -> Solution:
+        """Solutions (n, n_port) for a unit force on each of the ``ports``, all where None; the factor stays for more
+        right-hand sides."""
+        omega, forces = 2 * np.pi * frequency, self.model.functionals
         self.factor.factorise(self.model.operator.data(omega))
-        return self._solve(self.model.operator.at(omega), self.model.functionals.astype(complex))
+        chosen = forces if ports is None else forces[:, ports]
+        return self._solve(self.model.operator.at(omega), chosen.astype(complex))
 
     def about_rate(self, weights: FloatArray, forces: FloatArray) -> Solution:
         """Real solutions (n, b) for ``forces`` (n, b) where the terms have real ``weights``; the factor stays."""

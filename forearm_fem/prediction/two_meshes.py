@@ -1,0 +1,77 @@
+"""What the elements err by for an arm, whose waves may be shorter than those that the scene's mesh was made for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import MeshError
+from ..geometry.cache import cached_mesh
+from ..pipeline.dispersion import Lags
+from ..pipeline.parametric import ParametricModel, parametric_model
+from ..pipeline.second_mesh import second_mesh
+from ..pipeline.two_meshes import agreed_upon, estimated_errors
+from ..progress import Progress
+from ..scenario import Scenario
+from ..transfer import Compliance, ErrorEstimate
+from ..typing import FloatArray, IntArray
+
+_PROBED = 20  # frequencies at which the second mesh is asked
+
+
+@dataclass(frozen=True, eq=False)
+class ArmMeshes:
+    """The ``second`` mesh of the scene as a parametric model, its nodes ``ratio`` times as far apart as the first's,
+    whose waves lag by ``lags``."""
+
+    second: ParametricModel
+    ratio: float
+    lags: Lags
+
+    def error(self, arm: Scenario, found: Compliance) -> ErrorEstimate:
+        """Of the compliance ``found`` for an ``arm`` on the first mesh, by the rule for a scene of its own.
+
+        That is from the change on the second mesh (:func:`.estimated_errors`), and from the lag of waves that neither
+        carries (:func:`.agreed_upon`).
+        """
+        some = _probes(found.frequency)
+        frequency = found.frequency[some]
+        own, other = (
+            c.block("point", "contact")[rows]
+            for c, rows in ((found, some), (self.second.compliance(arm, frequency), slice(None)))
+        )
+        lag, coarser = (self.lags.phases(arm, frequency, scale) for scale in (1.0, self.ratio))
+        band, error = estimated_errors(other, own, frequency, self.ratio, agreed_upon(own, lag, coarser))
+        return ErrorEstimate(
+            "discretisation", band,
+            f"change of the arm's compliance on a second mesh, nodes {self.ratio:.2g} times as far apart, at "
+            f"{len(frequency)} frequencies",
+            tuple(frequency.tolist()), tuple(error.tolist()),
+        )  # fmt: skip
+
+
+def _probes(frequency: FloatArray) -> IntArray:
+    """Places of at most so many frequencies, dense where they are low."""
+    wanted = np.linspace(np.sqrt(frequency[0]), np.sqrt(frequency[-1]), _PROBED) ** 2
+    return np.unique(np.abs(frequency[:, None] - wanted).argmin(axis=0))
+
+
+def arm_meshes(
+    scenario: Scenario, base: str | Path, draws: Sequence[Scenario] | None, progress: Progress | None
+) -> ArmMeshes:
+    """Made and kept as the first mesh's model is (:func:`.parametric_model`); MeshError where there is no coarser mesh.
+
+    Its sentence says why.
+    """
+    if not scenario.solver.discretisation_estimate:
+        raise MeshError("solver.discretisation_estimate is false; set it to true")
+    mesh = cached_mesh(scenario, base=Path(base))
+    second = second_mesh(scenario, mesh, base=Path(base))
+    if second.ratio < 1:
+        raise MeshError("only a finer second mesh can be made, which costs more than all else")
+    model = parametric_model(second.scenario, base=base, draws=draws, mesh=second.mesh, progress=progress)
+    contacts, points = ([p for p in model.ports if p.kind == kind] for kind in ("contact", "point"))
+    return ArmMeshes(model, second.ratio, Lags.of(scenario, mesh, tuple(points), tuple(contacts)))
