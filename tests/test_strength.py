@@ -19,7 +19,7 @@ from forearm_fem.pipeline import strengths as account_module
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.renderers import check_servable, renderers
 from forearm_fem.pipeline.simulation import account_of, render_transfer
-from forearm_fem.pipeline.strengths import strength_account
+from forearm_fem.pipeline.strengths import finer_than_known, strength_account
 from forearm_fem.ports import Port
 from forearm_fem.rendering import (
     Combination,
@@ -350,6 +350,19 @@ def test_what_a_simulation_states_of_its_own_errors_moves_no_drive(method):
     assert np.array_equal(few, many)
     account = strength_account(render_all(cautious, ("7", "10"), (method,), shape), (method,), shape)
     assert (account.high > 1.05 * account.value).all()
+
+
+def test_silence_finer_than_g_is_known_is_said():
+    """1 / S of the target's motion is what is left at the others; a G that is wrong by more keeps more of it."""
+    plain, shape = waves(BINS, nested(9), five_by_four(), gains=np.ones(9)), ricker(duration=0.25)
+    account = strength_account(render_all(plain, ("7", "10"), (InverseFilter(),), shape), (InverseFilter(),), shape)
+    best = float(account.value.max())
+    for share, said in ((1.5, True), (0.5, False)):
+        sentence = finer_than_known(account, (ErrorEstimate("truncation", share / best, "t"),))
+        assert bool(sentence) is said
+        assert not said or (f"is {best:.3g}" in sentence and len(sentence) <= 300)
+    assert not finer_than_known(account, ())  # no statement to hold S against
+    assert not finer_than_known(account, (ErrorEstimate("truncation", np.nan, "unknown"),))
 
 
 def test_a_scenario_damps_for_the_accuracy_it_asks_for_and_four_actuators_for_none():

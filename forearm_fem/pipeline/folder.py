@@ -55,7 +55,7 @@ from .resources import Ledger
 from .simulation import AnswersForArm, Simulation, account_of, render_transfer, simulate, with_device
 from .skin_model import save_skin_model
 from .solved import solve
-from .strengths import StrengthAccount
+from .strengths import StrengthAccount, finer_than_known
 from .unread import unread_notes
 from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
@@ -242,7 +242,10 @@ def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
         rendering = render_transfer(run.scenario, transfer, base=run.base, progress=run.progress)
         account = account_of(run.scenario, transfer, rendering, base=run.base)
         _write_rendering(run, rendering, transfer, account)
-        said = (*unknown_strengths(rendering), *rendering.exceeded, rendering.bridged.sentence, account.unknown)
+        said = (
+            *unknown_strengths(rendering), *rendering.exceeded, rendering.bridged.sentence, account.unknown,
+            finer_than_known(account, transfer.errors),
+        )  # fmt: skip
         run.notes += [s for s in said if s]
     write_json(run.out / "signal_strength.json", account.as_json())
     return rendering

@@ -11,7 +11,7 @@ import numpy as np
 from ..metrics import perturbed, signal_strength
 from ..rendering import FixedZeros, Rendering, SearchedZeros, Wavelet, Window, strengths
 from ..rendering.drives import Renderer
-from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at
+from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at, total_error
 from ..typing import FloatArray
 
 _DRAWS, _SEED = 12, 0
@@ -53,6 +53,23 @@ class StrengthAccount:
             for i, m in enumerate(self.methods)
         }
         return {"window": self.window, "unknown": self.unknown, "methods": table, "zeros": self.zeros}
+
+
+def finer_than_known(account: StrengthAccount, errors: Sequence[ErrorEstimate]) -> str:
+    """A sentence where some S holds the other points more still than G is known by its ``errors``, else empty.
+
+    1/S is their mean motion over the target's: drives that were made on this G cannot keep it on one that differs by
+    more. The interval of S does not say so, as it aims anew at each G.
+    """
+    error, best = total_error(errors), float(np.nanmax(account.value, initial=0.0))
+    if not error > 0 or not best * error > 1:
+        return ""
+    m, t = np.unravel_index(int(np.nanargmax(account.value)), account.value.shape)
+    return (
+        f"S of {account.methods[m]} towards {account.targets[t]} is {best:.3g}: the others are held stiller "
+        f"({1 / best:.2g} of the target's motion) than G is known ({error:.2g}). On the arm's own G these drives keep "
+        "less: play them on another one to see how much (`forearm-fem compare`)"
+    )
 
 
 def _plain(value: float) -> float | None:
