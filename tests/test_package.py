@@ -17,7 +17,7 @@ import forearm_fem
 from forearm_fem.campaign.model import load_campaign
 from forearm_fem.design.model import load_design
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario, scenario_file, scenario_template
-from forearm_fem.scenario.shipped import shipped_folder, shipped_scenarios
+from forearm_fem.scenario.shipped import scenario_beside, shipped_folder, shipped_scenarios
 from forearm_fem.study.run import Prepared
 
 HOME = Path(__file__).parents[1]
@@ -37,6 +37,9 @@ def test_a_file_of_ones_own_wins_over_a_shipped_name(tmp_path, monkeypatch):
     assert scenario_file("thesis") == Path("thesis")
     assert scenario_file("quick.toml") == Path("quick.toml")  # a file that is missing is not replaced silently
     assert scenario_file("no-such") == Path("no-such")
+    (tmp_path / "quick").mkdir()  # as a folder of results may be called
+    assert scenario_file("quick").name == "quick.toml"
+    assert scenario_beside(tmp_path, "quick").name == "quick.toml"
 
 
 def test_files_that_name_a_scenario_find_shipped_ones_and_prefer_their_own(tmp_path):

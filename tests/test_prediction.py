@@ -21,6 +21,7 @@ from forearm_fem.io.jsonfiles import read_json
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
+from forearm_fem.prediction import store
 from forearm_fem.prediction.arm import Answer, LayeredArm, arm_model
 from forearm_fem.prediction.draws import draw_inputs, moved_points, scenario_of
 from forearm_fem.prediction.measuring import noisy
@@ -115,6 +116,24 @@ def test_finished_draws_are_not_made_again_and_other_questions_are_not_taken(
         with pytest.raises(DataError, match="another question"):
             read_outcomes(folder / FILE, other.digest)
     assert whole.reused == 0
+
+
+def test_draws_of_an_early_version_are_told_from_damaged_ones(
+    found: tuple[Prediction, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def save_as_then(path: Path, variables: dict[str, Any], attributes: dict[str, str]) -> None:
+        save(path, {k: v for k, v in variables.items() if k != "spread"}, attributes)
+
+    save = store.save
+    monkeypatch.setattr(store, "save", save_as_then)
+    whole, folder = found
+    outcomes = read_outcomes(folder / FILE)
+    bins = frequencies(question().scenario.sweep)
+    store.write_outcomes(
+        tmp_path / FILE, outcomes, whole.draws.methods, whole.draws.targets, question().digest, bins
+    )
+    with pytest.raises(DataError, match=r"version before 0\.16; run `forearm-fem predict` again"):
+        read_outcomes(tmp_path / FILE)
 
 
 def test_draws_of_another_question_are_moved_not_lost(found: tuple[Prediction, Path], tmp_path: Path) -> None:

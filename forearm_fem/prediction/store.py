@@ -65,11 +65,14 @@ def write_outcomes(
 
 
 def read_outcomes(path: Path, digest: str | None = None) -> list[Outcome]:
-    """What :func:`write_outcomes` wrote; DataError if damaged, or of another question than ``digest``."""
+    """What :func:`write_outcomes` wrote; DataError if damaged, of an early version, or of another question than
+    ``digest``."""
 
     def unpack(dataset: xr.Dataset) -> list[Outcome]:
         if digest is not None and dataset.attrs["question"] != digest:
             raise DataError("holds draws of another question")
+        if "spread" not in dataset:
+            raise DataError("holds draws of a version before 0.16; run `forearm-fem predict` again")
         names, laws, problems = (text(dataset[k].values) for k in ("driver", "law", "problem"))
         rows = zip(
             dataset["draw"].values, laws, dataset["S"].values, dataset["drivers"].values, dataset["numerics"].values,

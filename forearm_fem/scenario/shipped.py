@@ -21,7 +21,7 @@ def shipped_scenarios() -> tuple[str, ...]:
 def scenario_file(given: str | Path) -> Path:
     """``given`` where it is a file or looks like one, else the file of the shipped scenario of that name."""
     file = Path(given)
-    if file.exists() or file.suffix or len(file.parts) != 1 or file.name not in shipped_scenarios():
+    if file.is_file() or file.suffix or len(file.parts) != 1 or file.name not in shipped_scenarios():
         return file
     return shipped_folder("scenarios") / f"{file.name}.toml"
 
@@ -29,6 +29,6 @@ def scenario_file(given: str | Path) -> Path:
 def scenario_beside(folder: Path, named: str) -> Path:
     """The scenario that a file in ``folder`` names: the file there, else the shipped scenario of that name."""
     beside = folder / named
-    if beside.exists() or named not in shipped_scenarios():
+    if beside.is_file() or named not in shipped_scenarios():
         return beside
     return shipped_folder("scenarios") / f"{named}.toml"
