@@ -17,8 +17,11 @@ __all__ = [
     "ScenarioError",
     "SolverError",
     "one_sentence",
+    "optional",
 ]
 
+from importlib import import_module
+from typing import Any
 
 LONGEST_SENTENCE = 300  # characters of a message
 
@@ -85,6 +88,14 @@ class MissingExtra(ForearmError):
         super().__init__(
             f"{purpose} needs the package '{package}'; install it with: python3 -m pip install 'forearm-fem[{extra}]'"
         )
+
+
+def optional(module: str, extra: str, purpose: str, *, package: str = "") -> Any:
+    """The ``module`` that ``purpose`` needs; MissingExtra names ``package`` and its ``extra`` where it is missing."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingExtra(package or module, extra, purpose) from None
 
 
 class AccuracyWarning(UserWarning):

@@ -33,9 +33,8 @@ ComplianceOf = Callable[[Scenario], Compliance]
 class ScenarioModel:
     """Maps dotted scenario keys, e.g. ``tissues.override.skin.mu`` or ``device.coil.moving_mass``, to G.
 
-    ``compliance_of`` computes the skin (layered twin, reduced model, full FE); it is called only when a key
-    outside ``device`` changes, for the actuators are closed around it at no cost. The last ``memory`` skins
-    are kept.
+    ``compliance_of`` computes the skin (layered twin, reduced model, full FE); it is called only when a key outside
+    ``device`` changes, for the actuators are closed around it at no cost. The last ``memory`` skins are kept.
     """
 
     def __init__(self, scenario: Scenario, compliance_of: ComplianceOf, memory: int = 64) -> None:
@@ -46,8 +45,10 @@ class ScenarioModel:
 
     def scenario(self, values: Mapping[str, float]) -> Scenario:
         """The scenario with ``values`` set; ScenarioError for an unknown key."""
-        data = _with(self._base, values)
-        return parse_scenario(data, origin="fit")
+        result: Any = dict(self._base)
+        for key, value in values.items():
+            result = _put(result, key.split("."), value, key)
+        return parse_scenario(result, origin="fit")
 
     def __call__(self, values: Mapping[str, float]) -> TransferMatrix:
         """G at ``values``."""
@@ -63,16 +64,6 @@ class ScenarioModel:
 def _lumped(key: str) -> bool:
     """Keys that do not change the skin: coil, cone mass and housing (the cone's radius does)."""
     return key.startswith(("device.coil.", "device.housing.")) or key == "device.cone.mass"
-
-
-def _with(data: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
-    """A copy of nested ``data`` with dotted keys set; numbers count list positions
-    (limb.layers.0.thickness).
-    """
-    result: Any = dict(data)
-    for key, value in values.items():
-        result = _put(result, key.split("."), value, key)
-    return dict(result)
 
 
 def _put(data: Any, path: list[str], value: float, key: str) -> Any:

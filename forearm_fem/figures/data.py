@@ -158,9 +158,8 @@ class Results:
         field = load_wavefield(self.path("wavefield.npz"))
         if len(field.modes) != len(self.field_mesh.points):
             raise DataError(
-                f"{self.folder}: wavefield.npz has {len(field.modes)} points, mesh.vtu "
-                f"{len(self.field_mesh.points)} with its skin's middles; they are of different runs, "
-                f"{self.remedy('wavefield.npz')} anew"
+                f"{self.folder}: wavefield.npz has {len(field.modes)} points, mesh.vtu {len(self.field_mesh.points)} "
+                f"with its skin's middles; they are of different runs, {self.remedy('wavefield.npz')} anew"
             )
         return field
 

@@ -81,9 +81,8 @@ def plot_impedance(data: ImpedanceCurves, *, ax: Axes | None = None) -> FigureBa
 class DriveLevels:
     """Drives of one target over time, and peak and power of all targets against the limits.
 
-    ``signals`` (n_method, n_in, n_t) in ``unit`` at ``time`` (n_t,) [s]; ``peak`` and ``power``
-    (n_method, n_target): the most loaded actuator's peak [unit] and mean power [W]; limits are NaN where the drive is
-    no voltage.
+    ``signals`` (n_method, n_in, n_t) in ``unit`` at ``time`` (n_t,) [s]; ``peak`` and ``power`` (n_method, n_target):
+    the most loaded actuator's peak [unit] and mean power [W]; limits are NaN where the drive is no voltage.
     """
 
     target: str

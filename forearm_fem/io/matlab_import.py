@@ -1,6 +1,4 @@
-"""Other people's G in MATLAB files: version 5 (scipy) and 7.3, which is HDF5 (h5py); any names, any order
-of axes.
-"""
+"""Other people's G in MATLAB files: version 5 (scipy) and 7.3, which is HDF5 (h5py); any names, any order of axes."""
 
 from __future__ import annotations
 
@@ -76,11 +74,11 @@ def _version5(file: Path) -> dict[str, Any]:
 
 def _hdf5(file: Path) -> dict[str, Any]:
     with h5py.File(file, "r") as content:
-        return {k: _array(v) for k, v in content.items() if isinstance(v, h5py.Dataset) and _numeric(v.dtype)}
-
-
-def _numeric(dtype: Any) -> bool:
-    return bool(dtype.kind in "fciu" or dtype.names == ("real", "imag"))
+        return {
+            k: _array(v)
+            for k, v in content.items()
+            if isinstance(v, h5py.Dataset) and bool(v.dtype.kind in "fciu" or v.dtype.names == ("real", "imag"))
+        }
 
 
 def _array(dataset: Any) -> Any:
@@ -127,8 +125,7 @@ def write_mat73(
     """G [m/V] in the MATLAB 7.3 layout (HDF5): ``G`` with ``axes`` in MATLAB's order, ``frequency_Hz``,
     ``valid``; exact.
 
-    MATLAB's own `load` wants a 512-byte header that h5py writes as a user block; `matfile` and `h5read`
-    need neither.
+    MATLAB's own `load` wants a 512-byte header that h5py writes as a user block; `matfile` and `h5read` need neither.
     """
     memory = io.BytesIO()
     with h5py.File(memory, "w", userblock_size=512) as content:

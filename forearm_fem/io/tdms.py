@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import DataError, MissingExtra
+from ..errors import DataError, MissingExtra, optional
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .atomic import atomic_path, write_bytes
@@ -26,8 +26,7 @@ _GROUP = "G"
 
 
 def write_tdms(path: str | Path, transfer: TransferMatrix) -> None:
-    """Group ``G``: ``frequency`` and per entry the channels re, im, valid and deviation, named
-    output<-input; exact.
+    """Group ``G``: ``frequency`` and per entry the channels re, im, valid and deviation, named output<-input; exact.
 
     Unit, convention and ports stand in the group's properties. Error estimates, ``contacts`` and provenance
     are not carried: transfer.nc has them. What is written is read back and compared.
@@ -124,10 +123,7 @@ def _complaints() -> Iterator[list[logging.LogRecord]]:
 
 
 def _nptdms() -> Any:
-    try:
-        return importlib.import_module("nptdms")
-    except ImportError:
-        raise MissingExtra("npTDMS", "tdms", "reading and writing TDMS files") from None
+    return optional("nptdms", "tdms", "reading and writing TDMS files", package="npTDMS")
 
 
 def _open(file: Path) -> Any:
@@ -196,8 +192,7 @@ def read_sweep_tdms(
     drive_is_measured: bool = False,
     full_scale: float = float("inf"),
 ) -> Recording:
-    """A raw sweep as a Recording: ``drive`` and ``response`` are "group/channel" [V], ``period`` samples
-    long each.
+    """A raw sweep as a Recording: ``drive`` and ``response`` are "group/channel" [V], ``period`` samples long each.
 
     The first whole periods are taken as they come: leave a lead-in period out when recording, or cut it. With
     ``drive_is_measured`` the drive channel is a loopback. Both channels must have the same increment
@@ -209,9 +204,8 @@ def read_sweep_tdms(
         (x, dx), (y, dy) = (_waveform(file, content, name) for name in (drive, response))
         if dx != dy or len(x) != len(y):
             raise DataError(
-                f"{file}: '{drive}' has {len(x)} samples every {dx:g} s, "
-                f"'{response}' {len(y)} every {dy:g} s; "
-                "they must be recorded on one clock"
+                f"{file}: '{drive}' has {len(x)} samples every {dx:g} s, '{response}' {len(y)} every {dy:g} s; they "
+                "must be recorded on one clock"
             )
         repeats = len(x) // period if period > 0 else 0
         if repeats < 1:
@@ -248,8 +242,7 @@ def _waveform(file: Path, content: Any, name: str) -> tuple[FloatArray, float]:
 
 
 def write_sweep_tdms(path: str | Path, recording: Recording) -> None:
-    """Group ``sweep``: channels ``drive`` (or ``loopback``) and ``response`` of all repeats [V], as
-    waveforms; exact.
+    """Group ``sweep``: channels ``drive`` (or ``loopback``) and ``response`` of all repeats [V], as waveforms; exact.
     """
     tdms = _nptdms()
     properties = {"wf_increment": 1 / recording.sample_rate, "wf_start_offset": 0.0, "unit_string": "V"}

@@ -17,8 +17,7 @@ from .seal import BLANK, check_seals, sealed
 
 
 def write_wav_drives(path: str | Path, signals: FloatArray, sample_rate: float) -> None:
-    """``signals`` (n_in, n) [V] as 64-bit floating point samples, whose value is the voltage: exact,
-    nothing is scaled.
+    """``signals`` (n_in, n) [V] as 64-bit floating point samples, whose value is the voltage: exact, nothing is scaled.
 
     Players take 1.0 for their full scale, so set the amplifier accordingly. Raises DataError for samples
     that are not finite and for a rate that is no whole number [Hz], which WAV cannot hold.
@@ -52,9 +51,7 @@ def _commented(content: bytes) -> bytes:
 
 
 def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tuple[FloatArray, float]:
-    """Signals (n_in, n) [V] and the sample rate [Hz]. Integer samples need ``full_scale`` [V]: it is never
-    guessed.
-    """
+    """Signals (n_in, n) [V] and the sample rate [Hz]. Integer samples need ``full_scale`` [V]: it is never guessed."""
     file = Path(path)
     if not file.is_file():
         raise DataError(f"{file}: no such file")

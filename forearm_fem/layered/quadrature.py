@@ -1,10 +1,9 @@
 r"""Product integration of a smooth kernel against oscillating Bessel weights.
 
-:math:`\int f(k)\,B(k)\,dk` with :math:`B = \frac1{2\pi}g_a(k)g_b(k)J_q(kd)` for many columns at once: on a
-panel f is interpolated at Gauss-Legendre nodes, f = sum c_m P_m, and the moments of P_m against B are found
-once by a dense rule that never sees f. So the number of kernel evaluations follows the kernel, not the
-oscillation, and all distances and frequencies share them as matrix products. Panels are dyadic, so their
-weights are cached and shared by all frequencies.
+:math:`\int f(k)\,B(k)\,dk` with :math:`B = \frac1{2\pi}g_a(k)g_b(k)J_q(kd)` for many columns at once: on a panel f is
+interpolated at Gauss-Legendre nodes, f = sum c_m P_m, and the moments of P_m against B are found once by a dense rule
+that never sees f. So the number of kernel evaluations follows the kernel, not the oscillation, and all distances and
+frequencies share them as matrix products. Panels are dyadic, so their weights are cached and shared by all frequencies.
 
 The path is k(x) = x on the real axis or k(x) = x + i s tanh(x/s), above the poles of outgoing waves, which
 lie just below the axis when losses are small.

@@ -98,12 +98,11 @@ def render_all(
 ) -> Rendering:
     """Every renderer of ``methods`` at every target: drives, displacements, S and the drives' report.
 
-    ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet``
-    the 250 Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window),
-    or "record", the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first.
-    ``progress`` is called after each. Warns (AccuracyWarning) when more than 10 % of the
-    wavelet's energy falls on bins where G is unknown. Raises ScenarioError for two methods of one name or a
-    target given twice, and as :func:`drives`.
+    ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet`` the 250
+    Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window), or "record",
+    the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first. ``progress`` is
+    called after each. Warns (AccuracyWarning) when more than 10 % of the wavelet's energy falls on bins where G is
+    unknown. Raises ScenarioError for two methods of one name or a target given twice, and as :func:`drives`.
     """
     targets = tuple(targets) if targets is not None else tuple(p.name for p in transfer.outputs)
     methods = tuple(methods) if methods is not None else thesis_renderers()

@@ -68,7 +68,6 @@ def _check_overlap(layout: Layout) -> None:
         apart = float(np.linalg.norm(pa - pb))
         if apart < 2.1 * layout.radius:
             raise GeometryError(
-                f"contacts {a} and {b} are {apart * 1e3:.3g} mm apart, but discs of radius "
-                f"{layout.radius * 1e3:.3g} mm need {2.1 * layout.radius * 1e3:.3g} mm; "
-                "increase device.spacing or reduce device.cone.radius"
+                f"contacts {a} and {b} are {apart * 1e3:.3g} mm apart, but discs of radius {layout.radius * 1e3:.3g} "
+                f"mm need {2.1 * layout.radius * 1e3:.3g} mm; increase device.spacing or reduce device.cone.radius"
             )

@@ -188,8 +188,7 @@ def _long_skin_edges(mesh: TissueMesh, size: Callable[[FloatArray], FloatArray])
 
 
 def _unspoilt(mesh: TissueMesh, middles: FloatArray) -> TissueMesh:
-    """Newest vertices put back to the ``middles`` (k, 3) of their edges where moving them flattens an
-    element."""
+    """Newest vertices put back to the ``middles`` (k, 3) of their edges where moving them flattens an element."""
     points = mesh.points.copy()
     start = len(points) - len(middles)
     points[start:] = middles

@@ -33,8 +33,7 @@ _PER_WIDTH = 0.25  # edge length over the smallest extent of an inner body
 
 @dataclass(frozen=True)
 class ClosedSurface:
-    """A closed triangulated surface with outward normals; everything inside belongs to ``tissue`` or deeper
-    ones."""
+    """A closed triangulated surface with outward normals; everything inside belongs to ``tissue`` or deeper ones."""
 
     tissue: str
     vertices: FloatArray
