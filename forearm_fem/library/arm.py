@@ -25,12 +25,12 @@ from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
 from ..transfer import Compliance, ErrorEstimate
-from ..typing import ComplexArray, FloatArray
+from ..typing import BoolArray, ComplexArray, FloatArray
 from .bands import Bands
 from .between import Lattice, Prior, Shape, shape_of
 from .flat_bells import flat_compliance
 from .hold import deviation_held, held
-from .limb import Limb
+from .limb import Limb, real_product
 from .skin import FlatSkin, flat_skin
 from .stated import stated_errors, tilt_error
 
@@ -39,6 +39,30 @@ _TILT = 5e-4  # [m] either way, for slopes of what is interpolated
 WIDTH = 0.4  # of a bell, in steps of the lattice
 _SPREAD, _LEAST, _NOISE = 0.7, 60.0, 1e-6  # kappa in shortest wavenumbers, and [1/m]; docs/decisions/0037-library.md
 _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its library
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One part of the band: its ``number``, which frequencies are ``mine``, the ``weights`` (n + 2 s, q) of bells, the
+    ``flat`` twin (n_node, q, q) between these, the variance that is ``known``."""
+
+    number: int
+    mine: BoolArray
+    weights: FloatArray
+    flat: ComplexArray
+    known: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What a scenario asks of any limb: ports at flat ``places``, those ``gripped``, their flat ``twin``."""
+
+    ports: tuple[Port, ...]
+    frequency: FloatArray
+    places: FloatArray
+    gripped: list[int]
+    twin: LayeredResult
+    parts: tuple[_Part, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +107,13 @@ class ArmLibrary:
         Raises ScenarioError for another arm, radius, contact or band, GeometryError for places off the patch.
         Entries between points are NaN: no device drives there.
         """
-        return self._answer(scenario, self.fine, with_errors=True)
+        return self._stated(self._asked(scenario))
 
     def solved(self, scenario: Scenario) -> Solved:
         """The same as the solver's result, with the second mesh and the freed ends for the other errors."""
-        fine = self.compliance(scenario)
-        coarse = None if self.coarse is None else self._answer(scenario, self.coarse)
-        freed = None if self.freed is None else self._answer(scenario, self.freed)
+        asked = self._asked(scenario)
+        fine = self._stated(asked)
+        coarse, freed = (None if limb is None else self._answer(asked, limb)[0] for limb in (self.coarse, self.freed))
         if coarse is not None:
             coarse = replace(coarse, provenance={"ratio": self.ratio})
         unknown = () if coarse is not None else (
@@ -98,34 +122,48 @@ class ArmLibrary:
         empty = np.zeros((0, 3, 0)), np.zeros((len(fine.frequency), 0, 0), dtype=complex)
         return Solved(fine, coarse, freed, *empty, SolutionRecord(solver="library"), unknown)
 
-    def _answer(self, scenario: Scenario, limb: Limb, *, with_errors: bool = False) -> Compliance:
+    def _asked(self, scenario: Scenario) -> _Asked:
         ports, frequency = self.ports(scenario), frequencies(scenario.sweep)
         self._check_band(frequency)
         places = self.skin.flat(positions(ports))
         gripped = [i for i, port in enumerate(ports) if port.kind == "contact" and len(self.sideways)]
-        flat = self._flat_discs(ports, places, frequency)
-        part, carry = self.bands.number(frequency), self.bands.between(frequency)
-        free, deviation = flat.values.copy(), np.zeros(flat.values.shape if with_errors else (0,))
-        slope = np.zeros((len(frequency), len(ports), 2 * len(gripped) if with_errors else 0), dtype=complex)
-        for b in np.unique(part):
-            mine = part == b
+        twin, number, parts = self._flat_discs(ports, places, frequency), self.bands.number(frequency), []
+        for b in np.unique(number):
             weights, known = self._weights(int(b), ports, places, gripped)
-            if slope.size:
+            if gripped:
                 weights = np.hstack([weights, self._slopes(int(b), places[gripped])])
-            apart = limb.between(frequency[mine], weights)
-            apart -= np.einsum("fn,nij->fij", carry[mine], weights.T @ self._flat_bells[b] @ weights)
-            free[mine] += apart[:, : free.shape[1], : free.shape[1]]
-            if with_errors:
-                slope[mine] = apart[:, : len(ports), free.shape[1] :]
-                deviation[mine] = self._deviation(int(b), places, gripped, known)
-        values, hold = held(0.5 * (free + free.swapaxes(1, 2)), len(ports))
-        found = Compliance(frequency, values, ports)
-        if not with_errors:
-            return found
-        beside = 0.25 * (self.twin.radius * self.skin.curvature) ** 2 + self._tilt(found, flat.values, slope)
-        reduction = np.interp(frequency, self.reduction[0], self.reduction[1])
+            seen = real_product(weights.T, self._flat_bells[b]) @ weights
+            parts.append(_Part(int(b), number == b, weights, seen, known))
+        return _Asked(ports, frequency, places, gripped, twin, tuple(parts))
+
+    def _answer(
+        self, asked: _Asked, limb: Limb, *, slopes: bool = False
+    ) -> tuple[Compliance, ComplexArray, ComplexArray]:
+        """C through ``limb``; what holding the discs takes, B; and with ``slopes`` those of the difference."""
+        p, m = len(asked.ports), asked.twin.values.shape[1]
+        free, carry = asked.twin.values.copy(), self.bands.between(asked.frequency)
+        slope = np.zeros((len(free), p, 2 * len(asked.gripped) if slopes else 0), dtype=complex)
+        wanted = _wanted(asked.ports, m, slope.shape[2])
+        for part in asked.parts:
+            mine, q = part.mine, len(wanted)
+            apart = limb.between(asked.frequency[mine], part.weights[:, :q], wanted)
+            apart -= np.einsum("fn,nij->fij", carry[mine], part.flat[:, :q, :q])
+            free[mine] += apart[:, :m, :m]
+            slope[mine] = apart[:, :p, m:]
+        values, hold = held(0.5 * (free + free.swapaxes(1, 2)), p)
+        return Compliance(asked.frequency, values, asked.ports), hold, slope
+
+    def _stated(self, asked: _Asked) -> Compliance:
+        """C of the finer mesh with what is stated of interpolation, twin, contacts and reduction."""
+        found, hold, slope = self._answer(asked, self.fine, slopes=True)
+        deviation = np.zeros(asked.twin.values.shape)
+        for part in asked.parts:
+            deviation[part.mine] = self._deviation(part.number, asked.places, asked.gripped, part.known)
+        beside = 0.25 * (self.twin.radius * self.skin.curvature) ** 2 + self._tilt(found, asked.twin.values, slope)
+        reduction = np.interp(asked.frequency, self.reduction[0], self.reduction[1])
         spread = deviation_held(deviation, hold)
-        return replace(found, errors=stated_errors(found, spread, flat.error, beside, reduction, self.twin.contact))
+        stated = stated_errors(found, spread, asked.twin.error, beside, reduction, self.twin.contact)
+        return replace(found, errors=stated)
 
     def _slopes(self, part: int, places: FloatArray) -> FloatArray:
         """Weights (n + 2 s, 2 c) [1/m] of bells for the slopes, along u, then v, of what discs at ``places`` see."""
@@ -256,6 +294,16 @@ class ArmLibrary:
                         f"grid point {port.name} lies under the pressed disc {disc.name}, which a library does not "
                         "answer for; move one of them, or make the library with device.cone.contact = 'bonded'"
                     )
+
+
+def _wanted(ports: tuple[Port, ...], m: int, slopes: int) -> BoolArray:
+    """Pairs (m + slopes, m + slopes) that an answer reads: discs, let go or not, with each other and with points; their
+    ``slopes`` with what ports see."""
+    along, q, p = np.arange(m + slopes), m + slopes, len(ports)
+    point = np.array([port.kind == "point" for port in ports] + [False] * (q - p))
+    wanted = (along < m)[:, None] & (along < m) & ~(point[:, None] & point)
+    wanted[:p, m:] = True
+    return np.asarray(wanted)
 
 
 def library_band(scenario: Scenario) -> tuple[float, float]:

@@ -141,7 +141,11 @@ class Expander:
         """
         most, rate = self._options.rate_derivatives, expansion_rate(frequency)
         stored = self._store.chunks() if self._store is not None else ()
-        space = RateSpace(self._ready(float(frequency[-1])), self.model.functionals, rate, stored)
+        tell(progress, "ordering", 0, 1)
+        solver = self._ready(float(frequency[-1]))
+        tell(progress, "ordering", 1, 1)
+        space = RateSpace(solver, self.model.functionals, rate, stored)
+        tell(progress, "derivatives", 0, most)
         reduced, derivatives = empty_model(self.model), 0
         for number in range(-(-most // _AT_ONCE)):
             chunk = stored[number] if number < len(stored) else space.more(min(_AT_ONCE, most - derivatives))
