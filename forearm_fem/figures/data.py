@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+from .. import __version__
 from ..errors import DataError
 from ..geometry.limb.bending import with_bends
 from ..geometry.mesh.files import read_mesh
@@ -203,7 +203,7 @@ class Results:
     @property
     def version(self) -> str:
         """The version that made the results, or failing that the one reading them."""
-        return self.account.program or _installed()
+        return self.account.program or __version__
 
     @cached_property
     def mesh_hash(self) -> str:
@@ -225,10 +225,3 @@ class Results:
             return reader(file)
         except DataError as problem:
             raise DataError(f"{problem}; {self.remedy(name)} anew") from None
-
-
-def _installed() -> str:
-    try:
-        return metadata.version("forearm-fem")
-    except metadata.PackageNotFoundError:
-        return "unknown"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +14,7 @@ import numpy as np
 import xarray as xr
 from xarray.backends import H5NetCDFStore
 
+from .. import __version__
 from ..errors import DataError
 from ..ports import Port, positions
 from .atomic import write_bytes
@@ -33,7 +33,7 @@ def save(path: str | Path, variables: Variables, attributes: Mapping[str, str]) 
     """
     dataset = xr.Dataset({name: xr.Variable(*parts) for name, parts in variables.items()})
     made = {"format_version": FORMAT_VERSION, "time_convention": TIME_CONVENTION}
-    described = dataset.assign_attrs({**made, "written_by": f"forearm_fem {_version()}", **attributes})
+    described = dataset.assign_attrs({**made, "written_by": f"forearm_fem {__version__}", **attributes})
     coordinates = [name for name in described.variables if str(name) in described.dims]
     encoding = {name: _encoding(variable) for name, variable in described.variables.items()}
     memory = io.BytesIO()
@@ -70,13 +70,6 @@ def _checked(dataset: xr.Dataset, content: str) -> xr.Dataset:
     if version != FORMAT_VERSION:
         raise DataError(f"written in format {version}, this version reads {FORMAT_VERSION}")
     return dataset
-
-
-def _version() -> str:
-    try:
-        return metadata.version("forearm-fem")
-    except metadata.PackageNotFoundError:
-        return "(not installed)"
 
 
 def _encoding(variable: xr.Variable) -> dict[str, Any]:

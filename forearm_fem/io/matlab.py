@@ -17,7 +17,8 @@ from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray, IntArray
 from .atomic import write_bytes
 from .dataset import TIME_CONVENTION, labels, provenance_json
-from .seal import BLANK, check_seals, sealed
+from .reading import reading
+from .seal import BLANK, sealed
 
 _TEXT, _HEADER = 116, 128  # bytes of a MATLAB file: of its header the text, and all
 _NOTE = (
@@ -59,16 +60,8 @@ def write_thesis_mat(
 def read_thesis_mat(path: str | Path) -> TransferMatrix:
     """The positive, excited bins of a file by :func:`write_thesis_mat`; DataError if missing or damaged."""
     file = Path(path)
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
-    try:
-        content = file.read_bytes()
-        check_seals(content)
-        return _unpack(loadmat(io.BytesIO(content), chars_as_strings=True))
-    except DataError as problem:
-        raise DataError(f"{file}: {problem}") from None
-    except Exception as problem:  # damaged MAT files fail in ways that scipy does not list
-        raise DataError(f"{file}: damaged, or not a G written by forearm_fem ({problem})") from problem
+    with reading(file, "damaged, or not a G written by forearm_fem ({why})"):
+        return _unpack(loadmat(file, appendmat=False, chars_as_strings=True))
 
 
 def mat5(variables: dict[str, Any], *, compressed: bool = False) -> bytes:

@@ -18,7 +18,8 @@ from ..typing import BoolArray, FloatArray
 from .atomic import atomic_path, write_bytes
 from .declaration import Axis, Declaration, RawMatrix, RecognitionWarning
 from .matlab import mat5, stamped
-from .seal import BLANK, check_seals, sealed
+from .reading import reading
+from .seal import BLANK, sealed
 
 _VERSION_AT = 116  # where the header's text ends and what MATLAB knows the version by begins
 _NAMES = ("frequency_Hz", "frequency", "freq", "f", "F", "freqs", "f_Hz")
@@ -51,17 +52,10 @@ def _mask(file: Path, variables: Mapping[str, Any], name: str | None, shape: tup
 
 def read_variables(file: Path) -> dict[str, Any]:
     """All numeric arrays of a MATLAB file in MATLAB's order of axes."""
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            check_seals(file.read_bytes())
-            found = _hdf5(file) if h5py.is_hdf5(file) else _version5(file)
-    except DataError as problem:
-        raise DataError(f"{file}: {problem}") from None
-    except Exception as problem:  # scipy and h5py list no errors for damage
-        raise DataError(f"{file}: damaged, cut short or not a MATLAB file; save or copy it again") from problem
+    told = "damaged, cut short or not a MATLAB file; save or copy it again"
+    with reading(file, told), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = _hdf5(file) if h5py.is_hdf5(file) else _version5(file)
     if not found:
         raise DataError(f"{file}: holds no numeric arrays; save G as a plain array, not inside a structure or object")
     return found

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import DataError, MissingExtra, optional
+from ..errors import DataError, optional
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .atomic import atomic_path, write_bytes
 from .declaration import RawMatrix, port_from
+from .reading import reading
 from .recording import Recording
 from .seal import BLANK, check_seals, sealed
 
@@ -89,16 +90,10 @@ def read_tdms(path: str | Path) -> RawMatrix:
 
 
 def _guarded(file: Path, read: Any) -> Any:
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            return read(file)
-    except (DataError, MissingExtra):
-        raise
-    except Exception as problem:  # npTDMS raises ValueError, struct errors, KeyError, UnicodeDecodeError
-        raise DataError(f"{file}: damaged, cut short or not a TDMS file; copy it again") from problem
+    told = "damaged, cut short or not a TDMS file; copy it again"
+    with reading(file, told, seals=False), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return read(file)
 
 
 @contextmanager

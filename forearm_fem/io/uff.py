@@ -16,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import DataError, MissingExtra, optional
+from ..errors import DataError, optional
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .atomic import atomic_path
 from .declaration import RawMatrix, port_from
-from .seal import BLANK, check_seals, sealed
+from .reading import reading
+from .seal import BLANK, sealed
 
 _MARK = "forearm_fem e^{+i omega t}"
 _DEVIATION = "standard deviation"
@@ -49,7 +50,7 @@ def write_uff(path: str | Path, transfer: TransferMatrix) -> None:
         blocks += _entry(transfer, valid[:, o, i], o, i)
     with atomic_path(path) as beside:
         beside.write_bytes(sealed(b"".join([*blocks, _END_SEAL])))
-        _compare(path, transfer, valid, _guarded(beside))
+        _compare(path, transfer, valid, read_uff(beside))
 
 
 def read_uff(path: str | Path) -> RawMatrix:
@@ -58,26 +59,9 @@ def read_uff(path: str | Path) -> RawMatrix:
     Entries may have different abscissae: the union is taken and what an entry lacks is marked. Nodes become outputs and
     inputs in the order of their numbers. Raises DataError for damage, cut-off data, and files without FRFs.
     """
-    return _guarded(Path(path))
-
-
-def _guarded(file: Path) -> RawMatrix:
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
-    try:
-        check_seals(file.read_bytes())
-    except DataError as problem:
-        raise DataError(f"{file}: {problem}") from None
-    try:
+    file = Path(path)
+    with reading(file, "damaged or not a universal file ({why})"):
         return _read(file)
-    except (DataError, MissingExtra):
-        raise
-    except Exception as problem:  # pyuff raises plain Exception for whatever goes wrong
-        raise DataError(f"{file}: damaged or not a universal file ({_short(problem)})") from problem
-
-
-def _short(problem: Exception) -> str:
-    return " ".join(str(problem).split())[:120] or type(problem).__name__
 
 
 def _pyuff() -> Any:
