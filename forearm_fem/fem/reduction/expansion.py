@@ -15,6 +15,7 @@ from ...scenario.sweep import SolverOptions
 from ...typing import ComplexArray, FloatArray, IntArray
 from ..assembly.coefficients import is_polynomial
 from ..assembly.model import ForearmModel
+from ..kernels.heap import give_back
 from ..linear.direct import DirectSolver, make_solver, watched
 from .bounds import ResidualBound, sharp_modes
 from .certificate import DOUBTFUL, Certificate, Doubt, doubt, largest_change, most_doubtful_bin
@@ -101,6 +102,7 @@ class Expander:
         """Direct solutions without derivatives, taken from a stored expansion where there is one."""
         if self._store is not None and (stored := self._store.get(frequency)) is not None:
             return stored
+        self.model.operator.forget_products()  # complex factors need the room first; made again in a second or two
         solution = self._ready(frequency).at(frequency)
         error = self._ready(frequency).solve_error(solution)
         return Expansion(frequency, (solution.values,), solution.residual, error)
@@ -210,9 +212,10 @@ class Expander:
         return "" if self._solver is None else self._solver.factor.name
 
     def release(self) -> None:
-        """Give the factor's memory back."""
+        """Give the factor's memory back, to the system, too: the coarser mesh needs less."""
         if self._solver is not None:
             self._solver.factor.release()
+            give_back()
 
     def _ready(self, frequency: float) -> DirectSolver:
         if self._solver is None:
