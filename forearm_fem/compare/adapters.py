@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from ..layered import Layer, layered_compliance
 from ..pipeline.layered_engine import flat_disc, flat_surface
 from ..pipeline.parametric import ParametricModel, parametric_model
 from ..ports import Port
+from ..prediction.two_meshes import ArmMeshes, arm_meshes
 from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
 from ..tissue import Tissue, limb_tissue_keys, resolve_tissues
@@ -116,6 +118,32 @@ def fem_model_for(
 
     Kept in the cache. Raises ScenarioError for parameters that need another mesh, and what solving the scenario raises.
     """
+    return parametric_model(scenario, base=base, draws=_pool(scenario, parameters), progress=progress)
+
+
+def fem_meshes_for(
+    scenario: Scenario, parameters: Sequence[Parameter], *, base: str | Path = ".", progress: Progress | None = None
+) -> ArmMeshes:
+    """The same on a second mesh, which tells what the elements err by; MeshError says why there is none."""
+    return arm_meshes(scenario, base, _pool(scenario, parameters), progress)
+
+
+def fem_compliance_less_error(
+    model: ParametricModel, meshes: ArmMeshes, arm: Scenario, frequency: FloatArray
+) -> ComplianceOf:
+    """:func:`fem_compliance_of` less what the elements err by, as far as the change on the second mesh has its shape
+    and, at each ``frequency`` (n,) [Hz], the size that is stated for an ``arm``."""
+    share = meshes.share(arm, model.compliance(arm, frequency))[:, None, None]
+
+    def compute(scenario: Scenario) -> Compliance:
+        own, other = (m.compliance(scenario, frequency) for m in (model, meshes.second))
+        return replace(own, values=own.values - share * (other.values - own.values))
+
+    return compute
+
+
+def _pool(scenario: Scenario, parameters: Sequence[Parameter]) -> list[Scenario]:
+    """The arms that a fit's finite elements are reduced for, the scene first."""
     skin = [p for p in parameters if not _lumped(p.name) and p.name not in ("scale", "delay")]
     if geometry := [p.name for p in skin if not p.name.startswith("tissues.")]:
         raise ScenarioError(
@@ -128,7 +156,7 @@ def fem_model_for(
         free.scenario({p.name: p.start * _REACH ** (2 * x - 1) for p, x in zip(skin, row, strict=False)})
         for row in places
     ]
-    return parametric_model(scenario, base=base, draws=[scenario, *drawn], progress=progress)
+    return [scenario, *drawn]
 
 
 def _never(scenario: Scenario) -> Compliance:

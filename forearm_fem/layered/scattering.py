@@ -42,6 +42,7 @@ _PAIRS = MappingProxyType(
     }
 )  # fmt: skip
 _NAMES = ("z", "+", "-")
+_AT_ONCE = 4  # frequencies whose systems stay in the cache
 
 
 @dataclass(frozen=True)
@@ -72,57 +73,73 @@ class Galerkin:
 
     def matrix(self, integrals: ComplexArray) -> ComplexArray:
         """A (n_freq, n, n) [m/N] from the integrals (n_freq, n_columns); ring tractions freed of their net force."""
-        n = self.last.size
-        out = np.zeros((integrals.shape[0], n, n), dtype=complex)
-        values = self.factor * integrals[:, self.column]
-        out[:, self.place[0], self.place[1]] = values
-        out[:, self.place[1], self.place[0]] = values
+        n, (i, j) = self.last.size, self.place
+        entry = np.full((n, n), self.column.size)
+        entry[i, j] = entry[j, i] = np.arange(self.column.size)
+        values = np.zeros((integrals.shape[0], self.column.size + 1), dtype=complex)  # the last stands for none
+        np.multiply(self.factor, np.take(integrals, self.column, axis=1), out=values[:, :-1])
+        out = np.take(values, entry.ravel(), axis=1).reshape(-1, n, n)
         for ring, ball in self.rings.T:
             out[:, ring] -= out[:, ball]
             out[:, :, ring] -= out[:, :, ball]
         return out
 
-    def compliance(
-        self, integrals: ComplexArray, *, apart: bool = False, decay: FloatArray | float = 0.9
-    ) -> tuple[ComplexArray, FloatArray]:
+    def compliance(self, integrals: ComplexArray) -> tuple[ComplexArray, FloatArray]:
         """Ports' displacement per force (n_freq, ports, ports) [m/N], and over the largest of them what the series
-        still lack (n_freq,): NaN, unknown, where there are neighbours and no azimuthal orders for them. With ``apart``
-        over the largest of their kind, between discs or from discs to points, whichever lacks more. ``decay`` (n_freq,)
-        is the largest ratio of what one azimuthal order scatters to what the one before does."""
-        a, top = self.matrix(integrals), int(self.order.max())
+        still lack (n_freq,): NaN, unknown, where there are neighbours and no azimuthal orders for them."""
+        a = self.matrix(integrals)
+        by_order = self.by_order(a)[1]
+        return by_order[-1], self.lacking(a, by_order)
+
+    def by_order(self, a: ComplexArray) -> tuple[ComplexArray, list[ComplexArray]]:
+        """From A what ports, and then grips, show (n_freq, ports + 2 r, ports + 2 r), discs let go; and C of held ones
+        (n_freq, ports, ports) with azimuthal orders up to 0, 1, ..., symmetric to the last bit; 0 of a point on itself.
+
+        Orders are eliminated one after another, so that all of this costs no more than the last.
+        """
+        n, grips, found = self.ports, np.concatenate(self.grips), list[ComplexArray]()
+        left = np.concatenate([np.arange(n), grips, np.setdiff1d(np.arange(n, self.order.size), grips)])
+        for order in range(int(self.order.max()) + 1):
+            mine = (self.order[left] == order) & (np.arange(left.size) >= n + grips.size)
+            a = eliminated(a if order else a[:, left[:, None], left], np.flatnonzero(~mine), np.flatnonzero(mine))
+            left = left[~mine]
+            held = n + np.flatnonzero(self.order[left[n : n + grips.size]] <= order)
+            found.append(self._alone(eliminated(a, np.arange(n), held)))
+        return self._alone(a), found
+
+    def lacking(
+        self, a: ComplexArray, by_order: Sequence[ComplexArray], *, apart: bool = False, decay: FloatArray | float = 0.9
+    ) -> FloatArray:
+        """What the series of tractions in A lack (n_freq,) of C, ``by_order`` of :meth:`by_order`, over its largest;
+        with ``apart`` over the largest of their kind, between discs or from discs to points, whichever lacks more.
+        ``decay`` (n_freq,) is the largest ratio of what one azimuthal order scatters to what the one before does."""
         kinds = self.kinds() if apart else (np.ones((self.ports, self.ports), dtype=bool),)
-        whole = self._condensed(a, self.order <= top)
+        whole, top = by_order[-1], len(by_order) - 1
         if self.order.size == self.ports:
-            return whole, np.zeros(len(a))
-        lacking = self.terms / 2 * changed(whole, self._condensed(a, ~self.last), kinds)
+            return np.zeros(len(a))
+        shorter = eliminated(a, np.arange(self.ports), np.flatnonzero(~self.last)[self.ports :])
+        lacking = self.terms / 2 * changed(whole, self._alone(shorter), kinds)
         if top == 0:  # exact of a disc alone; with neighbours nothing tells what leaving out their waves costs
-            return whole, lacking if self.ports == 1 else np.full(len(a), np.nan)
-        lower = self._condensed(a, self.order < top)
-        step = changed(whole, lower, kinds)
+            return lacking if self.ports == 1 else np.full(len(a), np.nan)
+        step = changed(whole, by_order[-2], kinds)
         if top == 1:
-            return whole, lacking + step
-        before = changed(lower, self._condensed(a, self.order < top - 1), kinds)
+            return lacking + step
+        before = changed(by_order[-2], by_order[-3], kinds)
         ratio = np.minimum(decay, step / np.maximum(before, 1e-300))
-        return whole, lacking + step * ratio / (1 - ratio)
+        return np.asarray(lacking + step * ratio / (1 - ratio))
 
-    def compliance_only(self, integrals: ComplexArray) -> ComplexArray:
-        """The first of :meth:`compliance` without judging the series, which costs three solves more."""
-        return self._condensed(self.matrix(integrals), self.order <= int(self.order.max()))
-
-    def free_compliance(self, integrals: ComplexArray) -> ComplexArray:
-        r"""The same of bonded discs let go sideways: after the ports, their net forces along x, then those along y.
+    def free_compliance(self, shown: ComplexArray) -> ComplexArray:
+        r"""C of bonded discs let go sideways, from the first of :meth:`by_order`: after the ports, their net forces
+        along x, then those along y.
 
         A force along x is :math:`t_+=t_-=-1`, along y :math:`t_\pm=\mp i`: tractions have z into the body, where ports
         are positive outward, so that x and y turn round instead. Holding them again by
-        :math:`C_{zz}-C_{zt}C_{tt}^{-1}C_{tz}` gives the first of :meth:`compliance`.
+        :math:`C_{zz}-C_{zt}C_{tt}^{-1}C_{tz}` gives the last of :meth:`by_order`.
         """
-        a, n, r = self.matrix(integrals), self.ports, self.grips.shape[1]
-        shown = np.concatenate([np.arange(n), *self.grips])
-        free = eliminated(a, shown, np.setdiff1d(np.arange(a.shape[1]), shown))
-        free[:, self.points, self.points] = 0
+        n, r = self.ports, self.grips.shape[1]
         one, turned = np.eye(r), np.eye(n + 2 * r, dtype=complex)
         turned[n:, n:] = -np.block([[one, 1j * one], [one, -1j * one]])
-        return np.asarray(turned.T @ free @ turned)
+        return np.asarray(turned.T @ shown @ turned)
 
     def kinds(self) -> tuple[BoolArray, ...]:
         """Entries (ports, ports) between discs, and those between a disc and a point, where there are such."""
@@ -130,11 +147,10 @@ class Galerkin:
         point[self.points] = True
         return entries_by_kind(point)
 
-    def _condensed(self, a: ComplexArray, kept: BoolArray) -> ComplexArray:
-        """A_ii - A_ir A_rr^-1 A_ri over the ``kept`` tractions, symmetric to the last bit; 0 of a point on itself."""
-        whole = eliminated(a, np.arange(self.ports), np.flatnonzero(kept)[self.ports :])
-        whole[:, self.points, self.points] = 0
-        return whole
+    def _alone(self, values: ComplexArray) -> ComplexArray:
+        """The same with 0 of a point on itself."""
+        values[:, self.points, self.points] = 0
+        return values
 
 
 def eliminated(a: ComplexArray, shown: IntArray, hidden: IntArray) -> ComplexArray:
@@ -142,9 +158,11 @@ def eliminated(a: ComplexArray, shown: IntArray, hidden: IntArray) -> ComplexArr
     where ``hidden`` ones are held, or are as no work is done on them."""
     whole = a[:, shown[:, None], shown]
     if hidden.size:
-        coupling = a[:, hidden[:, None], shown]
-        scattered = coupling.swapaxes(1, 2) @ np.linalg.solve(a[:, hidden[:, None], hidden], coupling)
-        whole -= 0.5 * (scattered + scattered.swapaxes(1, 2))
+        for start in range(0, len(a), _AT_ONCE):
+            some = slice(start, start + _AT_ONCE)
+            coupling = a[some, hidden[:, None], shown]
+            scattered = coupling.swapaxes(1, 2) @ np.linalg.solve(a[some, hidden[:, None], hidden], coupling)
+            whole[some] -= 0.5 * (scattered + scattered.swapaxes(1, 2))
     return whole
 
 

@@ -76,10 +76,12 @@ class Tabulated:
         """
         kinds, rows, _ = distinct(discs, discs)
         system = galerkin(kinds, self.surface, terms_of(kinds, self._medium, self._ends), self.orders)
-        found = self._integrals(system)
-        whole = system.free_compliance(found) if free else system.compliance_only(found)
+        a = system.matrix(self._integrals(system))
+        shown, by_order = system.by_order(a)
+        whole = system.free_compliance(shown) if free else by_order[-1]
         judged = np.unique([*range(0, self.omega.size, _FEW), self.omega.size - 1])
-        _, lacking = system.compliance(found[judged], apart=True, decay=self._decay(kinds, self.omega[judged]))
+        some, decay = [c[judged] for c in by_order], self._decay(kinds, self.omega[judged])
+        lacking = system.lacking(a[judged], some, apart=True, decay=decay)
         sampled, _ = chebyshev_between(self.low, self.high, omega, whole)
         n = system.ports
         tails = [chebyshev_between(self.low, self.high, omega, whole[:, :n, :n][:, kind])[1] for kind in system.kinds()]
