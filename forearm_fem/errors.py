@@ -16,6 +16,7 @@ __all__ = [
     "ReductionError",
     "ScenarioError",
     "SolverError",
+    "first_problem",
     "one_sentence",
     "optional",
 ]
@@ -88,6 +89,13 @@ class MissingExtra(ForearmError):
         super().__init__(
             f"{purpose} needs the package '{package}'; install it with: python3 -m pip install 'forearm-fem[{extra}]'"
         )
+
+
+def first_problem(problem: Any, whole: str) -> str:
+    """Key (else ``whole``) and fault of a pydantic ValidationError; an unknown key comes first, as it causes others."""
+    first = min(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    said = "unknown key" if first["type"] == "extra_forbidden" else first["msg"].removeprefix("Value error, ")
+    return f"{'.'.join(map(str, first['loc'])) or whole}: {said[0].lower()}{said[1:]}"
 
 
 def optional(module: str, extra: str, purpose: str, *, package: str = "") -> Any:

@@ -48,7 +48,9 @@ def cached_mesh(
     refuse_if_too_many(scenario, SizeField.around(layout_of(scenario), sizes, size_growth(scenario, scale=scale)))
     key = mesh_key(scenario, base=base, scale=scale)
     for folder in shipped_folders(base, shipped_dir):
-        if (found := _look_up(folder, key)) is not None:
+        notes = sorted(folder.glob("*.json")) if folder.is_dir() else []
+        matching = (_read(note, key) for note in notes if _note(note).get("key") == key)
+        if (found := next((mesh for mesh in matching if mesh is not None), None)) is not None:
             return _usable(scenario, found)
     home = cache_dir or default_cache_dir()
     if (found := _read(home / f"{key}.json", key)) is not None:
@@ -128,12 +130,6 @@ def ship_mesh(
     mesh = build_mesh(scenario, base=base, scale=scale)
     store_mesh(mesh, folder / f"{name}.vtu", mesh_key(scenario, base=base, scale=scale), command=command)
     return mesh
-
-
-def _look_up(folder: Path, key: str) -> TissueMesh | None:
-    notes = sorted(folder.glob("*.json")) if folder.is_dir() else []
-    found = (_read(note, key) for note in notes if _note(note).get("key") == key)
-    return next((mesh for mesh in found if mesh is not None), None)
 
 
 def _note(file: Path) -> dict[str, Any]:

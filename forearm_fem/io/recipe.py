@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 from scipy.fft import rfft, rfftfreq
 
-from ..errors import DataError
+from ..errors import DataError, first_problem
 from ..scenario.base import Part, Positive
 from ..scenario.toml import read_toml
 from ..transfer import TransferMatrix
@@ -78,11 +78,7 @@ def load_recipe(path: str | Path) -> ImportRecipe:
     try:
         return ImportRecipe.model_validate(read_toml(file, "no such recipe", DataError))
     except ValidationError as problem:
-        first = min(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")  # these cause others
-        where = ".".join(str(p) for p in first["loc"]) or "recipe"
-        unknown = first["type"] == "extra_forbidden"
-        message = "unknown key" if unknown else first["msg"].removeprefix("Value error, ")
-        raise DataError(f"{file}: {where}: {message[0].lower()}{message[1:]}") from None
+        raise DataError(f"{file}: {first_problem(problem, 'recipe')}") from None
 
 
 def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix:

@@ -70,18 +70,14 @@ class Rules:
     def rule(self, panel: Panel) -> Rule:
         """Weights of one panel, from the cache if seen before."""
         if panel not in self._cache:
-            self._cache[panel] = self._moments(panel)
+            lo, hi = panel
+            n_sub = 2 + math.ceil((hi - lo) * self.table.extent / (2 * math.pi * 2.5))
+            edges = np.linspace(-1.0, 1.0, n_sub + 1)
+            blocks = np.array_split(np.arange(n_sub), max(1, n_sub // 64))
+            moments = 0.5 * (hi - lo) * np.sum([self._block(panel, edges, block) for block in blocks], axis=0)
+            gauge = [np.max(np.abs(moments[:, part]), axis=1, initial=0.0) for part in self.table.parts]
+            self._cache[panel] = Rule(_TO_LEGENDRE.T @ moments[:NODES], np.array(gauge))
         return self._cache[panel]
-
-    def _moments(self, panel: Panel) -> Rule:
-        """Moments of Legendre polynomials against B dk/dx, by the dense rule in blocks."""
-        lo, hi = panel
-        n_sub = 2 + math.ceil((hi - lo) * self.table.extent / (2 * math.pi * 2.5))
-        edges = np.linspace(-1.0, 1.0, n_sub + 1)
-        blocks = np.array_split(np.arange(n_sub), max(1, n_sub // 64))
-        moments = 0.5 * (hi - lo) * np.sum([self._block(panel, edges, block) for block in blocks], axis=0)
-        gauge = [np.max(np.abs(moments[:, part]), axis=1, initial=0.0) for part in self.table.parts]
-        return Rule(_TO_LEGENDRE.T @ moments[:NODES], np.array(gauge))
 
     def _block(self, panel: Panel, edges: FloatArray, block: IntArray) -> Numbers:
         lo, hi = panel

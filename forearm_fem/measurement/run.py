@@ -183,20 +183,15 @@ def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None, *,
     names = tuple(f"virtual/ao{i}" for i in range(len(virtual.transfer.inputs)))
     latency = virtual.latency / scenario.sweep.sample_rate
     daq = options.daq.model_copy(update={"outputs": names, "latency": latency})
-    sensor = _declared(options.sensor)
+    sensor, built_in = options.sensor, VirtualSensor()
+    if sensor.quantity is None or sensor.sensitivity is None:
+        sensor = SensorOptions(quantity=built_in.quantity, sensitivity=built_in.sensitivity)
     return Plan(
         virtual.transfer.outputs,
         virtual.transfer.inputs,
         ExponentialSweep.of(scenario),
         options.model_copy(update={"daq": daq, "sensor": sensor}),
     )
-
-
-def _declared(sensor: SensorOptions) -> SensorOptions:
-    if sensor.quantity is not None and sensor.sensitivity is not None:
-        return sensor
-    built_in = VirtualSensor()
-    return SensorOptions(quantity=built_in.quantity, sensitivity=built_in.sensitivity)
 
 
 def _device(kind: DaqKind, plan: Plan, virtual: VirtualSetup | None, card: str | None = None) -> Daq:

@@ -19,7 +19,7 @@ from .drives import Displacements, Drives, Renderer, displacements, drives
 from .funneling import Funneling
 from .inverse_filter import InverseFilter
 from .limits import DriveReport, Limits, beyond_limits, check
-from .spectrum import Placed, place
+from .spectrum import place
 from .wavelet import Wavelet, Window, ricker, window_of
 
 _MUCH_LOST = 0.1
@@ -116,35 +116,20 @@ def render_all(
     results: dict[tuple[str, str], Rendered] = {}
     for method in methods:
         for target in targets:
-            results[method.name, target] = _render(method, placed, target, wavelet, limits or Limits(), seconds)
+            sent = drives(method, placed, target, wavelet)
+            reached = displacements(placed, sent)
+            strength = signal_strength(reached.values, reached.target_index, time=reached.time, window=seconds)
+            results[method.name, target] = Rendered(sent, reached, strength, check(sent, limits or Limits()))
             tell(progress, "render", len(results), len(methods) * len(targets))
-    _warn_lost(results)
-    return Rendering(names, targets, results, seconds, holes, limits or Limits())
-
-
-def _render(
-    method: Renderer,
-    placed: Placed,
-    target: str,
-    wavelet: Wavelet,
-    limits: Limits,
-    window: tuple[float, float] | None,
-) -> Rendered:
-    sent = drives(method, placed, target, wavelet)
-    reached = displacements(placed, sent)
-    strength = signal_strength(reached.values, reached.target_index, time=reached.time, window=window)
-    return Rendered(sent, reached, strength, check(sent, limits))
-
-
-def _warn_lost(results: Mapping[tuple[str, str], Rendered]) -> None:
     worst = max(results.values(), key=lambda r: r.drives.lost, default=None)
     if worst is not None and worst.drives.lost > _MUCH_LOST:
         warnings.warn(
             f"G is unknown on bins with {worst.drives.lost:.0%} of the wavelet's energy "
             f"({worst.drives.method} towards {worst.drives.target}): they are not driven",
             AccuracyWarning,
-            stacklevel=3,
+            stacklevel=2,
         )
+    return Rendering(names, targets, results, seconds, holes, limits or Limits())
 
 
 def strengths(

@@ -78,7 +78,12 @@ class Session:
             raise DataError(f"stimuli.targets: '{missing[0]}' is no output of G; it has {', '.join(self._places)}")
         self._lock = RLock()
         done = store.answers(participant, task.name)
-        self._check_order(done)
+        for row, trial in zip(done, self._trials, strict=False):
+            if (row["trial"], row["method"], row["target"]) != (str(trial.number), trial.method, trial.target):
+                raise DataError(
+                    f"sub-{self.participant}, {self.task.name}: trial {row['trial']} on disk is not the one of this "
+                    "study's order; the study file or the seed was changed"
+                )
         self._answered = len(done)
         self._number = 1 + max((int(r["session"]) for r in done), default=0)
         self._track = Track.of(task, done)
@@ -228,15 +233,6 @@ class Session:
             raise DataError(f"'{unknown[0][:20]}' is no grid point; choose among {', '.join(self._places)}")
         x, y = np.mean([self._places[n] for n in names], axis=0)
         return {"response": " ".join(names), "response_x": float(x), "response_y": float(y)}
-
-    def _check_order(self, done: Sequence[dict[str, str]]) -> None:
-        """What is on disk must be the beginning of this participant's order."""
-        for row, trial in zip(done, self._trials, strict=False):
-            if (row["trial"], row["method"], row["target"]) != (str(trial.number), trial.method, trial.target):
-                raise DataError(
-                    f"sub-{self.participant}, {self.task.name}: trial {row['trial']} on disk is not the one of this "
-                    "study's order; the study file or the seed was changed"
-                )
 
 
 def _thinned(strokes: FloatArray | None, most: int = 200) -> FloatArray:
