@@ -363,6 +363,14 @@ def test_limits_of_a_mesh_hold_for_one_that_is_in_the_cache(cold, key, value):
     assert f"mesh.{key}" in said[0]
 
 
+def test_elements_of_a_mesh_that_is_in_the_cache_are_counted(cold):
+    """One too many, which the estimate before meshing lets pass."""
+    made = cached_mesh(parse_scenario(SLAB), cache_dir=cold)
+    strict = parse_scenario({**SLAB, "mesh": {**SLAB["mesh"], "max_elements": len(made.tetrahedra) - 1}})
+    with pytest.raises(MeshError, match=r"mesh\.max_elements"):
+        cached_mesh(strict, cache_dir=cold)
+
+
 def test_the_default_quality_leaves_keys_as_they_were():
     same = parse_scenario({**SLAB, "mesh": {**SLAB["mesh"], "min_quality": 0.02}})
     assert mesh_key(same) == mesh_key(parse_scenario(SLAB))

@@ -61,7 +61,7 @@ STIFF = {name: {"mu": 5 * mu, "eta": 5 * eta} for name, mu, eta in _SOFT}
 LOW = np.array([40.0, 80.0, 130.0, 190.0])
 PROBES = np.array([20.0, 80.0, 200.0, 330.0, 490.0])
 CHECKS = (TrialSolve(0, 100.0, 0.01, 0.03),)
-GROWTH = Growth(rate=20, solves=9, checks=5, of_points=4, parts=2, states=50)
+GROWTH = Growth(rate=20, solves=11, checks=5, of_points=4, parts=2, states=50)
 
 
 @pytest.fixture(scope="module")

@@ -50,10 +50,11 @@ class MultifrontalFactor:
         number = np.complex64 if np.iscomplexobj(data) else np.float32
         scale = scales(self._indptr, self._indices, data, self._n_displacements)
         self._scale = scale[self.symbolic.order]
-        if self._store is not None and self._store.panels.dtype != number:
+        if self._store is None or self._store.panels.dtype != number:
             self.release()
-            give_back()  # factors of the other kind have another size, so that none of them fits where these were
-        store = self._store = self._store or _front_store(self.symbolic, number)
+            give_back()  # what the ordering left, or factors of the other kind: these fit into neither's place
+            self._store = _front_store(self.symbolic, number)
+        store = self._store
         stack, parts = np.empty(self._parts.stack, number), (*self._parts.subtrees, self._parts.top)
         rooms = [_scratch(self.symbolic, part, number) for part in parts]
         fronts, entries, remainder = self.symbolic.fronts, self.symbolic.entries, self._parts.remainder
