@@ -12,7 +12,7 @@ from scipy.special import ellipe
 
 from ...errors import GeometryError
 from ...scenario.limb import CylinderLimb, ForearmLimb, LayerThickness
-from ...typing import FloatArray, IntArray
+from ...typing import FloatArray
 
 _SLOPE_STEP = 1e-5  # [m] for the derivative of the profile
 
@@ -205,10 +205,3 @@ def _check_apart(tube: Tube, first: BoneAxis, second: BoneAxis, x: FloatArray) -
             f"bones '{first.name}' and '{second.name}' {how}, expected {_CLEARANCE * 1e3:g} mm "
             f"of {tube.core} between them; move them apart or make them thinner"
         )
-
-
-def tube_lattice(n: int, m: int) -> IntArray:
-    """Triangles (2 n m, 3) of a tube of n rings spacings and m points around: vertex (i, j) is i m + j."""
-    i, j = (each.ravel() for each in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
-    here, right = i * m + j, i * m + (j + 1) % m
-    return np.vstack([np.column_stack([here, here + m, right]), np.column_stack([right, here + m, right + m])])

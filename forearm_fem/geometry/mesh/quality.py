@@ -36,11 +36,6 @@ class Quality:
     volumes: Mapping[str, float]
     expected_volume: float | None = None
 
-    @property
-    def volume_error(self) -> float | None:
-        """Relative deviation of the volume from the analytic limb's; None where there is none."""
-        return self.volume / self.expected_volume - 1 if self.expected_volume else None
-
 
 def mean_ratio(mesh: TissueMesh) -> FloatArray:
     """Mean-ratio quality (n_tet,) of a mesh's tetrahedra, see :func:`.topology.mean_ratios`."""
