@@ -4,6 +4,10 @@
 entry, changes one place of one file in a scratch copy, runs the named tests there and expects them to fail. Before that the named tests must pass on an unchanged copy. Exit code 1 if a mutation survives or
 an entry is out of date.
 
+With ``--log FILE`` each outcome is written down as it ends, and entries caught before are left out as long as the
+entry, its file and the files of its tests are as they were then: the list can be tried in pieces. Code elsewhere may
+have changed since; without the option everything is tried.
+
 An entry has ``name``, ``file`` (from the repository's root), ``old`` (text that occurs exactly
 once in it), ``new`` and ``tests`` (pytest's names). Copies keep their times, so compiled kernels are reused; a changed
 module that compiles kernels gets a fresh kernel cache, for numba does not see that a function inlined from another
@@ -14,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import hashlib
 import os
 import queue
 import shutil
@@ -67,6 +72,20 @@ def load(root: Path = ROOT) -> list[Mutation]:
                 raise ValueError(f"{file.name}: '{entry.get('name', '?')}' needs exactly the keys {sorted(_KEYS)}")
             found.append(Mutation(**{**entry, "tests": tuple(entry["tests"])}))
     return found
+
+
+def fingerprint(m: Mutation, root: Path = ROOT) -> str:
+    """SHA-256 of an entry, the file it breaks and the files of its tests."""
+    digest = hashlib.sha256(repr(m).encode())
+    for name in sorted({m.file, *(test.split("::")[0] for test in m.tests)}):
+        digest.update((root / name).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def caught_before(log: Path) -> frozenset[str]:
+    """Fingerprints that a log names as caught."""
+    lines = log.read_text(encoding="utf-8").splitlines() if log.is_file() else []
+    return frozenset(line.split("\t")[0] for line in lines if "\tcaught\t" in line)
 
 
 def problems(mutations: Sequence[Mutation], root: Path = ROOT) -> list[str]:
@@ -151,11 +170,12 @@ def _check_copy(scratch: Path) -> None:
         raise RuntimeError(f"the tests would import {where}, not the copy; nothing was tried")
 
 
-def run(mutations: Sequence[Mutation], jobs: int = 1, root: Path = ROOT) -> list[Outcome]:
-    """Try all ``mutations`` on ``jobs`` scratch copies, printing each as it ends.
+def run(mutations: Sequence[Mutation], jobs: int = 1, root: Path = ROOT, log: Path | None = None) -> list[Outcome]:
+    """Try all ``mutations`` on ``jobs`` scratch copies, printing each as it ends, and writing it to a ``log``.
 
     RuntimeError if the named tests fail without any.
     """
+    keys = {m.name: fingerprint(m, root) for m in mutations}
     with tempfile.TemporaryDirectory() as folder:
         free: queue.Queue[Path] = queue.Queue()
         for job in range(jobs):
@@ -172,7 +192,11 @@ def run(mutations: Sequence[Mutation], jobs: int = 1, root: Path = ROOT) -> list
                 outcome = attempt(m, scratch, root)
             finally:
                 free.put(scratch)
-            print(f"{'caught' if outcome.caught else outcome.problem:8} {outcome.seconds:6.1f} s  {m.name}", flush=True)
+            became = "caught" if outcome.caught else outcome.problem
+            print(f"{became:8} {outcome.seconds:6.1f} s  {m.name}", flush=True)
+            if log is not None:
+                with log.open("a", encoding="utf-8") as file:
+                    file.write(f"{keys[m.name]}\t{became}\t{outcome.seconds:.0f} s\t{m.name}\n")
             return outcome
 
         with ThreadPoolExecutor(jobs) as pool:
@@ -223,6 +247,7 @@ def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
     parser.add_argument("--only", metavar="TEXT", help="mutations whose name or file holds TEXT")
     parser.add_argument("--list", action="store_true", help="print the names and stop")
     parser.add_argument("--jobs", type=int, default=1, help="how many at once")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="write outcomes down; leave out what it has as caught")
     parser.add_argument("--page", action="store_true", help="write docs/mutations.md and stop")
     options = parser.parse_args(arguments)
     if options.page:
@@ -238,8 +263,15 @@ def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
     if not chosen:
         print("no mutation has that name")
         return 1
+    if options.log:
+        known = caught_before(options.log)
+        there = len(chosen)
+        chosen = [m for m in chosen if fingerprint(m, root) not in known]
+        print(f"{there - len(chosen)} of {there} were caught before")
+        if not chosen:
+            return 0
     try:
-        outcomes = run(chosen, max(1, options.jobs), root)
+        outcomes = run(chosen, max(1, options.jobs), root, options.log)
     except RuntimeError as problem:
         print(problem)
         return 1

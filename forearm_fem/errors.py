@@ -16,9 +16,13 @@ __all__ = [
     "ReductionError",
     "ScenarioError",
     "SolverError",
+    "first_problem",
     "one_sentence",
+    "optional",
 ]
 
+from importlib import import_module
+from typing import Any
 
 LONGEST_SENTENCE = 300  # characters of a message
 
@@ -85,6 +89,21 @@ class MissingExtra(ForearmError):
         super().__init__(
             f"{purpose} needs the package '{package}'; install it with: python3 -m pip install 'forearm-fem[{extra}]'"
         )
+
+
+def first_problem(problem: Any, whole: str) -> str:
+    """Key (else ``whole``) and fault of a pydantic ValidationError; an unknown key comes first, as it causes others."""
+    first = min(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    said = "unknown key" if first["type"] == "extra_forbidden" else first["msg"].removeprefix("Value error, ")
+    return f"{'.'.join(map(str, first['loc'])) or whole}: {said[0].lower()}{said[1:]}"
+
+
+def optional(module: str, extra: str, purpose: str, *, package: str = "") -> Any:
+    """The ``module`` that ``purpose`` needs; MissingExtra names ``package`` and its ``extra`` where it is missing."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingExtra(package or module, extra, purpose) from None
 
 
 class AccuracyWarning(UserWarning):

@@ -271,7 +271,8 @@ class _Spec:
 def _overridden(name: str, record: TissueRecord | None, override: TissueOverride) -> Tissue:
     """Preset with single values replaced; a change of model keeps only density and bulk modulus."""
     path = f"tissues.override.{name}"
-    given = _given(override)
+    stated = override.model_dump(exclude={"model"}, exclude_none=True)
+    given = {key: math.inf if value == "incompressible" else float(value) for key, value in stated.items()}
     model = override.model or (record.model if record else "kelvin-voigt")
     kept = dict(record.values) if record else {}
     if record and model != record.model:
@@ -280,12 +281,6 @@ def _overridden(name: str, record: TissueRecord | None, override: TissueOverride
     spec = _Spec(name, model, {**kept, **given})
     _check_complete(path, spec)
     return spec.tissue()
-
-
-def _given(override: TissueOverride) -> dict[str, float]:
-    """The numbers an override states; 'incompressible' becomes an infinite bulk modulus."""
-    stated = override.model_dump(exclude={"model"}, exclude_none=True)
-    return {key: math.inf if value == "incompressible" else float(value) for key, value in stated.items()}
 
 
 def _check_used(path: str, model: str, given: Mapping[str, float]) -> None:

@@ -13,7 +13,7 @@ from forearm_fem.compare.agreement import agreement, fdac_matrix
 from forearm_fem.compare.common import common_ground
 from forearm_fem.compare.compare import compare, comparison_record
 from forearm_fem.compare.crossplay import cross_play, wavelet_for
-from forearm_fem.compare.report import as_csv, as_json, as_markdown, picture
+from forearm_fem.compare.report import as_csv, as_json, as_markdown, picture, plot_overlay
 from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import DataError
 from forearm_fem.io.recognise import write_measured
@@ -187,3 +187,9 @@ def test_picture_names_its_axes_and_keeps_gaps():
     assert np.isnan(a[10:20]).all()
     assert np.isfinite(np.delete(b, range(10, 20))).all()
     assert any("first" in t.get_text() and "second" in t.get_text() for t in figure.texts)
+
+
+def test_the_picture_shows_micrometres_as_all_figures_do():
+    panel = plot_overlay(common_ground(A, A), 0, 0)
+    assert panel.get_ylabel() == "|G| [µm/V]"
+    np.testing.assert_allclose(panel.lines[0].get_ydata(), 1e6 * np.abs(A.values[:, 0, 0]))

@@ -13,7 +13,7 @@ from forearm_fem.pipeline.layered_engine import solve_layered
 from forearm_fem.pipeline.model_notes import near_disc_notes
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.transfer import relative_error
+from forearm_fem.transfer import band_error, relative_error, relative_error_at, total_error
 
 FREQUENCY = np.array([180.0, 210.0])
 
@@ -89,12 +89,60 @@ def test_a_mesh_on_which_waves_are_late_states_half_its_error_at_least():
 
 def test_points_beside_a_disc_of_pressure_on_second_order_are_said():
     """Both meshes err alike there: a tenth of the true error was stated 6 mm from a disc."""
-    slab = {"limb": {"shape": "slab"}, "device": {"cone": {"contact": "pressure"}}, "grid": {"pitch": 0.018}}
-    (said,) = near_disc_notes(parse_scenario({"accuracy": 0.1, **slab}))
-    assert said.startswith("points 1, 3, 7, 9 lie within 10 mm")
+    limb, disc = {"shape": "slab"}, {"cone": {"contact": "pressure"}}
+    slab = {"accuracy": 0.1, "limb": limb, "device": disc, "grid": {"pitch": 0.018}, "mesh": {"element": "P2"}}
+    (said,) = near_disc_notes(parse_scenario(slab))
+    assert said.startswith("points 1, 3, 7, 9 lie within 8 mm")
     assert len(said) <= 300
-    assert near_disc_notes(parse_scenario({"accuracy": 0.1, **slab, "mesh": {"element": "P2/P3"}})) == ()
-    assert near_disc_notes(parse_scenario({"accuracy": 0.1, **slab, "grid": {}})) == ()
+    assert near_disc_notes(parse_scenario({**slab, "grid": {}})) == ()
+    rigid = {"cone": {"contact": "bonded"}}
+    assert near_disc_notes(parse_scenario({**slab, "device": rigid})) == ()
+    assert near_disc_notes(parse_scenario({**slab, "mesh": {}})) == ()
+
+
+@pytest.mark.parametrize(
+    ("radius", "points", "element"),
+    [
+        (3.5e-3, [[0.0114, 0.0]], "P2/P3"),
+        (3.5e-3, [[0.0116, 0.0]], "P2"),
+        (7.5e-3, [[0.02, 0.0], [0.0, 0.014]], "P2/P3"),
+    ],
+)
+def test_slabs_are_of_third_order_where_a_point_is_beside_a_disc_of_pressure(radius, points, element):
+    """Less than 8 mm from its rim; sizes that were given keep second order."""
+    device = {"contacts": [[0.0, 0.0]], "cone": {"contact": "pressure", "radius": radius}}
+    slab = {"accuracy": 0.3, "limb": {"shape": "slab"}, "device": device, "grid": {"points": points}}
+    assert parse_scenario(slab).element == element
+    assert parse_scenario({**slab, "mesh": {"size_grid": 3e-3}}).element == "P2"
+
+
+def test_points_beside_a_disc_of_pressure_state_half_their_error_at_least():
+    """6 mm from a disc on skin and fat, against the twin: of second order .28 to .5 of a G off by .12 were stated."""
+    frequency = [220.0, 320.0, 460.0]
+    layers = [{"tissue": "skin", "thickness": 1.2e-3}, {"tissue": "fat", "thickness": 3e-3}]
+    scenes = [
+        parse_scenario(
+            {
+                "engine": engine,
+                "accuracy": 0.3,
+                "limb": {
+                    "shape": "slab", "length": 0.1, "width": 0.1, "depth": 0.025, "layers": layers,
+                    "symmetry": ["x", "y"] if engine == "fem" else [],
+                },
+                "device": {"contacts": [[0.0, 0.0]], "cone": {"contact": "pressure", "radius": 2.5e-3}},
+                "grid": {"points": [[0.006, 0.0], [0.009, 0.002]]},
+                "sweep": {"frequencies": frequency},
+                "solver": {"sweep": "direct"},
+            }
+        )
+        for engine in ("fem", "layered")
+    ]  # fmt: skip
+    fine, twin = (simulate(s).transfer for s in scenes)
+    stated = np.sqrt(sum(relative_error_at(e, fine.frequency) ** 2 for e in fine.errors))
+    assert scenes[0].element == "P2/P3"
+    assert band_error(fine.values, twin.values) < 0.05
+    assert (stated > relative_error(fine.values, twin.values) / 2).all()
+    assert total_error(fine.errors) < 5 * band_error(fine.values, twin.values)
 
 
 def test_the_lag_falls_with_the_fourth_power_of_the_size_of_second_order_elements():

@@ -259,7 +259,7 @@ def test_truncation_is_what_either_change_of_ends_shows_at_each_frequency():
     scenario = parse_scenario(SLAB)
     ports = simulate(scenario.model_copy(update={"engine": "layered"})).compliance.ports
     frequency = np.array([50.0, 200.0, 400.0])
-    share, back = np.array([1.0, 0.0, -1.0]), 0.1  # r of the ends, E of what comes back from free ones
+    share, back = np.array([1.0, 0.0, -1.0]), np.array([0.1, 0.06, 0.03])  # r of the ends, E of free ones
 
     def ends(r):
         return Compliance(frequency, (1 + r * back)[:, None, None] * np.ones((3, 2, 2)) + 0j, ports)
@@ -275,6 +275,26 @@ def test_truncation_is_what_either_change_of_ends_shows_at_each_frequency():
     assert max(error.per_frequency) < 0.15
     assert "freed" in error.method
     assert "clamped" in error.method
+
+
+def test_truncation_is_never_less_than_at_a_higher_frequency():
+    """Waves longer than the slab: where both changes of ends pass through nothing, G was off by 1.2 of itself."""
+    scenario = parse_scenario(SLAB)
+    ports = simulate(scenario.model_copy(update={"engine": "layered"})).compliance.ports
+    frequency = np.array([50.0, 200.0, 400.0])
+
+    def ends(back):
+        return Compliance(frequency, (1 + np.array(back))[:, None, None] * np.ones((3, 2, 2)) + 0j, ports)
+
+    own, freed, clamped = ends([0.0, 0.0, 0.0]), ends([0.0, 0.2, 0.02]), ends([0.0, -0.1, -0.02])
+    coarse = replace(own, provenance={"ratio": 2.0})
+    modes, states = np.zeros((0, 3, 0)), np.zeros((3, 0, 0), dtype=complex)
+    solved = Solved(own, coarse, freed, modes, states, SolutionRecord(ends_by="reduced model"), other_ends=clamped)
+    found = with_device(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
+    (error,) = [e for e in found if e.source == "truncation"]
+    lowest, middle, highest = error.per_frequency
+    assert lowest == middle > 5 * highest > 0
+    assert "or higher up" in error.method
 
 
 def test_truncation_decays_between_the_few_frequencies_of_clamped_ends():
@@ -341,6 +361,14 @@ def test_limits_of_a_mesh_hold_for_one_that_is_in_the_cache(cold, key, value):
         said.append(str(problem.value))
     assert said[0] == said[1]
     assert f"mesh.{key}" in said[0]
+
+
+def test_elements_of_a_mesh_that_is_in_the_cache_are_counted(cold):
+    """One too many, which the estimate before meshing lets pass."""
+    made = cached_mesh(parse_scenario(SLAB), cache_dir=cold)
+    strict = parse_scenario({**SLAB, "mesh": {**SLAB["mesh"], "max_elements": len(made.tetrahedra) - 1}})
+    with pytest.raises(MeshError, match=r"mesh\.max_elements"):
+        cached_mesh(strict, cache_dir=cold)
 
 
 def test_the_default_quality_leaves_keys_as_they_were():

@@ -22,7 +22,9 @@ def test_curves_are_drawn_where_their_header_says_and_move_no_axis(tmp_path):
     figure, curves = two_panels(), read_curves(tmp_path / "c.csv")
     lay_over(figure, curves)
     first, second = (axes.lines[0] for axes in figure.axes)
-    assert (first.get_label(), second.get_label()) == ("Jones 2019", "own")
+    beyond = "points beyond the axes"
+    labels = f"Jones 2019 (1 of 3 {beyond})", f"own (1 of 2 {beyond})"
+    assert (first.get_label(), second.get_label()) == labels
     np.testing.assert_array_equal(first.get_xydata(), [[1, 0.5], [2, 0.7], [20, 9]])
     np.testing.assert_array_equal(second.get_xydata(), [[2, 0.2], [20, 0.3]])
     assert figure.axes[0].get_xlim() == (0, 10)

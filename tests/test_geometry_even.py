@@ -16,7 +16,7 @@ from forearm_fem.geometry.limb.core import _bone_wall, _check_tubes
 from forearm_fem.geometry.limb.filling import Shell, fill
 from forearm_fem.geometry.limb.prisms import oriented, stack_prisms
 from forearm_fem.geometry.limb.slivers import without_slivers
-from forearm_fem.geometry.limb.tube import tube_lattice, tube_of
+from forearm_fem.geometry.limb.tube import tube_of
 from forearm_fem.geometry.mesh.curved import true_volumes
 from forearm_fem.geometry.mesh.quality import check_mesh
 from forearm_fem.geometry.mesh.topology import boundary_faces, mean_ratios
@@ -205,6 +205,13 @@ def test_layers_thin_out_without_a_gap():
     flat = [(points[faces][:, :, k] == value).all(axis=1) for k in (0, 1) for value in (0, n - 1)]
     flat += [(points[faces][:, :, 2] == value).all(axis=1) for value in (0, 1)]
     assert np.any(flat, axis=0).all()
+
+
+def tube_lattice(n, m):
+    """Triangles (2 n m, 3) of a tube of n rings spacings and m points around: vertex (i, j) is i m + j."""
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
+    here, right = i * m + j, i * m + (j + 1) % m
+    return np.vstack([np.column_stack([here, here + m, right]), np.column_stack([right, here + m, right + m])])
 
 
 def test_broken_walls_are_refused():

@@ -70,6 +70,23 @@ def test_runner_tells_caught_from_survived_and_leaves_the_package_alone(mutate, 
     assert mutate.main(["--only", "seen", "--list"], small) == 0
 
 
+def test_a_log_leaves_out_what_was_caught_until_its_files_change(mutate, small, tmp_path, capsys):
+    """What survived is tried again; what was caught only once the code or the test is another."""
+    add(small, name="not seen", old="3 * x", new="4 * x")
+    log = tmp_path / "log"
+    assert mutate.main(["--log", str(log)], small) == 1
+    capsys.readouterr()
+    assert mutate.main(["--log", str(log)], small) == 1
+    said = capsys.readouterr().out
+    assert "1 of 2 were caught before" in said
+    assert "0 of 1 caught" in said
+    assert mutate.main(["--log", str(log), "--only", "sums"], small) == 1
+    assert len(mutate.caught_before(log)) == 1
+    code = small / "forearm_fem" / "sums.py"
+    code.write_text(code.read_text() + "\n")
+    assert not {mutate.fingerprint(m, small) for m in mutate.load(small)} & mutate.caught_before(log)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -7,12 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forearm_fem.compare.adapters import ScenarioModel, common_parameters, fem_compliance_of, fem_model_for
+from forearm_fem.compare.adapters import (
+    ScenarioModel,
+    common_parameters,
+    fem_compliance_of,
+    fem_meshes_for,
+    fem_model_for,
+)
 from forearm_fem.compare.fit import fit
 from forearm_fem.compare.run import run_fit
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ReductionError, ScenarioError
 from forearm_fem.fem.linear.direct import DirectSolver
+from forearm_fem.fem.reduction.basis import Basis, rough_extension
 from forearm_fem.fem.reduction.growing import Growing, TrialSolve
 from forearm_fem.fem.reduction.quick import quick_compliance
 from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
@@ -54,7 +61,7 @@ STIFF = {name: {"mu": 5 * mu, "eta": 5 * eta} for name, mu, eta in _SOFT}
 LOW = np.array([40.0, 80.0, 130.0, 190.0])
 PROBES = np.array([20.0, 80.0, 200.0, 330.0, 490.0])
 CHECKS = (TrialSolve(0, 100.0, 0.01, 0.03),)
-GROWTH = Growth(rate=20, solves=9, checks=5, of_points=4, parts=2, states=50)
+GROWTH = Growth(rate=20, solves=11, checks=5, of_points=4, parts=2, states=50)
 
 
 @pytest.fixture(scope="module")
@@ -234,27 +241,82 @@ def test_damaged_parts_are_made_again(tmp_path, monkeypatch):
     assert np.array_equal(np.nan_to_num(found.values), np.nan_to_num(whole.values))
 
 
-def test_what_elements_err_by_is_estimated_for_each_arm(tmp_path, monkeypatch):
+TWO_MESHES = parse_scenario({**SCENE, "mesh": COARSE, "solver": {}})
+
+
+@pytest.fixture(scope="module")
+def on_coarse_mesh(cache):
+    """The arm on two coarse meshes, made for the scene and for one five times as stiff."""
+    stiff = parse_scenario({**SCENE, "mesh": COARSE, "solver": {}, "tissues": {"override": STIFF}})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parametric, "Growth", lambda: replace(SMALL, rate=12, solves=4, checks=1, states=20))
+        return arm_model(TWO_MESHES, draws=[TWO_MESHES, stiff])
+
+
+def on_fine_mesh(draw: Scenario) -> Compliance:
+    """By direct solves on a mesh of half the size."""
+    whole = fem_model(draw, cached_mesh(draw, scale=0.5))
+    return Compliance(LOW, direct_sweep(whole, LOW, draw.solver).values, whole.ports)
+
+
+def test_what_elements_err_by_is_estimated_for_each_arm(on_coarse_mesh):
     """Against a mesh of half the size: stated at least at three quarters (dispersion of two coarse meshes) and at most
     three times the truth, for the scene and for an arm five times as stiff, whose waves are longer."""
-    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
-    monkeypatch.setattr(parametric, "Growth", lambda: replace(SMALL, rate=12, solves=4, checks=1, states=20))
-    scene = parse_scenario({**SCENE, "mesh": COARSE, "solver": {}})
-    stiff = parse_scenario({**SCENE, "mesh": COARSE, "solver": {}, "tissues": {"override": STIFF}})
-    arm = arm_model(scene, draws=[scene, stiff])
+    arm, stated, true = on_coarse_mesh, [], []
     assert arm.unknown == ""
-    fine, stated, true = cached_mesh(scene, scale=0.5), [], []
-    for draw in (scene, stiff):
+    stiff = parse_scenario({**SCENE, "mesh": COARSE, "solver": {}, "tissues": {"override": STIFF}})
+    for draw in (TWO_MESHES, stiff):
         found = arm.compliance(draw, LOW)
         stated.append({e.source: e.band for e in found.errors}["discretisation"])
-        truth = direct_sweep(fem_model(draw, fine), LOW, draw.solver).values[:, 2:, :2]
-        true.append(band_error(found.block("point", "contact"), truth))
+        true.append(band_error(found.block("point", "contact"), on_fine_mesh(draw).block("point", "contact")))
     assert true[0] > 1.3 * true[1]  # else there is nothing to tell
     assert stated[0] > 1.3 * stated[1]
     assert all(0.75 * t < s < 3 * t for s, t in zip(stated, true, strict=True))
-    without = arm_model(parse_scenario({**SCENE, "mesh": COARSE}), draws=[scene])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parametric, "Growth", lambda: replace(SMALL, solves=1, checks=0, parts=1))
+        without = arm_model(parse_scenario({**SCENE, "mesh": COARSE}), draws=[TWO_MESHES])
     assert "discretisation_estimate is false" in without.unknown
-    assert [e.source for e in without.compliance(scene, LOW[:1]).errors] == ["reduction"]
+    assert [e.source for e in without.compliance(TWO_MESHES, LOW[:1]).errors] == ["reduction"]
+
+
+def test_intervals_of_a_fit_hold_what_the_elements_err_by(on_coarse_mesh, monkeypatch):
+    """Data of a mesh of half the size without noise: without the mesh's error the intervals miss what made them."""
+    arm, names = on_coarse_mesh, ("skin.mu", "fat.mu")
+    fine = replace(close_loop(on_fine_mesh(TWO_MESHES), TWO_MESHES.device), errors=())
+    data = replace(fine, deviation=np.full(fine.values.shape, 1e-3 * float(np.abs(fine.values).max())))
+    monkeypatch.setattr("forearm_fem.compare.run.fem_model_for", lambda *_, **__: arm.model)
+    monkeypatch.setattr("forearm_fem.compare.run.fem_meshes_for", lambda *_, **__: arm.meshes)
+    with_it = run_fit(TWO_MESHES, data, names, fem=True)
+    unsaid = parse_scenario({**SCENE, "mesh": COARSE})
+    monkeypatch.setattr("forearm_fem.compare.run.fem_meshes_for", fem_meshes_for)
+    without = run_fit(unsaid, data, names, fem=True)
+    true = {p.name: p.start for p in common_parameters(TWO_MESHES, names)}
+    held, missed = (
+        [r.fit.interval[n][0] <= v <= r.fit.interval[n][1] for n, v in true.items()] for r in (with_it, without)
+    )
+    assert all(held)
+    assert not all(missed)
+    assert with_it.fit.values == without.fit.values
+    assert "the elements err by an e_band of" in with_it.text
+    assert "numerics: unknown; what the elements err by is in no interval (solver.disc" in without.text
+
+
+def test_blocks_extend_a_space_in_turn():
+    """Single precision: orthonormal to 1e-4; known directions give nothing, each block what those before it lack."""
+    rng, n_u = np.random.default_rng(0), 700
+    known = np.vstack([np.linalg.qr(rng.normal(size=(n_u, 40)))[0], rng.normal(size=(100, 40))]).astype(np.float32)
+    fresh = rng.normal(size=(800, 9))
+    blocks = [
+        np.hstack([fresh[:, :4], known[:, :3]]) @ rng.normal(size=(7, 7)),
+        1e-9 * fresh[:, :6] @ rng.normal(size=(6, 6)),
+        1e-18 * (fresh[:, 6:] + 1e-4 * known[:, :3]),
+    ]
+    new = rough_extension(Basis((known[:, :15], known[:, 15:])), blocks, n_u, drop=1e-2)
+    assert [x.shape[1] for x in new] == [4, 2, 3]
+    whole = np.hstack([known, *new])[:n_u].astype(float)
+    assert np.abs(whole.T @ whole - np.eye(49)).max() < 1e-4
+    rest = fresh[:n_u] - whole @ (whole.T @ fresh[:n_u])
+    assert np.abs(rest).max() < 1e-3  # and nothing of them is missing
 
 
 def test_the_worst_check_decides_what_is_stated(model):

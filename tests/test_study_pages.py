@@ -212,10 +212,14 @@ def test_several_points_and_drawings_in_a_browser(browser, tmp_path):
     drawing = opened(tmp_path / "b", small(answer="drawing"))
     with served(drawing) as (theirs, _):
         page, problems = _page(browser, theirs)
+        page.set_viewport_size({"width": 360, "height": 420})  # a narrow page: the whole frame between head and foot
         page.keyboard.press("Space")
-        box = page.locator("#arm").bounding_box()
         page.locator("#arm").wait_for(state="visible")
-        box = page.locator("#arm").bounding_box()
+        box, head, foot = (page.locator(what).bounding_box() for what in ("#arm rect.skin", "header", "footer"))
+        assert box["y"] >= head["y"] + head["height"]
+        assert box["y"] + box["height"] <= foot["y"]
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 360
         middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         scale = box["width"] / 38.0  # the page shows 9 mm around the grid of 20 mm
         page.mouse.move(middle[0] + 2 * scale, middle[1] - 4 * scale)

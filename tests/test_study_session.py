@@ -292,7 +292,7 @@ def test_quest_tracks_find_a_known_threshold_and_survive_a_restart(tmp_path):
     ("text", "words"),
     [
         ("name = 'a b'\nscenario = 'x'", "name"),
-        ("name = 'a'\nscenario = 'x'\nwhat = 1", "what: Extra inputs"),
+        ("name = 'a'\nscenario = 'x'\nwhat = 1", "what: unknown key"),
         ("name = 'a'\nscenario = 'x'\n[[tasks]]\nname = 't'\nrepetitions = 3\nblocks = 2", "does not divide"),
         ("name = 'a'\nscenario = 'x'\n[[tasks]]\nname = 't'\nanswer = 'yes or no'", "go together"),
         ("name = 'a'\nscenario = 'x'\n[stimuli]\ntargets = []", "targets"),

@@ -28,7 +28,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, first_problem
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Name, Part
 from ..scenario.toml import read_toml
@@ -105,11 +105,8 @@ def _parsed(file: Path) -> CampaignFile:
     try:
         return CampaignFile.model_validate(read_toml(file, "no such campaign file"))
     except ValidationError as problem:
-        first = problem.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        said = first["msg"].removeprefix("Value error, ")
         known = ", ".join(CampaignFile.model_fields)
-        raise ScenarioError(f"{file}: {key}: {said[0].lower()}{said[1:]}; known keys are {known}") from None
+        raise ScenarioError(f"{file}: {first_problem(problem, 'campaign')}; known keys are {known}") from None
 
 
 def _variants(asked: CampaignFile, preset: Scenario) -> Iterator[tuple[str, Values]]:

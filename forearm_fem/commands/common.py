@@ -25,7 +25,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from ..errors import DataError, one_sentence
+from ..errors import DataError, first_problem, one_sentence
 from ..scenario import Scenario, apply_overrides, scenario_file
 
 if TYPE_CHECKING:
@@ -223,10 +223,8 @@ def declaration(items: Sequence[str] | None) -> Declaration | None:
     try:
         return Declaration.model_validate(apply_overrides({}, items))
     except ValidationError as problem:
-        first = problem.errors()[0]
-        key = ".".join(str(p) for p in first["loc"])
         known = ", ".join(Declaration.model_fields)
-        raise DataError(f"--declare {key}: {first['msg'].lower()}; known are {known}") from None
+        raise DataError(f"--declare {first_problem(problem, 'declaration')}; known are {known}") from None
 
 
 class Stop:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from ..layered import Layer, layered_compliance
 from ..pipeline.layered_engine import flat_disc, flat_surface
 from ..pipeline.parametric import ParametricModel, parametric_model
 from ..ports import Port
+from ..prediction.two_meshes import ArmMeshes, arm_meshes
 from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
 from ..tissue import Tissue, limb_tissue_keys, resolve_tissues
@@ -33,9 +35,8 @@ ComplianceOf = Callable[[Scenario], Compliance]
 class ScenarioModel:
     """Maps dotted scenario keys, e.g. ``tissues.override.skin.mu`` or ``device.coil.moving_mass``, to G.
 
-    ``compliance_of`` computes the skin (layered twin, reduced model, full FE); it is called only when a key
-    outside ``device`` changes, for the actuators are closed around it at no cost. The last ``memory`` skins
-    are kept.
+    ``compliance_of`` computes the skin (layered twin, reduced model, full FE); it is called only when a key outside
+    ``device`` changes, for the actuators are closed around it at no cost. The last ``memory`` skins are kept.
     """
 
     def __init__(self, scenario: Scenario, compliance_of: ComplianceOf, memory: int = 64) -> None:
@@ -46,8 +47,10 @@ class ScenarioModel:
 
     def scenario(self, values: Mapping[str, float]) -> Scenario:
         """The scenario with ``values`` set; ScenarioError for an unknown key."""
-        data = _with(self._base, values)
-        return parse_scenario(data, origin="fit")
+        result: Any = dict(self._base)
+        for key, value in values.items():
+            result = _put(result, key.split("."), value, key)
+        return parse_scenario(result, origin="fit")
 
     def __call__(self, values: Mapping[str, float]) -> TransferMatrix:
         """G at ``values``."""
@@ -63,16 +66,6 @@ class ScenarioModel:
 def _lumped(key: str) -> bool:
     """Keys that do not change the skin: coil, cone mass and housing (the cone's radius does)."""
     return key.startswith(("device.coil.", "device.housing.")) or key == "device.cone.mass"
-
-
-def _with(data: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
-    """A copy of nested ``data`` with dotted keys set; numbers count list positions
-    (limb.layers.0.thickness).
-    """
-    result: Any = dict(data)
-    for key, value in values.items():
-        result = _put(result, key.split("."), value, key)
-    return dict(result)
 
 
 def _put(data: Any, path: list[str], value: float, key: str) -> Any:
@@ -125,6 +118,32 @@ def fem_model_for(
 
     Kept in the cache. Raises ScenarioError for parameters that need another mesh, and what solving the scenario raises.
     """
+    return parametric_model(scenario, base=base, draws=_pool(scenario, parameters), progress=progress)
+
+
+def fem_meshes_for(
+    scenario: Scenario, parameters: Sequence[Parameter], *, base: str | Path = ".", progress: Progress | None = None
+) -> ArmMeshes:
+    """The same on a second mesh, which tells what the elements err by; MeshError says why there is none."""
+    return arm_meshes(scenario, base, _pool(scenario, parameters), progress)
+
+
+def fem_compliance_less_error(
+    model: ParametricModel, meshes: ArmMeshes, arm: Scenario, frequency: FloatArray
+) -> ComplianceOf:
+    """:func:`fem_compliance_of` less what the elements err by, as far as the change on the second mesh has its shape
+    and, at each ``frequency`` (n,) [Hz], the size that is stated for an ``arm``."""
+    share = meshes.share(arm, model.compliance(arm, frequency))[:, None, None]
+
+    def compute(scenario: Scenario) -> Compliance:
+        own, other = (m.compliance(scenario, frequency) for m in (model, meshes.second))
+        return replace(own, values=own.values - share * (other.values - own.values))
+
+    return compute
+
+
+def _pool(scenario: Scenario, parameters: Sequence[Parameter]) -> list[Scenario]:
+    """The arms that a fit's finite elements are reduced for, the scene first."""
     skin = [p for p in parameters if not _lumped(p.name) and p.name not in ("scale", "delay")]
     if geometry := [p.name for p in skin if not p.name.startswith("tissues.")]:
         raise ScenarioError(
@@ -137,7 +156,7 @@ def fem_model_for(
         free.scenario({p.name: p.start * _REACH ** (2 * x - 1) for p, x in zip(skin, row, strict=False)})
         for row in places
     ]
-    return parametric_model(scenario, base=base, draws=[scenario, *drawn], progress=progress)
+    return [scenario, *drawn]
 
 
 def _never(scenario: Scenario) -> Compliance:

@@ -59,8 +59,7 @@ def agreement(g: CommonGround) -> Agreement:
 
 
 def assurance(a: ComplexArray, b: ComplexArray, axes: tuple[int, ...]) -> FloatArray:
-    """|sum a* b|^2 / (sum |a|^2 sum |b|^2) over ``axes``: 1 if b is a complex number times a; NaN if either
-    is zero.
+    """|sum a* b|^2 / (sum |a|^2 sum |b|^2) over ``axes``: 1 if b is a complex number times a; NaN if either is zero.
 
     Over frequency it is the FRAC (Heylen & Lammens 1996), over entries the diagonal of the FDAC (Pascual et
     al. 1997) in its squared form.
@@ -71,9 +70,7 @@ def assurance(a: ComplexArray, b: ComplexArray, axes: tuple[int, ...]) -> FloatA
 
 
 def fdac_matrix(g: CommonGround) -> FloatArray:
-    """FDAC (n, n) [-] between every frequency of A (rows) and of B (columns): a ridge off the diagonal is a
-    shift.
-    """
+    """FDAC (n, n) [-] between every frequency of A (rows) and of B (columns): a ridge off the diagonal is a shift."""
     a, b = (np.where(g.valid, m, 0).reshape(len(g.frequency), -1) for m in (g.a, g.b))
     below = _power(a).sum(axis=1)[:, None] * _power(b).sum(axis=1)
     above = np.abs(a.conj() @ b.T) ** 2

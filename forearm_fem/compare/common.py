@@ -1,6 +1,4 @@
-"""Two transfer matrices on common ground: the same frequencies and entries, with what is missing kept in
-sight.
-"""
+"""Two transfer matrices on common ground: the same frequencies and entries, with what is missing kept in sight."""
 
 from __future__ import annotations
 
@@ -24,8 +22,7 @@ _SHORTEST = 8  # samples in a row that a spline needs
 
 @dataclass(frozen=True, eq=False)
 class CommonGround:
-    """``a`` and ``b`` (n, n_out, n_in) in one unit at ``frequency`` (n,) [Hz]; ``valid`` where both are
-    known.
+    """``a`` and ``b`` (n, n_out, n_in) in one unit at ``frequency`` (n,) [Hz]; ``valid`` where both are known.
 
     ``deviation_a`` and ``deviation_b`` (n, n_out, n_in), None if unknown. ``interpolated`` names the one
     that was splined to the other's frequencies ("", "a" or "b"); ``only_a`` and ``only_b`` are the parts of
@@ -62,11 +59,10 @@ class CommonGround:
 def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
     """``a`` and ``b`` at the frequencies both cover.
 
-    Where all frequencies of the coarser grid are found in the finer one they are copied; otherwise the
-    finer one is interpolated by a cubic spline to the coarser one's, never across a gap, an invalid sample
-    or beyond its ends. Ports are matched by name, or by place where names differ, and may come in another order
-    (:func:`.places.matched`). DataError for different units, ports without partner, no common frequency, or no entry
-    known to both.
+    Where all frequencies of the coarser grid are found in the finer one they are copied; otherwise the finer one is
+    interpolated by a cubic spline to the coarser one's, never across a gap, an invalid sample or beyond its ends. Ports
+    are matched by name, or by place where names differ, and may come in another order (:func:`.places.matched`).
+    DataError for different units, ports without partner, no common frequency, or no entry known to both.
     """
     if a.unit != b.unit:
         raise DataError(

@@ -23,8 +23,7 @@ _TOGETHER = 0.5e-3  # m: points as far from the source as this count as one dist
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """B against A: names, the common ground, agreement, waves per input, condition numbers (n,) and
-    cross-play.
+    """B against A: names, the common ground, agreement, waves per input, condition numbers (n,) and cross-play.
 
     ``waves_a`` and ``waves_b`` hold one fit per input by the thesis' estimator over the points sorted by
     distance, None where there are fewer than three distances. ``crossed`` is None with the reason in

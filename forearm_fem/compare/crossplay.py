@@ -27,8 +27,7 @@ _PER_PEAK = 16.0  # samples per period of the wavelet's peak frequency
 class CrossPlay:
     """S (n_method, n_target) [-] of drives made for the first-named G and played on the second.
 
-    ``a_on_b`` is what a device gets that was calibrated on A when the arm is B; ``b_on_b`` the best it
-    could get.
+    ``a_on_b`` is what a device gets that was calibrated on A when the arm is B; ``b_on_b`` the best it could get.
     """
 
     methods: tuple[str, ...]
@@ -143,9 +142,8 @@ def sides(ground: CommonGround) -> tuple[TransferMatrix, TransferMatrix]:
 
 
 def wavelet_for(frequency: FloatArray, peak: float = 250.0) -> Wavelet:
-    """A Ricker wavelet of ``peak`` [Hz] in a record whose bins hold ``frequency`` (n,) [Hz] where these are
-    evenly spaced from 0; else the thesis' record of 2 s at 10 kHz, onto whose bins G is interpolated where
-    that is safe."""
+    """A Ricker wavelet of ``peak`` [Hz] in a record whose bins hold ``frequency`` (n,) [Hz] where these are evenly
+    spaced from 0; else the thesis' record of 2 s at 10 kHz, onto whose bins G is interpolated where that is safe."""
     if len(frequency) < 2:
         raise DataError("rendering needs at least two frequencies")
     df = float(np.median(np.diff(frequency)))

@@ -1,10 +1,9 @@
 """Fitting a model's parameters to a measured G: weighted least squares with uncertainty and identifiability.
 
-Residuals are whitened: real and imaginary part of (model - measured) over sigma / sqrt(2), sigma the
-standard deviation of the entry. At the minimum the covariance of the parameters is (J^T J)^-1, times the
-reduced chi^2 where that exceeds 1 (the model does not explain the data to within their noise, so it is the
-misfit that is uncertain). The singular values of J, in units of each parameter's allowed range, tell which
-combinations the data do not determine.
+Residuals are whitened: real and imaginary part of (model - measured) over sigma / sqrt(2), sigma the standard deviation
+of the entry. At the minimum the covariance of the parameters is (J^T J)^-1, times the reduced chi^2 where that exceeds
+1 (the model does not explain the data to within their noise, so it is the misfit that is uncertain). The singular
+values of J, in units of each parameter's allowed range, tell which combinations the data do not determine.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ _STEP = 1e-4  # of the allowed range, for differences
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """``values`` with one standard ``deviation`` each, in the parameter's unit (for ``log``: half the 68 %
-    interval).
+    """``values`` with one standard ``deviation`` each, in the parameter's unit (for ``log``: half the 68 % interval).
 
     ``interval`` holds the 95 % bounds, lower and upper. ``covariance`` and ``correlation`` (k, k) are in
     the fitted coordinates (logarithms where ``log``). ``chi2`` is the reduced chi^2: 1 for noise alone, NaN
@@ -90,13 +88,12 @@ def fit(
 ) -> FitResult:
     """The ``parameters`` with which ``model`` comes closest to ``measured``.
 
-    ``model`` maps values by name to G (n_frequency, n_out, n_in) on ``measured``'s frequencies, ports and
-    unit; ``gradient`` to its derivatives by name (from adjoints, say), differences are taken without it.
-    Parameters called "scale" and "delay" are applied here, times scale exp(-i omega delay). Entries without
-    a standard deviation are weighted as if it were ``fallback_noise`` of the entries' rms, and the
-    covariance then follows from the misfit. Phases make local minima: with ``starts`` > 1 the fit is
-    repeated from other places in the ranges and the best is kept. ``progress`` counts evaluations. Raises
-    DataError without usable data or for fewer data than parameters.
+    ``model`` maps values by name to G (n_frequency, n_out, n_in) on ``measured``'s frequencies, ports and unit;
+    ``gradient`` to its derivatives by name (from adjoints, say), differences are taken without it. Parameters called
+    "scale" and "delay" are applied here, times scale exp(-i omega delay). Entries without a standard deviation are
+    weighted as if it were ``fallback_noise`` of the entries' rms, and the covariance then follows from the misfit.
+    Phases make local minima: with ``starts`` > 1 the fit is repeated from other places in the ranges and the best is
+    kept. ``progress`` counts evaluations. Raises DataError without usable data or for fewer data than parameters.
     """
     problem = _Problem.of(model, measured, tuple(parameters), gradient, fallback_noise, progress)
     tries = [problem.staged(place, max_evaluations, tolerance) for place in _starts(problem.parameters, starts)]
@@ -113,9 +110,7 @@ class _Try:
 
 
 def _starts(parameters: tuple[Parameter, ...], n: int) -> list[FloatArray]:
-    """The given start, then n - 1 others spread over the ranges by a Latin hypercube, always the same
-    ones.
-    """
+    """The given start, then n - 1 others spread over the ranges by a Latin hypercube, always the same ones."""
     given = np.array([p.to_unit(p.start) for p in parameters])
     others = LatinHypercube(len(parameters), rng=np.random.default_rng(0)).random(n - 1) if n > 1 else ()
     return [given, *others]
@@ -297,22 +292,17 @@ def _result(problem: _Problem, place: FloatArray, converged: bool, message: str)
         correlation=spread / np.outer(sd, sd),
         chi2=chi2 if problem.sigma_known else math.nan,
         singular_values=s,
-        unknown=_unknown(parameters, directions, size),
+        unknown=tuple(
+            Direction({p.name: float(w) for p, w in zip(parameters, row, strict=True)}, float(d))
+            for row, d in zip(directions, size, strict=True)
+            if d > _VAGUE
+        ),
         at_bound=tuple(p.name for p, x in zip(parameters, place, strict=True) if not 1e-4 < x < 1 - 1e-4),
         e_band=float(np.linalg.norm(misfit) / np.linalg.norm(whole)),
         n_data=len(residual),
         evaluations=problem.count[0],
         converged=converged,
         message=message,
-    )
-
-
-def _unknown(parameters: tuple[Parameter, ...], directions: FloatArray, size: FloatArray) -> tuple[Direction, ...]:
-    """Combinations whose standard deviation exceeds a quarter of the range."""
-    return tuple(
-        Direction({p.name: float(w) for p, w in zip(parameters, row, strict=True)}, float(d))
-        for row, d in zip(directions, size, strict=True)
-        if d > _VAGUE
     )
 
 

@@ -24,13 +24,8 @@ LARGE = 30.0  # a ratio of norms beyond this is said even where no reading helps
 def explains(base: float, shape_before: float, after: float, shape: float) -> bool:
     """Whether distances and correlations before and after a reading are those of a mistake, not of another arm."""
     nearer = after <= min(base / _BETTER, _NEAR)
-    alike = shape >= _SHAPE and shape - shape_before >= _GAINED and after <= _distance_of(LARGE, shape)
+    alike = shape >= _SHAPE and shape - shape_before >= _GAINED and after <= math.sqrt(LARGE + 1 / LARGE - 2 * shape)
     return nearer or alike or (base >= _FAR and after <= _NEARISH and shape >= _SHAPE)
-
-
-def _distance_of(ratio: float, correlation: float) -> float:
-    """s of two matrices of a ratio of norms and a correlation."""
-    return math.sqrt(ratio + 1 / ratio - 2 * correlation)
 
 
 def distance(a: ComplexArray, b: ComplexArray) -> float:

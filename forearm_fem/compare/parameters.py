@@ -70,7 +70,6 @@ class Direction:
             return f"the data do not determine {names[0]}: it is uncertain by {share} of its allowed range"
         sign = [f"{self.weights[n]:+.2f} {n}" for n in names]
         return (
-            f"the data cannot tell {', '.join(names[:-1])} and {names[-1]} "
-            f"apart: along {' '.join(sign)} they are "
+            f"the data cannot tell {', '.join(names[:-1])} and {names[-1]} apart: along {' '.join(sign)} they are "
             f"uncertain by {share} of their allowed range"
         )

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..figures.style import ACTUATORS, GREY, INK, SIZE, decimal, letter, sign, single, styled
+from ..figures.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, sign, single, styled
 from ..io.atomic import atomic_path, write_text
 from ..io.markdown import markdown_table
 from .agreement import fdac_matrix
@@ -124,9 +124,9 @@ def plot_overlay(ground: CommonGround, output: int, source: int, *, ax: Axes | N
     for (name, colour, line), values in zip(_SIDES, (ground.a, ground.b), strict=True):
         size = np.abs(values[:, output, source])
         size = np.where(ground.valid[:, output, source] & (size > 0), size, np.nan)
-        ax.loglog(ground.frequency, size, line, color=colour, label=name)
+        ax.loglog(ground.frequency, MICRO * size, line, color=colour, label=name)
     label = f"point {ground.outputs[output].name} from {ground.inputs[source].name}"
-    ax.set(xlabel="frequency [Hz]", ylabel=f"|G| [{ground.unit}]", title=label)
+    ax.set(xlabel="frequency [Hz]", ylabel=f"|G| [{micro(ground.unit)}]", title=label)
     ax.legend()
     _band(ax, ground)
     return ax

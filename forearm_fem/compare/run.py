@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from ..device.loop import UNITS
-from ..errors import DataError
+from ..errors import DataError, ForearmError
 from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
 from ..io.declaration import Declaration, Ports
 from ..io.netcdf import write_transfer
 from ..io.recognise import read_measured
-from ..pipeline.parametric import BEYOND
+from ..pipeline.parametric import BEYOND, ParametricModel
 from ..ports import Port
 from ..progress import Progress, within
 from ..scenario import Scenario
@@ -25,13 +25,15 @@ from .adapters import (
     ComplianceOf,
     ScenarioModel,
     common_parameters,
+    fem_compliance_less_error,
     fem_compliance_of,
+    fem_meshes_for,
     fem_model_for,
     layered_compliance_of,
 )
 from .common import common_ground
 from .compare import Comparison, compare, plain
-from .fit import FALLBACK_NOISE, FitResult, fit, with_model_error
+from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, with_model_error
 from .next_best import NextBest, next_best
 from .readings import explained, mistake
 from .report import as_markdown, save_report
@@ -88,13 +90,14 @@ class FitCommandResult:
     """The fit, the fitted scenario's model of G on the frequencies used, a text and the files written.
 
     ``following`` is the next best measurement, ``reduction`` e_band that a reduced model of finite elements states for
-    itself at the fitted values (NaN on the twin).
+    itself at the fitted values (NaN on the twin), ``numerics`` what is said of the elements' own error (nothing there).
     """
 
     fit: FitResult
     model: TransferMatrix
     following: NextBest
     reduction: float
+    numerics: str
     text: str
     files: tuple[Path, ...]
 
@@ -139,13 +142,13 @@ def run_fit(
     def model(values: Mapping[str, float]) -> TransferMatrix:
         return answering(whole(values), data)
 
-    result = fit(model, data, chosen, progress=progress)
+    result, numerics = fit(model, data, chosen, progress=progress), ""
     if fem:
-        rough = ScenarioModel(scenario, fem_compliance_of(reduced.coarser, data.frequency))
-        again = [replace(p, start=min(max(result.values[p.name], p.lower), p.upper)) for p in chosen]
-        other = fit(lambda values: answering(rough(values), data), data, again, progress=within(progress, "reduction"))
-        result = with_model_error(result, other.values, reduced.factor)
-    free = {n: v for n, v in result.values.items() if n not in ("scale", "delay")}
+        rough = fem_compliance_of(reduced.coarser, data.frequency)
+        moved = _refitted(rough, scenario, data, result, within(progress, "reduction"))
+        result = with_model_error(result, moved, reduced.factor)
+        result, numerics = _with_mesh_error(result, reduced, scenario, data, base, progress)
+    free = _scenario_values(result)
     best = model(free)
     start = model({p.name: p.start for p in chosen if p.name not in ("scale", "delay")})
     wide = _with_outputs(data, outputs)
@@ -154,10 +157,42 @@ def run_fit(
         _noise_of(data),
     )  # fmt: skip
     reduction = float(whole(free).errors[0].band) if fem else float("nan")
-    notes = (*_explained(data, (start, best)), *_reduction_note(reduction, result), following.sentence)
+    said = (*_reduction_note(reduction, result), *((numerics,) if numerics else ()))
+    notes = (*_explained(data, (start, best)), *said, following.sentence)
     text = fit_text(result, notes)
     files = () if folder is None else _save_fit(Path(folder), result, best, text, notes)
-    return FitCommandResult(result, best, following, reduction, text, files)
+    return FitCommandResult(result, best, following, reduction, numerics, text, files)
+
+
+def _refitted(
+    skin: ComplianceOf, scenario: Scenario, data: TransferMatrix, result: FitResult, progress: Progress | None
+) -> dict[str, float]:
+    """Values that another model finds in the same data, from those of ``result`` on."""
+    other = ScenarioModel(scenario, skin)
+    again = [replace(p, start=min(max(result.values[p.name], p.lower), p.upper)) for p in result.parameters]
+    return dict(fit(lambda values: answering(other(values), data), data, again, progress=progress).values)
+
+
+def _with_mesh_error(
+    result: FitResult, reduced: ParametricModel, scenario: Scenario, data: TransferMatrix, base: str | Path,
+    progress: Progress | None,
+) -> tuple[FitResult, str]:  # fmt: skip
+    """The fit with intervals that hold what the elements err by, and a sentence; or the sentence that says why not."""
+    try:
+        meshes = fem_meshes_for(scenario, result.parameters, base=base, progress=within(progress, "coarser mesh"))
+    except ForearmError as problem:
+        return result, f"numerics: unknown; what the elements err by is in no interval ({problem})"
+    arm = ScenarioModel(scenario, fem_compliance_of(reduced, data.frequency)).scenario(_scenario_values(result))
+    band = meshes.error(arm, reduced.compliance(arm, data.frequency)).band
+    skin = fem_compliance_less_error(reduced, meshes, arm, data.frequency)
+    moved = _refitted(skin, scenario, data, result, within(progress, "coarser mesh"))
+    said = f"numerics: the elements err by an e_band of {100 * band:.2g} % there, which intervals hold"
+    return with_model_error(result, moved, 1.0), said
+
+
+def _scenario_values(result: FitResult) -> dict[str, float]:
+    """What a scenario takes of the fitted values."""
+    return {n: v for n, v in result.values.items() if n not in (SCALE, DELAY)}
 
 
 def _unmeasured(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:

@@ -1,8 +1,7 @@
 """The shell shared by all actuators: a rigid body with heave, roll and pitch on strap and foam.
 
-Generalised coordinates q = (z, g theta_x, g theta_y) [m] with g the radius of gyration, about the mean
-of the contacts, so that the mass matrix is m I. Left out: sliding and yaw, for the strap's forces along
-the skin are not modelled.
+Generalised coordinates q = (z, g theta_x, g theta_y) [m] with g the radius of gyration, about the mean of the contacts,
+so that the mass matrix is m I. Left out: sliding and yaw, for the strap's forces along the skin are not modelled.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """How errors of the compliance become errors of G: first order, entry by entry, no sampling.
 
-G = C_pc F and dF = -S dC_cc F give dG = dC_pc F - (C_pc S) dC_cc F. The entries of dC are taken as
-independent, of zero mean and of one size per block: e(f) max|block| for e(f), e_band times the block's
-root mean square for the band norm. The squares of their effects add; that dC is symmetric is not used.
-Coherent errors (all of C too soft by one factor) partly cancel in G, so this tends to overestimate;
-``worst_case=True`` adds the sizes instead: a first-order bound.
+G = C_pc F and dF = -S dC_cc F give dG = dC_pc F - (C_pc S) dC_cc F. The entries of dC are taken as independent, of zero
+mean and of one size per block: e(f) max|block| for e(f), e_band times the block's root mean square for the band norm.
+The squares of their effects add; that dC is symmetric is not used. Coherent errors (all of C too soft by one factor)
+partly cancel in G, so this tends to overestimate; ``worst_case=True`` adds the sizes instead: a first-order bound.
 """
 
 from __future__ import annotations

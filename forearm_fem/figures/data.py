@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+from .. import __version__
 from ..errors import DataError
 from ..geometry.limb.bending import with_bends
 from ..geometry.mesh.files import read_mesh
@@ -158,9 +158,8 @@ class Results:
         field = load_wavefield(self.path("wavefield.npz"))
         if len(field.modes) != len(self.field_mesh.points):
             raise DataError(
-                f"{self.folder}: wavefield.npz has {len(field.modes)} points, mesh.vtu "
-                f"{len(self.field_mesh.points)} with its skin's middles; they are of different runs, "
-                f"{self.remedy('wavefield.npz')} anew"
+                f"{self.folder}: wavefield.npz has {len(field.modes)} points, mesh.vtu {len(self.field_mesh.points)} "
+                f"with its skin's middles; they are of different runs, {self.remedy('wavefield.npz')} anew"
             )
         return field
 
@@ -204,7 +203,7 @@ class Results:
     @property
     def version(self) -> str:
         """The version that made the results, or failing that the one reading them."""
-        return self.account.program or _installed()
+        return self.account.program or __version__
 
     @cached_property
     def mesh_hash(self) -> str:
@@ -226,10 +225,3 @@ class Results:
             return reader(file)
         except DataError as problem:
             raise DataError(f"{problem}; {self.remedy(name)} anew") from None
-
-
-def _installed() -> str:
-    try:
-        return metadata.version("forearm-fem")
-    except metadata.PackageNotFoundError:
-        return "unknown"

@@ -81,9 +81,8 @@ def plot_impedance(data: ImpedanceCurves, *, ax: Axes | None = None) -> FigureBa
 class DriveLevels:
     """Drives of one target over time, and peak and power of all targets against the limits.
 
-    ``signals`` (n_method, n_in, n_t) in ``unit`` at ``time`` (n_t,) [s]; ``peak`` and ``power``
-    (n_method, n_target): the most loaded actuator's peak [unit] and mean power [W]; limits are NaN where the drive is
-    no voltage.
+    ``signals`` (n_method, n_in, n_t) in ``unit`` at ``time`` (n_t,) [s]; ``peak`` and ``power`` (n_method, n_target):
+    the most loaded actuator's peak [unit] and mean power [W]; limits are NaN where the drive is no voltage.
     """
 
     target: str
@@ -166,7 +165,12 @@ def plot_drives(data: DriveLevels, *, ax: Axes | None = None) -> FigureBase:
     for m, method in enumerate(data.methods):
         panel = figure.add_subplot(grid[0, 2 * m : 2 * m + 2])
         first = first or panel
-        _over_time(panel, data, m)
+        for k, name in enumerate(data.actuators):
+            panel.plot(1e3 * data.time, data.signals[m, k], color=ACTUATORS[k % 6], ls=LINES[k % 4], label=name)
+        panel.set_xlabel("time [ms]")
+        if np.isfinite(data.max_peak) and np.abs(data.signals).max() > 0.3 * data.max_peak:
+            for sign in (-1, 1):
+                panel.axhline(sign * data.max_peak, color=GREY, ls="--", lw=0.8)
         panel.set_title(f"{method}, target {data.target}")
         panel.set_ylabel(f"drive [{data.unit}]" if m == 0 else "")
     left, right = figure.add_subplot(grid[1, :n]), figure.add_subplot(grid[1, n:])
@@ -178,15 +182,6 @@ def plot_drives(data: DriveLevels, *, ax: Axes | None = None) -> FigureBase:
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
-
-
-def _over_time(ax: Axes, data: DriveLevels, m: int) -> None:
-    for k, name in enumerate(data.actuators):
-        ax.plot(1e3 * data.time, data.signals[m, k], color=ACTUATORS[k % 6], ls=LINES[k % 4], label=name)
-    ax.set_xlabel("time [ms]")
-    if np.isfinite(data.max_peak) and np.abs(data.signals).max() > 0.3 * data.max_peak:
-        for sign in (-1, 1):
-            ax.axhline(sign * data.max_peak, color=GREY, ls="--", lw=0.8)
 
 
 def _by_target(ax: Axes, data: DriveLevels, values: FloatArray, limit: float, label: str) -> None:

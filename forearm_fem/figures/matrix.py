@@ -20,10 +20,8 @@ from ..rendering.spectrum import BinValues, Record
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .data import Results
-from .style import FAINT, GREY, decimal, letter, panels, styled
+from .style import FAINT, GREY, MICRO, decimal, letter, micro, panels, styled
 from .tables import Table
-
-MICRO = 1e6
 
 
 def shown(transfer: TransferMatrix) -> ComplexArray:
@@ -38,11 +36,6 @@ def unwrapped(values: ComplexArray) -> FloatArray:
     known = np.isfinite(phase)
     filled = np.where(known, phase, 0.0)
     return np.where(known, np.unwrap(filled, axis=0), np.nan) / (2 * np.pi)
-
-
-def micro(unit: str) -> str:
-    """The unit of 1e6 times values in ``unit``."""
-    return "µ" + unit
 
 
 def transfer_table(transfer: TransferMatrix) -> Table:

@@ -17,8 +17,8 @@ from ..rendering import Record, place, respond, to_spectrum
 from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .device import LINES, busy
-from .matrix import MICRO, shown, unwrapped, zero_points
-from .style import ACTUATORS, FAINT, GREY, INK, METHODS, panels, styled, widen
+from .matrix import shown, unwrapped, zero_points
+from .style import ACTUATORS, FAINT, GREY, INK, METHODS, MICRO, panels, styled, widen
 from .tables import Table, stacked_rows
 
 

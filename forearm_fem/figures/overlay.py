@@ -44,17 +44,17 @@ def read_curves(path: str | Path) -> tuple[Curve, ...]:
         ) from None
     if len(lines) < 2 or len(lines[0]) < 2 or table.ndim != 2 or table.shape[1] != len(lines[0]):
         raise DataError(f"{file}: expected a header, x in the first column and a curve in each other one")
-    return tuple(_curve(name, table[:, 0], y) for name, y in zip(lines[0][1:], table[:, 1:].T, strict=True))
-
-
-def _curve(name: str, x: FloatArray, y: FloatArray) -> Curve:
-    label, _, panel = name.partition("@")
-    known = np.isfinite(x) & np.isfinite(y)
-    return Curve(label.strip(), int(panel) if panel.strip().isdigit() else 1, x[known], y[known])
+    curves, x = [], table[:, 0]
+    for name, y in zip(lines[0][1:], table[:, 1:].T, strict=True):
+        label, _, panel = name.partition("@")
+        known = np.isfinite(x) & np.isfinite(y)
+        curves.append(Curve(label.strip(), int(panel) if panel.strip().isdigit() else 1, x[known], y[known]))
+    return tuple(curves)
 
 
 def lay_over(figure: Figure, curves: tuple[Curve, ...]) -> None:
-    """Draw ``curves`` as open marks over what ``figure`` shows; its axes keep their ranges.
+    """Draw ``curves`` as open marks over what ``figure`` shows; its axes keep their ranges, and the legend
+    says how many points lie beyond them.
 
     DataError for a panel that the figure does not have, and where a curve lies wholly outside its panel, as one in
     other units would.
@@ -65,14 +65,16 @@ def lay_over(figure: Figure, curves: tuple[Curve, ...]) -> None:
             raise DataError(f"'{curve.label}': the figure has {len(axes)} panels, not a panel {curve.panel}")
         panel = axes[curve.panel - 1]
         (left, right), (low, high) = sorted(panel.get_xlim()), sorted(panel.get_ylim())
-        if not np.any((left <= curve.x) & (curve.x <= right) & (low <= curve.y) & (curve.y <= high)):
+        seen = (left <= curve.x) & (curve.x <= right) & (low <= curve.y) & (curve.y <= high)
+        if not seen.any():
             raise DataError(
                 f"'{curve.label}': none of its points lies within {left:.3g} to {right:.3g} and {low:.3g} to "
                 f"{high:.3g} of panel {curve.panel} ({panel.get_xlabel()}; {panel.get_ylabel()}); are the units right?"
             )
+        hidden = f" ({np.sum(~seen)} of {len(seen)} points beyond the axes)" if not seen.all() else ""
         with style.context(SHEET):
             panel.plot(curve.x, curve.y, _MARKS[k % len(_MARKS)], ms=3.5, mfc="none", mec=INK, mew=0.8,
-                       label=curve.label, scalex=False, scaley=False)  # fmt: skip
+                       label=curve.label + hidden, scalex=False, scaley=False)  # fmt: skip
             panel.legend()
 
 

@@ -90,7 +90,9 @@ def volar_patch(mesh: TissueMesh, ports: Sequence[Port], margin: float = 0.014) 
     facets = mesh.facets["skin"]
     corner = mesh.points[facets]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normal *= np.sign(np.einsum("ij,ij->i", normal, _outwards(mesh, facets)))[:, None]
+    away = mesh.points[facets].mean(axis=1) - mesh.points.mean(axis=0)
+    away[:, 0] = 0
+    normal *= np.sign(np.einsum("ij,ij->i", normal, away))[:, None]
     up = normal[:, 2] > _STEEPEST * np.linalg.norm(normal, axis=1)
     places = positions(tuple(ports))[:, :2]
     low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
@@ -109,10 +111,3 @@ def _packed(mesh: TissueMesh, facets: IntArray, normal: FloatArray) -> VolarPatc
         np.add.at(normals, triangles[:, k], normal)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return VolarPatch(vertices, mesh.points[vertices], triangles, normals)
-
-
-def _outwards(mesh: TissueMesh, facets: IntArray) -> FloatArray:
-    """From the limb's axis to each facet (n, 3): enough to tell outside from inside on a limb or slab."""
-    away = mesh.points[facets].mean(axis=1) - mesh.points.mean(axis=0)
-    away[:, 0] = 0
-    return np.asarray(away)

@@ -128,10 +128,9 @@ def make_figures(
     """Make the figures of a results folder with their numbers as CSV, and return all files written.
 
     ``out_dir`` defaults to ``figures`` inside the folder; ``only`` are names from :func:`kinds`; ``formats`` any of
-    png, pdf and svg; ``width`` one of :data:`.overlay.WIDTHS` [mm]; ``over`` tables of curves (:func:`.read_curves`)
-    to lay over figures by name. Files appear whole or not at all. Figures that do not apply to the run are left out
-    unless named. Raises DataError for an unfinished folder, an unknown name or format, and a
-    folder that cannot be written.
+    png, pdf and svg; ``width`` one of :data:`.overlay.WIDTHS` [mm]; ``over`` tables of curves (:func:`.read_curves`) to
+    lay over figures by name. Files appear whole or not at all. Figures that do not apply to the run are left out unless
+    named. Raises DataError for an unfinished folder, an unknown name or format, and a folder that cannot be written.
     """
     results = results_dir if isinstance(results_dir, Results) else Results.open(results_dir)
     chosen = _chosen(results, only)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ..errors import DataError, MissingExtra
+from ..errors import DataError, optional
 from ..io.atomic import atomic_path, write_bytes, write_text
 from ..ports import Port
 from ..progress import Progress, tell
@@ -76,14 +76,10 @@ class Body:
 def body_of(results: Results, cut: str, target: str) -> Body:
     """The skin, or the limb behind the cut planes."""
     if not cut:
-        return _skin(results)
+        surface = surface_grid(results.field_mesh, results.field_mesh.facets["skin"])
+        vertices: IntArray = np.asarray(surface.point_data["vertex"])
+        return _body(surface, results.wavefield.modes[vertices], None)
     return _opened(results, cut, target)
-
-
-def _skin(results: Results) -> Body:
-    surface = surface_grid(results.field_mesh, results.field_mesh.facets["skin"])
-    vertices: IntArray = np.asarray(surface.point_data["vertex"])
-    return _body(surface, results.wavefield.modes[vertices], None)
 
 
 def _body(surface: Any, modes: FloatArray, normals: FloatArray | None) -> Body:
@@ -304,10 +300,7 @@ def _writer(target: Path) -> Callable[[Path, list[Any], float], None]:
     if target.suffix != ".mp4":
         raise DataError(f"{target}: films are .gif or .mp4, not '{target.suffix}'")
     for package in ("imageio", "imageio_ffmpeg"):
-        try:
-            import_module(package)
-        except ImportError:
-            raise MissingExtra(package, "movie", "an .mp4 film") from None
+        optional(package, "movie", "an .mp4 film")
     return _write_mp4
 
 

@@ -26,6 +26,12 @@ ACTUATORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 METHODS = {"inverse filter": "#0072B2", "funneling": "#D55E00", "combination": "#009E73"}
 TISSUES = {"skin": "#E8B4A0", "fat": "#F2DE9B", "muscle": "#A84B4B", "bone": "#DAD7CB"}
 SIGNED, SIZE = "RdBu_r", "cividis"
+MICRO = 1e6  # what displacements are drawn times: in micrometres, their unit by :func:`micro`
+
+
+def micro(unit: str) -> str:
+    """The unit of :data:`MICRO` times values in ``unit``."""
+    return "µ" + unit
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:

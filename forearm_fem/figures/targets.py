@@ -20,9 +20,8 @@ from ..typing import ComplexArray, FloatArray
 from ..wavefield import Wavefield
 from .data import Results
 from .device import busy, record_of
-from .matrix import MICRO
 from .patch import VolarPatch, volar_patch
-from .style import FAINT, GREY, INK, SIGNED, figure_of, method_colour, panels, styled
+from .style import FAINT, GREY, INK, MICRO, SIGNED, figure_of, method_colour, panels, styled
 from .tables import Table, stacked_rows
 
 _INSTANTS = 6
@@ -36,9 +35,8 @@ _MESH = 41  # points per side of the interpolated map
 class Shown:
     """One method at one target.
 
-    ``values`` (n_out, n_t) [m] at ``time`` (n_t,) [s]; ``instants`` (6,) [s]; ``between`` (6, ny, nx) [m]
-    interpolated between the grid points; ``field`` (6, n_vertex) [m] the skin's own normal motion, None without a
-    wavefield.
+    ``values`` (n_out, n_t) [m] at ``time`` (n_t,) [s]; ``instants`` (6,) [s]; ``between`` (6, ny, nx) [m] interpolated
+    between the grid points; ``field`` (6, n_vertex) [m] the skin's own normal motion, None without a wavefield.
     """
 
     method: str
@@ -185,9 +183,10 @@ def plot_target(data: TargetWaves, *, ax: Axes | None = None) -> FigureBase:
 def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int) -> None:
     maps, right = figure.subfigures(1, 2, width_ratios=(2.6, 1), squeeze=False)[0]
     grid = maps.subplots(rows, _INSTANTS, squeeze=False)
-    scale = _scale(shown)
+    most = MICRO * float(np.nanmax(np.abs(shown.between), initial=0.0))
+    scale = Normalize(-most or -1.0, most or 1.0)
     for k, t in enumerate(shown.instants):
-        grid[0, k].set_title(_milliseconds(t))
+        grid[0, k].set_title("0 ms" if abs(t) < 5e-5 else f"{1e3 * t:+.1f} ms")
         grid[0, k].pcolormesh(1e3 * data.x, 1e3 * data.y, MICRO * shown.between[k], cmap=SIGNED, norm=scale,
                               shading="gouraud", rasterized=True)  # fmt: skip
         if shown.field is not None and data.patch is not None:
@@ -202,16 +201,6 @@ def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int) -> Non
                         shrink=0.9)  # fmt: skip
     bar.set_label("u [µm], cut at the grid's range", fontsize=7)
     _traces(right.subplots(), data, shown)
-
-
-def _milliseconds(t: float) -> str:
-    return "0 ms" if abs(t) < 5e-5 else f"{1e3 * t:+.1f} ms"
-
-
-def _scale(shown: Shown) -> Normalize:
-    """Symmetric about zero, up to what the grid points reach at these instants."""
-    most = MICRO * float(np.nanmax(np.abs(shown.between), initial=0.0))
-    return Normalize(-most or -1.0, most or 1.0)
 
 
 def _mark(ax: Axes, data: TargetWaves) -> None:

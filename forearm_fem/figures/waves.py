@@ -21,10 +21,10 @@ from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .data import Results
-from .matrix import MICRO, shown
+from .matrix import shown
 from .patch import volar_patch
 from .roots import trace_root
-from .style import FAINT, GREY, letter, panels, styled
+from .style import FAINT, GREY, MICRO, letter, panels, styled
 from .tables import Table, stacked_rows
 
 _STRAIGHT = 0.5  # rad: beyond, the phase along the line is no line

@@ -13,7 +13,7 @@ from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, MeshLimb, SlabLimb, SurfacesLimb
-from ..typing import FloatArray, IntArray
+from ..typing import FloatArray
 from .device.contacts import check_contact_areas, with_contacts, with_true_rims
 from .device.cramped import why_cramped
 from .device.imprint import imprint
@@ -131,13 +131,10 @@ def _with_fine_rims(
     limb = scenario.limb
     lead = sizes.rim_lead if scenario.device.cone.contact in RIGID else 0.0
     middle = bent_middles(tube_of(limb)) if isinstance(limb, ForearmLimb | CylinderLimb) else midpoints
-    return with_true_rims(refine_rims(mesh, ports, _rim_size(scenario, sizes, scale), middle=middle), ports, lead)
-
-
-def _rim_size(scenario: Scenario, sizes: Sizes, scale: float) -> float:
-    """Rigid discs have a stress singularity at the rim; a uniform pressure only needs its area."""
     cone = scenario.device.cone
-    return sizes.rim if cone.contact in RIGID else max(0.5 * sizes.contact, 0.25 * scale * cone.radius)
+    # rigid discs have a stress singularity at the rim; a uniform pressure only needs its area
+    rim = sizes.rim if cone.contact in RIGID else max(0.5 * sizes.contact, 0.25 * scale * cone.radius)
+    return with_true_rims(refine_rims(mesh, ports, rim, middle=middle), ports, lead)
 
 
 def _imprinted(
@@ -152,17 +149,13 @@ def _imprinted(
         mesh = refine_near(mesh, ports, min(size.sizes.contact, scale * WIDEST * scenario.device.cone.radius))
     for port in ports:
         mesh = imprint(mesh, port, true_skin(tube) if tube else FacetSkin.of(mesh).lift)
-    return replace(mesh, facets={**mesh.facets, **_underside(mesh)})
-
-
-def _underside(mesh: TissueMesh) -> dict[str, IntArray]:
-    found = underside(mesh.points, mesh.facets["skin"])
-    return {"underside": found} if len(found) else {}
+    if len(found := underside(mesh.points, mesh.facets["skin"])):
+        mesh = replace(mesh, facets={**mesh.facets, "underside": found})
+    return mesh
 
 
 def limb_volume(scenario: Scenario) -> float | None:
-    """Exact volume [m^3] of what a parametric limb's mesh fills (a slab's quarter too); None for user
-    limbs."""
+    """Exact volume [m^3] of what a parametric limb's mesh fills (a slab's quarter too); None for user limbs."""
     limb, elastic = scenario.limb, scenario.supports.bone == "elastic"
     if isinstance(limb, SlabLimb):
         return float(limb.length * limb.width * limb.depth / 2 ** len(set(limb.symmetry)))

@@ -48,13 +48,19 @@ def cached_mesh(
     refuse_if_too_many(scenario, SizeField.around(layout_of(scenario), sizes, size_growth(scenario, scale=scale)))
     key = mesh_key(scenario, base=base, scale=scale)
     for folder in shipped_folders(base, shipped_dir):
-        if (found := _look_up(folder, key)) is not None:
+        notes = sorted(folder.glob("*.json")) if folder.is_dir() else []
+        matching = (_read(note, key) for note in notes if _note(note).get("key") == key)
+        if (found := next((mesh for mesh in matching if mesh is not None), None)) is not None:
             return _usable(scenario, found)
     home = cache_dir or default_cache_dir()
     if (found := _read(home / f"{key}.json", key)) is not None:
         return _usable(scenario, found)
     mesh = build_mesh(scenario, base=base, scale=scale, progress=progress)
-    _try_store(mesh, home / f"{key}.vtu", key)
+    path = home / f"{key}.vtu"
+    try:
+        store_mesh(mesh, path, key)
+    except DataError as problem:
+        _log.warning("the mesh could not be kept in the cache %s (%s); it will be built again", path.parent, problem)
     return mesh
 
 
@@ -67,16 +73,22 @@ def _usable(scenario: Scenario, mesh: TissueMesh) -> TissueMesh:
 def mesh_key(scenario: Scenario, *, base: Path = Path("."), scale: float = 1.0) -> str:
     """SHA-256 of everything the mesh depends on, user files' contents included."""
     layout = layout_of(scenario)
+    limb = scenario.limb
+    files = [limb.file] if isinstance(limb, MeshLimb) else []
+    files += list(limb.surfaces.values()) if isinstance(limb, SurfacesLimb) else []
+    paths = [base / f for f in files]
+    sizes = element_sizes(scenario, scale=scale)
     depends = {
         "generator": GENERATOR,
         "limb": scenario.limb.model_dump(mode="json"),
-        "files": _file_digests(scenario, base),
+        "files": [hashlib.sha256(p.read_bytes()).hexdigest() if p.is_file() else "missing" for p in paths],
         "contacts": layout.contacts.tolist(),
         "radius": layout.radius,
         "rigid": scenario.device.cone.contact in RIGID or ["pressure", scale],
         "points": layout.points.tolist(),
         "grading": size_growth(scenario, scale=scale),
-        "sizes": _rounded(asdict(element_sizes(scenario, scale=scale))),
+        # to a micrometre: rounding of the last bit must not miss a mesh
+        "sizes": {k: round(v, 6) if isinstance(v, float) else v for k, v in asdict(sizes).items()},
         "bone": scenario.supports.bone,
     }
     if isinstance(scenario.limb, MeshLimb | SurfacesLimb):
@@ -84,19 +96,6 @@ def mesh_key(scenario: Scenario, *, base: Path = Path("."), scale: float = 1.0) 
     if scenario.mesh.min_quality != _QUALITY:  # it may decide at which attempt a mesh is good enough
         depends["min_quality"] = scenario.mesh.min_quality
     return hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
-
-
-def _rounded(sizes: dict[str, Any]) -> dict[str, Any]:
-    """Sizes to a micrometre: rounding of the last bit must not miss a mesh."""
-    return {k: round(v, 6) if isinstance(v, float) else v for k, v in sizes.items()}
-
-
-def _file_digests(scenario: Scenario, base: Path) -> list[str]:
-    limb = scenario.limb
-    files = [limb.file] if isinstance(limb, MeshLimb) else []
-    files += list(limb.surfaces.values()) if isinstance(limb, SurfacesLimb) else []
-    paths = [base / f for f in files]
-    return [hashlib.sha256(p.read_bytes()).hexdigest() if p.is_file() else "missing" for p in paths]
 
 
 def default_cache_dir() -> Path:
@@ -107,14 +106,12 @@ def default_cache_dir() -> Path:
 
 
 def shipped_folders(base: Path, given: Path | None = None) -> tuple[Path, ...]:
-    """Folders of meshes that came with the program: ``given``, else ../meshes of the scenario and
-    ./meshes."""
+    """Folders of meshes that came with the program: ``given``, else ../meshes of the scenario and ./meshes."""
     return (given,) if given is not None else (base / ".." / "meshes", Path("meshes"))
 
 
 def store_mesh(mesh: TissueMesh, path: Path, key: str, *, command: str = "") -> None:
-    """Write ``mesh`` to ``path`` (.vtu), and beside it a .json with its key, digest and the command that
-    makes it."""
+    """Write ``mesh`` to ``path`` (.vtu), and beside it a .json with its key, digest and the command that makes it."""
     write_mesh(mesh, path)
     note = {
         "key": key,
@@ -133,19 +130,6 @@ def ship_mesh(
     mesh = build_mesh(scenario, base=base, scale=scale)
     store_mesh(mesh, folder / f"{name}.vtu", mesh_key(scenario, base=base, scale=scale), command=command)
     return mesh
-
-
-def _try_store(mesh: TissueMesh, path: Path, key: str) -> None:
-    try:
-        store_mesh(mesh, path, key)
-    except DataError as problem:
-        _log.warning("the mesh could not be kept in the cache %s (%s); it will be built again", path.parent, problem)
-
-
-def _look_up(folder: Path, key: str) -> TissueMesh | None:
-    notes = sorted(folder.glob("*.json")) if folder.is_dir() else []
-    found = (_read(note, key) for note in notes if _note(note).get("key") == key)
-    return next((mesh for mesh in found if mesh is not None), None)
 
 
 def _note(file: Path) -> dict[str, Any]:

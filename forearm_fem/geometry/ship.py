@@ -1,5 +1,4 @@
-"""Make the meshes that come with the program: ``python -m forearm_fem.geometry.ship
-scenarios/thesis.toml``."""
+"""Make the meshes that come with the program: ``python -m forearm_fem.geometry.ship scenarios/thesis.toml``."""
 
 from __future__ import annotations
 

@@ -26,7 +26,8 @@ def atomic_path(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
         target.parent.mkdir(parents=True, exist_ok=True)
         yield beside
         if durable:
-            _flush(beside)
+            with beside.open("rb+") as stream:
+                os.fsync(stream.fileno())
         os.replace(beside, target)
         if durable:
             _flush_folder(target.parent)
@@ -50,11 +51,6 @@ def write_bytes(path: str | Path, content: bytes, *, durable: bool = True) -> No
 def write_text(path: str | Path, text: str) -> None:
     """``text`` as UTF-8 with the line ends it has, whole or not at all."""
     write_bytes(path, text.encode("utf-8"))
-
-
-def _flush(file: Path) -> None:
-    with file.open("rb+") as stream:
-        os.fsync(stream.fileno())
 
 
 def _flush_folder(folder: Path) -> None:

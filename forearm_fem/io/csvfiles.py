@@ -30,7 +30,16 @@ def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
     NaN stands as ``nan``. Error estimates, ``contacts`` and provenance are not carried: transfer.nc has them.
     """
     stream = io.StringIO()
-    stream.write(_MARK + json.dumps(_head(transfer)) + "\n" + f"# {BLANK.decode()}\n" * 2)
+    head = {
+        "unit": transfer.unit,
+        "quantity": "displacement",
+        "sign": "+iwt",
+        "spectrum": "one-sided",
+        "masked": transfer.valid is not None,
+        "outputs": [vars(p) for p in transfer.outputs],
+        "inputs": [vars(p) for p in transfer.inputs],
+    }
+    stream.write(_MARK + json.dumps(head) + "\n" + f"# {BLANK.decode()}\n" * 2)
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(_COLUMNS if transfer.deviation is not None else _COLUMNS[:-1])
     for (k, o, i), value in np.ndenumerate(transfer.values):
@@ -51,25 +60,12 @@ def _text(value: Any) -> str:
     return repr(float(value))
 
 
-def _head(transfer: TransferMatrix) -> dict[str, Any]:
-    return {
-        "unit": transfer.unit,
-        "quantity": "displacement",
-        "sign": "+iwt",
-        "spectrum": "one-sided",
-        "masked": transfer.valid is not None,
-        "outputs": [vars(p) for p in transfer.outputs],
-        "inputs": [vars(p) for p in transfer.inputs],
-    }
-
-
 def read_csv(path: str | Path) -> RawMatrix:
     """G from lines with the columns frequency_Hz, output, input and real, imag or magnitude, phase_rad (or
     phase_deg). Checksums are verified where there are any; who edits a file by hand deletes their lines.
 
-    Lines may come in any order; entries that are absent at a frequency are marked. Columns ``valid`` and
-    ``deviation`` are read where present, others ignored. Raises DataError with the number of the line that
-    is wrong.
+    Lines may come in any order; entries that are absent at a frequency are marked. Columns ``valid`` and ``deviation``
+    are read where present, others ignored. Raises DataError with the number of the line that is wrong.
     """
     file = Path(path)
     try:
@@ -129,9 +125,8 @@ def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -
     pair = next((p for p in _PAIRS if all(c in header for c in p)), None)
     if missing or pair is None:
         raise DataError(
-            f"{file}: expected the columns frequency_Hz, output, input and real, "
-            f"imag (or magnitude, phase_rad), "
-            f"got {', '.join(header)[:120]}"
+            f"{file}: expected the columns frequency_Hz, output, input and real, imag (or magnitude, phase_rad), got "
+            f"{', '.join(header)[:120]}"
         )
     table: dict[str, Any] = {c: [] for c in header}
     for number, line in enumerate(lines, start=offset + 1):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +14,7 @@ import numpy as np
 import xarray as xr
 from xarray.backends import H5NetCDFStore
 
+from .. import __version__
 from ..errors import DataError
 from ..ports import Port, positions
 from .atomic import write_bytes
@@ -32,7 +32,8 @@ def save(path: str | Path, variables: Variables, attributes: Mapping[str, str]) 
     Complex values become the compound type (r, i) of h5py and nc-complex; h5netcdf 1.4 or later.
     """
     dataset = xr.Dataset({name: xr.Variable(*parts) for name, parts in variables.items()})
-    described = dataset.assign_attrs({**_common_attributes(), **attributes})
+    made = {"format_version": FORMAT_VERSION, "time_convention": TIME_CONVENTION}
+    described = dataset.assign_attrs({**made, "written_by": f"forearm_fem {__version__}", **attributes})
     coordinates = [name for name in described.variables if str(name) in described.dims]
     encoding = {name: _encoding(variable) for name, variable in described.variables.items()}
     memory = io.BytesIO()
@@ -48,7 +49,8 @@ def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T
         raise DataError(f"{file}: no such file")
     try:
         whole = check_tail(file.read_bytes())
-        _probe(file)
+        with h5py.File(file, "r") as probe:
+            dict(probe.attrs)  # damaged, these leave h5netcdf's file half-open
         result = unpack(_checked(xr.load_dataset(file, engine="h5netcdf"), content))
         if not whole:
             raise DataError("truncated: the checksum at its end is missing; copy or make it again")
@@ -61,12 +63,6 @@ def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T
         raise DataError(f"{file}: damaged or not {article} {content} file of forearm_fem ({first})") from problem
 
 
-def _probe(file: Path) -> None:
-    """Read the root's attributes with h5py first: damaged, they leave h5netcdf's file half-open."""
-    with h5py.File(file, "r") as probe:
-        dict(probe.attrs)
-
-
 def _checked(dataset: xr.Dataset, content: str) -> xr.Dataset:
     found, version = dataset.attrs["content"], dataset.attrs["format_version"]
     if found != content:
@@ -74,21 +70,6 @@ def _checked(dataset: xr.Dataset, content: str) -> xr.Dataset:
     if version != FORMAT_VERSION:
         raise DataError(f"written in format {version}, this version reads {FORMAT_VERSION}")
     return dataset
-
-
-def _common_attributes() -> dict[str, Any]:
-    return {
-        "format_version": FORMAT_VERSION,
-        "time_convention": TIME_CONVENTION,
-        "written_by": f"forearm_fem {_version()}",
-    }
-
-
-def _version() -> str:
-    try:
-        return metadata.version("forearm-fem")
-    except metadata.PackageNotFoundError:
-        return "(not installed)"
 
 
 def _encoding(variable: xr.Variable) -> dict[str, Any]:

@@ -1,6 +1,4 @@
-"""What a file of somebody else must say, or be told, before its numbers become a G: nothing is guessed
-silently.
-"""
+"""What a file of somebody else must say, or be told, before its numbers become a G: nothing is guessed silently."""
 
 from __future__ import annotations
 
@@ -27,9 +25,7 @@ _HERMITIAN = 1e-6  # of the largest value: how far a two-sided spectrum may be f
 
 
 class RecognitionWarning(UserWarning):
-    """Something about a file was recognised, not declared; ``what`` names it and ``chosen`` is what was
-    taken.
-    """
+    """Something about a file was recognised, not declared; ``what`` names it and ``chosen`` is what was taken."""
 
     def __init__(self, file: str, what: str, chosen: str) -> None:
         super().__init__(f"{file}: {what} recognised as {chosen}; declare it to be sure")
@@ -76,8 +72,7 @@ class Declaration(Part):
 class RawMatrix:
     """A file's content before it is understood; whatever the file says about itself, None where it is silent.
 
-    ``values`` in the order of ``axes``; ``frequency`` (n,) [Hz] as stored. ``deviation`` is in the file's
-    unit.
+    ``values`` in the order of ``axes``; ``frequency`` (n,) [Hz] as stored. ``deviation`` is in the file's unit.
     """
 
     name: str
@@ -124,9 +119,7 @@ def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = N
 
 
 def _agreed(raw: RawMatrix, declaration: Declaration, key: str, needed: bool = True) -> Any:
-    """What the file says, or the declaration; DataError if they differ, or if ``needed`` and neither says
-    it.
-    """
+    """What the file says, or the declaration; DataError if they differ, or if ``needed`` and neither says it."""
     said, declared = getattr(raw, key), getattr(declaration, key)
     if said is not None and declared is not None and said != declared:
         raise DataError(
@@ -204,8 +197,7 @@ def recognised_axes(raw: RawMatrix, n_out: int, n_in: int) -> tuple[Axis, ...]:
     found: list[Axis] = [a for length in shape for a in wanted if wanted[a] == length]
     if len(shape) != 3 or len(found) != 3 or len(set(found)) != 3:
         raise DataError(
-            f"{raw.name}: the axes of shape {shape} cannot be told apart for "
-            f"{n_out} outputs and {n_in} inputs; "
+            f"{raw.name}: the axes of shape {shape} cannot be told apart for {n_out} outputs and {n_in} inputs; "
             "declare axes, e.g. ['output', 'input', 'frequency']"
         )
     warnings.warn(RecognitionWarning(raw.name, f"axes of shape {shape}", ", ".join(found)), stacklevel=4)
@@ -236,9 +228,8 @@ def _one_sided(raw: RawMatrix, frequency: FloatArray, spectrum: Spectrum) -> Raw
     if spectrum == "two-sided":
         if mirrored > _HERMITIAN:
             raise DataError(
-                f"{raw.name}: declared two-sided, but its upper half is not the "
-                f"conjugate mirror of the lower one "
-                f"(off by {mirrored:.1e}); it is one-sided, in another bin order, or damaged"
+                f"{raw.name}: declared two-sided, but its upper half is not the conjugate mirror of the lower one (off "
+                f"by {mirrored:.1e}); it is one-sided, in another bin order, or damaged"
             )
         keep = slice(1, (len(frequency) + 1) // 2)
     else:
@@ -294,9 +285,7 @@ def _metres(
 
 
 def _usable(raw: RawMatrix) -> BoolArray | None:
-    """The file's mask; entries that are not finite, and frequencies at which all of G is zero, are never
-    usable.
-    """
+    """The file's mask; entries that are not finite, and frequencies at which all of G is zero, are never usable."""
     dark = ~np.isfinite(raw.values) | np.all(raw.values == 0, axis=(1, 2), keepdims=True)
     usable = ~dark if raw.valid is None else raw.valid & ~dark
     return None if usable.all() and raw.valid is None else np.asarray(usable)

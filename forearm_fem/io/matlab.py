@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ from scipy.io import loadmat, savemat
 from ..errors import DataError
 from ..ports import Port, positions
 from ..transfer import TransferMatrix
-from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+from ..typing import ComplexArray, FloatArray, IntArray
 from .atomic import write_bytes
 from .dataset import TIME_CONVENTION, labels, provenance_json
-from .seal import BLANK, check_seals, sealed
+from .reading import reading
+from .seal import BLANK, sealed
 
 _TEXT, _HEADER = 116, 128  # bytes of a MATLAB file: of its header the text, and all
 _NOTE = (
@@ -31,30 +33,35 @@ def write_thesis_mat(
 ) -> None:
     """Write G (n_out, n_in, sample_rate * duration) with its axes and units; [9, 4, 20000] by default.
 
-    ``sample_rate`` [Hz], ``duration`` [s]. Entries of ``transfer`` marked invalid are written as 0 and named
-    in ``valid`` (n_out, n_in, excited positive bin). Error estimates and deviations are
-    left out; transfer.nc has them.
+    ``sample_rate`` [Hz], ``duration`` [s]. Entries of ``transfer`` marked invalid are written as 0 and named in
+    ``valid`` (n_out, n_in, excited positive bin). Error estimates and deviations are left out; transfer.nc has them.
     Raises DataError where a frequency lies on no bin of 1 / duration, or is not within 0 to sample_rate / 2.
     """
     n = round(sample_rate * duration)
     bins = _bins(transfer.frequency, n, duration)
-    content = _content(transfer, bins, n, sample_rate, duration)
+    valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
+    content = {
+        "G": two_sided(np.where(valid, transfer.values, 0), bins, n),
+        "frequency_Hz": np.arange(n) / duration,
+        "excited": np.isin(np.arange(n), np.concatenate([bins, n - bins])),
+        "valid": np.moveaxis(valid, 0, 2),
+        "units": transfer.unit,
+        "time_convention": TIME_CONVENTION,
+        "sample_rate_Hz": sample_rate,
+        "duration_s": duration,
+        "note": _NOTE,
+        "provenance": provenance_json(transfer.provenance),
+        **_axes("grid", transfer.outputs),
+        **_axes("actuator", transfer.inputs),
+    }
     write_bytes(path, mat5(content, compressed=True))
 
 
 def read_thesis_mat(path: str | Path) -> TransferMatrix:
     """The positive, excited bins of a file by :func:`write_thesis_mat`; DataError if missing or damaged."""
     file = Path(path)
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
-    try:
-        content = file.read_bytes()
-        check_seals(content)
-        return _unpack(loadmat(io.BytesIO(content), chars_as_strings=True))
-    except DataError as problem:
-        raise DataError(f"{file}: {problem}") from None
-    except Exception as problem:  # damaged MAT files fail in ways that scipy does not list
-        raise DataError(f"{file}: damaged, or not a G written by forearm_fem ({problem})") from problem
+    with reading(file, "damaged, or not a G written by forearm_fem ({why})"):
+        return _unpack(loadmat(file, appendmat=False, chars_as_strings=True))
 
 
 def mat5(variables: dict[str, Any], *, compressed: bool = False) -> bytes:
@@ -92,29 +99,6 @@ def _bins(frequency: FloatArray, n: int, duration: float) -> IntArray:
     return bins
 
 
-def _content(transfer: TransferMatrix, bins: IntArray, n: int, sample_rate: float, duration: float) -> dict[str, Any]:
-    valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
-    return {
-        "G": two_sided(np.where(valid, transfer.values, 0), bins, n),
-        "frequency_Hz": np.arange(n) / duration,
-        "excited": _excited(bins, n),
-        "valid": np.moveaxis(valid, 0, 2),
-        "units": transfer.unit,
-        "time_convention": TIME_CONVENTION,
-        "sample_rate_Hz": sample_rate,
-        "duration_s": duration,
-        "note": _NOTE,
-        "provenance": provenance_json(transfer.provenance),
-        **_axes("grid", transfer.outputs),
-        **_axes("actuator", transfer.inputs),
-    }
-
-
-def _excited(bins: IntArray, n: int) -> BoolArray:
-    both = np.concatenate([bins, n - bins])
-    return np.isin(np.arange(n), both)
-
-
 def _axes(prefix: str, ports: tuple[Port, ...]) -> dict[str, Any]:
     return {
         f"{prefix}_names": labels(tuple(p.name for p in ports)),
@@ -141,13 +125,8 @@ def _unpack(content: dict[str, Any]) -> TransferMatrix:
 
 
 def _ports(content: dict[str, Any], prefix: str, kind: Any) -> tuple[Port, ...]:
-    names, contacts = (_cells(content[f"{prefix}_{key}"]) for key in ("names", "contacts"))
+    names, contacts = ([str(c[0]) for c in content[f"{prefix}_{key}"].ravel()] for key in ("names", "contacts"))
     place, axes = (content[f"{prefix}_{key}"].tolist() for key in ("positions_m", "axes"))
     radii = content[f"{prefix}_radii_m"].ravel().tolist()
-    rows = zip(names, place, axes, radii, contacts, strict=True)
+    rows: Iterable[Any] = zip(names, place, axes, radii, contacts, strict=True)
     return tuple(Port(name, kind, tuple(p), tuple(a), r, c) for name, p, a, r, c in rows)
-
-
-def _cells(array: Any) -> list[Any]:
-    """The strings of a MATLAB cell array."""
-    return [str(cell[0]) for cell in array.ravel()]

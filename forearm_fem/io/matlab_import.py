@@ -1,6 +1,4 @@
-"""Other people's G in MATLAB files: version 5 (scipy) and 7.3, which is HDF5 (h5py); any names, any order
-of axes.
-"""
+"""Other people's G in MATLAB files: version 5 (scipy) and 7.3, which is HDF5 (h5py); any names, any order of axes."""
 
 from __future__ import annotations
 
@@ -20,7 +18,8 @@ from ..typing import BoolArray, FloatArray
 from .atomic import atomic_path, write_bytes
 from .declaration import Axis, Declaration, RawMatrix, RecognitionWarning
 from .matlab import mat5, stamped
-from .seal import BLANK, check_seals, sealed
+from .reading import reading
+from .seal import BLANK, sealed
 
 _VERSION_AT = 116  # where the header's text ends and what MATLAB knows the version by begins
 _NAMES = ("frequency_Hz", "frequency", "freq", "f", "F", "freqs", "f_Hz")
@@ -53,17 +52,10 @@ def _mask(file: Path, variables: Mapping[str, Any], name: str | None, shape: tup
 
 def read_variables(file: Path) -> dict[str, Any]:
     """All numeric arrays of a MATLAB file in MATLAB's order of axes."""
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            check_seals(file.read_bytes())
-            found = _hdf5(file) if h5py.is_hdf5(file) else _version5(file)
-    except DataError as problem:
-        raise DataError(f"{file}: {problem}") from None
-    except Exception as problem:  # scipy and h5py list no errors for damage
-        raise DataError(f"{file}: damaged, cut short or not a MATLAB file; save or copy it again") from problem
+    told = "damaged, cut short or not a MATLAB file; save or copy it again"
+    with reading(file, told), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = _hdf5(file) if h5py.is_hdf5(file) else _version5(file)
     if not found:
         raise DataError(f"{file}: holds no numeric arrays; save G as a plain array, not inside a structure or object")
     return found
@@ -76,11 +68,11 @@ def _version5(file: Path) -> dict[str, Any]:
 
 def _hdf5(file: Path) -> dict[str, Any]:
     with h5py.File(file, "r") as content:
-        return {k: _array(v) for k, v in content.items() if isinstance(v, h5py.Dataset) and _numeric(v.dtype)}
-
-
-def _numeric(dtype: Any) -> bool:
-    return bool(dtype.kind in "fciu" or dtype.names == ("real", "imag"))
+        return {
+            k: _array(v)
+            for k, v in content.items()
+            if isinstance(v, h5py.Dataset) and bool(v.dtype.kind in "fciu" or v.dtype.names == ("real", "imag"))
+        }
 
 
 def _array(dataset: Any) -> Any:
@@ -127,8 +119,7 @@ def write_mat73(
     """G [m/V] in the MATLAB 7.3 layout (HDF5): ``G`` with ``axes`` in MATLAB's order, ``frequency_Hz``,
     ``valid``; exact.
 
-    MATLAB's own `load` wants a 512-byte header that h5py writes as a user block; `matfile` and `h5read`
-    need neither.
+    MATLAB's own `load` wants a 512-byte header that h5py writes as a user block; `matfile` and `h5read` need neither.
     """
     memory = io.BytesIO()
     with h5py.File(memory, "w", userblock_size=512) as content:

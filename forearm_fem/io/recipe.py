@@ -1,5 +1,4 @@
-"""Import recipes: a TOML file that says how somebody's raw arrays become a G, so that no product code need
-know them.
+"""Import recipes: a TOML file that says how somebody's raw arrays become a G, so that no product code need know them.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 from scipy.fft import rfft, rfftfreq
 
-from ..errors import DataError
+from ..errors import DataError, first_problem
 from ..scenario.base import Part, Positive
 from ..scenario.toml import read_toml
 from ..transfer import TransferMatrix
@@ -79,11 +78,7 @@ def load_recipe(path: str | Path) -> ImportRecipe:
     try:
         return ImportRecipe.model_validate(read_toml(file, "no such recipe", DataError))
     except ValidationError as problem:
-        first = min(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")  # these cause others
-        where = ".".join(str(p) for p in first["loc"]) or "recipe"
-        unknown = first["type"] == "extra_forbidden"
-        message = "unknown key" if unknown else first["msg"].removeprefix("Value error, ")
-        raise DataError(f"{file}: {where}: {message[0].lower()}{message[1:]}") from None
+        raise DataError(f"{file}: {first_problem(problem, 'recipe')}") from None
 
 
 def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix:
@@ -93,9 +88,8 @@ def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix
     domain = "frequency" if recipe.time is None else "time"
     if sorted(axes) != sorted((domain, "output", "input")):
         raise DataError(
-            f"recipe '{recipe.name}': the axes left are {', '.join(axes)}, "
-            f"expected {domain}, output and input; "
-            "select one index along every other axis"
+            f"recipe '{recipe.name}': the axes left are {', '.join(axes)}, expected {domain}, output and input; select "
+            "one index along every other axis"
         )
     ordered = np.transpose(array, [axes.index(a) for a in (domain, "output", "input")])
     values, frequency = (ordered.astype(complex), None) if recipe.time is None else _spectrum(ordered, recipe.time)
@@ -127,9 +121,8 @@ def _array(recipe: ArrayRecipe, file: Path) -> FloatArray:
     expected = int(np.prod(recipe.shape))
     if numbers.size != expected:
         raise DataError(
-            f"{file}: holds {numbers.size} numbers, the recipe's shape "
-            f"{list(recipe.shape)} needs {expected}; "
-            "the file is cut short, or shape, dtype or skip are wrong"
+            f"{file}: holds {numbers.size} numbers, the recipe's shape {list(recipe.shape)} needs {expected}; the file "
+            "is cut short, or shape, dtype or skip are wrong"
         )
     return np.asarray(
         numbers.reshape(recipe.shape, order=recipe.order) if recipe.format == "raw" else numbers, dtype=float

@@ -1,6 +1,4 @@
-"""One door for every measured G: `read_measured` looks at the file's kind and asks for what it does not
-say.
-"""
+"""One door for every measured G: `read_measured` looks at the file's kind and asks for what it does not say."""
 
 from __future__ import annotations
 
@@ -27,10 +25,9 @@ def read_measured(
 ) -> TransferMatrix:
     """G from netCDF, MATLAB 5 or 7.3, UFF 58, TDMS, CSV, or an import recipe (.toml, files beside it).
 
-    ``declaration`` says what the file leaves open (quantity, unit, sides, sign, axes); ``ports`` (outputs,
-    inputs) are those of the scenario measured, for files that name none. Files written by forearm_fem need
-    neither. Axes and variable names may be recognised, each with a RecognitionWarning. DataError asks for
-    anything else that is missing.
+    ``declaration`` says what the file leaves open (quantity, unit, sides, sign, axes); ``ports`` (outputs, inputs) are
+    those of the scenario measured, for files that name none. Files written by forearm_fem need neither. Axes and
+    variable names may be recognised, each with a RecognitionWarning. DataError asks for anything else that is missing.
     """
     file = Path(path)
     kind = file.suffix.lower()

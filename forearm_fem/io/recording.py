@@ -13,10 +13,9 @@ from ..typing import FloatArray
 class Recording:
     """One actuator driven, one point watched.
 
-    ``sent`` (n,) [V at the actuator] is one period of the drive. ``response`` (n_repeat, n) [V at the
-    input] and, where a loopback was wired, ``loopback`` (n_repeat, n) [V at the input] are the periods
-    kept. ``full_scale`` [V] and ``resolution`` [V per step, 0 = unknown] are the input's. ``notes`` are
-    what the hardware said.
+    ``sent`` (n,) [V at the actuator] is one period of the drive. ``response`` (n_repeat, n) [V at the input] and, where
+    a loopback was wired, ``loopback`` (n_repeat, n) [V at the input] are the periods kept. ``full_scale`` [V] and
+    ``resolution`` [V per step, 0 = unknown] are the input's. ``notes`` are what the hardware said.
     """
 
     output: str

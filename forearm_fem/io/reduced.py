@@ -1,10 +1,9 @@
 """``reduced.nc``: the reduced model, a few megabytes that give the compliance at any frequency, for any moduli.
 
-Variables ``upper`` (term, entry), the upper triangles of real symmetric matrices row by row; ``functional``
-(row, port) and ``share`` (port,) as in :class:`forearm_fem.fem.reduction.reduced_model.ReducedModel`; ``poles``
-(mode,), ``left`` (port, mode) and ``right`` (mode, port) of :class:`forearm_fem.fem.reduction.poles.PoleResidue` where
-there are any. What the
-terms are multiplied with follows from the scenario, kept as JSON.
+Variables ``upper`` (term, entry), the upper triangles of real symmetric matrices row by row; ``functional`` (row, port)
+and ``share`` (port,) as in :class:`forearm_fem.fem.reduction.reduced_model.ReducedModel`; ``poles`` (mode,), ``left``
+(port, mode) and ``right`` (mode, port) of :class:`forearm_fem.fem.reduction.poles.PoleResidue` where there are any.
+What the terms are multiplied with follows from the scenario, kept as JSON.
 """
 
 from __future__ import annotations

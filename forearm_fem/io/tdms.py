@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import DataError, MissingExtra
+from ..errors import DataError, optional
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .atomic import atomic_path, write_bytes
 from .declaration import RawMatrix, port_from
+from .reading import reading
 from .recording import Recording
 from .seal import BLANK, check_seals, sealed
 
@@ -26,8 +27,7 @@ _GROUP = "G"
 
 
 def write_tdms(path: str | Path, transfer: TransferMatrix) -> None:
-    """Group ``G``: ``frequency`` and per entry the channels re, im, valid and deviation, named
-    output<-input; exact.
+    """Group ``G``: ``frequency`` and per entry the channels re, im, valid and deviation, named output<-input; exact.
 
     Unit, convention and ports stand in the group's properties. Error estimates, ``contacts`` and provenance
     are not carried: transfer.nc has them. What is written is read back and compared.
@@ -90,16 +90,10 @@ def read_tdms(path: str | Path) -> RawMatrix:
 
 
 def _guarded(file: Path, read: Any) -> Any:
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            return read(file)
-    except (DataError, MissingExtra):
-        raise
-    except Exception as problem:  # npTDMS raises ValueError, struct errors, KeyError, UnicodeDecodeError
-        raise DataError(f"{file}: damaged, cut short or not a TDMS file; copy it again") from problem
+    told = "damaged, cut short or not a TDMS file; copy it again"
+    with reading(file, told, seals=False), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return read(file)
 
 
 @contextmanager
@@ -124,10 +118,7 @@ def _complaints() -> Iterator[list[logging.LogRecord]]:
 
 
 def _nptdms() -> Any:
-    try:
-        return importlib.import_module("nptdms")
-    except ImportError:
-        raise MissingExtra("npTDMS", "tdms", "reading and writing TDMS files") from None
+    return optional("nptdms", "tdms", "reading and writing TDMS files", package="npTDMS")
 
 
 def _open(file: Path) -> Any:
@@ -196,8 +187,7 @@ def read_sweep_tdms(
     drive_is_measured: bool = False,
     full_scale: float = float("inf"),
 ) -> Recording:
-    """A raw sweep as a Recording: ``drive`` and ``response`` are "group/channel" [V], ``period`` samples
-    long each.
+    """A raw sweep as a Recording: ``drive`` and ``response`` are "group/channel" [V], ``period`` samples long each.
 
     The first whole periods are taken as they come: leave a lead-in period out when recording, or cut it. With
     ``drive_is_measured`` the drive channel is a loopback. Both channels must have the same increment
@@ -209,9 +199,8 @@ def read_sweep_tdms(
         (x, dx), (y, dy) = (_waveform(file, content, name) for name in (drive, response))
         if dx != dy or len(x) != len(y):
             raise DataError(
-                f"{file}: '{drive}' has {len(x)} samples every {dx:g} s, "
-                f"'{response}' {len(y)} every {dy:g} s; "
-                "they must be recorded on one clock"
+                f"{file}: '{drive}' has {len(x)} samples every {dx:g} s, '{response}' {len(y)} every {dy:g} s; they "
+                "must be recorded on one clock"
             )
         repeats = len(x) // period if period > 0 else 0
         if repeats < 1:
@@ -248,8 +237,7 @@ def _waveform(file: Path, content: Any, name: str) -> tuple[FloatArray, float]:
 
 
 def write_sweep_tdms(path: str | Path, recording: Recording) -> None:
-    """Group ``sweep``: channels ``drive`` (or ``loopback``) and ``response`` of all repeats [V], as
-    waveforms; exact.
+    """Group ``sweep``: channels ``drive`` (or ``loopback``) and ``response`` of all repeats [V], as waveforms; exact.
     """
     tdms = _nptdms()
     properties = {"wf_increment": 1 / recording.sample_rate, "wf_start_offset": 0.0, "unit_string": "V"}

@@ -1,5 +1,4 @@
-"""Universal file format, dataset 58 (functions at nodal degrees of freedom); read through pyuff, written
-here.
+"""Universal file format, dataset 58 (functions at nodal degrees of freedom); read through pyuff, written here.
 
 pyuff 2.5 does not serve for writing: in binary mode "overwrite" truncates the header it has just written,
 NaN becomes 0, complex data get the byte count of real ones, and files are left open. So the datasets are laid
@@ -9,7 +8,6 @@ its reading one habit matters: a dataset cut short is returned without complaint
 
 from __future__ import annotations
 
-import importlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import DataError, MissingExtra
+from ..errors import DataError, optional
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .atomic import atomic_path
 from .declaration import RawMatrix, port_from
-from .seal import BLANK, check_seals, sealed
+from .reading import reading
+from .seal import BLANK, sealed
 
 _MARK = "forearm_fem e^{+i omega t}"
 _DEVIATION = "standard deviation"
@@ -36,13 +35,11 @@ _NUMERATOR: Mapping[int, Quantity] = MappingProxyType({8: "displacement", 11: "v
 
 
 def write_uff(path: str | Path, transfer: TransferMatrix) -> None:
-    """G as one binary dataset 58 per entry [m/V, m/N or m/m], its deviation as another, the ports in
-    a private one.
+    """G as one binary dataset 58 per entry [m/V, m/N or m/m], its deviation as another, the ports in a private one.
 
-    Masked bins are left out of their entry (its abscissa then has a gap), never written as zeros; a bin
-    that is masked in every entry is lost. Error
-    estimates, ``contacts`` and provenance are not carried: transfer.nc has them. Raises DataError for NaN
-    among valid entries, and if what stands in the file is not what was to be written.
+    Masked bins are left out of their entry (its abscissa then has a gap), never written as zeros; a bin that is masked
+    in every entry is lost. Error estimates, ``contacts`` and provenance are not carried: transfer.nc has them. Raises
+    DataError for NaN among valid entries, and if what stands in the file is not what was to be written.
     """
     _pyuff()
     valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
@@ -53,49 +50,26 @@ def write_uff(path: str | Path, transfer: TransferMatrix) -> None:
         blocks += _entry(transfer, valid[:, o, i], o, i)
     with atomic_path(path) as beside:
         beside.write_bytes(sealed(b"".join([*blocks, _END_SEAL])))
-        _compare(path, transfer, valid, _guarded(beside))
+        _compare(path, transfer, valid, read_uff(beside))
 
 
 def read_uff(path: str | Path) -> RawMatrix:
     """G from the frequency response functions (type 4) of a universal file, ASCII or binary.
 
-    Entries may have different abscissae: the union is taken and what an entry lacks is marked. Nodes become
-    outputs and inputs in the order of their numbers. Raises DataError for damage, cut-off data, and files
-    without FRFs.
+    Entries may have different abscissae: the union is taken and what an entry lacks is marked. Nodes become outputs and
+    inputs in the order of their numbers. Raises DataError for damage, cut-off data, and files without FRFs.
     """
-    return _guarded(Path(path))
-
-
-def _guarded(file: Path) -> RawMatrix:
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
-    try:
-        check_seals(file.read_bytes())
-    except DataError as problem:
-        raise DataError(f"{file}: {problem}") from None
-    try:
+    file = Path(path)
+    with reading(file, "damaged or not a universal file ({why})"):
         return _read(file)
-    except (DataError, MissingExtra):
-        raise
-    except Exception as problem:  # pyuff raises plain Exception for whatever goes wrong
-        raise DataError(f"{file}: damaged or not a universal file ({_short(problem)})") from problem
-
-
-def _short(problem: Exception) -> str:
-    return " ".join(str(problem).split())[:120] or type(problem).__name__
 
 
 def _pyuff() -> Any:
-    try:
-        return importlib.import_module("pyuff")
-    except ImportError:
-        raise MissingExtra("pyuff", "uff", "reading and writing universal files") from None
+    return optional("pyuff", "uff", "reading and writing universal files")
 
 
 def _header(transfer: TransferMatrix) -> bytes:
-    """A private dataset with the ports as JSON in 80-column lines: readers skip numbers that they do not
-    know.
-    """
+    """A private dataset with the ports as JSON in 80-column lines: readers skip numbers that they do not know."""
     ports = {"outputs": [vars(p) for p in transfer.outputs], "inputs": [vars(p) for p in transfer.inputs]}
     text = json.dumps({"unit": transfer.unit, **ports}, ensure_ascii=True)
     lines = [BLANK.decode(), *(f"|{text[k : k + 72]}|" for k in range(0, len(text), 72))]
@@ -165,9 +139,8 @@ def _check_count(file: Path, s: dict[str, Any]) -> None:
     found, told = len(s["data"]), int(s["num_pts"])
     if found != told or len(s["x"]) != told:
         raise DataError(
-            f"{file}: the function {s['rsp_node']} <- {s['ref_node']} has "
-            f"{found} values, its header says {told}; "
-            "the file is cut short, or its binary abscissa is in single precision"
+            f"{file}: the function {s['rsp_node']} <- {s['ref_node']} has {found} values, its header says {told}; the "
+            "file is cut short, or its binary abscissa is in single precision"
         )
     if not np.all(np.isfinite(s["x"])) or np.any(np.diff(s["x"]) <= 0):
         raise DataError(

@@ -13,12 +13,12 @@ from scipy.io import wavfile
 from ..errors import DataError
 from ..typing import FloatArray
 from .atomic import atomic_path
-from .seal import BLANK, check_seals, sealed
+from .reading import reading
+from .seal import BLANK, sealed
 
 
 def write_wav_drives(path: str | Path, signals: FloatArray, sample_rate: float) -> None:
-    """``signals`` (n_in, n) [V] as 64-bit floating point samples, whose value is the voltage: exact,
-    nothing is scaled.
+    """``signals`` (n_in, n) [V] as 64-bit floating point samples, whose value is the voltage: exact, nothing is scaled.
 
     Players take 1.0 for their full scale, so set the amplifier accordingly. Raises DataError for samples
     that are not finite and for a rate that is no whole number [Hz], which WAV cannot hold.
@@ -52,22 +52,11 @@ def _commented(content: bytes) -> bytes:
 
 
 def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tuple[FloatArray, float]:
-    """Signals (n_in, n) [V] and the sample rate [Hz]. Integer samples need ``full_scale`` [V]: it is never
-    guessed.
-    """
+    """Signals (n_in, n) [V] and the sample rate [Hz]. Integer samples need ``full_scale`` [V]: it is never guessed."""
     file = Path(path)
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
-    try:
-        check_seals(file.read_bytes())
-    except DataError as problem:
-        raise DataError(f"{file}: {problem}") from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # scipy only warns of files that are cut short
-            rate, samples = wavfile.read(file)
-    except Exception as problem:  # struct errors, warnings and ValueError alike
-        raise DataError(f"{file}: damaged, cut short or not a WAV file; export it again") from problem
+    with reading(file, "damaged, cut short or not a WAV file; export it again"), warnings.catch_warnings():
+        warnings.simplefilter("error")  # scipy only warns of files that are cut short
+        rate, samples = wavfile.read(file)
     columns = samples.reshape(len(samples), -1).T
     if not np.issubdtype(columns.dtype, np.floating):
         columns = _scaled(file, columns, full_scale)

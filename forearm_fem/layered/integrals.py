@@ -136,7 +136,8 @@ class Integrals:
         first, core = _grid(medium, omega, self.table.smallest)
         ends = np.asarray(core * 2.0 ** np.arange(_TAIL_OCTAVES), dtype=float)
         ends = ends[ends <= max(core, _MAX_PHASE / self.table.extent)]
-        tails = self._tails(medium, ends, omega)
+        lost = np.abs(self._remainders(medium, ends, omega))
+        tails = np.max(lost, axis=0) * self.table.envelope(ends)  # of what the window loses at each end
         active: list[Panel] = [(0.0, first), *octaves(first, core)]
         total = self._each(lambda i, part: medium.limits(omega)[i][:, None] * self.static[part])
         end, error, n_kernel, level = math.inf, np.zeros(omega.size), omega.size * ends.size, 0
@@ -173,11 +174,6 @@ class Integrals:
     def _sums(self, values: list[ComplexArray], weights: Numbers) -> ComplexArray:
         """Sums of each kernel's values (n_freq, n_k) with the weights (n_k, n_columns) of its columns."""
         return self._each(lambda i, part: np.asarray(values[i] @ weights[:, part]))
-
-    def _tails(self, medium: Medium, ends: FloatArray, omega: FloatArray) -> FloatArray:
-        """Bound on what is lost by the window at each of ``ends``, (n_freq, n_ends)."""
-        values = np.abs(self._remainders(medium, ends, omega))
-        return np.asarray(np.max(values, axis=0) * self.table.envelope(ends))
 
     def _mean_tail(self, medium: Medium, rules: Rules, end: float, omega: FloatArray) -> ComplexArray:
         """What the window takes from the mean of the weights over their oscillation: panels by Gauss's rule."""

@@ -263,19 +263,13 @@ def _add_layer(waves: Waves, h: float, below: Matrix | None) -> Matrix:
     if below is None:
         Q = _times(mirrored, Matrix(-E.a, -E.b, -E.c, -E.d))
     else:
-        R = _times(_inverse(_plus(below, Yu)), _minus(Yd, below))
+        both = Matrix(below.a + Yu.a, below.b + Yu.b, below.c + Yu.c, below.d + Yu.d)
+        rest = Matrix(Yd.a - below.a, Yd.b - below.b, Yd.c - below.c, Yd.d - below.d)
+        R = _times(_inverse(both), rest)
         Q = _times(mirrored, _times(R, E))
     S = _times(Q, _inverse(Matrix(1 + Q.a, Q.b, Q.c, 1 + Q.d)))
     b = Yd.b - (Yd.a * S.b + Yd.d * S.c)  # the mean of both off-diagonals, equal in exact arithmetic
     return Matrix(Yd.a - 2 * Yd.a * S.a, b, b, Yd.d - 2 * Yd.d * S.d)
-
-
-def _plus(x: Matrix, y: Matrix) -> Matrix:
-    return Matrix(x.a + y.a, x.b + y.b, x.c + y.c, x.d + y.d)
-
-
-def _minus(x: Matrix, y: Matrix) -> Matrix:
-    return Matrix(x.a - y.a, x.b - y.b, x.c - y.c, x.d - y.d)
 
 
 def _times(x: Matrix, y: Matrix) -> Matrix:

@@ -1,10 +1,9 @@
 r"""Product integration of a smooth kernel against oscillating Bessel weights.
 
-:math:`\int f(k)\,B(k)\,dk` with :math:`B = \frac1{2\pi}g_a(k)g_b(k)J_q(kd)` for many columns at once: on a
-panel f is interpolated at Gauss-Legendre nodes, f = sum c_m P_m, and the moments of P_m against B are found
-once by a dense rule that never sees f. So the number of kernel evaluations follows the kernel, not the
-oscillation, and all distances and frequencies share them as matrix products. Panels are dyadic, so their
-weights are cached and shared by all frequencies.
+:math:`\int f(k)\,B(k)\,dk` with :math:`B = \frac1{2\pi}g_a(k)g_b(k)J_q(kd)` for many columns at once: on a panel f is
+interpolated at Gauss-Legendre nodes, f = sum c_m P_m, and the moments of P_m against B are found once by a dense rule
+that never sees f. So the number of kernel evaluations follows the kernel, not the oscillation, and all distances and
+frequencies share them as matrix products. Panels are dyadic, so their weights are cached and shared by all frequencies.
 
 The path is k(x) = x on the real axis or k(x) = x + i s tanh(x/s), above the poles of outgoing waves, which
 lie just below the axis when losses are small.
@@ -71,18 +70,14 @@ class Rules:
     def rule(self, panel: Panel) -> Rule:
         """Weights of one panel, from the cache if seen before."""
         if panel not in self._cache:
-            self._cache[panel] = self._moments(panel)
+            lo, hi = panel
+            n_sub = 2 + math.ceil((hi - lo) * self.table.extent / (2 * math.pi * 2.5))
+            edges = np.linspace(-1.0, 1.0, n_sub + 1)
+            blocks = np.array_split(np.arange(n_sub), max(1, n_sub // 64))
+            moments = 0.5 * (hi - lo) * np.sum([self._block(panel, edges, block) for block in blocks], axis=0)
+            gauge = [np.max(np.abs(moments[:, part]), axis=1, initial=0.0) for part in self.table.parts]
+            self._cache[panel] = Rule(_TO_LEGENDRE.T @ moments[:NODES], np.array(gauge))
         return self._cache[panel]
-
-    def _moments(self, panel: Panel) -> Rule:
-        """Moments of Legendre polynomials against B dk/dx, by the dense rule in blocks."""
-        lo, hi = panel
-        n_sub = 2 + math.ceil((hi - lo) * self.table.extent / (2 * math.pi * 2.5))
-        edges = np.linspace(-1.0, 1.0, n_sub + 1)
-        blocks = np.array_split(np.arange(n_sub), max(1, n_sub // 64))
-        moments = 0.5 * (hi - lo) * np.sum([self._block(panel, edges, block) for block in blocks], axis=0)
-        gauge = [np.max(np.abs(moments[:, part]), axis=1, initial=0.0) for part in self.table.parts]
-        return Rule(_TO_LEGENDRE.T @ moments[:NODES], np.array(gauge))
 
     def _block(self, panel: Panel, edges: FloatArray, block: IntArray) -> Numbers:
         lo, hi = panel

@@ -64,8 +64,7 @@ def inner_tractions(disc: Disc, surface: Surface, terms: int, orders: int) -> li
     """Tractions without net force under a rigid disc, ``terms`` of the axisymmetric ones.
 
     Order l of the whole vector has m = l of the normal, l + 1 and l - 1 of the tangential components; |l| goes up to
-    ``orders``, each order with two terms less than
-    six, at least one. Without neighbours l = 0 is all there is.
+    ``orders``, each order with two terms less than six, at least one. Without neighbours l = 0 is all there is.
     """
     components: tuple[Component, ...] = ("z", "+", "-") if disc.contact == "bonded" else ("z",)
     out: list[Traction] = []
@@ -76,11 +75,6 @@ def inner_tractions(disc: Disc, surface: Surface, terms: int, orders: int) -> li
             balls = [Radial("ball", disc.radius, abs(m) + 2 * n) for n in range(count)]
             series = [Traction(component, m, g, abs(order), count > 1 and g is balls[-1]) for g in balls]
             out += series[1:] if (component, m) == ("z", 0) else series
-            if _held(component, surface):
+            if surface.tension > 0 if component == "z" else surface.sheet:  # a sheet carries line forces there
                 out.append(Traction(component, m, Radial("ring", disc.radius, abs(m)), abs(order)))
     return out
-
-
-def _held(component: Component, surface: Surface) -> bool:
-    """Whether a sheet carries line forces in this direction."""
-    return surface.tension > 0 if component == "z" else surface.sheet

@@ -22,9 +22,7 @@ from .sweep import ExponentialSweep
 
 @dataclass(frozen=True)
 class Step:
-    """After each entry: all ``entries`` so far, the last one just handled, of ``total``; ``reused`` if it
-    was on disk.
-    """
+    """After each entry: all ``entries`` so far, the last one just handled, of ``total``; ``reused`` if on disk."""
 
     entries: tuple[Entry, ...]
     total: int
@@ -87,9 +85,7 @@ class Plan:
 
     @property
     def entries(self) -> tuple[tuple[int, int], ...]:
-        """(output, input) in the order of measuring: all actuators at one point, for moving the laser takes
-        longest.
-        """
+        """(output, input) in the order of measuring: all actuators at one point, for moving the laser takes longest."""
         return tuple((o, i) for o in range(len(self.outputs)) for i in range(len(self.inputs)))
 
 
@@ -120,9 +116,7 @@ def calibrate(
 
 
 def collected(plan: Plan, folder: str | Path) -> Measured:
-    """G of what ``folder`` holds now, without a device; damaged recordings are findings, missing entries
-    are listed.
-    """
+    """G of what ``folder`` holds now, without a device; damaged recordings are findings, missing entries are listed."""
     store = _store(plan, folder)
     entries, damaged = [], []
     for o, i in plan.entries:
@@ -166,7 +160,13 @@ def _walk(
             yield _Taken(_entry(plan, recording), True)
             continue
         if aimed != o:
-            _aim(daq, plan.outputs[o], operator)
+            port = plan.outputs[o]
+            x, y = (1e3 * c for c in port.position[:2])
+            if operator is not None and not operator(
+                f"aim the laser at point {port.name} (x = {x:.1f} mm, y = {y:.1f} mm)"
+            ):
+                raise HardwareError(f"stopped by the operator before point {port.name}; run the same command to go on")
+            daq.aim(port.name)
             aimed = o
         yield _Taken(_measure(plan, daq, store, (o, i), stop, retries), False)
 
@@ -177,13 +177,6 @@ def _kept(store: Folder, output: str, source: str) -> Recording | None:
         return store.get(output, source)
     except DataError:
         return None
-
-
-def _aim(daq: Daq, port: Port, operator: Callable[[str], bool] | None) -> None:
-    x, y = (1e3 * c for c in port.position[:2])
-    if operator is not None and not operator(f"aim the laser at point {port.name} (x = {x:.1f} mm, y = {y:.1f} mm)"):
-        raise HardwareError(f"stopped by the operator before point {port.name}; run the same command to go on")
-    daq.aim(port.name)
 
 
 def _measure(
@@ -199,9 +192,7 @@ def _measure(
 
 
 def record(plan: Plan, daq: Daq, place: tuple[int, int], *, stop: Callable[[], bool] | None = None) -> Recording:
-    """Play the sweeps on one actuator and keep the periods after the lead-in; ``place`` is (output,
-    input).
-    """
+    """Play the sweeps on one actuator and keep the periods after the lead-in; ``place`` is (output, input)."""
     options, sweep = plan.options, plan.sweep
     train = sweep.train(options.lead_in + options.repeats)
     terminals = np.zeros((len(plan.inputs), train.size))

@@ -22,9 +22,8 @@ from ..typing import FloatArray
 class Wiring:
     """What a session on the device needs: physical channels and rate.
 
-    ``input_range`` and ``output_range`` [V] are plus and minus full scale. ``block`` samples are exchanged
-    at a time. ``clock`` is what keeps outputs and inputs together: "inputs", "trigger" or a terminal
-    (``measurement.daq.clock``).
+    ``input_range`` and ``output_range`` [V] are plus and minus full scale. ``block`` samples are exchanged at a time.
+    ``clock`` is what keeps outputs and inputs together: "inputs", "trigger" or a terminal (``measurement.daq.clock``).
     """
 
     sample_rate: float
@@ -37,9 +36,7 @@ class Wiring:
 
 
 class Daq(Protocol):
-    """A device with synchronous outputs and inputs. ``close`` must be safe at any time and leave the
-    outputs at 0 V.
-    """
+    """A device with synchronous outputs and inputs. ``close`` must be safe at any time and leave the outputs at 0 V."""
 
     @property
     def name(self) -> str:
@@ -51,9 +48,7 @@ class Daq(Protocol):
 
     @property
     def ahead(self) -> int:
-        """Samples queued before the first block is heard: the inputs lag the blocks by that many ticks,
-        exactly.
-        """
+        """Samples queued before the first block is heard: the inputs lag the blocks by that many ticks, exactly."""
 
     def aim(self, output: str) -> None:
         """Told which point of the grid is watched next, before the session opens."""
@@ -62,11 +57,9 @@ class Daq(Protocol):
         """Reserve the channels; nothing is played yet."""
 
     def exchange(self, block: FloatArray) -> FloatArray:
-        """Play ``block`` (n_output, m) [V] and return the inputs (n_input, m) [V] of the same m ticks of
-        the clock.
+        """Play ``block`` (n_output, m) [V] and return the inputs (n_input, m) [V] of the same m ticks of the clock.
 
-        What comes back belongs to the block sent ``ahead`` samples earlier; nothing may be missing between
-        two blocks.
+        What comes back belongs to the block sent ``ahead`` samples earlier; nothing may be missing between two blocks.
         """
 
     def close(self) -> None:
@@ -75,9 +68,7 @@ class Daq(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """``inputs`` (n_input, n) [V]; ``stopped`` tells whether an emergency stop cut the drive at ``played``
-    samples.
-    """
+    """``inputs`` (n_input, n) [V]; ``stopped`` tells whether an emergency stop cut the drive at ``played`` samples."""
 
     inputs: FloatArray
     played: int
@@ -133,9 +124,8 @@ class OpenDevice:
         expected = (len(self.wiring.inputs), block.shape[1])
         if got.shape != expected:
             raise HardwareError(
-                f"{self._daq.name}: asked for {expected[1]} samples on {expected[0]} "
-                f"channel(s), got shape {got.shape}: "
-                "samples were lost; use a larger daq.block or a lower rate"
+                f"{self._daq.name}: asked for {expected[1]} samples on {expected[0]} channel(s), got shape "
+                f"{got.shape}: samples were lost; use a larger daq.block or a lower rate"
             )
         return got
 
@@ -152,9 +142,7 @@ def check_limit(signals: FloatArray, limit: float) -> None:
 
 
 def faded_out(block: FloatArray, fade: int) -> FloatArray:
-    """``block`` (n_output, m) brought to zero by half a cosine over its first ``fade`` samples, zero
-    after.
-    """
+    """``block`` (n_output, m) brought to zero by half a cosine over its first ``fade`` samples, zero after."""
     ramp = np.zeros(block.shape[1])
     length = max(1, min(fade, block.shape[1]))
     ramp[:length] = (1 + np.cos(np.pi * (np.arange(length) + 1) / length)) / 2
@@ -162,9 +150,7 @@ def faded_out(block: FloatArray, fade: int) -> FloatArray:
 
 
 def faded(signals: FloatArray, fade: int) -> FloatArray:
-    """``signals`` (n_output, n) with half a cosine of ``fade`` samples at either end; refuses more than
-    half of n.
-    """
+    """``signals`` (n_output, n) with half a cosine of ``fade`` samples at either end; refuses more than half of n."""
     n = signals.shape[1]
     if 2 * fade > n:
         raise HardwareError(f"a fade of {fade} samples at either end does not fit into {n} samples; shorten daq.fade")

@@ -120,15 +120,13 @@ def _lost(r: Recording) -> Iterator[Finding]:
         by = abs(int(shifts[repeat, part]) - common)
         yield Finding(
             "dropped samples",
-            f"{r.label}: {by} sample(s) are missing or doubled in part {part + 1} "
-            f"of {_PARTS} of repeat {repeat + 1}; "
+            f"{r.label}: {by} sample(s) are missing or doubled in part {part + 1} of {_PARTS} of repeat {repeat + 1}; "
             "record it again with a larger daq.block",
         )
 
 
 def lags(reference: FloatArray, signals: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """Lag (n_repeat, 4) [samples] of each quarter of ``signals`` (n_repeat, n) behind that of ``reference``
-    (n,).
+    """Lag (n_repeat, 4) [samples] of each quarter of ``signals`` (n_repeat, n) behind that of ``reference`` (n,).
 
     Circular correlation; a lag counts only where it explains clearly more than none (1 % of the energy that
     is alike, and six standard deviations of what noise gives), so that noise does not invent one.
@@ -152,16 +150,13 @@ def _silent(r: Recording, band: BoolArray) -> Iterator[Finding]:
     if (ratio := following(r, band)) < 1.5:
         yield Finding(
             "no response",
-            f"{r.label}: the response does not follow the drive (energy ratio "
-            f"{ratio:.2f}, noise alone gives 1); "
-            "check that the actuator touches the skin and the laser sees the point",
+            f"{r.label}: the response does not follow the drive (energy ratio {ratio:.2f}, noise alone gives 1); check "
+            "that the actuator touches the skin and the laser sees the point",
         )
 
 
 def following(r: Recording, band: BoolArray) -> float:
-    """|mean Y|^2 over the variance of the mean, summed over the band [-]; with one period, over the bins
-    above it.
-    """
+    """|mean Y|^2 over the variance of the mean, summed over the band [-]; with one period, over the bins above it."""
     y = rfft(r.response)
     if len(y) > 1:
         rest = np.sum(np.abs(y[:, band] - y[:, band].mean(axis=0)) ** 2) / (len(y) - 1) / len(y)

@@ -17,14 +17,13 @@ from ..scenario.measurement import MeasurementOptions, Quantity
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .diagnostics import Finding, diagnose
-from .estimators import Estimate, estimate, spectra
+from .estimators import estimate, spectra
 from .sweep import excited
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """Displacement of ``output`` per volt on ``input`` at ``frequency`` (n,) [Hz], the bins of the sweep's
-    band.
+    """Displacement of ``output`` per volt on ``input`` at ``frequency`` (n,) [Hz], the bins of the sweep's band.
 
     ``value`` (n,) [m/V], NaN on bins without energy; ``deviation`` (n,) [m/V] is sqrt(E|dG|^2), NaN if
     unknown; ``coherence`` (n,) [-], NaN for a single repeat; ``valid`` (n,) may be used.
@@ -49,12 +48,18 @@ def entry(recording: Recording, band: tuple[float, float], options: MeasurementO
     """
     factor_at = _conversion(recording, options)
     carried = excited(recording.sent, recording.sample_rate, band, options.energy_floor)
-    inside = _inside(recording, band)
+    bins = rfftfreq(recording.n, 1 / recording.sample_rate)
+    inside = (bins > 0) & (bins >= band[0] - 1e-9) & (bins <= band[1] + 1e-9)
     findings = diagnose(recording, carried, max_drift=options.max_drift)
     if any(f.severity == "error" and f.kind in _HOPELESS for f in findings):
         return _nothing(recording, inside, findings)
-    raw = _estimate(recording, carried, options)
-    frequency = rfftfreq(recording.n, 1 / recording.sample_rate)[inside]
+    drive = np.broadcast_to(recording.sent, recording.response.shape)
+    if recording.loopback is not None:
+        drive = recording.loopback * options.daq.amplifier_gain
+    raw = estimate(
+        options.estimator, spectra(drive, recording.response, carried), carried, options, recording.sample_rate
+    )
+    frequency = bins[inside]
     factor = factor_at(frequency)
     value = np.where(carried[inside], raw.value[inside] * factor, np.nan)
     deviation = raw.deviation[inside] * np.abs(factor)
@@ -77,22 +82,10 @@ def entry(recording: Recording, band: tuple[float, float], options: MeasurementO
 _HOPELESS = frozenset({"not finite", "no drive"})
 
 
-def _inside(r: Recording, band: tuple[float, float]) -> BoolArray:
-    frequency = rfftfreq(r.n, 1 / r.sample_rate)
-    return np.asarray((frequency > 0) & (frequency >= band[0] - 1e-9) & (frequency <= band[1] + 1e-9))
-
-
 def _nothing(r: Recording, inside: BoolArray, findings: tuple[Finding, ...]) -> Entry:
     frequency = rfftfreq(r.n, 1 / r.sample_rate)[inside]
     empty = np.full(len(frequency), np.nan)
     return Entry(r.output, r.input, frequency, empty + 0j, empty, empty, np.zeros(len(frequency), dtype=bool), findings)
-
-
-def _estimate(r: Recording, carried: BoolArray, options: MeasurementOptions) -> Estimate:
-    drive = np.broadcast_to(r.sent, r.response.shape)
-    if r.loopback is not None:
-        drive = r.loopback * options.daq.amplifier_gain
-    return estimate(options.estimator, spectra(drive, r.response, carried), carried, options, r.sample_rate)
 
 
 def _below(value: ComplexArray, deviation: FloatArray, coherence: FloatArray, options: MeasurementOptions) -> BoolArray:
@@ -119,8 +112,7 @@ def _conversion(r: Recording, options: MeasurementOptions) -> _Conversion:
     sensor = options.sensor
     if sensor.quantity is None or sensor.sensitivity is None:
         raise DataError(
-            "the sensor is not declared: set measurement.sensor.quantity to "
-            "displacement, velocity or acceleration "
+            "the sensor is not declared: set measurement.sensor.quantity to displacement, velocity or acceleration "
             "and measurement.sensor.sensitivity in V per m, m/s or m/s^2"
         )
     latency = options.daq.latency if r.loopback is None else 0.0
@@ -181,9 +173,7 @@ def assemble(
 
 
 def _copies(entries: Sequence[Entry]) -> tuple[Finding, ...]:
-    """Two noisy entries equal bit for bit are one recording saved twice; without noise, symmetry can do
-    that.
-    """
+    """Two noisy entries equal bit for bit are one recording saved twice; without noise, symmetry can do that."""
     seen: dict[bytes, str] = {}
     found = []
     for e in entries:
@@ -203,9 +193,7 @@ def _noisy(e: Entry) -> bool:
 def noise_estimate(
     frequency: FloatArray, values: ComplexArray, deviation: FloatArray, valid: BoolArray
 ) -> tuple[ErrorEstimate, ...]:
-    """The measurement's noise as e(f) and e_band of the valid entries, one standard deviation; () if it is
-    unknown.
-    """
+    """The measurement's noise as e(f) and e_band of the valid entries, one standard deviation; () if it is unknown."""
     known = valid & np.isfinite(deviation) & np.isfinite(values)
     if not known.any():
         return ()

@@ -28,9 +28,8 @@ _SMOOTH = 15  # bins over which the noise is taken as even
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """One-sided averages over the repeats, each (n_bins,): ``xx``, ``yy`` [V^2], ``xy`` = <X* Y>, of
-    ``repeats`` periods; ``noise`` (n_bins,) [V^2] is the variance of Y about H1 X of one period, NaN if it
-    is unknown."""
+    """One-sided averages over the repeats, each (n_bins,): ``xx``, ``yy`` [V^2], ``xy`` = <X* Y>, of ``repeats``
+    periods; ``noise`` (n_bins,) [V^2] is the variance of Y about H1 X of one period, NaN if it is unknown."""
 
     xx: FloatArray
     yy: FloatArray
@@ -40,9 +39,7 @@ class Spectra:
 
     @property
     def coherence(self) -> FloatArray:
-        """|S_xy|^2 / (S_xx S_yy) (n_bins,) [-]; NaN for a single period, where it would be 1 whatever was
-        measured.
-        """
+        """|S_xy|^2 / (S_xx S_yy) (n_bins,) [-]; NaN for a single period, where it would be 1 whatever was measured."""
         if self.repeats < 2:
             return np.full(len(self.xx), np.nan)
         below = self.xx * self.yy
@@ -51,8 +48,7 @@ class Spectra:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """H (n_bins,) [V/V] with its ``deviation`` sqrt(E|dH|^2) (n_bins,), NaN if unknown, and the
-    ``coherence``.
+    """H (n_bins,) [V/V] with its ``deviation`` sqrt(E|dH|^2) (n_bins,), NaN if unknown, and the ``coherence``.
 
     ``usable`` (n_bins,) is False where the estimator itself is not to be trusted (edges of a window).
     """
@@ -64,8 +60,7 @@ class Estimate:
 
 
 def spectra(drive: FloatArray, response: FloatArray, band: BoolArray) -> Spectra:
-    """Averages over the periods of ``drive`` and ``response`` (n_repeat, n) [V]; ``band`` (n_bins,) carries
-    the drive.
+    """Averages over the periods of ``drive`` and ``response`` (n_repeat, n) [V]; ``band`` (n_bins,) carries the drive.
 
     The noise is the scatter between the repeats, smoothed over 15 bins of the band. With one period it is
     taken from the bins above the band, which presumes a floor as even as a vibrometer's.
@@ -123,16 +118,12 @@ def _h1(s: Spectra) -> ComplexArray:
 
 
 def _h2(s: Spectra) -> ComplexArray:
-    """<Y* Y> / <Y* X>: unbiased under noise on the drive, too large by 1 / coherence under noise on the
-    response.
-    """
+    """<Y* Y> / <Y* X>: unbiased under noise on the drive, too large by 1 / coherence under noise on the response."""
     return _ratio(s.yy.astype(complex), s.xy.conj())
 
 
 def _hv(s: Spectra) -> ComplexArray:
-    """sqrt(<Y* Y> / <X* X>) with the phase of <X* Y>: the geometric mean of H1 and H2 (Rocklin et al.
-    1985).
-    """
+    """sqrt(<Y* Y> / <X* X>) with the phase of <X* Y>: the geometric mean of H1 and H2 (Rocklin et al. 1985)."""
     size = np.sqrt(np.maximum(_ratio(s.yy.astype(complex), s.xx).real, 0))
     return np.asarray(size * np.exp(1j * np.angle(s.xy)))
 
@@ -156,9 +147,7 @@ def _deconvolution(s: Spectra, band: BoolArray, options: MeasurementOptions, rat
 
 
 def _windowed(plain: Estimate, band: BoolArray, window: float, rate: float) -> Estimate:
-    """Noise falls by sqrt(kept / record); bins closer than 2 / window to the band's edges are smeared: not
-    usable.
-    """
+    """Noise falls by sqrt(kept / record); bins closer than 2 / window to the band's edges are smeared: not usable."""
     n = 2 * (len(band) - 1)
     keep = min(int(window * rate), n)
     before = min(keep // 4, n - keep)

@@ -66,9 +66,7 @@ def plot_done(valid: FloatArray, outputs: tuple[str, ...], inputs: tuple[str, ..
 
 @styled
 def save_live(path: str | Path, transfer: TransferMatrix, coherence: FloatArray) -> None:
-    """The state of a calibration as one picture, replaced in one step so that a viewer never sees half of
-    it.
-    """
+    """The state of a calibration as one picture, replaced in one step so that a viewer never sees half of it."""
     figure = Figure(figsize=(7.0, 2.5), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     finite = np.isfinite(transfer.values)

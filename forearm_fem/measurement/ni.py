@@ -13,14 +13,13 @@ with an error instead of repeating old samples. Tested against nidaqmx's task in
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeVar
 
 import numpy as np
 
-from ..errors import HardwareError, MissingExtra
+from ..errors import HardwareError, optional
 from ..typing import FloatArray
 from .daq import Wiring
 
@@ -33,12 +32,10 @@ _NO_ROUTE = (-89120, -89136, -89137, -89138, -89139, -89140, -200368, -200369, -
 
 
 class NiDaq:
-    """Implements :class:`~forearm_fem.measurement.daq.Daq` with nidaqmx; ``module`` stands in for it in
-    tests.
-    """
+    """Implements :class:`~forearm_fem.measurement.daq.Daq` with nidaqmx; ``module`` stands in for it in tests."""
 
     def __init__(self, block: int, module: Any = None, bits: int = 16, input_range: float = 10.0) -> None:
-        self._module = module or _nidaqmx()
+        self._module = module or optional("nidaqmx", "daq", "measuring with NI hardware")
         self._block, self._bits, self._range = block, bits, input_range
         self._output: Any = None
         self._input: Any = None
@@ -78,9 +75,7 @@ class NiDaq:
             raise
 
     def exchange(self, block: FloatArray) -> FloatArray:
-        """Queue ``block`` (n_output, m) [V]; the inputs (n_input, m) [V] of the m ticks that have passed
-        meanwhile.
-        """
+        """Queue ``block`` (n_output, m) [V]; the inputs (n_input, m) [V] of the m ticks that have passed meanwhile."""
         if self._output is None or self._wiring is None:
             raise HardwareError("the NI device is not open; open it before playing")
         m, wait = block.shape[1], 10.0 + 4 * block.shape[1] / self._wiring.sample_rate
@@ -170,13 +165,6 @@ class NiDaq:
 def _rows(block: FloatArray) -> Any:
     """As nidaqmx wants it: 2-D for several channels, 1-D for one."""
     return np.ascontiguousarray(block if len(block) > 1 else block[0])
-
-
-def _nidaqmx() -> Any:
-    try:
-        return importlib.import_module("nidaqmx")
-    except ImportError:
-        raise MissingExtra("nidaqmx", "daq", "measuring with NI hardware") from None
 
 
 def _named(doing: str, call: Callable[[], T]) -> T:

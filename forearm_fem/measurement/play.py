@@ -39,8 +39,7 @@ def play(
     stop: Callable[[], bool] | None = None,
     progress: Progress | None = None,
 ) -> Played:
-    """Play ``signals`` (n_in, n) [V at the actuators] ``repeats`` times with ``pause`` [s] of silence
-    between.
+    """Play ``signals`` (n_in, n) [V at the actuators] ``repeats`` times with ``pause`` [s] of silence between.
 
     Each repeat is faded in and out over ``options.fade``. HardwareError, before anything sounds, for more
     than ``options.max_voltage``, more than :data:`LONGEST` or the wrong number of signals. ``stop`` is polled per

@@ -17,7 +17,7 @@ from ..io.signals import read_drives
 from ..io.wav import read_wav_drives
 from ..progress import Progress, tell
 from ..scenario import Scenario
-from ..scenario.measurement import DaqOptions, MeasurementOptions, SensorOptions
+from ..scenario.measurement import DaqOptions, SensorOptions
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .calibrate import Plan, Step, assembled, calibrate
@@ -58,9 +58,7 @@ class VirtualSetup:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """What was measured, and the files written: ``transfer.nc``, the live figure and one recording per
-    entry.
-    """
+    """What was measured, and the files written: ``transfer.nc``, the live figure and one recording per entry."""
 
     measured: Measured
     transfer_file: Path
@@ -176,9 +174,8 @@ def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None, *,
         outputs, inputs = planform_ports(scenario)
         if options.sensor.quantity is None or options.sensor.sensitivity is None:
             raise ScenarioError(
-                "measurement.sensor: say what the vibrometer's voltage means before "
-                "measuring: quantity = displacement, "
-                "velocity or acceleration, and sensitivity in V per SI unit"
+                "measurement.sensor: say what the vibrometer's voltage means before measuring: quantity = "
+                "displacement, velocity or acceleration, and sensitivity in V per SI unit"
             )
         channels = wired(options.daq, len(inputs), kind)
         options = options.model_copy(update={"daq": channels})
@@ -186,20 +183,15 @@ def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None, *,
     names = tuple(f"virtual/ao{i}" for i in range(len(virtual.transfer.inputs)))
     latency = virtual.latency / scenario.sweep.sample_rate
     daq = options.daq.model_copy(update={"outputs": names, "latency": latency})
-    sensor = _declared(options.sensor)
+    sensor, built_in = options.sensor, VirtualSensor()
+    if sensor.quantity is None or sensor.sensitivity is None:
+        sensor = SensorOptions(quantity=built_in.quantity, sensitivity=built_in.sensitivity)
     return Plan(
         virtual.transfer.outputs,
         virtual.transfer.inputs,
         ExponentialSweep.of(scenario),
         options.model_copy(update={"daq": daq, "sensor": sensor}),
     )
-
-
-def _declared(sensor: SensorOptions) -> SensorOptions:
-    if sensor.quantity is not None and sensor.sensitivity is not None:
-        return sensor
-    built_in = VirtualSensor()
-    return SensorOptions(quantity=built_in.quantity, sensitivity=built_in.sensitivity)
 
 
 def _device(kind: DaqKind, plan: Plan, virtual: VirtualSetup | None, card: str | None = None) -> Daq:
@@ -211,19 +203,13 @@ def _device(kind: DaqKind, plan: Plan, virtual: VirtualSetup | None, card: str |
 
 
 def virtual_device(plan: Plan, virtual: VirtualSetup) -> VirtualDaq:
-    """A virtual device behind the plan's sweep and sensor; the noise follows from the SNR and the strongest
-    response.
-    """
-    sweep, sensor = plan.sweep, _virtual_sensor(plan.options)
+    """A virtual device behind the plan's sweep and sensor; the SNR and the strongest response give the noise."""
+    assert plan.options.sensor.quantity is not None
+    assert plan.options.sensor.sensitivity is not None
+    sweep, sensor = plan.sweep, VirtualSensor(plan.options.sensor.quantity, plan.options.sensor.sensitivity)
     noise = noise_for(virtual.snr_db, virtual.transfer, sweep.samples(), sweep.sample_rate, sensor)
     options = VirtualOptions(noise, virtual.bits, virtual.latency, seed=virtual.seed, sensor=sensor)
     return VirtualDaq(virtual.transfer, sweep.sample_rate, sweep.duration, options)
-
-
-def _virtual_sensor(options: MeasurementOptions) -> VirtualSensor:
-    assert options.sensor.quantity is not None
-    assert options.sensor.sensitivity is not None
-    return VirtualSensor(options.sensor.quantity, options.sensor.sensitivity)
 
 
 def run_play(
@@ -241,17 +227,14 @@ def run_play(
     stop: Callable[[], bool] | None = None,
     progress: Progress | None = None,
 ) -> Played:
-    """Send the drives of ``drives.nc`` (choosing ``method`` and ``target``) or of a WAV file, times
-    ``scale``.
+    """Send the drives of ``drives.nc`` (choosing ``method`` and ``target``) or of a WAV file, times ``scale``.
 
-    Refuses what exceeds ``measurement.daq.max_voltage`` and what was sampled at another rate than the
-    scenario's.
+    Refuses what exceeds ``measurement.daq.max_voltage`` and what was sampled at another rate than the scenario's.
     """
     signals, rate = read_signals(drives, method, target)
     if abs(rate / scenario.sweep.sample_rate - 1) > 1e-6:
         raise HardwareError(
-            f"the drives are sampled at {rate:g} Hz, the scenario's device runs at "
-            f"{scenario.sweep.sample_rate:g} Hz; "
+            f"the drives are sampled at {rate:g} Hz, the scenario's device runs at {scenario.sweep.sample_rate:g} Hz; "
             "render them at that rate"
         )
     plan = calibration_plan(scenario, virtual if daq == "virtual" else None, kind=daq)
@@ -271,9 +254,7 @@ def run_play(
 
 
 def read_signals(path: str | Path, method: str | None, target: str | None) -> tuple[FloatArray, float]:
-    """Drive signals (n_in, n) [V] and their rate [Hz] from drives.nc or WAV; DataError if method or target
-    are unclear.
-    """
+    """Drive signals (n_in, n) [V] and their rate [Hz] from drives.nc or WAV; DataError if method or target is open."""
     file = Path(path)
     if file.suffix.lower() == ".wav":
         return read_wav_drives(file)

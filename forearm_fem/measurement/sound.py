@@ -1,10 +1,9 @@
 """A multichannel sound card as a measurement device, through the package ``sounddevice`` (extra "audio").
 
 Outputs are named "1", "2", ... (channels of the card), inputs likewise. A card counts in full scale: ``volts_out`` and
-``volts_in`` say what full scale is at the terminals; a voltmeter tells them, cards do not.
-Blocks are written and read on one stream, so that both share the card's clock; what comes back lags by the card's
-latency, which :mod:`.loopback` measures and takes off.
-Tried with a stand-in for ``sounddevice`` of known latency and gain; not yet with a card.
+``volts_in`` say what full scale is at the terminals; a voltmeter tells them, cards do not. Blocks are written and read
+on one stream, so that both share the card's clock; what comes back lags by the card's latency, which :mod:`.loopback`
+measures and takes off. Tried with a stand-in for ``sounddevice`` of known latency and gain; not yet with a card.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""Recordings on disk: one file each, whole or absent, with a checksum; the folder is the state of a
-calibration.
-"""
+"""Recordings on disk: one file each, whole or absent, with a checksum; the folder is the state of a calibration."""
 
 from __future__ import annotations
 
@@ -23,9 +21,7 @@ _VERSION = 1
 
 
 def write_recording(path: Path, recording: Recording, setup: str) -> None:
-    """``recording`` as an NPZ file, with the digest ``setup`` of what it was taken for; atomic and flushed
-    to disk.
-    """
+    """``recording`` as an NPZ file, with the digest ``setup`` of what it was taken for; atomic and flushed to disk."""
     head = {
         "version": _VERSION,
         "output": recording.output,
@@ -46,9 +42,7 @@ def write_recording(path: Path, recording: Recording, setup: str) -> None:
 
 
 def read_recording(path: Path, setup: str | None = None) -> Recording:
-    """The recording as written; DataError if the file is damaged, altered, or was taken for another
-    ``setup``.
-    """
+    """The recording as written; DataError if the file is damaged, altered, or was taken for another ``setup``."""
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as content:
             arrays = {name: content[name] for name in content.files if name not in ("head", "digest")}
@@ -64,10 +58,6 @@ def read_recording(path: Path, setup: str | None = None) -> Recording:
     head = json.loads(text)
     if setup is not None and head["setup"] != setup:
         raise DataError(f"{path}: was taken with another sweep or wiring; use a new folder for a new calibration")
-    return _recording(head, arrays)
-
-
-def _recording(head: Mapping[str, Any], arrays: Mapping[str, Any]) -> Recording:
     return Recording(
         head["output"],
         head["input"],

@@ -16,8 +16,7 @@ from ..typing import BoolArray, FloatArray
 
 @dataclass(frozen=True)
 class ExponentialSweep:
-    """x(t) = A sin(2 pi f1 T / ln(f2/f1) ((f2/f1)^(t/T) - 1)), t in [0, T) (Farina 2000; de Vlam 2022,
-    III.B).
+    """x(t) = A sin(2 pi f1 T / ln(f2/f1) ((f2/f1)^(t/T) - 1)), t in [0, T) (Farina 2000; de Vlam 2022, III.B).
 
     ``amplitude`` A [V]; ``taper`` is the part of T faded in and out by half a cosine each, which keeps the
     jump from f2 back to f1 between repeats from clicking. |X|^2 falls like 1/f.

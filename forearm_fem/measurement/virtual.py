@@ -51,9 +51,8 @@ class Faults:
 class VirtualOptions:
     """Noise, converter and latency of a virtual device.
 
-    ``noise`` [V rms] is white and added before the converter; :func:`noise_for` finds it for a
-    signal-to-noise ratio. ``bits`` 0 = no quantisation. ``latency`` [samples] delays the sensor, ``ahead``
-    is the driver's queue.
+    ``noise`` [V rms] is white and added before the converter; :func:`noise_for` finds it for a signal-to-noise ratio.
+    ``bits`` 0 = no quantisation. ``latency`` [samples] delays the sensor, ``ahead`` is the driver's queue.
     """
 
     noise: float = 0.0
@@ -66,9 +65,8 @@ class VirtualOptions:
 
 
 class VirtualDaq:
-    """Implements :class:`~forearm_fem.measurement.daq.Daq` on a TransferMatrix in m/V; the last input, if
-    two are wired, is a loopback of the driven output. Seeded per point watched: the same calls give the
-    same samples."""
+    """Implements :class:`~forearm_fem.measurement.daq.Daq` on a TransferMatrix in m/V; the last input, if two are
+    wired, is a loopback of the driven output. Seeded per point watched: the same calls give the same samples."""
 
     def __init__(self, transfer: TransferMatrix, sample_rate: float, duration: float, options: VirtualOptions) -> None:
         if transfer.unit != "m/V":
@@ -116,8 +114,7 @@ class VirtualDaq:
         """Reserve; HardwareError for a rate or a number of outputs that G was not prepared for."""
         if wiring.sample_rate != self._record.sample_rate or len(wiring.outputs) != self._kernel.shape[1]:
             raise HardwareError(
-                f"the virtual device has {self._kernel.shape[1]} outputs at "
-                f"{self._record.sample_rate:g} Hz, asked for "
+                f"the virtual device has {self._kernel.shape[1]} outputs at {self._record.sample_rate:g} Hz, asked for "
                 f"{len(wiring.outputs)} at {wiring.sample_rate:g} Hz"
             )
         self._wiring, self._range = wiring, wiring.input_range
@@ -150,12 +147,14 @@ class VirtualDaq:
         sensor = self._sensor(block)
         rows = [sensor, block[np.argmax(np.abs(block).max(axis=1))]][: len(self._wiring.inputs)]
         noisy = np.stack(rows) + self._options.noise * self._rng.standard_normal((len(rows), block.shape[1]))
-        return self._spoil(self._convert(noisy))
+        clipped = np.clip(noisy, -self._range, self._range)
+        volts = clipped if self._options.bits == 0 else np.round(clipped / self.resolution) * self.resolution
+        if (broken := self._options.faults.nan_at) is not None:
+            volts = np.where(self._tick + np.arange(volts.shape[1]) == broken, np.nan, volts)
+        return self._late_by_drop(volts)
 
     def _sensor(self, block: FloatArray) -> FloatArray:
-        """The vibrometer's volts (m,): streaming convolution by overlap and add, then drift and
-        saturation.
-        """
+        """The vibrometer's volts (m,): streaming convolution by overlap and add, then drift and saturation."""
         m, n = block.shape[1], self._record.n
         length = next_fast_len(m + n - 1, real=True)
         kernels = rfft(self._kernel[self._point], length)
@@ -171,21 +170,8 @@ class VirtualDaq:
         gain = (1 + faults.drift * tick / self._record.sample_rate) * np.where(moved, faults.moved_gain, 1.0)
         return np.asarray(gain * (not faults.blind))
 
-    def _convert(self, volts: FloatArray) -> FloatArray:
-        clipped = np.clip(volts, -self._range, self._range)
-        return clipped if self._options.bits == 0 else np.round(clipped / self.resolution) * self.resolution
-
-    def _spoil(self, volts: FloatArray) -> FloatArray:
-        faults = self._options.faults
-        first, last = self._tick, self._tick + volts.shape[1]
-        if faults.nan_at is not None and first <= faults.nan_at < last:
-            volts = np.where(np.arange(first, last) == faults.nan_at, np.nan, volts)
-        return self._late_by_drop(volts)
-
     def _late_by_drop(self, volts: FloatArray) -> FloatArray:
-        """From the lost buffer on, everything comes ``count`` samples late, with the last one repeated
-        meanwhile.
-        """
+        """From the lost buffer on, everything comes ``count`` samples late, with the last one repeated meanwhile."""
         drop, first = self._options.faults.drop, self._tick
         m = volts.shape[1]
         if drop is not None and first <= drop[0] < first + m:

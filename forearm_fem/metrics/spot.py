@@ -11,8 +11,7 @@ from ..typing import FloatArray
 def contrast(areas: FloatArray, target: int) -> float:
     """Area of |u| at ``target`` over the largest one elsewhere [-]; ``areas`` (n_out,) from :func:`area`.
 
-    Above 1 the target moves most; stricter than S, which compares with the mean. NaN areas are ignored
-    elsewhere.
+    Above 1 the target moves most; stricter than S, which compares with the mean. NaN areas are ignored elsewhere.
     """
     others = np.delete(areas, target)
     largest = np.max(others[np.isfinite(others)], initial=0.0)

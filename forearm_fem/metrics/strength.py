@@ -75,8 +75,7 @@ GROUPS: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class StrengthTable:
-    """S by place on the grid: ``mean`` and ``std`` (n_group, n_method) [-]; ``std`` is NaN for a single
-    target."""
+    """S by place on the grid: ``mean`` and ``std`` (n_group, n_method) [-]; ``std`` is NaN for a single target."""
 
     methods: tuple[str, ...]
     groups: tuple[str, ...]
@@ -95,8 +94,7 @@ class StrengthTable:
 
 
 def signal_strength_table(methods: Sequence[str], targets: Sequence[str], strengths: FloatArray) -> StrengthTable:
-    """Middle, edges and corners of ``strengths`` (n_method, n_target) [-]: mean and standard deviation (N -
-    1).
+    """Middle, edges and corners of ``strengths`` (n_method, n_target) [-]: mean and standard deviation (N - 1).
 
     N - 1 is MATLAB's `std`, in which the thesis was computed. Groups with no target are left out, groups with
     some of theirs are averaged over these. Raises DataError if a target is none of the 3 x 3 grid's "1".."9".

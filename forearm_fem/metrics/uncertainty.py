@@ -42,13 +42,12 @@ def signal_strength_uncertainty(
 ) -> StrengthInterval:
     """Interval of S when G errs by ``errors`` (None: those of ``transfer``), by Monte Carlo.
 
-    ``strength`` maps a G to S of any shape, e.g. ``lambda g: strengths(g, targets, methods, wavelet)``: it
-    aims anew on each perturbed G (the error of the S printed), or replays fixed drives (what a device
-    calibrated on a wrong G does). Each source adds an independent complex Gaussian perturbation over all
-    entries, with max_ij |dG_ij| = e(f) max_ij |G_ij| at every frequency, smooth in frequency over about
-    ``correlation`` [Hz]: discretisation and truncation err smoothly, and errors white in frequency would
-    average out of S. The true error has structure that this does not know. Raises DataError without errors or
-    with fewer than 2 draws.
+    ``strength`` maps a G to S of any shape, e.g. ``lambda g: strengths(g, targets, methods, wavelet)``: it aims anew on
+    each perturbed G (the error of the S printed), or replays fixed drives (what a device calibrated on a wrong G does).
+    Each source adds an independent complex Gaussian perturbation over all entries, with max_ij |dG_ij| = e(f) max_ij
+    |G_ij| at every frequency, smooth in frequency over about ``correlation`` [Hz]: discretisation and truncation err
+    smoothly, and errors white in frequency would average out of S. The true error has structure that this does not
+    know. Raises DataError without errors or with fewer than 2 draws.
     """
     sources = tuple(transfer.errors if errors is None else errors)
     if not sources or draws < 2 or not 0 < coverage < 1 or correlation <= 0:

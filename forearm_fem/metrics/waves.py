@@ -18,10 +18,9 @@ DecayFit = Literal["nonlinear", "log", "normalised"]
 class WaveFit:
     """Fit of A exp(-delta x) exp(-i k x) per ``frequency`` (n,) [Hz].
 
-    ``attenuation`` delta (n,) [1/m], ``wavenumber`` k (n,) [rad/m], ``speed`` omega / k (n,) [m/s].
-    ``decay_misfit`` (n,) [-] is the rms of the amplitude's misfit over its largest value, ``phase_misfit``
-    (n,) [rad] the rms of the phase's; ``phase_step`` (n,) [rad] is the largest change between neighbours:
-    near pi the unwrapping is a guess.
+    ``attenuation`` delta (n,) [1/m], ``wavenumber`` k (n,) [rad/m], ``speed`` omega / k (n,) [m/s]. ``decay_misfit``
+    (n,) [-] is the rms of the amplitude's misfit over its largest value, ``phase_misfit`` (n,) [rad] the rms of the
+    phase's; ``phase_step`` (n,) [rad] is the largest change between neighbours: near pi the unwrapping is a guess.
     """
 
     frequency: FloatArray
@@ -38,17 +37,14 @@ def fit_waves(
 ) -> WaveFit:
     """Attenuation and speed of ``response`` (n, m) [any unit] at ``distance`` (m,) [m] from the source.
 
-    De Vlam 2022, appendix A: an exponential through |H(x)| and a line through the unwrapped phase, c = omega
-    / k (A.6), over 10 points every 2.5 mm. The phase of an outgoing wave falls with x (e^{+i omega t}), so k
-    = -slope.
-    ``decay``: "nonlinear" is least squares of A exp(-delta x) on |H| with A free; "log" a line through
-    log|H|, which weighs far points more; "normalised" least squares of exp(-delta (x - x1)) on |H| / |H(x1)|,
-    the thesis' one-parameter y = exp(-delta x) (A.5), whose normalisation the thesis does not state. Rows
-    with NaN or zeros give NaN.
+    De Vlam 2022, appendix A: an exponential through |H(x)| and a line through the unwrapped phase, c = omega / k (A.6),
+    over 10 points every 2.5 mm. The phase of an outgoing wave falls with x (e^{+i omega t}), so k = -slope. ``decay``:
+    "nonlinear" is least squares of A exp(-delta x) on |H| with A free; "log" a line through log|H|, which weighs far
+    points more; "normalised" least squares of exp(-delta (x - x1)) on |H| / |H(x1)|, the thesis' one-parameter y =
+    exp(-delta x) (A.5), whose normalisation the thesis does not state. Rows with NaN or zeros give NaN.
 
-    Near the source and beyond 2-3 attenuation lengths the response is no plane wave: c and delta then depend
-    on the window, so compare like with like. Raises DataError for fewer than 3 distances or ones that do not
-    increase.
+    Near the source and beyond 2-3 attenuation lengths the response is no plane wave: c and delta then depend on the
+    window, so compare like with like. Raises DataError for fewer than 3 distances or ones that do not increase.
     """
     x = np.asarray(distance, dtype=float)
     if x.ndim != 1 or len(x) < 3 or np.any(np.diff(x) <= 0):

@@ -9,11 +9,12 @@ import numpy as np
 
 from ..fem.assembly.coefficients import Polynomial
 from ..fem.assembly.model import ForearmModel, build_model
+from ..fem.kernels.heap import give_back
 from ..fem.reduction.expansion import Snapshots
 from ..fem.reduction.sweep import SweepResult, direct_sweep, reduced_sweep
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..progress import Progress
+from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.supports import Supports
 from ..tissue import Tissue, resolve_tissues
@@ -49,7 +50,10 @@ def solve_fem(
 
     ``tolerance`` is e(f) asked of the reduced model, None for an uncertified one; ``snapshots`` keep its expansions.
     """
+    tell(progress, "assembly", 0, 1)
     model = fem_model(scenario, mesh)
+    tell(progress, "assembly", 1, 1)
+    give_back()  # element matrices and matrices before constraints are gone: more than the operator itself
     if scenario.solver.sweep == "reduced" and len(frequency) > scenario.solver.expansions:
         result = reduced_sweep(
             model, frequency, scenario.solver, tolerance=tolerance, progress=progress,

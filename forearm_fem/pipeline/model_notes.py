@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
 from .forecast import forecast
 from .frequencies import frequencies
-
-_NEAR_DISC = 0.010  # [m] between centres: 13 mm away no frequency stated less than 0.7 of its error
 
 
 def resolution_notes(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
@@ -34,16 +30,11 @@ def model_notes(solution: SolutionRecord) -> tuple[str, ...]:
 
 def near_disc_notes(scenario: Scenario) -> tuple[str, ...]:
     """A sentence on points so near a disc of pressure that second-order elements err alike on both meshes."""
-    if not isinstance(scenario.limb, SlabLimb) or scenario.device.cone.contact != "pressure":
-        return ()
-    if scenario.element != "P2":
-        return ()
-    near = [str(i + 1) for i, place in enumerate(scenario.grid.places)
-            if min(math.dist(place, centre) for centre in scenario.device.centres) < _NEAR_DISC]  # fmt: skip
+    near = scenario.beside_discs if isinstance(scenario.limb, SlabLimb) and scenario.element == "P2" else ()
     if not near:
         return ()
     named = ", ".join(near[:6]) + (", ..." if len(near) > 6 else "")
     return (
-        f"points {named} lie within {1e3 * _NEAR_DISC:g} mm of a disc of pressure on second-order elements, where as "
-        "little as a tenth of the error was stated; mesh.element = 'P2/P3' errs a tenth there, at twice the unknowns",
+        f"points {named} lie within 8 mm of the rim of a disc of pressure on second-order elements, where as little as "
+        "a tenth of the error was stated; mesh.element = 'P2/P3' errs a tenth there, at two to four times the unknowns",
     )

@@ -184,13 +184,17 @@ def _either(estimates: list[ErrorEstimate]) -> ErrorEstimate:
     """The largest of ``estimates``, freed ends first, at each frequency: with ends that reflect a share r of -1
     (clamped) to 1 (free), and E what comes back from free ones, they err by |r| E and change by (1 - r) E when freed,
     (1 + r) E when clamped. Half of the larger change is (1 + |r|) E / 2 >= |r| E, half of either alone may be zero.
+
+    Nor is less stated than at any higher frequency: E decays with frequency, but where waves are longer than the slab
+    both changes may pass through small values.
     """
     if len(estimates) == 1:
         return estimates[0]
     freed, clamped = estimates
     frequency = np.unique(np.concatenate([e.frequency for e in estimates]))
-    error = np.maximum(relative_error_at(freed, frequency), _between(clamped, freed, frequency))
-    method = "at each frequency the larger of " + " and ".join(e.method for e in estimates)
+    larger = np.maximum(relative_error_at(freed, frequency), _between(clamped, freed, frequency))
+    error = np.maximum.accumulate(larger[::-1])[::-1]
+    method = "at each frequency the larger of " + " and ".join(e.method for e in estimates) + ", there or higher up"
     return ErrorEstimate(
         "truncation", max(e.band for e in estimates), method, tuple(frequency.tolist()), tuple(error.tolist())
     )

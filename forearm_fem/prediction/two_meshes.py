@@ -16,8 +16,8 @@ from ..pipeline.second_mesh import second_mesh
 from ..pipeline.two_meshes import agreed_upon, estimated_errors
 from ..progress import Progress
 from ..scenario import Scenario
-from ..transfer import Compliance, ErrorEstimate
-from ..typing import FloatArray, IntArray
+from ..transfer import Compliance, ErrorEstimate, relative_error
+from ..typing import ComplexArray, FloatArray, IntArray
 
 _PROBED = 20  # frequencies at which the second mesh is asked
 
@@ -39,18 +39,34 @@ class ArmMeshes:
         """
         some = _probes(found.frequency)
         frequency = found.frequency[some]
-        own, other = (
-            c.block("point", "contact")[rows]
-            for c, rows in ((found, some), (self.second.compliance(arm, frequency), slice(None)))
-        )
-        lag, coarser = (self.lags.phases(arm, frequency, scale) for scale in (1.0, self.ratio))
-        band, error = estimated_errors(other, own, frequency, self.ratio, agreed_upon(own, lag, coarser))
+        own, other = found.block("point", "contact")[some], self._second(arm, frequency)
+        band, error = self._estimated(arm, frequency, own, other)
         return ErrorEstimate(
             "discretisation", band,
             f"change of the arm's compliance on a second mesh, nodes {self.ratio:.2g} times as far apart, at "
             f"{len(frequency)} frequencies",
             tuple(frequency.tolist()), tuple(error.tolist()),
         )  # fmt: skip
+
+    def share(self, arm: Scenario, found: Compliance) -> FloatArray:
+        """What the elements err by (n_frequency,), as e(f) in shares of that of the change on the second mesh.
+
+        It is found at every frequency of ``found``: meant for tens of them.
+        """
+        own, other = found.block("point", "contact"), self._second(arm, found.frequency)
+        _, error = self._estimated(arm, found.frequency, own, other)
+        change = relative_error(other, own)
+        return np.divide(error, change, out=np.zeros_like(error), where=change > 0)
+
+    def _second(self, arm: Scenario, frequency: FloatArray) -> ComplexArray:
+        return self.second.compliance(arm, frequency).block("point", "contact")
+
+    def _estimated(
+        self, arm: Scenario, frequency: FloatArray, own: ComplexArray, other: ComplexArray
+    ) -> tuple[float, FloatArray]:
+        """e_band and e(f) (n_frequency,) of what points do under contacts on the first mesh."""
+        lag, coarser = (self.lags.phases(arm, frequency, scale) for scale in (1.0, self.ratio))
+        return estimated_errors(other, own, frequency, self.ratio, agreed_upon(own, lag, coarser))
 
 
 def _probes(frequency: FloatArray) -> IntArray:

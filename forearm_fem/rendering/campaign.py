@@ -19,7 +19,7 @@ from .drives import Displacements, Drives, Renderer, displacements, drives
 from .funneling import Funneling
 from .inverse_filter import InverseFilter
 from .limits import DriveReport, Limits, beyond_limits, check
-from .spectrum import Placed, place
+from .spectrum import place
 from .wavelet import Wavelet, Window, ricker, window_of
 
 _MUCH_LOST = 0.1
@@ -98,12 +98,11 @@ def render_all(
 ) -> Rendering:
     """Every renderer of ``methods`` at every target: drives, displacements, S and the drives' report.
 
-    ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet``
-    the 250 Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window),
-    or "record", the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first.
-    ``progress`` is called after each. Warns (AccuracyWarning) when more than 10 % of the
-    wavelet's energy falls on bins where G is unknown. Raises ScenarioError for two methods of one name or a
-    target given twice, and as :func:`drives`.
+    ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet`` the 250
+    Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window), or "record",
+    the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first. ``progress`` is
+    called after each. Warns (AccuracyWarning) when more than 10 % of the wavelet's energy falls on bins where G is
+    unknown. Raises ScenarioError for two methods of one name or a target given twice, and as :func:`drives`.
     """
     targets = tuple(targets) if targets is not None else tuple(p.name for p in transfer.outputs)
     methods = tuple(methods) if methods is not None else thesis_renderers()
@@ -117,35 +116,20 @@ def render_all(
     results: dict[tuple[str, str], Rendered] = {}
     for method in methods:
         for target in targets:
-            results[method.name, target] = _render(method, placed, target, wavelet, limits or Limits(), seconds)
+            sent = drives(method, placed, target, wavelet)
+            reached = displacements(placed, sent)
+            strength = signal_strength(reached.values, reached.target_index, time=reached.time, window=seconds)
+            results[method.name, target] = Rendered(sent, reached, strength, check(sent, limits or Limits()))
             tell(progress, "render", len(results), len(methods) * len(targets))
-    _warn_lost(results)
-    return Rendering(names, targets, results, seconds, holes, limits or Limits())
-
-
-def _render(
-    method: Renderer,
-    placed: Placed,
-    target: str,
-    wavelet: Wavelet,
-    limits: Limits,
-    window: tuple[float, float] | None,
-) -> Rendered:
-    sent = drives(method, placed, target, wavelet)
-    reached = displacements(placed, sent)
-    strength = signal_strength(reached.values, reached.target_index, time=reached.time, window=window)
-    return Rendered(sent, reached, strength, check(sent, limits))
-
-
-def _warn_lost(results: Mapping[tuple[str, str], Rendered]) -> None:
     worst = max(results.values(), key=lambda r: r.drives.lost, default=None)
     if worst is not None and worst.drives.lost > _MUCH_LOST:
         warnings.warn(
             f"G is unknown on bins with {worst.drives.lost:.0%} of the wavelet's energy "
             f"({worst.drives.method} towards {worst.drives.target}): they are not driven",
             AccuracyWarning,
-            stacklevel=3,
+            stacklevel=2,
         )
+    return Rendering(names, targets, results, seconds, holes, limits or Limits())
 
 
 def strengths(

@@ -14,7 +14,7 @@ from ..ports import Port
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .inversion import Inversion
-from .spectrum import BinValues, Placed, Record, place, respond, to_time
+from .spectrum import Placed, Record, place, respond, to_time
 from .wavelet import Wavelet
 
 
@@ -36,8 +36,7 @@ class Renderer(Protocol):
         """Name under which results are filed."""
 
     def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
-        """Drive spectra towards output ``target`` for the wavelet's spectrum (n_bins,) [1/Hz] on the same
-        bins."""
+        """Drive spectra towards output ``target`` for the wavelet's spectrum (n_bins,) [1/Hz] on the same bins."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,14 +106,14 @@ class Displacements:
 def drives(renderer: Renderer, transfer: TransferMatrix | Placed, target: str, wavelet: Wavelet) -> Drives:
     """The drives with which ``renderer`` aims ``wavelet`` at output ``target``.
 
-    ``transfer`` is G (n_frequency, n_out, n_in), or G already placed on the wavelet's bins (:func:`place`,
-    worth it for many targets). Only bins where G is known are driven; ``Drives.lost`` says what that costs.
-    Raises ScenarioError for an unknown target, DataError for a G that cannot be used, GeometryError where the
-    renderer needs a rectangle.
+    ``transfer`` is G (n_frequency, n_out, n_in), or G already placed on the wavelet's bins (:func:`place`, worth it for
+    many targets). Only bins where G is known are driven; ``Drives.lost`` says what that costs. Raises ScenarioError for
+    an unknown target, DataError for a G that cannot be used, GeometryError where the renderer needs a rectangle.
     """
     placed = _placed(transfer, wavelet.record)
     spectrum = wavelet.spectrum
     aim = renderer.aim(placed, target, spectrum[placed.bins.index])
+    energy = wavelet.record.weights * np.abs(spectrum) ** 2
     return Drives(
         method=renderer.name,
         target=target,
@@ -123,7 +122,7 @@ def drives(renderer: Renderer, transfer: TransferMatrix | Placed, target: str, w
         record=wavelet.record,
         frequency=placed.bins.frequency,
         spectrum=aim.spectrum,
-        lost=_lost(spectrum, placed.bins, aim.used, wavelet.record),
+        lost=float(np.clip(1 - energy[placed.bins.index[aim.used]].sum() / energy.sum(), 0, 1)),
         zeros=aim.zeros,
         inversion=aim.inversion,
         provenance={"wavelet": wavelet.name, "renderer": repr(renderer)},
@@ -138,17 +137,11 @@ def _placed(transfer: TransferMatrix | Placed, record: Record) -> Placed:
     return transfer
 
 
-def _lost(spectrum: ComplexArray, bins: BinValues, used: BoolArray, record: Record) -> float:
-    energy = record.weights * np.abs(spectrum) ** 2
-    return float(np.clip(1 - energy[bins.index[used]].sum() / energy.sum(), 0, 1))
-
-
 def displacements(transfer: TransferMatrix | Placed, drives: Drives) -> Displacements:
     """Displacements of all outputs of ``transfer`` under ``drives``: U = G S (eq. 3), back in time.
 
-    G may be another one than the drives were made for (a perturbed or a measured one): bins of the drive
-    where it is unknown count as lost. Raises ScenarioError if the inputs differ in number, DataError if G
-    cannot be used.
+    G may be another one than the drives were made for (a perturbed or a measured one): bins of the drive where it is
+    unknown count as lost. Raises ScenarioError if the inputs differ in number, DataError if G cannot be used.
     """
     placed = _placed(transfer, drives.record)
     if len(placed.inputs) != len(drives.inputs):

@@ -71,9 +71,8 @@ def _shares(at: float, lines: FloatArray, slack: float, name: str, what: str = "
 class Funneling:
     """Funneling renderer, eq. 5, 6 and 8 of de Vlam 2022: s_q(t) = A_q w(t).
 
-    ``amplitude`` [V, or G's drive unit] is A. The drive is cut to the bins where the target's row of G is
-    known, as in the other renderers, so that their displacements compare; an actuator never measured there
-    stays silent.
+    ``amplitude`` [V, or G's drive unit] is A. The drive is cut to the bins where the target's row of G is known, as in
+    the other renderers, so that their displacements compare; an actuator never measured there stays silent.
     """
 
     amplitude: float = 1.0

@@ -18,9 +18,8 @@ _SHORTEST = 8  # samples: fewer leave no way to judge a spline
 class Interpolation:
     """When bins between samples may be filled.
 
-    An interval ``gap`` times wider than both its neighbours is a gap: nothing is filled there. ``tolerance``
-    bounds the estimated error of the spline, max |dG| / max |G| at one frequency. ``enabled`` False copies
-    exact bins only.
+    An interval ``gap`` times wider than both its neighbours is a gap: nothing is filled there. ``tolerance`` bounds the
+    estimated error of the spline, max |dG| / max |G| at one frequency. ``enabled`` False copies exact bins only.
     """
 
     gap: float = 3.0
@@ -36,8 +35,7 @@ def filled_in(
     df: float,
     options: Interpolation,
 ) -> tuple[ComplexArray, BoolArray]:
-    """Values and mask (n_index, m) on bins ``index`` from samples (n, m) at ``place`` [bins], ``df`` [Hz]
-    apart.
+    """Values and mask (n_index, m) on bins ``index`` from samples (n, m) at ``place`` [bins], ``df`` [Hz] apart.
 
     Samples on a bin are copied; the others serve a cubic spline per unbroken run of valid samples. Raises
     DataError where the spline's estimated error exceeds the tolerance.

@@ -19,15 +19,13 @@ _KINDS = ("rcond", "tikhonov", "discrepancy", "lcurve", "noise")
 class Regularisation:
     """How the pseudo-inverse treats small singular values s; ``value`` [-] depends on ``kind``.
 
-    ``rcond``: s < value s_max is dropped (MATLAB's pinv of a 5 x 4 matrix: value = 1.1e-15).
-    ``tikhonov``: 1/s becomes s / (s^2 + lambda^2), lambda = value s_max at each frequency.
-    ``discrepancy``: lambda such that the misfit exceeds the least-squares one by value |U| (Morozov, for a G
-    known to about ``value``); a U that lies below that is left undriven.
-    ``lcurve``: lambda at the corner of the L-curve (largest curvature of log|S| over log|misfit|), searched
-    from value s_max to s_max.
-    ``noise``: lambda = e max |H| sqrt(rows), e the error that G's measurement states at the frequency but at least
-    ``value``: least squares in the mean over errors of that size, so that nothing is driven on the strength of them.
-    In all kinds singular values below 4e-15 s_max are dropped: rounding.
+    ``rcond``: s < value s_max is dropped (MATLAB's pinv of a 5 x 4 matrix: value = 1.1e-15). ``tikhonov``: 1/s becomes
+    s / (s^2 + lambda^2), lambda = value s_max at each frequency. ``discrepancy``: lambda such that the misfit exceeds
+    the least-squares one by value |U| (Morozov, for a G known to about ``value``); a U that lies below that is left
+    undriven. ``lcurve``: lambda at the corner of the L-curve (largest curvature of log|S| over log|misfit|), searched
+    from value s_max to s_max. ``noise``: lambda = e max |H| sqrt(rows), e the error that G's measurement states at the
+    frequency but at least ``value``: least squares in the mean over errors of that size, so that nothing is driven on
+    the strength of them. In all kinds singular values below 4e-15 s_max are dropped: rounding.
     """
 
     kind: RegularisationKind = "rcond"
@@ -44,10 +42,9 @@ class Regularisation:
 class Inversion:
     """What the inversion met at each of its bins.
 
-    ``frequency`` (n,) [Hz]; ``singular_values`` (n, k) of H, descending; ``condition`` (n,) = s_max / s_min
-    (inf if singular to rounding); ``rank`` (n,) effective rank, the sum of the filter factors; ``parameter``
-    (n,) the cut (rcond) or lambda in G's unit; ``misfit`` (n,) |H S - U| / |U|, the part of the target and
-    zeros that cannot be had.
+    ``frequency`` (n,) [Hz]; ``singular_values`` (n, k) of H, descending; ``condition`` (n,) = s_max / s_min (inf if
+    singular to rounding); ``rank`` (n,) effective rank, the sum of the filter factors; ``parameter`` (n,) the cut
+    (rcond) or lambda in G's unit; ``misfit`` (n,) |H S - U| / |U|, the part of the target and zeros that cannot be had.
     """
 
     frequency: FloatArray
@@ -69,39 +66,32 @@ def invert(
     """S (n, q) minimising |H S - U| per frequency, and the report; H is ``matrix`` (n, c, q), U ``wanted``
     (n, c), ``error`` (n,) the e(f) [-] that H was measured with, NaN or None where unknown.
 
-    A zero column (dead actuator) gets no drive; equal columns share it evenly (minimum norm). Entries must be
-    finite.
+    A zero column (dead actuator) gets no drive; equal columns share it evenly (minimum norm). Entries must be finite.
     """
     left, s, right = np.linalg.svd(matrix, full_matrices=False)
     beta = (left.conj().swapaxes(1, 2) @ wanted[:, :, None])[:, :, 0]
     if regularisation.kind == "noise":
-        parameter = _noise(matrix, error, regularisation.value)
+        stated = np.zeros(len(matrix)) if error is None else np.nan_to_num(error)
+        relative = np.maximum(stated, regularisation.value) * np.sqrt(matrix.shape[1])
+        parameter = relative * np.abs(matrix).max(axis=(1, 2))
     else:
         parameter = _parameter(s, beta, wanted, regularisation)
     weights = _weights(s, parameter, regularisation.kind)
     drive = (right.conj().swapaxes(1, 2) @ (weights * beta)[:, :, None])[:, :, 0]
     drive *= matrix.any(axis=1)  # rounding would leave 1e-16 on a dead actuator
     residual = np.linalg.norm((matrix @ drive[:, :, None])[:, :, 0] - wanted, axis=1)
+    large, small = s[:, 0], s[:, -1]
+    regular = small > _ROUNDING * large
     report = Inversion(
         frequency=frequency,
         singular_values=s,
-        condition=_ratio(s[:, 0], s[:, -1]),
+        condition=np.divide(large, small, out=np.full(len(s), np.inf), where=regular),
         rank=np.asarray((s * weights).sum(axis=1)),
         parameter=parameter,
         misfit=np.asarray(residual / np.maximum(np.linalg.norm(wanted, axis=1), np.finfo(float).tiny)),
         regularisation=regularisation,
     )
     return drive, report
-
-
-def _noise(matrix: ComplexArray, error: FloatArray | None, least: float) -> FloatArray:
-    stated = np.zeros(len(matrix)) if error is None else np.nan_to_num(error)
-    return np.asarray(np.maximum(stated, least) * np.abs(matrix).max(axis=(1, 2)) * np.sqrt(matrix.shape[1]))
-
-
-def _ratio(large: FloatArray, small: FloatArray) -> FloatArray:
-    singular = small <= _ROUNDING * large
-    return np.asarray(np.divide(large, small, out=np.full(len(large), np.inf), where=~singular))
 
 
 def _weights(s: FloatArray, parameter: FloatArray, kind: RegularisationKind) -> FloatArray:
@@ -129,8 +119,7 @@ def _factors(s: FloatArray, parameter: FloatArray) -> FloatArray:
 
 
 def _discrepancy(s: FloatArray, beta: ComplexArray, misfit: FloatArray) -> FloatArray:
-    """lambda (n,) by bisection of its logarithm: |lambda^2 / (s^2 + lambda^2) beta| = misfit, increasing in
-    lambda."""
+    """lambda (n,) by bisection of its logarithm: |lambda^2 / (s^2 + lambda^2) beta| = misfit, increasing in lambda."""
     low, high = np.full(len(s), np.log(1e-15)), np.full(len(s), np.log(1e6))
     for _ in range(60):
         middle = (low + high) / 2

@@ -34,12 +34,10 @@ class PortLattice:
 
 
 def lattice_of(ports: tuple[Port, ...], what: str) -> PortLattice:
-    """The N x M rectangular array (N, M >= 2) formed by the planform x, y of ``ports``, at any rotation about
-    z.
+    """The N x M rectangular array (N, M >= 2) formed by the planform x, y of ``ports``, at any rotation about z.
 
-    Each port may lie 5 % of the nearest-neighbour distance off its row and column. Raises GeometryError,
-    naming the ports as ``what``, if they form no such array. Curvature of the skin is ignored: distances are
-    seen from above.
+    Each port may lie 5 % of the nearest-neighbour distance off its row and column. Raises GeometryError, naming the
+    ports as ``what``, if they form no such array. Curvature of the skin is ignored: distances are seen from above.
     """
     xy = positions(ports)[:, :2]
     if len(ports) < 4:

@@ -32,8 +32,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class DriveReport:
-    """``peak`` and ``rms`` (n_in,) in the drive's unit, ``power`` (n_in,) [W], NaN for drives that are no
-    voltages.
+    """``peak`` and ``rms`` (n_in,) in the drive's unit, ``power`` (n_in,) [W], NaN for drives that are no voltages.
 
     ``exceeded`` has a sentence per limit exceeded; ``checked`` is False for drives that are no voltages.
     """
@@ -46,8 +45,7 @@ class DriveReport:
 
 
 def check(drives: Drives, limits: Limits | None = None) -> DriveReport:
-    """Peak, rms and power of each actuator against ``limits``; raises ScenarioError for a bad averaging
-    window."""
+    """Peak, rms and power of each actuator against ``limits``; raises ScenarioError for a bad averaging window."""
     limits = limits or Limits()
     peak = np.abs(drives.signals).max(axis=1)
     rms = np.sqrt(np.mean(drives.signals**2, axis=1))

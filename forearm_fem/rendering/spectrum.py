@@ -60,8 +60,7 @@ class Record:
 
     @property
     def weights(self) -> FloatArray:
-        """Times a one-sided bin occurs in the two-sided spectrum (n // 2 + 1,): 2, but 1 at 0 Hz and
-        Nyquist."""
+        """Times a one-sided bin occurs in the two-sided spectrum (n // 2 + 1,): 2, but 1 at 0 Hz and Nyquist."""
         weights = np.full(self.n // 2 + 1, 2.0)
         weights[0] = 1
         if self.n % 2 == 0:
@@ -76,8 +75,7 @@ def to_spectrum(signals: FloatArray, record: Record) -> ComplexArray:
 
 
 def to_time(spectrum: ComplexArray, index: IntArray, record: Record) -> FloatArray:
-    """Real signals (m, n) [unit] of the spectra (n_bins, m) [unit/Hz] on the bins ``index``; zero
-    elsewhere."""
+    """Real signals (m, n) [unit] of the spectra (n_bins, m) [unit/Hz] on the bins ``index``; zero elsewhere."""
     full = np.zeros((spectrum.shape[1], record.n // 2 + 1), dtype=complex)
     full[:, index] = spectrum.T
     signals = irfft(full * record.sample_rate, record.n, axis=-1)
@@ -113,11 +111,10 @@ def place_on_bins(
 ) -> BinValues:
     """Set ``values`` (n_frequency, ...) known at ``frequency`` [Hz] on the bins of a record.
 
-    Samples on a bin (to 1e-3 of the bin spacing) are copied. Between samples, bins are filled by a cubic
-    spline of real and imaginary part where ``interpolation`` allows; never across a gap, an invalid sample,
-    or outside the band. Bins at 0 Hz and from Nyquist up are left out. Raises DataError for frequencies that
-    do not increase, for NaN in a valid entry, for samples too far apart to interpolate, and if no bin is
-    left.
+    Samples on a bin (to 1e-3 of the bin spacing) are copied. Between samples, bins are filled by a cubic spline of real
+    and imaginary part where ``interpolation`` allows; never across a gap, an invalid sample, or outside the band. Bins
+    at 0 Hz and from Nyquist up are left out. Raises DataError for frequencies that do not increase, for NaN in a valid
+    entry, for samples too far apart to interpolate, and if no bin is left.
     """
     record = Record.of(sample_rate, duration)
     values = np.asarray(values, dtype=np.complex128)
@@ -180,8 +177,7 @@ class Placed:
 
 
 def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation | None = None) -> Placed:
-    """``transfer`` on the bins of ``record``; raises as :func:`place_on_bins` and DataError for a wrong
-    shape."""
+    """``transfer`` on the bins of ``record``; raises as :func:`place_on_bins` and DataError for a wrong shape."""
     expected = (len(transfer.frequency), len(transfer.outputs), len(transfer.inputs))
     if transfer.values.shape != expected:
         raise DataError(f"G has shape {transfer.values.shape}, expected {expected} (frequency, output, input)")

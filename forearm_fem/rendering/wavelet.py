@@ -99,8 +99,7 @@ def ricker(
 def from_samples_file(
     path: str | Path, sample_rate: float = 10000.0, duration: float = 2.0, *, normalise: bool = True
 ) -> Wavelet:
-    """A wavelet from the samples in a CSV (one column, or time and value), WAV (one channel) or NPY (1-D)
-    file.
+    """A wavelet from the samples in a CSV (one column, or time and value), WAV (one channel) or NPY (1-D) file.
 
     The samples are set into a record of ``duration`` [s] at ``sample_rate`` [Hz] (returned ``samples`` (n_t,)
     [-]) with their largest |value| at t = 0, and divided by it unless ``normalise`` is False. Raises

@@ -36,9 +36,10 @@ class Block:
 def scene_block(results: Results) -> Block:
     """What was asked, in a reader's words."""
     s = results.scenario
+    changed = ", ".join(s.tissues.override)
     rows = [
         ["limb", _limb(s)],
-        ["tissues", _tissues(s)],
+        ["tissues", f"preset {s.tissues.preset}" + (f"; changed: {changed}" if changed else "")],
         ["supports", f"bone {s.supports.bone}, underside {s.supports.underside}, cut ends {s.supports.ends}"],
         ["device", _device(s)],
         ["grid", _grid(s, len(results.transfer.outputs))],
@@ -61,11 +62,6 @@ def _limb(s: Scenario) -> str:
     bones = ", ".join(b.name for b in getattr(s.limb, "bones", ()))
     parts = [s.limb.shape, inside, f"on {core}" if core else "", f"bones: {bones}" if bones else ""]
     return "; ".join(p for p in parts if p)
-
-
-def _tissues(s: Scenario) -> str:
-    changed = ", ".join(s.tissues.override)
-    return f"preset {s.tissues.preset}" + (f"; changed: {changed}" if changed else "")
 
 
 def _device(s: Scenario) -> str:
@@ -224,8 +220,10 @@ def by_target_block(results: Results) -> Block:
         rows.append([target, *cells])
     said = ["In brackets: S within the errors stated for G, nine in ten of them; how arms differ is not in it."]
     if data.arms is not None:
-        said = ["Numerics: S within the errors stated for G, nine in ten of them. Arms: 5-95 % of "
-                f"{data.arms['draws']} arms ({data.arms['model']}; {data.arms['left_out']}). Never add the two."]
+        said = [
+            "Numerics: S within the errors stated for G, nine in ten of them. Arms: 5-95 % of "
+            f"{data.arms['draws']} arms ({data.arms['model']}; {data.arms['left_out']}). Never add the two."
+        ]
     said += [account.unknown.capitalize() + "."] if account.unknown else []
     said += [f"S is taken {window_words(data)}."]
     edge, where = account.largest("edges")

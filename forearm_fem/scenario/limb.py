@@ -63,8 +63,7 @@ class ForearmLimb(Part):
     core: str = Field("muscle", description="tissue inside the layers")
     bones: Bones = Field(
         DEFAULT_BONES,
-        description="round bones along the limb, held still unless supports.bone is elastic; [] for "
-        "none",
+        description="round bones along the limb, held still unless supports.bone is elastic; [] for none",
     )
 
     @model_validator(mode="after")

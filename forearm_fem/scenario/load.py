@@ -37,7 +37,9 @@ def load_scenario(path: str | Path, *, overrides: Sequence[str] = ()) -> Scenari
 def parse_scenario(data: Mapping[str, Any], *, origin: str = "scenario") -> Scenario:
     """Scenario from plain data; see :func:`load_scenario` for the errors."""
     try:
-        return Scenario.model_validate(_with_default_shape(data))
+        limb = data.get("limb")
+        shaped = {"limb": {"shape": "forearm", **limb}} if isinstance(limb, dict) else {}
+        return Scenario.model_validate({**data, **shaped})
     except ValidationError as problem:
         raise ScenarioError(f"{origin}: {_first_problem(problem)}") from None
 
@@ -85,12 +87,6 @@ def _toml_value(text: str) -> Any:
         return text
 
 
-def _with_default_shape(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A [limb] table without a shape is a forearm."""
-    limb = data.get("limb")
-    return {**data, "limb": {"shape": "forearm", **limb}} if isinstance(limb, dict) else dict(data)
-
-
 def _first_problem(problem: ValidationError) -> str:
     """One sentence: key path, what was expected, what came; unknown keys first, as they cause others."""
     errors = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
@@ -125,4 +121,3 @@ def _shown(value: Any) -> str:
     """What came, as TOML would have it, at most 60 characters of it."""
     text = str(value) if isinstance(value, date | time) else repr(value)
     return text if len(text) <= 60 else f"{text[:40]} ... {text[-15:]}"
-

@@ -26,7 +26,7 @@ class MeshOptions(Part):
         "auto",
         description="displacement order, pressure is one lower; P2/P3 is third order around the ports and second "
         "elsewhere; auto: P2/P3 on forearm and cylinder, and on slabs without size_grid where accuracy is 0.05 or "
-        "better or cones are rigid",
+        "better, cones are rigid, or a point is less than 8 mm from the rim of a disc of pressure",
     )
     min_quality: Annotated[float, Within(1e-6, 0.999)] = Field(
         0.02, description="smallest mean-ratio quality accepted (1 = regular tetrahedron)"

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..errors import MissingExtra
+from ..errors import optional
 from .order import Trial
 from .plan import Adaptive, Task
 
@@ -80,10 +80,7 @@ class _Quest:
     """Posterior mean and deviation of a threshold (Weibull) or of equal strength (normal)."""
 
     def __init__(self, options: Adaptive) -> None:
-        try:
-            from questplus import QuestPlus
-        except ImportError:
-            raise MissingExtra("questplus", "study", "adaptive thresholds") from None
+        quest = optional("questplus", "study", "adaptive thresholds")
         levels = np.arange(options.low, options.high + options.step / 2, options.step)
         lapse: dict[str, Any] = {"lapse_rate": options.lapse}
         if options.reference is None:
@@ -94,7 +91,7 @@ class _Quest:
             self._name = "mean"
             how = {"func": "norm_cdf", "stim_scale": "linear"}
             domain = {"mean": levels, "sd": options.spread, "lower_asymptote": options.lapse, **lapse}
-        self._quest: Any = QuestPlus(
+        self._quest: Any = quest.QuestPlus(
             stim_domain={"intensity": levels}, param_domain=domain, outcome_domain={"response": ["Yes", "No"]},
             stim_selection_method="min_entropy", param_estimation_method="mean", **how,
         )  # fmt: skip

@@ -6,12 +6,12 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy import stats
 
-from ..errors import DataError, MissingExtra
+from ..errors import DataError, optional
 from ..typing import FloatArray
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def mixed_model(table: pd.DataFrame, value: str, factors: Sequence[str], subject
 
     MissingExtra without statsmodels (extra "study"); DataError where the model cannot be fitted.
     """
-    formula = _statsmodels()
+    formula = optional("statsmodels.formula.api", "study", "the mixed-effects model", package="statsmodels")
     text = f"{value} ~ " + " * ".join(f"C({f})" for f in factors)
     try:
         with warnings.catch_warnings():
@@ -140,11 +140,3 @@ def mixed_model(table: pd.DataFrame, value: str, factors: Sequence[str], subject
         float(np.sqrt(fit.scale)),
         bool(fit.converged),
     )
-
-
-def _statsmodels() -> Any:
-    try:
-        from statsmodels.formula import api
-    except ImportError:
-        raise MissingExtra("statsmodels", "study", "the mixed-effects model") from None
-    return api

@@ -11,7 +11,8 @@ from scipy.fft import rfft
 
 from ..errors import DataError
 from ..figures.data import Results
-from ..figures.patch import VolarPatch, volar_patch
+from ..figures.patch import volar_patch
+from ..geometry.mesh.topology import vertex_areas
 from ..rendering.spectrum import place_on_bins
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
@@ -79,18 +80,8 @@ def simulated_field(folder: str | Path) -> SkinField:
     transfer = results.transfer
     patch = volar_patch(results.field_mesh, [*transfer.outputs, *transfer.inputs], margin=8e-3)
     field = patch.normal_field(results.wavefield)
-    area = _areas(patch)
+    area = vertex_areas(patch.points, patch.triangles)
     kept = area > 0
     return SkinField(
         patch.points[kept, :2], area[kept], field.frequency, field.modes[kept], field.amplitudes, whole=True
     )
-
-
-def _areas(patch: VolarPatch) -> FloatArray:
-    """Skin (n,) [m2] that each vertex stands for: a third of the facets that meet there."""
-    corner = patch.points[patch.triangles]
-    each = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
-    area = np.zeros(len(patch.points))
-    for k in range(3):
-        np.add.at(area, patch.triangles[:, k], each / 3)
-    return area

@@ -28,7 +28,8 @@ def plot_ellipses(found: Sequence[Ellipse], grid: Sequence[Port]) -> Figure:
     """
     targets = list(dict.fromkeys(e.target for e in found))
     methods = list(dict.fromkeys(e.method for e in found))
-    rows, columns = _shape(len(targets))
+    columns = int(np.ceil(np.sqrt(len(targets))))
+    rows = int(np.ceil(len(targets) / columns))
     figure = Figure(figsize=(7.1, 7.1 * rows / columns + 0.4), layout="constrained")
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     places = {p.name: _MM * np.array([p.position[1], p.position[0]]) for p in grid}
@@ -61,11 +62,6 @@ def _panel(ax: Axes, found: Sequence[Ellipse], methods: Sequence[str], places: d
         ax.plot(*centre, "o", color=colour, ms=4)
     ax.plot(*places[found[0].target], "*", color="#B3261E", ms=9, zorder=5)
     ax.set_aspect("equal")
-
-
-def _shape(count: int) -> tuple[int, int]:
-    columns = int(np.ceil(np.sqrt(count)))
-    return int(np.ceil(count / columns)), columns
 
 
 def _pitch(places: Sequence[FloatArray]) -> float:

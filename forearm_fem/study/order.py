@@ -64,16 +64,12 @@ def _shuffled(study: Study, participant: str, rng: np.random.Generator, last: st
         if rule.methods == "one after the other":
             rank = {m: k for k, m in enumerate(_latin(stimuli.methods, participant))}
             order.sort(key=lambda pair: rank[pair[0]])
-        if not rule.no_target_twice or _apart([last, *(t for _, t in order)]):
+        if not rule.no_target_twice or all(a != b for a, b in pairwise([last, *(t for _, t in order)])):
             return order
     raise ScenarioError(
         f"order.no_target_twice cannot be met with {len(stimuli.targets)} target(s) and {len(stimuli.methods)} "
         "method(s); add targets or set it to false"
     )
-
-
-def _apart(targets: Sequence[str | None]) -> bool:
-    return all(a != b for a, b in pairwise(targets))
 
 
 def _latin(methods: Sequence[str], participant: str) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, first_problem
 from ..scenario.base import NonNegative, Part, Positive
 from ..scenario.toml import read_toml
 
@@ -182,6 +182,4 @@ def load_study(path: str | Path) -> Study:
     try:
         return Study.model_validate(read_toml(file, "no such study file; `forearm-fem study new NAME` writes one"))
     except ValidationError as problem:
-        first = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")[0]
-        where = ".".join(str(p) for p in first["loc"]) or "study"
-        raise ScenarioError(f"{file}: {where}: {first['msg'].removeprefix('Value error, ')[:200]}") from None
+        raise ScenarioError(f"{file}: {first_problem(problem, 'study')}") from None

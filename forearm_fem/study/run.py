@@ -176,20 +176,17 @@ def rehearse(
         store.enrol(name, consent=today, added=today, note="simulated")
         person = SimulatedParticipant(percept.varied(rng), felt, transfer.outputs, rng)
         for task in prepared.study.tasks:
-            _answer_all(Session(store, name, task, transfer.outputs, player, _Clock(), back_end=plays), person)
+            session = Session(store, name, task, transfer.outputs, player, _Clock(), back_end=plays)
+            while (waiting := session.view()["waiting"]) != "done":
+                if waiting != "stimulus":
+                    session.start()
+                    continue
+                session.present()
+                trial = session.current
+                assert trial is not None
+                session.answer(answer_of(person, session.task, trial, session.level))
         tell(progress, "simulated participants", k + 1, participants)
     return store
-
-
-def _answer_all(session: Session, person: SimulatedParticipant) -> None:
-    while (waiting := session.view()["waiting"]) != "done":
-        if waiting != "stimulus":
-            session.start()
-            continue
-        session.present()
-        trial = session.current
-        assert trial is not None
-        session.answer(answer_of(person, session.task, trial, session.level))
 
 
 def answer_of(person: SimulatedParticipant, task: Task, trial: Trial, level: float) -> Given:

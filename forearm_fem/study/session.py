@@ -74,10 +74,16 @@ class Session:
         self._store, self.participant, self.task, self._player, self._clock = store, participant, task, player, clock
         self._places = {p.name: np.array(p.position[:2]) for p in grid}
         self._trials = trials(store.study, task, participant)
-        _check_targets(store.study.stimuli.targets, self._places)
+        if missing := [t for t in store.study.stimuli.targets if t not in self._places]:
+            raise DataError(f"stimuli.targets: '{missing[0]}' is no output of G; it has {', '.join(self._places)}")
         self._lock = RLock()
         done = store.answers(participant, task.name)
-        self._check_order(done)
+        for row, trial in zip(done, self._trials, strict=False):
+            if (row["trial"], row["method"], row["target"]) != (str(trial.number), trial.method, trial.target):
+                raise DataError(
+                    f"sub-{self.participant}, {self.task.name}: trial {row['trial']} on disk is not the one of this "
+                    "study's order; the study file or the seed was changed"
+                )
         self._answered = len(done)
         self._number = 1 + max((int(r["session"]) for r in done), default=0)
         self._track = Track.of(task, done)
@@ -185,20 +191,16 @@ class Session:
                 "response_time": seconds, "late": int(limit is not None and seconds > limit),
                 "presentations": self._presented, "peak_voltage": self._last.peak_voltage, "session": self._number,
             }  # fmt: skip
-            self._tell_device()
+            if not self._told:
+                who = {"participant_id": f"sub-{self.participant}", "task": self.task.name, "session": self._number}
+                self._store.add_device(who | self.back_end.row)
+                self._told = True
             self._store.add(self.participant, self.task.name, row)
             if self._track:
                 yes = given.interval == trial.comparison if trial.comparison else bool(given.yes)
                 self._track.update(trial, self._level, yes)
             self._answered, self._presented = self._answered + 1, 0
             self._waiting = self._after(trial)
-
-    def _tell_device(self) -> None:
-        """What plays at this sitting, on disk before the sitting's first answer."""
-        if not self._told:
-            who = {"participant_id": f"sub-{self.participant}", "task": self.task.name, "session": self._number}
-            self._store.add_device(who | self.back_end.row)
-            self._told = True
 
     def _after(self, trial: Trial) -> Waiting:
         following = self.current
@@ -231,20 +233,6 @@ class Session:
             raise DataError(f"'{unknown[0][:20]}' is no grid point; choose among {', '.join(self._places)}")
         x, y = np.mean([self._places[n] for n in names], axis=0)
         return {"response": " ".join(names), "response_x": float(x), "response_y": float(y)}
-
-    def _check_order(self, done: Sequence[dict[str, str]]) -> None:
-        """What is on disk must be the beginning of this participant's order."""
-        for row, trial in zip(done, self._trials, strict=False):
-            if (row["trial"], row["method"], row["target"]) != (str(trial.number), trial.method, trial.target):
-                raise DataError(
-                    f"sub-{self.participant}, {self.task.name}: trial {row['trial']} on disk is not the one of this "
-                    "study's order; the study file or the seed was changed"
-                )
-
-
-def _check_targets(targets: Sequence[str], places: dict[str, FloatArray]) -> None:
-    if missing := [t for t in targets if t not in places]:
-        raise DataError(f"stimuli.targets: '{missing[0]}' is no output of G; it has {', '.join(places)}")
 
 
 def _thinned(strokes: FloatArray | None, most: int = 200) -> FloatArray:

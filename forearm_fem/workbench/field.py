@@ -11,6 +11,7 @@ from ..device import contact_state
 from ..figures import Results
 from ..figures.scene import MM, volume_grid
 from ..figures.show import body_of
+from ..geometry.mesh.topology import vertex_areas
 from ..typing import ComplexArray, FloatArray, IntArray
 
 _TOLERANCE = 3e-3  # of the motion at each frequency and contact, in the mean over the skin: far below G's own error
@@ -57,7 +58,7 @@ def solved_field(results: Results) -> Field:
     faces = np.asarray(skin.dataset.faces).reshape(-1, 4)[:, 1:]
     sections = _sections(results)
     modes = np.concatenate([skin.modes, *(s.shapes for s in sections)])
-    weights = np.repeat(np.sqrt(_areas(skin.rest, faces)), 3)
+    weights = np.repeat(np.sqrt(vertex_areas(skin.rest, faces)), 3)  # a fine mesh weighs no more than a coarse one
     left, amplitudes, error = _fewer(skin.modes, weights, per_newton(results))
     shapes = (modes.reshape(-1, modes.shape[2]) @ left).reshape(len(modes), 3, -1)
     ends = np.cumsum([len(skin.rest), *(len(s.rest) for s in sections)])
@@ -79,13 +80,6 @@ def per_newton(results: Results) -> ComplexArray:
     largest = np.linalg.norm(force, axis=(1, 2), ord=2)[:, None, None]
     inverse = np.linalg.pinv(force / largest, rcond=_LEAST_FORCE) / largest
     return np.asarray(results.wavefield.amplitudes @ inverse)
-
-
-def _areas(rest: FloatArray, faces: IntArray) -> FloatArray:
-    """A third of the triangles around each vertex, so that a fine mesh weighs no more than a coarse one."""
-    a, b, c = (rest[faces[:, k]] for k in range(3))
-    size = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    return np.asarray(np.bincount(faces.ravel(), np.repeat(size, 3), minlength=len(rest)), dtype=float)
 
 
 def _fewer(modes: FloatArray, weights: FloatArray, states: ComplexArray) -> tuple[FloatArray, ComplexArray, float]:
@@ -128,14 +122,13 @@ def _sections(results: Results) -> tuple[Surface, ...]:
     centre = MM * np.mean([p.position for p in results.transfer.outputs], axis=0)
     names = tuple(mesh.region_names)
     # a plane through a layer of vertices would meet tetrahedra edge on
-    cuts = [(name, _cut(grid, axis, centre + 1e-3)) for name, axis in (("along", "y"), ("across", "x"))]
+    cuts = [
+        (name, grid.slice(normal=axis, origin=centre + 1e-3).triangulate())
+        for name, axis in (("along", "y"), ("across", "x"))
+    ]
     return tuple(
         _section(name, axis, cut, names) for (name, cut), axis in zip(cuts, (1, 0), strict=True) if cut.n_cells
     )
-
-
-def _cut(grid: Any, normal: str, origin: FloatArray) -> Any:
-    return grid.slice(normal=normal, origin=origin).triangulate()
 
 
 def _section(name: str, axis: int, cut: Any, names: tuple[str, ...]) -> Surface:

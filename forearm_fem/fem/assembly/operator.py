@@ -59,6 +59,10 @@ class AffineOperator:
         """The terms' matrices, whole and without the zeros of the common pattern, for products."""
         return SymmetricMatrices.from_uppers([self.term_matrix(t) for t in self.terms])
 
+    def forget_products(self) -> None:
+        """Give up the whole :attr:`matrices`, twice the size of the terms; they are made again when asked for."""
+        self.__dict__.pop("matrices", None)
+
     def at(self, omega: float) -> WeightedSum:
         """A(omega) for products with few columns."""
         return WeightedSum(self.matrices, np.array([complex(t.coefficient.at(np.array(omega))) for t in self.terms]))

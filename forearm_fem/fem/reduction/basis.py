@@ -164,6 +164,30 @@ def orthonormal_extension(
     return new @ half, np.vstack([known, (directions @ half).T @ gram])
 
 
+def rough_extension(
+    basis: Basis, blocks: Sequence[FloatArray], n_u: int, *, drop: float
+) -> list[NDArray[np.float32]]:
+    """What ``blocks`` (n, k) in turn add to the space, in single precision (:func:`orthonormal_extension`).
+
+    Seven times as fast on hundreds of columns. What is added is orthonormal to the basis to 1e-6 / ``drop``: enough
+    where solutions are asked to 1e-4, as products of the columns are formed of what they are.
+    """
+    widths = [block.shape[1] for block in blocks]
+    lengths = np.concatenate([np.linalg.norm(block[:n_u], axis=0) for block in blocks])
+    scale = np.where(lengths > 0, 1 / np.where(lengths > 0, lengths, 1.0), 0.0)
+    starts = np.cumsum([0, *widths])
+    columns = np.hstack(
+        [(b * scale[i:j]).astype(np.float32) for b, (i, j) in zip(blocks, pairwise(starts), strict=True)]
+    )
+    for known in basis.blocks:
+        columns -= known @ (known[:n_u].T @ columns[:n_u])
+    directions = _directions((columns[:n_u].T @ columns[:n_u]).astype(float), widths, drop)
+    new = columns @ directions.astype(np.float32)
+    last = len(directions) - 1 - (directions[::-1] != 0).argmax(axis=0)  # of a block's columns, none behind them
+    counts = np.histogram(last, starts)[0]
+    return np.split(new, np.cumsum(counts)[:-1], axis=1)
+
+
 def _scale_in_place(columns: FloatArray, widths: Sequence[int], n_u: int) -> None:
     """Displacements of each column to unit length, negligible columns to zero."""
     norms = np.sqrt(np.einsum("ij,ij->j", columns[:n_u], columns[:n_u]))

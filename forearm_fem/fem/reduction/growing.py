@@ -14,7 +14,7 @@ from ...typing import BoolArray, ComplexArray, FloatArray
 from ..assembly.coefficients import Coefficient, Polynomial, is_polynomial
 from ..assembly.model import ForearmModel
 from ..linear.direct import DirectSolver, make_solver, watched
-from .basis import Basis, Columns, orthonormal_extension, real_columns
+from .basis import Basis, real_columns, rough_extension
 from .expansion import expansion_rate
 from .quick import quick_compliance, quick_state, with_and_without
 from .rate_space import RateSpace
@@ -95,7 +95,8 @@ class Growing:
         own = [kelvin_voigt_like(t.coefficient, rate) for t in self._model.operator.terms]
         chunk = RateSpace(self._of(tuple(own)), self._model.functionals, rate).more(derivatives)
         half = chunk.columns.shape[1] // 2
-        self._added([chunk.columns[:, :half], chunk.columns[:, half:]], [True, False], early=True)
+        whole = chunk.columns.astype(float, copy=False)
+        self._added([whole[:, :half], whole[:, half:]], [True, False], early=True)
 
     def unsolved(self) -> list[int]:
         """Draws that have not been solved; all once there is no other."""
@@ -170,15 +171,9 @@ class Growing:
         block = np.ix_(*watched(self._model))
         return float(relative_error(estimate[block][None], truth[block][None])[0])
 
-    def _added(self, blocks: Sequence[Columns], strong: Sequence[bool], early: bool) -> None:
+    def _added(self, blocks: Sequence[FloatArray], strong: Sequence[bool], early: bool) -> None:
         """One step: what all ``blocks`` (n, k) add, which of them are ``strong``."""
-        basis, new = self.reduced.basis, list[Columns]()
-        for block in blocks:
-            fresh, _ = orthonormal_extension(
-                basis, np.array(block, dtype=float), [block.shape[1]], self._model.operator.n_displacements, drop=_DROP
-            )
-            new.append(fresh.astype(np.float32))
-            basis = basis.with_block(new[-1])
+        new = rough_extension(self.reduced.basis, blocks, self._model.operator.n_displacements, drop=_DROP)
         columns = np.hstack(new)
         self.reduced = with_last_columns(self.reduced, self._model, columns)
         marks = [np.full(block.shape[1], s) for block, s in zip(new, strong, strict=True)]

@@ -167,7 +167,7 @@ def with_columns(reduced: ReducedModel, model: ForearmModel, added: Columns, low
     """The space with orthonormal ``added`` columns (n, k); ``low`` (r + k, m) are the lower model's snapshots in it."""
     old = np.vstack([reduced.low, np.zeros((added.shape[1], reduced.low.shape[1]))])
     matrices, coupling = _extended_matrices(reduced, model.operator, added)
-    if _compressible(model.operator):
+    if compressible(model.operator):
         matrices[reduced.names.index(_COUPLING)] = condensed(coupling, -matrices[reduced.names.index(_STORAGE)])
     return replace(
         reduced,
@@ -202,7 +202,7 @@ def condensed(coupling: FloatArray, storage: FloatArray) -> FloatArray:
     return np.asarray(_symmetric(storage) + seen.T @ seen)
 
 
-def _compressible(operator: AffineOperator) -> bool:
+def compressible(operator: AffineOperator) -> bool:
     """Whether all pressures compress something: where tissue is incompressible their energy says nothing of them."""
     storage = next(t for t in operator.terms if t.name == _STORAGE)
     return bool((operator.term_matrix(storage).diagonal()[operator.n_displacements :] < 0).all())

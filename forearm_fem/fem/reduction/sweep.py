@@ -165,6 +165,7 @@ def _certified(
         worst = work.most_doubtful(made, frequency)
         if worst is None:
             return made
+        tell(progress, "certificates", len(made.certificates), len(made.certificates) + 1)
         truth = work.direct(worst.frequency)
         found = certified(made.reduced, work.model, truth.series[0], worst, len(used))
         made = made.with_certificate(found, truth)

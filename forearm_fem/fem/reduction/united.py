@@ -26,6 +26,9 @@ from .reduced_model import ReducedModel, empty_model
 _STAGE = "arms solved"
 _LOOKED_AT = 24  # places among which the next solve is chosen; each costs two small dense solves
 _THIRDS = 3  # of the band, equally many bins each
+_LOW = 6  # the band's low end is this part of it, in the root of the frequency
+_AT_LOW = 2  # solves there at most
+_LOW_ORDER = 2  # derivatives of solves there, where solutions hardly change with frequency
 _FEW = 8  # bins below which a band is not cut
 _TESTED = 12  # states of each part that size its model and do not shape it
 _CORE = 0.7  # of the whole model's directions
@@ -144,17 +147,23 @@ def united_model(
 
 
 def _grow(work: Growing, step: int, draws: int, frequency: FloatArray, growth: Growth) -> None:
-    """Derivatives about a rate first; then a solve in the upper, the middle and the lower third of the band, and from
-    there on in the upper two in turn: errors are largest where waves are short."""
+    """Derivatives about a rate first. Then two solves in the upper two thirds of the band in turn, where waves are
+    short, and one at its low end, where the ratios of moduli shape what moves and derivatives show none of it; two
+    such are enough."""
     if step == 0:
         work.start(frequency, growth.rate)
         return
-    place, thirds = step - 1, np.array_split(frequency, min(_THIRDS, len(frequency)))
-    third = thirds[-1 - (place if place < _THIRDS else (place - _THIRDS) % 2) % len(thirds)]
+    place, early = step - 1, step <= growth.solves - max(1, growth.solves // 3)
     rng, fresh = np.random.default_rng([growth.seed, 0, place]), work.unsolved()
-    places = [(fresh[d], f) for d, f in _places(rng, len(fresh), third, _LOOKED_AT)]
-    early = place < growth.solves - max(1, growth.solves // 3)
-    work.extended_where_worst(places, growth.of_contacts, growth.of_points, early=early)
+    low_ones = min(place // _THIRDS, _AT_LOW)
+    if place % _THIRDS == _THIRDS - 1 and low_ones < _AT_LOW:
+        end = np.sqrt(frequency[[0, -1]]) @ [1 - 1 / _LOW, 1 / _LOW]
+        part, most = frequency[np.sqrt(frequency) <= end], _LOW_ORDER
+    else:
+        thirds, turn = np.array_split(frequency, min(_THIRDS, len(frequency))), place - low_ones
+        part, most = thirds[-1 - turn % 2 % len(thirds)], growth.of_contacts
+    places = [(fresh[d], f) for d, f in _places(rng, len(fresh), part, _LOOKED_AT)]
+    work.extended_where_worst(places, min(most, growth.of_contacts), min(most, growth.of_points), early=early)
 
 
 def _made_piece(work: Growing, kept: PartStore, number: int, part: FloatArray, draws: int, growth: Growth) -> Piece:

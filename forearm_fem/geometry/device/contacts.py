@@ -29,14 +29,12 @@ def near(points: FloatArray, port: Port) -> BoolArray:
 
 
 def check_contact_areas(mesh: TissueMesh, ports: tuple[Port, ...]) -> None:
-    """Raise :class:`MeshError` when a contact's facets do not fill its disc (cut in half by symmetry
-    planes)."""
+    """Raise :class:`MeshError` when a contact's facets do not fill its disc (cut in half by symmetry planes)."""
     for port in (p for p in ports if p.kind == "contact"):
         part = facet_area(mesh.points, mesh.facets[f"contact {port.name}"]) / _disc_area(mesh, port)
         if not _LEAST_AREA < part < 1.1:
             raise MeshError(
-                f"the facets of contact {port.name} cover {100 * part:.0f} % of its disc, need "
-                f"{100 * _LEAST_AREA:g} % "
+                f"the facets of contact {port.name} cover {100 * part:.0f} % of its disc, need {100 * _LEAST_AREA:g} % "
                 "or more; set mesh.size_contact smaller"
             )
 

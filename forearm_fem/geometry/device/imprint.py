@@ -1,5 +1,4 @@
-"""Pressing the circle of a contact's rim into a mesh: skin vertices near it move onto it, edges across it
-split."""
+"""Pressing the circle of a contact's rim into a mesh: skin vertices near it move onto it, edges across it split."""
 
 from __future__ import annotations
 
@@ -23,8 +22,7 @@ _TOLERANCE = 1e-8  # relative to the radius
 
 
 def imprint(mesh: TissueMesh, port: Port, lift: Lift) -> TissueMesh:
-    """The mesh with edges following the rim of ``port``; ``lift`` returns points to the skin's true
-    surface."""
+    """The mesh with edges following the rim of ``port``; ``lift`` returns points to the skin's true surface."""
     mesh = _snapped(mesh, port, lift)
     for _ in range(50):
         if len(crossing := _crossing(mesh, port)):
@@ -80,8 +78,7 @@ def _hugging(mesh: TissueMesh, port: Port, distance: FloatArray) -> IntArray:
 
 
 def _crossing(mesh: TissueMesh, port: Port) -> IntArray:
-    """Skin edges (k, 2) from inside the circle to outside; a vertex very close that could not move counts
-    as on it."""
+    """Skin edges (k, 2) from inside the circle to outside; a vertex very close that could not move counts as on it."""
     edges = _skin_edges(mesh, port)
     side = (from_axis(mesh.points, port) / port.radius - 1)[edges]
     part = np.abs(side).min(axis=1) / np.maximum(np.abs(side).sum(axis=1), 1e-30)
@@ -90,8 +87,7 @@ def _crossing(mesh: TissueMesh, port: Port) -> IntArray:
 
 
 def _dipping(mesh: TissueMesh, port: Port) -> IntArray:
-    """Skin edges (k, 2) that pass through the disc although neither end lies inside (chords of the rim
-    excepted)."""
+    """Skin edges (k, 2) that pass through the disc although neither end lies inside (chords of the rim excepted)."""
     edges = _skin_edges(mesh, port)
     side = (from_axis(mesh.points, port) / port.radius - 1)[edges]
     outside = (side.min(axis=1) > -_TOLERANCE) & (side.max(axis=1) > _TOLERANCE)

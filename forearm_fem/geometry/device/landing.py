@@ -16,8 +16,7 @@ _SLACK = 1e-9
 
 @dataclass(frozen=True)
 class FacetSkin:
-    """Skin facets (k, 3) of ``points`` (n, 3); calling it with (x, y) (m, 2) gives the uppermost place
-    there."""
+    """Skin facets (k, 3) of ``points`` (n, 3); calling it with (x, y) (m, 2) gives the uppermost place there."""
 
     points: FloatArray
     facets: IntArray

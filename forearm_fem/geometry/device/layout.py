@@ -38,7 +38,13 @@ def layout_of(scenario: Scenario) -> Layout:
     contacts = _tidy(np.array(device.centres, dtype=float).reshape(-1, 2) @ turn)
     points = _tidy(np.array(scenario.grid.places, dtype=float).reshape(-1, 2) @ turn)
     layout = Layout(contacts, points, device.cone.radius)
-    _check_overlap(layout)
+    for (a, pa), (b, pb) in combinations(zip(layout.names, layout.contacts, strict=True), 2):
+        apart = float(np.linalg.norm(pa - pb))
+        if apart < 2.1 * layout.radius:
+            raise GeometryError(
+                f"contacts {a} and {b} are {apart * 1e3:.3g} mm apart, but discs of radius {layout.radius * 1e3:.3g} "
+                f"mm need {2.1 * layout.radius * 1e3:.3g} mm; increase device.spacing or reduce device.cone.radius"
+            )
     return layout
 
 
@@ -61,14 +67,3 @@ def layers_of(limb: Limb) -> tuple[LayerThickness, ...]:
 def _tidy(xy: FloatArray) -> FloatArray:
     """Rotation leaves rounding of 1e-18 m; symmetry planes want exact zeros."""
     return np.asarray(np.where(np.abs(xy) < 1e-12, 0.0, xy))
-
-
-def _check_overlap(layout: Layout) -> None:
-    for (a, pa), (b, pb) in combinations(zip(layout.names, layout.contacts, strict=True), 2):
-        apart = float(np.linalg.norm(pa - pb))
-        if apart < 2.1 * layout.radius:
-            raise GeometryError(
-                f"contacts {a} and {b} are {apart * 1e3:.3g} mm apart, but discs of radius "
-                f"{layout.radius * 1e3:.3g} mm need {2.1 * layout.radius * 1e3:.3g} mm; "
-                "increase device.spacing or reduce device.cone.radius"
-            )

@@ -73,8 +73,7 @@ def _landed(what: str, xy: FloatArray, skin: Skin) -> tuple[Triple, Triple]:
     if normal[2] < _STEEPEST:
         slope = np.degrees(np.arccos(normal[2]))
         raise GeometryError(
-            f"{what} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm hangs over the limb's side: the skin "
-            "there is "
+            f"{what} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm hangs over the limb's side: the skin there is "
             f"{slope:.0f} degrees from facing up, at most 60 are allowed; move it towards the middle"
         )
     x, y, z = (float(v) for v in point)

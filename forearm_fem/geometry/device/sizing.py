@@ -137,7 +137,8 @@ class SizeField:
     @classmethod
     def around(cls, layout: Layout, sizes: Sizes, grading: float) -> SizeField:
         """Field that is fine near contacts and inside the hull of all ports, and grows away from them."""
-        return cls(sizes, layout, grading, _hull(layout, sizes.grid))
+        radii = [layout.radius + sizes.grid] * len(layout.contacts) + [sizes.grid] * len(layout.points)
+        return cls(sizes, layout, grading, half_planes(np.vstack([layout.contacts, layout.points]), np.array(radii)))
 
     def with_facets(self, factor: float) -> SizeField:
         """The same with facets of bones and walls ``factor`` times as wide."""
@@ -162,8 +163,7 @@ class SizeField:
 
 @dataclass(frozen=True)
 class SpaceField:
-    """Edge length wanted at points in space: fine near contacts and the patch of ports, growing away from
-    them."""
+    """Edge length wanted at points in space: fine near contacts and the patch of ports, growing away from them."""
 
     sizes: Sizes
     grading: float
@@ -206,9 +206,3 @@ def _covering(field: SizeField) -> FloatArray:
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     inside = (xy @ field.half_planes[:, :2].T + field.half_planes[:, 2] <= 0).all(axis=1)
     return np.asarray(xy[inside])
-
-
-def _hull(layout: Layout, margin: float) -> FloatArray:
-    """Half planes (k, 3) around all contacts and points, padded so that there is an area."""
-    radii = [layout.radius + margin] * len(layout.contacts) + [margin] * len(layout.points)
-    return half_planes(np.vstack([layout.contacts, layout.points]), np.array(radii))

@@ -59,7 +59,10 @@ def fill(shell: Shell, size: Size, allowed: Allowed, *, seed: int = 1) -> tuple[
     for _ in range(_REPAIRS):
         tetrahedra = oriented(points, _joined(shell, points))
         points = without_slivers(points, tetrahedra, movable, wanted, rng)
-    _check(shell, tetrahedra)
+    faces, _ = boundary_faces(tetrahedra)
+    on = shell.on_of(int(faces.max()) + 1)
+    if not (on[faces].all(axis=1) & shell.closed).any(axis=1).all():
+        raise MeshError("points on the limb's surfaces are too far apart to be joined; set mesh.size_far smaller")
     return points, tetrahedra
 
 
@@ -94,7 +97,10 @@ def _relaxed(shell: Shell, inner: FloatArray, size: Size, allowed: Allowed) -> F
     """Shell and inner points, these moved by the forces of springs along the edges."""
     points, n = np.vstack([shell.points, inner]), len(shell.points)
     for _ in range(_ROUNDS):
-        edges = _edges(_joined(shell, points))
+        tetrahedra = _joined(shell, points)
+        many = int(tetrahedra.max()) + 1
+        found = np.unique(keys(tetrahedra[:, EDGES].reshape(-1, 2), many))
+        edges = np.column_stack(np.divmod(found, many))
         moved = inner + _STEP * spring_forces(points, edges, size(points[edges].mean(axis=1)), _STRETCH)[n:]
         legal = allowed(moved, 0.45 * size(moved))
         inner = np.where(legal[:, None], moved, inner)
@@ -102,20 +108,6 @@ def _relaxed(shell: Shell, inner: FloatArray, size: Size, allowed: Allowed) -> F
     return points
 
 
-def _edges(tetrahedra: IntArray) -> IntArray:
-    n = int(tetrahedra.max()) + 1
-    found = np.unique(keys(tetrahedra[:, EDGES].reshape(-1, 2), n))
-    return np.column_stack([found // n, found % n])
-
-
 def _joined(shell: Shell, points: FloatArray) -> IntArray:
     tetrahedra = np.asarray(Delaunay(points).simplices, dtype=np.int64)
     return tetrahedra[~shell.behind(tetrahedra)]
-
-
-def _check(shell: Shell, tetrahedra: IntArray) -> None:
-    """Raise :class:`MeshError` where a boundary face lies on none of the surfaces."""
-    faces, _ = boundary_faces(tetrahedra)
-    on = shell.on_of(int(faces.max()) + 1)
-    if not (on[faces].all(axis=1) & shell.closed).any(axis=1).all():
-        raise MeshError("points on the limb's surfaces are too far apart to be joined; set mesh.size_far smaller")

@@ -78,7 +78,7 @@ def boundaries(points: FloatArray, tetrahedra: IntArray, on_skin: BoolArray, on_
     """Skin, underside, bone and end from flags per vertex (n_point,); ends are what remains."""
     faces, _ = boundary_faces(tetrahedra)
     skin = on_skin[faces].all(axis=1)
-    bone = ~skin & on_bone[faces].all(axis=1) & ~_flat_in_x(points, faces)
+    bone = ~skin & on_bone[faces].all(axis=1) & (np.ptp(points[faces, 0], axis=1) > 0)
     named = {"skin": faces[skin], "bone": faces[bone], "end": faces[~skin & ~bone]}
     named["underside"] = underside(points, named["skin"])
     return {name: each for name, each in named.items() if len(each)}
@@ -89,8 +89,3 @@ def underside(points: FloatArray, skin: IntArray) -> IntArray:
     a, b, c = points[skin].transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     return np.asarray(skin[normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)])
-
-
-def _flat_in_x(points: FloatArray, faces: IntArray) -> BoolArray:
-    x = points[faces][:, :, 0]
-    return np.asarray(np.ptp(x, axis=1) == 0)

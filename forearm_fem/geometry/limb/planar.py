@@ -52,8 +52,11 @@ def _held(box: Rectangle, size: Size, circles: FloatArray, radius: float, fixed:
     rings = [_rings(c, radius, float(size(c[None])[0])) for c in circles]
     ringed = np.vstack(rings) if rings else np.zeros((0, 2))
     ringed = ringed[box.inside(ringed, -1e-12)]
-    border = _border(box, size)
-    gap = np.where(_is_corner(box, border), 1e-9, 0.6) * size(border)  # a corner stays unless a ring is centred on it
+    (x0, y0), (x1, y1) = box.low, box.high
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    border = np.vstack([_along(a, b, size) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    edge = (np.abs(border - box.low) < 1e-12) | (np.abs(border - np.asarray(box.high)) < 1e-12)
+    gap = np.where(edge.all(axis=1), 1e-9, 0.6) * size(border)  # a corner stays unless a ring is centred on it
     border = border[_clear_of(border, ringed, gap)]
     wanted = fixed[box.inside(fixed, -1e-12)]
     taken = np.vstack([ringed, border])
@@ -74,15 +77,8 @@ def _rings(centre: FloatArray, radius: float, h: float) -> FloatArray:
     return np.vstack(rows)
 
 
-def _border(box: Rectangle, size: Size) -> FloatArray:
-    (x0, y0), (x1, y1) = box.low, box.high
-    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    return np.vstack([_along(a, b, size) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
-
-
 def _along(a: FloatArray, b: FloatArray, size: Size) -> FloatArray:
-    """Points from ``a`` up to, not including, ``b``, spaced by ``size`` (equal parts of the integral of
-    1/h)."""
+    """Points from ``a`` up to, not including, ``b``, spaced by ``size`` (equal parts of the integral of 1/h)."""
     t = np.linspace(0, 1, 2001)
     line = a + t[:, None] * (b - a)
     density = float(np.linalg.norm(b - a)) / size(line)
@@ -90,11 +86,6 @@ def _along(a: FloatArray, b: FloatArray, size: Size) -> FloatArray:
     count = max(1, round(total[-1]))
     at = np.interp(np.arange(count) / count * total[-1], total, t)
     return np.asarray(a + at[:, None] * (b - a))
-
-
-def _is_corner(box: Rectangle, xy: FloatArray) -> BoolArray:
-    edge = (np.abs(xy - box.low) < 1e-12) | (np.abs(xy - np.asarray(box.high)) < 1e-12)
-    return np.asarray(edge.all(axis=1))
 
 
 def _clear_of(xy: FloatArray, others: FloatArray, gap: FloatArray) -> BoolArray:
@@ -140,18 +131,14 @@ def _relax(
     xy = np.vstack([held, free])
     movable = np.arange(len(xy)) >= len(held)
     for _ in range(_RELAXATIONS):
-        edges = _edges(_delaunay(xy))
+        pairs = np.sort(_delaunay(xy)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        edges = np.unique(pairs, axis=0)
         step = _STEP * spring_forces(xy, edges, size(xy[edges].mean(axis=1)), _STRETCH)
         moved = xy + np.where(movable[:, None], step, 0)
         h = size(moved)
         legal = box.inside(moved, 0.4 * h) & ~_in_rings(moved, circles, radius, size)
         xy = np.where((movable & legal)[:, None], moved, xy)
     return np.asarray(xy)
-
-
-def _edges(triangles: IntArray) -> IntArray:
-    pairs = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return np.asarray(np.unique(pairs, axis=0))
 
 
 def _delaunay(xy: FloatArray) -> IntArray:

@@ -12,11 +12,10 @@ from ...typing import FloatArray, IntArray
 def stack_prisms(triangles: IntArray, levels: IntArray) -> tuple[IntArray, IntArray]:
     """Tetrahedra (at most 3 m k, 4) of prisms between successive levels, and the level each lies under.
 
-    ``triangles`` (m, 3) index the columns, ``levels`` (k + 1, n_column) the vertex of each column at each
-    level.
-    Every quadrilateral is cut from its lower column on one level to its higher column on the next (Kuhn), so
-    prisms side by side share their diagonals. Where levels of a column fall together, what has no volume is left out.
-    Orientation is left to :func:`oriented`.
+    ``triangles`` (m, 3) index the columns, ``levels`` (k + 1, n_column) the vertex of each column at each level. Every
+    quadrilateral is cut from its lower column on one level to its higher column on the next (Kuhn), so prisms side by
+    side share their diagonals. Where levels of a column fall together, what has no volume is left out. Orientation is
+    left to :func:`oriented`.
     """
     a, b, c = np.sort(triangles, axis=1).T
     blocks = [np.zeros((0, 4), dtype=np.int64)]

@@ -35,7 +35,9 @@ def without_slivers(
         around = chosen[tetrahedra].any(axis=1)
         near = tetrahedra[around]
         owner = np.where(chosen[near], near, -1).max(axis=1)
-        trial = points + _moves(points, chosen, size, rng)
+        count, trial = int(chosen.sum()), points.copy()
+        lengths = size(points[chosen]) * 10 ** rng.uniform(_SMALLEST, _LARGEST, count)
+        trial[chosen] += rng.normal(size=(count, 3)) * lengths[:, None]
         before, after = np.full((2, len(points)), np.inf)
         np.minimum.at(before, owner, quality[around])
         np.minimum.at(after, owner, mean_ratios(trial, near))
@@ -53,13 +55,3 @@ def _alone(tetrahedra: IntArray, candidates: IntArray, rng: np.random.Generator,
     chosen = rank >= 0
     chosen[tetrahedra[beaten]] = False
     return chosen
-
-
-def _moves(
-    points: FloatArray, chosen: BoolArray, size: Callable[[FloatArray], FloatArray], rng: np.random.Generator
-) -> FloatArray:
-    count = int(chosen.sum())
-    lengths = size(points[chosen]) * 10 ** rng.uniform(_SMALLEST, _LARGEST, count)
-    moves = np.zeros_like(points)
-    moves[chosen] = rng.normal(size=(count, 3)) * lengths[:, None]
-    return moves

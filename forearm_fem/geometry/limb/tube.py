@@ -12,15 +12,14 @@ from scipy.special import ellipe
 
 from ...errors import GeometryError
 from ...scenario.limb import CylinderLimb, ForearmLimb, LayerThickness
-from ...typing import FloatArray, IntArray
+from ...typing import FloatArray
 
 _SLOPE_STEP = 1e-5  # [m] for the derivative of the profile
 
 
 @dataclass(frozen=True)
 class BoneAxis:
-    """A bone of circular section; ``y``, ``z`` [m] place its axis at x = 0, from where it follows the
-    taper."""
+    """A bone of circular section; ``y``, ``z`` [m] place its axis at x = 0, from where it follows the taper."""
 
     name: str
     y: float
@@ -75,8 +74,7 @@ class Tube:
         return np.column_stack([x, section - np.reshape(depth, (-1, 1)) * inward])
 
     def angle_of(self, points: FloatArray) -> FloatArray:
-        """Angle (n,) of the column that passes through each point (n, 3): foot of the normal in its
-        section."""
+        """Angle (n,) of the column that passes through each point (n, 3): foot of the normal in its section."""
         b = self.height(points[:, 0])
         a, y, z = self.aspect * b, points[:, 1], points[:, 2]
         angle = np.arctan2(y / a, z / b)
@@ -168,10 +166,8 @@ def _check_layers(tube: Tube, x: FloatArray) -> None:
     tightest = float(np.min(np.minimum(a, b) ** 2 / np.maximum(a, b)))
     if tube.thickness > 0.9 * tightest:
         raise GeometryError(
-            f"the layers are {tube.thickness * 1e3:.3g} mm thick together, but the limb bends with a "
-            "radius of "
-            f"{tightest * 1e3:.3g} mm at its tightest; thin the layers, enlarge the limb or bring aspect "
-            "nearer 1"
+            f"the layers are {tube.thickness * 1e3:.3g} mm thick together, but the limb bends with a radius of "
+            f"{tightest * 1e3:.3g} mm at its tightest; thin the layers, enlarge the limb or bring aspect nearer 1"
         )
 
 
@@ -186,10 +182,9 @@ def _check_inside(tube: Tube, bone: BoneAxis, x: FloatArray) -> None:
         gap = min(gap, away if inside else -np.inf)
     if gap < _CLEARANCE:
         raise GeometryError(
-            f"bone '{bone.name}' does not lie inside the {tube.core} with {_CLEARANCE * 1e3:g} mm to spare "
-            f"(its axis at y = {bone.y * 1e3:.3g} mm, diameter {2e3 * bone.radius:.3g} mm); move it "
-            "towards the "
-            "middle (y, depth), make it thinner, or shorten the segment"
+            f"bone '{bone.name}' does not lie inside the {tube.core} with {_CLEARANCE * 1e3:g} mm to spare (its axis "
+            f"at y = {bone.y * 1e3:.3g} mm, diameter {2e3 * bone.radius:.3g} mm); move it towards the middle (y, "
+            "depth), make it thinner, or shorten the segment"
         )
 
 
@@ -210,10 +205,3 @@ def _check_apart(tube: Tube, first: BoneAxis, second: BoneAxis, x: FloatArray) -
             f"bones '{first.name}' and '{second.name}' {how}, expected {_CLEARANCE * 1e3:g} mm "
             f"of {tube.core} between them; move them apart or make them thinner"
         )
-
-
-def tube_lattice(n: int, m: int) -> IntArray:
-    """Triangles (2 n m, 3) of a tube of n rings spacings and m points around: vertex (i, j) is i m + j."""
-    i, j = (each.ravel() for each in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
-    here, right = i * m + j, i * m + (j + 1) % m
-    return np.vstack([np.column_stack([here, here + m, right]), np.column_stack([right, here + m, right + m])])

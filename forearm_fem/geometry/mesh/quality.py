@@ -23,9 +23,8 @@ from .topology import EDGES, FACES, is_member, keys, mean_ratios
 class Quality:
     """Shape and volume of a mesh; ``least`` and ``median`` are mean ratios (1 = regular tetrahedron).
 
-    ``volume`` [m^3] is the mesh's, ``expected_volume`` the analytic limb's where there is one; ``volumes``
-    per
-    tissue [m^3]; ``p2_displacements`` counts the degrees of freedom of a P2 displacement field.
+    ``volume`` [m^3] is the mesh's, ``expected_volume`` the analytic limb's where there is one; ``volumes`` per tissue
+    [m^3]; ``p2_displacements`` counts the degrees of freedom of a P2 displacement field.
     """
 
     tetrahedra: int
@@ -36,11 +35,6 @@ class Quality:
     volume: float
     volumes: Mapping[str, float]
     expected_volume: float | None = None
-
-    @property
-    def volume_error(self) -> float | None:
-        """Relative deviation of the volume from the analytic limb's; None where there is none."""
-        return self.volume / self.expected_volume - 1 if self.expected_volume else None
 
 
 def mean_ratio(mesh: TissueMesh) -> FloatArray:
@@ -124,8 +118,7 @@ def check_shape(mesh: TissueMesh, min_quality: float) -> None:
         worst = int(ratio.argmin())
         x, y, z = mesh.points[mesh.tetrahedra[worst]].mean(axis=0) * 1e3
         raise MeshError(
-            f"the worst tetrahedron, in {mesh.region_names[mesh.region[worst]]} at ({x:.1f}, {y:.1f}, "
-            f"{z:.1f}) mm, has "
+            f"the worst tetrahedron, in {mesh.region_names[mesh.region[worst]]} at ({x:.1f}, {y:.1f}, {z:.1f}) mm, has "
             f"quality {ratio.min():.3g}, need {min_quality:g}; change mesh sizes or lower mesh.min_quality"
         )
 
@@ -154,8 +147,7 @@ def _check_faces(mesh: TissueMesh) -> None:
     around = np.unique(keys(edges, n), return_counts=True)[1]
     if (around != 2).any():
         raise MeshError(
-            f"the boundary is not a closed surface: {int((around != 2).sum())} of its edges do not join "
-            "exactly two "
+            f"the boundary is not a closed surface: {int((around != 2).sum())} of its edges do not join exactly two "
             "facets; repair the mesh where parts touch in an edge or a crack runs"
         )
 
@@ -188,9 +180,8 @@ def _check_hanging(mesh: TissueMesh) -> None:
     if len(hanging):
         x, y, z = mesh.points[hanging[0]] * 1e3
         raise MeshError(
-            f"{len(hanging)} of {n} vertices hang on another facet's edge, the first at ({x:.2f}, "
-            f"{y:.2f}, {z:.2f}) mm; "
-            "the mesh does not conform there: split the neighbours too"
+            f"{len(hanging)} of {n} vertices hang on another facet's edge, the first at ({x:.2f}, {y:.2f}, {z:.2f}) "
+            "mm; the mesh does not conform there: split the neighbours too"
         )
 
 
@@ -206,8 +197,7 @@ def _check_one_piece(mesh: TissueMesh) -> None:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Nodes per shear wavelength and per 1/e decay length of one tissue: the least anywhere, and near the
-    ports."""
+    """Nodes per shear wavelength and per 1/e decay length of one tissue: the least anywhere, and near the ports."""
 
     tissue: str
     per_wavelength: float

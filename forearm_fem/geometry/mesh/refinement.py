@@ -188,8 +188,7 @@ def _long_skin_edges(mesh: TissueMesh, size: Callable[[FloatArray], FloatArray])
 
 
 def _unspoilt(mesh: TissueMesh, middles: FloatArray) -> TissueMesh:
-    """Newest vertices put back to the ``middles`` (k, 3) of their edges where moving them flattens an
-    element."""
+    """Newest vertices put back to the ``middles`` (k, 3) of their edges where moving them flattens an element."""
     points = mesh.points.copy()
     start = len(points) - len(middles)
     points[start:] = middles
@@ -215,24 +214,18 @@ def rim_edges(mesh: TissueMesh, name: str) -> IntArray:
 
 def _too_long(mesh: TissueMesh, contacts: tuple[Port, ...], rim_size: float) -> BoolArray:
     """Tetrahedra whose longest edge, or whose edge on a rim, exceeds what its place asks for."""
-    distance = _from_rims(mesh, contacts)[mesh.tetrahedra].min(axis=1)
+    rims = np.vstack([rim_edges(mesh, p.name) for p in contacts])
+    places = np.vstack([mesh.points[rims[:, 0]], mesh.points[rims[:, 1]], midpoints(mesh, rims)])
+    distance = cKDTree(places).query(mesh.points)[0][mesh.tetrahedra].min(axis=1)
     near = np.flatnonzero(distance < _REACH * rim_size)
     edges = mesh.tetrahedra[near][:, EDGES]
     ends = mesh.points[edges]
     length = np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=2)
-    rims = np.vstack([rim_edges(mesh, p.name) for p in contacts])
     on_rim = is_member(edges.reshape(-1, 2), rims, len(mesh.points)).reshape(length.shape)
     too_long = length.max(axis=1) > _LONGEST * (rim_size + _RIM_GRADING * distance[near])
     marked = np.zeros(len(mesh.tetrahedra), dtype=bool)
     marked[near] = too_long | (on_rim & (length > rim_size)).any(axis=1)
     return marked
-
-
-def _from_rims(mesh: TissueMesh, contacts: tuple[Port, ...]) -> FloatArray:
-    """Distance (n_point,) [m] of every vertex from the nearest rim (its vertices and their midpoints)."""
-    edges = np.vstack([rim_edges(mesh, p.name) for p in contacts])
-    places = np.vstack([mesh.points[edges[:, 0]], mesh.points[edges[:, 1]], midpoints(mesh, edges)])
-    return np.asarray(cKDTree(places).query(mesh.points)[0])
 
 
 def _on_circles(mesh: TissueMesh, edges: IntArray, middles: FloatArray, contacts: tuple[Port, ...]) -> FloatArray:

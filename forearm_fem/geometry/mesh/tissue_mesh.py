@@ -48,12 +48,11 @@ class TissueMesh:
     """Conforming tetrahedra in metres, affine but for edges that bend; volar skin up (+z), x along the limb.
 
     ``points`` (n_point, 3) [m]; ``tetrahedra`` (n_tet, 4) positively oriented; ``region`` (n_tet,) indexes
-    ``region_names`` (tissue names; a meshed bone is the region "bone").
-    ``facets`` maps boundary names to (k, 3) vertex triples: always "skin" (whole free surface), and where they
-    exist "bone" (surface of a bone left out of the mesh), "end" (cut ends; a slab's sides and bottom),
-    "underside" (the part of "skin" that may rest on foam), "contact A1" ... (part of "skin" under a cone, exactly
-    inside the disc's rim), "symmetry x" and "symmetry y". ``bends`` follow from these and the scenario's limb
-    (:mod:`forearm_fem.geometry.limb.bending`): files do not hold them.
+    ``region_names`` (tissue names; a meshed bone is the region "bone"). ``facets`` maps boundary names to (k, 3) vertex
+    triples: always "skin" (whole free surface), and where they exist "bone" (surface of a bone left out of the mesh),
+    "end" (cut ends; a slab's sides and bottom), "underside" (the part of "skin" that may rest on foam), "contact A1"
+    ... (part of "skin" under a cone, exactly inside the disc's rim), "symmetry x" and "symmetry y". ``bends`` follow
+    from these and the scenario's limb (:mod:`forearm_fem.geometry.limb.bending`): files do not hold them.
     """
 
     points: FloatArray

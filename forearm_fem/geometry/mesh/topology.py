@@ -34,6 +34,13 @@ def is_member(rows: IntArray, of: IntArray, n_point: int) -> BoolArray:
     return np.asarray(np.isin(keys(rows, n_point), keys(of, n_point)))
 
 
+def vertex_areas(points: FloatArray, facets: IntArray) -> FloatArray:
+    """Area (n_point,) that each vertex stands for: a third of the ``facets`` (m, 3) that meet there."""
+    a, b, c = points[facets].transpose(1, 0, 2)
+    third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
+    return np.bincount(facets.ravel(), np.repeat(third, 3), minlength=len(points)).astype(float)
+
+
 def mean_ratios(points: FloatArray, tetrahedra: IntArray) -> FloatArray:
     """Mean-ratio quality (n_tet,): 12 (3 V)^(2/3) / sum of squared edges; 1 regular, 0 flat, negative inverted."""
     corner = points[tetrahedra]

@@ -31,8 +31,7 @@ def without_bone(mesh: TissueMesh) -> TissueMesh:
 
 
 def with_boundaries(mesh: TissueMesh, tolerance: float) -> TissueMesh:
-    """Ends are plane facets at the extreme x (within ``tolerance`` [m]); skin the outermost of what
-    remains."""
+    """Ends are plane facets at the extreme x (within ``tolerance`` [m]); skin the outermost of what remains."""
     faces, _ = boundary_faces(mesh.tetrahedra)
     end = _plane_end(mesh.points, faces, tolerance)
     rest = faces[~end]

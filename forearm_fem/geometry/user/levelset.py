@@ -22,8 +22,7 @@ _ROUNDS = 200
 def cut_along(mesh: TissueMesh, distance: Distance, *, name: str) -> tuple[TissueMesh, BoolArray]:
     """The mesh with edges cut where ``distance`` (n, 3) -> (n,) [m], negative inside, changes sign.
 
-    Returns it with a flag (n_tet,) for the tetrahedra inside. Between cut points the interface is plane, so
-    it lies
+    Returns it with a flag (n_tet,) for the tetrahedra inside. Between cut points the interface is plane, so it lies
     within h^2 / (8 R) of a surface of curvature radius R; features smaller than an edge are lost.
     """
     mesh, value = _snapped(mesh, distance)
@@ -45,9 +44,8 @@ def cut_along(mesh: TissueMesh, distance: Distance, *, name: str) -> tuple[Tissu
 def _snapped(mesh: TissueMesh, distance: Distance) -> tuple[TissueMesh, FloatArray]:
     """Vertices close to the surface moved onto it, within the plane of the boundary where they lie on it.
 
-    Corners of the boundary and vertices of earlier interfaces stay; where they are very close the surface
-    gives
-    way to them by up to a tenth of an edge, rather than leave slivers.
+    Corners of the boundary and vertices of earlier interfaces stay; where they are very close the surface gives way to
+    them by up to a tenth of an edge, rather than leave slivers.
     """
     value = distance(mesh.points)
     close = _close(mesh, value, _SNAP)
@@ -78,8 +76,7 @@ def _close(mesh: TissueMesh, value: FloatArray, part: float) -> IntArray:
 
 
 def _freedom(mesh: TissueMesh) -> tuple[BoolArray, FloatArray]:
-    """Which vertices (n_point,) may move, and the normal (n_point, 3) they must not move along (zero
-    inside)."""
+    """Which vertices (n_point,) may move, and the normal (n_point, 3) they must not move along (zero inside)."""
     n = len(mesh.points)
     faces, _ = boundary_faces(mesh.tetrahedra)
     a, b, c = mesh.points[faces].transpose(1, 0, 2)

@@ -38,7 +38,9 @@ def user_mesh(limb: MeshLimb, base: Path, layout: Layout, least: float, *, keep_
     check_mesh_seals(file)
     read = read_quietly(file)
     tetrahedra = _tetrahedra(file, read)
-    points = _points(file, read) * limb.unit
+    points = np.asarray(read.points, dtype=float) * limb.unit
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise MeshError(f"{file}: points have {points.shape[-1]} coordinates, need 3; give a volume mesh")
     check_indices(file, tetrahedra, len(points))
     names = tuple(dict.fromkeys(limb.regions.values()))
     region = _tissues(file, limb, _labels(file, read, limb, len(tetrahedra)), names)
@@ -53,21 +55,12 @@ def user_mesh(limb: MeshLimb, base: Path, layout: Layout, least: float, *, keep_
     return with_boundaries(mesh, 1e-6 * float(np.ptp(points[:, 0])))
 
 
-def _points(file: Path, read: Any) -> FloatArray:
-    points = np.asarray(read.points, dtype=float)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise MeshError(f"{file}: points have {points.shape[-1]} coordinates, need 3; give a volume mesh")
-    return points
-
-
 def _tetrahedra(file: Path, read: Any) -> IntArray:
     """Corner nodes of all tetrahedra; the middles of quadratic ones are looked at by :func:`_check_straight`."""
     blocks = [c.data[:, :4] for c in read.cells if c.type in _KINDS and len(c.data)]
     others = {c.type for c in read.cells} - {*_KINDS, "vertex"} - {k for k in _kinds(read) if k.startswith(_FLAT_KINDS)}
     if others:
-        raise MeshError(
-            f"{file}: contains {_some(sorted(others))} cells, but only tetrahedra can be used; split them"
-        )
+        raise MeshError(f"{file}: contains {_some(sorted(others))} cells, but only tetrahedra can be used; split them")
     if not blocks:
         kinds = _some(sorted(_kinds(read))) or "nothing"
         raise MeshError(f"{file}: contains no tetrahedra (only {kinds}); mesh the volume, not the surface")
@@ -109,7 +102,12 @@ def _labels(file: Path, read: Any, limb: MeshLimb, count: int) -> list[str]:
     numbers = np.concatenate([_numbers(file, key, read.cell_data[key][i]) for i in chosen])
     if len(numbers) != count:
         raise MeshError(f"{file}: cell data '{key}' has {len(numbers)} entries for {count} tetrahedra; need one each")
-    _check_whole(file, key, numbers)
+    broken = np.flatnonzero(~np.isfinite(numbers) | (numbers != np.round(numbers)))
+    if len(broken):
+        raise MeshError(
+            f"{file}: cell data '{key}' of {len(broken)} tetrahedra are no whole numbers, the first is "
+            f"{numbers[broken[0]]:g} of number {broken[0]}; give each region a whole number"
+        )
     named = {int(tag[0]): name for name, tag in read.field_data.items() if int(tag[1]) == 3}
     return [named.get(k, str(k)) for k in numbers.astype(np.int64).tolist()]
 
@@ -123,15 +121,6 @@ def _numbers(file: Path, key: str, values: Any) -> Any:
             "each tetrahedron"
         )
     return found.reshape(len(found))
-
-
-def _check_whole(file: Path, key: str, numbers: Any) -> None:
-    broken = np.flatnonzero(~np.isfinite(numbers) | (numbers != np.round(numbers)))
-    if len(broken):
-        raise MeshError(
-            f"{file}: cell data '{key}' of {len(broken)} tetrahedra are no whole numbers, the first is "
-            f"{numbers[broken[0]]:g} of number {broken[0]}; give each region a whole number"
-        )
 
 
 def _from_sets(file: Path, read: Any, limb: MeshLimb, chosen: list[int], count: int) -> list[str]:

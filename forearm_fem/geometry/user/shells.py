@@ -49,7 +49,8 @@ def closed(file: Path, tissue: str, vertices: FloatArray, faces: IntArray) -> In
             f"{at_words(vertices[sides[order[~opposite][0, 0]]])}; make their winding consistent"
         )
     body = bodies(faces, order // 3)
-    volume = _volumes(vertices, faces, body)
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    volume = np.bincount(body, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6).astype(float)
     if np.abs(volume).sum() < _LEAST:
         raise GeometryError(
             f"{file}: the surface of '{tissue}' encloses no volume; check limb.unit (metres per file unit)"
@@ -107,11 +108,6 @@ def _check_sides(file: Path, tissue: str, vertices: FloatArray, sides: IntArray,
             f"{file}: more than two triangles of '{tissue}' meet in an edge, the first at "
             f"{at_words(vertices[sides[many[0]]])}; remove inner walls, or separate bodies that touch"
         )
-
-
-def _volumes(vertices: FloatArray, faces: IntArray, body: IntArray) -> FloatArray:
-    a, b, c = vertices[faces].transpose(1, 0, 2)
-    return np.bincount(body, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6).astype(float)
 
 
 def _check_hollow(

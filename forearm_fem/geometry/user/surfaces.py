@@ -33,8 +33,7 @@ _PER_WIDTH = 0.25  # edge length over the smallest extent of an inner body
 
 @dataclass(frozen=True)
 class ClosedSurface:
-    """A closed triangulated surface with outward normals; everything inside belongs to ``tissue`` or deeper
-    ones."""
+    """A closed triangulated surface with outward normals; everything inside belongs to ``tissue`` or deeper ones."""
 
     tissue: str
     vertices: FloatArray
@@ -72,7 +71,12 @@ def read_surfaces(limb: SurfacesLimb, base: Path) -> tuple[ClosedSurface, ...]:
         raise GeometryError("the largest surface is the bone's; give the surface of the tissue around it too")
     check_one_body(found[0].tissue, found[0].vertices, found[0].faces)
     for surface in found:
-        _check_self(surface)
+        pairs = crossing_faces(surface.vertices[surface.faces], None, surface.faces)
+        if len(pairs):
+            raise GeometryError(
+                f"the surface of '{surface.tissue}' crosses itself in {len(pairs)} pairs of triangles, the first at "
+                f"{at_words(surface.vertices[surface.faces[pairs[0, 0]]])}; repair it"
+            )
     for i, outer in enumerate(found):
         for inner in found[i + 1 :]:
             _check_nested(outer, inner)
@@ -98,15 +102,6 @@ def _read(tissue: str, file: Path, unit: float) -> ClosedSurface:
     vertices, faces = np.asarray(body.vertices, dtype=float) * unit, np.asarray(body.faces, dtype=np.int64)
     check_extent(file, vertices, unit)
     return ClosedSurface(tissue, vertices, closed(file, tissue, vertices, faces))
-
-
-def _check_self(surface: ClosedSurface) -> None:
-    pairs = crossing_faces(surface.vertices[surface.faces], None, surface.faces)
-    if len(pairs):
-        raise GeometryError(
-            f"the surface of '{surface.tissue}' crosses itself in {len(pairs)} pairs of triangles, the first at "
-            f"{at_words(surface.vertices[surface.faces[pairs[0, 0]]])}; repair it"
-        )
 
 
 def _check_nested(outer: ClosedSurface, inner: ClosedSurface) -> None:

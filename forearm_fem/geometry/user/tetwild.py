@@ -42,9 +42,8 @@ def tetrahedralise(
 ) -> tuple[FloatArray, IntArray]:
     """Points (n, 3) [m] and positive tetrahedra (m, 4) inside the closed surface ``vertices``, ``faces``.
 
-    Edge lengths ``values`` [m] are given on a background mesh ``grid``, ``cells``. fTetWild draws random
-    numbers:
-    two runs give meshes of the same sizes and quality, but not the same mesh.
+    Edge lengths ``values`` [m] are given on a background mesh ``grid``, ``cells``. fTetWild draws random numbers: two
+    runs give meshes of the same sizes and quality, but not the same mesh.
     """
     with tempfile.TemporaryDirectory(prefix="forearm_fem_") as folder:
         np.savez(

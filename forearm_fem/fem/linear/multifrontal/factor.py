@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -14,10 +13,11 @@ from scipy.sparse import csr_array
 
 from ....errors import SolverError
 from ....typing import ComplexArray, FloatArray, IntArray
+from ...kernels.heap import give_back
 from ...kernels.threads import in_threads, thread_count
 from .blas import BLOCK, arguments
 from .fronts import FrontStore, Scratch, block_entries, factorise_part, scratch_entries
-from .parts import Parts, ThreadPart, divided
+from .parts import ThreadPart, divided
 from .substitution import LANES, Local, backward, forward, put_back, take_in
 from .supernodes import Symbolic, symbolic_factor
 
@@ -43,52 +43,54 @@ class MultifrontalFactor:
         self.symbolic = symbolic_factor(upper, order)
         self._indptr, self._indices, self._n_displacements = upper.indptr, upper.indices, n_displacements
         self._parts = divided(self.symbolic, thread_count())
-        self._whole: _Memory | None = None
-        self._memory: _Memory | None = None
+        self._store: FrontStore | None = None
 
     def factorise(self, data: ComplexArray | FloatArray) -> None:
         """See :class:`..factor.Factor`."""
         number = np.complex64 if np.iscomplexobj(data) else np.float32
         scale = scales(self._indptr, self._indices, data, self._n_displacements)
         self._scale = scale[self.symbolic.order]
-        self._whole = self._whole or _Memory.of(self.symbolic, self._parts)
-        memory = self._memory = self._whole.of_numbers(number)
+        if self._store is None or self._store.panels.dtype != number:
+            self.release()
+            give_back()  # what the ordering left, or factors of the other kind: these fit into neither's place
+            self._store = _front_store(self.symbolic, number)
+        store = self._store
+        stack, parts = np.empty(self._parts.stack, number), (*self._parts.subtrees, self._parts.top)
+        rooms = [_scratch(self.symbolic, part, number) for part in parts]
         fronts, entries, remainder = self.symbolic.fronts, self.symbolic.entries, self._parts.remainder
 
         def work(part: ThreadPart) -> int:
-            scratch = memory.scratch[part.number]
-            return int(
-                factorise_part(part, fronts, entries, data, self._scale, memory.store, remainder, memory.stack, scratch)
-            )
+            room = rooms[part.number]
+            return int(factorise_part(part, fronts, entries, data, self._scale, store, remainder, stack, room))
 
         self._singular = sum(in_threads(work, self._parts.subtrees)) + work(self._parts.top)
 
     def solve(self, right: NDArray[Any]) -> NDArray[Any]:
         """See :class:`..factor.Factor`."""
-        if self._memory is None:
+        if (store := self._store) is None:
             raise SolverError("there are no factors: factorise before solving")
         if self._singular:
             raise SolverError(f"blocks of pivots are singular in single precision (n = {self.n})")
-        number = self._memory.store.panels.dtype.type
+        number = store.panels.dtype.type
         kind = float if number is np.float32 else complex
         columns = np.ascontiguousarray(right.reshape(self.n, -1), dtype=kind)
         x = np.empty((self.n, -(-columns.shape[1] // LANES) * LANES), number)
         self._by_rows(lambda a, b: take_in(columns, self.symbolic.order, self._scale, x, a, b))
-        fronts, owner, memory = self.symbolic.fronts, self._parts.owner, self._memory
-        locals_ = [self._local(part, x.shape[1]) for part in (*self._parts.subtrees, self._parts.top)]
+        fronts, owner = self.symbolic.fronts, self._parts.owner
+        locals_ = [self._local(part, x.shape[1], x.dtype) for part in (*self._parts.subtrees, self._parts.top)]
         whole, top = (0, x.shape[1]), self._parts.top
 
         def down(part: ThreadPart) -> NDArray[Any]:
             others = np.zeros_like(x)
-            forward(part, fronts, memory.store, owner, x, others, locals_[part.number], whole)
+            forward(part, fronts, store, owner, x, others, locals_[part.number], whole)
             return others
 
         def over_the_top(some: tuple[int, int]) -> None:
-            forward(top, fronts, memory.store, owner, x, x, locals_[top.number], some)
-            backward(top, fronts, memory.store, x, locals_[top.number], some)
+            forward(top, fronts, store, owner, x, x, locals_[top.number], some)
+            backward(top, fronts, store, x, locals_[top.number], some)
 
         def up(part: ThreadPart) -> None:
-            backward(part, fronts, memory.store, x, locals_[part.number], whole)
+            backward(part, fronts, store, x, locals_[part.number], whole)
 
         subtrees, above = self._parts.subtrees, owner == top.number
         for others in in_threads(down, subtrees):
@@ -105,7 +107,7 @@ class MultifrontalFactor:
 
     def release(self) -> None:
         """See :class:`..factor.Factor`."""
-        self._memory = self._whole = None
+        self._store = None
 
     @property
     def entries(self) -> int:
@@ -117,46 +119,20 @@ class MultifrontalFactor:
         cuts = np.linspace(0, self.n, thread_count() + 1 if self.n > _MANY_ROWS else 2).astype(int).tolist()
         in_threads(lambda rows: work(*rows), list(pairwise(cuts)))
 
-    def _local(self, part: ThreadPart, count: int) -> Local:
+    def _local(self, part: ThreadPart, count: int, number: np.dtype[Any]) -> Local:
         rows = self.symbolic.remaining[part.supernodes].max(initial=0)
-        assert self._memory is not None
-        number = self._memory.store.panels.dtype
         return Local(np.empty((rows, count), number), np.empty((BLOCK, count), number))
 
 
-@dataclass(frozen=True)
-class _Memory:
-    """What is kept between factorisations: the factors, the stack of remainders, and each part's scratch."""
-
-    store: FrontStore
-    stack: NDArray[Any]
-    scratch: tuple[Scratch, ...]
-
-    def of_numbers(self, number: type[np.complex64] | type[np.float32]) -> _Memory:
-        """The same memory for such numbers; of real ones it takes half."""
-        store, stack = self.store, self.stack
-        kept = FrontStore(_seen_as(store.panels, number), store.start, _seen_as(store.inverses, number), store.block)
-        scratch = tuple(
-            Scratch(arguments(number), each.place, _seen_as(each.outer, number), _seen_as(each.under, number))
-            for each in self.scratch
-        )
-        return _Memory(kept, _seen_as(stack, number), scratch)
-
-    @classmethod
-    def of(cls, symbolic: Symbolic, parts: Parts) -> _Memory:
-        panels, blocks = panel_entries(symbolic), block_entries(symbolic.columns)
-        store = FrontStore(
-            np.empty(panels.sum(), np.complex64),
-            np.concatenate([[0], np.cumsum(panels)]),
-            np.empty(blocks.sum(), np.complex64),
-            np.concatenate([[0], np.cumsum(blocks)]),
-        )
-        scratch = tuple(_scratch(symbolic, part) for part in (*parts.subtrees, parts.top))
-        return cls(store, np.empty(parts.stack, np.complex64), scratch)
-
-
-def _seen_as(memory: NDArray[Any], number: type[np.complex64] | type[np.float32]) -> NDArray[Any]:
-    return memory.view(number)[: len(memory)]
+def _front_store(symbolic: Symbolic, number: type[np.complex64] | type[np.float32]) -> FrontStore:
+    """Room for the factors, which is kept between factorisations in such numbers."""
+    panels, blocks = panel_entries(symbolic), block_entries(symbolic.columns)
+    return FrontStore(
+        np.empty(panels.sum(), number),
+        np.concatenate([[0], np.cumsum(panels)]),
+        np.empty(blocks.sum(), number),
+        np.concatenate([[0], np.cumsum(blocks)]),
+    )
 
 
 def panel_entries(symbolic: Symbolic) -> IntArray:
@@ -164,11 +140,11 @@ def panel_entries(symbolic: Symbolic) -> IntArray:
     return np.asarray(symbolic.columns * (symbolic.columns + symbolic.remaining))
 
 
-def _scratch(symbolic: Symbolic, part: ThreadPart) -> Scratch:
+def _scratch(symbolic: Symbolic, part: ThreadPart, number: type[np.complex64] | type[np.float32]) -> Scratch:
     some = part.supernodes
     outer, under = scratch_entries(symbolic.columns[some], symbolic.remaining[some])
     place = np.empty(len(symbolic.order), np.int32)
-    return Scratch(arguments(np.complex64), place, np.empty(outer, np.complex64), np.empty(under, np.complex64))
+    return Scratch(arguments(number), place, np.empty(outer, number), np.empty(under, number))
 
 
 def _shared(columns: int, threads: int) -> list[tuple[int, int]]:

@@ -1,0 +1,33 @@
+"""What goes wrong while a file is read, in one sentence that names it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..errors import DataError, MissingExtra
+from .seal import check_seals
+
+
+@contextmanager
+def reading(file: Path, unreadable: str, *, seals: bool = True) -> Iterator[None]:
+    """Every failure of the block as a DataError about ``file``: what it says itself, else that it is ``unreadable``.
+
+    Libraries fail in ways they do not list where a file is damaged. A missing file is told before, and so is one whose
+    checksum does not fit where the format keeps it in ``seals`` (:mod:`.seal`). MissingExtra passes.
+    """
+    if not file.is_file():
+        raise DataError(f"{file}: no such file")
+    try:
+        if seals:
+            check_seals(file.read_bytes())
+        yield
+    except MissingExtra:
+        raise
+    except DataError as problem:
+        said = str(problem)
+        raise DataError(said if said.startswith(str(file)) else f"{file}: {said}") from None
+    except Exception as problem:
+        why = " ".join(str(problem).split())[:120] or type(problem).__name__
+        raise DataError(f"{file}: {unreadable.format(why=why)}") from problem
