@@ -103,7 +103,7 @@ def test_what_the_thesis_run_costs_is_said_alike():
     gigabytes = max(float(s[4]) for s in stages)
     start, accuracy = ((HOME / "docs" / p).read_text(encoding="utf-8") for p in ("start.md", "howto/accuracy.md"))
     words = {2: "two", 3: "three", 4: "four", 8: "eight", 9: "nine", 10: "ten", 11: "eleven"}
-    said = re.search(r"\| ([\d.]+) min from nothing, kernels included \| ([\d.]+) GB", README)
+    said = re.search(r"\| ([\d.]+) min from an empty cache, kernels compiled \| ([\d.]+) GB", README)
     assert said is not None
     assert [float(v) for v in said.groups()] == pytest.approx([minutes, gigabytes], abs=0.06)  # one digit is printed
     assert f"{words[round(minutes)]} minutes and {words[round(gigabytes)]} gigabytes" in start
