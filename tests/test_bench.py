@@ -258,11 +258,11 @@ def test_one_size_in_both_precisions() -> None:
 
 
 def test_the_knob_chooses_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One expansion about 200 Hz is enough for three frequencies; at accuracy 1 the elements are 6 mm large."""
+    """One expansion about 200 Hz is enough for three frequencies; at accuracy 1 the elements are 6 mm large, no more."""
     few = SolverOptions(expansions=1, derivatives=3, max_expansions=1)
     monkeypatch.setattr(asked, "BAND", np.array([190.0, 200.0, 210.0]))
     monkeypatch.setattr(asked, "options", lambda _: few)
     coarse = asked.asked(1.0)
-    assert coarse.size > 1.7 * asked.element_sizes(scene.knob(0.1)).grid  # 10^(1/4)
+    assert coarse.size > 1.7 * asked.element_sizes(scene.knob(0.01)).grid  # 100^(1/4), held at 6 mm
     assert coarse.error_band < coarse.error_points < 1.0
     assert 0 < coarse.estimated_band < 1.0
