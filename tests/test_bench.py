@@ -258,7 +258,7 @@ def test_one_size_in_both_precisions() -> None:
 
 
 def test_the_knob_chooses_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One expansion about 200 Hz is enough for three frequencies; at accuracy 1 the elements are 6 mm large, no more."""
+    """One expansion about 200 Hz is enough for three frequencies; at accuracy 1 the elements are 6 mm large."""
     few = SolverOptions(expansions=1, derivatives=3, max_expansions=1)
     monkeypatch.setattr(asked, "BAND", np.array([190.0, 200.0, 210.0]))
     monkeypatch.setattr(asked, "options", lambda _: few)
