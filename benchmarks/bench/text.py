@@ -104,7 +104,7 @@ def _asked(rows: Sequence[Row]) -> list[str]:
     return [
         *lines,
         "",
-        "`accuracy` alone chose mesh and elements: P2 above 0.05, P2/P3 from there on. All are of the quarter slab at",
+        "`accuracy` alone chose mesh and elements. All are of the quarter slab at",
         "161 bins, 80-400 Hz. Errors are against the exact",
         "solution, of all outputs and of the points at 10 and 20 mm alone. Seconds leave out the coarser mesh",
         f"that the estimate needs. {_met(rows)}",

@@ -106,7 +106,7 @@ def _print_forecast(asked: Scenario, expected: Forecast | None) -> None:
         typer.echo(f"layered half-space: no mesh, no unknowns; {len(band)} frequencies in about 2 s")
         return
     typer.echo(f"tetrahedra       {expected.tetrahedra}")
-    typer.echo(f"unknowns         {expected.unknowns} ({asked.element}, displacement and pressure)")
+    typer.echo(f"unknowns         {expected.unknowns} ({asked.element}, displacement and pressure, held ones included)")
     typer.echo(f"memory           about {expected.memory_bytes / 1e9:.1f} GB")
     typer.echo(f"time             about {expected.seconds / 60:.1f} min on 2 cores, for {len(band)} frequencies")
     for r in expected.resolution:
