@@ -109,6 +109,10 @@ class CudssFactor:
         found: NDArray[Any] = _told(self._solver.solve)
         return found[:, : right.shape[1]]
 
+    def products(self, data: ComplexArray | FloatArray, right: NDArray[Any]) -> ComplexArray | None:
+        """See :class:`.factor.Factor`; factors lie on the device and are in nobody's way."""
+        return None
+
     def harden(self) -> bool:
         """See :class:`.factor.Factor`: in double precision."""
         if not self.single:

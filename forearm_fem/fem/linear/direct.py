@@ -20,6 +20,7 @@ from .taylor import TaylorRecursion
 
 _log = logging.getLogger("forearm_fem.fem")
 ENOUGH = 1e-7  # relative residual: its error in G is stated as that of the linear solve
+_ROUGHER = 4.0  # what G may be off by, in what known solutions are: they are no waves of that frequency
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,27 @@ class DirectSolver:
             how = "single precision with matching" if self.factor.single else "double precision"
             _log.warning("the factors were not accurate enough at this frequency; %s from here on", how)
         return refined_solve(self.factor, matrix, right, tolerance=self.tolerance)
+
+    def by_elimination(self, frequency: float, known: FloatArray) -> tuple[ComplexArray, float] | None:
+        """Compliance (n_port, n_port) [m/N] without factors that stay, and what rounding may have changed in it.
+
+        That is relative to the largest watched entry. It is seen on ``known`` solutions (n, k), real: A times them is
+        carried along with the loads, and their values at the ports must come back. None where the solver at work
+        cannot, or met a singular block.
+        """
+        omega, count = 2 * np.pi * frequency, len(self.model.ports)
+        carried = np.hstack([self.model.functionals, self.model.operator.at(omega).product(known)])
+        self.model.operator.forget_products()  # the fronts need the room; made again in a second or two
+        try:
+            products = self.factor.products(self.model.operator.data(omega), carried)
+        except SolverError as problem:
+            _log.info("%s", problem)
+            return None
+        if products is None:
+            return None
+        rows, truth = watched(self.model)[0], self.model.functionals.T @ known
+        off = np.abs(products[:count, count:] - truth)[rows].max(axis=0) / np.abs(truth[rows]).max(axis=0)
+        return np.asarray(products[:count, :count] * self.model.shares), _ROUGHER * float(off.max())
 
     def solve_error(self, solution: Solution) -> float:
         """Error of the watched compliances caused by the residual, relative to the largest of them."""

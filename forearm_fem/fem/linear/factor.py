@@ -55,6 +55,13 @@ class Factor(Protocol):
         """Solutions (n, k) for right-hand sides (n, k), all real where the matrix is."""
         ...
 
+    def products(self, data: ComplexArray | FloatArray, right: Columns) -> ComplexArray | None:
+        """B^T A^-1 B (k, k) for ``right`` B (n, k) and a matrix with values ``data``, unrefined, by elimination alone.
+
+        Earlier factors go and none stay. None where this solver cannot but keep them.
+        """
+        ...
+
     def harden(self) -> bool:
         """Factorise the same matrix more accurately; False where that cannot be done."""
         ...
@@ -89,6 +96,10 @@ class SuperLUFactor:
         """See :class:`Factor`."""
         x = self._lu.solve(np.ascontiguousarray(right, dtype=complex))
         return np.asarray(x.real if self._real else x)
+
+    def products(self, data: ComplexArray | FloatArray, right: Columns) -> ComplexArray | None:
+        """See :class:`Factor`; this one cannot."""
+        return None
 
     def harden(self) -> bool:
         """See :class:`Factor`; this one is in double precision."""
@@ -126,6 +137,10 @@ class CautiousFactor:
     def solve(self, right: Columns) -> Columns:
         """See :class:`Factor`."""
         return self.now.solve(right)
+
+    def products(self, data: ComplexArray | FloatArray, right: Columns) -> ComplexArray | None:
+        """See :class:`Factor`."""
+        return self.now.products(data, right)
 
     def harden(self) -> bool:
         """See :class:`Factor`; False where PARDISO is not installed or has done all it can."""

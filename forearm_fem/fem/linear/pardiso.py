@@ -93,6 +93,10 @@ class PardisoFactor:
         self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._run(_FACTORISE)
 
+    def products(self, data: ComplexArray | FloatArray, right: NDArray[Any]) -> ComplexArray | None:
+        """See :class:`.factor.Factor`; this one cannot."""
+        return None
+
     def harden(self) -> bool:
         """Factorise this matrix and all later ones with matching, at the next call in double precision, then False."""
         if self._matching and not self.single:

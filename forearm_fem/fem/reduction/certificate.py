@@ -27,6 +27,7 @@ class Certificate:
     over the band; ``frequency`` is where the model was doubted most (:func:`doubt`). Where resonances are sharp
     ``change`` is a bound of the error at every bin instead (:mod:`.bounds`), largest at ``frequency``. ``wary`` says
     that resonances are sharp, or that the change is, or was before, too large for one true error to speak for the band.
+    ``rounding`` is what may be wrong with the direct solution itself, where it is not refined.
     """
 
     frequency: float
@@ -34,11 +35,12 @@ class Certificate:
     change: float = 0.0
     expansions: int = 0
     wary: bool = False
+    rounding: float = 0.0
 
     @property
     def bound(self) -> float:
-        """The error; the change, too, where one true error cannot speak for the band."""
-        return max(self.error, self.change) if self.wary else self.error
+        """The error and the rounding; the change, too, where one true error cannot speak for the band."""
+        return max(self.error, self.change) if self.wary else self.error + self.rounding
 
 
 @dataclass(frozen=True)
@@ -100,9 +102,9 @@ def probe_frequencies(frequency: FloatArray, known: Sequence[float]) -> FloatArr
     return np.array(sorted(bins - set(known)))
 
 
-def certified(reduced: ReducedModel, model: ForearmModel, solutions: ComplexArray, at: Doubt, used: int) -> Certificate:
-    """Error at the watched ports against direct solutions (n, n_port)."""
+def certified(reduced: ReducedModel, model: ForearmModel, truth: ComplexArray, at: Doubt, used: int) -> Certificate:
+    """Error at the watched ports against a direct solution's compliance (n_port, n_port) [m/N]."""
     block = np.ix_([0], *watched(model))
-    truth = ((model.functionals.T @ solutions) * model.shares)[None]
     estimate = reduced.compliance(np.array([at.frequency]))
-    return Certificate(at.frequency, float(relative_error(estimate[block], truth[block])[0]), at.change, used, at.wary)
+    error = float(relative_error(estimate[block], truth[None][block])[0])
+    return Certificate(at.frequency, error, at.change, used, at.wary)

@@ -18,7 +18,7 @@ from ..assembly.model import ForearmModel
 from ..kernels.heap import give_back
 from ..linear.direct import DirectSolver, make_solver, watched
 from .bounds import ResidualBound, sharp_modes
-from .certificate import DOUBTFUL, Certificate, Doubt, doubt, largest_change, most_doubtful_bin
+from .certificate import DOUBTFUL, Certificate, Doubt, certified, doubt, largest_change, most_doubtful_bin
 from .poles import pole_residue
 from .rate_space import Chunk, RateSpace
 from .reduced_model import ReducedModel, compressible, empty_model, extend, with_last_columns
@@ -30,6 +30,8 @@ _AT_ONCE = 5  # derivatives about a rate between two looks at what the last of t
 _AT_LEAST, _SLOW = 20, 60  # derivatives about a rate before the first look, and before resonances are called sharp
 _SHARP, _SEVERAL = 0.03, 3  # loss factor below which a mode may pass unseen between probes; one or two do not
 _SURE = 1e-2  # of the tolerance: what derivatives may change where resonances are sharp, for the bound to pass soon
+_KNOWN = 3  # known solutions that are carried beside the loads of a certificate; with 13 ports they cost nothing
+_ROUNDED = 5e-5  # tolerance below which a certificate is refined: elimination alone is right to 1e-5 or so
 _MOST = 1000  # columns about a rate where resonances are sharp; beyond, solves at all bins are no dearer
 
 
@@ -80,9 +82,10 @@ class Made:
     solve_error: float = 0.0
     sharp: bool = False
 
-    def with_certificate(self, certificate: Certificate, truth: Expansion) -> Made:
-        """The same after a comparison with ``truth``."""
-        return replace(self, certificates=(*self.certificates, certificate)).after(truth)
+    def with_certificate(self, certificate: Certificate) -> Made:
+        """The same after a comparison; what rounding may have done to its truth is an error of solves."""
+        worst = max(self.solve_error, certificate.rounding)
+        return replace(self, certificates=(*self.certificates, certificate), solve_error=worst)
 
     def after(self, solved: Expansion) -> Made:
         """The same with the errors of further solves."""
@@ -106,6 +109,23 @@ class Expander:
         solution = self._ready(frequency).at(frequency)
         error = self._ready(frequency).solve_error(solution)
         return Expansion(frequency, (solution.values,), solution.residual, error)
+
+    def compared(self, made: Made, at: Doubt, tolerance: float) -> Certificate | None:
+        """A certificate by elimination alone, which keeps no factors; None where it would not pass, or is not enough.
+
+        That is where all changes are stated, where the tolerance is near to what rounding leaves, and with solvers that
+        cannot. The first columns of the space are solutions that are known: what rounding does is seen on them.
+        """
+        first = made.reduced.basis.blocks[0][:, : len(self.model.ports)]
+        if at.wary or tolerance < _ROUNDED or (self._store is not None and self._store.get(at.frequency) is not None):
+            return None
+        chosen = np.linspace(0, first.shape[1] - 1, min(_KNOWN, first.shape[1])).astype(int)
+        found = self._ready(at.frequency).by_elimination(at.frequency, first[:, chosen].astype(float))
+        if found is None:
+            return None
+        certificate = certified(made.reduced, self.model, found[0], at, len(made.expansions))
+        certificate = replace(certificate, rounding=found[1])
+        return certificate if certificate.bound <= tolerance else None
 
     def expand(self, frequency: float, start: Expansion | None = None) -> Expansion:
         """Solutions and derivatives; ``start`` are direct solutions whose factorisation is still held."""

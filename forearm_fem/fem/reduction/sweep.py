@@ -166,9 +166,12 @@ def _certified(
         if worst is None:
             return made
         tell(progress, "certificates", len(made.certificates), len(made.certificates) + 1)
+        if (found := work.compared(made, worst, tolerance)) is not None:
+            return made.with_certificate(found)
         truth = work.direct(worst.frequency)
-        found = certified(made.reduced, work.model, truth.series[0], worst, len(used))
-        made = made.with_certificate(found, truth)
+        compliance = np.asarray((work.model.functionals.T @ truth.series[0]) * work.model.shares)
+        found = certified(made.reduced, work.model, compliance, worst, len(used))
+        made = made.with_certificate(found).after(truth)
         tell(progress, "certificates", len(made.certificates), len(made.certificates))
         if found.bound <= tolerance or len(used) >= options.max_expansions:
             return made

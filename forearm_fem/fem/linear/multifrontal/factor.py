@@ -16,6 +16,7 @@ from ....typing import ComplexArray, FloatArray, IntArray
 from ...kernels.heap import give_back
 from ...kernels.threads import in_threads, thread_count
 from .blas import BLOCK, arguments
+from .elimination import eliminate_part, passing_store, pivot_products
 from .fronts import FrontStore, Scratch, block_entries, factorise_part, scratch_entries
 from .parts import ThreadPart, divided
 from .substitution import LANES, Local, backward, forward, put_back, take_in
@@ -100,6 +101,37 @@ class MultifrontalFactor:
         solution = np.empty_like(columns)
         self._by_rows(lambda a, b: put_back(x, self.symbolic.order, self._scale, solution, a, b))
         return solution.reshape(right.shape)
+
+    def products(self, data: ComplexArray | FloatArray, right: NDArray[Any]) -> ComplexArray:
+        """See :class:`..factor.Factor`; SolverError where a block of pivots was singular."""
+        self.release()
+        give_back()
+        number = np.complex64 if np.iscomplexobj(data) else np.float32
+        scale = scales(self._indptr, self._indices, data, self._n_displacements)[self.symbolic.order]
+        store, parts = passing_store(self.symbolic, self._parts, number), (*self._parts.subtrees, self._parts.top)
+        x = np.empty((self.n, -(-right.shape[1] // LANES) * LANES), number)
+        columns = np.ascontiguousarray(right, dtype=float if number is np.float32 else complex)
+        self._by_rows(lambda a, b: take_in(columns, self.symbolic.order, scale, x, a, b))
+        stack = np.empty(self._parts.stack, number)
+        rooms = [(_scratch(self.symbolic, p, number), self._local(p, x.shape[1], x.dtype)) for p in parts]
+        fronts, entries, owner = self.symbolic.fronts, self.symbolic.entries, self._parts.owner
+
+        def work(part: ThreadPart, others: NDArray[Any]) -> int:
+            scratch, local = rooms[part.number]
+            return int(eliminate_part(
+                part, fronts, entries, data, scale, store, self._parts.remainder, stack, scratch, owner, x, others, local
+            ))  # fmt: skip
+
+        given = [np.zeros_like(x) for _ in self._parts.subtrees]
+        singular = sum(in_threads(lambda part: work(part, given[part.number]), self._parts.subtrees))
+        above = owner == self._parts.top.number
+        for others in given:
+            x[above] += others[above]
+        singular += work(self._parts.top, x)
+        if singular:
+            raise SolverError(f"blocks of pivots are singular in single precision (n = {self.n})")
+        count = right.shape[1]
+        return np.asarray(pivot_products(fronts, store, x, rooms[-1][1].block)[:count, :count])
 
     def harden(self) -> bool:
         """See :class:`..factor.Factor`; this one cannot."""

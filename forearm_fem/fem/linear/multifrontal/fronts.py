@@ -66,21 +66,34 @@ def factorise_part(
     """
     singular, free = 0, part.begin
     for s in part.supernodes:
-        k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
-        _placed(s, fronts, scratch.place)
-        _start_panel(s, fronts, entries, data, scale, store, scratch.place)
-        for c in range(m):
-            stack[free + c * m + c : free + (c + 1) * m] = 0
-        child = fronts.child[s]
-        while child != -1:
-            _add_child(s, child, remainder[child], free, fronts, store, stack, scratch.place)
-            child = fronts.following[child]
-        singular += _eliminate(k, m, store, s, stack.ctypes.data + stack.itemsize * free, scratch)
-        lowest = lowest_child(s, fronts, remainder, part.begin, free)
-        _moved(stack, free, lowest, m)
-        remainder[s] = lowest
-        free = lowest + m * m
+        bad, free = factorise_front(s, part.begin, free, fronts, entries, data, scale, store, remainder, stack, scratch)
+        singular += bad
     return singular
+
+
+@njit(cache=True, nogil=True)
+def factorise_front(
+    s: int, begin: int, free: int, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore,
+    remainder: IntArray, stack: NDArray[Any], scratch: Scratch,
+) -> tuple[int, int]:  # fmt: skip
+    """Factorise supernode ``s``, whose remainder is made from ``free`` on of a stack that begins at ``begin``.
+
+    Returns how many blocks were singular, and the end of the stack.
+    """
+    k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
+    _placed(s, fronts, scratch.place)
+    _start_panel(s, fronts, entries, data, scale, store, scratch.place)
+    for c in range(m):
+        stack[free + c * m + c : free + (c + 1) * m] = 0
+    child = fronts.child[s]
+    while child != -1:
+        _add_child(s, child, remainder[child], free, fronts, store, stack, scratch.place)
+        child = fronts.following[child]
+    singular = _eliminate(k, m, store, s, stack.ctypes.data + stack.itemsize * free, scratch)
+    lowest = lowest_child(s, fronts, remainder, begin, free)
+    _moved(stack, free, lowest, m)
+    remainder[s] = lowest
+    return singular, lowest + m * m
 
 
 @njit(cache=True, nogil=True)
@@ -99,9 +112,9 @@ def _start_panel(
     s: int, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore, place: NDArray[np.int32]
 ) -> None:
     """The panel with A's own entries."""
-    size = fronts.first[s + 1] - fronts.first[s] + fronts.below[s + 1] - fronts.below[s]
-    store.panels[store.start[s] : store.start[s + 1]] = 0
-    column = store.start[s]
+    k, column = fronts.first[s + 1] - fronts.first[s], store.start[s]
+    size = k + fronts.below[s + 1] - fronts.below[s]
+    store.panels[column : column + k * size] = 0
     for j in range(fronts.first[s], fronts.first[s + 1]):
         for p in range(entries.start[j], entries.start[j + 1]):
             i = entries.row[p]

@@ -56,24 +56,33 @@ def forward(
 
     Right-hand sides from ``some[0]`` up to ``some[1]``, multiples of eight.
     """
+    for s in part.supernodes:
+        forward_front(s, part.number, fronts, store, owner, x, others, local, some)
+
+
+@njit(cache=True, nogil=True)
+def forward_front(
+    s: int, number: int, fronts: Fronts, store: FrontStore, owner: NDArray[np.int32], x: NDArray[Any],
+    others: NDArray[Any], local: Local, some: tuple[int, int],
+) -> None:  # fmt: skip
+    """The same for the columns of supernode ``s`` of part ``number``."""
     bytes_ = x.itemsize
     row, skipped, width = bytes_ * x.shape[1], bytes_ * some[0], bytes_ * (some[1] - some[0])
     below = local.below.ctypes.data + skipped
-    for s in part.supernodes:
-        k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
-        size, panel = k + m, store.panels.ctypes.data + bytes_ * store.start[s]
-        own = x.ctypes.data + row * fronts.first[s] + skipped
-        local.below[:m, some[0] : some[1]] = 0
-        for j in range(0, k, BLOCK):
-            e, column = min(j + BLOCK, k), panel + bytes_ * j * size
-            left = column + bytes_ * e
-            subtract_panel(bytes_, k - e, e - j, left, bytes_ * size, own + row * j, own + row * e, row, width)
-            subtract_panel(bytes_, m, e - j, column + bytes_ * k, bytes_ * size, own + row * j, below, row, width)
-        for i in range(m):
-            to = fronts.rows[fronts.below[s] + i]
-            target = x if owner[to] == part.number else others
-            for c in range(some[0], some[1]):
-                target[to, c] += local.below[i, c]
+    k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
+    size, panel = k + m, store.panels.ctypes.data + bytes_ * store.start[s]
+    own = x.ctypes.data + row * fronts.first[s] + skipped
+    local.below[:m, some[0] : some[1]] = 0
+    for j in range(0, k, BLOCK):
+        e, column = min(j + BLOCK, k), panel + bytes_ * j * size
+        left = column + bytes_ * e
+        subtract_panel(bytes_, k - e, e - j, left, bytes_ * size, own + row * j, own + row * e, row, width)
+        subtract_panel(bytes_, m, e - j, column + bytes_ * k, bytes_ * size, own + row * j, below, row, width)
+    for i in range(m):
+        to = fronts.rows[fronts.below[s] + i]
+        target = x if owner[to] == number else others
+        for c in range(some[0], some[1]):
+            target[to, c] += local.below[i, c]
 
 
 @njit(cache=True, nogil=True)
