@@ -25,12 +25,9 @@ def design(
     """Search for the device with the largest S within limits; interrupted, it goes on where it was."""
     from ..design import load_design, run_design
     from ..design.report import outcome_words
-    from ..errors import ScenarioError
     from ..io.lock import locked
 
     asked = load_design(file)
-    if library is not None and (scheduler is not None or (workers or 1) > 1):
-        raise ScenarioError("--library answers in this process: leave out --workers and --scheduler")
     folder = out or Path("results") / asked.asked.name
     with locked(folder), Display() as display, noted():
         result = run_design(

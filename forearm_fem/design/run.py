@@ -71,13 +71,12 @@ def run_design(
     """Search, confirm and write. Every candidate is on disk before the next is asked for; run again, it goes on.
 
     ``arm`` is what candidates are evaluated on (None: the layered twin from tables); with ``workers`` above 1 or a
-    ``scheduler`` generations are spread over Dask, on the twin. Raises ScenarioError where no candidate is feasible.
+    ``scheduler`` generations are spread over Dask. Raises ScenarioError where no candidate is feasible.
     """
     out = Path(folder).resolve()
     model = arm or TwinArm(progress=progress)
     store = Store(out, design, model.mark)
-    spread = arm is None and (scheduler is not None or (workers or 1) > 1)
-    with _evaluating(design, model, scheduler, workers, spread=spread) as many:
+    with _evaluating(design, model, scheduler, workers, own=arm is None) as many:
         total = planned(design)
 
         def ask(wanted: Sequence[Values]) -> list[Candidate]:
@@ -103,26 +102,35 @@ def run_design(
 
 @contextmanager
 def _evaluating(
-    design: Design, arm: ArmModel, scheduler: str | None, workers: int | None, *, spread: bool
+    design: Design, arm: ArmModel, scheduler: str | None, workers: int | None, *, own: bool
 ) -> Iterator[Evaluate]:
-    """A function that evaluates many, one after another or on Dask; the first of a spread search makes the tables."""
-    if not spread:
+    """A function that evaluates many, one after another or on Dask: there on the ``arm``, sent to each process once,
+    or with ``own`` on the twin that each process makes of tables in its cache."""
+    if scheduler is None and (workers or 1) == 1:
         yield lambda wanted: (evaluate(design, v, arm) for v in wanted)
         return
 
     def count() -> int:
-        return max(1, min(workers or os.cpu_count() or 1, int(SHARE * psutil.virtual_memory().available // LIGHT)))
+        each = LIGHT if own else LIGHT + psutil.Process().memory_info().rss  # an arm as here, and answers on it
+        return max(1, min(workers or os.cpu_count() or 1, int(SHARE * psutil.virtual_memory().available // each)))
 
     with cluster(scheduler, count, "a design on several processes") as client:
         distributed: Any = import_module("distributed")
+        sent = None if own else client.scatter(arm, broadcast=True, hash=False)
 
         def many(wanted: Sequence[Values]) -> Iterator[Candidate]:
-            if wanted:
+            if own and wanted:  # makes the tables
                 yield evaluate(design, wanted[0], arm)
-            futures = client.map(lambda v: evaluate(design, v, _own_twin()), wanted[1:], pure=False)
+            rest = wanted[1:] if own else wanted
+            futures = [client.submit(_evaluated, design, v, sent, pure=False) for v in rest]
             yield from (future.result() for future in distributed.as_completed(futures))
 
         yield many
+
+
+def _evaluated(design: Design, values: Values, arm: ArmModel | None) -> Candidate:
+    """In a worker: on the ``arm`` that was sent, or the twin of this process."""
+    return evaluate(design, values, arm or _own_twin())
 
 
 @cache
