@@ -7,6 +7,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from forearm_fem.errors import SolverError
+from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.direct import DirectSolver, make_solver
 from forearm_fem.fem.linear.pardiso import mkl_library
 from forearm_fem.fem.reduction import basis as bases
@@ -21,6 +22,7 @@ from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
+needs_multifrontal = pytest.mark.skipif(not factors._compiles(), reason="numba or pymetis is not installed")
 needs_mkl = pytest.mark.skipif(mkl_library() is None, reason="MKL is not installed")
 BAND = np.linspace(10.0, 500.0, 197)
 CHECK = np.array([10.0, 33.0, 80.0, 140.0, 210.0, 333.0, 470.0, 500.0])
@@ -62,7 +64,8 @@ def test_solves_are_refined_to_a_thousandth_of_what_is_asked(model, sweep, truth
     assert sweep.residual <= 1e-9
     assert max(rough.residual, careless.residual) <= 1e-7
     assert careless.solver == rough.solver
-    assert max(sweep.solve_error, rough.solve_error) <= 1e-7
+    assert sweep.solve_error <= 1e-7
+    assert rough.solve_error <= 1e-4  # where it is certified by an elimination in single precision
     block = np.ix_(range(len(CHECK)), [1, 2, 3], [0])
     error = relative_error(rough.reduced.compliance(CHECK)[block], truth[block])
     assert error.max() < 2 * rough.reduction_error  # one certificate speaks for the band
@@ -96,6 +99,71 @@ def test_certificate_is_a_true_error(model):
     assert relative_error(found[block], exact[block])[0] == pytest.approx(stated.error, rel=1e-2)
     assert stated.error > 1e-4  # and it says so, rather than stopping silently
     assert len(result.expansions) == 2
+
+
+@needs_multifrontal
+@pytest.mark.parametrize("start", ["rate", "frequencies"])
+def test_elimination_alone_certifies_as_refined_solves_do(model, start, monkeypatch):
+    """What it sees is the true error within what it says of rounding, and that holds against refined solves."""
+    options = SolverOptions(start=start, expansions=3, derivatives=3)
+    result = reduced_sweep(model, BAND, options, tolerance=1e-3)
+    (stated,) = result.certificates
+    assert 0 < stated.rounding < 1e-4
+    exact = direct_sweep(model, np.array([stated.frequency]), options).values
+    block = np.ix_([0], [1, 2, 3], [0])
+    found = result.reduced.compliance(np.array([stated.frequency]))
+    true = relative_error(found[block], exact[block])[0]
+    assert abs(stated.error - true) < 10 * stated.rounding
+    assert true < stated.bound <= result.reduction_error
+    monkeypatch.setattr(Expander, "compared", lambda *_: None)
+    refined = reduced_sweep(model, BAND, options, tolerance=1e-3)
+    assert refined.certificates[0].rounding == 0
+    assert (refined.values == result.values).all()  # the model is the same: only its judge differs
+
+
+@needs_multifrontal
+def test_what_an_elimination_would_not_pass_is_solved_and_refined(model, monkeypatch):
+    """Its bound is above the tolerance: the solution is needed to extend the space, and its error is refined."""
+    asked, by_elimination = [], DirectSolver.by_elimination
+    monkeypatch.setattr(
+        DirectSolver, "by_elimination", lambda self, f, z: (asked.append(f), by_elimination(self, f, z))[1]
+    )
+    monkeypatch.setattr("forearm_fem.fem.reduction.expansion._ROUNDED", 0.0)
+    few = SolverOptions(start="frequencies", expansions=3, derivatives=3, max_expansions=8)
+    result = reduced_sweep(model, BAND, few, tolerance=2e-5)
+    assert asked[0] == result.certificates[0].frequency
+    assert result.certificates[0].error > 2e-5
+    assert result.certificates[0].rounding == 0
+    assert len(result.expansions) > 3
+
+
+@needs_multifrontal
+@pytest.mark.parametrize("options", [SolverOptions(precision="double"), SolverOptions(backend="superlu")])
+def test_solvers_that_keep_factors_certify_by_them(model, options):
+    result = reduced_sweep(model, BAND, options, tolerance=1e-3)
+    assert [c.rounding for c in result.certificates] == [0] * len(result.certificates)
+    assert result.solve_error <= 1e-7
+
+
+def test_rounding_of_an_elimination_is_seen_on_known_solutions(model):
+    """A factor that is off by a hundredth is seen: what it makes of known solutions is, too."""
+
+    class Rough:
+        name, single = "rough", True
+
+        def products(self, data, right):
+            solved = np.linalg.solve(whole(model, data), right)
+            return 1.01 * right.T @ solved
+
+    known = make_solver(model, SolverOptions(precision="double"), 100.0).at(100.0).values.real[:, :2]
+    found = DirectSolver(model, Rough()).by_elimination(120.0, known)
+    assert found is not None
+    assert found[1] == pytest.approx(0.04, rel=1e-3)  # four times what is seen
+
+
+def whole(model, data):
+    """The matrix with these upper-triangle values, dense."""
+    return model.operator.matrix(data).product(np.eye(model.operator.n))
 
 
 def test_a_model_that_tells_nothing_is_refused(model):

@@ -118,9 +118,8 @@ class MultifrontalFactor:
 
         def work(part: ThreadPart, others: NDArray[Any]) -> int:
             scratch, local = rooms[part.number]
-            return int(eliminate_part(
-                part, fronts, entries, data, scale, store, self._parts.remainder, stack, scratch, owner, x, others, local
-            ))  # fmt: skip
+            whole = entries, data, scale, store, self._parts.remainder, stack
+            return int(eliminate_part(part, fronts, *whole, scratch, owner, x, others, local))
 
         given = [np.zeros_like(x) for _ in self._parts.subtrees]
         singular = sum(in_threads(lambda part: work(part, given[part.number]), self._parts.subtrees))
