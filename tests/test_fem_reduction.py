@@ -128,7 +128,7 @@ def test_what_an_elimination_would_not_pass_is_solved_and_refined(model, monkeyp
     monkeypatch.setattr(
         DirectSolver, "by_elimination", lambda self, f, z: (asked.append(f), by_elimination(self, f, z))[1]
     )
-    monkeypatch.setattr("forearm_fem.fem.reduction.expansion._ROUNDED", 0.0)
+    monkeypatch.setattr("forearm_fem.fem.reduction.expansion.ROUNDED", 0.0)
     few = SolverOptions(start="frequencies", expansions=3, derivatives=3, max_expansions=8)
     result = reduced_sweep(model, BAND, few, tolerance=2e-5)
     assert asked[0] == result.certificates[0].frequency

@@ -141,9 +141,11 @@ def truncation_probes(n: int, count: int = TRUNCATION_PROBES) -> list[int]:
 
 
 def _errors(result: SweepResult) -> tuple[ErrorEstimate, ...]:
-    solve = ErrorEstimate(
-        "linear solve", result.solve_error, "adjoint-weighted residual |x_i . r_j| of the solves used"
-    )
+    rounded = any(c.rounding for c in result.certificates)
+    how = "adjoint-weighted residual |x_i . r_j| of the solves used"
+    if rounded:
+        how = f"the larger of {how}, and four times what a certificate's elimination makes of known solutions"
+    solve = ErrorEstimate("linear solve", result.solve_error, how)
     if not result.certificates:
         return (solve,)
     text = ", ".join(f"{c.frequency:g} Hz ({c.error:.1e})" for c in result.certificates)

@@ -47,7 +47,7 @@ def are_kept(folder: Path, source: Path) -> bool:
 
 
 def compile_kernels() -> None:
-    """Factorise, solve and project once in real and in complex numbers, on a chain of springs.
+    """Factorise, solve and project once in real numbers and eliminate in complex ones, on a chain of springs.
 
     Arrays are of the types that a run has: numba compiles for types.
     """
@@ -62,8 +62,7 @@ def compile_kernels() -> None:
     solver.factorise(upper.data)
     solver.solve(loads)
     _project(upper, loads)
-    solver.factorise(upper.data.astype(complex))
-    solver.solve(loads.astype(complex))
+    solver.products(upper.data.astype(complex), loads.astype(complex))
 
 
 def _project(upper: csr_array, loads: FloatArray) -> None:

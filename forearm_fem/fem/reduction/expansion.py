@@ -31,7 +31,7 @@ _AT_LEAST, _SLOW = 20, 60  # derivatives about a rate before the first look, and
 _SHARP, _SEVERAL = 0.03, 3  # loss factor below which a mode may pass unseen between probes; one or two do not
 _SURE = 1e-2  # of the tolerance: what derivatives may change where resonances are sharp, for the bound to pass soon
 _KNOWN = 3  # known solutions that are carried beside the loads of a certificate; with 13 ports they cost nothing
-_ROUNDED = 5e-5  # tolerance below which a certificate is refined: elimination alone is right to 1e-5 or so
+ROUNDED = 5e-5  # tolerance below which a certificate is refined: elimination alone is right to 1e-5 or so
 _MOST = 1000  # columns about a rate where resonances are sharp; beyond, solves at all bins are no dearer
 
 
@@ -117,7 +117,7 @@ class Expander:
         cannot. The first columns of the space are solutions that are known: what rounding does is seen on them.
         """
         first = made.reduced.basis.blocks[0][:, : len(self.model.ports)]
-        if at.wary or tolerance < _ROUNDED or (self._store is not None and self._store.get(at.frequency) is not None):
+        if at.wary or tolerance < ROUNDED or (self._store is not None and self._store.get(at.frequency) is not None):
             return None
         chosen = np.linspace(0, first.shape[1] - 1, min(_KNOWN, first.shape[1])).astype(int)
         found = self._ready(at.frequency).by_elimination(at.frequency, first[:, chosen].astype(float))
