@@ -108,7 +108,8 @@ class DirectSolver:
         if products is None:
             return None
         rows, truth = watched(self.model)[0], self.model.functionals.T @ known
-        off = np.abs(products[:count, count:] - truth)[rows].max(axis=0) / np.abs(truth[rows]).max(axis=0)
+        size = np.abs(truth[rows]).max(axis=0)
+        off = np.abs(products[:count, count:] - truth)[rows].max(axis=0) / np.where(size > 0, size, 1.0)
         return np.asarray(products[:count, :count] * self.model.shares), _ROUGHER * float(off.max())
 
     def solve_error(self, solution: Solution) -> float:
