@@ -144,7 +144,7 @@ def _errors(result: SweepResult) -> tuple[ErrorEstimate, ...]:
     rounded = any(c.rounding for c in result.certificates)
     how = "adjoint-weighted residual |x_i . r_j| of the solves used"
     if rounded:
-        how = f"the larger of {how}, and four times what a certificate's elimination makes of known solutions"
+        how = f"the larger of {how}, and eight times what a certificate's elimination makes of known solutions"
     solve = ErrorEstimate("linear solve", result.solve_error, how)
     if not result.certificates:
         return (solve,)

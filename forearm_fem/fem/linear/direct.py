@@ -20,7 +20,7 @@ from .taylor import TaylorRecursion
 
 _log = logging.getLogger("forearm_fem.fem")
 ENOUGH = 1e-7  # relative residual: its error in G is stated as that of the linear solve
-_ROUGHER = 4.0  # what G may be off by, in what known solutions are: they are no waves of that frequency
+_ROUGHER = 8.0  # what G may be off by, in what known solutions are: they are no waves of that frequency
 
 
 @dataclass(frozen=True)
