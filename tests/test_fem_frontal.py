@@ -17,7 +17,7 @@ from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.linear.factor import CautiousFactor, make_factor, refined_solve
 from forearm_fem.fem.linear.multifrontal import blas, panels
 from forearm_fem.fem.linear.multifrontal.elimination import passing_store
-from forearm_fem.fem.linear.multifrontal.factor import MultifrontalFactor, panel_entries, scales
+from forearm_fem.fem.linear.multifrontal.factor import MultifrontalFactor, scales
 from forearm_fem.fem.linear.multifrontal.parts import divided
 from forearm_fem.fem.linear.multifrontal.supernodes import symbolic_factor
 from forearm_fem.fem.linear.ordering import nested_dissection
@@ -233,7 +233,7 @@ def test_any_number_of_threads_gives_the_same(model, upper, factor, threads, mon
     products = other.products(upper.data, right)
     assert np.abs(products - right.T @ one).max() < 1e-3 * np.abs(products).max()
     room = passing_store(other.symbolic, other._parts, np.complex64)
-    assert room.panels.size < 0.5 * panel_entries(other.symbolic).sum()
+    assert room.panels.size < 0.5 * other.symbolic.panel_entries.sum()
 
 
 def test_scales_leave_a_diagonal_of_one_and_couplings_of_a_third(model, upper):

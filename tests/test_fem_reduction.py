@@ -113,7 +113,7 @@ def test_elimination_alone_certifies_as_refined_solves_do(model, start, monkeypa
     block = np.ix_([0], [1, 2, 3], [0])
     found = result.reduced.compliance(np.array([stated.frequency]))
     true = relative_error(found[block], exact[block])[0]
-    assert abs(stated.error - true) < stated.rounding
+    assert abs(stated.error - true) < stated.rounding  # a fifth of it here; single precision leaves 1e-6 or so
     assert true < stated.bound <= result.reduction_error
     monkeypatch.setattr(Expander, "compared", lambda *_: None)
     refined = reduced_sweep(model, BAND, options, tolerance=1e-3)

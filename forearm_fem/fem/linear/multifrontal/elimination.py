@@ -24,8 +24,7 @@ from .tree import Entries
 
 def passing_store(symbolic: Symbolic, parts: Parts, number: type[np.complex64] | type[np.float32]) -> FrontStore:
     """Room for the largest panel of each part, where all its fronts begin, and for the inverted blocks of all."""
-    panels = np.asarray(symbolic.columns * (symbolic.columns + symbolic.remaining))
-    start, end = np.zeros(len(panels), np.int64), 0
+    panels, start, end = symbolic.panel_entries, np.zeros(len(symbolic.parent), np.int64), 0
     for part in (*parts.subtrees, parts.top):
         start[part.supernodes] = end
         end += int(panels[part.supernodes].max(initial=0))

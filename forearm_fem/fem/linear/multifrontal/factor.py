@@ -143,7 +143,7 @@ class MultifrontalFactor:
     @property
     def entries(self) -> int:
         """Entries of the factors as they are stored, a supernode's own square included."""
-        return int(panel_entries(self.symbolic).sum())
+        return int(self.symbolic.panel_entries.sum())
 
     def _by_rows(self, work: Callable[[int, int], None]) -> None:
         """``work`` on ranges of rows, one for each thread where there are enough."""
@@ -157,18 +157,13 @@ class MultifrontalFactor:
 
 def _front_store(symbolic: Symbolic, number: type[np.complex64] | type[np.float32]) -> FrontStore:
     """Room for the factors, which is kept between factorisations in such numbers."""
-    panels, blocks = panel_entries(symbolic), block_entries(symbolic.columns)
+    panels, blocks = symbolic.panel_entries, block_entries(symbolic.columns)
     return FrontStore(
         np.empty(panels.sum(), number),
         np.concatenate([[0], np.cumsum(panels)]),
         np.empty(blocks.sum(), number),
         np.concatenate([[0], np.cumsum(blocks)]),
     )
-
-
-def panel_entries(symbolic: Symbolic) -> IntArray:
-    """Entries (n_supernode,) of each supernode's panel."""
-    return np.asarray(symbolic.columns * (symbolic.columns + symbolic.remaining))
 
 
 def _scratch(symbolic: Symbolic, part: ThreadPart, number: type[np.complex64] | type[np.float32]) -> Scratch:

@@ -58,6 +58,11 @@ class Symbolic:
         return np.diff(self.fronts.below)
 
     @property
+    def panel_entries(self) -> IntArray:
+        """Entries (n_supernode,) of each supernode's panel."""
+        return np.asarray(self.columns * (self.columns + self.remaining))
+
+    @property
     def arithmetic(self) -> FloatArray:
         """Real operations (n_supernode,) of each front, multiplication and addition counted apart."""
         k, m = self.columns.astype(float), self.remaining.astype(float)
