@@ -51,6 +51,12 @@ def test_an_override_of_several_lines_is_no_value() -> None:
         parse_overridden("device.spacing=0.04\ndevice.rows=9")
 
 
+@pytest.mark.parametrize("text", [".04", "4.e-2", "+.04", "0.04"])
+def test_a_number_is_read_as_people_write_it(text: str) -> None:
+    """TOML has no .04; "input should be a valid number, got '.04'" was no help."""
+    assert parse_overridden(f"device.spacing={text}").device.spacing == 0.04
+
+
 def parse_overridden(item: str) -> Scenario:
     return parse_scenario(apply_overrides({}, [item]))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
@@ -99,6 +101,26 @@ def test_certificate_is_a_true_error(model):
     assert relative_error(found[block], exact[block])[0] == pytest.approx(stated.error, rel=1e-2)
     assert stated.error > 1e-4  # and it says so, rather than stopping silently
     assert len(result.expansions) == 2
+
+
+def test_what_a_model_does_not_reproduce_is_stated(model, monkeypatch):
+    """Extended by a solution that never reaches it, as pressures of incompressible tissue did not: it is no better
+    there, and another certificate elsewhere must not hide that."""
+    few = SolverOptions(start="frequencies", expansions=3, derivatives=3, max_expansions=8)
+    extended = Expander.extended
+
+    def lost(self, made, frequency, start=None):
+        better = extended(self, made, frequency, start)
+        return better if start is None else replace(better, reduced=made.reduced)
+
+    whole = reduced_sweep(model, BAND, few, tolerance=2e-5)
+    assert len(whole.certificates) > 1
+    assert whole.certificates[-1].elsewhere < 1e-6  # a projection has its own; columns are single
+    monkeypatch.setattr(Expander, "extended", lost)
+    broken = reduced_sweep(model, BAND, few, tolerance=2e-5)
+    first, second = broken.certificates  # more expansions would not mend it
+    assert second.elsewhere == pytest.approx(first.error, rel=1e-9)  # the same model and truth
+    assert second.error < first.error <= broken.reduction_error
 
 
 @needs_multifrontal

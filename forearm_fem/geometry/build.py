@@ -179,7 +179,7 @@ def _nested_mesh(
 
 
 def _tube_mesh(tube: Tube, size: SizeField, progress: Progress | None, *, keep_bone: bool, seed: int) -> TissueMesh:
-    tell(progress, "meshing the core (half a minute)", 0, 0)
+    tell(progress, "meshing the core", 0, 0)
     field = SpaceField.on(size, lambda xy: _core_surface(tube, xy))
     return limb_mesh(tube, field, size.sizes, size.layout, elastic_bones=keep_bone, seed=seed)
 

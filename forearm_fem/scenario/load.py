@@ -50,7 +50,7 @@ def scenario_schema() -> str:
 
 
 def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """A copy of ``data`` with each ``key.path=value`` put in place; values are TOML, else plain strings."""
+    """A copy of ``data`` with each ``key.path=value`` put in place; values are TOML, ".01", or plain strings."""
     result: dict[str, Any] = _copied(data)
     for item in overrides:
         key, separator, text = item.partition("=")
@@ -80,6 +80,8 @@ def _put(data: dict[str, Any], path: list[str], value: Any, item: str) -> None:
 
 
 def _toml_value(text: str) -> Any:
+    if re.fullmatch(r"[+-]?(\d+\.|\.\d+)(e[+-]?\d+)?", text.lower()):  # ".01" and "1.", which TOML has not
+        return float(text)
     try:
         read = tomllib.loads(f"value = {text}")
         return read["value"] if len(read) == 1 else text

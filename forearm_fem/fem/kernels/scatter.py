@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from ...typing import FloatArray, IntArray
+from .sorting import sort_in_place
 
 
 class Pattern(NamedTuple):
@@ -45,7 +46,7 @@ def pattern(rows: IntArray, columns: IntArray, n_rows: int, n_columns: int) -> P
                     seen[c] = r
                     indices[k] = c
                     k += 1
-        indices[indptr[r] : k].sort()
+        sort_in_place(indices[indptr[r] : k])
         for k in range(indptr[r], indptr[r + 1]):
             where[indices[k]] = k
         for q in range(start[r], start[r + 1]):
@@ -171,18 +172,17 @@ def _combine(total: FloatArray, weights: FloatArray, parts: FloatArray) -> None:
 @njit(cache=True, nogil=True)
 def _shear_weights(inverse: FloatArray, volume: float) -> FloatArray:
     """Of the products of gradients (9, ab) in the block's entries (9, ij); see ``tissues.shear_blocks``."""
-    metric = np.empty((3, 3, 9))
-    for i in range(3):
-        for j in range(3):
-            for a in range(3):
-                for b in range(3):
-                    metric[i, j, 3 * a + b] = volume * inverse[a, i] * inverse[b, j]
-    trace = metric[0, 0] + metric[1, 1] + metric[2, 2]
     weights = np.empty((9, 9))
-    for i in range(3):
-        for j in range(3):
-            weights[3 * i + j] = metric[j, i] - (2 / 3) * metric[i, j]
-        weights[4 * i] += trace
+    for a in range(3):
+        for b in range(3):
+            trace = 0.0
+            for i in range(3):
+                trace += inverse[a, i] * inverse[b, i]
+                for j in range(3):
+                    product = inverse[a, j] * inverse[b, i] - (2 / 3) * inverse[a, i] * inverse[b, j]
+                    weights[3 * i + j, 3 * a + b] = volume * product
+            for i in range(3):
+                weights[4 * i, 3 * a + b] += volume * trace
     return weights
 
 

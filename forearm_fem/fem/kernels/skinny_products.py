@@ -25,7 +25,7 @@ def add_inner(block: FloatArray, columns: FloatArray, total: FloatArray) -> None
     part = np.zeros((_ROWS, total.shape[1]))
     for begin in range(0, len(block), _ROWS):
         count = min(_ROWS, len(block) - begin)
-        part[:count, : columns.shape[1]] = columns[begin : begin + count]
+        _copy(columns[begin : begin + count], part)
         _add_product(block[begin : begin + count].T, part, total)
 
 
@@ -35,9 +35,17 @@ def add_combination(block: FloatArray, known: FloatArray, total: FloatArray) -> 
     part = np.zeros((_ROWS, known.shape[1]))
     for begin in range(0, len(block), _ROWS):
         count = min(_ROWS, len(block) - begin)
-        part[:count, : total.shape[1]] = total[begin : begin + count]
+        _copy(total[begin : begin + count], part)
         _add_product(block[begin : begin + count], known, part)
-        total[begin : begin + count] = part[:count, : total.shape[1]]
+        _copy(part[:count, : total.shape[1]], total[begin : begin + count])
+
+
+@njit(cache=True, nogil=True)
+def _copy(source: FloatArray, to: FloatArray) -> None:
+    """Put ``source`` into the corner of ``to``; written out, as slices of arrays take numba seconds more to compile."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            to[i, j] = source[i, j]
 
 
 @njit(cache=True, nogil=True)

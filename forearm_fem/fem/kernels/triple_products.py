@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from ...typing import ComplexArray, FloatArray, IntArray
+from .sorting import sort_in_place
 
 
 class Sparse(NamedTuple):
@@ -71,25 +72,17 @@ def sorted_upper(indptr: IntArray, indices: IntArray, data: FloatArray) -> tuple
         for p in range(indptr[i], indptr[i + 1]):
             start[i + 1] += indices[p] >= i
     start = np.cumsum(start)
-    columns, values = np.empty(start[n], np.int32), np.empty(start[n])
+    columns, values, row = np.empty(start[n], np.int32), np.empty(start[n]), np.empty(n)
     for i in range(n):
         k = start[i]
         for p in range(indptr[i], indptr[i + 1]):
             if indices[p] >= i:
-                columns[k], values[k] = indices[p], data[p]
+                columns[k], row[indices[p]] = indices[p], data[p]
                 k += 1
-        _sort_pairs(columns[start[i] : k], values[start[i] : k])
+        sort_in_place(columns[start[i] : k])
+        for p in range(start[i], k):
+            values[p] = row[columns[p]]
     return start, columns, values
-
-
-@njit(cache=True, nogil=True)
-def _sort_pairs(keys: IntArray, values: FloatArray) -> None:
-    """Sort both by the keys where they lie, if they are not sorted yet."""
-    for k in range(1, len(keys)):
-        if keys[k] < keys[k - 1]:
-            order = np.argsort(keys)
-            keys[:], values[:] = keys[order], values[order]
-            return
 
 
 @njit(cache=True, nogil=True)

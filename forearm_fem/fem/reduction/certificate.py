@@ -27,7 +27,9 @@ class Certificate:
     over the band; ``frequency`` is where the model was doubted most (:func:`doubt`). Where resonances are sharp
     ``change`` is a bound of the error at every bin instead (:mod:`.bounds`), largest at ``frequency``. ``wary`` says
     that resonances are sharp, or that the change is, or was before, too large for one true error to speak for the band.
-    ``rounding`` is what may be wrong with the direct solution itself, where it is not refined.
+    ``rounding`` is what may be wrong with the direct solution itself, where it is not refined. ``elsewhere`` is the
+    largest error at frequencies that were compared before: the model was extended by these solutions and should
+    reproduce them; where it does not, as with pressures of incompressible tissue, it is no better between them.
     """
 
     frequency: float
@@ -36,11 +38,13 @@ class Certificate:
     expansions: int = 0
     wary: bool = False
     rounding: float = 0.0
+    elsewhere: float = 0.0
 
     @property
     def bound(self) -> float:
         """The error and the rounding; the change, too, where one true error cannot speak for the band."""
-        return max(self.error, self.change) if self.wary else self.error + self.rounding
+        here = max(self.error, self.change) if self.wary else self.error + self.rounding
+        return max(here, self.elsewhere)
 
 
 @dataclass(frozen=True)
@@ -104,7 +108,11 @@ def probe_frequencies(frequency: FloatArray, known: Sequence[float]) -> FloatArr
 
 def certified(reduced: ReducedModel, model: ForearmModel, truth: ComplexArray, at: Doubt, used: int) -> Certificate:
     """Error at the watched ports against a direct solution's compliance (n_port, n_port) [m/N]."""
+    return Certificate(at.frequency, error_at(reduced, model, at.frequency, truth), at.change, used, at.wary)
+
+
+def error_at(reduced: ReducedModel, model: ForearmModel, frequency: float, truth: ComplexArray) -> float:
+    """Of the reduced compliance at the watched ports, relative to the largest entry of the ``truth`` there."""
     block = np.ix_([0], *watched(model))
-    estimate = reduced.compliance(np.array([at.frequency]))
-    error = float(relative_error(estimate[block], truth[None][block])[0])
-    return Certificate(at.frequency, error, at.change, used, at.wary)
+    estimate = reduced.compliance(np.array([frequency]))
+    return float(relative_error(estimate[block], truth[None][block])[0])

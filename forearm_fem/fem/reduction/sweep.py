@@ -14,7 +14,7 @@ from ...transfer import relative_error
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
 from ..linear.direct import ENOUGH, make_solver, watched
-from .certificate import Certificate, certified, probe_frequencies
+from .certificate import Certificate, certified, error_at, probe_frequencies
 from .expansion import Expander, Made, Snapshots, expansion_frequencies, starts_from_rate
 from .poles import Modes, compressed, pole_residue
 from .reduced_model import ReducedModel
@@ -158,23 +158,28 @@ def _certified(
     tolerance: float,
     progress: Progress | None,
 ) -> Made:
-    """``begun`` with certificates, and with further expansions until these are good enough or no more are allowed."""
-    made = begun
+    """``begun`` with certificates, and with further expansions until these are good enough or no more are allowed.
+
+    Nor are there more where the model does not reproduce what it was extended by: another would not mend that.
+    """
+    made, truths = begun, dict[float, ComplexArray]()
     while True:
         used = [e.frequency for e in made.expansions]
         worst = work.most_doubtful(made, frequency)
         if worst is None:
             return made
         tell(progress, "certificates", len(made.certificates), len(made.certificates) + 1)
+        elsewhere = max((error_at(made.reduced, work.model, f, c) for f, c in truths.items()), default=0.0)
         if (found := work.compared(made, worst, tolerance)) is not None:
-            return made.with_certificate(found)
+            return made.with_certificate(replace(found, elsewhere=elsewhere))
         truth = work.direct(worst.frequency)
         compliance = np.asarray((work.model.functionals.T @ truth.series[0]) * work.model.shares)
-        found = certified(made.reduced, work.model, compliance, worst, len(used))
+        found = replace(certified(made.reduced, work.model, compliance, worst, len(used)), elsewhere=elsewhere)
         made = made.with_certificate(found).after(truth)
         tell(progress, "certificates", len(made.certificates), len(made.certificates))
-        if found.bound <= tolerance or len(used) >= options.max_expansions:
+        if found.bound <= tolerance or elsewhere > tolerance or len(used) >= options.max_expansions:
             return made
+        truths[worst.frequency] = compliance
         made = work.extended(made, worst.frequency, truth)
 
 

@@ -98,14 +98,18 @@ def backward(
         first, size, panel = fronts.first[s], k + m, store.panels.ctypes.data + bytes_ * store.start[s]
         own = x.ctypes.data + row * first + skipped
         for i in range(m):
-            local.below[i, some[0] : some[1]] = x[fronts.rows[fronts.below[s] + i], some[0] : some[1]]
+            above = fronts.rows[fronts.below[s] + i]
+            for c in range(some[0], some[1]):  # written out: slices of arrays take numba seconds more to compile
+                local.below[i, c] = x[above, c]
         inverse = store.inverses.ctypes.data + bytes_ * store.block[s + 1]
         for j in range((k - 1) // BLOCK * BLOCK, -1, -BLOCK):
             e, column = min(j + BLOCK, k), panel + bytes_ * j * size
             pivots, target = e - j, own + row * j
             inverse -= bytes_ * pivots * pivots
-            local.block[:pivots, some[0] : some[1]] = -x[first + j : first + e, some[0] : some[1]]
-            x[first + j : first + e, some[0] : some[1]] = 0
+            for i in range(pivots):
+                for c in range(some[0], some[1]):
+                    local.block[i, c] = -x[first + j + i, c]
+                    x[first + j + i, c] = 0
             left = column + bytes_ * e
             subtract_panel(bytes_, pivots, pivots, inverse, bytes_ * pivots, block, target, row, width)
             subtract_panel_transposed(bytes_, k - e, pivots, left, bytes_ * size, own + row * e, target, row, width)
