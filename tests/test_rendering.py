@@ -371,8 +371,8 @@ def test_settled_renderers_aim_as_they_did(short, zeros):
     """At another G of the same ports, too: places alone were asked."""
     g, other = (waves(np.arange(10.0, 500.1, 5.0), gains=gains) for gains in ((1, 1, 1, 1), (1, 0.5, 1.2, 0.9)))
     methods = METHODS if zeros is None else tuple(m.with_zeros(zeros) for m in (METHODS[0], METHODS[2]))
-    for before, after in zip(methods, settled(methods, place(g, short.record), "56"), strict=True):
-        for target in "56":
+    for before, after in zip(methods, settled(methods, place(g, short.record), "51"), strict=True):
+        for target in "51":  # a corner has zero points of its own
             one, two = (drives(m, other, target, short) for m in (before, after))
             assert one.zeros == two.zeros
             assert np.array_equal(one.spectrum, two.spectrum)
