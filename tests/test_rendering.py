@@ -29,6 +29,7 @@ from forearm_fem.rendering import (
     scaled,
     strengths,
 )
+from forearm_fem.rendering.sharing import settled
 from forearm_fem.transfer import TransferMatrix
 
 BAND = np.arange(20, 1001) * 0.5  # the 981 bins of the thesis' record between 10 and 500 Hz
@@ -316,3 +317,62 @@ def test_strengths_can_replay_drives_made_for_another_g(coarse, short):
     anew = strengths(other, ["5"], METHODS, short)
     assert np.allclose(same, strengths(coarse, ["5"], METHODS, short), rtol=1e-12)
     assert np.abs(replayed[0] - anew[0]) > 1e-3  # a wrong calibration shows
+
+
+# ---------------------------------------------------------------- what aims share
+
+
+def wide_array(n):
+    """Six or nine actuators around the grid, none on one of its points, where waves are infinite."""
+    across = (-1, 0, 1) if n == 9 else (-1, 1)
+    places = [(x * 0.0225 + 0.001, y * 0.0225 + 0.002) for x in across for y in (-1, 0, 1)]
+    return tuple(Port(f"A{i + 1}", "contact", (x, y, 0.0)) for i, (x, y) in enumerate(places))
+
+
+@pytest.mark.parametrize(
+    ("actuators_", "sets"),
+    [(actuators(), 5), (wide_array(6), 1), (wide_array(9), 1)],
+    ids=["four", "six", "nine"],
+)
+def test_control_points_are_decomposed_once_for_all_targets_and_methods(short, monkeypatch, actuators_, sets):
+    """Corners have the middle's control points, edges their own; beyond four actuators all points are."""
+    g = waves(np.arange(10.0, 500.1, 5.0), actuators_, gains=np.linspace(0.8, 1.2, len(actuators_)))
+    done, svd = [], np.linalg.svd
+    monkeypatch.setattr(np.linalg, "svd", lambda matrix, **options: done.append(1) or svd(matrix, **options))
+    found = strengths(g, "123456789", METHODS, short)
+    assert len(done) == sets
+    alone = [
+        [signal_strength(displacements(g, drives(m, g, t, short)).values, i, time=short.time, window=short.window)
+         for i, t in enumerate("123456789")] for m in METHODS
+    ]  # fmt: skip
+    assert len(done) == sets + 18  # each aim of its own decomposes anew
+    assert np.array_equal(found, alone)
+
+
+def test_all_targets_at_once_aim_as_least_squares_does_one_by_one(short):
+    """numpy's least squares with the damping as rows of its own, target by target: nothing is shared there."""
+    g = waves(np.arange(10.0, 500.1, 5.0), wide_array(6), gains=np.ones(6))
+    everything = render_all(g, "123456789", METHODS, short)
+    for t, target in enumerate("123456789"):
+        sent = everything["inverse filter", target].drives
+        for i, f in list(enumerate(g.frequency))[::9]:
+            h = g.values[i]
+            damping = 0.02 * np.abs(h).max() * np.sqrt(9)
+            stacked = np.vstack([h, damping * np.eye(6)])
+            wanted = np.zeros(15, dtype=complex)
+            wanted[t] = 1e-6 * short.spectrum[round(f * 0.2)]
+            oracle = np.linalg.lstsq(stacked, wanted, rcond=None)[0]
+            # rounding: the damping keeps the condition below sqrt(6) / 0.02, |H| being sqrt(54) max|H| at most
+            assert np.linalg.norm(sent.spectrum[i] - oracle) < 1e-13 * np.linalg.norm(oracle)
+
+
+@pytest.mark.parametrize("zeros", [None, ("2", "8"), SearchedZeros(2)])
+def test_settled_renderers_aim_as_they_did(short, zeros):
+    """At another G of the same ports, too: places alone were asked."""
+    g, other = (waves(np.arange(10.0, 500.1, 5.0), gains=gains) for gains in ((1, 1, 1, 1), (1, 0.5, 1.2, 0.9)))
+    methods = METHODS if zeros is None else tuple(m.with_zeros(zeros) for m in (METHODS[0], METHODS[2]))
+    for before, after in zip(methods, settled(methods, place(g, short.record), "51"), strict=True):
+        for target in "51":  # a corner has zero points of its own
+            one, two = (drives(m, other, target, short) for m in (before, after))
+            assert one.zeros == two.zeros
+            assert np.array_equal(one.spectrum, two.spectrum)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import AccuracyWarning, DataError, ForearmError
 from ..rendering import Renderer, Wavelet, Window, bridged, drives, place, ricker, strengths, thesis_renderers
+from ..rendering.sharing import prepared
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .common import CommonGround
@@ -66,8 +67,8 @@ def cross_play(
     window = own.window if own else window
     named = own.targets if own and targets is None else targets
     aims = tuple(named) if named is not None else tuple(p.name for p in ground.outputs)
-    placed = [place(g, shape.record) for g in (a, b)]
-    for_a, for_b = ([[drives(m, p, t, shape) for t in aims] for m in chosen] for p in placed)
+    ready = [prepared(place(g, shape.record), chosen, aims) for g in (a, b)]
+    for_a, for_b = ([[drives(m, p, t, shape) for t in aims] for m in methods] for p, methods in ready)
     return CrossPlay(
         tuple(m.name for m in chosen),
         aims,

@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 from ..errors import SolverError
 from ..fem.assembly.coefficients import Polynomial, is_polynomial
 from ..fem.assembly.model import ForearmModel
+from ..fem.kernels.heap import freed_memory_kept
 from ..fem.linear.direct import make_solver
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.expansion import expansion_rate
@@ -24,7 +25,6 @@ from ..fem.reduction.reduced_model import ReducedModel, empty_model, with_column
 from ..geometry.cache import cached_mesh, default_cache_dir
 from ..pipeline.fem_engine import fem_model
 from ..pipeline.frequencies import frequencies
-from ..pipeline.malloc import freed_memory_kept
 from ..progress import Progress, tell, within
 from ..scenario import Scenario
 from ..typing import FloatArray, IntArray

@@ -16,6 +16,7 @@ from scipy.stats import qmc
 from .. import __version__
 from ..errors import DataError, ReductionError, ScenarioError
 from ..fem.assembly.terms import term_coefficient
+from ..fem.kernels.heap import freed_memory_kept
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.growing import TrialSolve
 from ..fem.reduction.quick import quick_compliance
@@ -34,7 +35,6 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import fem_model
 from .frequencies import frequencies
-from .malloc import freed_memory_kept
 from .skin_model import check_followable, with_scenario
 from .solved import solve_key
 

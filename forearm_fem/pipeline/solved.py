@@ -18,6 +18,7 @@ from scipy.sparse import csr_array, eye_array, kron, vstack
 from .. import __version__
 from ..errors import DataError, ForearmError
 from ..fem.assembly.loads import edge_middles
+from ..fem.kernels.heap import freed_memory_kept
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.expansion import Expansion
 from ..fem.reduction.rate_space import Chunk, Pairs
@@ -35,7 +36,6 @@ from ..scenario.limb import SlabLimb
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
-from .malloc import freed_memory_kept
 from .second_mesh import second_mesh
 from .skin_model import SkinModel, load_skin_model, save_skin_model
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..metrics import perturbed, signal_strength
-from ..rendering import FixedZeros, Rendering, SearchedZeros, Wavelet, Window, strengths
+from ..rendering import FixedZeros, Rendering, SearchedZeros, Wavelet, Window, place, strengths
 from ..rendering.drives import Renderer
+from ..rendering.sharing import settled
 from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at, total_error
 from ..typing import FloatArray
 
@@ -162,6 +163,7 @@ def interval(
     whole = random is not None
     g, shape = (transfer, wavelet) if whole else _shorter(transfer, wavelet, span)
     sources = tuple(at_least_band(e, g.frequency) if e.source == "discretisation" else e for e in errors)
+    methods = settled(methods, place(g, shape.record), targets)
     base = strengths(g, targets, methods, shape, window=window)
     rng = np.random.default_rng(_SEED)
     square, fall = np.zeros(base.shape), np.zeros(base.shape)

@@ -19,6 +19,7 @@ from ..pipeline.strengths import interval
 from ..ports import Port
 from ..rendering import Drives, Placed, Wavelet, displacements, drives, place, window_of
 from ..rendering.drives import Renderer
+from ..rendering.sharing import prepared
 from ..scenario import Scenario
 from ..tissue import resolve_tissues
 from ..transfer import TransferMatrix, finite, total_error
@@ -113,9 +114,10 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
 def strengths_of(setup: Setup, true: TransferMatrix, calibrated: TransferMatrix) -> FloatArray:
     """S (n_reading, n_method, n_target) of drives designed on ``calibrated``, there and on the ``true`` G."""
     window = window_of(setup.scenario.rendering.window, setup.shape)
-    placed = place(calibrated, setup.shape.record), place(true, setup.shape.record)
-    out = np.empty((len(READINGS), len(setup.methods), len(setup.targets)))
-    for m, method in enumerate(setup.methods):
+    ready, methods = prepared(place(calibrated, setup.shape.record), setup.methods, setup.targets)
+    placed = ready, place(true, setup.shape.record)
+    out = np.empty((len(READINGS), len(methods), len(setup.targets)))
+    for m, method in enumerate(methods):
         for t, target in enumerate(setup.targets):
             sent = drives(method, placed[0], target, setup.shape)
             for g, where in enumerate(placed):

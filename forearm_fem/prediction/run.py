@@ -20,6 +20,7 @@ from .. import __version__
 from ..campaign.executor import LIGHT, SHARE, cluster, completed, in_turn
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ForearmError, ScenarioError
+from ..fem.kernels.heap import freed_memory_kept
 from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import unsuited
 from ..pipeline.simulation import account_of, render_transfer, simulate
@@ -246,7 +247,8 @@ def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outco
     """Draw ``number``; an arm that cannot be is data, not an error."""
     draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
     try:
-        return outcome_of(draw, setup, arm)
+        with freed_memory_kept():
+            return outcome_of(draw, setup, arm)
     except ForearmError as problem:
         shape = (len(READINGS), len(setup.methods), len(setup.targets))
         return Outcome(number, draw.law, np.full(shape, np.nan), problem=str(problem))

@@ -19,6 +19,7 @@ from .drives import Displacements, Drives, Renderer, displacements, drives
 from .funneling import Funneling
 from .inverse_filter import InverseFilter
 from .limits import DriveReport, Limits, beyond_limits, check
+from .sharing import prepared
 from .spectrum import place
 from .wavelet import Wavelet, Window, ricker, window_of
 
@@ -112,7 +113,7 @@ def render_all(
         if len(set(given)) != len(given):
             raise ScenarioError(f"a {what} is given twice: {', '.join(given)}; give each its own name")
     seconds, holes = window_of(window, wavelet), bridged(transfer)
-    placed = place(holes.transfer, wavelet.record)
+    placed = prepared(place(holes.transfer, wavelet.record), methods, targets)[0]
     results: dict[tuple[str, str], Rendered] = {}
     for method in methods:
         for target in targets:
@@ -148,6 +149,8 @@ def strengths(
     """
     seconds = window_of(window, wavelet)
     placed = place(transfer, wavelet.record)
+    if fixed is None:
+        placed, methods = prepared(placed, methods, targets)
     out = np.empty((len(methods), len(targets)))
     for m, method in enumerate(methods):
         for t, target in enumerate(targets):

@@ -113,7 +113,7 @@ def drives(renderer: Renderer, transfer: TransferMatrix | Placed, target: str, w
     placed = _placed(transfer, wavelet.record)
     spectrum = wavelet.spectrum
     aim = renderer.aim(placed, target, spectrum[placed.bins.index])
-    energy = wavelet.record.weights * np.abs(spectrum) ** 2
+    energy = wavelet.energy
     return Drives(
         method=renderer.name,
         target=target,
@@ -156,6 +156,8 @@ def displacements(transfer: TransferMatrix | Placed, drives: Drives) -> Displace
 def _shared_bins(placed: Placed, drives: Drives) -> tuple[ComplexArray, float]:
     """Drive spectra on G's bins, and the drive's energy on other bins."""
     own = np.rint(drives.frequency / drives.record.df).astype(int)
+    if np.array_equal(placed.bins.index, own):
+        return drives.spectrum, 0.0
     _, here, there = np.intersect1d(placed.bins.index, own, return_indices=True)
     spectrum = np.zeros((len(placed.bins.index), len(drives.inputs)), dtype=complex)
     spectrum[here] = drives.spectrum[there]
@@ -164,6 +166,9 @@ def _shared_bins(placed: Placed, drives: Drives) -> tuple[ComplexArray, float]:
 
 
 def _unanswered(placed: Placed, spectrum: ComplexArray, outside: float) -> FloatArray:
+    """Share (n_out,) of the drive's energy on bins where G to an output is unknown or that G has not."""
+    if outside == 0 and placed.bins.valid.all():
+        return np.zeros(len(placed.outputs))
     energy = np.abs(spectrum) ** 2
     missing = (~placed.bins.valid & (energy[:, None, :] > 0)).any(axis=2)
     total = energy.sum() + outside

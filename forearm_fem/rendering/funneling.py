@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from .drives import Aim
 from .lattice import SLACK, lattice_of
 from .spectrum import Placed
 from .triangles import line_through, nearest_distance, triangle_weights
+
+Weights = Mapping[str, FloatArray]  # A_q / A (n_in,) by target
 
 
 def funneling_weights(inputs: tuple[Port, ...], target: Port) -> FloatArray:
@@ -72,20 +75,34 @@ class Funneling:
     """Funneling renderer, eq. 5, 6 and 8 of de Vlam 2022: s_q(t) = A_q w(t).
 
     ``amplitude`` [V, or G's drive unit] is A. The drive is cut to the bins where the target's row of G is known, as in
-    the other renderers, so that their displacements compare; an actuator never measured there stays silent.
+    the other renderers, so that their displacements compare; an actuator never measured there stays silent. ``weights``
+    are A_q / A by target where they were found before (:meth:`settled`).
     """
 
     amplitude: float = 1.0
+    weights: Weights | None = field(default=None, repr=False, compare=False)
     name: str = "funneling"
 
     def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
         """Drive spectra towards output ``target``; ``wavelet`` (n_bins,) [1/Hz]."""
         row = placed.row(target)
-        weights = funneling_weights(placed.inputs, placed.outputs[row])
+        found = (self.weights or {}).get(target)
+        weights = funneling_weights(placed.inputs, placed.outputs[row]) if found is None else found
         used = known_bins(placed, [row])
         weights = np.where(absent_inputs(placed, [row]), 0, weights)
         spectrum = self.amplitude * weights * np.where(used, wavelet, 0)[:, None]
         return Aim(np.asarray(spectrum, dtype=complex), used)
+
+    def settled(self, placed: Placed, targets: Sequence[str]) -> Funneling:
+        """The same renderer with the weights of ``targets``, for any G of the same ports."""
+        return replace(self, weights=settled_weights(self.weights, placed, targets))
+
+
+def settled_weights(weights: Weights | None, placed: Placed, targets: Sequence[str]) -> Weights:
+    """Weights of ``targets`` that are not among ``weights`` yet, and those; raises as :func:`funneling_weights`."""
+    known = weights or {}
+    found = {t: funneling_weights(placed.inputs, placed.outputs[placed.row(t)]) for t in targets if t not in known}
+    return {**known, **found}
 
 
 def known_bins(placed: Placed, rows: list[int]) -> BoolArray:

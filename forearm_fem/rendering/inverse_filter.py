@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..typing import ComplexArray
+from .control import Control
 from .drives import Aim
 from .funneling import absent_inputs, known_bins
-from .inversion import Regularisation, invert
+from .inversion import Regularisation, decomposed, least_squares
 from .spectrum import Placed
-from .zeros import AutoZeros, Zeros, chosen_zeros, within_thesis
+from .zeros import AutoZeros, Zeros, chosen_zeros, settled_zeros, within_thesis
 
 LEAST_ERROR = 0.02  # e(f): no G of an arm is known better, and what S gains from less is its own error
 
@@ -43,6 +45,10 @@ class InverseFilter:
         """The same renderer with other zero points."""
         return replace(self, zeros=zeros)
 
+    def settled(self, placed: Placed, targets: Sequence[str]) -> InverseFilter:
+        """The same renderer with its zero points found for ``targets``, as far as places tell."""
+        return replace(self, zeros=settled_zeros(self.zeros, placed, targets))
+
 
 def aim_at(
     placed: Placed, target: str, displacement: ComplexArray, zeros: Zeros, regularisation: Regularisation | float
@@ -66,16 +72,29 @@ def aim_at(
 
 
 def _least_squares(
-    placed: Placed, control: tuple[str, ...], displacement: ComplexArray, regularisation: Regularisation
+    placed: Placed, names: tuple[str, ...], displacement: ComplexArray, regularisation: Regularisation
 ) -> Aim:
-    rows = [placed.row(name) for name in control]
-    used = known_bins(placed, rows)
-    matrix = placed.bins.values[used][:, rows]
-    matrix[:, :, absent_inputs(placed, rows)] = 0
-    wanted = np.zeros(matrix.shape[:2], dtype=complex)
-    wanted[:, 0] = displacement[used]
-    spectrum = np.zeros((len(used), len(placed.inputs)), dtype=complex)
-    spectrum[used], report = invert(
-        matrix, wanted, regularisation, placed.bins.frequency[used], placed.error[used]
+    """Drives for ``displacement`` at the first of ``names`` and none at the others."""
+    control = control_of(placed, names)
+    wanted = np.zeros((int(control.used.sum()), len(control.rows)), dtype=complex)
+    wanted[:, control.rows.index(placed.row(names[0]))] = displacement[control.used]
+    spectrum = np.zeros((len(control.used), len(placed.inputs)), dtype=complex)
+    spectrum[control.used], report = least_squares(
+        control.h, wanted, regularisation, placed.bins.frequency[control.used], placed.error[control.used]
     )
-    return Aim(spectrum, used, control[1:], report)
+    return Aim(spectrum, control.used, names[1:], report)
+
+
+def control_of(placed: Placed, names: Iterable[str]) -> Control:
+    """Control points by name, decomposed here unless ``placed`` has them already.
+
+    Rows are in G's order whoever asks, so that drives are the same to the last bit either way. Raises DataError where G
+    is known on no bin between these points and the inputs.
+    """
+    rows = tuple(sorted({placed.row(name) for name in names}))
+    if rows in placed.controls:
+        return placed.controls[rows]
+    used = known_bins(placed, list(rows))
+    matrix = placed.bins.values[used][:, rows]
+    matrix[:, :, absent_inputs(placed, list(rows))] = 0
+    return Control(rows, used, decomposed(matrix))

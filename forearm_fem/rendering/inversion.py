@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from ..errors import ScenarioError
-from ..typing import ComplexArray, FloatArray
+from ..typing import BoolArray, ComplexArray, FloatArray
 
 RegularisationKind = Literal["rcond", "tikhonov", "discrepancy", "lcurve", "noise"]
 _ROUNDING = 4e-15  # relative to s_max: what an SVD of a few rows leaves of a singular value that is zero
@@ -39,21 +40,67 @@ class Regularisation:
 
 
 @dataclass(frozen=True, eq=False)
-class Inversion:
-    """What the inversion met at each of its bins.
+class Decomposed:
+    """A ``matrix`` H (n, c, q) per frequency with what its inverses are made of, worked out once for whatever is asked
+    of H (:func:`decomposed`).
 
-    ``frequency`` (n,) [Hz]; ``singular_values`` (n, k) of H, descending; ``condition`` (n,) = s_max / s_min (inf if
-    singular to rounding); ``rank`` (n,) effective rank, the sum of the filter factors; ``parameter`` (n,) the cut
-    (rcond) or lambda in G's unit; ``misfit`` (n,) |H S - U| / |U|, the part of the target and zeros that cannot be had.
+    H = U diag(s) V^H, k = min(c, q): ``s`` (n, k) descending, ``inward`` U^H (n, k, c), ``outward`` V (n, q, k).
+    ``largest`` (n,) is max |H|, ``driven`` (n, q) says which actuators move anything.
     """
 
+    matrix: ComplexArray
+    s: FloatArray
+    inward: ComplexArray
+    outward: ComplexArray
+    largest: FloatArray
+    driven: BoolArray
+
+
+def decomposed(matrix: ComplexArray) -> Decomposed:
+    """``matrix`` (n, c, q) with its singular value decomposition; entries must be finite."""
+    left, s, right = np.linalg.svd(matrix, full_matrices=False)
+    inward, outward = (np.ascontiguousarray(part.conj().swapaxes(1, 2)) for part in (left, right))
+    return Decomposed(matrix, s, inward, outward, np.abs(matrix).max(axis=(1, 2)), np.asarray(matrix.any(axis=1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Inversion:
+    """What the inversion of ``h`` met at each of its bins, by what it was ``wanted`` (n, c) to do, the ``drive`` (n, q)
+    that came out and the ``weights`` (n, k) of its singular vectors; worked out where it is asked for.
+
+    ``frequency`` (n,) [Hz]; ``parameter`` (n,) the cut (rcond) or lambda in G's unit.
+    """
+
+    h: Decomposed
+    wanted: ComplexArray
+    drive: ComplexArray
+    weights: FloatArray
     frequency: FloatArray
-    singular_values: FloatArray
-    condition: FloatArray
-    rank: FloatArray
     parameter: FloatArray
-    misfit: FloatArray
     regularisation: Regularisation
+
+    @property
+    def singular_values(self) -> FloatArray:
+        """Of H (n, k), descending."""
+        return self.h.s
+
+    @cached_property
+    def condition(self) -> FloatArray:
+        """s_max / s_min (n,), inf if singular to rounding."""
+        large, small = self.h.s[:, 0], self.h.s[:, -1]
+        regular = small > _ROUNDING * large
+        return np.asarray(np.divide(large, small, out=np.full(len(large), np.inf), where=regular))
+
+    @cached_property
+    def rank(self) -> FloatArray:
+        """Effective rank (n,): the sum of the filter factors."""
+        return np.asarray((self.h.s * self.weights).sum(axis=1))
+
+    @cached_property
+    def misfit(self) -> FloatArray:
+        """|H S - U| / |U| (n,), the part of the target and zeros that cannot be had."""
+        residual = np.linalg.norm((self.h.matrix @ self.drive[:, :, None])[:, :, 0] - self.wanted, axis=1)
+        return np.asarray(residual / np.maximum(np.linalg.norm(self.wanted, axis=1), np.finfo(float).tiny))
 
 
 def invert(
@@ -68,30 +115,29 @@ def invert(
 
     A zero column (dead actuator) gets no drive; equal columns share it evenly (minimum norm). Entries must be finite.
     """
-    left, s, right = np.linalg.svd(matrix, full_matrices=False)
-    beta = (left.conj().swapaxes(1, 2) @ wanted[:, :, None])[:, :, 0]
+    return least_squares(decomposed(matrix), wanted, regularisation, frequency, error)
+
+
+def least_squares(
+    h: Decomposed,
+    wanted: ComplexArray,
+    regularisation: Regularisation,
+    frequency: FloatArray,
+    error: FloatArray | None = None,
+) -> tuple[ComplexArray, Inversion]:
+    """:func:`invert` of an H that is decomposed already: nothing here costs more than a product with it."""
+    s = h.s
+    beta = (h.inward @ wanted[:, :, None])[:, :, 0]
     if regularisation.kind == "noise":
-        stated = np.zeros(len(matrix)) if error is None else np.nan_to_num(error)
-        relative = np.maximum(stated, regularisation.value) * np.sqrt(matrix.shape[1])
-        parameter = relative * np.abs(matrix).max(axis=(1, 2))
+        stated = np.zeros(len(s)) if error is None else np.nan_to_num(error)
+        relative = np.maximum(stated, regularisation.value) * np.sqrt(h.matrix.shape[1])
+        parameter = relative * h.largest
     else:
         parameter = _parameter(s, beta, wanted, regularisation)
     weights = _weights(s, parameter, regularisation.kind)
-    drive = (right.conj().swapaxes(1, 2) @ (weights * beta)[:, :, None])[:, :, 0]
-    drive *= matrix.any(axis=1)  # rounding would leave 1e-16 on a dead actuator
-    residual = np.linalg.norm((matrix @ drive[:, :, None])[:, :, 0] - wanted, axis=1)
-    large, small = s[:, 0], s[:, -1]
-    regular = small > _ROUNDING * large
-    report = Inversion(
-        frequency=frequency,
-        singular_values=s,
-        condition=np.divide(large, small, out=np.full(len(s), np.inf), where=regular),
-        rank=np.asarray((s * weights).sum(axis=1)),
-        parameter=parameter,
-        misfit=np.asarray(residual / np.maximum(np.linalg.norm(wanted, axis=1), np.finfo(float).tiny)),
-        regularisation=regularisation,
-    )
-    return drive, report
+    drive = (h.outward @ (weights * beta)[:, :, None])[:, :, 0]
+    drive *= h.driven  # rounding would leave 1e-16 on a dead actuator
+    return drive, Inversion(h, wanted, drive, weights, frequency, parameter, regularisation)
 
 
 def _weights(s: FloatArray, parameter: FloatArray, kind: RegularisationKind) -> FloatArray:

@@ -7,8 +7,10 @@ the conjugates (the thesis' [9, 4, 20000] form) and are never stored.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import Self
 
 import numpy as np
@@ -18,6 +20,7 @@ from ..errors import DataError, ScenarioError
 from ..ports import Port
 from ..transfer import TransferMatrix, relative_error_at
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+from .control import Control
 from .interpolation import Interpolation, filled_in
 
 
@@ -77,8 +80,8 @@ def to_spectrum(signals: FloatArray, record: Record) -> ComplexArray:
 def to_time(spectrum: ComplexArray, index: IntArray, record: Record) -> FloatArray:
     """Real signals (m, n) [unit] of the spectra (n_bins, m) [unit/Hz] on the bins ``index``; zero elsewhere."""
     full = np.zeros((spectrum.shape[1], record.n // 2 + 1), dtype=complex)
-    full[:, index] = spectrum.T
-    signals = irfft(full * record.sample_rate, record.n, axis=-1)
+    full[:, index] = spectrum.T * record.sample_rate
+    signals = irfft(full, record.n, axis=-1, overwrite_x=True)
     return np.asarray(np.roll(signals, record.centre, axis=-1), dtype=np.float64)
 
 
@@ -155,6 +158,8 @@ class Placed:
 
     ``error`` (n_bins,) [-] is e(f) that its measurement states, NaN where that is unknown or G was not measured: what
     a simulation states of itself is in the interval of S and moves no drive (docs/decisions/0027-interval-of-s.md).
+    ``controls`` are control points, by their rows, that are decomposed already (:func:`.with_controls`): what has none
+    is decomposed when it is asked for, to the same last bit.
     """
 
     bins: BinValues
@@ -162,6 +167,7 @@ class Placed:
     inputs: tuple[Port, ...]
     unit: str
     error: FloatArray
+    controls: Mapping[tuple[int, ...], Control] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def record(self) -> Record:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -38,12 +39,17 @@ class Wavelet:
         """Time of the samples (n_t,) [s]."""
         return self.record.time
 
-    @property
+    @cached_property
     def spectrum(self) -> ComplexArray:
         """One-sided spectrum (n_t // 2 + 1,) [1/Hz] on ``record.frequency``, phase referred to t = 0."""
         return to_spectrum(self.samples, self.record)
 
-    @property
+    @cached_property
+    def energy(self) -> FloatArray:
+        """Energy spectrum (n_t // 2 + 1,) [1/Hz^2], both sides of the spectrum in one."""
+        return np.asarray(self.record.weights * np.abs(self.spectrum) ** 2)
+
+    @cached_property
     def window(self) -> tuple[float, float]:
         """Start and end [s] of what S is taken over: the samples above 1e-3 of the largest, and 50 ms on either side.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from math import comb
@@ -188,6 +188,17 @@ def chosen_zeros(zeros: Zeros, placed: Placed, target: str, aim: Callable[[tuple
     for name in names:
         placed.row(name)
     return names
+
+
+def settled_zeros(zeros: Zeros, placed: Placed, targets: Sequence[str]) -> Zeros:
+    """Zero points of ``targets`` by a rule that looks at places alone; others stay the rules that they are."""
+    if not isinstance(zeros, ThesisZeros | AutoZeros):
+        return zeros
+    return FixedZeros({t: zeros.choose(placed, t, _unasked) for t in targets})
+
+
+def _unasked(names: tuple[str, ...]) -> Aim:
+    raise AssertionError(f"a rule of places aimed with {names}")
 
 
 class Zeroed(Renderer, Protocol):
