@@ -305,7 +305,7 @@ def test_an_error_of_known_shape_is_no_noise() -> None:
         def answer(self, scenario: Any, frequency: Any) -> Answer:
             found = arm.compliance(scenario, frequency)
             found = replace(found, errors=(ErrorEstimate("interpolation", 0.3, "stated here"),))
-            return Answer(found, (replace(found, values=self.factor * found.values),), "interpolation")
+            return Answer(found, (replace(found, values=self.factor * found.values),), frozenset({"interpolation"}))
 
     f = np.linspace(0.8, 1.2, len(frequencies(SCENE.sweep)))[:, None, None]
     same, other = (type("S", (Shaped,), {"factor": factor})() for factor in (1.0, f))

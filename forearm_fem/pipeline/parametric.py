@@ -15,6 +15,7 @@ from scipy.stats import qmc
 
 from .. import __version__
 from ..errors import DataError, ReductionError, ScenarioError
+from ..fem.assembly.model import readings
 from ..fem.assembly.terms import term_coefficient
 from ..fem.kernels.heap import freed_memory_kept
 from ..fem.reduction.basis import Basis
@@ -24,6 +25,7 @@ from ..fem.reduction.rational import Rational, chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
 from ..fem.reduction.united import Growth, Piece, piece_at, united_model
 from ..geometry.cache import cached_mesh, default_cache_dir
+from ..geometry.device.grid_places import GridPlaces, grid_places
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.parametric import ParametricFile, PieceFile, read_parametric, write_parametric
 from ..io.parts import PartFolder
@@ -35,6 +37,7 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import fem_model
 from .frequencies import frequencies
+from .missed import Missed, evened
 from .skin_model import check_followable, with_scenario
 from .solved import solve_key
 
@@ -103,7 +106,8 @@ class ParametricModel:
     """A limb seen through its ports for any tissue, tension and tape near those it was made from.
 
     ``pieces`` are the reduced models of the parts of the band. ``checks`` are comparisons with direct solves that had
-    no part in making them; ``factor`` is what their estimates were too small by.
+    no part in making them; ``factor`` is what their estimates were too small by. ``around`` are the places where points
+    of the grid can be read, None where they stay where they are.
     """
 
     scenario: Scenario
@@ -112,6 +116,7 @@ class ParametricModel:
     trials: tuple[TrialSolve, ...]
     checks: tuple[TrialSolve, ...]
     solves: int
+    around: GridPlaces | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -128,32 +133,62 @@ class ParametricModel:
         """The model without what a third of the solves gave it."""
         return replace(self, pieces=tuple(replace(p, whole=p.core) for p in self.pieces))
 
+    def follows(self, scenario: Scenario) -> bool:
+        """Whether the grid of ``scenario`` can be read where it lies."""
+        own = scenario.grid.places == self.scenario.grid.places
+        return own or (self.around is not None and self.around.hold(scenario))
+
     def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
         """Compliance of all ports for a draw, with the error of the reduction stated for it.
 
         ``scenario`` may differ from the model's own in tissues (not their bulk moduli), in membrane and tape as far as
-        the model has terms for them, in the device but for its contacts, and in what compliances do not follow from.
+        the model has terms for them, in where the grid lies by some millimetres (:meth:`follows`), in the device but
+        for its contacts, and in what compliances do not follow from. Ports are named and placed as the model's own.
         Raises ScenarioError for anything else and ReductionError for frequencies more than 5 % beyond the band.
         """
+        return self.answer(scenario, frequency)[0]
+
+    def answer(self, scenario: Scenario, frequency: FloatArray) -> tuple[Compliance, Missed]:
+        """The same with what it may miss at each pair of ports, which is smaller for points far from a contact."""
         frequency = np.asarray(frequency, dtype=float)
-        check_followable(self.scenario, scenario, self.names, unread=_UNREAD)
+        grid = {"grid"} if self.follows(scenario) else set()
+        check_followable(self.scenario, scenario, self.names, unread={*_UNREAD, *grid})
         self._check_band(frequency)
         values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
         found = list[_Answer]()
         for piece in self.pieces:
             mine = np.array([piece_at(self.pieces, f) is piece for f in frequency], dtype=bool)
             if mine.any():
-                whole, core = (with_scenario(m, scenario) for m in (piece.whole, piece.core))
-                drawn = replace(piece, whole=whole, core=core)
-                found.append(self._answered(drawn, frequency[mine]))
+                found.append(self._answered(self._drawn(piece, scenario), frequency[mine]))
                 values[mine] = found[-1].values
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         values[:, points, points] = np.nan
-        return Compliance(frequency, values, self.ports, (self._error(found),))
+        missed = self._missed(found)
+        return Compliance(frequency, values, self.ports, (self._error(found, missed),)), missed
+
+    def _drawn(self, piece: Piece, scenario: Scenario) -> Piece:
+        """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies.
+
+        The core reads them by polynomials of a degree less, so that their error is in what the core changes.
+        """
+        whole, core = (with_scenario(m, scenario) for m in (piece.whole, piece.core))
+        if self.around is not None and scenario.grid.places != self.scenario.grid.places:
+            degree = self.around.count - 1
+            whole = self._moved(whole, self.around.shares(scenario, degree))
+            core = self._moved(core, self.around.shares(scenario, degree - 1))
+        return replace(piece, whole=whole, core=core)
+
+    def _moved(self, reduced: ReducedModel, shares: FloatArray) -> ReducedModel:
+        """The model whose points read ``shares`` (n_point, k) of the k places around each."""
+        points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
+        functionals = reduced.functionals.copy()
+        places = reduced.places.reshape(reduced.size, *shares.shape)
+        functionals[:, points] = np.einsum("rpk,pk->rp", places, shares)
+        return replace(reduced, functionals=functionals)
 
     def _answered(self, drawn: Piece, frequency: FloatArray) -> _Answer:
         """What a ``drawn`` piece says at ``frequency`` (n,), how far it may be off between, and what its core says."""
-        nodes, between = frequency, 0.0
+        nodes, between = frequency, np.zeros((len(self.ports),) * 2)
         if len(frequency) <= _NODES[-1]:
             values = at_nodes = quick_compliance(drawn.whole, frequency)
         else:
@@ -166,7 +201,9 @@ class ParametricModel:
                 fit, places = self._fitted(nodes, at_nodes)
                 if fit.misfit <= _BETWEEN:
                     break
-            values, between = np.empty((len(frequency), *at_nodes.shape[1:]), dtype=complex), fit.misfit
+            values = np.empty((len(frequency), *at_nodes.shape[1:]), dtype=complex)
+            watched = places[0][: len(fit.misfits)], places[1][: len(fit.misfits)]
+            between[watched] = between[watched[::-1]] = fit.misfits
             values[:, places[0], places[1]] = values[:, places[1], places[0]] = fit.at(frequency)
             values *= self._undone()
         some = np.unique(np.linspace(0, len(nodes) - 1, _PROBED).round().astype(int))
@@ -187,16 +224,37 @@ class ParametricModel:
         shares = self.pieces[0].whole.shares
         return np.where(np.isfinite(shares), shares, 1.0)
 
-    def _error(self, found: Sequence[_Answer]) -> ErrorEstimate:
+    @property
+    def _block(self) -> tuple[Any, ...]:
+        """Places of points under contacts, of whichever kind there is else."""
         contacts = [i for i, p in enumerate(self.ports) if p.kind == "contact"]
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"] or contacts
-        block = np.ix_(points, contacts or points)
-        probes = np.concatenate([a.probes for a in found])
-        whole, core = (np.array([c[block] for a in found for c in getattr(a, part)]) for part in ("whole", "core"))
-        between = max(a.between for a in found)
-        change = np.abs(whole - core)
-        error = self.factor * change.max(axis=(1, 2)) / np.abs(whole).max(axis=(1, 2)) + between
-        band = self.factor * np.linalg.norm(change) / np.linalg.norm(whole) + between
+        return np.ix_(points, contacts or points)
+
+    @property
+    def _blocks(self) -> list[tuple[Any, ...]]:
+        """The same, with inputs as outputs, and of contacts under contacts."""
+        points, contacts = ([i for i, p in enumerate(self.ports) if p.kind == kind] for kind in ("point", "contact"))
+        pairs = [(points, contacts), (contacts, points), (contacts, contacts)]
+        return [np.ix_(*pair) for pair in pairs if all(pair)]
+
+    def _missed(self, found: Sequence[_Answer]) -> Missed:
+        shares = []
+        for answer in found:
+            change = np.abs(np.nan_to_num(answer.whole - answer.core))
+            for block in self._blocks:
+                change[(slice(None), *block)] = evened(change[(slice(None), *block)])
+            size = np.array([np.abs(c[self._block]).max() for c in answer.whole])
+            shares.append(self.factor * change / size[:, None, None] + answer.between)
+        return Missed(np.concatenate([a.probes for a in found]), np.concatenate(shares))
+
+    def _error(self, found: Sequence[_Answer], missed: Missed) -> ErrorEstimate:
+        whole, core = (
+            np.array([c[self._block] for a in found for c in getattr(a, part)]) for part in ("whole", "core")
+        )
+        probes, error = missed.probes, np.array([shares[self._block].max() for shares in missed.shares])
+        between = max(float(a.between[self._block].max()) for a in found)
+        band = self.factor * np.linalg.norm(whole - core) / np.linalg.norm(whole) + between
         worst = max(self.checks, key=lambda c: c.true, default=None)
         seen = f"; the checks' largest true error is {worst.true:.1e} at {worst.frequency:g} Hz" if worst else ""
         return ErrorEstimate(
@@ -220,10 +278,11 @@ class ParametricModel:
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """What a piece says of a draw: ``values`` at the frequencies asked, and ``whole`` and ``core`` at ``probes``."""
+    """What a piece says of a draw: ``values`` at the frequencies asked, which miss ``between`` (n_port, n_port) of the
+    largest entry between nodes, and ``whole`` and ``core`` at ``probes``."""
 
     values: ComplexArray
-    between: float
+    between: FloatArray
     probes: FloatArray
     whole: ComplexArray
     core: ComplexArray
@@ -265,10 +324,13 @@ def parametric_model(
     for draw in given:
         check_followable(own, draw, names, unread=_UNREAD)
     found = [_coefficients(names, draw) for draw in given]
-    parts = PartFolder(file.with_suffix(".parts"))
+    parts, around = PartFolder(file.with_suffix(".parts")), grid_places(own, mesh)
+    read = readings(model, around[1] if around else ())
     with freed_memory_kept():
-        united = united_model(model, found, band, own.solver, growth, progress, parts)
-    made = ParametricModel(own, model.ports, united.pieces, united.trials, united.checks, united.solves)
+        united = united_model(model, found, band, own.solver, growth, progress, parts, read)
+    made = ParametricModel(
+        own, model.ports, united.pieces, united.trials, united.checks, united.solves, around[0] if around else None
+    )
     try:
         save_parametric(file, made)
     except (DataError, OSError) as problem:
@@ -281,13 +343,17 @@ def parametric_model(
 def save_parametric(path: Path, model: ParametricModel) -> None:
     """Write ``parametric.nc``, whole or not at all."""
     first, scenario = model.pieces[0].whole, model.scenario.model_dump(mode="json")
-    tables = (np.array([astuple(t) for t in some], dtype=float).reshape(-1, 4) for some in (model.trials, model.checks))
-    parts = tuple(
-        PieceFile(p.high, *((m.matrices, m.functionals) for m in (p.whole, p.core))) for p in model.pieces
-    )  # fmt: skip
-    write_parametric(
-        path, ParametricFile(first.names, parts, first.shares, model.ports, scenario, model.solves, *tables)
+    trials, checks = (
+        np.array([astuple(t) for t in some], dtype=float).reshape(-1, 4) for some in (model.trials, model.checks)
     )
+    parts = tuple(
+        PieceFile(p.high, *((m.matrices, m.functionals, m.places) for m in (p.whole, p.core))) for p in model.pieces
+    )  # fmt: skip
+    around = model.around or GridPlaces((), 0.0, 0)
+    write_parametric(path, ParametricFile(
+        first.names, parts, first.shares, model.ports, scenario, model.solves, trials, checks,
+        np.array(around.centres).reshape(-1, 2), around.reach, around.count,
+    ))  # fmt: skip
 
 
 def load_parametric(path: str | Path) -> ParametricModel:
@@ -295,15 +361,17 @@ def load_parametric(path: str | Path) -> ParametricModel:
     content = read_parametric(path)
     scenario = parse_scenario(content.scenario, origin=str(path))
 
-    def model(matrices: FloatArray, functionals: FloatArray) -> ReducedModel:
+    def model(matrices: FloatArray, functionals: FloatArray, places: FloatArray) -> ReducedModel:
         low = np.zeros((len(functionals), 0))
-        bare = ReducedModel(content.names, (), matrices, functionals, content.shares, Basis(), low)
+        bare = ReducedModel(content.names, (), matrices, functionals, content.shares, Basis(), low, places=places)
         return with_scenario(bare, scenario)
 
     tables = content.trials, content.checks
     trials, checks = (tuple(TrialSolve(int(d), f, e, t) for d, f, e, t in table.tolist()) for table in tables)
     pieces = tuple(Piece(p.high, model(*p.whole), model(*p.core)) for p in content.pieces)
-    return ParametricModel(scenario, content.ports, pieces, trials, checks, content.solves)
+    centres = tuple((x, y) for x, y in content.around.tolist())
+    around = GridPlaces(centres, content.reach, content.count) if content.count else None
+    return ParametricModel(scenario, content.ports, pieces, trials, checks, content.solves, around)
 
 
 def _kept(file: Path) -> ParametricModel | None:

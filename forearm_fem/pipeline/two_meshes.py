@@ -88,6 +88,14 @@ def change_around(other: ComplexArray, own: ComplexArray, frequency: FloatArray)
     return np.asarray(np.maximum(worst, around))
 
 
+def spread_change(other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:
+    """How ``other`` values differ from ``own`` (n_frequency, n, n) at each pair over the third of an octave on either
+    side: the shape over pairs of an error whose size :func:`estimated_errors` tells. Unknown pairs do not differ."""
+    change = np.abs(np.nan_to_num(other - own)).reshape(len(frequency), -1)
+    rows = [np.sqrt(_around(column**2, frequency)) for column in change.T]
+    return np.array(rows).T.reshape(own.shape)
+
+
 def _around(values: FloatArray, frequency: FloatArray) -> FloatArray:
     """Sum (n_frequency,) of ``values`` over :data:`_NEIGHBOURHOOD` around each increasing frequency."""
     reach = _NEIGHBOURHOOD * (1 + 1e-9)

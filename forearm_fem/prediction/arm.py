@@ -33,12 +33,12 @@ _GEOMETRY = ("thickness", "placement", "contact area")
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a model says of a draw: its ``compliance``, and ``others`` that it may be as well by the error ``shown``
-    (its source), whose shape over ports is known; all other errors are taken for noise."""
+    """What a model says of a draw: its ``compliance``, and ``others`` that it may be as well by the errors ``shown``
+    (their sources), whose shape over pairs of ports is known; all other errors are taken for noise."""
 
     compliance: Compliance
     others: tuple[Compliance, ...] = ()
-    shown: str = ""
+    shown: frozenset[str] = frozenset()
 
 
 class ArmModel(Protocol):
@@ -140,10 +140,11 @@ def without_bones(scenario: Scenario) -> Scenario:
 class ReducedArm:
     """The scene's own finite elements for any tissue and tension (:mod:`forearm_fem.pipeline.parametric`).
 
-    A mesh has one geometry. What a draw's thicknesses, grid and contact radius change is taken from the twin, as the
-    difference of two of its answers for the draw's tissues, and stated to be wrong by up to half of itself. A scene
-    with tape on the skin, which the twin has not, holds them. ``meshes`` tell what the elements err by for each draw;
-    where there are none, ``without`` says why.
+    A mesh has one geometry, but its skin can be read anywhere: a draw's grid is read where it lies, if that is within
+    millimetres of the scene's. What thicknesses and contact radius change, or a grid further away, is the difference of
+    two answers of the twin for the draw's tissues, and stated to be wrong by up to half of itself. A scene with tape on
+    the skin, which the twin has not, holds all of these. ``meshes`` tell what the elements err by for each draw; where
+    there are none, ``without`` says why.
     """
 
     scenario: Scenario
@@ -168,9 +169,14 @@ class ReducedArm:
         geometry = (
             "thickness, contact area and the grid's place keep the scene's values, for there is tape on its skin"
             if self.held
-            else "what thickness, contact area and the grid's place change is that of flat layers without end"
+            else f"what {self._by_twin} change is that of flat layers without end"
         )
         return f"girth, taper, bones and the device's place on the limb are the scene's own in every arm; {geometry}"
+
+    @property
+    def _by_twin(self) -> str:
+        still = self.model.around is None
+        return "thickness, contact area and the grid's place" if still else "thickness and contact area"
 
     @property
     def unknown(self) -> str:
@@ -182,29 +188,42 @@ class ReducedArm:
         return self.answer(scenario, frequency).compliance
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
-        """See :class:`ArmModel`: half of what geometry changes may be missed at each pair of ports, in any phase."""
-        own = on_mesh_of(self.scenario, scenario)
-        found = self.model.compliance(own, frequency)
+        """See :class:`ArmModel`: each error may be missed at each pair of ports by its size there, in any phase."""
+        own = self._on_mesh(scenario)
+        found, missed = self.model.answer(own, frequency)
+        off: list[ComplexArray | FloatArray] = [missed.of(found)]
         if self.meshes is not None:
-            found = replace(found, errors=(*found.errors, self.meshes.error(own, found)))
-        if own == scenario:
-            return Answer(found)
-        change, error = self._change(scenario, own, np.asarray(frequency, dtype=float))
+            estimate, missed = self.meshes.missed(own, found)
+            found = replace(found, errors=(*found.errors, estimate))
+            off.append(missed.of(found))
+        if own != scenario:
+            found, change = self._changed(found, scenario, own)
+            off.append(_MISSED * change)
+        return Answer(found, _others(found, off), frozenset(e.source for e in found.errors))
+
+    def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, ComplexArray]:
+        """The answer with what geometry changes between two draws, and that change (n, n_port, n_port) [m/N]."""
+        frequency = found.frequency
+        change, error = self._change(scenario, own, frequency)
         points = found.indices("point")
         block = np.ix_(range(len(frequency)), points, found.indices("contact"))
         size = np.abs(found.values[block]).max(axis=(1, 2))
         missed = (_MISSED * np.abs(change[block]).max(axis=(1, 2)) + error) / size
         band = _MISSED * np.linalg.norm(change[block]) / np.linalg.norm(found.values[block]) + (error / size).max()
+        laid = " and the grid's place" if own.grid != scenario.grid else ""
         estimate = ErrorEstimate(
             "interpolation", float(band),
-            f"{_MISSED:g} of what the draw's thickness, contact area and the grid's place change on the twin",
+            f"{_MISSED:g} of what the draw's thickness, contact area{laid} change on the twin",
             tuple(frequency.tolist()), tuple(missed.tolist()),
         )  # fmt: skip
-        whole = replace(found, values=found.values + change, errors=(*found.errors, estimate))
-        others = tuple(
-            replace(whole, values=whole.values + _MISSED * change * part) for part in _parts(frequency, change.shape[1])
-        )
-        return Answer(whole, others, estimate.source)
+        return replace(found, values=found.values + change, errors=(*found.errors, estimate)), change
+
+    def _on_mesh(self, scenario: Scenario) -> Scenario:
+        """The draw as the elements can answer it: with its grid where both meshes can read it."""
+        own = on_mesh_of(self.scenario, scenario)
+        laid = own.model_copy(update={"grid": scenario.grid})
+        models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
+        return laid if all(m.follows(laid) for m in models) else own
 
     def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """What the draw's geometry changes on the twin (n, n_port, n_port) [m/N], and the twin's errors in it (n,)."""
@@ -223,15 +242,20 @@ class ReducedArm:
         return between, rising + tail * np.abs(between).max(axis=(1, 2))
 
 
-def _parts(frequency: FloatArray, ports: int) -> list[ComplexArray]:
-    """Shares (n, n_port, n_port) of what geometry changes, 1 at most, smooth over frequency and reciprocal."""
-    rng = np.random.default_rng(0)
-    found = []
+def _others(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
+    """Answers as wrong as each error of ``off`` (n, n_port, n_port) [m/N] may make them, in any phase."""
+    rng, made = np.random.default_rng(0), []
     for _ in range(_OTHERS):
-        noise = smooth_noise(frequency, (ports, ports), rng, _SMOOTH)
-        noise = noise + noise.swapaxes(1, 2)
-        found.append(noise / np.abs(noise).max(axis=(1, 2), keepdims=True))
-    return found
+        moved = [each * _part(found.frequency, len(found.ports), rng) for each in off]
+        made.append(replace(found, values=found.values + sum(moved)))
+    return tuple(made)
+
+
+def _part(frequency: FloatArray, ports: int, rng: np.random.Generator) -> ComplexArray:
+    """Shares (n, n_port, n_port) of an error, 1 at most, smooth over frequency and reciprocal."""
+    noise = smooth_noise(frequency, (ports, ports), rng, _SMOOTH)
+    noise = noise + noise.swapaxes(1, 2)
+    return np.asarray(noise / np.abs(noise).max(axis=(1, 2), keepdims=True))
 
 
 def on_mesh_of(scene: Scenario, draw: Scenario) -> Scenario:

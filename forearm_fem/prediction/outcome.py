@@ -102,7 +102,7 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
         raise ReductionError(f"G of the arm may be wrong by as much as it is: e_band is {_MOST:g} or more, or unknown")
     calibrated = noisy(true, replace(draw, values=values), scenario)
     found, window = strengths_of(setup, true, calibrated), window_of(setup.scenario.rendering.window, setup.shape)
-    noise = tuple(e for e in true.errors if e.source != answer.shown)
+    noise = tuple(e for e in true.errors if e.source not in answer.shown)
     spread = interval(true, noise, setup.targets, window, setup.methods, setup.shape, draws=_DRAWS, others=others)
     return Outcome(
         draw.number, draw.law, found, drivers_of(draw, scenario, held), total_error(true.errors),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,10 @@ import numpy as np
 from ..errors import MeshError
 from ..geometry.cache import cached_mesh
 from ..pipeline.dispersion import Lags
+from ..pipeline.missed import Missed
 from ..pipeline.parametric import ParametricModel, parametric_model
 from ..pipeline.second_mesh import second_mesh
-from ..pipeline.two_meshes import agreed_upon, estimated_errors
+from ..pipeline.two_meshes import agreed_upon, estimated_errors, spread_change
 from ..progress import Progress
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate, relative_error
@@ -32,41 +33,56 @@ class ArmMeshes:
     lags: Lags
 
     def error(self, arm: Scenario, found: Compliance) -> ErrorEstimate:
+        """:meth:`missed` without its shape."""
+        return self.missed(arm, found)[0]
+
+    def missed(self, arm: Scenario, found: Compliance) -> tuple[ErrorEstimate, Missed]:
         """Of the compliance ``found`` for an ``arm`` on the first mesh, by the rule for a scene of its own.
 
         That is from the change on the second mesh (:func:`.estimated_errors`), and from the lag of waves that neither
-        carries (:func:`.agreed_upon`).
+        carries (:func:`.agreed_upon`). Over pairs of ports its shape is that of the change on the second mesh, and the
+        largest of points under contacts is e(f), but e_band at least, as two meshes agree by chance.
         """
         some = _probes(found.frequency)
         frequency = found.frequency[some]
-        own, other = found.block("point", "contact")[some], self._second(arm, frequency)
-        band, error = self._estimated(arm, frequency, own, other)
+        part = replace(found, frequency=frequency, values=found.values[some])
+        second = self._second(arm, frequency)
+        own, other = part.block("point", "contact"), second.block("point", "contact")
+        unseen = self._unseen(arm, frequency, own)
+        band, error = estimated_errors(other, own, frequency, self.ratio, unseen)
+        shape, size = spread_change(second.values, part.values, frequency), np.abs(own).max(axis=(1, 2))
+        points, contacts = part.indices("point"), part.indices("contact")
+        largest = shape[:, points][:, :, contacts].max(axis=(1, 2))
+        known = np.divide(np.maximum(error, band), largest, out=np.zeros_like(error), where=largest > 0)
+        shares = known[:, None, None] * shape
+        for x, lost in zip(shares, unseen / size[:, None, None], strict=True):
+            x[np.ix_(points, contacts)] = np.maximum(x[np.ix_(points, contacts)], lost)
+            x[np.ix_(contacts, points)] = x[np.ix_(points, contacts)].T
         return ErrorEstimate(
             "discretisation", band,
             f"change of the arm's compliance on a second mesh, nodes {self.ratio:.2g} times as far apart, at "
             f"{len(frequency)} frequencies",
             tuple(frequency.tolist()), tuple(error.tolist()),
-        )  # fmt: skip
+        ), Missed(frequency, shares)  # fmt: skip
 
     def share(self, arm: Scenario, found: Compliance) -> FloatArray:
         """What the elements err by (n_frequency,), as e(f) in shares of that of the change on the second mesh.
 
         It is found at every frequency of ``found``: meant for tens of them.
         """
-        own, other = found.block("point", "contact"), self._second(arm, found.frequency)
-        _, error = self._estimated(arm, found.frequency, own, other)
+        own, frequency = found.block("point", "contact"), found.frequency
+        other = self._second(arm, frequency).block("point", "contact")
+        _, error = estimated_errors(other, own, frequency, self.ratio, self._unseen(arm, frequency, own))
         change = relative_error(other, own)
         return np.divide(error, change, out=np.zeros_like(error), where=change > 0)
 
-    def _second(self, arm: Scenario, frequency: FloatArray) -> ComplexArray:
-        return self.second.compliance(arm, frequency).block("point", "contact")
+    def _second(self, arm: Scenario, frequency: FloatArray) -> Compliance:
+        return self.second.compliance(arm, frequency)
 
-    def _estimated(
-        self, arm: Scenario, frequency: FloatArray, own: ComplexArray, other: ComplexArray
-    ) -> tuple[float, FloatArray]:
-        """e_band and e(f) (n_frequency,) of what points do under contacts on the first mesh."""
+    def _unseen(self, arm: Scenario, frequency: FloatArray, own: ComplexArray) -> FloatArray:
+        """Errors of what points do under contacts (n_frequency, n_point, n_contact) that no change shows."""
         lag, coarser = (self.lags.phases(arm, frequency, scale) for scale in (1.0, self.ratio))
-        return estimated_errors(other, own, frequency, self.ratio, agreed_upon(own, lag, coarser))
+        return agreed_upon(own, lag, coarser)
 
 
 def _probes(frequency: FloatArray) -> IntArray:

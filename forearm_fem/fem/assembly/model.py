@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import block_array, csc_array, csr_array
+from scipy.sparse import block_array, csc_array, csr_array, vstack
 
 from ...errors import GeometryError
 from ...geometry.mesh.tissue_mesh import TissueMesh
@@ -91,6 +91,12 @@ def build_model(
         functionals[: operator.n_displacements, i] = _functional(space, port, rules)
     shares = np.array([force_share(space, p) for p in ports])
     return ForearmModel(space, rules, operator, ports, functionals, shares)
+
+
+def readings(model: ForearmModel, ports: Sequence[Port]) -> csr_array:
+    """Matrix (k, n_u) that reads the displacements of points that are no ports of the ``model``."""
+    rows = [csr_array(_functional(model.space, p, model.constraints)[None]) for p in ports]
+    return csr_array(vstack(rows)) if rows else csr_array((0, model.operator.n_displacements))
 
 
 def _order(space: MixedSpace, rules: LinearConstraints) -> IntArray:

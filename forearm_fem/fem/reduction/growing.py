@@ -7,6 +7,7 @@ from dataclasses import astuple, dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ...scenario.sweep import SolverOptions
 from ...transfer import relative_error
@@ -54,6 +55,7 @@ class Growing:
 
     ``steps`` says how often it has grown. Blocks of its columns are ``strong`` (all but the highest derivatives), on
     which it is looked at to choose the next solve, and ``early`` where the estimate's core is made from them.
+    ``readings`` (k, n_u) of places that are no ports are kept with the compressed models.
     """
 
     def __init__(
@@ -63,8 +65,10 @@ class Growing:
         options: SolverOptions,
         highest: float,
         kept: PartStore,
+        readings: csr_array | None = None,
     ) -> None:
         self._model, self._draws, self._options, self._highest = model, draws, options, highest
+        self._readings = csr_array((0, model.operator.n_displacements)) if readings is None else readings
         self._kept, self._ready = kept, None
         self.reduced, self.trials, self.steps = empty_model(model), [], 0
         self._strong, self._early = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
@@ -134,13 +138,13 @@ class Growing:
 
     def compressed(self, shaping: Sequence[ComplexArray], most: int) -> ReducedModel:
         """The model on at most so many principal directions of the states ``shaping`` (r, n_port) it."""
-        return on_directions(self.reduced, self._principal(shaping)[:, :most])
+        return on_directions(self._read(), self._principal(shaping)[:, :most])
 
     def core(self, shaping: Sequence[ComplexArray], most: int) -> ReducedModel:
         """The same from the early columns alone, in which the states are as far as these hold them."""
         chosen = np.flatnonzero(self._early)
         directions = self._principal([x[chosen] for x in shaping])[:, :most]
-        return on_directions(part_of(self.reduced, self._early), directions)
+        return on_directions(part_of(self._read(), self._early), directions)
 
     def misfit(self, small: ReducedModel, places: Sequence[Place], states: Sequence[ComplexArray]) -> float:
         """Root of the mean square of e(f) of a smaller model at ``places``, against the ``states`` of this one."""
@@ -152,6 +156,15 @@ class Growing:
         """Give the factor's memory back."""
         if self._ready is not None:
             self._ready.factor.release()
+
+    def _read(self) -> ReducedModel:
+        """The model with what the readings see of its columns."""
+        if len(self.reduced.places) < self.reduced.size:
+            used = np.unique(self._readings.indices)
+            few = csr_array(self._readings[:, used])
+            seen = Basis(tuple(block[used] for block in self.reduced.basis.blocks)).seen_by(few)
+            self.reduced = replace(self.reduced, places=np.asarray(seen.T, dtype=float))
+        return self.reduced
 
     def _principal(self, states: Sequence[ComplexArray]) -> FloatArray:
         """Directions (r, k), strongest first, of states of unit length; a point's count less than a contact's."""
@@ -214,6 +227,7 @@ def part_of(reduced: ReducedModel, kept: BoolArray) -> ReducedModel:
         reduced,
         matrices=reduced.matrices[:, chosen[:, None], chosen],
         functionals=reduced.functionals[chosen],
+        places=reduced.places[chosen],
         low=np.zeros((len(chosen), 0)),
         coupling=np.zeros((0, 0)),
     )
@@ -227,6 +241,7 @@ def on_directions(reduced: ReducedModel, directions: FloatArray) -> ReducedModel
         reduced,
         matrices=(matrices + matrices.swapaxes(1, 2)) / 2,
         functionals=directions.T @ reduced.functionals,
+        places=directions.T @ reduced.places,
         basis=Basis(),
         low=np.zeros((s, 0)),
         coupling=np.zeros((0, 0)),

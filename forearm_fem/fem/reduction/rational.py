@@ -17,13 +17,19 @@ from ...typing import ComplexArray, FloatArray, IntArray
 class Rational:
     """Entries (k,) as functions of frequency: ``supports`` (m,) [Hz], ``values`` (m, k) and ``weights`` (m,).
 
-    ``misfit`` is the largest error at the frequencies it did not pass through, relative to the largest entry there.
+    ``misfits`` (m,) are the largest errors of the watched entries at the frequencies it did not pass through, relative
+    to the largest entry there.
     """
 
     supports: FloatArray
     values: ComplexArray
     weights: ComplexArray
-    misfit: float
+    misfits: FloatArray
+
+    @property
+    def misfit(self) -> float:
+        """The largest of all."""
+        return float(self.misfits.max())
 
     def at(self, frequency: FloatArray) -> ComplexArray:
         """Entries (n, k) at ``frequency`` (n,) [Hz]."""
@@ -45,11 +51,10 @@ def rational(frequency: FloatArray, values: ComplexArray, tolerance: float, watc
     supports, fit = [_farthest(scaled, np.broadcast_to(scaled.mean(axis=0), scaled.shape), [])], None
     while fit is None or (fit.misfit > tolerance and len(supports) < 2 * len(frequency) // 3):
         weights = _weights(frequency, scaled, np.array(supports))
-        made = Rational(frequency[supports], values[supports], weights, 0.0)
+        made = Rational(frequency[supports], values[supports], weights, np.zeros(seen.shape[1]))
         found = made.at(frequency)[:, :watched]
-        misfit = float((np.abs(found - seen).max(axis=1) / sizes).max())
-        fit = Rational(made.supports, made.values, made.weights, misfit)
-        if misfit > tolerance:
+        fit = Rational(made.supports, made.values, made.weights, (np.abs(found - seen) / sizes[:, None]).max(axis=0))
+        if fit.misfit > tolerance:
             supports.append(_farthest(scaled, found / lengths, supports))
     return fit
 

@@ -36,7 +36,8 @@ class ReducedModel:
     ``basis`` holds the columns (n, r) that give displacements and scaled pressures. ``low`` (r, m) are coordinates of
     all snapshots but the highest derivative of each port: :meth:`lower` is the model without these. ``coupling`` (r, r)
     are products of each column's pressure with the divergence of each displacement, which only :func:`with_columns`
-    needs.
+    needs. ``places`` (r, k) read displacements where there are no ports, worked out for a space that
+    does not grow any more.
     """
 
     names: tuple[str, ...]
@@ -47,6 +48,7 @@ class ReducedModel:
     basis: Basis = field(repr=False)
     low: FloatArray = field(repr=False)
     coupling: FloatArray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    places: FloatArray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
 
     @property
     def size(self) -> int:

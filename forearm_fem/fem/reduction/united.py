@@ -14,6 +14,7 @@ from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ...progress import Progress, tell
 from ...scenario.sweep import SolverOptions
@@ -34,7 +35,7 @@ _TESTED = 12  # states of each part that size its model and do not shape it
 _CORE = 0.7  # of the whole model's directions
 _STEP = 1.25  # ratio of the sizes tried
 _LEAST = 40  # directions
-_MODELS, _ARRAYS = ("whole", "core"), ("matrices", "functionals")
+_MODELS, _ARRAYS = ("whole", "core"), ("matrices", "functionals", "places")
 
 
 @dataclass(frozen=True)
@@ -108,14 +109,16 @@ def united_model(
     growth: Growth,
     progress: Progress | None = None,
     kept: PartStore | None = None,
+    readings: csr_array | None = None,
 ) -> United:
     """A space for the model's own coefficients and those of the ``draws``, in the band of ``frequency`` (n,) [Hz].
 
     All draws serve for choosing where to solve and for compression, random ones for checks. What is ``kept`` of an
-    interrupted call of the same arguments is not made again.
+    interrupted call of the same arguments is not made again. ``readings`` (k, n_u) of places that are no ports are
+    worked out for each piece's models.
     """
     kept = kept or NothingKept()
-    work = Growing(model, draws, options, float(frequency[-1]), kept)
+    work = Growing(model, draws, options, float(frequency[-1]), kept, readings)
     work.restored()
     parts = cut(frequency, growth.parts)
     places = _places(np.random.default_rng([growth.seed, 2]), len(draws), frequency, growth.checks)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...errors import GeometryError
 from ...ports import Port
@@ -33,10 +34,7 @@ class Layout:
 def layout_of(scenario: Scenario) -> Layout:
     """Contacts and points of the device, rotated by its angle; raises when two contacts overlap."""
     device = scenario.device
-    c, s = np.cos(device.rotation), np.sin(device.rotation)
-    turn = np.array([[c, s], [-s, c]])  # row vectors times this: counter-clockwise seen from above
-    contacts = _tidy(np.array(device.centres, dtype=float).reshape(-1, 2) @ turn)
-    points = _tidy(np.array(scenario.grid.places, dtype=float).reshape(-1, 2) @ turn)
+    contacts, points = (turned(scenario, p) for p in (device.centres, scenario.grid.places))
     layout = Layout(contacts, points, device.cone.radius)
     for (a, pa), (b, pb) in combinations(zip(layout.names, layout.contacts, strict=True), 2):
         apart = float(np.linalg.norm(pa - pb))
@@ -46,6 +44,13 @@ def layout_of(scenario: Scenario) -> Layout:
                 f"mm need {2.1 * layout.radius * 1e3:.3g} mm; increase device.spacing or reduce device.cone.radius"
             )
     return layout
+
+
+def turned(scenario: Scenario, places: ArrayLike) -> FloatArray:
+    """Limb coordinates (n, 2) [m] of ``places`` in the device's frame."""
+    c, s = np.cos(scenario.device.rotation), np.sin(scenario.device.rotation)
+    turn = np.array([[c, s], [-s, c]])  # row vectors times this: counter-clockwise seen from above
+    return _tidy(np.array(places, dtype=float).reshape(-1, 2) @ turn)
 
 
 def planform_ports(scenario: Scenario) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -50,12 +50,10 @@ def ports_on(scenario: Scenario, skin: Skin) -> tuple[Port, ...]:
     layout, cone = layout_of(scenario), scenario.device.cone
     _check_rims(layout, skin)
     contacts = [
-        Port(name, "contact", *_landed(f"contact {name}", xy, skin), cone.radius, cone.contact)
+        Port(name, "contact", *landed(f"contact {name}", xy, skin), cone.radius, cone.contact)
         for name, xy in zip(layout.names, layout.contacts, strict=True)
     ]
-    points = [
-        Port(str(i + 1), "point", *_landed(f"grid point {i + 1}", xy, skin)) for i, xy in enumerate(layout.points)
-    ]
+    points = [Port(str(i + 1), "point", *landed(f"grid point {i + 1}", xy, skin)) for i, xy in enumerate(layout.points)]
     return (*contacts, *points)
 
 
@@ -63,7 +61,8 @@ Triple = tuple[float, float, float]
 _KEYS = {"contact": "device.spacing or device.spacing_y", "grid": "grid.pitch or grid.pitch_y"}
 
 
-def _landed(what: str, xy: FloatArray, skin: Skin) -> tuple[Triple, Triple]:
+def landed(what: str, xy: FloatArray, skin: Skin) -> tuple[Triple, Triple]:
+    """Place and outward normal of the ``skin`` at ``xy`` (2,); GeometryError where it misses or is too steep."""
     point, normal = (each[0] for each in skin(xy[None]))
     if not np.isfinite(point).all():
         raise GeometryError(

@@ -1,0 +1,154 @@
+"""What is stated for arms on finite elements against arms that were solved for themselves: errors by pair, and S.
+
+    python benchmarks/arms_of_finite_elements.py [--arms 20] [--kinds placement,thickness,...] [--kept FOLDER]
+        [--out FOLDER]
+
+On a cylinder of 54 mm with four actuators and nine points. Arms are drawn as `forearm-fem predict` draws them, of a
+seed that the model has not seen; of their geometry only one kind is drawn at a time, or all. Each is solved by itself,
+on a mesh of its own where its thickness or contact area is another. Writes ``arms.csv``: per arm and kind e_band with
+the scene's geometry held, of the answer, and as stated by each source; which share of pairs and frequencies errs by
+less than is stated for it, which of the 27 S lie within their intervals, and how wide these are, by shape and as they
+would be with the errors as noise. Truths are kept in the folder ``--kept``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from forearm_fem.device import close_loop
+from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.pipeline.fem_engine import solve_fem
+from forearm_fem.pipeline.frequencies import frequencies
+from forearm_fem.pipeline.strengths import interval
+from forearm_fem.prediction.arm import Answer, ReducedArm, arm_model, on_mesh_of
+from forearm_fem.prediction.draws import draw_inputs, scenario_of
+from forearm_fem.prediction.outcome import Setup, setup_of
+from forearm_fem.prediction.priors import load_priors
+from forearm_fem.prediction.run import expanded
+from forearm_fem.rendering import strengths, window_of
+from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.transfer import Compliance, TransferMatrix, band_error
+from forearm_fem.typing import FloatArray
+
+SCENE = {
+    "name": "arms",
+    "limb": {
+        "shape": "cylinder", "length": 0.07, "diameter": 0.054,
+        "layers": [{"tissue": "skin", "thickness": 1.2e-3}, {"tissue": "fat", "thickness": 3e-3}],
+    },
+    "device": {"spacing": 0.03, "cone": {"contact": "pressure"}},
+    "grid": {"pitch": 0.009},
+    "mesh": {"size_contact": 4e-3, "size_grid": 7e-3, "size_far": 12e-3, "sublayers": {"skin": 1, "fat": 1}},
+    "sweep": {"duration": 0.4},
+    "solver": {"discretisation_estimate": False},
+}  # fmt: skip
+KINDS = {
+    "tissue": ("thickness", "placement", "contact"), "placement": ("thickness", "contact"),
+    "thickness": ("placement", "contact"), "contact": ("thickness", "placement"), "all": (),
+}  # fmt: skip
+NEW_MESH = ("thickness", "contact", "all")
+SEED = 2026
+DRAWS = 6  # of the interval of S, as for an arm of a prediction
+
+
+def main() -> None:
+    """Make, draw, solve, compare, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--arms", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    parser.add_argument("--kept", type=Path, default=Path("/tmp/arms-truth"))
+    asked = parser.parse_args()
+    scene, began = parse_scenario(SCENE), time.process_time()
+    arm = arm_model(scene, draws=[scene, *(drawn(scene, 0, k, KINDS["tissue"]) for k in range(200))])
+    assert isinstance(arm, ReducedArm)
+    print(f"made in {time.process_time() - began:.0f} s, factor {arm.model.factor:.2g}", flush=True)
+    held = expanded(("measurement",))
+    first = close_loop(arm.compliance(scene, frequencies(scene.sweep)[:1]), scene.device)
+    setup, rows = setup_of(scene, first, Path(), (), held), []
+    for kind in asked.kinds.split(","):
+        for k in range(asked.first, asked.first + asked.arms):
+            draw = drawn(scene, SEED, k, KINDS[kind])
+            truth = solved(scene, draw, kind, asked.kept / f"{kind}-{k}.npz")
+            if truth is not None:
+                rows.append({"kind": kind, "arm": str(k), "law": str(draw.tissues.override["skin"].model),
+                             **compared(arm, setup, draw, truth)})  # fmt: skip
+                print(rows[-1], flush=True)
+    with (asked.out / "arms.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def drawn(scene: Scenario, seed: int, number: int, held: tuple[str, ...]) -> Scenario:
+    """An arm by the priors, but for what is held."""
+    return scenario_of(draw_inputs(load_priors(), scene, seed, number), scene, expanded(held))
+
+
+def solved(scene: Scenario, draw: Scenario, kind: str, kept: Path) -> Compliance | None:
+    """The arm's own compliance, on its own mesh where its geometry asks for one; None where it cannot be meshed."""
+    frequency = frequencies(draw.sweep)
+    mesh = cached_mesh(draw if kind in NEW_MESH else scene)
+    if kept.is_file():
+        from forearm_fem.geometry.device.place import place_ports
+
+        return Compliance(frequency, np.load(kept)["values"], place_ports(draw, mesh))
+    found = solve_fem(draw, mesh, frequency, tolerance=1e-4).compliance
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    np.savez(kept, values=found.values)
+    return found
+
+
+def compared(arm: ReducedArm, setup: Setup, draw: Scenario, truth: Compliance) -> Mapping[str, str]:
+    """One arm: errors of its compliance and of its S, and what is stated for both."""
+    answer = arm.answer(draw, truth.frequency)
+    found = answer.compliance
+    block, own = found.block("point", "contact"), truth.block("point", "contact")
+    held = arm.compliance(on_mesh_of(arm.scenario, draw), truth.frequency).block("point", "contact")
+    g, true = (close_loop(c, draw.device) for c in (found, truth))
+    others = [close_loop(c, draw.device) for c in answer.others]
+    window = window_of(setup.scenario.rendering.window, setup.shape)
+    values, wanted = (
+        strengths(x, setup.targets, setup.methods, setup.shape, window=window or "record") for x in (g, true)
+    )
+    noise = tuple(e for e in g.errors if e.source not in answer.shown)
+    by_shape = spread_of(g, noise, setup, others)
+    by_noise = spread_of(g, g.errors, setup, [])
+    off = np.abs(np.log(values / wanted))
+    return {
+        "held_band": f"{band_error(held, own):.2e}",
+        "true_band": f"{band_error(block, own):.2e}",
+        **{f"stated_{e.source}": f"{e.band:.2e}" for e in found.errors},
+        "g_true_band": f"{band_error(g.values, true.values):.2e}",
+        "pairs_within": f"{pairs_within(answer, truth):.3f}",
+        "s_within": f"{np.mean(off <= by_shape):.3f}",
+        "s_off_rms": f"{np.sqrt(np.mean(off**2)):.3f}",
+        "s_half_width": f"{np.median(by_shape):.3f}",
+        "s_within_noise": f"{np.mean(off <= by_noise):.3f}",
+        "s_half_width_noise": f"{np.median(by_noise):.3f}",
+    }
+
+
+def spread_of(g: TransferMatrix, errors: tuple, setup: Setup, others: list[TransferMatrix]) -> FloatArray:
+    """Half widths of log S."""
+    window = window_of(setup.scenario.rendering.window, setup.shape)
+    return interval(g, errors, setup.targets, window, setup.methods, setup.shape, draws=DRAWS, others=others)
+
+
+def pairs_within(answer: Answer, truth: Compliance) -> float:
+    """Share of pairs of points and contacts at all frequencies whose error is within twice the rms of the others."""
+    found = answer.compliance
+    off = np.abs(found.block("point", "contact") - truth.block("point", "contact"))
+    square = [np.abs(o.block("point", "contact") - found.block("point", "contact")) ** 2 for o in answer.others]
+    return float(np.mean(off <= 2 * np.sqrt(np.mean(square, axis=0))))
+
+
+if __name__ == "__main__":
+    main()
