@@ -47,6 +47,7 @@ _UNREAD = ("rendering", "measurement", "sweep", "solver", "accuracy", "schema_ve
 BEYOND = 1.05  # ratio to the ends of the band up to which a draw is answered
 _NODES = (9, 17, 33)  # frequencies of a piece solved for a draw, more where a rational function does not hold
 _BETWEEN = 2e-3  # of the largest entry: what that function may miss at the nodes that it does not pass through
+_ROUGHER = 2  # degrees of the polynomials that a moved grid is read by: what one less changes may cancel by chance
 _PROBED = 3  # nodes of a piece at which the estimate's core is solved, too
 _POOL = 48  # draws that a model is made from
 _TYPICAL = 100.0  # Hz at which springpots are as stiff as the scenario's tissue
@@ -159,24 +160,23 @@ class ParametricModel:
         for piece in self.pieces:
             mine = np.array([piece_at(self.pieces, f) is piece for f in frequency], dtype=bool)
             if mine.any():
-                found.append(self._answered(self._drawn(piece, scenario), frequency[mine]))
+                found.append(self._answered(*self._drawn(piece, scenario), frequency[mine]))
                 values[mine] = found[-1].values
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
         values[:, points, points] = np.nan
         missed = self._missed(found)
         return Compliance(frequency, values, self.ports, (self._error(found, missed),)), missed
 
-    def _drawn(self, piece: Piece, scenario: Scenario) -> Piece:
-        """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies.
-
-        The core reads them by polynomials of a degree less, so that their error is in what the core changes.
-        """
+    def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, ReducedModel]:
+        """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies, and the whole
+        one with points read by polynomials of two degrees less, which tells what these err by."""
         whole, core = (with_scenario(m, scenario) for m in (piece.whole, piece.core))
         if self.around is not None and scenario.grid.places != self.scenario.grid.places:
             degree = self.around.count - 1
-            whole = self._moved(whole, self.around.shares(scenario, degree))
-            core = self._moved(core, self.around.shares(scenario, degree - 1))
-        return replace(piece, whole=whole, core=core)
+            shares, rougher = (self.around.shares(scenario, d) for d in (degree, degree - _ROUGHER))
+            rough = self._moved(whole, rougher)
+            return replace(piece, whole=self._moved(whole, shares), core=self._moved(core, shares)), rough
+        return replace(piece, whole=whole, core=core), whole
 
     def _moved(self, reduced: ReducedModel, shares: FloatArray) -> ReducedModel:
         """The model whose points read ``shares`` (n_point, k) of the k places around each."""
@@ -186,8 +186,9 @@ class ParametricModel:
         functionals[:, points] = np.einsum("rpk,pk->rp", places, shares)
         return replace(reduced, functionals=functionals)
 
-    def _answered(self, drawn: Piece, frequency: FloatArray) -> _Answer:
-        """What a ``drawn`` piece says at ``frequency`` (n,), how far it may be off between, and what its core says."""
+    def _answered(self, drawn: Piece, rough: ReducedModel, frequency: FloatArray) -> _Answer:
+        """What a ``drawn`` piece says at ``frequency`` (n,), how far it may be off between, and what its core and the
+        model of ``rough`` points say."""
         nodes, between = frequency, np.zeros((len(self.ports),) * 2)
         if len(frequency) <= _NODES[-1]:
             values = at_nodes = quick_compliance(drawn.whole, frequency)
@@ -207,7 +208,8 @@ class ParametricModel:
             values[:, places[0], places[1]] = values[:, places[1], places[0]] = fit.at(frequency)
             values *= self._undone()
         some = np.unique(np.linspace(0, len(nodes) - 1, _PROBED).round().astype(int))
-        return _Answer(values, between, nodes[some], at_nodes[some], quick_compliance(drawn.core, nodes[some]))
+        other = at_nodes[some] if rough is drawn.whole else quick_compliance(rough, nodes[some])
+        return _Answer(values, between, nodes[some], at_nodes[some], quick_compliance(drawn.core, nodes[some]), other)
 
     def _fitted(self, nodes: FloatArray, values: ComplexArray) -> tuple[Rational, tuple[Any, Any]]:
         """A rational function through the upper triangle, which keeps it reciprocal, contacts' entries first."""
@@ -242,6 +244,7 @@ class ParametricModel:
         shares = []
         for answer in found:
             change = np.abs(np.nan_to_num(answer.whole - answer.core))
+            change += np.abs(np.nan_to_num(answer.whole - answer.rough))
             for block in self._blocks:
                 change[(slice(None), *block)] = evened(change[(slice(None), *block)])
             size = np.array([np.abs(c[self._block]).max() for c in answer.whole])
@@ -249,12 +252,13 @@ class ParametricModel:
         return Missed(np.concatenate([a.probes for a in found]), np.concatenate(shares))
 
     def _error(self, found: Sequence[_Answer], missed: Missed) -> ErrorEstimate:
-        whole, core = (
-            np.array([c[self._block] for a in found for c in getattr(a, part)]) for part in ("whole", "core")
+        whole, core, rough = (
+            np.array([c[self._block] for a in found for c in getattr(a, part)]) for part in ("whole", "core", "rough")
         )
         probes, error = missed.probes, np.array([shares[self._block].max() for shares in missed.shares])
         between = max(float(a.between[self._block].max()) for a in found)
-        band = self.factor * np.linalg.norm(whole - core) / np.linalg.norm(whole) + between
+        change = np.linalg.norm(whole - core) + np.linalg.norm(whole - rough)
+        band = self.factor * change / np.linalg.norm(whole) + between
         worst = max(self.checks, key=lambda c: c.true, default=None)
         seen = f"; the checks' largest true error is {worst.true:.1e} at {worst.frequency:g} Hz" if worst else ""
         return ErrorEstimate(
@@ -279,13 +283,14 @@ class ParametricModel:
 @dataclass(frozen=True, eq=False)
 class _Answer:
     """What a piece says of a draw: ``values`` at the frequencies asked, which miss ``between`` (n_port, n_port) of the
-    largest entry between nodes, and ``whole`` and ``core`` at ``probes``."""
+    largest entry between nodes, and ``whole``, ``core`` and ``rough`` at ``probes``."""
 
     values: ComplexArray
     between: FloatArray
     probes: FloatArray
     whole: ComplexArray
     core: ComplexArray
+    rough: ComplexArray
 
 
 def parametric_model(
