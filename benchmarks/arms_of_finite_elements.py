@@ -23,6 +23,7 @@ import numpy as np
 
 from forearm_fem.device import close_loop
 from forearm_fem.geometry.cache import cached_mesh
+from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.pipeline.fem_engine import solve_fem
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.strengths import interval
@@ -33,7 +34,7 @@ from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import expanded
 from forearm_fem.rendering import strengths, window_of
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.transfer import Compliance, TransferMatrix, band_error
+from forearm_fem.transfer import Compliance, TransferMatrix, band_error, total_error
 from forearm_fem.typing import FloatArray
 
 SCENE = {
@@ -64,7 +65,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
-    parser.add_argument("--kept", type=Path, default=Path("/tmp/arms-truth"))
+    parser.add_argument("--kept", type=Path, default=Path("results/arms"))
     asked = parser.parse_args()
     scene, began = parse_scenario(SCENE), time.process_time()
     arm = arm_model(scene, draws=[scene, *(drawn(scene, 0, k, KINDS["tissue"]) for k in range(200))])
@@ -97,8 +98,6 @@ def solved(scene: Scenario, draw: Scenario, kind: str, kept: Path) -> Compliance
     frequency = frequencies(draw.sweep)
     mesh = cached_mesh(draw if kind in NEW_MESH else scene)
     if kept.is_file():
-        from forearm_fem.geometry.device.place import place_ports
-
         return Compliance(frequency, np.load(kept)["values"], place_ports(draw, mesh))
     found = solve_fem(draw, mesh, frequency, tolerance=1e-4).compliance
     kept.parent.mkdir(parents=True, exist_ok=True)
@@ -127,6 +126,7 @@ def compared(arm: ReducedArm, setup: Setup, draw: Scenario, truth: Compliance) -
         "true_band": f"{band_error(block, own):.2e}",
         **{f"stated_{e.source}": f"{e.band:.2e}" for e in found.errors},
         "g_true_band": f"{band_error(g.values, true.values):.2e}",
+        "g_stated_band": f"{total_error(g.errors):.2e}",
         "pairs_within": f"{pairs_within(answer, truth):.3f}",
         "s_within": f"{np.mean(off <= by_shape):.3f}",
         "s_off_rms": f"{np.sqrt(np.mean(off**2)):.3f}",

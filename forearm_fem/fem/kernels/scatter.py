@@ -177,12 +177,12 @@ def _shear_weights(inverse: FloatArray, volume: float) -> FloatArray:
         for b in range(3):
             trace = 0.0
             for i in range(3):
-                trace += inverse[a, i] * inverse[b, i]
+                trace += volume * inverse[a, i] * inverse[b, i]
                 for j in range(3):
-                    product = inverse[a, j] * inverse[b, i] - (2 / 3) * inverse[a, i] * inverse[b, j]
-                    weights[3 * i + j, 3 * a + b] = volume * product
+                    turned = volume * inverse[a, i] * inverse[b, j]
+                    weights[3 * i + j, 3 * a + b] = volume * inverse[a, j] * inverse[b, i] - (2 / 3) * turned
             for i in range(3):
-                weights[4 * i, 3 * a + b] += volume * trace
+                weights[4 * i, 3 * a + b] += trace
     return weights
 
 
