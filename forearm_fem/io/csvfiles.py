@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +66,9 @@ def read_csv(path: str | Path) -> RawMatrix:
     """G from lines with the columns frequency_Hz, output, input and real, imag or magnitude, phase_rad (or
     phase_deg). Checksums are verified where there are any; who edits a file by hand deletes their lines.
 
-    Lines may come in any order; entries that are absent at a frequency are marked. Columns ``valid`` and ``deviation``
-    are read where present, others ignored. Raises DataError with the number of the line that is wrong.
+    Lines may come in any order, columns separated by commas, semicolons or tabs; entries that are absent at a frequency
+    are marked. Columns ``valid`` and ``deviation`` are read where present, others ignored. Raises DataError with the
+    number of the line that is wrong.
     """
     file = Path(path)
     try:
@@ -87,13 +90,14 @@ def _read(file: Path) -> RawMatrix:
     shape = (len(frequency), len(names[0]), len(names[1]))
     if len(np.unique(np.ravel_multi_index(place, shape))) != len(lines):
         raise DataError(f"{file}: some frequency, output and input occurs on two lines; keep one of them")
-    return _raw(file, head, frequency, table, place, shape)
+    raw = _raw(file, head, frequency, table, place, shape)
+    return raw if head else replace(raw, names=(tuple(names[0]), tuple(names[1])))
 
 
 def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]:
     """Our first line if there is one, the header, the rows and the number of the header's line."""
     try:
-        content = file.read_bytes().replace(b"\r\n", b"\n")
+        content = file.read_bytes().removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n")
         check_seals(content, _EDITED)
         text = content.decode()
     except DataError as problem:
@@ -101,14 +105,23 @@ def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]
     except FileNotFoundError:
         raise DataError(f"{file}: no such file") from None
     except (OSError, UnicodeDecodeError):
-        raise DataError(f"{file}: cannot be read as text; is it really CSV?") from None
+        raise DataError(f"{file}: cannot be read as text in UTF-8; is it really CSV?") from None
     lines = text.splitlines()
     skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
     head = _ours(file, lines[0]) if lines and lines[0].startswith(_MARK) else {}
-    rows = list(csv.reader(lines[skipped:]))
+    try:
+        rows = list(csv.reader(lines[skipped:], delimiter=_separator(lines[skipped : skipped + 1])))
+    except csv.Error as problem:
+        raise DataError(f"{file}: is no table ({problem}); is it really CSV?") from None
+    rows = [row for row in rows if row]  # a table that ends in empty lines
     if len(rows) < 2:
         raise DataError(f"{file}: has no lines of data; expected a header and one line per frequency and entry")
     return head, [c.strip() for c in rows[0]], rows[1:], skipped + 1
+
+
+def _separator(header: list[str]) -> str:
+    """What separates the header's columns: their names hold neither tabs, semicolons nor commas."""
+    return next((c for c in "\t;" if any(c in line for line in header)), ",")
 
 
 def _ours(file: Path, line: str) -> dict[str, Any]:

@@ -64,6 +64,11 @@ def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T
 
 
 def _checked(dataset: xr.Dataset, content: str) -> xr.Dataset:
+    if "content" not in dataset.attrs:
+        raise DataError(
+            "is netCDF of another program, and only netCDF of forearm_fem is read; bring a G as .csv, .mat, .uff or by "
+            "a recipe"
+        )
     found, version = dataset.attrs["content"], dataset.attrs["format_version"]
     if found != content:
         raise DataError(f"holds {found}, expected {content}")

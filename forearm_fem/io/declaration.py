@@ -16,20 +16,14 @@ from ..scenario.base import Part, Positive
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
+from .naming import placed_by_name
+from .recognition import RecognitionWarning
 from .units import parse_unit, to_displacement
 
 Axis = Literal["frequency", "output", "input"]
 Spectrum = Literal["one-sided", "two-sided"]
 Sign = Literal["+iwt", "-iwt"]
 _HERMITIAN = 1e-6  # of the largest value: how far a two-sided spectrum may be from G(-f) = conj G(f)
-
-
-class RecognitionWarning(UserWarning):
-    """Something about a file was recognised, not declared; ``what`` names it and ``chosen`` is what was taken."""
-
-    def __init__(self, file: str, what: str, chosen: str) -> None:
-        super().__init__(f"{file}: {what} recognised as {chosen}; declare it to be sure")
-        self.file, self.what, self.chosen = file, what, chosen
 
 
 class PortDeclaration(Part):
@@ -73,6 +67,8 @@ class RawMatrix:
     """A file's content before it is understood; whatever the file says about itself, None where it is silent.
 
     ``values`` in the order of ``axes``; ``frequency`` (n,) [Hz] as stored. ``deviation`` is in the file's unit.
+    ``names`` (outputs, inputs) are what a file without ports calls its entries, which then come in the order
+    (frequency, output, input); ``numbered`` where they are numbers of nodes.
     """
 
     name: str
@@ -88,6 +84,8 @@ class RawMatrix:
     valid: BoolArray | None = None
     deviation: FloatArray | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
+    numbered: bool = False
 
 
 Ports = tuple[tuple[Port, ...], tuple[Port, ...]]
@@ -107,11 +105,13 @@ def _rows(result: Any, rows: Any) -> dict[str, Any]:
 def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = None) -> TransferMatrix:
     """G in metres per drive from ``raw`` and what is declared about it.
 
-    ``ports`` (outputs, inputs) serve where neither the file nor the declaration has any. Raises DataError
-    for what nobody says, and where file and declaration contradict each other.
+    ``ports`` (outputs, inputs) serve where neither the file nor the declaration has any; a file that names its columns
+    is then read by these names (:func:`.naming.placed_by_name`). Raises DataError for what nobody says, and where file
+    and declaration contradict each other.
     """
     outputs, inputs = _ports(raw, declaration, ports)
-    ordered = _ordered(raw, declaration, len(outputs), len(inputs))
+    named = placed_by_name(raw, outputs, inputs)
+    ordered = _ordered(named, declaration, len(outputs), len(inputs))
     frequency = _frequency(ordered, declaration)
     one_sided = _one_sided(ordered, frequency, _agreed(raw, declaration, "spectrum"))
     transfer = _metres(one_sided, declaration, outputs, inputs)
@@ -268,7 +268,8 @@ def _metres(
         )
     sign = _agreed(raw, declaration, "sign")
     factor = unit.factor * to_displacement(raw.frequency, quantity)[:, None, None]
-    values = (raw.values.conj() if sign == "-iwt" else raw.values) * factor
+    finite = np.where(np.isfinite(raw.values), raw.values, np.nan)  # an infinite entry is as unmeasured as NaN
+    values = (finite.conj() if sign == "-iwt" else finite) * factor
     deviation = None if raw.deviation is None else raw.deviation * np.abs(factor)
     said = declaration.model_dump(mode="json", exclude_none=True, exclude={"outputs", "inputs"})
     gain = {"gain": "arbitrary"} if declaration.arbitrary_gain else {}

@@ -16,9 +16,10 @@ from ..errors import DataError
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, FloatArray
 from .atomic import atomic_path, write_bytes
-from .declaration import Axis, Declaration, RawMatrix, RecognitionWarning
+from .declaration import Axis, Declaration, RawMatrix
 from .matlab import mat5, stamped
 from .reading import reading
+from .recognition import RecognitionWarning
 from .seal import BLANK, sealed
 
 _VERSION_AT = 116  # where the header's text ends and what MATLAB knows the version by begins

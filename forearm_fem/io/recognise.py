@@ -55,9 +55,10 @@ def write_measured(path: str | Path, transfer: TransferMatrix) -> None:
 
 
 def _netcdf(file: Path, declaration: Declaration, ports: Ports | None) -> TransferMatrix:
+    transfer = read_transfer(file)
     if declaration != Declaration():
         raise DataError(f"{file}: describes itself; leave the declaration out")
-    return read_transfer(file)
+    return transfer
 
 
 def _mat(file: Path, declaration: Declaration, ports: Ports | None) -> TransferMatrix:
@@ -92,6 +93,7 @@ _READERS: Mapping[str, Callable[[Path, Declaration, Ports | None], TransferMatri
         ".uf": _by(read_uff),
         ".tdms": _by(read_tdms),
         ".csv": _by(read_csv),
+        ".tsv": _by(read_csv),
         ".txt": _by(read_csv),
         ".toml": _recipe,
     }

@@ -142,7 +142,7 @@ def _read(file: Path) -> RawMatrix:
     if _GROUP not in content or "ports" not in content[_GROUP].properties:
         raise DataError(
             f"{file}: holds no G of forearm_fem (groups {', '.join(g.name for g in content.groups())[:80]}); "
-            "for raw sweeps use read_sweep_tdms"
+            "of other programs, bring G as .csv or .mat, and raw sweeps by read_sweep_tdms"
         )
     group = content[_GROUP]
     says = group.properties
@@ -161,8 +161,9 @@ def _read(file: Path) -> RawMatrix:
         sign=says["sign"],
         valid=_cube(group, shape, "valid") != 0 if says["masked"] else None,
         deviation=_cube(group, shape, "deviation") if "1<-1 deviation" in group else None,
+        outputs=ports["outputs"],
+        inputs=ports["inputs"],
         provenance={"format": "TDMS"},
-        **ports,
     )
 
 

@@ -56,8 +56,10 @@ def write_uff(path: str | Path, transfer: TransferMatrix) -> None:
 def read_uff(path: str | Path) -> RawMatrix:
     """G from the frequency response functions (type 4) of a universal file, ASCII or binary.
 
-    Entries may have different abscissae: the union is taken and what an entry lacks is marked. Nodes become outputs and
-    inputs in the order of their numbers. Raises DataError for damage, cut-off data, and files without FRFs.
+    Entries may have different abscissae: the union is taken and what an entry lacks is marked. Node n is called point n
+    as an output and An as an input. Of a function in a negative direction (-X, -Y, -Z) the sign is turned, so that all
+    are motion in the positive direction per drive in the positive one; which axis it is, is not looked at. Raises
+    DataError for damage, cut-off data, functions in different units, and files without FRFs.
     """
     file = Path(path)
     with reading(file, "damaged or not a universal file ({why})"):
@@ -160,8 +162,27 @@ def _cube(
             raise DataError(
                 f"{file}: the function {s['rsp_node']} <- {s['ref_node']} occurs twice; keep one direction per node"
             )
-        values[rows, o, i], valid[rows, o, i] = s["data"], np.isfinite(s["data"])
+        values[rows, o, i], valid[rows, o, i] = _sense(s) * s["data"], np.isfinite(s["data"])
     return values, valid
+
+
+def _sense(s: Mapping[str, Any]) -> int:
+    """-1 where one of response and reference points in a negative direction (-1 to -6 in the format), else 1."""
+    return -1 if (int(s["rsp_dir"]) < 0) != (int(s["ref_dir"]) < 0) else 1
+
+
+def _units(file: Path, sets: Sequence[dict[str, Any]]) -> tuple[str | None, Quantity | None]:
+    """Unit and quantity, which all functions must share: one of them would else be off by their ratio."""
+    said: dict[tuple[str | None, Quantity | None], dict[str, Any]] = {}
+    for s in sets:
+        above, below = str(s["ordinate_axis_units_lab"]), str(s["orddenom_axis_units_lab"])
+        known = "NONE" not in (above, below) and above and below
+        unit = f"({above})/{below}" if known else None
+        said.setdefault((unit, _NUMERATOR.get(int(s["ordinate_spec_data_type"]))), s)
+    if len(said) > 1:
+        each = [f"{s['rsp_node']} <- {s['ref_node']} is {q or 'motion'} in {u}" for (u, q), s in said.items()]
+        raise DataError(f"{file}: its functions have different units ({'; '.join(each[:3])}); export all in one unit")
+    return next(iter(said))
 
 
 def _raw(
@@ -173,16 +194,16 @@ def _raw(
     nodes: list[list[int]],
     own: dict[str, Any] | None,
 ) -> RawMatrix:
-    first = next(s for s in sets if s.get("func_type") == 4)
-    above, below = str(first["ordinate_axis_units_lab"]), str(first["orddenom_axis_units_lab"])
-    known = "NONE" not in (above, below) and above and below
+    responses = [s for s in sets if s.get("func_type") == 4]
+    unit, quantity = _units(file, responses)
+    first = responses[0]
     return RawMatrix(
         name=str(file),
         values=values,
         frequency=x,
         axes=("frequency", "output", "input"),
-        unit=f"({above})/{below}" if known else None,
-        quantity=_NUMERATOR.get(int(first["ordinate_spec_data_type"])),
+        unit=unit,
+        quantity=quantity,
         spectrum="one-sided",
         sign="+iwt" if str(first["id2"]).strip() == _MARK else None,
         outputs=None if own is None else tuple(port_from(p) for p in own["outputs"]),
@@ -190,6 +211,8 @@ def _raw(
         valid=valid,
         deviation=_deviation(sets, x, nodes),
         provenance={"format": "UFF 58"},
+        names=None if own is not None else (tuple(map(str, nodes[0])), tuple(f"A{n}" for n in nodes[1])),
+        numbered=True,
     )
 
 

@@ -1,0 +1,141 @@
+"""Files as a lab writes them: entries go where their names say, directions and units are the file's own words."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+
+import h5netcdf
+import numpy as np
+import pytest
+import pyuff
+from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
+
+from forearm_fem.errors import DataError
+from forearm_fem.io.declaration import Declaration
+from forearm_fem.io.recognise import read_measured
+from forearm_fem.io.recognition import RecognitionWarning
+
+PORTS = (OUTPUTS, INPUTS)
+SAID = Declaration(unit="m/V", sign="+iwt", spectrum="one-sided")
+G = wave_matrix(np.arange(20.0, 30.0))
+POINTS, ACTUATORS = ([p.name for p in ports] for ports in PORTS)
+COLUMNS = ["frequency_Hz", "output", "input", "real", "imag"]
+
+
+def lines(points=POINTS, actuators=ACTUATORS, separator=",") -> list[str]:
+    """G as lines of a table, in the order of ``points`` and ``actuators``, which are names of G's ports."""
+    rows = []
+    for (k, f), o, i in itertools.product(enumerate(G.frequency), points, actuators):
+        value = G.values[k, POINTS.index(o), ACTUATORS.index(i)]
+        rows.append(separator.join([repr(float(f)), o, i, repr(float(value.real)), repr(float(value.imag))]))
+    return [separator.join(COLUMNS), *rows]
+
+
+def read(folder, rows, name="lab.csv"):
+    (folder / name).write_text("\n".join(rows) + "\n")
+    return read_measured(folder / name, SAID, ports=PORTS)
+
+
+@pytest.mark.parametrize("turn", ["points", "actuators", "lines"])
+def test_a_table_is_read_by_its_names_whatever_the_order_of_its_lines(tmp_path, turn):
+    points = POINTS[::-1] if turn == "points" else POINTS
+    actuators = ACTUATORS[1:] + ACTUATORS[:1] if turn == "actuators" else ACTUATORS
+    head, *rest = lines(points, actuators)
+    back = read(tmp_path, [head, *(rest[::-1] if turn == "lines" else rest)])
+    assert np.array_equal(back.values, G.values)  # every digit is in the table
+    assert back.outputs == OUTPUTS
+
+
+def test_a_point_that_was_not_measured_is_marked_and_the_others_stay_in_place(tmp_path):
+    missing = 2
+    back = read(tmp_path, lines([p for p in POINTS if p != POINTS[missing]]))
+    there = np.arange(len(POINTS)) != missing
+    assert np.array_equal(back.values[:, there], G.values[:, there])
+    assert back.valid[:, there].all()
+    assert not back.valid[:, missing].any()
+    assert np.isnan(back.values[:, missing]).all()
+
+
+def test_a_table_of_other_names_is_refused_with_both(tmp_path):
+    rows = [r.replace(",A1,", ",left coil,") for r in lines()]
+    with pytest.raises(DataError, match=r"names the inputs left coil, which are none of A1, "):
+        read(tmp_path, rows)
+
+
+@pytest.mark.parametrize(("separator", "name"), [("\t", "lab.tsv"), ("\t", "lab.txt"), (";", "lab.csv")])
+def test_tables_of_tabs_and_semicolons_are_tables(tmp_path, separator, name):
+    assert np.array_equal(read(tmp_path, lines(separator=separator), name).values, G.values)
+
+
+def test_what_a_spreadsheet_adds_is_no_damage(tmp_path):
+    """A mark of the byte order before the header, and empty lines at the end."""
+    back = read(tmp_path, ["\ufeff" + lines()[0], *lines()[1:], "", ""])
+    assert np.array_equal(back.values, G.values)
+
+
+def test_an_infinite_entry_is_not_measured(tmp_path):
+    rows = lines()
+    rows[1] = ",".join([*rows[1].split(",")[:3], "inf", "0"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        back = read(tmp_path, rows)
+    assert not back.valid[0, 0, 0]
+    assert back.valid.sum() == back.valid.size - 1
+
+
+def test_a_page_under_the_name_of_a_table_is_one_sentence(tmp_path):
+    (tmp_path / "page.csv").write_text('frequency_Hz,"' + "x" * 200_000)  # above the longest cell of Python's csv
+    with pytest.raises(DataError, match="is no table"):
+        read_measured(tmp_path / "page.csv", SAID, ports=PORTS)
+
+
+def uff(path, *, sense=lambda o, i: (3, 3), unit=lambda o, i: "m", nodes=None):
+    """G as an analyser exports it: a node per point, one per actuator, directions and units as given for each."""
+    nodes = nodes or (range(1, len(POINTS) + 1), range(1, len(ACTUATORS) + 1))
+    for (o, node), (i, drive) in itertools.product(enumerate(nodes[0]), enumerate(nodes[1])):
+        response, reference = sense(o, i)
+        sign = -1 if response * reference < 0 else 1
+        block = pyuff.prepare_58(
+            binary=0, func_type=4, rsp_node=node, rsp_dir=response, ref_node=drive, ref_dir=reference,
+            data=sign * G.values[:, o, i], x=G.frequency, num_pts=len(G.frequency), ord_data_type=6,
+            abscissa_spacing=0, abscissa_min=0.0, abscissa_inc=0.0, abscissa_spec_data_type=18,
+            ordinate_spec_data_type=8, ordinate_axis_units_lab=unit(o, i), orddenom_spec_data_type=0,
+            orddenom_axis_units_lab="V",
+        )  # fmt: skip
+        pyuff.UFF(str(path)).write_sets(block, mode="add")
+
+
+DIGITS = 1e-11  # a universal file in ASCII holds 12
+
+
+@pytest.mark.parametrize("directions", [(-3, 3), (3, -3), (-3, -3)])
+def test_uff_of_a_sensor_that_points_the_other_way_is_turned(tmp_path, directions):
+    """The second point's sensor alone: response and reference along -z both give what +z and +z give."""
+    uff(tmp_path / "lab.uff", sense=lambda o, i: directions if o == 1 else (3, 3))
+    back = read_measured(tmp_path / "lab.uff", Declaration(sign="+iwt"), ports=PORTS)
+    assert np.abs(back.values - G.values).max() < DIGITS * np.abs(G.values).max()
+
+
+def test_uff_of_functions_in_two_units_is_refused(tmp_path):
+    uff(tmp_path / "lab.uff", unit=lambda o, i: "mm" if o == 1 else "m")
+    with pytest.raises(DataError, match=r"different units \(1 <- 1 is displacement in \(m\)/V; 2 <- 1"):
+        read_measured(tmp_path / "lab.uff", Declaration(sign="+iwt"), ports=PORTS)
+
+
+def test_uff_nodes_are_points_by_their_numbers_else_in_their_order_with_a_warning(tmp_path):
+    n_out, n_in = len(POINTS), len(ACTUATORS)
+    uff(tmp_path / "lab.uff", nodes=(range(101, 101 + n_out), range(1, 1 + n_in)))
+    with pytest.warns(RecognitionWarning, match="101 as 1") as caught:
+        back = read_measured(tmp_path / "lab.uff", Declaration(sign="+iwt"), ports=PORTS)
+    assert len(caught) == 1
+    assert np.abs(back.values - G.values).max() < DIGITS * np.abs(G.values).max()
+
+
+def test_netcdf_of_another_program_is_said_to_be_one(tmp_path):
+    with h5netcdf.File(tmp_path / "lab.nc", "w") as file:
+        file.dimensions = {"frequency": 3}
+        file.create_variable("H", ("frequency",), float, data=np.ones(3))
+    for declared in (Declaration(), SAID):
+        with pytest.raises(DataError, match="netCDF of another program"):
+            read_measured(tmp_path / "lab.nc", declared, ports=PORTS)
