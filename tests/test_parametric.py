@@ -407,7 +407,8 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
     before, missed = model.answer(laid, PROBES)
     change = np.abs(np.nan_to_num(found.values - before.values))
     off = np.abs(np.nan_to_num(np.array([other.values for other in answer.others]) - found.values))
-    most = 0.5 * change + missed.of(before)  # half of the change, in any phase, and what the reduction errs by
+    _, twins = arm._change(drawn, laid, PROBES)
+    most = 0.5 * change + twins + missed.of(before)  # half of the change and the twin's errors, in any phase; reduction
     assert len(off) == 6
     assert (off <= most * (1 + 1e-9) + 1e-20).all()
     assert (off.max(axis=(2, 3)) > 0.05 * change.max(axis=(1, 2))).all()
@@ -416,6 +417,35 @@ def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
     all_by_twin = {e.source: e for e in still.compliance(drawn, PROBES).errors}["interpolation"]
     assert errors["interpolation"] < 0.8 * all_by_twin.band
     assert "contact area and the grid's place change" in all_by_twin.method
+
+
+class Unsure(LayeredArm):
+    """The same answers, said to err by a fifth of the largest entry of a kind."""
+
+    def compliance(self, scenario, frequency):
+        found = super().compliance(scenario, frequency)
+        said = replace(found.errors[0], per_frequency=(0.2,) * len(frequency))
+        return replace(found, errors=(said,))
+
+
+def test_what_the_twin_errs_by_in_its_change_is_in_the_arms_interval(model):
+    """It was in e_band alone; and over the largest of a kind, so that points far away err by their own size."""
+    scene, drawn = parse_scenario(SCENE), parse_scenario(THICK)
+    drawn = parse_scenario(SCENE).model_copy(update={"limb": drawn.limb})
+    sure, unsure = (ReducedArm(scene, model, twin).answer(drawn, PROBES) for twin in (LayeredArm(), Unsure()))
+    found = sure.compliance.values
+    points, contacts = sure.compliance.indices("point"), sure.compliance.indices("contact")
+    for pair in ((points, contacts), (contacts, contacts)):
+        block = np.ix_(range(len(PROBES)), *pair)
+        small, large = (
+            np.sqrt(np.mean([np.abs(o.values[block] - a.compliance.values[block]) ** 2 for o in a.others]))
+            for a in (sure, unsure)
+        )
+        size = np.abs(found[block]).max()
+        assert large > 2 * small
+        assert 0.02 * size < large < 0.4 * size  # two answers of the twin, each a fifth of its own largest at most
+    bands = [{e.source: e.band for e in a.compliance.errors}["interpolation"] for a in (sure, unsure)]
+    assert 0.1 < bands[1] - bands[0] < 0.8
 
 
 def laid_at(arm: Scenario, points: list[list[float]]) -> Scenario:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -197,26 +197,27 @@ class ReducedArm:
             found = replace(found, errors=(*found.errors, estimate))
             off.append(missed.of(found))
         if own != scenario:
-            found, change = self._changed(found, scenario, own)
-            off.append(_MISSED * change)
+            found, *geometry = self._changed(found, scenario, own)
+            off += geometry
         return Answer(found, _others(found, off), frozenset(e.source for e in found.errors))
 
-    def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, ComplexArray]:
-        """The answer with what geometry changes between two draws, and that change (n, n_port, n_port) [m/N]."""
+    def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, Any, FloatArray]:
+        """The answer with what geometry changes between two draws, what of that change may be wrong, and the twin's
+        errors in it (both (n, n_port, n_port) [m/N])."""
         frequency = found.frequency
         change, error = self._change(scenario, own, frequency)
-        points = found.indices("point")
-        block = np.ix_(range(len(frequency)), points, found.indices("contact"))
-        size = np.abs(found.values[block]).max(axis=(1, 2))
-        missed = (_MISSED * np.abs(change[block]).max(axis=(1, 2)) + error) / size
-        band = _MISSED * np.linalg.norm(change[block]) / np.linalg.norm(found.values[block]) + (error / size).max()
+        block = np.ix_(range(len(frequency)), found.indices("point"), found.indices("contact"))
+        size, whole = np.abs(found.values[block]).max(axis=(1, 2)), np.linalg.norm(found.values[block])
+        missed = (_MISSED * np.abs(change[block]).max(axis=(1, 2)) + error[block].max(axis=(1, 2))) / size
+        band = (_MISSED * np.linalg.norm(change[block]) + np.linalg.norm(error[block])) / whole
         laid = " and the grid's place" if own.grid != scenario.grid else ""
         estimate = ErrorEstimate(
             "interpolation", float(band),
-            f"{_MISSED:g} of what the draw's thickness, contact area{laid} change on the twin",
+            f"{_MISSED:g} of what the draw's thickness, contact area{laid} change on the twin, and the twin's errors",
             tuple(frequency.tolist()), tuple(missed.tolist()),
         )  # fmt: skip
-        return replace(found, values=found.values + change, errors=(*found.errors, estimate)), change
+        changed = replace(found, values=found.values + change, errors=(*found.errors, estimate))
+        return changed, _MISSED * change, error
 
     def _on_mesh(self, scenario: Scenario) -> Scenario:
         """The draw as the elements can answer it: with its grid where both meshes can read it."""
@@ -226,20 +227,27 @@ class ReducedArm:
         return laid if all(m.follows(laid) for m in models) else own
 
     def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """What the draw's geometry changes on the twin (n, n_port, n_port) [m/N], and the twin's errors in it (n,)."""
+        """What the draw's geometry changes on the twin, and the twin's errors in it, both (n, n_port, n_port) [m/N].
+
+        The twin states errors over the largest entry of their kind: of contacts, or of points under contacts.
+        """
         low, high = 2 * np.pi * frequency[0], 2 * np.pi * frequency[-1]
         few = len(frequency) <= _DEGREE
         nodes = frequency if few else chebyshev_nodes(low, high, _DEGREE) / (2 * np.pi)
         answers = [self.twin.compliance(s, nodes) for s in (scenario, own)]
         values = [np.nan_to_num(a.values) for a in answers]  # a point on itself stays unknown in the sum
-        sizes = [np.abs(v).max(axis=(1, 2)) * np.array(a.errors[0].per_frequency)
-                 for v, a in zip(values, answers, strict=True)]  # fmt: skip
-        change, error = values[0] - values[1], sizes[0] + sizes[1]
-        if few:
-            return change, error
-        between, tail = chebyshev_between(low, high, 2 * np.pi * frequency, change)
-        rising = np.interp(frequency, nodes[::-1], error[::-1])
-        return between, rising + tail * np.abs(between).max(axis=(1, 2))
+        change, error = values[0] - values[1], np.zeros((len(frequency), *values[0].shape[1:]))
+        between = change if few else chebyshev_between(low, high, 2 * np.pi * frequency, change)[0]
+        points, contacts = answers[0].indices("point"), answers[0].indices("contact")
+        for pair in ((points, contacts), (contacts, points), (contacts, contacts)):
+            kind: Any = (slice(None), *np.ix_(*pair))
+            sizes = [np.abs(v[kind]).max(axis=(1, 2)) for v in values]
+            off = sum(size * np.array(a.errors[0].per_frequency) for size, a in zip(sizes, answers, strict=True))
+            if not few:
+                part, tail = chebyshev_between(low, high, 2 * np.pi * frequency, change[kind])
+                off = np.interp(frequency, nodes[::-1], off[::-1]) + tail * np.abs(part).max(axis=(1, 2))
+            error[kind] = off[:, None, None]
+        return between, error
 
 
 def _others(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
