@@ -117,7 +117,7 @@ def test_a_table_without_places_takes_those_of_the_scenario_that_is_named(lab: P
     (lab / "lab.csv").write_text("\n".join(rows).replace("np.float64(", "").replace(")", ""))
     places = ("--scenario", "small.toml", "--no-render")
     asked = cli("compare", "lab.csv", "results/small", *places, cwd=lab).sentence
-    assert all(key in asked for key in ("spectrum =", "sign =", "unit ="))  # at once, not one by one
+    assert all(key in asked for key in ("spectrum=", "sign=", "unit="))  # at once, not one by one
     said = ("unit='um/V'", "sign='+iwt'", "spectrum='one-sided'")
     known = [word for item in said for word in ("--declare-a", item)]
     found = cli("compare", "lab.csv", "results/small/calibration", *known, *places, "--out", "same", cwd=lab)
@@ -127,7 +127,7 @@ def test_a_table_without_places_takes_those_of_the_scenario_that_is_named(lab: P
                  *(word for item in said for word in ("--declare", item)), cwd=lab)  # fmt: skip
     assert fitted.code == 0, fitted.err
     lost = cli("compare", "lab.csv", "results/small", *known, "--out", "never", cwd=lab)
-    assert (lost.code, "name the scenario" in lost.sentence) == (2, True)
+    assert (lost.code, "--scenario FILE" in lost.sentence) == (2, True)
 
 
 def test_play_says_what_makes_drives_before_it_solves(lab: Path, tmp_path: Path) -> None:

@@ -214,7 +214,7 @@ def test_foreign_uff_in_ascii_with_gaps_and_velocity(tmp_path):
         )
         pyuff.UFF(str(tmp_path / "G.uff")).write_sets(block, mode="add")
     ports = (OUTPUTS[:2], INPUTS[:1])
-    with pytest.raises(DataError, match="does not say its sign"):
+    with pytest.raises(DataError, match="--declare \"sign="):
         read_measured(tmp_path / "G.uff", ports=ports)
     g = read_measured(tmp_path / "G.uff", Declaration(sign="+iwt"), ports=ports)
     assert g.valid[:, :, 0].sum(axis=0).tolist() == [10, 8]

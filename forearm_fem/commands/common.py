@@ -26,14 +26,39 @@ from rich.progress import (
 )
 
 from ..errors import DataError, first_problem, one_sentence
-from ..scenario import Scenario, apply_overrides, scenario_file
+from ..scenario import Scenario, apply_overrides, load_scenario, scenario_file
 
 if TYPE_CHECKING:
     from ..io.declaration import Declaration
     from ..library import ArmLibrary
     from ..pipeline.folder import Run
+    from ..transfer import TransferMatrix
 
 console = Console(stderr=True)
+
+
+def there(remedy: str, folder: bool = False) -> Callable[[Path | None], Path | None]:
+    """A callback that refuses a path without a file (or ``folder``), with the ``remedy``, before the command begins."""
+
+    def checked(what: Path | None) -> Path | None:
+        if what is not None and not (what.is_dir() if folder else what.exists()):
+            raise DataError(f"{what}: {remedy}")
+        return what
+
+    return checked
+
+
+def holds_g(what: Path | None) -> Path | None:
+    """A callback that refuses what :func:`transfer_file` refuses, before the command begins."""
+    if what is not None:
+        transfer_file(what)
+    return what
+
+
+def declared(option: str = "--declare", file: str = "a file") -> Any:
+    """The option of a command that reads a G, the same in all."""
+    return typer.Option(option, help=f"what {file} does not say of itself, e.g. unit='mm/V' or sign='+iwt'")
+
 
 ScenarioFile = Annotated[
     Path, typer.Argument(callback=scenario_file, help="scenario file, or the name of one that comes along, e.g. thesis")
@@ -43,12 +68,11 @@ OutFolder = Annotated[
     Path | None, typer.Option("--out", help="results folder; default results/NAME, after --set results/NAME-XXXXXX")
 ]
 LibraryFile = Annotated[
-    Path | None, typer.Option("--library", help="an arm's library (`forearm-fem library`) in place of mesh and solve")
-]
-Declared = Annotated[
-    list[str] | None,
-    typer.Option("--declare", help="what a file does not say of itself, e.g. unit='mm/V' or sign='+iwt'"),
-]
+    Path | None,
+    typer.Option("--library", help="an arm's library (`forearm-fem library`) in place of mesh and solve",
+                 callback=there("no such file; `forearm-fem library SCENARIO` makes one")),
+]  # fmt: skip
+Declared = Annotated[list[str] | None, declared()]
 
 
 class Display:
@@ -210,6 +234,28 @@ def transfer_file(what: Path) -> Path:
     if not what.exists():
         raise DataError(f"{what}: no such file or results folder")
     return what
+
+
+def measured_g(
+    what: Path | None, asked: Scenario, declare: Sequence[str] | None, option: str = ""
+) -> TransferMatrix | None:
+    """G in a file or folder, which takes the places of the scenario where it names none; None where none was named.
+
+    DataError where ``declare`` says something of a file that ``option`` did not name.
+    """
+    if what is None:
+        if declare:
+            raise DataError(f"--declare: has no effect without {option}; name the file, or leave it out")
+        return None
+    from ..geometry.device.layout import planform_ports
+    from ..io.recognise import read_measured
+
+    return read_measured(transfer_file(what), declaration(declare), ports=planform_ports(asked))
+
+
+def scene_of(scenario: Path | None) -> Scenario | None:
+    """The scenario in a file or of a shipped one's name; None where none was named."""
+    return None if scenario is None else load_scenario(scenario_file(scenario))
 
 
 def declaration(items: Sequence[str] | None) -> Declaration | None:

@@ -7,11 +7,14 @@ from typing import Annotated
 
 import typer
 
-from .common import Display, LibraryFile, library_file, noted
+from .common import Display, LibraryFile, library_file, noted, there
 
 
 def design(
-    file: Annotated[Path, typer.Argument(help="design file: scenario, variables, objective and constraints")],
+    file: Annotated[
+        Path, typer.Argument(help="design file: scenario, variables, objective and constraints",
+                             callback=there("no such design file")),
+    ],
     out: Annotated[Path | None, typer.Option("--out", help="default results/NAME")] = None,
     confirm: Annotated[
         bool, typer.Option("--confirm/--no-confirm", help="solve the winner in full by the scenario's own engine")
@@ -21,7 +24,7 @@ def design(
         str | None, typer.Option(help="address of a running Dask scheduler; default: this process")
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="processes on this machine; default 1")] = None,
-) -> None:
+) -> None:  # fmt: skip
     """Search for the device with the largest S within limits; interrupted, it goes on where it was."""
     from ..design import load_design, run_design
     from ..design.report import outcome_words

@@ -18,10 +18,15 @@ from .common import (
     Stop,
     console,
     declaration,
+    declared,
+    holds_g,
+    measured_g,
     noted,
     out_folder,
+    scene_of,
     stage,
     stop_on_ctrl_c,
+    there,
     transfer_file,
 )
 
@@ -34,12 +39,15 @@ DaqChoice = Annotated[
 ]
 Card = Annotated[str | None, typer.Option("--card", help="sound: name or number of the card; default: the system's")]
 Cable = Annotated[
-    Path | None, typer.Option("--loopback", help="record of `forearm-fem loopback`: its latency and gain are taken off")
-]
+    Path | None,
+    typer.Option("--loopback", help="record of `forearm-fem loopback`: its latency and gain are taken off",
+                 callback=there("no such file; `forearm-fem loopback SCENARIO` makes one")),
+]  # fmt: skip
 Through = Annotated[
     Path | None,
-    typer.Option("--through", help="virtual: file or results folder of the G to play through; default: simulated now"),
-]
+    typer.Option("--through", help="virtual: file or results folder of the G to play through; default: simulated now",
+                 callback=holds_g),
+]  # fmt: skip
 Snr = Annotated[float, typer.Option(help="virtual: strongest response over the sensor's noise, in dB")]
 Bits = Annotated[int, typer.Option(min=0, max=32, help="virtual: of the converters; 0 = no quantisation")]
 Latency = Annotated[int, typer.Option(min=0, help="virtual: delay of the inputs, in samples")]
@@ -52,6 +60,7 @@ def calibrate(
     out: OutFolder = None,
     daq: DaqChoice = "virtual",
     through: Through = None,
+    declare: Declared = None,
     snr: Snr = 60.0,
     bits: Bits = 16,
     latency: Latency = 0,
@@ -66,7 +75,9 @@ def calibrate(
     asked = load_scenario(scenario, overrides=overrides or ())
     folder = out or out_folder(None, asked, overrides) / "calibration"
     with locked(folder):
-        virtual = _virtual(asked, scenario, through, snr, bits, latency, seed, overrides) if daq == "virtual" else None
+        virtual = None
+        if daq == "virtual":
+            virtual = _virtual(asked, scenario, through, declare, snr, bits, latency, seed, overrides)
         result = _calibrated(asked, folder, daq, virtual, card, cable, ask=daq != "virtual" and not yes)
     for finding in result.measured.findings:
         typer.echo(finding.sentence)
@@ -119,28 +130,39 @@ def _ask_operator(where: str, stop: Stop) -> bool:
 
 
 def _virtual(
-    asked: Scenario, file: Path, through: Path | None, snr: float, bits: int, latency: int, seed: int,
-    overrides: Overrides,
+    asked: Scenario, file: Path, through: Path | None, declare: list[str] | None, snr: float, bits: int, latency: int,
+    seed: int, overrides: Overrides,
 ) -> VirtualSetup:  # fmt: skip
-    from ..geometry.device.layout import planform_ports
-    from ..io.recognise import read_measured
+    from ..io.netcdf import read_transfer
     from ..measurement.run import VirtualSetup
     from ..pipeline.folder import run_solve
 
-    if through is None:
+    g = measured_g(through, asked, declare, "--through")
+    if g is None:
         with stage(asked, file, None, run_solve, overrides) as job:
-            through = job.out
-    return VirtualSetup(read_measured(transfer_file(through), ports=planform_ports(asked)), snr, bits, latency, seed)
+            g = read_transfer(job.out / "transfer.nc")
+    return VirtualSetup(g, snr, bits, latency, seed)
+
+
+def _drives_file(what: Path) -> Path:
+    """A callback: ``drives.nc`` of a folder, refused where there is none before anything is solved."""
+    signals = what / "drives.nc" if what.is_dir() else what
+    if not signals.is_file():
+        raise DataError(f"{signals}: no such file; `forearm-fem render` makes a drives.nc")
+    return signals
 
 
 def play(
     scenario: ScenarioFile,
-    drives: Annotated[Path, typer.Argument(help="drives.nc, a results folder that holds one, or a WAV file")],
+    drives: Annotated[
+        Path, typer.Argument(help="drives.nc, a results folder that holds one, or a WAV file", callback=_drives_file)
+    ],
     overrides: Overrides = None,
     method: Annotated[str | None, typer.Option(help="of drives.nc: inverse filter, funneling or combination")] = None,
     target: Annotated[str | None, typer.Option(help="of drives.nc: a grid point, e.g. 5")] = None,
     daq: DaqChoice = "virtual",
     through: Through = None,
+    declare: Declared = None,
     scale: Annotated[float, typer.Option(help="multiplies the drives")] = 1.0,
     repeats: Annotated[int, typer.Option(min=1, help="how often the drives are sent")] = 1,
     pause: Annotated[float, typer.Option(min=0.0, help="silence between repeats, in s")] = 0.0,
@@ -151,13 +173,10 @@ def play(
     from ..measurement.run import run_play
 
     asked = load_scenario(scenario, overrides=overrides or ())
-    signals = drives / "drives.nc" if drives.is_dir() else drives
-    if not signals.is_file():
-        raise DataError(f"{signals}: no such file; `forearm-fem render` makes a drives.nc")
-    virtual = _virtual(asked, scenario, through, snr, 16, 0, 0, overrides) if daq == "virtual" else None
+    virtual = _virtual(asked, scenario, through, declare, snr, 16, 0, 0, overrides) if daq == "virtual" else None
     with noted(), stop_on_ctrl_c() as stop:
         played = run_play(
-            asked, signals, daq=daq, card=card, virtual=virtual, method=method, target=target, scale=scale,
+            asked, drives, daq=daq, card=card, virtual=virtual, method=method, target=target, scale=scale,
             repeats=repeats, pause=pause, stop=stop,
         )  # fmt: skip
     typer.echo(f"played {played.seconds:.3g} s, peaks {', '.join(f'{v:.3g}' for v in played.peak)} V")
@@ -185,26 +204,28 @@ def loopback(
 
 
 def compare(
-    a: Annotated[Path, typer.Argument(help="G to hold against: a file of any known kind, or a results folder")],
-    b: Annotated[Path, typer.Argument(help="G that is judged")],
+    a: Annotated[
+        Path, typer.Argument(help="G to hold against: a file of any known kind, or a results folder", callback=holds_g)
+    ],
+    b: Annotated[Path, typer.Argument(help="G that is judged", callback=holds_g)],
     out: Annotated[Path | None, typer.Option("--out", help="default results/compare-A-B")] = None,
-    declare_a: Annotated[list[str] | None, typer.Option(help="what A does not say of itself, e.g. unit='mm/V'")] = None,
-    declare_b: Annotated[list[str] | None, typer.Option(help="the same for B")] = None,
+    declare_a: Annotated[list[str] | None, declared("--declare-a", "A")] = None,
+    declare_b: Annotated[list[str] | None, declared("--declare-b", "B")] = None,
     scenario: Annotated[
         Path | None, typer.Option(help="that was measured: points and actuators of files that name no places")
     ] = None,
     render: Annotated[bool, typer.Option(help="play the drives designed on one through the other")] = True,
 ) -> None:
     """How far apart two G are: per entry, overall, in S, in dispersion; table, figures, JSON."""
+    scene, said = scene_of(scenario), (declaration(declare_a), declaration(declare_b))
     from ..compare.run import run_compare
     from ..io.lock import locked
 
     folder = out or Path("results") / f"compare-{a.stem}-{b.stem}"
     with locked(folder), noted():
         result = run_compare(
-            transfer_file(a), transfer_file(b), folder=folder, declaration_a=declaration(declare_a),
-            declaration_b=declaration(declare_b), scenario=None if scenario is None else load_scenario(scenario),
-            render=render,
+            transfer_file(a), transfer_file(b), folder=folder, declaration_a=said[0], declaration_b=said[1],
+            scenario=scene, render=render,
         )  # fmt: skip
     typer.echo(result.text)
     typer.echo(f"comparison: {folder}")
@@ -212,7 +233,7 @@ def compare(
 
 def fit(
     scenario: ScenarioFile,
-    measured: Annotated[Path, typer.Argument(help="measured G: a file or a results folder")],
+    measured: Annotated[Path, typer.Argument(help="measured G: a file or a results folder", callback=holds_g)],
     parameters: Annotated[list[str], typer.Argument(help="e.g. scale delay skin.mu fat.mu coil.moving_mass")],
     overrides: Overrides = None,
     out: OutFolder = None,

@@ -9,9 +9,12 @@ import typer
 
 from ..errors import DataError
 from ..scenario import load_scenario
-from .common import Display, noted
+from .common import Display, noted, there
 
-Results = Annotated[Path, typer.Argument(help="results folder of a run")]
+Results = Annotated[
+    Path, typer.Argument(help="results folder of a run",
+                         callback=there("no such results folder; `forearm-fem run SCENARIO` makes one", folder=True)),
+]  # fmt: skip
 
 
 def figures(
@@ -33,8 +36,6 @@ def figures(
     laid = dict(pair.partition("=")[::2] for pair in over or ())
     if "" in laid.values():
         raise DataError("--over: expected NAME=FILE.csv, a figure and a table of curves")
-    if not results.is_dir():
-        raise DataError(f"{results}: no such results folder; `forearm-fem run SCENARIO` makes one")
     from ..figures import make_figures
     from ..io.lock import locked
 
@@ -68,6 +69,8 @@ def show(
 def _results_of(what: Path) -> Path:
     if what.is_dir():
         return what
+    if what.is_file() and what.suffix != ".toml":
+        raise DataError(f"{what}: has no solved field to walk around in; `forearm-fem workbench {what}` shows its G")
     folder = Path("results") / load_scenario(what).name
     if not folder.is_dir():
         raise DataError(f"{folder}: no results of {what} yet; `forearm-fem run {what}` makes them")

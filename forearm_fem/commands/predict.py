@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..scenario import load_scenario
-from .common import Display, OutFolder, Overrides, ScenarioFile, noted, out_folder, transfer_file
+from .common import Declared, Display, OutFolder, Overrides, ScenarioFile, holds_g, measured_g, noted, out_folder
 
 
 def predict(
@@ -73,8 +73,10 @@ def validate(
     workers: Annotated[int | None, typer.Option(min=1, help="processes; default: what cores and memory allow")] = None,
     scheduler: Annotated[str | None, typer.Option(help="address of a running Dask scheduler")] = None,
     measured: Annotated[
-        Path | None, typer.Option(help="a measured G (file or results folder) to run through the same comparison")
+        Path | None,
+        typer.Option(help="a measured G (file or results folder) to run through the same comparison", callback=holds_g),
     ] = None,
+    declare: Declared = None,
     page: Annotated[Path | None, typer.Option(help="write the page there, e.g. docs/validation.md")] = None,
 ) -> None:
     """Judge predictions by what was published: measured, band over arms, inside or not; where it fails comes first."""
@@ -82,8 +84,6 @@ def validate(
     name = "" if measured is None else measured.name
     with noted(), Display() as display:
         display("libraries", 0, 1)  # seconds of a slow or busy machine
-        from ..geometry.device.layout import planform_ports
-        from ..io import read_measured
         from ..io.atomic import write_text
         from ..io.lock import locked
         from ..prediction.run import Question
@@ -92,7 +92,7 @@ def validate(
         from ..report.validation import coverage, failures, joint_words, validation_page
 
         display("libraries", 1, 1)
-        given = None if measured is None else read_measured(transfer_file(measured), ports=planform_ports(asked))
+        given = measured_g(measured, asked, declare, "--measured")
         folder = out_folder(out, asked, overrides) / FOLDER
         with locked(folder):
             found = run(

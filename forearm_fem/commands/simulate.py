@@ -34,7 +34,6 @@ def run(
         return
     from ..pipeline.folder import run_all
 
-    _check_wavelet(asked, scenario.parent)
     with stage(asked, scenario, out, run_all, overrides, library) as job:
         typer.echo((job.out / "report.md").read_text(encoding="utf-8"))
         typer.echo(f"results: {job.out}")
@@ -71,17 +70,9 @@ def render(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder =
     from ..pipeline.folder import run_render
 
     asked = load_scenario(scenario, overrides=overrides or ())
-    _check_wavelet(asked, scenario.parent)
     with stage(asked, scenario, out, run_render, overrides) as job:
         typer.echo((job.out / "signal_strength.csv").read_text(encoding="utf-8"))
         typer.echo(f"results: {job.out}")
-
-
-def _check_wavelet(asked: Scenario, base: Path) -> None:
-    """A wavelet file that cannot be used is found before minutes of solving."""
-    from ..pipeline.renderers import wavelet
-
-    wavelet(asked.rendering, asked.sweep, base)
 
 
 def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Forecast | None:

@@ -7,13 +7,16 @@ from typing import Annotated
 
 import typer
 
-from .common import Display, noted, print_notes
+from .common import Display, noted, print_notes, there
 
 Full = Annotated[bool, typer.Option("--full", help="the long version")]
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(help="campaign file: a scenario and a list, grid or draw of overrides")],
+    file: Annotated[
+        Path, typer.Argument(help="campaign file: a scenario and a list, grid or draw of overrides",
+                             callback=there("no such campaign file")),
+    ],
     out: Annotated[Path | None, typer.Option("--out", help="default results/NAME")] = None,
     scheduler: Annotated[
         str | None,
@@ -22,7 +25,7 @@ def campaign(
     workers: Annotated[
         int | None, typer.Option(min=1, help="processes on this machine; default: what memory allows")
     ] = None,
-) -> None:
+) -> None:  # fmt: skip
     """Run many variants of a scenario; finished ones are skipped, failed ones do not stop the rest."""
     from ..campaign import load_campaign, run_campaign
     from ..io.lock import locked

@@ -8,11 +8,14 @@ from typing import Annotated, Literal
 import typer
 
 from ..errors import DataError, ScenarioError
-from .common import Display, noted, print_notes
+from .common import Declared, Display, declaration, holds_g, measured_g, noted, print_notes, there
 
 app = typer.Typer(no_args_is_help=True, help="Studies with people: new, run, status, analyse, rehearse, power.")
 
-StudyFile = Annotated[Path, typer.Argument(help="study file; `forearm-fem study new` writes one")]
+StudyFile = Annotated[
+    Path, typer.Argument(help="study file; `forearm-fem study new` writes one",
+                         callback=there("no such study file; `forearm-fem study new NAME` writes one")),
+]  # fmt: skip
 Data = Annotated[Path | None, typer.Option("--data", help="folder of the answers; default beside the file")]
 
 _TEMPLATE = """# A study: every key is optional but name and scenario. `forearm-fem study run {name}.toml` runs it.
@@ -85,15 +88,18 @@ def run(
     daq: Annotated[Literal["virtual", "ni", "sound"], typer.Option(help="virtual, ni or sound")] = "virtual",
     card: Annotated[str | None, typer.Option("--card", help="sound: name or number of the card")] = None,
     cable: Annotated[
-        Path | None, typer.Option("--loopback", help="record of `forearm-fem loopback`, kept with the answers")
+        Path | None,
+        typer.Option("--loopback", help="record of `forearm-fem loopback`, kept with the answers",
+                     callback=there("no such file; `forearm-fem loopback SCENARIO` makes one")),
     ] = None,
+    declare: Declared = None,
     data: Data = None,
     terminal: Annotated[bool, typer.Option("--terminal", help="ask in this terminal instead of on a page")] = False,
     host: Annotated[
         str, typer.Option(help="address to serve the page on; other machines can reach 0.0.0.0")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: a free one")] = 0,
-) -> None:
+) -> None:  # fmt: skip
     """Run a participant's session; the same command goes on where it stopped."""
     from ..measurement.loopback import read_loopback
     from ..study.run import Prepared, require_study_extra, session_for
@@ -103,7 +109,9 @@ def run(
         raise ScenarioError(f"--participant '{participant[:40]}': expected letters and digits only, e.g. 01")
     prepared = Prepared.of(file, data)
     kept = None if cable is None else read_loopback(cable)
-    session, grid = session_for(prepared, participant, task, consent=consent, daq=daq, card=card, cable=kept)
+    session, grid = session_for(
+        prepared, participant, task, consent=consent, daq=daq, card=card, cable=kept, declaration=declaration(declare)
+    )
     if session.back_end.latency_basis == "unknown":
         print_notes(
             ["the device's latency was not measured and is kept as unknown; `forearm-fem loopback` measures it"]
@@ -148,12 +156,14 @@ def analyse(
     ] = "bonferroni",
     thesis: Annotated[bool, typer.Option("--thesis", help="check the thesis' own degrees of freedom too")] = False,
     table: Annotated[
-        Path | None, typer.Option(help="somebody else's answers: a CSV or TSV with the columns of an events file")
+        Path | None,
+        typer.Option(help="somebody else's answers: a CSV or TSV with the columns of an events file",
+                     callback=there("no such file")),
     ] = None,
     columns: Annotated[
         list[str] | None, typer.Option("--column", help="of --table, e.g. method=condition; ours=theirs, repeatable")
     ] = None,
-) -> None:
+) -> None:  # fmt: skip
     """Errors, ellipses, confusion, confidence and statistics as one page with CSVs."""
     from ..study.report import write_analysis
     from ..study.run import Prepared, answers_of, require_study_extra
@@ -188,20 +198,19 @@ def rehearse(
     file: StudyFile,
     transfer: Annotated[
         Path,
-        typer.Option(help="G that all simulated participants share; of a results folder they feel the whole skin"),
+        typer.Option(help="G that all simulated participants share; of a results folder they feel the whole skin",
+                     callback=holds_g),
     ],
+    declare: Declared = None,
     participants: Annotated[int, typer.Option(min=1, max=1000, help="simulated ones")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="of their noise and lapses")] = 0,
     data: Annotated[Path | None, typer.Option("--data", help="default NAME-rehearsal beside the file")] = None,
-) -> None:
+) -> None:  # fmt: skip
     """Let simulated participants do the study: to try the analysis, never as a prediction of people."""
-    from ..geometry.device.layout import planform_ports
-    from ..io.recognise import read_measured
     from ..study.field import field_for
     from ..study.percept import Percept
     from ..study.run import Prepared, require_study_extra
     from ..study.run import rehearse as run_rehearsal
-    from .common import transfer_file
 
     require_study_extra()
     prepared = Prepared.of(file)
@@ -210,7 +219,8 @@ def rehearse(
     if field is None:
         print_notes(["only the grid points' motion is known; skin between and under actuators is not felt"])
     with Display() as display, noted():
-        g = read_measured(transfer_file(transfer), ports=planform_ports(prepared.scenario))
+        g = measured_g(transfer, prepared.scenario, declare)
+        assert g is not None  # it was named
         run_rehearsal(
             Prepared.of(file, folder), g, participants, Percept(), field=field, seed=seed, progress=display
         )
@@ -220,7 +230,10 @@ def rehearse(
 @app.command()
 def power(
     file: StudyFile,
-    pilot: Annotated[Path, typer.Option(help="folder of answers to take effects and scatter from (or a rehearsal)")],
+    pilot: Annotated[
+        Path, typer.Option(help="folder of answers to take effects and scatter from (or a rehearsal)",
+                           callback=there("no such folder; `forearm-fem study rehearse` makes one", folder=True)),
+    ],
     task: Annotated[str, typer.Option(help="of the study")] = "identification",
     effect: Annotated[
         Literal["location", "method", "location x method", "pairs"],
@@ -229,7 +242,7 @@ def power(
     studies: Annotated[
         int, typer.Option(min=100, max=100_000, help="drawn for each number of participants")
     ] = 1000,
-) -> None:
+) -> None:  # fmt: skip
     """How many participants find an effect, by studies drawn from a pilot's cell means and scatter."""
     from ..figures.style import SHEET
     from ..io.atomic import atomic_path

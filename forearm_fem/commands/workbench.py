@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
-from ..scenario import load_scenario, scenario_file
-from .common import Declared, Display, declaration, noted
+from .common import Declared, Display, declaration, noted, scene_of, there
 
 
 def workbench(
     what: Annotated[
-        Path, typer.Argument(help="results folder of a run, NAME.library.nc of an arm, or a file with a measured G")
+        Path,
+        typer.Argument(help="results folder of a run, NAME.library.nc of an arm, or a file with a measured G",
+                       callback=there("no such results folder or file; `forearm-fem run SCENARIO` makes a folder")),
     ],
     save: Annotated[
         Path | None, typer.Option("--save", help="the page; default workbench.html in the folder, NAME.html by a file")
@@ -25,9 +26,9 @@ def workbench(
     declare: Declared = None,
 ) -> None:  # fmt: skip
     """Write one HTML page in which the waves move and everything can be tried: no server, no network."""
+    asked = scene_of(scenario)
     from ..workbench import write_workbench
 
-    asked = load_scenario(scenario_file(scenario)) if scenario is not None else None
     page = save or (what / "workbench.html" if what.is_dir() else what.with_suffix(".html"))
     with noted(), Display() as display:
         write_workbench(what, page, scenario=asked, declaration=declaration(declare), progress=display)

@@ -13,7 +13,7 @@ from ..device.loop import UNITS
 from ..errors import DataError, ForearmError
 from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
-from ..io.declaration import Declaration, Ports
+from ..io.declaration import Declaration, Ports, declared_by
 from ..io.netcdf import write_transfer
 from ..io.recognise import read_measured
 from ..pipeline.parametric import BEYOND, ParametricModel
@@ -64,7 +64,7 @@ def run_compare(
     given. ``scenario`` is what was measured: its points and actuators are those of files that name no places.
     """
     ports = None if scenario is None else planform_ports(scenario)
-    first, second = _load(a, declaration_a, ports), _load(b, declaration_b, ports)
+    first, second = _load(a, declaration_a, ports, "--declare-a"), _load(b, declaration_b, ports, "--declare-b")
     names = (_name(a, "A"), _name(b, "B"))
     folders = [Path(g).resolve().parent for g in (a, b) if not isinstance(g, TransferMatrix)]
     result = compare(first, second, names=names, render=render, folders=folders)
@@ -73,9 +73,10 @@ def run_compare(
 
 
 def _load(
-    what: str | Path | TransferMatrix, declaration: Declaration | None, ports: Ports | None
+    what: str | Path | TransferMatrix, declaration: Declaration | None, ports: Ports | None, option: str = "--declare"
 ) -> TransferMatrix:
-    return what if isinstance(what, TransferMatrix) else read_measured(what, declaration, ports=ports)
+    with declared_by(option):
+        return what if isinstance(what, TransferMatrix) else read_measured(what, declaration, ports=ports)
 
 
 def _name(what: str | Path | TransferMatrix, otherwise: str) -> str:

@@ -17,6 +17,7 @@ import psutil
 from ..campaign.executor import LIGHT, SHARE, cluster
 from ..errors import ScenarioError
 from ..pipeline.folder import Run, run_all
+from ..pipeline.renderers import wavelet
 from ..progress import Progress, tell, within
 from ..results import read_run
 from .arm import ArmModel, TwinArm
@@ -73,6 +74,8 @@ def run_design(
     ``arm`` is what candidates are evaluated on (None: the layered twin from tables); with ``workers`` above 1 or a
     ``scheduler`` generations are spread over Dask. Raises ScenarioError where no candidate is feasible.
     """
+    for scenario in design.scenarios({}):
+        wavelet(scenario.rendering, scenario.sweep, design.base)  # a missing file is said before the search
     out = Path(folder).resolve()
     model = arm or TwinArm(progress=progress)
     store = Store(out, design, model.mark)

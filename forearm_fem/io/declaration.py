@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +18,7 @@ from ..scenario.base import Part, Positive
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
-from .naming import placed_by_name
+from .naming import placed_by_name, strange_names
 from .recognition import RecognitionWarning
 from .units import parse_unit, to_displacement
 
@@ -106,10 +108,15 @@ def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = N
     """G in metres per drive from ``raw`` and what is declared about it.
 
     ``ports`` (outputs, inputs) serve where neither the file nor the declaration has any; a file that names its columns
-    is then read by these names (:func:`.naming.placed_by_name`). Raises DataError for what nobody says, and where file
-    and declaration contradict each other.
+    is then read by these names (:func:`.naming.placed_by_name`). Raises DataError for all that nobody says at once, and
+    where file and declaration contradict each other.
     """
-    outputs, inputs = _ports(raw, declaration, ports)
+    known = _ports(raw, declaration, ports)
+    strange = "" if known is None else strange_names(raw, *known)
+    if open_ends := [s for s in (strange, unsaid(raw, declaration, known)) if s]:
+        raise DataError(f"{raw.name}: {'; it '.join(open_ends)}")
+    assert known is not None
+    outputs, inputs = known
     named = placed_by_name(raw, outputs, inputs)
     ordered = _ordered(named, declaration, len(outputs), len(inputs))
     frequency = _frequency(ordered, declaration)
@@ -118,20 +125,17 @@ def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = N
     return _banded(transfer, declaration.band, raw.name)
 
 
-def _agreed(raw: RawMatrix, declaration: Declaration, key: str, needed: bool = True) -> Any:
-    """What the file says, or the declaration; DataError if they differ, or if ``needed`` and neither says it."""
+def _agreed(raw: RawMatrix, declaration: Declaration, key: str) -> Any:
+    """What the file says, or the declaration, or None; DataError if they differ."""
     said, declared = getattr(raw, key), getattr(declaration, key)
     if said is not None and declared is not None and said != declared:
         raise DataError(
             f"{raw.name}: the file says {key} = {said}, the declaration {declared}; correct the declaration"
         )
-    if said is None and declared is None and needed:
-        unsaid = [k for k in _NEEDED if getattr(raw, k) is None and getattr(declaration, k) is None]  # all at once
-        asked = ", ".join(f"{k} = {_CHOICES[k]}" for k in unsaid)
-        raise DataError(f"{raw.name}: does not say its {', '.join(unsaid)}; declare {asked}")
     value = said if said is not None else declared
-    if value is not None and value not in _ALLOWED.get(key, (value,)):
-        raise DataError(f"{raw.name}: says {key} = {value!r}, which is unknown; correct the file to {_CHOICES[key]}")
+    if value is not None and value not in (allowed := _ALLOWED.get(key, (value,))):
+        choices = " or ".join(map(repr, allowed))
+        raise DataError(f"{raw.name}: says {key} = {value!r}, which is unknown; correct the file to {choices}")
     return value
 
 
@@ -140,24 +144,57 @@ _ALLOWED: Mapping[str, tuple[Any, ...]] = {
     "spectrum": ("one-sided", "two-sided"),
     "sign": ("+iwt", "-iwt"),
 }
-_NEEDED = ("spectrum", "sign", "unit")
-_CHOICES = {
-    "quantity": "'displacement', 'velocity' or 'acceleration'",
-    "unit": "motion over drive, e.g. 'mm/V' or '(mm/s)/V'",
-    "spectrum": "'one-sided' or 'two-sided'",
-    "sign": "'+iwt' (fft of numpy and MATLAB) or '-iwt'",
-}
+_ASKED: Mapping[str, str] = MappingProxyType(  # of most files, in the order asked for
+    {"unit": "'mm/V'", "sign": "'+iwt'", "spectrum": "'one-sided'"}
+)
+_ELSE: Mapping[str, str] = MappingProxyType(
+    {"sign": "'-iwt'", "spectrum": "'two-sided'", "sample_rate": "frequency_variable"}
+)
 
 
-def _ports(raw: RawMatrix, declaration: Declaration, ports: Ports | None) -> Ports:
+def unsaid(raw: RawMatrix, declaration: Declaration, ports: Ports | None) -> str:
+    """All that neither ``raw`` nor ``declaration`` says, and what would say it; "" where nothing is open."""
+    silent = left_open(raw, declaration)
+    if ports is not None and (raw.axes or declaration.axes or axes_by_length(raw, *map(len, ports))) is None:
+        silent["axes"] = declare("axes", "['output', 'input', 'frequency']")
+    if raw.frequency is None and declaration.sample_rate is None:
+        silent["sample_rate"] = declare("sample_rate", "10000")
+    if ports is None:
+        silent["points and actuators"] = "--scenario FILE"
+    return asked(silent)
+
+
+def left_open(said: RawMatrix | None, declaration: Declaration) -> dict[str, str]:
+    """How to declare, by key, what every file must say and neither it (None: says nothing) nor ``declaration`` does."""
+    silent = [k for k in _ASKED if getattr(said, k, None) is None and getattr(declaration, k) is None]
+    return {k: declare(k, _ASKED[k]) for k in silent}
+
+
+def asked(silent: Mapping[str, str]) -> str:
+    """One sentence for all of ``silent``; "" for nothing."""
+    others = ", ".join(v for k, v in _ELSE.items() if k in silent)
+    where = "where true" + (f" (else {others})" if others else "")
+    return f"does not say all of itself; add {' '.join(silent.values())} {where}" if silent else ""
+
+
+def declare(key: str, value: str) -> str:
+    """The option that declares ``key``, as it is typed."""
+    return f'--declare "{key}={value}"'
+
+
+@contextmanager
+def declared_by(option: str) -> Iterator[None]:
+    """Errors of the block name ``option`` in the place of ``--declare``."""
+    try:
+        yield
+    except DataError as problem:
+        raise DataError(str(problem).replace("--declare ", f"{option} ")) from None
+
+
+def _ports(raw: RawMatrix, declaration: Declaration, ports: Ports | None) -> Ports | None:
     outputs = raw.outputs or _declared(declaration.outputs, "point") or (ports[0] if ports else None)
     inputs = raw.inputs or _declared(declaration.inputs, "contact") or (ports[1] if ports else None)
-    if outputs is None or inputs is None:
-        raise DataError(
-            f"{raw.name}: does not say which points and actuators it belongs to; declare outputs and inputs "
-            "with name and position, or name the scenario that was measured"
-        )
-    return outputs, inputs
+    return None if outputs is None or inputs is None else (outputs, inputs)
 
 
 def _declared(ports: tuple[PortDeclaration, ...] | None, kind: Literal["point", "contact"]) -> tuple[Port, ...] | None:
@@ -168,7 +205,11 @@ def _declared(ports: tuple[PortDeclaration, ...] | None, kind: Literal["point", 
 
 def _ordered(raw: RawMatrix, declaration: Declaration, n_out: int, n_in: int) -> RawMatrix:
     """``raw`` in the order (frequency, output, input)."""
-    axes = _agreed(raw, declaration, "axes", needed=False) or recognised_axes(raw, n_out, n_in)
+    axes = _agreed(raw, declaration, "axes")
+    if axes is None:
+        axes = axes_by_length(raw, n_out, n_in)
+        assert axes is not None  # else asked for
+        warnings.warn(RecognitionWarning(raw.name, f"axes of shape {raw.values.shape}", ", ".join(axes)), stacklevel=4)
     if sorted(axes) != ["frequency", "input", "output"] or raw.values.ndim != 3:
         raise DataError(
             f"{raw.name}: an array of shape {raw.values.shape} cannot have the axes {', '.join(axes)}; "
@@ -180,7 +221,7 @@ def _ordered(raw: RawMatrix, declaration: Declaration, n_out: int, n_in: int) ->
     if result.values.shape[1:] != (n_out, n_in):
         raise DataError(
             f"{raw.name}: holds {result.values.shape[1]} outputs and {result.values.shape[2]} inputs, "
-            f"expected {n_out} and {n_in}; declare the axes or the ports"
+            f"expected {n_out} and {n_in}; declare other axes, or name the scenario that was measured"
         )
     return result
 
@@ -189,19 +230,13 @@ def _turned(array: Any, order: list[int]) -> Any:
     return None if array is None else np.ascontiguousarray(np.transpose(array, order))
 
 
-def recognised_axes(raw: RawMatrix, n_out: int, n_in: int) -> tuple[Axis, ...]:
-    """Axes told from their lengths, with a RecognitionWarning; DataError where lengths leave a choice."""
+def axes_by_length(raw: RawMatrix, n_out: int, n_in: int) -> tuple[Axis, ...] | None:
+    """Axes told from their lengths; None where these leave a choice."""
     shape = raw.values.shape
     n_frequency = max(shape, default=0) if raw.frequency is None else len(raw.frequency)
     wanted: dict[Axis, int] = {"frequency": n_frequency, "output": n_out, "input": n_in}
     found: list[Axis] = [a for length in shape for a in wanted if wanted[a] == length]
-    if len(shape) != 3 or len(found) != 3 or len(set(found)) != 3:
-        raise DataError(
-            f"{raw.name}: the axes of shape {shape} cannot be told apart for {n_out} outputs and {n_in} inputs; "
-            "declare axes, e.g. ['output', 'input', 'frequency']"
-        )
-    warnings.warn(RecognitionWarning(raw.name, f"axes of shape {shape}", ", ".join(found)), stacklevel=4)
-    return tuple(found)
+    return tuple(found) if len(shape) == len(found) == len(set(found)) == 3 else None
 
 
 def _frequency(raw: RawMatrix, declaration: Declaration) -> FloatArray:
@@ -215,8 +250,7 @@ def _frequency(raw: RawMatrix, declaration: Declaration) -> FloatArray:
         if not np.all(np.isfinite(frequency)):
             raise DataError(f"{raw.name}: some frequencies are not finite; repair the frequency vector")
         return frequency
-    if declaration.sample_rate is None:
-        raise DataError(f"{raw.name}: has no frequency vector; declare sample_rate in Hz, or frequency_variable")
+    assert declaration.sample_rate is not None  # else asked for
     if _agreed(raw, declaration, "spectrum") == "two-sided":
         return np.arange(n) * declaration.sample_rate / n
     return np.arange(n) * declaration.sample_rate / (2 * (n - 1))
@@ -234,15 +268,13 @@ def _one_sided(raw: RawMatrix, frequency: FloatArray, spectrum: Spectrum) -> Raw
         keep = slice(1, (len(frequency) + 1) // 2)
     else:
         if mirrored < _HERMITIAN and len(frequency) > 8:
-            raise DataError(
-                f"{raw.name}: declared one-sided, but its upper half mirrors the lower "
-                f"one; declare spectrum = 'two-sided'"
-            )
+            said = declare("spectrum", "'two-sided'")
+            raise DataError(f"{raw.name}: declared one-sided, but its upper half mirrors the lower one; use {said}")
         keep = slice(int(frequency[0] == 0), None)
     kept = frequency[keep]
     if len(kept) == 0 or kept[0] <= 0 or np.any(np.diff(kept) <= 0):
         raise DataError(
-            f"{raw.name}: the frequencies must be positive and increase; sort them, or declare the spectrum"
+            f"{raw.name}: the frequencies must be positive and increase; sort them, or declare the other spectrum"
         )
     return replace(raw, frequency=kept, **_rows(raw, keep))
 
@@ -261,7 +293,7 @@ def _metres(
 ) -> TransferMatrix:
     assert raw.frequency is not None
     unit = parse_unit(_agreed(raw, declaration, "unit"))
-    quantity = _agreed(raw, declaration, "quantity", needed=False) or unit.quantity
+    quantity = _agreed(raw, declaration, "quantity") or unit.quantity
     if quantity != unit.quantity:
         raise DataError(
             f"{raw.name}: a {quantity} cannot have the unit '{raw.unit or declaration.unit}'; correct one of them"

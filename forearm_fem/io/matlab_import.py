@@ -16,7 +16,7 @@ from ..errors import DataError
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, FloatArray
 from .atomic import atomic_path, write_bytes
-from .declaration import Axis, Declaration, RawMatrix
+from .declaration import Axis, Declaration, RawMatrix, asked, declare, left_open
 from .matlab import mat5, stamped
 from .reading import reading
 from .recognition import RecognitionWarning
@@ -35,7 +35,7 @@ def read_mat(path: str | Path, declaration: Declaration) -> RawMatrix:
     """
     file = Path(path)
     variables = read_variables(file)
-    name = _matrix(file, variables, declaration.variable)
+    name = _matrix(file, variables, declaration)
     values = np.asarray(variables[name], dtype=complex)
     frequency = _frequency(file, variables, name, values.shape, declaration)
     provenance = {"format": "MATLAB", "variable": name}
@@ -82,17 +82,16 @@ def _array(dataset: Any) -> Any:
     return np.asarray(values).T
 
 
-def _matrix(file: Path, variables: Mapping[str, Any], wanted: str | None) -> str:
-    if wanted is not None:
+def _matrix(file: Path, variables: Mapping[str, Any], declaration: Declaration) -> str:
+    if (wanted := declaration.variable) is not None:
         if wanted not in variables:
             raise DataError(f"{file}: has no array '{wanted}'; it has {', '.join(sorted(variables))[:120]}")
         return wanted
     cubes = [k for k, v in variables.items() if v.ndim == 3]
     if len(cubes) != 1:
         described = ", ".join(f"{k} {v.shape}" for k, v in variables.items())
-        raise DataError(
-            f"{file}: {len(cubes)} arrays with three axes, so declare which is G (variable); found {described[:160]}"
-        )
+        open_ends = {"variable": declare("variable", f"'{(cubes or ['G'])[0]}'"), **left_open(None, declaration)}
+        raise DataError(f"{file}: {len(cubes)} arrays have three axes ({described[:80]}); it {asked(open_ends)}")
     warnings.warn(RecognitionWarning(str(file), "G", f"variable '{cubes[0]}'"), stacklevel=4)
     return cubes[0]
 

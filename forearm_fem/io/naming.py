@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import DataError
 from ..ports import Port
 from ..typing import BoolArray, ComplexArray
 from .recognition import RecognitionWarning
@@ -17,15 +16,14 @@ from .recognition import RecognitionWarning
 if TYPE_CHECKING:
     from .declaration import RawMatrix
 
-_SHOWN = 8  # names of a list in a sentence
+_SHOWN = 6  # names of a list in a sentence
 
 
 def placed_by_name(raw: RawMatrix, outputs: Sequence[Port], inputs: Sequence[Port]) -> RawMatrix:
     """``raw`` (frequency, output, input) in the order of ``outputs`` and ``inputs``, by the names that the file uses.
 
-    A port that the file lacks is not measured: NaN, marked. Raises DataError for a name that no port has. Numbers of
-    nodes (``raw.numbered``) none of which is a port's name are taken in their order, with a RecognitionWarning, where
-    there are as many as ports. A file that names no ports is returned as it is.
+    A port that the file lacks is not measured: NaN, marked. Every name is a port's (:func:`strange_names`), or numbers
+    of nodes are taken in their order, with a RecognitionWarning. A file that names no ports is returned as it is.
     """
     if raw.names is None:
         return raw
@@ -43,21 +41,29 @@ def placed_by_name(raw: RawMatrix, outputs: Sequence[Port], inputs: Sequence[Por
     )
 
 
+def strange_names(raw: RawMatrix, outputs: Sequence[Port], inputs: Sequence[Port]) -> str:
+    """What is wrong with the file's names: those that no port has; "" for nothing.
+
+    Numbers of nodes (``raw.numbered``) none of which is a port's name are none, where there are as many as ports.
+    """
+    for kind, named, ports in zip(("output", "input"), raw.names or ((), ()), (outputs, inputs), strict=True):
+        known = [p.name for p in ports]
+        strange = [n for n in named if n not in known]
+        if strange and not (raw.numbered and len(strange) == len(named) == len(known)):
+            return (
+                f"names the {kind}s {_list(strange)}, which are none of {_list(known)}; rename them, "
+                "or name the scenario measured"
+            )
+    return ""
+
+
 def _columns(raw: RawMatrix, kind: str, named: Sequence[str], known: Sequence[str]) -> list[int]:
     """Where each of the file's names stands among the ports' names ``known``."""
-    strange = [n for n in named if n not in known]
-    if not strange:
+    if all(n in known for n in named):
         return [known.index(n) for n in named]
-    if raw.numbered and len(strange) == len(named) == len(known):
-        order = ", ".join(f"{a} as {b}" for a, b in zip(named, known, strict=True))
-        warnings.warn(
-            RecognitionWarning(raw.name, f"{kind} nodes, in the order of their numbers,", order), stacklevel=5
-        )
-        return list(range(len(known)))
-    raise DataError(
-        f"{raw.name}: names the {kind}s {_list(strange)}, which are none of {_list(known)}; rename them in the file, "
-        "or name the scenario that was measured"
-    )
+    order = ", ".join(f"{a} as {b}" for a, b in zip(named, known, strict=True))
+    warnings.warn(RecognitionWarning(raw.name, f"{kind} nodes, in the order of their numbers,", order), stacklevel=5)
+    return list(range(len(known)))
 
 
 def _list(names: Sequence[str]) -> str:

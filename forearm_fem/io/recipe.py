@@ -15,7 +15,7 @@ from ..scenario.base import Part, Positive
 from ..scenario.toml import read_toml
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
-from .declaration import Declaration, RawMatrix, understand
+from .declaration import Declaration, RawMatrix, declared_by, understand
 
 AxisName = Annotated[str, Field(pattern=r"^[a-z_]+$")]
 
@@ -101,7 +101,8 @@ def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix
         spectrum=None if recipe.time is None else "one-sided",
         provenance={"recipe": recipe.name, "cite": recipe.source},
     )
-    return understand(raw, recipe.declaration)
+    with declared_by("[declaration]"):
+        return understand(raw, recipe.declaration)
 
 
 def _stacked(recipe: ArrayRecipe, folder: Path) -> tuple[FloatArray, list[str]]:

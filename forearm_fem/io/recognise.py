@@ -56,9 +56,13 @@ def write_measured(path: str | Path, transfer: TransferMatrix) -> None:
 
 def _netcdf(file: Path, declaration: Declaration, ports: Ports | None) -> TransferMatrix:
     transfer = read_transfer(file)
+    _refuse(file, declaration)
+    return transfer
+
+
+def _refuse(file: Path, declaration: Declaration) -> None:
     if declaration != Declaration():
         raise DataError(f"{file}: describes itself; leave the declaration out")
-    return transfer
 
 
 def _mat(file: Path, declaration: Declaration, ports: Ports | None) -> TransferMatrix:
@@ -77,7 +81,9 @@ def _is_ours(file: Path) -> bool:
 
 
 def _recipe(file: Path, declaration: Declaration, ports: Ports | None) -> TransferMatrix:
-    return import_by_recipe(load_recipe(file), file.parent)
+    recipe = load_recipe(file)
+    _refuse(file, declaration)
+    return import_by_recipe(recipe, file.parent)
 
 
 def _by(read: Callable[[Path], RawMatrix]) -> Callable[[Path, Declaration, Ports | None], TransferMatrix]:

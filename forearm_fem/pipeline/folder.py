@@ -50,7 +50,7 @@ from ..wavefield import Wavefield, save_wavefield
 from .actuator_notes import actuator_notes
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
-from .renderers import check_servable
+from .renderers import check_servable, wavelet
 from .resources import Ledger
 from .simulation import AnswersForArm, Simulation, account_of, render_transfer, simulate, with_device
 from .skin_model import save_skin_model
@@ -101,8 +101,7 @@ class Run:
 
 def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
-    check_servable(run.scenario)
-    refuse_if_signals_too_large(run.scenario)
+    _check_rendering(run)
     transfer = _solved(run)
     from ..report import write_report  # plotting is heavy and not needed by the other stages
 
@@ -115,6 +114,13 @@ def run_all(run: Run) -> None:
         else:
             write_wave_report(run.scenario, transfer, run.out, notes=run.notes)
     _write_run(run)
+
+
+def _check_rendering(run: Run) -> None:
+    """What cannot be rendered, a missing wavelet's file among it, is said before minutes of solving."""
+    check_servable(run.scenario)
+    refuse_if_signals_too_large(run.scenario)
+    wavelet(run.scenario.rendering, run.scenario.sweep, run.base)
 
 
 def run_mesh(run: Run) -> TissueMesh | None:
@@ -140,8 +146,7 @@ def run_render(run: Run) -> Rendering:
     """Renderers on the folder's G (solved first where it is missing): drives, displacements and S."""
     if not run.scenario.rendering.methods:
         raise ScenarioError("rendering.methods is empty, so there is nothing to render; name a method or use `solve`")
-    check_servable(run.scenario)
-    refuse_if_signals_too_large(run.scenario)
+    _check_rendering(run)
     rendering = _rendered(run, _solved(run))
     _write_run(run)
     return rendering

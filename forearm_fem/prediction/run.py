@@ -22,7 +22,7 @@ from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ForearmError, ScenarioError
 from ..fem.kernels.heap import freed_memory_kept
 from ..pipeline.frequencies import frequencies
-from ..pipeline.renderers import unsuited
+from ..pipeline.renderers import unsuited, wavelet
 from ..pipeline.simulation import account_of, render_transfer, simulate
 from ..pipeline.strengths import StrengthAccount
 from ..progress import Progress, tell, within
@@ -146,7 +146,10 @@ def predict(
 
 
 def check_question(question: Question) -> None:
-    """ScenarioError for laws, inputs or groups that are not known, and for a scene that renders nothing."""
+    """ScenarioError for laws, inputs or groups that are not known and a scene that renders nothing; DataError for a
+    wavelet's file that cannot be read.
+    """
+    wavelet(question.scenario.rendering, question.scenario.sweep, question.base)
     priors = load_priors()
     groups = {p.group for p in priors.inputs.values()}
     if bad := sorted(set(question.held) - groups - (set(priors.inputs) - {"law"})):

@@ -12,6 +12,7 @@ import pandas as pd
 
 from ..errors import DataError, MissingExtra
 from ..geometry.device.layout import planform_ports
+from ..io.declaration import Declaration
 from ..measurement.daq import Daq
 from ..measurement.loopback import Loopback, check_belongs
 from ..measurement.run import DaqKind, hardware, wired
@@ -68,15 +69,15 @@ class Prepared:
 
 def session_for(
     prepared: Prepared, participant: str, task: str, *, consent: str = "", daq: DaqKind | Daq = "virtual",
-    card: str | None = None, cable: Loopback | None = None,
+    card: str | None = None, cable: Loopback | None = None, declaration: Declaration | None = None,
 ) -> tuple[Session, tuple[Port, ...]]:  # fmt: skip
     """A session of an enrolled (or now enrolled) participant, with the grid; the task's earlier answers are kept.
 
-    ``cable`` is the loopback measured of the device, kept with the answers. Raises ScenarioError, DataError or
-    HardwareError in one sentence for whatever prevents it.
+    ``cable`` is the loopback measured of the device, kept with the answers; ``declaration`` what the participant's G
+    does not say of itself. Raises ScenarioError, DataError or HardwareError in one sentence for whatever prevents it.
     """
     asked = prepared.study.task(task)
-    transfer = transfer_of(prepared.study, prepared.base, participant, planform_ports(prepared.scenario))
+    transfer = transfer_of(prepared.study, prepared.base, participant, planform_ports(prepared.scenario), declaration)
     stimuli = prepared.stimuli(transfer)
     player, plays = device_player(prepared, transfer, stimuli, daq, card=card, cable=cable)
     store = prepared.store()

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import HardwareError, ScenarioError
-from ..io.declaration import Ports
+from ..io.declaration import Declaration, Ports
 from ..io.recognise import read_measured
 from ..measurement.daq import Daq
 from ..measurement.play import play
@@ -36,10 +36,13 @@ class Stimulus:
     moved: FloatArray
 
 
-def transfer_of(study: Study, base: Path, participant: str, ports: Ports) -> TransferMatrix:
+def transfer_of(
+    study: Study, base: Path, participant: str, ports: Ports, declaration: Declaration | None = None
+) -> TransferMatrix:
     """G of a participant as the study file says; ScenarioError naming the file and what makes it.
 
-    ``ports`` (outputs, inputs) are those of the scenario, for files that name no places.
+    ``ports`` (outputs, inputs) are those of the scenario, for files that name no places; ``declaration`` is what the
+    file does not say of itself.
     """
     file = base / study.transfer.replace("{participant}", participant)
     if not file.exists():
@@ -47,7 +50,7 @@ def transfer_of(study: Study, base: Path, participant: str, ports: Ports) -> Tra
             f"{file}: no G for participant {participant}; `forearm-fem calibrate SCENARIO --out {file.parent}` "
             "measures it, or name a simulated one in the study's `transfer`"
         )
-    return read_measured(file, ports=ports)
+    return read_measured(file, declaration, ports=ports)
 
 
 def stimuli_for(

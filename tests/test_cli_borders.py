@@ -1,0 +1,158 @@
+"""What a command is given is looked at before it begins, and what a file leaves open can be said where it is asked."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import pytest
+from cli_runner import SMALL, cli, leftovers
+from scipy.io import savemat
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "_ext"))
+
+from command_pages import every_command
+
+from forearm_fem import cli as program
+from forearm_fem.commands import study
+
+WRITTEN = {"out", "save", "page", "data", "folder"}  # paths that a command makes
+STUDY = 'name = "s"\nscenario = "small.toml"\ntransfer = "lab.csv"\n'
+SAID = ("unit='um/V'", "sign='+iwt'", "spectrum='one-sided'")
+LINES = {  # every command that reads a G, with a file that says nothing of itself
+    "calibrate": ("small.toml", "--through", "lab.csv"),
+    "play": ("small.toml", "drives.nc", "--through", "lab.csv"),
+    "compare": ("lab.csv", "lab.csv", "--scenario", "small.toml"),
+    "fit": ("small.toml", "lab.csv", "scale"),
+    "workbench": ("lab.csv", "--scenario", "small.toml"),
+    "validate": ("small.toml", "--measured", "lab.csv"),
+    "study run": ("s.toml", "--participant", "01", "--task", "identification"),
+    "study rehearse": ("s.toml", "--transfer", "lab.csv"),
+}
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """A scenario, a study, and a table that says nothing but its numbers."""
+    (tmp_path / "small.toml").write_text(SMALL)
+    (tmp_path / "s.toml").write_text(STUDY)
+    (tmp_path / "drives.nc").write_text("looked at later")
+    rows = [f"{f},{o},A{i},1.0,0.0" for f in (20, 24) for o in range(1, 10) for i in range(1, 5)]
+    (tmp_path / "lab.csv").write_text("\n".join(["frequency_Hz,output,input,real,imag", *rows]))
+    return tmp_path
+
+
+def declared(said: tuple[str, ...], command: str) -> list[str]:
+    option = "--declare-a" if command == "compare" else "--declare"
+    return [word for item in said for word in (option, item)]
+
+
+def bodies() -> dict[str, Any]:
+    """What holds each command's function, by the command's name."""
+    named = [("", program.app), ("study ", study.app)]
+    return {f"{b}{i.callback.__name__}": i for b, app in named for i in app.registered_commands if i.callback}
+
+
+def paths() -> list[tuple[str, Any]]:
+    """(command, parameter) of every path that must be there."""
+    found = []
+    for name, command in every_command():
+        types = get_type_hints(bodies()[name].callback)
+        wanted = [p for p in command.params if p.name in types and p.name not in WRITTEN]
+        found += [(name, p) for p in wanted if Path in (types[p.name], *get_args(types[p.name]))]
+    return found
+
+
+def test_every_command_that_takes_a_g_is_among_those_tried() -> None:
+    """A G in a file is known by the word in the path's help; that of a participant is named by the study."""
+    takes = {name for name, p in paths() if re.search(r"\bG\b", p.help) and p.name != "scenario"}
+    assert takes | {"study run"} == set(LINES)
+
+
+@pytest.mark.parametrize("command", LINES)
+def test_what_a_file_does_not_say_is_asked_for_at_once_and_can_be_said(lab: Path, command: str) -> None:
+    asked = cli(*command.split(), *LINES[command], cwd=lab)
+    assert asked.code == 2
+    options = declared(("unit='mm/V'", "sign='+iwt'", "spectrum='one-sided'"), command)
+    assert " ".join(w if w.startswith("--") else f'"{w}"' for w in options) in asked.sentence
+    # a unit that is none comes from the declaration, so the reader had it, and nothing was played or solved
+    said = declared(("unit='furlong/V'", *SAID[1:]), command)
+    assert "furlong/V" in cli(*command.split(), *LINES[command], *said, cwd=lab).sentence
+    assert not any(name.endswith(("transfer.nc", ".html")) for name in leftovers(lab))
+
+
+def test_all_commands_ask_by_the_same_option() -> None:
+    texts = {
+        re.sub("a file|A|B", "X", p.help, count=1)
+        for _, command in every_command()
+        for p in command.params
+        if p.name.startswith("declare")
+    }
+    assert len(texts) == 1
+
+
+@pytest.mark.parametrize(("command", "option"), [("calibrate", "--through"), ("validate", "--measured")])
+def test_a_declaration_of_no_file_is_refused(lab: Path, command: str, option: str) -> None:
+    answer = cli(command, "small.toml", "--declare", SAID[0], cwd=lab)
+    assert (answer.code, f"has no effect without {option}" in answer.sentence) == (2, True)
+
+
+def test_an_array_without_names_asks_for_all_it_lacks_in_a_sentence(lab: Path) -> None:
+    """Which array, unit, sign and sides; then the axes of a square one and its frequencies: two sentences, not six."""
+    savemat(lab / "lab.mat", {"H": np.ones((4, 4, 30)) + 0j, "coherence": np.ones((4, 4, 30))})
+    square = ("fit", "small.toml", "lab.mat", "scale", "--set", "grid.rows=2", "--set", "grid.columns=2",
+              "--set", "rendering.targets='all'")  # fmt: skip
+    first = cli(*square, cwd=lab)
+    keys = ("variable='H'", "unit='mm/V'", *SAID[1:])
+    assert all(f'--declare "{key}"' in first.sentence for key in keys)
+    then = cli(*square, *declared(keys, "fit"), cwd=lab)
+    assert all(f'--declare "{key}=' in then.sentence for key in ("axes", "sample_rate"))
+    assert max(len(first.sentence), len(then.sentence)) <= 300
+
+
+def never(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of the same parameters that must not be called."""
+
+    @functools.wraps(function)
+    def begun(**_: object) -> None:
+        pytest.fail("the command began")
+
+    assert inspect.signature(begun) == inspect.signature(function)
+    return begun
+
+
+@pytest.mark.parametrize(("command", "given"), paths(), ids=lambda x: getattr(x, "name", x))
+def test_a_missing_file_is_said_before_the_command_begins(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, command: str, given: Any
+) -> None:
+    """Scenarios are looked up by name, so the command's first line reads them; all else is seen before."""
+    body = bodies()[command]
+    if (command, given.name) != ("show", "what") and given.name != "scenario":
+        monkeypatch.setattr(body, "callback", never(body.callback))
+    words = command.split()
+    for p in next(c for name, c in every_command() if name == command).params:
+        if p.required or p is given or p.name == given.name:
+            named = [p.opts[0]] if p.param_type_name == "option" else []
+            there = {"scenario": "small.toml", "file": "small.toml", "pilot": "."}.get(p.name, "lab.csv")
+            words += [*named, "missing.toml" if p.name == given.name else there]
+    before = leftovers(lab)
+    answer = cli(*words, cwd=lab)
+    assert (answer.code, "missing.toml" in answer.sentence) == (2, True)
+    assert leftovers(lab) == before
+
+
+@pytest.mark.parametrize(
+    ("line", "remedy"),
+    [
+        (("show", "lab.csv", "--save", "a.png"), "no solved field to walk around in; `forearm-fem workbench lab.csv`"),
+        (("figures", "lab.csv"), "lab.csv: no such results folder; `forearm-fem run SCENARIO` makes one"),
+    ],
+)
+def test_a_table_where_a_run_is_wanted_is_told_which_command_serves(lab: Path, line: Any, remedy: str) -> None:
+    assert remedy in cli(*line, cwd=lab).sentence
