@@ -134,6 +134,24 @@ def test_a_killed_campaign_keeps_what_was_finished(tmp_path: Path, here: Here, m
     assert [m.reused for m in start(file).members] == [False, False, True]
 
 
+def test_a_member_that_was_begun_anew_and_killed_is_not_taken_for_its_older_self(
+    tmp_path: Path, here: Here, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its files may be the newer question's already, so who asks the older one again gets them made again."""
+    older = '[[members]]\nname = "one"\nset = {{ "device.spacing" = {} }}\n'
+    start(made(tmp_path, older.format(0.03)))
+    file = made(tmp_path, older.format(0.04))
+    with monkeypatch.context() as patched:
+        patched.setattr("forearm_fem.campaign.member.member_summary", _interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            start(file)
+    assert [m.reused for m in start(made(tmp_path, older.format(0.03))).members] == [False]
+
+
+def _interrupted(*_: object) -> dict[str, Any]:
+    raise KeyboardInterrupt
+
+
 def test_a_fault_of_the_program_is_kept_to_its_member(
     tmp_path: Path, here: Here, monkeypatch: pytest.MonkeyPatch
 ) -> None:

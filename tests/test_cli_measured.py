@@ -153,3 +153,24 @@ def test_play_obeys_the_voltage_limit(lab: Path) -> None:
     loud = cli(*common, "--scale", 100, cwd=lab)
     assert loud.code == 2
     assert "V" in loud.sentence
+
+
+@pytest.mark.parametrize("command", ["compare", "fit"])
+def test_a_folder_keeps_one_result_whole_and_what_others_wrote(lab: Path, command: str) -> None:
+    """The same again just works; another question replaces all and says so; what is not its own is refused."""
+    g = "results/small/calibration"
+    first = {"compare": ("results/small", g, "--no-render"), "fit": ("small.toml", g, "scale", "--frequencies", 4)}
+    other = {"compare": (g, "results/small", "--no-render"), "fit": ("small.toml", g, "delay", "--frequencies", 4)}
+    out = lab / f"kept-{command}"
+    for line in (first, first):
+        answer = cli(command, *line[command], "--out", out, cwd=lab)
+        assert (answer.code, "another question" in answer.err) == (0, False), answer.err
+    (out / "mine.txt").write_text("mine")
+    names = {f.name for f in out.iterdir()}
+    assert "another question and are replaced" in cli(command, *other[command], "--out", out, cwd=lab).err
+    assert {f.name for f in out.iterdir()} == names
+    account = next(out.glob("*.json"))
+    account.write_text('{"colour": "red"}')
+    refused = cli(command, *first[command], "--out", out, cwd=lab)
+    assert (refused.code, "name another folder with --out" in refused.sentence) == (2, True)
+    assert account.read_text() == '{"colour": "red"}'

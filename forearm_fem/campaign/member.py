@@ -49,6 +49,7 @@ def finished(job: MemberJob) -> dict[str, Any] | None:
 def finish_member(job: MemberJob) -> dict[str, Any]:
     """Run the member; its summary, or {"problem": sentence}. Nothing it raises leaves the worker."""
     try:
+        (Path(job.folder) / MARK).unlink(missing_ok=True)  # of an older question, whose files are replaced from here on
         summary = _done(job)
         write_json(Path(job.folder) / MARK, {"digest": job.digest, "summary": summary})
         return summary

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +20,16 @@ from .agreement import fdac_matrix
 from .common import CommonGround
 from .compare import Comparison, comparison_record
 from .crossplay import CrossPlay
+from .earlier import clear_earlier
 
+FILES = ("comparison.json", "comparison.csv", "comparison.md", "comparison.png")
 _SIDES = (("A", ACTUATORS[0], "-"), ("B", ACTUATORS[5], "--"))
 _COLUMNS = ("output", "input", "e", "dB_rms", "dB_bias", "phase_rad", "delay_s", "FRAC", "misfit_in_sigma")
 
 
-def as_json(c: Comparison) -> str:
-    """All numbers as JSON; what is unknown is null."""
-    return json.dumps(comparison_record(c), indent=1, allow_nan=False)
+def as_json(c: Comparison, asked: Mapping[str, Any] | None = None) -> str:
+    """All numbers as JSON, after what was ``asked``; what is unknown is null."""
+    return json.dumps({"asked": asked or {}, **comparison_record(c)}, indent=1, allow_nan=False)
 
 
 def as_csv(c: Comparison) -> str:
@@ -194,15 +197,15 @@ def _band(ax: Axes, ground: CommonGround) -> None:
     decimal(ax.xaxis)
 
 
-def save_report(c: Comparison, folder: str | Path) -> tuple[Path, ...]:
-    """comparison.json, .csv, .md and .png in ``folder``, each whole or absent."""
+def save_report(c: Comparison, folder: str | Path, asked: Mapping[str, Any] | None = None) -> tuple[Path, ...]:
+    """:data:`FILES` in ``folder``, each whole or absent, in place of an earlier comparison's."""
     target = Path(folder)
-    texts = {"comparison.json": as_json(c), "comparison.csv": as_csv(c), "comparison.md": as_markdown(c)}
-    for name, text in texts.items():
+    clear_earlier(target, FILES)
+    for name, text in zip(FILES, (as_json(c, asked), as_csv(c), as_markdown(c)), strict=False):
         write_text(target / name, text)
-    with atomic_path(target / "comparison.png") as beside:
+    with atomic_path(target / FILES[-1]) as beside:
         picture(c).savefig(beside, dpi=200)
-    return tuple(target / name for name in (*texts, "comparison.png"))
+    return tuple(target / name for name in FILES)
 
 
 @styled

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,11 +34,13 @@ from .adapters import (
 )
 from .common import common_ground
 from .compare import Comparison, compare, plain
+from .earlier import check_earlier, clear_earlier
 from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, with_model_error
 from .next_best import NextBest, next_best
 from .readings import explained, mistake
-from .report import as_markdown, save_report
+from .report import FILES, as_markdown, save_report
 
+FIT_FILES = ("fit.json", "fit.md", "fitted.nc")
 __all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
 
 
@@ -63,12 +66,18 @@ def run_compare(
     """Compare B against A, each a file of any kind known or a TransferMatrix; write into ``folder`` if
     given. ``scenario`` is what was measured: its points and actuators are those of files that name no places.
     """
+    asked = {
+        "A": _said(a, declaration_a), "B": _said(b, declaration_b), "render": render,
+        "scenario": None if scenario is None else scenario.model_dump(mode="json"),
+    }  # fmt: skip
+    if folder is not None:
+        check_earlier(Path(folder), FILES, asked)
     ports = None if scenario is None else planform_ports(scenario)
     first, second = _load(a, declaration_a, ports, "--declare-a"), _load(b, declaration_b, ports, "--declare-b")
     names = (_name(a, "A"), _name(b, "B"))
     folders = [Path(g).resolve().parent for g in (a, b) if not isinstance(g, TransferMatrix)]
     result = compare(first, second, names=names, render=render, folders=folders)
-    files = save_report(result, folder) if folder is not None else ()
+    files = save_report(result, folder, asked) if folder is not None else ()
     return CompareResult(result, as_markdown(result), files)
 
 
@@ -77,6 +86,12 @@ def _load(
 ) -> TransferMatrix:
     with declared_by(option):
         return what if isinstance(what, TransferMatrix) else read_measured(what, declaration, ports=ports)
+
+
+def _said(what: str | Path | TransferMatrix, declaration: Declaration | None) -> list[Any]:
+    """Which G was read and how, as an account has it."""
+    file = None if isinstance(what, TransferMatrix) else str(what)
+    return [file, None if declaration is None else declaration.model_dump(mode="json", exclude_none=True)]
 
 
 def _name(what: str | Path | TransferMatrix, otherwise: str) -> str:
@@ -125,6 +140,12 @@ def run_fit(
     (:mod:`.readings`) would make model and data agree. DataError for a G without valid entries, of another drive than
     ``device.drive``, or of inputs that the device does not have.
     """
+    asked = {
+        "scenario": scenario.model_dump(mode="json"), "measured": _said(measured, declaration),
+        "parameters": list(parameters), "frequencies": frequencies, "fem": fem,
+    }  # fmt: skip
+    if folder is not None:
+        check_earlier(Path(folder), FIT_FILES, asked)
     data = thinned(_load(measured, declaration, planform_ports(scenario)), frequencies)
     _check_drive(scenario, data)
     chosen = common_parameters(scenario, parameters)
@@ -161,7 +182,7 @@ def run_fit(
     said = (*_reduction_note(reduction, result), *((numerics,) if numerics else ()))
     notes = (*_explained(data, (start, best)), *said, following.sentence)
     text = fit_text(result, notes)
-    files = () if folder is None else _save_fit(Path(folder), result, best, text, notes)
+    files = () if folder is None else _save_fit(Path(folder), asked, result, best, text, notes)
     return FitCommandResult(result, best, following, reduction, numerics, text, files)
 
 
@@ -341,9 +362,10 @@ def _digits(value: float, width: float) -> int:
 
 
 def _save_fit(
-    folder: Path, result: FitResult, best: TransferMatrix, text: str, notes: Sequence[str]
+    folder: Path, asked: Mapping[str, Any], result: FitResult, best: TransferMatrix, text: str, notes: Sequence[str]
 ) -> tuple[Path, ...]:
     content = {
+        "asked": asked,
         "values": dict(result.values),
         "deviation": {k: plain(v) for k, v in result.deviation.items()},
         "interval_95": {k: [plain(x) for x in v] for k, v in result.interval.items()},
@@ -354,7 +376,9 @@ def _save_fit(
         "identified": result.identified,
         "sentences": [*notes, *result.sentences],
     }
-    write_text(folder / "fit.json", json.dumps(content, indent=1, allow_nan=False))
-    write_text(folder / "fit.md", text)
-    write_transfer(folder / "fitted.nc", best)
-    return folder / "fit.json", folder / "fit.md", folder / "fitted.nc"
+    clear_earlier(folder, FIT_FILES)
+    account, page, g = (folder / name for name in FIT_FILES)
+    write_text(account, json.dumps(content, indent=1, allow_nan=False))
+    write_text(page, text)
+    write_transfer(g, best)
+    return account, page, g
