@@ -428,6 +428,20 @@ class Unsure(LayeredArm):
         return replace(found, errors=(said,))
 
 
+def test_an_answer_may_be_missed_alike_everywhere_or_at_each_pair(model):
+    """Half of what an arm may be is off by its error at every pair in one phase with it: what too much decay does, and
+    what changes S by more than the same size at each pair by chance. The other half is off at no two pairs alike."""
+    answer = ReducedArm(parse_scenario(SCENE), model, LayeredArm()).answer(parse_scenario(SCENE), PROBES)
+    found = answer.compliance.block("point", "contact")
+    _, missed = model.answer(parse_scenario(SCENE), PROBES)
+    size = missed.of(answer.compliance)[:, 2:, :2]
+    for k, other in enumerate(answer.others):
+        off = (other.block("point", "contact") - found) / found * np.abs(found) / size
+        alike = np.allclose(off, off[:, :1, :1], rtol=1e-6)  # rounding of a difference a thousandth of its terms
+        assert alike == (k % 2 == 0)
+        assert np.allclose(np.abs(off), 1.0, rtol=1e-6) == alike
+
+
 def test_what_the_twin_errs_by_in_its_change_is_in_the_arms_interval(model):
     """It was in e_band alone; and over the largest of a kind, so that points far away err by their own size."""
     scene, drawn = parse_scenario(SCENE), parse_scenario(THICK)

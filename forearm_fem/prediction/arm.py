@@ -188,7 +188,8 @@ class ReducedArm:
         return self.answer(scenario, frequency).compliance
 
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
-        """See :class:`ArmModel`: each error may be missed at each pair of ports by its size there, in any phase."""
+        """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
+        any phase at each."""
         own = self._on_mesh(scenario)
         found, missed = self.model.answer(own, frequency)
         off: list[ComplexArray | FloatArray] = [missed.of(found)]
@@ -251,10 +252,18 @@ class ReducedArm:
 
 
 def _others(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
-    """Answers as wrong as each error of ``off`` (n, n_port, n_port) [m/N] may make them, in any phase."""
-    rng, made = np.random.default_rng(0), []
-    for _ in range(_OTHERS):
-        moved = [each * _part(found.frequency, len(found.ports), rng) for each in off]
+    """Answers as wrong as each error of ``off`` (n, n_port, n_port) [m/N] may make them, in any phase: every other one
+    alike at all pairs of ports, as where the same waves decay too much everywhere, the rest at each pair by chance.
+
+    What the same share of all pairs does to S does not average out over pairs (docs/decisions/0042).
+    """
+    rng, made, ports = np.random.default_rng(0), [], len(found.ports)
+    size = np.abs(found.values)
+    phase = np.divide(found.values, size, out=np.ones_like(found.values), where=size > 0)
+    shapes = [each if np.iscomplexobj(each) else each * phase for each in off]
+    for k in range(_OTHERS):
+        alike = k % 2 == 0
+        moved = [each * _part(found.frequency, 1 if alike else ports, rng) for each in shapes]
         made.append(replace(found, values=found.values + sum(moved)))
     return tuple(made)
 
