@@ -1,11 +1,12 @@
-"""What a run's G and S err by, held against a much finer mesh of the same scene, beside what the run states of itself.
+"""What runs' G and S err by, held against a much finer mesh of the same scene, beside what each run states of itself.
 
     forearm-fem run thesis --out results/thesis
     forearm-fem solve thesis --set accuracy=0.007 --set solver.discretisation_estimate=false --out results/finer
-    python3 benchmarks/overkill.py results/thesis results/finer
+    python3 benchmarks/overkill.py results/thesis [another run ...] results/finer
 
-Writes benchmarks/results/overkill.csv and prints it. The finer mesh errs, too: its share is unknown and is not taken
-off. Cutting the limb is in neither, as both are cut alike.
+Writes benchmarks/results/overkill.csv and prints it. What is stated is of all sources together. The finer mesh errs,
+too: its share is unknown and is not taken off. Where the limb is cut is in the truth only as far as the run's accuracy
+cuts it shorter than the finer one.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from forearm_fem.io import read_transfer
 from forearm_fem.io.jsonfiles import read_json
 from forearm_fem.pipeline.simulation import render_transfer
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.transfer import TransferMatrix, band_error, relative_error, relative_error_at
+from forearm_fem.transfer import TransferMatrix, band_error, relative_error, relative_error_at, total_error
 
 SHOWN = (20.0, 60.0, 100.0, 250.0, 400.0, 500.0)  # Hz
 COLUMNS = ("what", "true", "stated", "run", "finer")
@@ -30,9 +31,9 @@ COLUMNS = ("what", "true", "stated", "run", "finer")
 def rows(run: Path, finer: Path) -> Iterator[tuple[str, float, float]]:
     """What, true error, stated error; each relative (e_band, e(f), S)."""
     coarse, fine = (read_transfer(folder / "transfer.nc") for folder in (run, finer))
-    mesh = next(e for e in coarse.errors if e.source == "discretisation")
-    yield "G over the band", band_error(coarse.values, fine.values), mesh.band
-    true, stated = relative_error(coarse.values, fine.values), relative_error_at(mesh, coarse.frequency)
+    yield "G over the band", band_error(coarse.values, fine.values), total_error(coarse.errors)
+    true = relative_error(coarse.values, fine.values)
+    stated = np.sqrt(sum(relative_error_at(e, coarse.frequency) ** 2 for e in coarse.errors))
     for f in SHOWN:
         at = int(np.argmin(np.abs(coarse.frequency - f)))
         yield f"G at {f:g} Hz", float(true[at]), float(stated[at])
@@ -59,17 +60,20 @@ def _maker(folder: Path) -> str:
 def main() -> None:
     """Compare, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run", type=Path)
+    parser.add_argument("runs", type=Path, nargs="+")
     parser.add_argument("finer", type=Path)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "overkill.csv")
     asked = parser.parse_args()
-    made = _maker(asked.run), _maker(asked.finer)
+    finer = _maker(asked.finer)
     with asked.out.open("w", newline="") as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(COLUMNS)
-        for what, true, stated in rows(asked.run, asked.finer):
-            table.writerow((what, f"{true:.3g}", f"{stated:.3g}", *made))
-            print(f"{what:45s} true {true:.2g}  stated {stated:.2g}")
+        for run in asked.runs:
+            maker = _maker(run)
+            print(maker)
+            for what, true, stated in rows(run, asked.finer):
+                table.writerow((what, f"{true:.3g}", f"{stated:.3g}", maker, finer))
+                print(f"  {what:45s} true {true:.2g}  stated {stated:.2g}")
 
 
 if __name__ == "__main__":
