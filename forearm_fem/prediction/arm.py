@@ -24,7 +24,7 @@ from .two_meshes import ArmMeshes, arm_meshes
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)  # a third of the time of the twin's own; what it costs is stated per draw
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
 _ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
-_DEGREE = 48  # in the root of the frequency, of what geometry changes on the twin: with 32 that is off by 4e-2, stated .8
+_DEGREE = 48  # in the root of the frequency, of what geometry changes on the twin: 32 leave .04 of it and state .8
 _OTHERS = 6  # answers as wrong as geometry may make one
 _SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (docs/decisions/0027)
 _MISSED = 0.5  # of the change by geometry that the twin may be wrong by (docs/decisions/0042)
