@@ -83,7 +83,8 @@ def main() -> None:
                              **compared(arm, setup, draw, truth)})  # fmt: skip
                 print(rows[-1], flush=True)
     with (asked.out / "arms.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+        columns = dict.fromkeys(column for row in rows for column in row)
+        writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
 
