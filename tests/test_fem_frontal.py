@@ -29,7 +29,6 @@ FACTOR = "forearm_fem.fem.linear.multifrontal.factor"
 
 OMEGA = 2 * np.pi * 100
 pytestmark = pytest.mark.skipif(not factors._compiles(), reason="numba or pymetis is not installed")
-needs_mkl = pytest.mark.skipif(mkl_library() is None, reason="needs MKL")
 
 
 def upper_of(full: np.ndarray) -> csr_array:
@@ -156,7 +155,7 @@ def left(model, upper, solution, right):
     return np.linalg.norm(rest, axis=0) / np.linalg.norm(right, axis=0)
 
 
-@needs_mkl
+@pytest.mark.needs_mkl
 def test_saddle_systems_are_solved_as_well_as_by_pardiso(model, upper, factor):
     """Residuals of point forces on nearly incompressible tissue, both in single precision; scaling is what they need:
     unscaled they are 0.04 on a forearm (docs/decisions/0009)."""
@@ -269,7 +268,7 @@ def test_nothing_is_solved_before_factorising_or_after_release(upper):
     assert not factor.harden()
 
 
-@needs_mkl
+@pytest.mark.needs_mkl
 def test_the_sweep_takes_it_and_pardiso_comes_after_it(model, monkeypatch, caplog):
     """Factors that lose half of each solution: first PARDISO with matching, whose solutions are right."""
     solver = make_solver(model, SolverOptions(), 100.0)

@@ -11,11 +11,11 @@ from scipy.sparse import csc_array, csr_array
 from forearm_fem.fem.kernels.compiled import compiled
 from forearm_fem.fem.linear import ordering
 from forearm_fem.fem.linear.ordering import alike, nested_dissection
-from forearm_fem.fem.linear.pardiso import PardisoFactor, mkl_library
+from forearm_fem.fem.linear.pardiso import PardisoFactor
 from forearm_fem.verification.scenes import flesh, held_block
 
 pytestmark = [
-    pytest.mark.skipif(mkl_library() is None, reason="MKL is not installed"),
+    pytest.mark.needs_mkl,
     pytest.mark.skipif(importlib.util.find_spec("pymetis") is None, reason="pymetis is not installed"),
 ]
 OMEGA = 2 * np.pi * 150.0

@@ -11,7 +11,6 @@ from scipy.sparse import csr_array
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.direct import DirectSolver, make_solver
-from forearm_fem.fem.linear.pardiso import mkl_library
 from forearm_fem.fem.reduction import basis as bases
 from forearm_fem.fem.reduction.basis import Basis, orthonormal_extension, real_columns
 from forearm_fem.fem.reduction.certificate import doubt, probe_frequencies
@@ -25,7 +24,6 @@ from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
 needs_multifrontal = pytest.mark.skipif(not factors._compiles(), reason="numba or pymetis is not installed")
-needs_mkl = pytest.mark.skipif(mkl_library() is None, reason="MKL is not installed")
 BAND = np.linspace(10.0, 500.0, 197)
 CHECK = np.array([10.0, 33.0, 80.0, 140.0, 210.0, 333.0, 470.0, 500.0])
 OPTIONS = SolverOptions(start="frequencies")
@@ -257,7 +255,7 @@ def test_derivatives_raise_the_order_of_contact(model):
         assert np.log2(error[1] / error[0]) > 2 * q + 1.5
 
 
-@needs_mkl
+@pytest.mark.needs_mkl
 def test_derivatives_in_single_precision_are_refined(model):
     """Each is corrected together with the next one, which must see the correction; refined 5e-7, else 1e-4."""
     series = []

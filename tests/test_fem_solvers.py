@@ -14,13 +14,12 @@ from forearm_fem.fem.kernels.symmetric import SymmetricMatrix
 from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.linear.factor import SuperLUFactor, make_factor, refined_solve
-from forearm_fem.fem.linear.pardiso import PardisoFactor, mkl_library
+from forearm_fem.fem.linear.pardiso import PardisoFactor
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
-needs_mkl = pytest.mark.skipif(mkl_library() is None, reason="MKL is not installed")
 OMEGA = 2 * np.pi * 150.0
 
 
@@ -79,7 +78,7 @@ def test_symmetric_product_with_vectors_and_columns(kind):
         assert np.array_equal(matrix.product(columns), full @ columns)
 
 
-@needs_mkl
+@pytest.mark.needs_mkl
 def test_pardiso_superlu_and_dense_agree(model, loads):
     data = model.operator.data(OMEGA)
     exact = np.linalg.solve(slow.dense(model.operator, OMEGA), loads)
@@ -91,7 +90,7 @@ def test_pardiso_superlu_and_dense_agree(model, loads):
         solver.release()
 
 
-@needs_mkl
+@pytest.mark.needs_mkl
 def test_compliance_equals_dense(model):
     found = direct_sweep(model, np.array([5.0, 150.0]), SolverOptions()).values
     for value, f in zip(found, (5.0, 150.0), strict=True):
@@ -99,7 +98,7 @@ def test_compliance_equals_dense(model):
         assert np.abs(value - exact).max() < 1e-10 * np.abs(exact).max()
 
 
-@needs_mkl
+@pytest.mark.needs_mkl
 @pytest.mark.parametrize("frequency", [0.5, 150.0, 2000.0])
 def test_single_precision_is_refined_to_double(model, frequency):
     f = np.array([frequency])
@@ -108,7 +107,7 @@ def test_single_precision_is_refined_to_double(model, frequency):
     assert np.abs(single.values - double.values).max() < 1e-7 * np.abs(double.values).max()
 
 
-@needs_mkl
+@pytest.mark.needs_mkl
 def test_single_precision_alone_is_not_enough(model, loads):
     """What refinement is for: the bare single-precision solve leaves more than 1e-9."""
     data = model.operator.data(OMEGA)
@@ -119,7 +118,7 @@ def test_single_precision_alone_is_not_enough(model, loads):
     assert refined_solve(solver, model.operator.matrix(data), loads).residual < 1e-11
 
 
-@needs_mkl
+@pytest.mark.needs_mkl
 def test_saddle_systems_need_no_perturbed_pivots(model):
     solver = PardisoFactor(model.operator.upper(model.operator.data(OMEGA)))
     solver.factorise(model.operator.data(OMEGA))
@@ -134,7 +133,7 @@ def singular(kind):
 
 
 @pytest.mark.parametrize("kind", ["zero row", "null vector"])
-@pytest.mark.parametrize("backend", ["superlu", pytest.param("pardiso", marks=needs_mkl)])
+@pytest.mark.parametrize("backend", ["superlu", pytest.param("pardiso", marks=pytest.mark.needs_mkl)])
 def test_singular_system_is_a_named_error(kind, backend):
     operator = singular(kind)
     data, right = operator.data(0.0), np.array([[1.0], [2.0], [3.0]], dtype=complex)
@@ -237,7 +236,7 @@ def test_superlu_factor_can_be_reused(model, loads):
     solver.release()
 
 
-@needs_mkl
+@pytest.mark.needs_mkl
 def test_pardiso_factor_can_be_reused_and_released_twice(model, loads):
     solver = PardisoFactor(model.operator.upper(model.operator.data(OMEGA)))
     for omega in (OMEGA, 2 * OMEGA, OMEGA):
