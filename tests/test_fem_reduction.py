@@ -158,7 +158,10 @@ def test_what_an_elimination_would_not_pass_is_solved_and_refined(model, monkeyp
 
 
 @needs_multifrontal
-@pytest.mark.parametrize("options", [SolverOptions(precision="double"), SolverOptions(backend="superlu")])
+@pytest.mark.parametrize(
+    "options",
+    [pytest.param(SolverOptions(precision="double"), marks=pytest.mark.needs_mkl), SolverOptions(backend="superlu")],
+)
 def test_solvers_that_keep_factors_certify_by_them(model, options):
     result = reduced_sweep(model, BAND, options, tolerance=1e-3)
     assert [c.rounding for c in result.certificates] == [0] * len(result.certificates)

@@ -258,6 +258,7 @@ def test_incompressible_and_stiff_bulk_meet():
     assert np.abs(stiff - infinite).max() < 1e-8 * np.abs(infinite).max()
 
 
+@pytest.mark.needs_mkl
 def test_auto_hardens_to_double_where_single_precision_is_not_enough(model, monkeypatch, caplog):
     """A solver that loses the first factors' accuracy: the same solution, in double precision, and a warning."""
     right = PardisoFactor.solve
