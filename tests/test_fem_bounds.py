@@ -175,3 +175,16 @@ def test_incompressible_tissue_states_its_largest_error(precision):
     error = relative_error(swept.values[::35, 1:, :1], exact[:, 1:, :1]).max()
     assert error <= swept.reduction_error
     assert swept.reduction_error <= 2e-4  # no more than twice what was asked for
+
+
+@pytest.mark.parametrize("precision", ["auto", "double"])
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
+def test_weak_directions_of_incompressible_tissue_do_not_spoil_the_model(precision, tolerance):
+    """Their pressures were 1e12 of a displacement's: in double precision 0.76 was the error at 20 Hz and 0.21 stated,
+    whatever was asked for; a finer block erred by 3e-4 where 1e-4 was stated."""
+    model, band = held_block(2, tissue=flesh()), np.linspace(20.0, 300.0, 57)
+    swept = reduced_sweep(model, band, SolverOptions(precision=precision), tolerance=tolerance)
+    exact = direct_sweep(model, band[::8], SolverOptions(precision="double")).values
+    assert relative_error(swept.values[::8], exact).max() <= swept.reduction_error <= tolerance
+    assert swept.derivatives <= 30  # eighty did not do
+    assert not swept.expansions

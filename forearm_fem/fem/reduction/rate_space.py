@@ -17,12 +17,16 @@ from ...typing import FloatArray
 from ..assembly.coefficients import rate_weights
 from ..linear.direct import ENOUGH, DirectSolver
 from .basis import Basis, Columns
+from .reduced_model import compressible
 
 _REFINED = 8  # first derivatives, which are refined once: what solves leave in them reaches all others
 _CAREFUL = 1e-5  # of a solution: all are refined where refinement changes more
 _EXACT = 1e-9  # of a solution: none is where refinement changes less
 _BEFORE = 1e-3  # what x_(k-1) counts in a pair; 1 leaves columns that are errors of solves, 0 breaks down without loss
 _NOTHING = 1e-7  # of a derivative's length: a remainder below is what solves leave
+# the same where pressures compress nothing: they balance forces then and are no function of the column's displacements,
+# so that a column of small ones has huge pressures, of which what is left of any divergence makes stiffness
+_NOTHING_FREE = 1e-4
 _ROUNDING = 1e-12  # of a pair's length: a remainder below is rounding
 _AGAIN = 0.3  # of a derivative's length: known columns are subtracted twice from remainders below
 
@@ -94,7 +98,9 @@ class RateSpace:
 
     def __init__(self, solver: DirectSolver, forces: FloatArray, rate: float, chunks: tuple[Chunk, ...] = ()) -> None:
         self._solver, self._forces = solver, forces
-        self._weights = rate_weights([t.coefficient for t in solver.model.operator.terms], rate)
+        operator = solver.model.operator
+        self._weights = rate_weights([t.coefficient for t in operator.terms], rate)
+        self._nothing = _NOTHING if compressible(operator) else _NOTHING_FREE
         self._basis, self._pairs = Basis(tuple(c.columns for c in chunks)), Pairs(np.zeros((0, 0)), np.zeros((0, 0)))
         self._last, self.derivatives, self.residual = 0, 0, 0.0
         for chunk in chunks:
@@ -161,7 +167,7 @@ class RateSpace:
             gram = _gram(rest[:n_u])
             if (np.sqrt(gram.diagonal()) >= _AGAIN * lengths).all():
                 break
-        directions = _directions(gram, lengths, _NOTHING)
+        directions = _directions(gram, lengths, self._nothing)
         directions = directions @ np.linalg.inv(np.linalg.cholesky(_gram(rest[:n_u] @ directions))).T
         upper = np.vstack([coordinates, directions.T @ gram])
         before = self._pairs.last(self._last).upper if self.derivatives else np.zeros((0, x.shape[1]))
