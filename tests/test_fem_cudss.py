@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from types import SimpleNamespace
 
 import alternatives as slow
 import numpy as np
@@ -122,6 +123,19 @@ def test_what_is_missing_is_named(monkeypatch):
     with pytest.raises(SolverError, match="no CUDA device was found"):
         factors.choose_backend("cudss", 100)
     assert "cudss" not in factors.available_backends()
+
+
+def test_plans_in_threads_where_the_wheel_brings_them(tmp_path, monkeypatch):
+    """Without the file the library plans with one thread, and says so."""
+    wheel = SimpleNamespace(submodule_search_locations=[str(tmp_path)])
+    monkeypatch.setattr(cudss.importlib.util, "find_spec", lambda name: wheel if name == "nvidia" else None)
+    assert cudss._threading_layer() is None
+    layer = tmp_path / "cu13" / "lib" / "libcudss_mtlayer_gomp.so.0"
+    layer.parent.mkdir(parents=True)
+    layer.touch()
+    assert cudss._threading_layer() == str(layer)
+    monkeypatch.setattr(cudss.importlib.util, "find_spec", lambda name: None)
+    assert cudss._threading_layer() is None
 
 
 @pytest.mark.usefixtures("library")

@@ -1,8 +1,8 @@
 """NVIDIA cuDSS for complex symmetric matrices, through nvmath-python (extra "cudss"): only where it is asked for.
 
-Factors stay on the device; matrices and right-hand sides go there and solutions come back. Written against
-nvmath-python 1.0 and tested with a stand-in that refuses what that refuses (tests/stand_in_nvmath.py); it has not been
-run on a device yet (docs/decisions/0013).
+Factors stay on the device; matrices and right-hand sides go there and solutions come back. Run on one device with
+nvmath-python 1.0 and cuDSS 0.8 (docs/decisions/0013); elsewhere tested with a stand-in that refuses what that refuses
+(tests/stand_in_nvmath.py).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import importlib.util
 import logging
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,7 +25,8 @@ from ...typing import ComplexArray, FloatArray
 T = TypeVar("T")
 _AT_ONCE = 16  # right-hand sides: the library takes as many each time as were planned for
 _DRIVERS = ("libcuda.so.1", "nvcuda.dll")
-_log = logging.getLogger("forearm_fem.fem")
+_log = logging.getLogger("forearm_fem.fem.cudss")
+_log.setLevel(logging.ERROR)  # it warns at each new matrix that a factorisation has to follow, which it does here
 
 
 def device_count() -> int:
@@ -37,6 +39,14 @@ def device_count() -> int:
         count = ctypes.c_int(0)
         return 0 if driver.cuInit(0) or driver.cuDeviceGetCount(ctypes.byref(count)) else count.value
     return 0
+
+
+def _threading_layer() -> str | None:
+    """The file by which cuDSS plans in several threads, where its wheel lies; without it the library warns."""
+    wheels = importlib.util.find_spec("nvidia")
+    roots = wheels.submodule_search_locations if wheels is not None else None
+    found = sorted(str(f) for root in roots or () for f in Path(root).glob("*/*/*cudss_mtlayer_*"))
+    return found[0] if found else None
 
 
 def available() -> bool:
@@ -78,6 +88,7 @@ class CudssFactor:
             "sparse_system_type": library.DirectSolverMatrixType.SYMMETRIC,
             "sparse_system_view": library.DirectSolverMatrixViewType.UPPER,
             "logger": _log,
+            "multithreading_lib": _threading_layer(),
         }
         matrix, columns = self._matrix(data), self._columns(np.zeros((self.n, 0)))
         self._solver = _told(lambda: library.DirectSolver(matrix, columns, options=options))
