@@ -156,3 +156,19 @@ def test_a_missing_file_is_said_before_the_command_begins(
 )
 def test_a_table_where_a_run_is_wanted_is_told_which_command_serves(lab: Path, line: Any, remedy: str) -> None:
     assert remedy in cli(*line, cwd=lab).sentence
+
+
+@pytest.mark.parametrize("line", [("status",), ("analyse",), ("withdraw", "--participant", "01", "--yes")])
+def test_answers_are_not_looked_for_in_a_folder_that_is_not_there(lab: Path, line: Any) -> None:
+    """An empty one of that name would say that nobody is enrolled."""
+    before = leftovers(lab)
+    answer = cli("study", line[0], "s.toml", "--data", "mistyped", *line[1:], cwd=lab)
+    assert (answer.code, answer.sentence) == (2, "mistyped: no such folder of answers")
+    assert leftovers(lab) == before
+
+
+def test_a_lost_wavelet_is_said_before_a_run_solves(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("forearm_fem.pipeline.simulation.solve_layered", lambda *_, **__: pytest.fail("solved"))
+    (lab / "lost.toml").write_text(f"{SMALL}[rendering.wavelet]\nfile = 'lost.csv'\n")
+    answer = cli("run", "lost.toml", "--out", "out", cwd=lab)
+    assert (answer.code, "lost.csv" in answer.sentence) == (2, True)

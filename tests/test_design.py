@@ -15,7 +15,7 @@ from cli_runner import cli
 from forearm_fem.design import Candidate, TwinArm, evaluate, load_design, pareto_front, run_design
 from forearm_fem.design.search import planned, search
 from forearm_fem.design.store import Store
-from forearm_fem.errors import GeometryError, ScenarioError
+from forearm_fem.errors import DataError, GeometryError, ScenarioError
 from forearm_fem.layered import Disc, Layer, layered_compliance, tabulated
 from forearm_fem.layered.tabulating import tabulate
 from forearm_fem.pipeline.frequencies import frequencies
@@ -266,6 +266,12 @@ def test_overlaps_and_places_off_the_skin_leave_nothing_feasible(tmp_path):
     over = '[[variables]]\nkey = "device.spacing"\nlow = 0.003\nhigh = 0.006\n'
     with pytest.raises(ScenarioError, match="mostly: contacts A1 and A2 are"):
         run_design(design(tmp_path, over + QUICK), tmp_path / "over", arm=Waves(), confirm=False)
+
+
+def test_a_lost_wavelet_is_said_before_a_candidate_is_asked(tmp_path):
+    lost = SCENE + '[rendering.wavelet]\nfile = "lost.csv"\n'
+    with pytest.raises(DataError, match=r"lost\.csv"):
+        run_design(design(tmp_path, SPACING + QUICK, lost), tmp_path / "out", arm=Waves(most=0), confirm=False)
 
 
 def test_the_command_confirms_the_winner_and_prints_the_difference(tmp_path, monkeypatch):

@@ -27,7 +27,7 @@ from forearm_fem.prediction.draws import draw_inputs, moved_points, scenario_of
 from forearm_fem.prediction.measuring import noisy
 from forearm_fem.prediction.outcome import KEPT, READINGS, Outcome, outcome_of
 from forearm_fem.prediction.priors import load_priors
-from forearm_fem.prediction.run import Prediction, Question, predict
+from forearm_fem.prediction.run import Prediction, Question, check_question, predict
 from forearm_fem.prediction.store import FILE, read_outcomes
 from forearm_fem.prediction.summary import shorter_waves, summary
 from forearm_fem.rendering import drives, strengths
@@ -480,6 +480,13 @@ def test_bad_questions_are_one_sentence(changes: dict[str, Any], message: str, t
     with pytest.raises(ScenarioError, match=message):
         predict(question(**changes), tmp_path, draws=N)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_lost_wavelet_is_a_bad_question_whatever_the_engine() -> None:
+    """Models of finite elements take minutes to make, before the first S asks for the wavelet."""
+    scene = parse_scenario({**SMALL, "engine": "fem", "rendering": {"wavelet": {"file": "lost.csv"}}})
+    with pytest.raises(DataError, match=r"lost\.csv"):
+        check_question(Question(scene, Path()))
 
 
 def test_scenes_without_s_are_refused(tmp_path: Path) -> None:

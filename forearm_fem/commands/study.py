@@ -16,7 +16,11 @@ StudyFile = Annotated[
     Path, typer.Argument(help="study file; `forearm-fem study new` writes one",
                          callback=there("no such study file; `forearm-fem study new NAME` writes one")),
 ]  # fmt: skip
-Data = Annotated[Path | None, typer.Option("--data", help="folder of the answers; default beside the file")]
+_DATA = "folder of the answers; default beside the file"
+Data = Annotated[Path | None, typer.Option("--data", help=_DATA)]
+Answers = Annotated[
+    Path | None, typer.Option("--data", help=_DATA, callback=there("no such folder of answers", folder=True)),
+]  # fmt: skip
 
 _TEMPLATE = """# A study: every key is optional but name and scenario. `forearm-fem study run {name}.toml` runs it.
 name = "{name}"
@@ -135,7 +139,7 @@ def run(
 
 
 @app.command()
-def status(file: StudyFile, data: Data = None) -> None:
+def status(file: StudyFile, data: Answers = None) -> None:
     """Who has answered how much."""
     from ..study.run import Prepared, statuses
 
@@ -150,7 +154,7 @@ def status(file: StudyFile, data: Data = None) -> None:
 @app.command()
 def analyse(
     file: StudyFile,
-    data: Data = None,
+    data: Answers = None,
     correction: Annotated[
         Literal["bonferroni", "holm"], typer.Option(help="of comparisons: bonferroni or holm")
     ] = "bonferroni",
@@ -279,7 +283,7 @@ def power(
 def withdraw(
     file: StudyFile,
     participant: Annotated[str, typer.Option(help="pseudonym")],
-    data: Data = None,
+    data: Answers = None,
     yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
 ) -> None:
     """Delete a participant's answers for good."""
