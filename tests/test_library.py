@@ -283,7 +283,6 @@ def test_a_library_that_was_ended_goes_on_to_the_same_to_the_bit(slab, library, 
     assert np.abs(resumed.limb.between(at, every) - whole).max() < 0.01 * np.abs(whole).max()
 
 
-@pytest.mark.slow  # bonded rims of 2 mm: 150 s
 def test_answers_agree_with_finite_elements_of_the_same_slab(slab, library):
     fem = close_loop(simulate(slab).compliance, slab.device).values
     own = close_loop(library.compliance(slab), slab.device).values
