@@ -1,9 +1,11 @@
-"""Slow, obvious versions of what the package does fast: scikit-fem's own forms, dense algebra."""
+"""Slow, obvious versions of what the package does fast: scikit-fem's own forms, dense algebra, a rule of many nodes."""
 
 from __future__ import annotations
 
 import numpy as np
 import skfem
+from numpy.polynomial import legendre
+from scipy import special
 from skfem.helpers import ddot, div, dot, grad, sym_grad, trace
 
 
@@ -90,3 +92,32 @@ def dense_compliance(model, frequency):
     """Port compliance by numpy's dense solve."""
     x = np.linalg.solve(dense(model.operator, 2 * np.pi * frequency), model.functionals.astype(complex))
     return (model.functionals.T @ x) * model.shares
+
+
+def transform(radial, k):
+    """g(k) of one traction or receiver, by scipy."""
+    x = k * radial.radius
+    match radial.kind:
+        case "ball":
+            return special.spherical_jn(radial.degree, x)
+        case "ring":
+            return special.jv(radial.degree, x)
+        case "mean":
+            return 2 * special.jv(1, x) / x
+        case _:
+            return np.ones_like(k)
+
+
+def product_weights(table, panel, nodes):
+    """Integrals (n_node, n_columns) over ``panel`` of what is 1 at one of the ``nodes`` of a polynomial and 0 at the
+    others, with each column's g_a g_b J_q(kd)/(2 pi): column by column, a thousand nodes each."""
+    x, w = legendre.leggauss(1000)
+    lo, hi = panel
+    k, scale = 0.5 * (lo + hi) + 0.5 * (hi - lo) * x, 0.5 * (hi - lo)
+    within = (nodes - 0.5 * (lo + hi)) / scale
+    shapes = np.linalg.solve(legendre.legvander(within, len(nodes) - 1).T, legendre.legvander(x, len(nodes) - 1).T)
+    columns = zip(table.a, table.b, table.order, table.distance, strict=True)
+    parts = [
+        transform(table.radials[a], k) * transform(table.radials[b], k) * special.jv(q, k * d) for a, b, q, d in columns
+    ]
+    return scale * (shapes * w) @ np.array(parts).T / (2 * np.pi)

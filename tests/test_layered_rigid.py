@@ -5,6 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from alternatives import product_weights
+from scipy import special
 
 from forearm_fem.layered import (
     Disc,
@@ -16,6 +18,9 @@ from forearm_fem.layered import (
     surface_compliance,
     surface_kernel,
 )
+from forearm_fem.layered.hankel import _balls, _bessels
+from forearm_fem.layered.quadrature import NODES, Rules
+from forearm_fem.layered.scattering import galerkin
 
 BULK, A = 2.2e9, 3.5e-3
 MU = 7860.0
@@ -261,3 +266,27 @@ def test_overlapping_rigid_discs_are_refused():
             solved([Disc(0, 0, A, a), Disc(A, 0, A, b)])
     with pytest.raises(ValueError, match="radii"):
         solved([Disc(0, 0, 0.0, "bonded")])
+
+
+def test_bessel_functions_of_all_orders_are_scipys():
+    """Upwards above their order and by Miller's algorithm below: to rounding of the largest, and of tiny ones too."""
+    x = np.concatenate([[0.0], np.logspace(-9, 0, 200), np.linspace(0.01, 60.0, 3000)]).reshape(-1, 1)
+    for top in (1, 2, 3, 6, 13):
+        for found, plain in ((_bessels(top, x), special.jv), (_balls(top, x), special.spherical_jn)):
+            exact = [plain(n, x) for n in range(top + 1)]
+            assert np.allclose(found, exact, rtol=0, atol=3e-15)
+            small = x[:, 0] < 1e-3
+            assert np.allclose(np.array(found)[:, small], np.array(exact)[:, small], rtol=1e-6, atol=1e-250)
+
+
+def test_weights_of_many_panels_at_once_are_those_of_a_plain_rule():
+    """Two bonded discs and a point on a sheet (balls, rings, a point), from panels of a tenth of a radian to many."""
+    discs = [Disc(0.0, 0.0, 4e-3, "bonded"), Disc(0.02, 5e-3, 3e-3, "bonded"), Disc(-0.03, 0.01)]
+    table = galerkin(discs, Surface(tension=50.0, membrane=400.0), 3, 2).table
+    panels = [(0.0, 4.0), (4.0, 8.0), (512.0, 1024.0), (2048.0, 4096.0)]
+    rules = Rules(table)
+    weights = rules.weights([*panels, panels[0]])
+    for i, panel in enumerate(panels):
+        exact = product_weights(table, panel, rules.nodes([panel]))
+        assert np.allclose(weights[i * NODES : (i + 1) * NODES], exact, rtol=0, atol=1e-12 * np.abs(exact).max())
+    assert np.array_equal(weights[-NODES:], weights[:NODES])

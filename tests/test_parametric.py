@@ -21,8 +21,9 @@ from forearm_fem.errors import DataError, ReductionError, ScenarioError
 from forearm_fem.fem.linear.direct import DirectSolver
 from forearm_fem.fem.reduction.basis import Basis, rough_extension
 from forearm_fem.fem.reduction.growing import Growing, TrialSolve
-from forearm_fem.fem.reduction.quick import quick_compliance
+from forearm_fem.fem.reduction.quick import Summed, quick_compliance
 from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
+from forearm_fem.fem.reduction.spanned import spanned
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.fem.reduction.united import Growth
 from forearm_fem.geometry.cache import cached_mesh
@@ -387,6 +388,59 @@ def test_small_reduced_models_answer_in_single_precision(model):
         assert np.nanmax(np.abs(quick - exact)) < 1e-3 * np.nanmax(np.abs(exact))
 
 
+WATCHED = np.ix_([2, 3], [0, 1])  # points under contacts
+
+
+def test_a_draws_solutions_at_few_frequencies_carry_all_others(model):
+    """Solves at every bin tell what the span of up to 15 leaves between them; fewer leave more, and say so."""
+    for draw in Ranges().draws(parse_scenario(SCENE), 3, seed=22):
+        low = 20.0
+        for piece in model.pieces:
+            system, band = Summed.of(with_scenario(piece.whole, draw)), np.arange(low, piece.high, 0.5)
+            low, known, rough = piece.high, *(spanned(system, band, t, WATCHED) for t in (1e-3, 0.2))
+            exact = quick_compliance(system.reduced, band[::7])
+            size = np.abs(exact[(slice(None), *WATCHED)]).max(axis=(1, 2))
+            for some, most in ((known, 1e-3), (rough, 0.2)):
+                off = np.abs(some.span.compliance(band[::7]) - exact)[(slice(None), *WATCHED)].max(axis=(1, 2)) / size
+                assert some.missed[WATCHED].max() <= most
+                assert off.max() < 3 * most  # the last change is of where it is looked at, 17 frequencies
+            assert len(rough.solved) < len(known.solved) < 15
+            at = known.span.compliance(known.solved)
+            assert np.allclose(at, quick_compliance(system.reduced, known.solved), rtol=0, atol=1e-4 * np.abs(at).max())
+
+
+def test_other_loads_are_solved_beside(model):
+    """Points read elsewhere, at the ends and in the middle of the band, as from a model of their own."""
+    drawn = with_scenario(model.pieces[0].whole, Ranges().draws(parse_scenario(SCENE), 1, seed=23)[0])
+    others = drawn.functionals[:, ::-1] + 0.1 * drawn.functionals
+    known = spanned(Summed.of(drawn), np.arange(20.0, model.pieces[0].high), 0.1, WATCHED, others)
+    exact = quick_compliance(replace(drawn, functionals=others), known.solved[:3])
+    assert np.allclose(known.beside, exact, rtol=0, atol=1e-4 * np.abs(exact).max())
+
+
+def test_a_bare_answer_has_the_values_of_a_stated_one(model):
+    draw = Ranges().draws(parse_scenario(SCENE), 1, seed=24)[0]
+    assert np.array_equal(model.bare(draw, PROBES), model.compliance(draw, PROBES).values, equal_nan=True)
+
+
+def test_what_geometry_changes_between_the_frequencies_asked_is_within_its_statement(model):
+    """The twin at every tenth bin tells what a rational function of 33 answers leaves there; its errors hold it."""
+    scene = parse_scenario(SCENE)
+    arm, drawn = ReducedArm(scene, model, LayeredArm()), parse_scenario(THICK)
+    own, f = on_mesh_of(scene, drawn), frequencies(scene.sweep)[::2]
+    some = slice(3, None, 20)
+    (change, error), (exact, _) = arm._change(drawn, own, f), arm._change(drawn, own, f[some])
+    off = np.abs(change[some] - exact)[:, 2:, :2]
+    assert len(f) > 33 > len(f[some])
+    assert np.abs(exact[:, 2:, :2]).max() > 30 * off.max() > 0
+    assert (off.max(axis=(1, 2)) <= error[some, 2, 0]).all()
+    far = laid_at(scene, [[0.0, 9.5e-3], [2e-3, -9e-3]])  # changes nothing under contacts
+    moved, error = arm._change(far, scene, f)
+    assert not moved[:, :2, :2].any()
+    assert np.isfinite(moved).all()
+    assert np.isfinite(error).all()
+
+
 def test_an_arm_of_other_thickness_is_nearer_with_the_twins_change(model):
     """Thicker fat and a grid laid 2 mm aside, against a mesh of that arm; the error stated covers what is left. Where
     the grid can be read as it lies, the twin's change and half of it are of the fat alone."""
@@ -544,9 +598,10 @@ def test_a_fit_recovers_an_arm_of_finite_elements(model):
     result = fit(answer, data, chosen)
     assert result.chi2 < 2  # reduction errs by less than the noise
     for p in chosen:
-        assert abs(np.log(result.values[p.name] / true[p.name])) < 3 * np.log(
-            result.interval[p.name][1] / result.values[p.name]
-        ) / 1.96
+        assert (
+            abs(np.log(result.values[p.name] / true[p.name]))
+            < 3 * np.log(result.interval[p.name][1] / result.values[p.name]) / 1.96
+        )
         assert result.interval[p.name][1] / result.interval[p.name][0] < 1.6  # and they say something
 
 

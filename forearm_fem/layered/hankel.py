@@ -18,7 +18,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -30,6 +30,8 @@ from .asymptote import disc_interaction
 
 Numbers = FloatArray | ComplexArray
 _NARROW = 16.0  # k end times the slowest rate over which the window acts: leaks exp(-(that/16)^2)
+_ABOVE = 24  # orders above the highest at which recurrence downwards starts: exact to rounding
+_TINY = 1e-4  # and x below which it does not
 _LINE = 128  # nodes of line integrals: exact to rounding for rims 0.5 % of the radius apart
 
 
@@ -73,7 +75,7 @@ class Radial:
         """Offsets y (n,) [m] and weights w (n,) of g(k) = sum w e^{iky}: a source spread over the line |y| <= radius
         (balls by Gauss-Legendre's rule, means by Gauss-Chebyshev's); rings have none."""
         if self.kind == "ball":
-            t, w = legendre.leggauss(_LINE)
+            t, w = _gauss()
             weight = 0.5 * (-1j) ** self.degree * w * special.eval_legendre(self.degree, t)
             return self.radius * t, np.asarray(weight, dtype=complex)
         if self.kind == "mean":
@@ -138,26 +140,33 @@ class HankelTable:
 
     def values(self, k: Numbers) -> Numbers:
         """g_a g_b J_q(kd)/(2 pi), (n_k, n_columns)."""
-        g = _transforms(self.radials, k)
-        order, distance, at = self._waves
-        out = _waves(order, distance, k)[:, at]
-        out *= g[:, self.a]
-        out *= g[:, self.b]
-        out /= 2 * math.pi
+        return self.joined(*self.factors(k))
+
+    def factors(self, k: Numbers) -> tuple[Numbers, Numbers]:
+        """What :meth:`values` are made of: J_q(kd)/(2 pi) of the distinct (q, d), (n_k, n_waves), and g of the radials,
+        (n_k, n_radials)."""
+        order, distance, _ = self._waves
+        return _waves(order, distance, k) / (2 * math.pi), _transforms(self.radials, k)
+
+    def joined(self, waves: Numbers, transforms: Numbers) -> Numbers:
+        """:meth:`values` from their factors, at the same k."""
+        out = waves[:, self._waves[2]]
+        out *= transforms[:, self.a]
+        out *= transforms[:, self.b]
         return out
 
-    def mean(self, k: Numbers) -> Numbers:
-        """Mean over the oscillation of :meth:`values` for large k, (n_k, n_columns): of a disc on itself, else zero.
+    def mean(self, k: Numbers) -> tuple[IntArray, Numbers]:
+        """Columns (n,) of discs on themselves, and the mean over the oscillation of their :meth:`values` for large k,
+        (n_k, n); that of all others is zero.
 
         From J_nu(x) ~ sqrt(2/(pi x)) (1 + n/(2x)^2) cos(x - (nu + 1/2) pi/2 + n/x), n = (4 nu^2 - 1)/8.
         """
-        out = _filled(0.0, k, self.a.size)
-        for column in np.flatnonzero(self._alone):
-            (c, p, u), (d, q, v) = (self.radials[at[column]].bessel for at in (self.a, self.b))
-            x, n, m = k * self.radii[0][column], (4 * u * u - 1) / 8, (4 * v * v - 1) / 8
-            size = c * d * x ** -(p + q + 1) / math.pi * (1 + (n + m) / (2 * x) ** 2) / (2 * math.pi)
-            out[:, column] = size * np.cos((u - v) * math.pi / 2 - (n - m) / x)
-        return out
+        columns = np.flatnonzero(self._alone)
+        bessel = np.array([radial.bessel for radial in self.radials])
+        (c, p, u), (d, q, v) = bessel[self.a[columns]].T, bessel[self.b[columns]].T
+        x, n, m = np.multiply.outer(k, self.radii[0][columns]), (4 * u * u - 1) / 8, (4 * v * v - 1) / 8
+        size = c * d * x ** -(p + q + 1) / math.pi * (1 + (n + m) / (2 * x) ** 2) / (2 * math.pi)
+        return columns, np.asarray(size * np.cos((u - v) * math.pi / 2 - (n - m) / x))
 
     def envelope(self, k: FloatArray) -> FloatArray:
         """Bound (n_k,) [1/m] on what is lost of the integral of :meth:`values` by :func:`window` at k.
@@ -182,24 +191,25 @@ class HankelTable:
     def static(self) -> FloatArray:
         """The integrals for kU = 1, (n_columns,) [1/m]; zero for
         rings, which a sheet calls for that removes the static limit."""
-        spread: dict[tuple[str, str, float, float, int, float], ComplexArray] = {}
+        spread = dict[tuple[str, str, float, float, int, float], list[int]]()
         out = np.zeros(self.a.size)
-        for i, (a, b, q, d) in enumerate(zip(self.a, self.b, self.order, self.distance, strict=True)):
+        columns = zip(self.a.tolist(), self.b.tolist(), self.order.tolist(), self.distance.tolist(), strict=True)
+        for i, (a, b, q, d) in enumerate(columns):
             f, g = self.radials[a], self.radials[b]
             if {f.kind, g.kind} <= {"mean", "point"} and q == 0:
-                out[i] = disc_interaction(float(d), f.radius, g.radius)
+                out[i] = disc_interaction(d, f.radius, g.radius)
             elif {f.kind, g.kind} == {"bell"} and q == 0:
-                out[i] = _between_bells(f.radius, g.radius, float(d))
+                out[i] = _between_bells(f.radius, g.radius, d)
             elif "ring" in (f.kind, g.kind):
                 continue
             elif d == 0:
                 out[i] = _same_disc(f.degree, g.degree) / (2 * math.pi * f.radius)
             else:
-                (y, v), (z, w) = f.line, g.line
-                key = (f.kind, g.kind, f.radius, g.radius, int(q), float(d))
-                if key not in spread:
-                    spread[key] = _between_lines(y, z, int(q), float(d))
-                out[i] = (v @ spread[key] @ w).real
+                spread.setdefault((f.kind, g.kind, f.radius, g.radius, q, d), []).append(i)
+        for (*_, q, d), alike in spread.items():  # the same lines, with weights of their own
+            (y, _), (z, _) = (self.radials[at[alike[0]]].line for at in (self.a, self.b))
+            v, w = (np.array([self.radials[n].line[1] for n in at[alike].tolist()]) for at in (self.a, self.b))
+            out[alike] = ((v @ _between_lines(y, z, q, d)) * w).sum(axis=1).real
         return out
 
 
@@ -211,6 +221,12 @@ def window(k: Numbers, end: float) -> Numbers:
 
 
 _CUT = 1e-7  # what the window has lost where it starts and ends, erfc(4)/2, with some room
+
+
+@lru_cache  # the rule is the same whatever the disc
+def _gauss() -> tuple[FloatArray, FloatArray]:
+    """Gauss-Legendre's rule of :data:`_LINE` nodes on (-1, 1)."""
+    return legendre.leggauss(_LINE)
 
 
 def _between_lines(y: FloatArray, z: FloatArray, q: int, d: float) -> ComplexArray:
@@ -269,42 +285,65 @@ def _transforms(radials: tuple[Radial, ...], k: Numbers) -> Numbers:
 
 def _waves(order: IntArray, distance: FloatArray, k: Numbers) -> Numbers:
     """J_order(k distance), (n_k, n_waves)."""
+    distances, at = np.unique(distance, return_inverse=True)
+    found = _bessels(int(order.max(initial=0)), np.multiply.outer(k, distances))
     out = _filled(0.0, k, order.size)
-    for d in np.unique(distance):
-        own = np.flatnonzero(distance == d)
-        found = _bessels(int(order[own].max()), k * d)
-        for i in own:
-            out[:, i] = found[order[i]]
+    for q in np.unique(order):
+        out[:, order == q] = found[q][:, at[order == q]]
     return out
 
 
 def _bessels(top: int, x: Numbers) -> list[Numbers]:
-    """J_0 ... J_top of x (n,)."""
+    """J_0 ... J_top of x."""
     if np.iscomplexobj(x):
         return [np.asarray(special.jv(q, x)) for q in range(top + 1)]
     real = np.asarray(x, dtype=float)
     start = [np.asarray(special.j0(real)), np.asarray(special.j1(real))]
-    return _upwards(start, top, real, lambda q: 2.0 * q, special.jv)
+    return _upwards(start, top, real, lambda q: 2.0 * q)
 
 
 def _balls(top: int, x: Numbers) -> list[Numbers]:
-    """Spherical Bessel functions j_0 ... j_top of x (n,)."""
+    """Spherical Bessel functions j_0 ... j_top of x."""
     if np.iscomplexobj(x):
         return [np.asarray(special.spherical_jn(n, x)) for n in range(top + 1)]
     real = np.asarray(x, dtype=float)
     start = [np.asarray(special.spherical_jn(n, real)) for n in range(min(top, 1) + 1)]
-    return _upwards(start, top, real, lambda n: 2.0 * n + 1, special.spherical_jn)
+    return _upwards(start, top, real, lambda n: 2.0 * n + 1)
 
 
-def _upwards(
-    start: list[FloatArray], top: int, x: FloatArray, factor: Callable[[int], float], plain: Callable[..., FloatArray]
-) -> list[Numbers]:
-    """Orders up to ``top`` from f_{n+1} = factor(n) f_n/x - f_{n-1}, stable for x > n; the ``plain`` function below."""
+def _upwards(start: list[FloatArray], top: int, x: FloatArray, factor: Callable[[int], float]) -> list[Numbers]:
+    """Orders up to ``top`` from f_{n+1} = factor(n) f_n/x - f_{n-1}, stable for x > n; downwards below (:func:`_down`).
+
+    Both families obey it with their own factor, of the first two orders given by ``start``.
+    """
     out = start[: top + 1]
+    if top < 2:
+        return list(out)
     small = x < top + 1
     y = np.where(small, 1.0, x)
     for n in range(1, top):
-        up = factor(n) * out[n] / y - out[n - 1]
-        up[small] = plain(n + 1, x[small])
-        out.append(np.asarray(up))
+        out.append(np.asarray(factor(n) * out[n] / y - out[n - 1]))
+    for f, low in zip(out[2:], _down(top, x[small], factor, start[0][small], start[1][small])[2:], strict=True):
+        f[small] = low
     return list(out)
+
+
+def _down(
+    top: int, x: FloatArray, factor: Callable[[int], float], zeroth: FloatArray, first: FloatArray
+) -> list[FloatArray]:
+    """Orders up to ``top`` at x (n,) below ``top`` + 1 by Miller's algorithm: f_{n-1} = factor(n) f_n/x - f_{n+1} from
+    far above, where it starts from nothing, scaled to the larger of the first two orders (no zero of both)."""
+    least = np.maximum(x, _TINY)  # below, order n is that there times the ratio to the n-th, to 1e-9 of itself
+    above, here, out = np.zeros_like(x), np.full_like(x, 1e-200), list[FloatArray]()
+    for n in range(top + _ABOVE, 0, -1):
+        above, here = here, factor(n) * here / least - above
+        if n <= top + 1:
+            out.append(here)
+        large = np.abs(here) > 1e100  # all orders kept so far shrink alike
+        if large.any():
+            shrink = np.where(large, 1e-150, 1.0)
+            above, here, out = above * shrink, here * shrink, [f * shrink for f in out]
+    low = out[::-1]
+    by = np.abs(zeroth) >= np.abs(first)
+    scale = np.where(by, zeroth, first) / np.where(by, low[0], low[1])
+    return [f * scale * (x / least) ** n for n, f in enumerate(low)]

@@ -173,7 +173,7 @@ class Integrals:
 
     def _sums(self, values: list[ComplexArray], weights: Numbers) -> ComplexArray:
         """Sums of each kernel's values (n_freq, n_k) with the weights (n_k, n_columns) of its columns."""
-        return self._each(lambda i, part: np.asarray(values[i] @ weights[:, part]))
+        return self._each(lambda i, part: product(values[i], weights[:, part]))
 
     def _mean_tail(self, medium: Medium, rules: Rules, end: float, omega: FloatArray) -> ComplexArray:
         """What the window takes from the mean of the weights over their oscillation: panels by Gauss's rule."""
@@ -182,7 +182,20 @@ class Integrals:
         lo, hi = np.array(panels).T
         k = rules.path((0.5 * (lo + hi)[:, None] + 0.5 * (hi - lo)[:, None] * x).ravel())
         weight = (0.5 * (hi - lo)[:, None] * w).ravel() * (1 - window(k, end))
-        return self._sums(self._remainders(medium, k, omega), weight[:, None] * self.table.mean(k))
+        columns, mean = self.table.mean(k)
+        out = np.zeros((omega.size, self.table.a.size), dtype=complex)
+        for f, part in zip(self._remainders(medium, k, omega), self.table.parts, strict=False):
+            mine = (columns >= part.start) & (columns < part.stop)
+            out[:, columns[mine]] = product(f, weight[:, None] * mean[:, mine])
+        return out
+
+
+def product(values: ComplexArray, weights: Numbers) -> ComplexArray:
+    """values @ weights, without a complex copy of real weights."""
+    if np.iscomplexobj(weights):
+        return np.asarray(values @ weights)
+    both = np.concatenate([values.real, values.imag]) @ weights
+    return np.asarray(both[: len(values)] + 1j * both[len(values) :])
 
 
 def _mixed(u: SurfaceCompliance) -> list[ComplexArray]:

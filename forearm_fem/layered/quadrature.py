@@ -13,16 +13,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from ..typing import ComplexArray, FloatArray, IntArray
+from ..typing import ComplexArray, FloatArray
 from .hankel import HankelTable, Numbers
 
 NODES = 12  # Legendre nodes per panel
 _EXTRA = 4  # moments beyond the interpolant, for the error gauge
 _DENSE = 16  # dense Gauss nodes per 2.5 periods of the weight: exact to rounding
+_AT_ONCE = 256  # of these at a time, whose columns stay near the processor
 _X, _W = legendre.leggauss(NODES)
 _XD, _WD = legendre.leggauss(_DENSE)
 # c = _TO_LEGENDRE @ f(nodes): (2m + 1)/2 w_j P_m(x_j)
@@ -38,6 +40,24 @@ class Rule:
 
     values: Numbers
     gauge: FloatArray
+
+
+class _Dense(NamedTuple):
+    """Nodes ``x`` (n,) [1/m] of a dense rule on a panel, and its weights times the Legendre polynomials, ``basis``
+    (NODES + extra, n)."""
+
+    x: FloatArray
+    basis: FloatArray
+
+    @classmethod
+    def of(cls, panel: Panel, extent: float) -> Self:
+        """For weights that oscillate at up to ``extent`` [m]."""
+        lo, hi = panel
+        edges = np.linspace(-1.0, 1.0, 3 + math.ceil((hi - lo) * extent / (2 * math.pi * 2.5)))
+        half = 0.5 * (edges[1] - edges[0])
+        t = (0.5 * (edges[:-1] + edges[1:])[:, None] + half * _XD).ravel()
+        weight = np.tile(0.5 * (hi - lo) * half * _WD, edges.size - 1)
+        return cls(0.5 * (lo + hi) + 0.5 * (hi - lo) * t, legendre.legvander(t, NODES + _EXTRA - 1).T * weight)
 
 
 @dataclass
@@ -61,32 +81,34 @@ class Rules:
 
     def weights(self, panels: list[Panel]) -> Numbers:
         """(len(panels) * NODES, n_columns)."""
-        return np.concatenate([self.rule(panel).values for panel in panels])
+        return np.concatenate([rule.values for rule in self.rules(panels)])
 
     def gauges(self, panels: list[Panel]) -> FloatArray:
         """Largest moments over columns, (n_kernel, len(panels), NODES + extra)."""
-        return np.stack([self.rule(panel).gauge for panel in panels], axis=1)
+        return np.stack([rule.gauge for rule in self.rules(panels)], axis=1)
 
     def rule(self, panel: Panel) -> Rule:
         """Weights of one panel, from the cache if seen before."""
-        if panel not in self._cache:
-            lo, hi = panel
-            n_sub = 2 + math.ceil((hi - lo) * self.table.extent / (2 * math.pi * 2.5))
-            edges = np.linspace(-1.0, 1.0, n_sub + 1)
-            blocks = np.array_split(np.arange(n_sub), max(1, n_sub // 64))
-            moments = 0.5 * (hi - lo) * np.sum([self._block(panel, edges, block) for block in blocks], axis=0)
-            gauge = [np.max(np.abs(moments[:, part]), axis=1, initial=0.0) for part in self.table.parts]
-            self._cache[panel] = Rule(_TO_LEGENDRE.T @ moments[:NODES], np.array(gauge))
-        return self._cache[panel]
+        return self.rules([panel])[0]
 
-    def _block(self, panel: Panel, edges: FloatArray, block: IntArray) -> Numbers:
-        lo, hi = panel
-        half = 0.5 * (edges[1] - edges[0])
-        t = (0.5 * (edges[block] + edges[block + 1])[:, None] + half * _XD).ravel()
-        weight = np.tile(half * _WD, block.size)
-        x = 0.5 * (lo + hi) + 0.5 * (hi - lo) * t
-        basis = legendre.legvander(t, NODES + _EXTRA - 1).T * weight
-        return np.asarray(basis @ (self.table.values(self.path(x)) * self._slope(x)[:, None]))
+    def rules(self, panels: list[Panel]) -> list[Rule]:
+        """Weights of each panel, from the cache if seen before; Bessel functions of all others are found together."""
+        fresh = [panel for panel in dict.fromkeys(panels) if panel not in self._cache]
+        dense = [_Dense.of(panel, self.table.extent) for panel in fresh]
+        if fresh:
+            factors = self.table.factors(self.path(np.concatenate([d.x for d in dense])))
+            ends = np.cumsum([len(d.x) for d in dense])
+            for panel, one, end in zip(fresh, dense, ends.tolist(), strict=True):
+                self._cache[panel] = self._rule(one, *(f[end - len(one.x) : end] for f in factors))
+        return [self._cache[panel] for panel in panels]
+
+    def _rule(self, dense: _Dense, waves: Numbers, transforms: Numbers) -> Rule:
+        """The rule of one panel from what the columns are made of at its ``dense`` nodes."""
+        weighted = dense.basis * self._slope(dense.x)
+        parts = [slice(start, start + _AT_ONCE) for start in range(0, len(dense.x), _AT_ONCE)]
+        moments = np.sum([weighted[:, s] @ self.table.joined(waves[s], transforms[s]) for s in parts], axis=0)
+        gauge = [np.max(np.abs(moments[:, part]), axis=1, initial=0.0) for part in self.table.parts]
+        return Rule(_TO_LEGENDRE.T @ moments[:NODES], np.array(gauge))
 
     def _slope(self, x: FloatArray) -> Numbers:
         """dk/dx."""

@@ -98,12 +98,12 @@ class Galerkin:
         Orders are eliminated one after another, so that all of this costs no more than the last.
         """
         n, grips, found = self.ports, np.concatenate(self.grips), list[ComplexArray]()
-        left = np.concatenate([np.arange(n), grips, np.setdiff1d(np.arange(n, self.order.size), grips)])
+        free = np.setdiff1d(np.arange(n, self.order.size), grips)
+        last_first = free[np.argsort(-self.order[free], kind="stable")]
+        a = a[:, (places := np.concatenate([np.arange(n), grips, last_first]))[:, None], places]
         for order in range(int(self.order.max()) + 1):
-            mine = (self.order[left] == order) & (np.arange(left.size) >= n + grips.size)
-            a = eliminated(a if order else a[:, left[:, None], left], np.flatnonzero(~mine), np.flatnonzero(mine))
-            left = left[~mine]
-            held = n + np.flatnonzero(self.order[left[n : n + grips.size]] <= order)
+            a = _without_last(a, n + grips.size + int(np.sum(self.order[free] > order)))
+            held = n + np.flatnonzero(self.order[grips] <= order)
             found.append(self._alone(eliminated(a, np.arange(n), held)))
         return self._alone(a), found
 
@@ -156,13 +156,18 @@ class Galerkin:
 def eliminated(a: ComplexArray, shown: IntArray, hidden: IntArray) -> ComplexArray:
     """A_ss - A_sh A_hh^-1 A_hs (n_freq, n, n) of a symmetric A, symmetric to the last bit: what ``shown`` places see
     where ``hidden`` ones are held, or are as no work is done on them."""
-    whole = a[:, shown[:, None], shown]
-    if hidden.size:
-        for start in range(0, len(a), _AT_ONCE):
-            some = slice(start, start + _AT_ONCE)
-            coupling = a[some, hidden[:, None], shown]
-            scattered = coupling.swapaxes(1, 2) @ np.linalg.solve(a[some, hidden[:, None], hidden], coupling)
-            whole[some] -= 0.5 * (scattered + scattered.swapaxes(1, 2))
+    places = np.concatenate([shown, hidden])
+    return _without_last(a[:, places[:, None], places], shown.size)
+
+
+def _without_last(a: ComplexArray, shown: int) -> ComplexArray:
+    """The same where the first so many places of ``a`` are ``shown``; ``a`` is used up."""
+    whole = a[:, :shown, :shown]
+    if shown < a.shape[1]:
+        for part in (a[start : start + _AT_ONCE] for start in range(0, len(a), _AT_ONCE)):
+            coupling = part[:, shown:, :shown]
+            scattered = coupling.swapaxes(1, 2) @ np.linalg.solve(part[:, shown:, shown:], coupling)
+            part[:, :shown, :shown] -= 0.5 * (scattered + scattered.swapaxes(1, 2))
     return whole
 
 
@@ -217,8 +222,10 @@ def _pairs(tractions: Sequence[Traction], where: FloatArray) -> tuple[HankelTabl
     phase = (-1j) ** (np.abs(m[i]) + np.abs(m[j])) * (-1.0) ** m[i] * 1j ** np.abs(q) * np.exp(-1j * q * angle)
     kernel = np.real(number_of[c[i], c[j]]).astype(int)
     pair = np.sort([g[i], g[j]], axis=0)
-    keys = np.stack([kernel, pair[0], pair[1], np.abs(q), distance])
-    unique, column = np.unique(keys, axis=1, return_inverse=True)
-    kernels, first, second, order = unique[:4].astype(int)
-    table = HankelTable(radials, kernels, first, second, order, unique[4])
+    lengths, length = np.unique(distance, return_inverse=True)
+    keys = np.stack([kernel, pair[0], pair[1], np.abs(q), length])
+    sizes = tuple((keys.max(axis=1, initial=0) + 1).tolist())
+    unique, column = np.unique(np.ravel_multi_index(tuple(keys), sizes), return_inverse=True)
+    kernels, first, second, order, at = np.unravel_index(unique, sizes)
+    table = HankelTable(radials, kernels, first, second, order, lengths[at])
     return table, np.stack([i, j]), column.ravel(), phase * factors[c[i], c[j]]

@@ -20,9 +20,10 @@ from ..fem.assembly.terms import term_coefficient
 from ..fem.kernels.heap import freed_memory_kept
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.growing import TrialSolve
-from ..fem.reduction.quick import quick_compliance
-from ..fem.reduction.rational import Rational, chebyshev_frequencies, rational
+from ..fem.reduction.quick import Summed
+from ..fem.reduction.rational import chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
+from ..fem.reduction.spanned import FIRST, spanned
 from ..fem.reduction.united import Growth, Piece, piece_at, united_model
 from ..geometry.cache import cached_mesh, default_cache_dir
 from ..geometry.device.grid_places import GridPlaces, grid_places
@@ -34,7 +35,7 @@ from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
 from ..tissue import limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
-from ..typing import ComplexArray, FloatArray
+from ..typing import BoolArray, ComplexArray, FloatArray
 from .fem_engine import fem_model
 from .frequencies import frequencies
 from .missed import Missed, evened
@@ -45,10 +46,10 @@ _log = logging.getLogger("forearm_fem.pipeline")
 # Keys that compliances do not follow from: a draw may differ in them.
 _UNREAD = ("rendering", "measurement", "sweep", "solver", "accuracy", "schema_version")
 BEYOND = 1.05  # ratio to the ends of the band up to which a draw is answered
-_NODES = (9, 17, 33)  # frequencies of a piece solved for a draw, more where a rational function does not hold
-_BETWEEN = 2e-3  # of the largest entry: what that function may miss at the nodes that it does not pass through
+_NODES = 33  # frequencies of a piece that a draw's rational function is made from; up to so many are solved as asked
+_SPANNED = 1e-3  # of the largest entry of points under contacts: what the span of a draw's solutions may err by there
+_BETWEEN = 2e-4  # of the largest entry: what a rational function may miss at the nodes that it does not pass through
 _ROUGHER = 2  # degrees of the polynomials that a moved grid is read by: what one less changes may cancel by chance
-_PROBED = 3  # nodes of a piece at which the estimate's core is solved, too
 _POOL = 48  # draws that a model is made from
 _TYPICAL = 100.0  # Hz at which springpots are as stiff as the scenario's tissue
 _MIDDLE = 0.5
@@ -149,23 +150,39 @@ class ParametricModel:
         """
         return self.answer(scenario, frequency)[0]
 
-    def answer(self, scenario: Scenario, frequency: FloatArray) -> tuple[Compliance, Missed]:
-        """The same with what it may miss at each pair of ports, which is smaller for points far from a contact."""
+    def bare(self, scenario: Scenario, frequency: FloatArray) -> ComplexArray:
+        """Values of :meth:`compliance` at tens of frequencies (n, n_port, n_port), without a statement of their error:
+        for half of the time."""
         frequency = np.asarray(frequency, dtype=float)
+        values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
+        for piece, mine in self._asked(scenario, frequency):
+            values[mine] = Summed.of(self._drawn(piece, scenario)[0].whole).compliance(frequency[mine])
+        return self._known(values)
+
+    def _known(self, values: ComplexArray) -> ComplexArray:
+        """The same without what points do under themselves, in place."""
+        points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
+        values[:, points, points] = np.nan
+        return values
+
+    def _asked(self, scenario: Scenario, frequency: FloatArray) -> list[tuple[Piece, BoolArray]]:
+        """Pieces of the band with the places (n,) of the frequencies that they answer; raises as :meth:`compliance`."""
         grid = {"grid"} if self.follows(scenario) else set()
         check_followable(self.scenario, scenario, self.names, unread={*_UNREAD, *grid})
         self._check_band(frequency)
+        places = [np.array([piece_at(self.pieces, f) is p for f in frequency], dtype=bool) for p in self.pieces]
+        return [(piece, mine) for piece, mine in zip(self.pieces, places, strict=True) if mine.any()]
+
+    def answer(self, scenario: Scenario, frequency: FloatArray) -> tuple[Compliance, Missed]:
+        """The same with what it may miss at each pair of ports, which is smaller for points far from a contact."""
+        frequency = np.asarray(frequency, dtype=float)
         values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
         found = list[_Answer]()
-        for piece in self.pieces:
-            mine = np.array([piece_at(self.pieces, f) is piece for f in frequency], dtype=bool)
-            if mine.any():
-                found.append(self._answered(*self._drawn(piece, scenario), frequency[mine]))
-                values[mine] = found[-1].values
-        points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
-        values[:, points, points] = np.nan
+        for piece, mine in self._asked(scenario, frequency):
+            found.append(self._answered(*self._drawn(piece, scenario), frequency[mine]))
+            values[mine] = found[-1].values
         missed = self._missed(found)
-        return Compliance(frequency, values, self.ports, (self._error(found, missed),)), missed
+        return Compliance(frequency, self._known(values), self.ports, (self._error(found, missed),)), missed
 
     def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, ReducedModel]:
         """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies, and the whole
@@ -189,37 +206,42 @@ class ParametricModel:
     def _answered(self, drawn: Piece, rough: ReducedModel, frequency: FloatArray) -> _Answer:
         """What a ``drawn`` piece says at ``frequency`` (n,), how far it may be off between, and what its core and the
         model of ``rough`` points say."""
-        nodes, between = frequency, np.zeros((len(self.ports),) * 2)
-        if len(frequency) <= _NODES[-1]:
-            values = at_nodes = quick_compliance(drawn.whole, frequency)
+        system, moved = Summed.of(drawn.whole), rough is not drawn.whole
+        if len(frequency) <= _NODES:
+            values, between = system.compliance(frequency), np.zeros((len(self.ports),) * 2)
+            some = np.unique(np.linspace(0, len(frequency) - 1, FIRST).round().astype(int))
+            probes, whole = frequency[some], values[some]
+            other = replace(system, reduced=rough).compliance(probes) if moved else whole
         else:
-            known = dict[float, ComplexArray]()
-            for count in _NODES:  # each has the nodes of the one before
-                nodes = chebyshev_frequencies(frequency, count)
-                fresh = np.array([f for f in nodes.tolist() if f not in known])
-                known |= dict(zip(fresh.tolist(), quick_compliance(drawn.whole, fresh), strict=True))
-                at_nodes = np.array([known[f] for f in nodes.tolist()])
-                fit, places = self._fitted(nodes, at_nodes)
-                if fit.misfit <= _BETWEEN:
-                    break
-            values = np.empty((len(frequency), *at_nodes.shape[1:]), dtype=complex)
-            watched = places[0][: len(fit.misfits)], places[1][: len(fit.misfits)]
-            between[watched] = between[watched[::-1]] = fit.misfits
-            values[:, places[0], places[1]] = values[:, places[1], places[0]] = fit.at(frequency)
-            values *= self._undone()
-        some = np.unique(np.linspace(0, len(nodes) - 1, _PROBED).round().astype(int))
-        other = at_nodes[some] if rough is drawn.whole else quick_compliance(rough, nodes[some])
-        return _Answer(values, between, nodes[some], at_nodes[some], quick_compliance(drawn.core, nodes[some]), other)
+            known = spanned(system, frequency, _SPANNED, self._block, rough.functionals if moved else None)
+            nodes, probes = chebyshev_frequencies(frequency, _NODES), known.solved[:FIRST]
+            values, between = self._fitted(nodes, known.span.compliance(nodes), frequency)
+            between, whole = between + known.missed, known.span.compliance(probes)
+            other = known.beside * rough.shares if moved else whole
+        return _Answer(values, between, probes, whole, Summed.of(drawn.core).compliance(probes), other)
 
-    def _fitted(self, nodes: FloatArray, values: ComplexArray) -> tuple[Rational, tuple[Any, Any]]:
-        """A rational function through the upper triangle, which keeps it reciprocal, contacts' entries first."""
+    def _fitted(
+        self, nodes: FloatArray, values: ComplexArray, frequency: FloatArray
+    ) -> tuple[ComplexArray, FloatArray]:
+        """Rational functions at ``frequency`` through ``values`` at the ``nodes``, and what they miss of these
+        (n_port, n_port), in shares of the largest entry of points under contacts.
+
+        They go through the upper triangle, which keeps them reciprocal, contacts' entries first.
+        """
         contact = np.array([p.kind == "contact" for p in self.ports])
         rows, columns = np.triu_indices(len(self.ports))
         order = np.argsort(~(contact[rows] | contact[columns]), kind="stable")
         rows, columns = rows[order], columns[order]
         watched = int((contact[rows] | contact[columns]).sum()) or None
         entries = (values / self._undone())[:, rows, columns]
-        return rational(nodes, entries, _BETWEEN, watched), (rows, columns)
+        fit = rational(nodes, entries, _BETWEEN, watched)
+        sizes = np.abs(values[(slice(None), *self._block)]).max(axis=(1, 2))
+        out = np.empty((len(frequency), *values.shape[1:]), dtype=complex)
+        missed = np.zeros((len(self.ports), len(self.ports)))
+        out[:, rows, columns] = out[:, columns, rows] = fit.at(frequency)
+        left = np.abs(fit.at(nodes) - entries) / sizes[:, None]
+        missed[rows, columns] = missed[columns, rows] = left.max(axis=0)
+        return np.asarray(out * self._undone()), missed
 
     def _undone(self) -> FloatArray:
         """Shares of force, 1 where a force has no symmetric solution."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from ..errors import ForearmError
+from ..fem.reduction.rational import chebyshev_frequencies, rational
 from ..layered import layered_compliance
-from ..layered.sampling import chebyshev_between, chebyshev_nodes
 from ..metrics import smooth_noise
 from ..pipeline.layered_engine import flat_disc, flat_layers, flat_ports, flat_surface
 from ..pipeline.parametric import ParametricModel, parametric_model
@@ -24,7 +25,9 @@ from .two_meshes import ArmMeshes, arm_meshes
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)  # a third of the time of the twin's own; what it costs is stated per draw
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
 _ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
-_DEGREE = 48  # in the root of the frequency, of what geometry changes on the twin: 32 leave .04 of it and state .8
+_ASKED = 33  # frequencies asked of the twin for what geometry changes: polynomials through 49 leave .02 of it at most
+_FITTED = 1e-4  # of the largest entry: what a rational function of it may miss at those that it does not pass through
+_BETWEEN = 2  # times as much it may miss elsewhere: at single frequencies twice this was seen, over the band half
 _OTHERS = 6  # answers as wrong as geometry may make one
 _SMOOTH = 50.0  # Hz over which what geometry misses is alike, as for other errors of S (docs/decisions/0027)
 _MISSED = 0.5  # of the change by geometry that the twin may be wrong by (docs/decisions/0042)
@@ -232,23 +235,41 @@ class ReducedArm:
 
         The twin states errors over the largest entry of their kind: of contacts, or of points under contacts.
         """
-        low, high = 2 * np.pi * frequency[0], 2 * np.pi * frequency[-1]
-        few = len(frequency) <= _DEGREE
-        nodes = frequency if few else chebyshev_nodes(low, high, _DEGREE) / (2 * np.pi)
+        few = len(frequency) <= _ASKED
+        nodes = frequency if few else chebyshev_frequencies(frequency, _ASKED)
         answers = [self.twin.compliance(s, nodes) for s in (scenario, own)]
         values = [np.nan_to_num(a.values) for a in answers]  # a point on itself stays unknown in the sum
-        change, error = values[0] - values[1], np.zeros((len(frequency), *values[0].shape[1:]))
-        between = change if few else chebyshev_between(low, high, 2 * np.pi * frequency, change)[0]
+        change = values[0] - values[1]
         points, contacts = answers[0].indices("point"), answers[0].indices("contact")
+        at_nodes, between = (change, change) if few else _between(nodes, change, frequency, contacts)
+        error = np.zeros(between.shape)
         for pair in ((points, contacts), (contacts, points), (contacts, contacts)):
             kind: Any = (slice(None), *np.ix_(*pair))
             sizes = [np.abs(v[kind]).max(axis=(1, 2)) for v in values]
             off = sum(size * np.array(a.errors[0].per_frequency) for size, a in zip(sizes, answers, strict=True))
-            if not few:
-                part, tail = chebyshev_between(low, high, 2 * np.pi * frequency, change[kind])
-                off = np.interp(frequency, nodes[::-1], off[::-1]) + tail * np.abs(part).max(axis=(1, 2))
-            error[kind] = off[:, None, None]
+            left, largest = (np.abs(v[kind]).max(axis=(1, 2)) for v in (at_nodes - change, change))
+            left = np.divide(left, largest, out=np.zeros_like(left), where=largest > 0)
+            size = np.abs(between[kind]).max(axis=(1, 2))
+            error[kind] = (np.interp(frequency, nodes, off) + _BETWEEN * left.max() * size)[:, None, None]
         return between, error
+
+
+def _between(
+    nodes: FloatArray, change: ComplexArray, frequency: FloatArray, contacts: Sequence[int]
+) -> tuple[ComplexArray, ComplexArray]:
+    """A rational function through ``change`` (n_node, n_port, n_port) at two thirds of the ``nodes`` [Hz], at all of
+    them and at ``frequency`` [Hz]; entries of ``contacts`` shape it."""
+    contact = np.isin(np.arange(change.shape[1]), contacts)
+    rows, columns = np.triu_indices(len(contact))
+    order = np.argsort(~(contact[rows] | contact[columns]), kind="stable")
+    rows, columns = rows[order], columns[order]
+    fit = rational(nodes, change[:, rows, columns], _FITTED, int((contact[rows] | contact[columns]).sum()))
+    found = []
+    for asked in (nodes, frequency):
+        values = np.empty((len(asked), *change.shape[1:]), dtype=complex)
+        values[:, rows, columns] = values[:, columns, rows] = fit.at(asked)
+        found.append(values)
+    return found[0], found[1]
 
 
 def _others(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
@@ -257,15 +278,21 @@ def _others(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tupl
 
     What the same share of all pairs does to S does not average out over pairs (docs/decisions/0042).
     """
-    rng, made, ports = np.random.default_rng(0), [], len(found.ports)
     size = np.abs(found.values)
     phase = np.divide(found.values, size, out=np.ones_like(found.values), where=size > 0)
     shapes = [each if np.iscomplexobj(each) else each * phase for each in off]
-    for k in range(_OTHERS):
-        alike = k % 2 == 0
-        moved = [each * _part(found.frequency, 1 if alike else ports, rng) for each in shapes]
-        made.append(replace(found, values=found.values + sum(moved)))
-    return tuple(made)
+    parts = _parts(tuple(found.frequency.tolist()), len(found.ports), len(shapes))
+    moved = [sum(each * part for each, part in zip(shapes, of_each, strict=True)) for of_each in parts]
+    return tuple(replace(found, values=found.values + m, errors=()) for m in moved)
+
+
+@lru_cache(maxsize=1)  # draws of a scene have the same frequencies and ports
+def _parts(frequency: tuple[float, ...], ports: int, errors: int) -> tuple[tuple[ComplexArray, ...], ...]:
+    """Shares of so many ``errors`` that each of the other answers is off by: smooth, and alike at all pairs of ports in
+    every other one. In single precision: they are random."""
+    rng, f = np.random.default_rng(0), np.array(frequency)
+    kinds = [1 if k % 2 == 0 else ports for k in range(_OTHERS)]
+    return tuple(tuple(_part(f, n, rng).astype(np.complex64) for _ in range(errors)) for n in kinds)
 
 
 def _part(frequency: FloatArray, ports: int, rng: np.random.Generator) -> ComplexArray:

@@ -77,7 +77,7 @@ class ArmMeshes:
         return np.divide(error, change, out=np.zeros_like(error), where=change > 0)
 
     def _second(self, arm: Scenario, frequency: FloatArray) -> Compliance:
-        return self.second.compliance(arm, frequency)
+        return Compliance(frequency, self.second.bare(arm, frequency), self.second.ports)
 
     def _unseen(self, arm: Scenario, frequency: FloatArray, own: ComplexArray) -> FloatArray:
         """Errors of what points do under contacts (n_frequency, n_point, n_contact) that no change shows."""

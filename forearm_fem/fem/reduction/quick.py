@@ -6,7 +6,8 @@ exact before it is rounded; what rounding leaves enters a compliance at 1e-4 of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,49 @@ from scipy.linalg.lapack import csysv, csysv_lwork
 
 from ...errors import SolverError
 from ...typing import BoolArray, ComplexArray, FloatArray
-from ..assembly.coefficients import grouped
+from ..assembly.coefficients import Coefficient, grouped
 from .reduced_model import ReducedModel
 
 Single = NDArray[np.complex64]
+
+
+@dataclass(frozen=True, eq=False)
+class Summed:
+    """A reduced model for the coefficients of one draw: ``sums`` (k, r, r) of the terms that have one of its
+    ``coefficients`` in common, rounded to single precision."""
+
+    reduced: ReducedModel
+    sums: NDArray[np.float32]
+    coefficients: tuple[Coefficient, ...]
+
+    @classmethod
+    def of(cls, reduced: ReducedModel) -> Self:
+        """The sums of a model, formed once for however many frequencies are asked."""
+        sums = grouped(reduced.coefficients)
+        weights, size = np.array([w for w, _ in sums]), reduced.size
+        flat = (weights @ reduced.matrices.reshape(weights.shape[1], -1)).astype(np.float32)
+        return cls(reduced, flat.reshape(-1, size, size), tuple(c for _, c in sums))
+
+    def theta(self, frequency: FloatArray) -> ComplexArray:
+        """What the sums are multiplied with at ``frequency`` (n,) [Hz], (n, k)."""
+        omega = 2 * np.pi * np.asarray(frequency, dtype=float)
+        return np.array([np.broadcast_to(c.at(omega), omega.shape) for c in self.coefficients], dtype=complex).T
+
+    def solution(self, frequency: float, right: Single | None = None) -> Single:
+        """Reduced solution (r, m) at one frequency [Hz] for the loads ``right`` (r, m), of the ports where left out.
+
+        Raises SolverError where the system is singular.
+        """
+        flat, size = self.sums.reshape(len(self.sums), -1), self.reduced.size
+        theta, matrix = self.theta(np.array([frequency]))[0].astype(np.complex64), np.empty(size**2, dtype=np.complex64)
+        matrix.real, matrix.imag = theta.real @ flat, theta.imag @ flat
+        return _solution(matrix.reshape(size, size).T, _right(self.reduced) if right is None else right)
+
+    def compliance(self, frequency: FloatArray) -> ComplexArray:
+        """As :func:`quick_compliance`."""
+        reduced, right = self.reduced, _right(self.reduced)
+        found = [reduced.functionals.T @ self.solution(f, right) for f in np.asarray(frequency, dtype=float).tolist()]
+        return np.asarray(np.array(found, dtype=complex).reshape(-1, *reduced.shares.shape * 2) * reduced.shares)
 
 
 def quick_compliance(reduced: ReducedModel, frequency: FloatArray) -> ComplexArray:
@@ -25,9 +65,7 @@ def quick_compliance(reduced: ReducedModel, frequency: FloatArray) -> ComplexArr
 
     Raises SolverError where a system is singular.
     """
-    right = _right(reduced)
-    found = [reduced.functionals.T @ _solution(matrix, right) for matrix in _matrices(reduced, frequency)]
-    return np.asarray(np.array(found, dtype=complex).reshape(-1, *reduced.shares.shape * 2) * reduced.shares)
+    return Summed.of(reduced).compliance(frequency)
 
 
 def quick_state(reduced: ReducedModel, frequency: float) -> Single:
@@ -55,18 +93,6 @@ def _matrix(reduced: ReducedModel, frequency: float) -> Single:
     matrix = np.empty(size * size, dtype=np.complex64)
     matrix.real, matrix.imag = theta.real @ flat, theta.imag @ flat
     return matrix.reshape(size, size).T  # symmetric
-
-
-def _matrices(reduced: ReducedModel, frequency: FloatArray) -> Iterator[Single]:
-    omega, size = 2 * np.pi * np.asarray(frequency, dtype=float), reduced.size
-    sums = grouped(reduced.coefficients)
-    weights = np.array([w for w, _ in sums])
-    flat = (weights @ reduced.matrices.reshape(weights.shape[1], -1)).astype(np.float32)
-    theta = np.array([np.broadcast_to(c.at(omega), omega.shape) for _, c in sums]).astype(np.complex64)
-    for w in theta.T:
-        matrix = np.empty(size * size, dtype=np.complex64)
-        matrix.real, matrix.imag = w.real @ flat, w.imag @ flat
-        yield matrix.reshape(size, size).T
 
 
 def _solution(matrix: Single, right: Single) -> Single:

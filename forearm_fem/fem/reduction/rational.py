@@ -47,6 +47,7 @@ def rational(frequency: FloatArray, values: ComplexArray, tolerance: float, watc
     """
     seen = values[:, :watched]
     sizes, lengths = np.abs(seen).max(axis=1), np.linalg.norm(seen, axis=0)
+    lengths[lengths == 0] = 1.0
     scaled = seen / lengths  # weak entries shape the function as much as strong ones
     supports, fit = [_farthest(scaled, np.broadcast_to(scaled.mean(axis=0), scaled.shape), [])], None
     while fit is None or (fit.misfit > tolerance and len(supports) < 2 * len(frequency) // 3):

@@ -1,0 +1,140 @@
+"""A draw at all frequencies of a band from its solutions at few: Galerkin's method on the span of these.
+
+A draw's system A(omega) = sum_j theta_j(omega) S_j is complex symmetric, so with the solutions as trial and as test
+functions C = F^T V (V^T A V)^-1 V^T F, which errs by the product of what the span lacks of two ports' states. V grows
+by one solution at a time, where the residual is largest. How much the last one changes C anywhere is what is stated.
+Between two solutions such a span may have a narrow resonance that the draw has not, as no energy bounds it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from ...typing import ComplexArray, FloatArray
+from .quick import Single, Summed
+from .rational import chebyshev_frequencies
+
+FIRST = 3  # solutions that a span starts from: at the band's ends and in its middle
+_LOOKED_AT = 17  # frequencies of the band where it may be solved, the first three among them
+_MOST = 15  # solutions
+_SAME = 1e-4  # of a state's length: what is new by less is rounding of single precision
+_SKETCHED = 24  # random directions that the residual is seen in: its length to about a seventh
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """An orthonormal ``basis`` (r, m) of solutions of a ``system``: ``images`` (k, r, m) of it under each of the sums,
+    and these seen from it, ``inner`` (k, m, m)."""
+
+    system: Summed
+    basis: ComplexArray
+    images: NDArray[np.complex64]
+    inner: ComplexArray
+
+    @classmethod
+    def of(cls, system: Summed) -> Self:
+        """An empty one."""
+        k, r = system.sums.shape[:2]
+        return cls(
+            system, np.zeros((r, 0), dtype=complex), np.zeros((k, r, 0), dtype=np.complex64),
+            np.zeros((k, 0, 0), dtype=complex),
+        )  # fmt: skip
+
+    def with_states(self, states: Single) -> Span:
+        """The span of these solutions (r, n), too."""
+        new = states.astype(complex)
+        new /= np.linalg.norm(new, axis=0)
+        for _ in range(2):  # once leaves what cancels
+            new -= self.basis @ (self.basis.conj().T @ new)
+        q, r, _ = qr(new, mode="economic", pivoting=True)
+        fresh = q[:, np.abs(np.diag(r)) > _SAME]
+        basis, m = np.hstack([self.basis, fresh]), self.basis.shape[1]
+        single = fresh.astype(np.complex64)
+        parts = self.system.sums @ np.hstack([single.real, single.imag])  # the sums are real
+        images = np.concatenate([self.images, parts[..., : fresh.shape[1]] + 1j * parts[..., fresh.shape[1] :]], axis=2)
+        inner = np.empty((len(images), basis.shape[1], basis.shape[1]), dtype=complex)
+        inner[:, :m, :m] = self.inner
+        inner[:, :, m:] = basis.astype(np.complex64).T @ images[:, :, m:]
+        inner[:, m:] = inner[:, :, m:].swapaxes(1, 2)
+        return replace(self, basis=basis, images=images, inner=inner)
+
+    @property
+    def loads(self) -> ComplexArray:
+        """Loads of the ports (m, n_port) on the span."""
+        return self.basis.T @ self.system.reduced.functionals
+
+    def states(self, frequency: FloatArray) -> ComplexArray:
+        """Coordinates (n_frequency, m, n_port) of the solutions."""
+        loads, theta = self.loads, self.system.theta(frequency)
+        matrices = np.tensordot(theta, self.inner, 1)
+        return np.asarray(np.linalg.solve(matrices, np.broadcast_to(loads, (len(theta), *loads.shape))))
+
+    def compliance(self, frequency: FloatArray) -> ComplexArray:
+        """Compliance (n_frequency, n_port, n_port) [m/N]."""
+        values = self.loads.T @ self.states(frequency)
+        return np.asarray((values + values.swapaxes(1, 2)) / 2 * self.system.reduced.shares)
+
+    def doubt(self, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
+        """Compliances as :meth:`compliance` without shares, in single precision, and squares of the residuals' length
+        over the largest of them (n_frequency,), as far as random directions show it."""
+        functionals, theta = self.system.reduced.functionals, self.system.theta(frequency).astype(np.complex64)
+        loads = self.loads.astype(np.complex64)
+        matrices = np.tensordot(theta, self.inner.astype(np.complex64), 1)
+        states = np.linalg.solve(matrices, np.broadcast_to(loads, (len(theta), *loads.shape)))
+        seen = np.random.default_rng(0).standard_normal((_SKETCHED, len(functionals))).astype(np.float32)
+        left = np.abs(seen @ functionals - np.tensordot(theta, seen @ self.images, 1) @ states) ** 2
+        values = loads.T @ states
+        return values, np.asarray(left.sum(axis=(1, 2)) / np.abs(values).max(axis=(1, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Spanned:
+    """A ``span`` that is good for a band, and ``missed`` (n_port, n_port): the largest change at any frequency by the
+    last of the ``solved`` (n,) [Hz], in shares of the largest watched entry there.
+
+    ``beside`` (3, n_other, n_other) is what other loads see of themselves at the ends and in the middle of the band.
+    """
+
+    span: Span
+    missed: FloatArray
+    solved: FloatArray
+    beside: ComplexArray
+
+
+def spanned(
+    system: Summed,
+    frequency: FloatArray,
+    tolerance: float,
+    watched: tuple[Any, ...],
+    others: FloatArray | None = None,
+) -> Spanned:
+    """The span of solutions at few frequencies in the band of ``frequency`` (n,) [Hz]: as many as it takes for the last
+    to change nothing by more than ``tolerance`` of the largest ``watched`` entry (an open mesh of ports), or 15.
+
+    ``others`` (r, n_other) are further loads to be solved at the first three frequencies, for :attr:`Spanned.beside`.
+    Raises SolverError where a system is singular.
+    """
+    reduced, ports = system.reduced, system.reduced.functionals.shape[1]
+    others = np.zeros((reduced.size, 0)) if others is None else others
+    nodes = chebyshev_frequencies(frequency, _LOOKED_AT)
+    first = np.linspace(0, _LOOKED_AT - 1, FIRST).round().astype(int)
+    right = np.asfortranarray(np.hstack([reduced.functionals, others]).astype(np.complex64))
+    solutions = [system.solution(f, right) for f in nodes[first].tolist()]
+    beside = np.array([others.T @ x[:, ports:] for x in solutions], dtype=complex)
+    span, solved = Span.of(system).with_states(np.hstack([x[:, :ports] for x in solutions])), list(first)
+    values, doubt = span.doubt(nodes)
+    missed = np.full((ports, ports), np.inf)
+    while len(solved) < _MOST and missed[watched].max() > tolerance:
+        doubt[solved] = 0
+        solved.append(int(np.argmax(doubt)))
+        span = span.with_states(system.solution(float(nodes[solved[-1]])))
+        before = values
+        values, doubt = span.doubt(nodes)
+        sizes = np.abs(values[(slice(None), *watched)]).max(axis=(1, 2), keepdims=True)
+        missed = (np.abs(values - before) / sizes).max(axis=0)
+    return Spanned(span, missed, nodes[solved], beside)
