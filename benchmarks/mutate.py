@@ -30,6 +30,7 @@ import tomllib
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -116,8 +117,13 @@ def _defined(test: str, root: Path) -> bool:
     file = root / path
     if not file.is_file() or not inner:
         return file.is_file()
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    return any(isinstance(n, ast.FunctionDef) and n.name == inner[-1] for n in ast.walk(tree))
+    return inner[-1] in _functions(file.read_text(encoding="utf-8"))
+
+
+@cache
+def _functions(source: str) -> frozenset[str]:
+    """Names of all functions in a file's text: many mutations name tests of one file."""
+    return frozenset(n.name for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef))
 
 
 def copied(root: Path, folder: Path) -> Path:

@@ -78,16 +78,18 @@ def twin(scenario: Scenario, mesh: TissueMesh) -> tuple[Compliance, np.ndarray]:
     ports = place_ports(scenario, mesh)
     f = np.arange(2, 81) * 5.0
     discs = [Disc(p.position[0], p.position[1], p.radius if p.kind == "contact" else 0.0) for p in ports]
-    along = [Disc(discs[0].x + r, discs[0].y) for r in RADII]
-    found = layered_compliance(layers_from(scenario), 2 * np.pi * f, discs[:4], [*discs, *along], tolerance=1e-4)
+    layers, omega = layers_from(scenario), 2 * np.pi * f
     values = np.full((len(f), len(ports), len(ports)), np.nan + 0j)
-    values[:, :, :4] = found.values[:, : len(ports)]
+    values[:, :, :4] = layered_compliance(layers, omega, discs[:4], discs, tolerance=1e-4).values
     values[:, :4] = values[:, :, :4].swapaxes(1, 2)
     errors = (
         ErrorEstimate("discretisation", 0.02, "two meshes", (10.0, 400.0), (0.01, 0.03)),
         ErrorEstimate("reduction", 1e-6, "residual"),
     )
-    return Compliance(f, values, ports, errors), found.values[:, len(ports) :, 0]
+    here, parts = discs[0], np.split(RADII, range(7, len(RADII), 7))  # few at once: each is computed with each
+    along = [[Disc(here.x + r, here.y) for r in part] for part in parts]
+    radial = [layered_compliance(layers, omega, [here], [here, *a], tolerance=1e-4).values[:, 1:, 0] for a in along]
+    return Compliance(f, values, ports, errors), np.concatenate(radial, axis=1)
 
 
 def field(scenario: Scenario, mesh: TissueMesh, compliance: Compliance, radial: np.ndarray) -> Wavefield:

@@ -41,8 +41,10 @@ tests = ["tests/test_sums.py::test_double"]
 
 
 @pytest.fixture
-def small(tmp_path):
-    """A repository with one function, half of which its test looks at."""
+def small(tmp_path, monkeypatch):
+    """A repository with one function, half of which its test looks at; pytest starts without plugins, a second less."""
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    monkeypatch.setenv("PYTEST_ADDOPTS", "-p xdist.plugin")  # -n 0 is its word
     for file, text in {
         "forearm_fem/__init__.py": "",
         "forearm_fem/sums.py": "def double(x):\n    return 2 * x\n\n\ndef triple(x):\n    return 3 * x\n",

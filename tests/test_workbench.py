@@ -63,6 +63,17 @@ def content(flat: Results) -> dict[str, Any]:
     return content_of(flat)
 
 
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """A run whose page is made in a second, for what holds of every page."""
+    device = {"cone": {"contact": "pressure"}, "contacts": [[0.0, 0.0], [0.01, 0.0]]}
+    sweep = {"duration": 0.1, "sample_rate": 1000.0, "f_max": 200.0}
+    rendering = {"methods": ["inverse filter"], "targets": ["1"], "wavelet": {"peak": 100.0}}
+    grid = {"points": [[0.0, 0.0], [0.01, 0.0]]}
+    changes = {"device": device, "sweep": sweep, "rendering": rendering, "grid": grid}
+    return rendered(tmp_path_factory.mktemp("small"), **changes)
+
+
 def asked(content: dict[str, Any], *jobs: dict[str, Any]) -> list[Any]:
     """What the page's own modules answer, under node."""
     with TemporaryDirectory() as place:
@@ -399,9 +410,12 @@ def test_few_shapes_hold_the_motion_of_the_skin(folder: Path) -> None:  # noqa: 
     assert set(found.surfaces[1].tissues) == set(run.mesh.region_names)
 
 
-def test_shapes_state_what_they_leave_out() -> None:
+@pytest.mark.parametrize("frequencies", [5, 15])
+def test_shapes_state_what_they_leave_out(frequencies: int) -> None:
+    """With fewer columns than places, and with more."""
     rng = np.random.default_rng(1)
-    motion_of = rng.normal(size=(5, 40, 2)) + 1j * rng.normal(size=(5, 40, 2))
+    size = (frequencies, 40, 2)
+    motion_of = rng.normal(size=size) + 1j * rng.normal(size=size)
     shapes, amplitudes, error = few_shapes(motion_of)
     rest = motion_of - np.einsum("nk,fka->fna", shapes, amplitudes)
     share = np.linalg.norm(rest, axis=1) / np.linalg.norm(motion_of, axis=1)
@@ -471,18 +485,19 @@ def test_types_of_the_front_end() -> None:
     assert done.returncode == 0, done.stdout
 
 
-def test_the_page_is_one_file_that_fetches_nothing(flat: Results, tmp_path: Path) -> None:
-    page = write_workbench(flat.folder, tmp_path / "page.html").read_text(encoding="utf-8")
+def test_the_page_is_one_file_that_fetches_nothing(content: dict[str, Any], small: Results, tmp_path: Path) -> None:
+    page = page_of(content)
     assert "default-src 'none'" in page
     bare = page.replace("http://www.w3.org/2000/svg", "")  # the name of a language, not an address
     assert not re.search(r"https?://|src=|<link|@import|url\(", bare)
     assert len(page) < 15e6
     assert page.count("</script>") == 2
+    assert write_workbench(small.folder, tmp_path / "a.html").read_text(encoding="utf-8") == page_of(content_of(small))
 
 
-def test_names_stay_text(flat: Results) -> None:
+def test_names_stay_text(content: dict[str, Any]) -> None:
     bad = "<script>alert(1)</script>"
-    content = {**content_of(flat), "name": bad, "notes": [bad, "</script><img>"], "description": "%%SCRIPT%%"}
+    content = {**content, "name": bad, "notes": [bad, "</script><img>"], "description": "%%SCRIPT%%"}
     page = page_of(content)
     assert bad not in page
     assert page.count("</script>") == 2
@@ -509,8 +524,8 @@ def test_what_a_module_exports_is_asked_for() -> None:
             assert asked_for, f"{place.name}: {name}"
 
 
-def test_a_notebook_shows_the_page_in_a_frame(flat: Results, tmp_path: Path) -> None:
-    shown = view(flat)
+def test_a_notebook_shows_the_page_in_a_frame(small: Results, tmp_path: Path) -> None:
+    shown = view(small)
     frame = shown._repr_html_()
     assert frame.startswith("<iframe srcdoc=")
     assert 'sandbox="allow-scripts' in frame
@@ -526,15 +541,15 @@ def test_the_scenario_is_short_and_says_the_same() -> None:
     assert parse_scenario(short_scenario(Scenario(name="defaults"))) == Scenario(name="defaults")
 
 
-def test_the_command_writes_pages_of_runs_and_of_files(flat: Results, tmp_path: Path) -> None:
-    said = cli("workbench", str(flat.folder), "--save", str(tmp_path / "a.html"))
+def test_the_command_writes_pages_of_runs_and_of_files(flat: Results, small: Results, tmp_path: Path) -> None:
+    said = cli("workbench", str(small.folder), "--save", str(tmp_path / "a.html"))
     assert said.code == 0
     assert "MB" in said.out
     write_csv(tmp_path / "g.csv", flat.transfer)
     (tmp_path / "s.toml").write_text('name = "s"\n[sweep]\nduration = 0.25\nsample_rate = 4000.0\nf_max = 400.0\n')
     assert cli("workbench", str(tmp_path / "g.csv"), "--scenario", str(tmp_path / "s.toml")).code == 0
     assert (tmp_path / "g.html").is_file()
-    said = cli("show", str(flat.folder), "--save", str(tmp_path / "b.html"))
+    said = cli("show", str(small.folder), "--save", str(tmp_path / "b.html"))
     assert said.code == 0
     assert (tmp_path / "b.html").read_text(encoding="utf-8") == (tmp_path / "a.html").read_text(encoding="utf-8")
 

@@ -104,12 +104,13 @@ def few_shapes(motion: ComplexArray) -> tuple[FloatArray, ComplexArray, float]:
     """
     size = np.linalg.norm(motion, axis=1, keepdims=True)
     columns = np.moveaxis(motion / np.where(size > 0, size, 1), 1, 0).reshape(motion.shape[1], -1)
-    gram = columns.real @ columns.real.T + columns.imag @ columns.imag.T
-    values, vectors = np.linalg.eigh(gram)
+    parts = np.concatenate([columns.real, columns.imag], axis=1)
+    tall = parts.shape[0] > parts.shape[1]  # then the smaller Gram matrix has the same values, in a tenth of the time
+    values, vectors = np.linalg.eigh(parts.T @ parts if tall else parts @ parts.T)
     values, vectors = np.maximum(values[::-1], 0), vectors[:, ::-1]
     left_out = np.sqrt(np.maximum(1 - np.cumsum(values) / values.sum(), 0))
     count = min(int(np.searchsorted(-left_out, -_TOLERANCE)) + 1, _MOST, len(values))
-    shapes = vectors[:, :count]
+    shapes = np.linalg.qr(parts @ vectors[:, :count])[0] if tall else vectors[:, :count]
     return shapes, np.asarray(shapes.T @ motion), float(left_out[count - 1])
 
 
