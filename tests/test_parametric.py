@@ -17,13 +17,13 @@ from forearm_fem.compare.adapters import (
 from forearm_fem.compare.fit import fit
 from forearm_fem.compare.run import run_fit
 from forearm_fem.device import close_loop
-from forearm_fem.errors import DataError, ReductionError, ScenarioError
+from forearm_fem.errors import DataError, ReductionError, ScenarioError, SolverError
 from forearm_fem.fem.linear.direct import DirectSolver
 from forearm_fem.fem.reduction.basis import Basis, rough_extension
 from forearm_fem.fem.reduction.growing import Growing, TrialSolve
 from forearm_fem.fem.reduction.quick import Summed, quick_compliance
 from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
-from forearm_fem.fem.reduction.spanned import spanned
+from forearm_fem.fem.reduction.spanned import _solved, spanned
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.fem.reduction.united import Growth
 from forearm_fem.geometry.cache import cached_mesh
@@ -407,6 +407,11 @@ def test_a_draws_solutions_at_few_frequencies_carry_all_others(model):
             assert len(rough.solved) < len(known.solved) < 15
             at = known.span.compliance(known.solved)
             assert np.allclose(at, quick_compliance(system.reduced, known.solved), rtol=0, atol=1e-4 * np.abs(at).max())
+
+
+def test_a_span_that_is_singular_somewhere_is_a_named_error():
+    with pytest.raises(SolverError, match="span of solutions is singular"):
+        _solved(np.zeros((2, 3, 3), dtype=complex), np.ones((3, 2), dtype=complex))
 
 
 def test_other_loads_are_solved_beside(model):

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
+from ...errors import SolverError
 from ...typing import ComplexArray, FloatArray
 from .quick import Single, Summed
 from .rational import chebyshev_frequencies
@@ -72,7 +73,7 @@ class Span:
         """Coordinates (n_frequency, m, n_port) of the solutions."""
         loads, theta = self.loads, self.system.theta(frequency)
         matrices = np.tensordot(theta, self.inner, 1)
-        return np.asarray(np.linalg.solve(matrices, np.broadcast_to(loads, (len(theta), *loads.shape))))
+        return _solved(matrices, loads)
 
     def compliance(self, frequency: FloatArray) -> ComplexArray:
         """Compliance (n_frequency, n_port, n_port) [m/N]."""
@@ -85,11 +86,20 @@ class Span:
         functionals, theta = self.system.reduced.functionals, self.system.theta(frequency).astype(np.complex64)
         loads = self.loads.astype(np.complex64)
         matrices = np.tensordot(theta, self.inner.astype(np.complex64), 1)
-        states = np.linalg.solve(matrices, np.broadcast_to(loads, (len(theta), *loads.shape)))
+        states = _solved(matrices, loads)
         seen = np.random.default_rng(0).standard_normal((_SKETCHED, len(functionals))).astype(np.float32)
         left = np.abs(seen @ functionals - np.tensordot(theta, seen @ self.images, 1) @ states) ** 2
         values = loads.T @ states
         return values, np.asarray(left.sum(axis=(1, 2)) / np.abs(values).max(axis=(1, 2)))
+
+
+def _solved(matrices: NDArray[Any], loads: NDArray[Any]) -> NDArray[Any]:
+    """Solutions (n, m, k) of each of the ``matrices`` (n, m, m) for ``loads`` (m, k); SolverError where one is
+    singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, np.broadcast_to(loads, (len(matrices), *loads.shape))))
+    except np.linalg.LinAlgError:
+        raise SolverError("a draw's span of solutions is singular at a frequency of the band") from None
 
 
 @dataclass(frozen=True, eq=False)
