@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .errors import SolverError
+from .errors import DataError, SolverError
 from .ports import Port
 from .typing import BoolArray, ComplexArray, FloatArray
 
@@ -20,6 +20,8 @@ __all__ = [
     "ErrorEstimate",
     "TransferMatrix",
     "band_error",
+    "entry_errors",
+    "error_of_pairs",
     "finite",
     "refuse_non_finite",
     "relative_error",
@@ -29,8 +31,15 @@ __all__ = [
 ]
 
 ErrorSource = Literal[
-    "discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature", "bridging",
-    "interpolation", "contact",
+    "discretisation",
+    "truncation",
+    "reduction",
+    "linear solve",
+    "measurement",
+    "quadrature",
+    "bridging",
+    "interpolation",
+    "contact",
 ]
 
 
@@ -40,7 +49,9 @@ class ErrorEstimate:
 
     ``per_frequency`` [-] is e(f) = max_ij |dG_ij| / max_ij |G_ij| at ``frequency`` [Hz]; ``band`` is
     ||dG||_F / ||G||_F over the band and the matrix; ``method`` says in one sentence how it was found. An estimate
-    that was asked for and could not be made has ``band`` NaN, and ``method`` says why and what to do.
+    that was asked for and could not be made has ``band`` NaN, and ``method`` says why and what to do. ``per_pair``
+    (n_frequency, n_out, n_in) [-] is |dG_ij| / max_ij |G_ij| at ``frequency``, with e(f) its largest; None where all
+    pairs may err by e(f). Estimates that are equal may differ in it.
     """
 
     source: ErrorSource
@@ -48,6 +59,7 @@ class ErrorEstimate:
     method: str
     frequency: tuple[float, ...] = ()
     per_frequency: tuple[float, ...] = ()
+    per_pair: FloatArray | None = field(default=None, compare=False, repr=False)
 
     @property
     def worst(self) -> float:
@@ -115,6 +127,12 @@ class TransferMatrix:
     errors: tuple[ErrorEstimate, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for e in self.errors:
+            wanted = (len(e.frequency), *self.values.shape[1:])
+            if e.per_pair is not None and e.per_pair.shape != wanted:
+                raise DataError(f"the error by {e.source} is of pairs {e.per_pair.shape}, G's are {wanted}")
+
     @property
     def omega(self) -> FloatArray:
         """Angular frequency [rad/s]."""
@@ -156,3 +174,30 @@ def relative_error_at(estimate: ErrorEstimate, frequency: FloatArray) -> FloatAr
     if not estimate.per_frequency or not np.isfinite(estimate.band):
         return np.full(len(frequency), estimate.band)
     return np.interp(frequency, estimate.frequency, estimate.per_frequency)
+
+
+def error_of_pairs(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray | None:
+    """|dG_ij| / max_ij |G_ij| (n, n_out, n_in) [-] at ``frequency`` (n,) [Hz], as :func:`relative_error_at` takes e(f);
+    None where an estimate does not tell pairs apart."""
+    if estimate.per_pair is None:
+        return None
+    rows = np.interp(frequency, estimate.frequency, np.arange(len(estimate.frequency)))
+    below = np.minimum(rows.astype(int), max(len(estimate.frequency) - 2, 0))
+    above = np.minimum(below + 1, len(estimate.frequency) - 1)
+    share = (rows - below)[:, None, None]
+    return np.asarray((1 - share) * estimate.per_pair[below] + share * estimate.per_pair[above])
+
+
+def entry_errors(transfer: TransferMatrix) -> FloatArray:
+    """Stated error (n_frequency, n_out, n_in) of each entry of G, in G's unit.
+
+    All sources together, as the squares of independent ones; one that does not tell pairs apart may be off by e(f) of
+    the largest entry at each. NaN where a source is unknown, where there is none, and for entries without a value.
+    """
+    g = np.where(True if transfer.valid is None else transfer.valid, np.abs(transfer.values), np.nan)
+    largest, square = np.max(g, axis=(1, 2), where=np.isfinite(g), initial=0.0), np.zeros(g.shape)
+    for e in transfer.errors:
+        pairs = error_of_pairs(e, transfer.frequency)
+        size = relative_error_at(e, transfer.frequency)[:, None, None] if pairs is None else pairs
+        square += (size * largest[:, None, None]) ** 2
+    return np.asarray(np.where(np.isfinite(g) & bool(transfer.errors), np.sqrt(square), np.nan))

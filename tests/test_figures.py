@@ -41,6 +41,7 @@ from forearm_fem.io import write_transfer
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
 from forearm_fem.tissue import KelvinVoigt
+from forearm_fem.transfer import entry_errors
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +77,8 @@ def test_the_numbers_beside_a_figure_are_those_of_the_run(made: Path, run: Resul
     assert source.endswith("forearm_fem 0.0.test")
     written = [float(line["abs_G_5_A2_m/V"]) for line in lines]
     np.testing.assert_allclose(written, np.abs(run.transfer.values[:, 4, 1]), rtol=1e-9)
+    off = [float(line["off_G_5_A2_m/V"]) for line in lines]
+    np.testing.assert_allclose(off, entry_errors(run.transfer)[:, 4, 1], rtol=1e-9)
 
 
 def test_table_one_beside_the_thesis(made: Path, run: Results) -> None:

@@ -25,8 +25,9 @@ from forearm_fem.metrics import (
     spot_radius,
     thesis_table,
 )
+from forearm_fem.metrics.uncertainty import perturbed
 from forearm_fem.ports import Port
-from forearm_fem.transfer import ErrorEstimate, TransferMatrix
+from forearm_fem.transfer import ErrorEstimate, TransferMatrix, entry_errors, error_of_pairs
 
 # ---------------------------------------------------------------- S
 
@@ -129,6 +130,42 @@ def test_interval_has_the_error_asked_for_at_every_frequency():
     signal_strength_uncertainty(g, lambda p: (seen.append(p), ratio(p))[1], [e], draws=5)
     change = np.abs(seen[0].values - g.values).max(axis=(1, 2)) / np.abs(g.values).max(axis=(1, 2))
     assert np.allclose(change, np.interp(g.frequency, [10, 500], [0.01, 0.2]), rtol=1e-10)  # cancellation of G
+
+
+def test_draws_of_pairs_that_are_told_apart_are_as_large_as_each_pair_s_error():
+    """In the root mean square: 400 draws of complex normal numbers know it to 1 / sqrt(400) / 2 = 2.5 %, four times."""
+    g, rng = small_transfer(), np.random.default_rng(2)
+    pairs = np.array([0.02, 0.1])[:, None, None] * np.array([[1.0, 0.2], [0.5, 0.1], [0.01, 0.03]])
+    e = ErrorEstimate("discretisation", 0.05, "test", (10.0, 500.0), (0.02, 0.1), pairs)
+    square = sum(np.abs(perturbed(g, [e], rng, 50.0).values - g.values) ** 2 for _ in range(400)) / 400
+    largest = np.abs(g.values).max(axis=(1, 2))[:, None, None]
+    between = np.array([[np.interp(g.frequency, [10, 500], p) for p in row] for row in pairs.transpose(1, 2, 0)])
+    assert np.abs(np.sqrt(square) / largest / between.transpose(2, 0, 1) - 1).max() < 0.2
+    assert np.allclose(error_of_pairs(e, g.frequency), between.transpose(2, 0, 1))
+
+
+def test_an_entry_errs_by_what_its_pair_is_stated_to_of_the_largest():
+    """Sources that tell pairs apart count by pair, others by e(f) of the largest entry; unknown ones leave nothing."""
+    g = small_transfer()
+    largest = np.abs(g.values).max(axis=(1, 2))[:, None, None]
+    pairs = np.full((1, 3, 2), 0.01) * [[1.0, 0.5], [0.1, 0.0], [0.2, 0.3]]
+    apart = ErrorEstimate("discretisation", 0.01, "test", (100.0,), (0.01,), pairs)
+    alike = ErrorEstimate("truncation", 0.02, "test")
+    assert entry_errors(replace(g, errors=(apart, alike))) == pytest.approx(np.sqrt(pairs**2 + 0.02**2) * largest)
+    assert np.isnan(entry_errors(replace(g, errors=(apart, replace(alike, band=np.nan))))).all()
+    assert np.isnan(entry_errors(g)).all()
+    valid = np.ones(g.values.shape, dtype=bool)
+    valid[:, 1, 1] = False
+    left = np.isnan(entry_errors(replace(g, errors=(apart, alike), valid=valid)))
+    assert left[:, 1, 1].all()
+    assert left.sum() == len(g.frequency)
+
+
+def test_errors_of_other_pairs_than_those_of_g_are_refused():
+    g = small_transfer()
+    e = ErrorEstimate("discretisation", 0.05, "test", (10.0, 500.0), (0.02, 0.1), np.ones((2, 4, 2)))
+    with pytest.raises(DataError, match=r"error by discretisation is of pairs \(2, 4, 2\), G's are \(2, 3, 2\)"):
+        replace(g, errors=(e,))
 
 
 def test_interval_shrinks_with_the_error_and_holds_the_value():

@@ -265,8 +265,11 @@ def test_intervals_drawn_in_the_page_follow_pythons_rule(content: dict[str, Any]
     from forearm_fem.pipeline.simulation import render_transfer
     from forearm_fem.pipeline.strengths import interval
 
+    pairs = np.array([0.02, 0.1])[:, None, None] * np.linspace(0.1, 1, flat.transfer.values[0].size).reshape(
+        1, *flat.transfer.values.shape[1:]
+    )
     g = replace(flat.transfer, errors=(
-        ErrorEstimate("discretisation", 0.08, "stated here", (40.0, 400.0), (0.02, 0.1)),
+        ErrorEstimate("discretisation", 0.08, "stated here", (40.0, 400.0), (0.02, 0.1), pairs),
         ErrorEstimate("truncation", 0.03, "stated here"),
     ))  # fmt: skip
     scenario = parse_scenario({**LAYERED, "rendering": {"regularisation": "tikhonov", "regularisation_value": 0.1}})
@@ -280,7 +283,6 @@ def test_intervals_drawn_in_the_page_follow_pythons_rule(content: dict[str, Any]
     noise = []
     for _ in range(12 * 2):
         one = smooth_noise(bins, g.values.shape[1:], rng, 50.0)
-        one /= np.abs(one).max(axis=(1, 2), keepdims=True)
         noise.append([one.real.ravel().tolist(), one.imag.ravel().tolist()])
     same, own = asked(
         stated, {"ask": "halves", "settings": settings, "noise": noise}, {"ask": "halves", "settings": settings}

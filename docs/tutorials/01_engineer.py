@@ -27,7 +27,8 @@ for error in g.errors:
     print(f"{error.source}: {error.band:.1e} of G ({error.method})")
 
 # %%
-# How much each point moves per volt on the first actuator, and how quickly that falls with frequency:
+# How much each point moves per volt on each actuator, how quickly that falls with frequency, and in pale colour how
+# far it may be off:
 from forearm_fem.figures import plot_transfer
 
 plot_transfer(g)

@@ -17,7 +17,7 @@ from ..ports import Port, distances
 from ..rendering import AutoZeros, Placed
 from ..rendering.drives import Aim
 from ..rendering.spectrum import BinValues, Record
-from ..transfer import TransferMatrix
+from ..transfer import TransferMatrix, entry_errors
 from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .style import FAINT, GREY, MICRO, decimal, letter, micro, panels, styled
@@ -39,27 +39,29 @@ def unwrapped(values: ComplexArray) -> FloatArray:
 
 
 def transfer_table(transfer: TransferMatrix) -> Table:
-    """|G| and phase [rad] of each entry over frequency."""
+    """|G|, what it is stated to be off by (NaN where unknown), and phase [rad] of each entry over frequency."""
     columns: dict[str, FloatArray] = {"frequency_Hz": transfer.frequency}
-    values = shown(transfer)
+    values, off = shown(transfer), entry_errors(transfer)
     for o, out in enumerate(transfer.outputs):
         for i, source in enumerate(transfer.inputs):
             entry = values[:, o, i]
             columns[f"abs_G_{out.name}_{source.name}_{transfer.unit}"] = np.abs(entry)
+            columns[f"off_G_{out.name}_{source.name}_{transfer.unit}"] = off[:, o, i]
             columns[f"phase_G_{out.name}_{source.name}_rad"] = np.angle(entry)
     return Table(columns)
 
 
 @styled
 def plot_transfer(data: TransferMatrix, *, ax: Axes | None = None) -> FigureBase:
-    """|G| and unwrapped phase of every grid point, one column per actuator, coloured by distance to it."""
+    """|G|, within what it is stated to be off by, and unwrapped phase of every grid point, one column per actuator,
+    coloured by distance to it."""
     figure = panels(ax, (1.9 * len(data.inputs) + 0.6, 3.9))
     grid = figure.subplots(2, len(data.inputs), sharex=True, sharey="row", squeeze=False)
     gap = distances(data.outputs, data.inputs) * 1e3
     scale = Normalize(float(gap.min()), float(gap.max()))
-    values = shown(data)
+    values, off = shown(data), entry_errors(data)
     for i, source in enumerate(data.inputs):
-        _entries(grid[:, i], data.frequency, values[:, :, i], gap[:, i], scale)
+        _entries(grid[:, i], data.frequency, values[:, :, i], off[:, :, i], gap[:, i], scale)
         grid[0, i].set_title(f"actuator {source.name}")
         grid[1, i].set_xlabel("frequency [Hz]")
     grid[0, 0].set(ylabel=f"|G| [{micro(data.unit)}]", yscale="log")
@@ -69,12 +71,19 @@ def plot_transfer(data: TransferMatrix, *, ax: Axes | None = None) -> FigureBase
     return figure
 
 
-def _entries(column: FloatArray, f: FloatArray, values: ComplexArray, gap: FloatArray, scale: Normalize) -> None:
-    """One column's lines, far points first so that near ones lie on top."""
-    top, bottom = column
+def _entries(
+    column: FloatArray, f: FloatArray, values: ComplexArray, off: FloatArray, gap: FloatArray, scale: Normalize
+) -> None:
+    """One column's lines in the bands that they are known to, far points first so that near ones lie on top.
+
+    A band that reaches zero ends at the smallest value there is, as logarithmic axes have no zero.
+    """
+    (top, bottom), foot = column, np.nanmin(np.abs(values), initial=np.inf)
     for o in np.argsort(-gap):
-        colour = colormaps["viridis_r"](scale(gap[o]))
-        top.plot(f, MICRO * np.abs(values[:, o]), color=colour)
+        colour, size = colormaps["viridis_r"](scale(gap[o])), np.abs(values[:, o])
+        ends = np.maximum(size - off[:, o], foot), size + off[:, o]
+        top.fill_between(f, *(MICRO * end for end in ends), color=colour, alpha=0.12, lw=0)
+        top.plot(f, MICRO * size, color=colour)
         bottom.plot(f, unwrapped(values[:, o]), color=colour)
 
 

@@ -60,7 +60,7 @@ def _transfer_variables(transfer: TransferMatrix) -> Variables:
         **port_variables("input", transfer.inputs),
         "G": (dims, transfer.values, {**units, "long_name": "displacement per unit drive"}),
         **{name: parts for name, parts in optional.items() if parts[1] is not None},
-        **_error_variables("G", transfer.errors),
+        **_error_variables("G", transfer.errors, dims[1:]),
     }
 
 
@@ -70,7 +70,7 @@ def _compliance_variables(compliance: Compliance) -> Variables:
         "frequency": _frequency(compliance.frequency),
         **port_variables("port", compliance.ports),
         "compliance": (("frequency", "port", "loaded_port"), compliance.values, note),
-        **_error_variables("compliance", compliance.errors),
+        **_error_variables("compliance", compliance.errors, ("port", "loaded_port")),
     }
 
 
@@ -84,8 +84,9 @@ def _frequency(frequency: FloatArray) -> tuple[tuple[str, ...], Any, dict[str, s
     return ("frequency",), frequency, {"units": "Hz"}
 
 
-def _error_variables(of: str, errors: tuple[ErrorEstimate, ...]) -> Variables:
-    """Estimates as rows: source, band norm, method, and e(f) on its own frequencies (NaN-padded)."""
+def _error_variables(of: str, errors: tuple[ErrorEstimate, ...], pair: tuple[str, str]) -> Variables:
+    """Estimates as rows: source, band norm, method, and e(f) on its own frequencies (NaN-padded), of each ``pair`` of
+    ports where one tells them apart."""
     if not errors:
         return {}
     row, bins = f"{of}_error", (f"{of}_error", f"{of}_error_bin")
@@ -99,7 +100,19 @@ def _error_variables(of: str, errors: tuple[ErrorEstimate, ...]) -> Variables:
             _padded([e.per_frequency for e in errors]),
             {"units": "1", "long_name": "e(f)"},
         ),
+        **_of_pairs(of, errors, (*bins, *pair)),
     }
+
+
+def _of_pairs(of: str, errors: tuple[ErrorEstimate, ...], dims: tuple[str, ...]) -> Variables:
+    known = [e.per_pair for e in errors if e.per_pair is not None]
+    if not known:
+        return {}
+    values = np.full((len(errors), max(len(e.frequency) for e in errors), *known[0].shape[1:]), np.nan, np.float32)
+    for row, e in zip(values, errors, strict=True):
+        if e.per_pair is not None:
+            row[: len(e.per_pair)] = e.per_pair
+    return {f"{of}_error_per_pair": (dims, values, {"units": "1", "long_name": "|dG_ij| over the largest |G_ij|"})}
 
 
 def _padded(rows: list[tuple[float, ...]]) -> FloatArray:
@@ -112,15 +125,19 @@ def _errors_of(dataset: xr.Dataset, of: str) -> tuple[ErrorEstimate, ...]:
         return ()
     names = text(dataset[f"{of}_error_source"].values), text(dataset[f"{of}_error_method"].values)
     numbers = (dataset[f"{of}_error_{key}"].values for key in ("band", "frequency", "per_frequency"))
-    return tuple(_estimate(*row) for row in zip(*names, *numbers, strict=True))
+    pairs = dataset[f"{of}_error_per_pair"].values if f"{of}_error_per_pair" in dataset else [None] * len(names[0])
+    return tuple(_estimate(*row) for row in zip(*names, *numbers, pairs, strict=True))
 
 
-def _estimate(source: Any, method: str, band: float, frequency: FloatArray, size: FloatArray) -> ErrorEstimate:
+def _estimate(
+    source: Any, method: str, band: float, frequency: FloatArray, size: FloatArray, pairs: FloatArray | None
+) -> ErrorEstimate:
     if source not in get_args(ErrorSource):
         raise ValueError(f"unknown error source '{source}'")
     used = ~np.isnan(frequency)
     bins, sizes = (tuple(a[used].tolist()) for a in (frequency, size))
-    return ErrorEstimate(source, float(band), method, bins, sizes)
+    of_pairs = None if pairs is None or np.isnan(pairs[used]).all() else np.asarray(pairs[used], dtype=float)
+    return ErrorEstimate(source, float(band), method, bins, sizes, of_pairs)
 
 
 def _unpack_transfer(dataset: xr.Dataset) -> TransferMatrix:

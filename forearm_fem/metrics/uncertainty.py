@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import DataError
-from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at
+from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ..typing import ComplexArray, FloatArray
 
 _WAVES = 64  # random cosines that make up one perturbation
@@ -64,14 +64,18 @@ def perturbed(
     transfer: TransferMatrix, sources: Sequence[ErrorEstimate], rng: np.random.Generator, correlation: float
 ) -> TransferMatrix:
     """G plus one draw of its errors: complex noise per source, independent over entries, smooth over ``correlation``
-    [Hz], whose largest entry is e(f) of the largest of G at each frequency."""
+    [Hz]. Its root mean square is each pair's own error where a source tells pairs apart; its largest entry is e(f) of
+    the largest of G at each frequency where not."""
     usable = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid & np.isfinite(transfer.values)
     scale = np.max(np.abs(transfer.values), axis=(1, 2), where=usable, initial=0)
     change = np.zeros(transfer.values.shape, dtype=complex)
     for source in sources:
         noise = smooth_noise(transfer.frequency, transfer.values.shape[1:], rng, correlation)
-        noise /= np.abs(noise).max(axis=(1, 2), keepdims=True)
-        change += (relative_error_at(source, transfer.frequency) * scale)[:, None, None] * noise
+        size = error_of_pairs(source, transfer.frequency)
+        if size is None:
+            noise /= np.abs(noise).max(axis=(1, 2), keepdims=True)
+            size = relative_error_at(source, transfer.frequency)[:, None, None]
+        change += scale[:, None, None] * size * noise
     return replace(transfer, values=transfer.values + change)
 
 

@@ -28,7 +28,7 @@ from .model_notes import model_notes, near_disc_notes, resolution_notes
 from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
-from .two_meshes import agreed_upon, assumed_order, change_around, estimated_errors
+from .two_meshes import agreed_upon, assumed_order, change_around, estimated_errors, over_pairs
 
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
 OTHER_ENDS, _OTHER = 0.5, "absorbing ends are clamped (or the reverse), on the coarser mesh"
@@ -166,6 +166,8 @@ def _discretisation(
         unseen = agreed_upon(fine.values, lag, coarser)
     order = assumed_order(fine.values, lag)
     band, error = estimated_errors(coarse.values, fine.values, fine.frequency, ratio, unseen, order)
+    pairs = over_pairs(error, coarse.values, fine.values, fine.frequency)
+    pairs = np.maximum(pairs, unseen / np.abs(fine.values).max(axis=(1, 2), keepdims=True))
     lost = fine.frequency[unseen.any(axis=(1, 2))]
     blind = f"; from {lost[0]:g} Hz on at least the lag of waves too short for the elements" if len(lost) else ""
     if mesh is None:
@@ -177,6 +179,7 @@ def _discretisation(
         f"1.85 where that is below 0.115 ({order.min():.3g} where waves are latest), 3 above 0.117{blind}",
         tuple(fine.frequency.tolist()),
         tuple(error.tolist()),
+        pairs,
     )
 
 
@@ -221,6 +224,7 @@ def _truncation(
     """A ``share`` of the change of G when the ends are changed, tested against longer limbs and the endless twin.
 
     Waves from the ends cancel at some frequencies by chance, so e(f) listens to its neighbours as two meshes' does.
+    Waves that reach the ends are long, so all pairs err about alike and are not told apart.
     """
     same = own.values[np.searchsorted(own.frequency, other.frequency)]
     change = np.linalg.norm(other.values - same, axis=(1, 2)) / np.linalg.norm(same, axis=(1, 2))

@@ -12,7 +12,7 @@ from ..metrics import perturbed, signal_strength
 from ..rendering import FixedZeros, Rendering, SearchedZeros, Wavelet, Window, place, strengths
 from ..rendering.drives import Renderer
 from ..rendering.sharing import settled
-from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at, total_error
+from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at, total_error
 from ..typing import FloatArray
 
 _DRAWS, _SEED = 12, 0
@@ -183,8 +183,11 @@ def interval(
 
 def at_least_band(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
     """The estimate with e(f) at ``frequency`` (n,) [Hz] raised to its band value, as two meshes agree by chance."""
-    size = np.maximum(relative_error_at(error, frequency), error.band)
-    return replace(error, frequency=tuple(frequency.tolist()), per_frequency=tuple(size.tolist()))
+    own, pairs = relative_error_at(error, frequency), error_of_pairs(error, frequency)
+    size = np.maximum(own, error.band)
+    if pairs is not None:
+        pairs = pairs * np.divide(size, own, out=np.ones_like(own), where=own > 0)[:, None, None]
+    return replace(error, frequency=tuple(frequency.tolist()), per_frequency=tuple(size.tolist()), per_pair=pairs)
 
 
 def _shorter(

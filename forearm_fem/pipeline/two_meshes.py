@@ -6,6 +6,7 @@ import numpy as np
 
 from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray
+from .missed import evened
 
 COARSER = 2.0  # size ratio of the second mesh, where it can be made
 # Relative error, and the order assumed there: a change of 0.3 and of 0.82 with COARSER (docs/decisions/0015).
@@ -15,9 +16,7 @@ _IN_TIME, _LATE, _LATE_ORDER = 0.04, 0.08, 1.3
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
 
 
-def remaining_error(
-    change: FloatArray, ratio: float = COARSER, order: FloatArray | float = _RESOLVED[1]
-) -> FloatArray:
+def remaining_error(change: FloatArray, ratio: float = COARSER, order: FloatArray | float = _RESOLVED[1]) -> FloatArray:
     """Relative error of a mesh from the relative ``change`` to one whose sizes are ``ratio`` (not 1) times its own.
 
     An error C h^p changes by C h^p |ratio^p - 1|, so change / |ratio^p - 1| is left. P2 outputs converge like h^3 to
@@ -86,6 +85,18 @@ def change_around(other: ComplexArray, own: ComplexArray, frequency: FloatArray)
     worst, largest = relative_error(other, own), np.abs(own).max(axis=(1, 2))
     around = np.sqrt(_around((worst * largest) ** 2, frequency) / _around(largest**2, frequency))
     return np.asarray(np.maximum(worst, around))
+
+
+def over_pairs(error: FloatArray, other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:
+    """|dG_ij| / max_ij |G_ij| (n_frequency, n_out, n_in) of ``own`` values, as large as ``error`` e(f) (n_frequency,)
+    says and shared as they change to ``other`` ones on a second mesh; alike where nothing changes.
+
+    Pairs that change less than their output and input do in the mean do so by chance (:func:`.evened`).
+    """
+    change = evened(spread_change(other, own, frequency))
+    largest = change.max(axis=(1, 2), keepdims=True)
+    shares = np.divide(change, largest, out=np.ones_like(change), where=largest > 0)
+    return np.asarray(error[:, None, None] * shares)
 
 
 def spread_change(other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:

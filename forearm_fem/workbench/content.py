@@ -36,7 +36,7 @@ from ..rendering import (
     place_on_bins,
 )
 from ..scenario import Scenario, parse_scenario
-from ..transfer import ErrorEstimate, TransferMatrix, relative_error_at
+from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ..typing import FloatArray
 from .field import Field, Surface, solved_field
 from .flat import between_points, twin_field
@@ -82,12 +82,14 @@ def library_content(
 ) -> dict[str, Any]:
     """The page's content for an arm's library, whose actuators can be dragged; ``scenario`` is one on the same arm.
 
-    The errors are the library's for the scenario's own arrangement, and what the page's few places add.
+    The errors are the library's for the scenario's own arrangement, and what the page's few places add; pairs are not
+    told apart, as actuators move.
     """
     record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
     places, missed = places_of(arm, scenario, progress)
     transfer = simulate(scenario, library=arm).transfer
-    holes = bridged(replace(transfer, errors=(*transfer.errors, missed)))
+    errors = (*(replace(e, per_pair=None) for e in transfer.errors), missed)
+    holes = bridged(replace(transfer, errors=errors))
     placed = place(holes.transfer, record)
     found = np.searchsorted(placed.bins.frequency, places.frequency - 1e-6)
     if len(found) != len(placed.bins.frequency) or not np.allclose(placed.bins.frequency, places.frequency, atol=1e-6):
@@ -296,10 +298,12 @@ def _port(port: Port) -> dict[str, Any]:
 
 
 def _estimate(error: ErrorEstimate, frequency: FloatArray) -> dict[str, Any]:
-    """An estimate, and e(f) at ``frequency`` as draws of G take it."""
+    """An estimate, and e(f) at ``frequency`` as draws of G take it, of each pair where it tells pairs apart."""
     known = {"band": error.band, "worst": error.worst} if error.known else {"band": None, "worst": None}
-    size = relative_error_at(at_least_band(error, frequency) if error.source == "discretisation" else error, frequency)
-    return {"source": error.source, **known, "method": error.method, "size": packed(size, "f8")}
+    drawn = at_least_band(error, frequency) if error.source == "discretisation" else error
+    size, pairs = relative_error_at(drawn, frequency), error_of_pairs(drawn, frequency)
+    of_pairs = None if pairs is None else packed(pairs, "f4")
+    return {"source": error.source, **known, "method": error.method, "size": packed(size, "f8"), "pairs": of_pairs}
 
 
 def _packed_field(field: Field) -> dict[str, Any]:

@@ -6,7 +6,8 @@
  * @typedef {import("./experiment.js").Experiment} Experiment
  * @typedef {import("./renderers.js").Placed} Placed
  * @typedef {import("./wavelet.js").Record} Record
- * @typedef {(frequency: Float64Array, entries: number) => Complex} Noise  (frequency x entries), the largest of each frequency is 1
+ * @typedef {(frequency: Float64Array, entries: number) => Complex} Noise  (frequency x entries), of unit variance
+ * @typedef {{whole: boolean, size: Float64Array}} Source  e(f) of the whole G, or errors of (frequency x entries)
  * @typedef {{rows: number[], index: Int32Array, record: Record, samples: Float64Array}} Short  a shorter record and its bins
  */
 import { unpack, zeros } from "./arrays.js";
@@ -37,14 +38,14 @@ export function* halves(experiment, methods, noise) {
   const { settings, content } = experiment, short = shorter(experiment), outputs = experiment.outputs.map((_, i) => i);
   const frequency = Float64Array.from(short.rows, (b) => experiment.frequency[b]);
   const playing = thinned(experiment.transfer(), short.rows), believed = settings.calibrated ? playing : thinned(experiment.believed(), short.rows);
-  const sources = content.errors.map((/** @type {any} */ e) => { const all = unpack(e.size); return Float64Array.from(short.rows, (b) => all[b]); });
+  const sources = content.errors.map((/** @type {any} */ e) => sourceOf(e, short.rows));
   const square = methods.map(() => outputs.map(() => 0));
   /** @type {number[][]} */
   const base = [];
   for (let draw = -1; draw < DRAWS; draw++) {
     const shares = zeros(draw < 0 ? 0 : playing.values.re.length);
-    if (draw >= 0) for (const size of sources) {
-      add(shares, size, noise(frequency, shares.re.length / frequency.length));
+    if (draw >= 0) for (const source of sources) {
+      add(shares, source, noise(frequency, shares.re.length / frequency.length), frequency.length);
       yield;
     }
     const played = draw < 0 ? playing : perturbed(playing, shares), aimed = draw < 0 ? believed : played && believed === playing ? played : perturbed(believed, shares);
@@ -102,13 +103,26 @@ function thinned(g, rows) {
   return { ...g, values, valid, error: Float64Array.from(rows, (b) => g.error[b]), bins: rows.length };
 }
 
-/** @param {Complex} shares to which is added @param {Float64Array} size (frequency,) @param {Complex} noise */
-function add(shares, size, noise) {
-  const entries = shares.re.length / size.length;
-  for (let x = 0; x < shares.re.length; x++) {
-    const s = size[Math.floor(x / entries)];
-    shares.re[x] += s * noise.re[x];
-    shares.im[x] += s * noise.im[x];
+/** How much a stated error is on some bins: of each pair where it tells pairs apart. @param {any} stated
+ * @param {number[]} rows @returns {Source} */
+function sourceOf(stated, rows) {
+  const all = unpack(stated.pairs ?? stated.size), entries = all.length / unpack(stated.size).length;
+  const size = Float64Array.from({ length: rows.length * entries }, (_, x) => all[rows[Math.floor(x / entries)] * entries + (x % entries)]);
+  return { whole: !stated.pairs, size };
+}
+
+/** @param {Complex} shares to which is added @param {Source} source @param {Complex} noise whose largest value at each
+ * frequency is all of e(f) @param {number} bins */
+function add(shares, { whole, size }, noise, bins) {
+  const entries = shares.re.length / bins;
+  for (let b = 0; b < bins; b++) {
+    let most = whole ? 0 : 1;
+    if (whole) for (let x = b * entries; x < (b + 1) * entries; x++) most = Math.max(most, Math.hypot(noise.re[x], noise.im[x]));
+    for (let x = b * entries; x < (b + 1) * entries; x++) {
+      const s = (whole ? size[b] : size[x]) / most;
+      shares.re[x] += s * noise.re[x];
+      shares.im[x] += s * noise.im[x];
+    }
   }
 }
 
@@ -130,7 +144,8 @@ export function noiseOf(seed) {
   return (frequency, entries) => {
     const out = zeros(frequency.length * entries), re = new Float64Array(WAVES * entries), im = new Float64Array(WAVES * entries);
     const tau = Float64Array.from({ length: WAVES }, () => normal() / CORRELATION);
-    for (let x = 0; x < re.length; x++) { re[x] = normal(); im[x] = normal(); }
+    const unit = 1 / Math.sqrt(2 * WAVES); // of variance
+    for (let x = 0; x < re.length; x++) { re[x] = unit * normal(); im[x] = unit * normal(); }
     for (let f = 0; f < frequency.length; f++) {
       for (let w = 0; w < WAVES; w++) {
         const c = Math.cos(frequency[f] * tau[w]), s = Math.sin(frequency[f] * tau[w]);
@@ -140,9 +155,6 @@ export function noiseOf(seed) {
           out.im[f * entries + e] += c * b + s * a;
         }
       }
-      let most = 0;
-      for (let x = f * entries; x < (f + 1) * entries; x++) most = Math.max(most, Math.hypot(out.re[x], out.im[x]));
-      for (let x = f * entries; x < (f + 1) * entries; x++) { out.re[x] /= most; out.im[x] /= most; }
     }
     return out;
   };
