@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
-import vtk
+from vtkmodules.vtkCommonCore import vtkLogger  # of `import vtk`, which takes seconds to load everything
 
 from ..errors import ForearmError
 from ..geometry.mesh.tissue_mesh import TissueMesh
@@ -145,8 +145,8 @@ def plotter_for(size: tuple[int, int], *, off_screen: bool = True) -> Iterator[A
 
     VTK's note that there is no X server is kept off the terminal: it then draws with EGL or OSMesa.
     """
-    before = vtk.vtkLogger.GetCurrentVerbosityCutoff()
-    vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)
+    before = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:
         plotter = _opened(size, off_screen)
         try:
@@ -154,7 +154,7 @@ def plotter_for(size: tuple[int, int], *, off_screen: bool = True) -> Iterator[A
         finally:
             plotter.close()
     finally:
-        vtk.vtkLogger.SetStderrVerbosity(before)
+        vtkLogger.SetStderrVerbosity(before)
 
 
 def _opened(size: tuple[int, int], off_screen: bool) -> Any:
