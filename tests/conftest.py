@@ -1,6 +1,15 @@
-"""Two workers share two cores: each computes with one thread, unless told otherwise. What needs MKL says so."""
+"""Two workers share two cores: each computes with one thread, unless told otherwise. What needs MKL says so.
 
+Kernels are compiled once, by one worker, while the other runs files that need none; the longest files come first.
+"""
+
+import base64
 import os
+import pickle
+from collections.abc import Iterator
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,3 +24,67 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
     if item.get_closest_marker("needs_mkl") and mkl_library() is None:
         pytest.skip("MKL is not installed, or off: SuperLU would take minutes or refuse")
+
+
+# With no kernel kept the first file compiles nearly all of them, in a process of its own: until then the other worker
+# has the next ones, on flat layers alone. Long files taken last would leave a worker idle.
+_FIRST = (
+    "test_compile_ahead.py", "test_scenario_keys.py", "test_cli_measured.py", "test_two_commands.py",
+    "test_strength.py", "test_prediction.py", "test_parametric.py", "test_library.py", "test_fem_reduction.py",
+    "test_geometry_even.py", "test_pipeline.py", "test_workbench.py", "test_workbench_page.py", "test_figures.py",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files of ``_FIRST`` before all others; the order within a file is kept."""
+    place = {name: k for k, name in enumerate(_FIRST)}
+    items.sort(key=lambda item: place.get(item.path.name, len(place)))
+
+
+@pytest.fixture(scope="session")
+def integrals() -> dict[bytes, Any]:
+    """What the twin's integrals gave so far in this worker, by their arguments."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def same_integrals_once(integrals: dict[bytes, Any]) -> Iterator[None]:
+    """For files that solve one layered scene many times, or many that differ elsewhere: integrals of the same arguments
+    are computed once. Not for tests of the integrals, of progress or of interruption.
+    """
+    from forearm_fem.pipeline import layered_engine
+    from forearm_fem.prediction import arm
+
+    computed = layered_engine.layered_compliance
+
+    def once(*arguments: Any, progress: object = None, **options: Any) -> Any:
+        asked = pickle.dumps((arguments, options))
+        if asked not in integrals:
+            integrals[asked] = computed(*arguments, **options)
+        return deepcopy(integrals[asked])
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (layered_engine, arm):
+            patch.setattr(module, "layered_compliance", once)
+        yield
+
+
+_DOT = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+)
+
+
+@pytest.fixture(scope="module")
+def blank_pictures() -> Iterator[None]:
+    """For files that ask for what stands beside pictures: figures are made, and kept as a dot instead of drawn."""
+    from matplotlib.figure import Figure
+
+    def dot(self: Figure, place: Any, **_: object) -> None:
+        if hasattr(place, "write"):
+            place.write(_DOT)
+        else:
+            Path(place).write_bytes(_DOT)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", dot)
+        yield

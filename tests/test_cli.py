@@ -14,6 +14,8 @@ from forearm_fem import __version__
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.signals import read_drives
 
+pytestmark = pytest.mark.usefixtures("same_integrals_once")
+
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:

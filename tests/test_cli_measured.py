@@ -13,6 +13,8 @@ from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.recognise import write_measured
 from forearm_fem.transfer import band_error
 
+pytestmark = pytest.mark.usefixtures("same_integrals_once", "blank_pictures")
+
 # 4 measurements instead of 36, each of which draws a picture
 TWO_BY_TWO = """
 [grid]

@@ -25,6 +25,7 @@ from forearm_fem.ports import distances
 from forearm_fem.scenario import Scenario
 from forearm_fem.transfer import Compliance, ErrorEstimate
 
+pytestmark = pytest.mark.usefixtures("same_integrals_once")
 SCENE = """
 engine = "layered"
 [device.cone]

@@ -58,8 +58,8 @@ def test_every_point_belongs_to_a_tetrahedron(mesh, quarter):
         assert np.array_equal(np.unique(one.tetrahedra), np.arange(len(one.points)))
 
 
-def test_slab_is_the_same_at_every_call(mesh):
-    assert build_mesh(slab()).digest == mesh.digest
+def test_slab_is_the_same_at_every_call(quarter):
+    assert build_mesh(quarter_scenario()).digest == quarter.digest
 
 
 @pytest.mark.parametrize("name", ["A1", "A2", "A3", "A4"])

@@ -21,6 +21,7 @@ from forearm_fem.rendering.lattice import is_thesis_grid
 from forearm_fem.report.facts import scene_block
 from forearm_fem.scenario import Scenario, parse_scenario
 
+pytestmark = pytest.mark.usefixtures("same_integrals_once")
 PRESSURE = {"cone": {"contact": "pressure"}}
 TWIN: dict[str, Any] = {
     "engine": "layered",

@@ -25,17 +25,18 @@ from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import Compliance
 from forearm_fem.verification.scenes import held_block
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
 TINY = {
     "name": "tiny",
     "accuracy": 0.5,
-    "limb": {"shape": "slab", "length": 0.07, "width": 0.07, "depth": 0.012},
+    "limb": {"shape": "slab", "length": 0.05, "width": 0.05, "depth": 0.012},
     "mesh": {
         "size_contact": 0.008,
         "size_grid": 0.014,
         "size_far": 0.02,
         "sublayers": {"skin": 1, "fat": 1},
     },
-    "device": {"cone": {"contact": "pressure"}},
+    "device": {"cone": {"contact": "pressure"}, "spacing": 0.03},
     "sweep": {"f_min": 20, "f_max": 200, "duration": 0.2, "sample_rate": 2000},
     "solver": {"derivatives": 3, "expansions": 2},
     "rendering": {"wavelet": {"peak": 80}},
@@ -136,7 +137,7 @@ def test_a_second_run_solves_nothing(finished, home, monkeypatch):
 
 def test_a_new_coil_needs_no_new_solve(finished, home, monkeypatch, tmp_path):
     monkeypatch.setattr(direct, "make_factor", lambda *_a, **_k: pytest.fail("a factorisation was made"))
-    heavier = parse_scenario({**TINY, "device": {"cone": {"contact": "pressure", "mass": 0.002}}})
+    heavier = parse_scenario({**TINY, "device": {"cone": {"contact": "pressure", "mass": 0.002}, "spacing": 0.03}})
     other = run_solve(Run.start(heavier, tmp_path / "heavier", Path()))
     before = read_transfer(finished / "transfer.nc")
     assert np.abs(other.values - before.values).max() > 0.01 * np.abs(before.values).max()

@@ -36,6 +36,8 @@ from forearm_fem.scenario import parse_scenario
 from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 
+pytestmark = pytest.mark.usefixtures("same_integrals_once", "blank_pictures")
+
 # 50 bins, two targets and pressure discs: a draw in 0.1 s of an idle machine
 SMALL = {
     "engine": "layered",

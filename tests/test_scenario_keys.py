@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import pickle
 import warnings
-from collections.abc import Iterator, Mapping
-from copy import deepcopy
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, get_args
@@ -22,7 +20,7 @@ from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import mesh_key
 from forearm_fem.geometry.mesh.quality import mesh_quality
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
-from forearm_fem.pipeline import layered_engine, solved
+from forearm_fem.pipeline import solved
 from forearm_fem.pipeline.folder import accuracy_verdict
 from forearm_fem.pipeline.forecast import forecast, refuse_if_signals_too_large
 from forearm_fem.pipeline.frequencies import frequencies
@@ -31,6 +29,7 @@ from forearm_fem.pipeline.unread import changed_keys, unread_notes
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.base import Within
 
+pytestmark = pytest.mark.usefixtures("same_integrals_once")
 SWEEP = {"f_min": 100.0, "f_max": 140.0, "duration": 0.1, "sample_rate": 2000.0}
 RENDERING = {"targets": ["5"], "wavelet": {"peak": 120.0}}
 LAYERED: dict[str, Any] = {"engine": "layered", "sweep": SWEEP, "rendering": RENDERING}
@@ -129,22 +128,6 @@ def layered_answer(data: Mapping[str, Any]) -> tuple[str, str]:
             repr((key, report)).encode() + made.drives.signals.tobytes() + made.displacements.values.tobytes()
         )
     return numbers.hexdigest() + accuracy_verdict(scenario, simulation.transfer.errors), "; ".join(notes)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def same_integrals_once() -> Iterator[None]:
-    """Two thirds of the keys leave all arguments of the twin's integrals as they are: these are computed once."""
-    computed, known = layered_engine.layered_compliance, {}
-
-    def once(*arguments: Any, progress: object = None, **options: Any) -> Any:
-        asked = pickle.dumps((arguments, options))
-        if asked not in known:
-            known[asked] = computed(*arguments, **options)
-        return deepcopy(known[asked])
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(layered_engine, "layered_compliance", once)
-        yield
 
 
 @cache

@@ -21,6 +21,8 @@ from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.pipeline.folder import Run
 from forearm_fem.scenario import Scenario, parse_scenario
 
+pytestmark = pytest.mark.usefixtures("same_integrals_once")
+
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 HOLD = """
 import sys, time

@@ -37,6 +37,7 @@ from forearm_fem.workbench.bundle import script
 from forearm_fem.workbench.content import measured_content, short_scenario
 from forearm_fem.workbench.field import few_shapes, per_newton, solved_field
 
+pytestmark = pytest.mark.usefixtures("same_integrals_once")
 HERE = Path(__file__).parent
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="no node on this machine")

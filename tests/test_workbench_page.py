@@ -29,6 +29,7 @@ from forearm_fem.scenario import load_scenario, parse_scenario
 from forearm_fem.workbench import content_of, page_of
 from forearm_fem.workbench.content import measured_content
 
+pytestmark = pytest.mark.usefixtures("same_integrals_once")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 METHODS = ("inverse filter", "funneling", "combination")
 
