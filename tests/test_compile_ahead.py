@@ -9,7 +9,8 @@ import pytest
 
 from forearm_fem.fem.reduction import compile_ahead
 
-LEFT_TO_THE_RUN = {"scatter", "triple_products"}  # kernels of the assembly, needed before the process is ready
+# kernels of the assembly, needed before the process is ready; where none is kept they compile what they call
+LEFT_TO_THE_RUN = {"scatter", "triple_products", "sorting"}
 AFTER_THE_KERNELS = """
 import sys
 from numba.core.dispatcher import Dispatcher
