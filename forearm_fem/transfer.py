@@ -131,7 +131,10 @@ class TransferMatrix:
         for e in self.errors:
             wanted = (len(e.frequency), *self.values.shape[1:])
             if e.per_pair is not None and e.per_pair.shape != wanted:
-                raise DataError(f"the error by {e.source} is of pairs {e.per_pair.shape}, G's are {wanted}")
+                raise DataError(
+                    f"the error by {e.source} is of pairs {e.per_pair.shape}, G's are {wanted}; take the same pairs of "
+                    "its per_pair, or None"
+                )
 
     @property
     def omega(self) -> FloatArray:

@@ -4,7 +4,7 @@ The transfer matrix
 
 How a voltage becomes motion: size and phase of G at every grid point. The nearest point of each actuator moves most;
 beyond it the skin damps high frequencies away. Each line lies in the band that it is known to, all sources of error
-together: far points move little, and where their band reaches the foot of the picture they may not move at all.
+together. Far points move little: where they may not move at all, for all that is known, their lines are pale.
 """
 
 # %%

@@ -27,8 +27,8 @@ for error in g.errors:
     print(f"{error.source}: {error.band:.1e} of G ({error.method})")
 
 # %%
-# How much each point moves per volt on each actuator, how quickly that falls with frequency, and in pale colour how
-# far it may be off:
+# How much each point moves per volt on each actuator, how quickly that falls with frequency, within what band it
+# is known. Lines are pale where a point may not move at all, for all that is known:
 from forearm_fem.figures import plot_transfer
 
 plot_transfer(g)

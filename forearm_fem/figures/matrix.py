@@ -53,8 +53,10 @@ def transfer_table(transfer: TransferMatrix) -> Table:
 
 @styled
 def plot_transfer(data: TransferMatrix, *, ax: Axes | None = None) -> FigureBase:
-    """|G|, within what it is stated to be off by, and unwrapped phase of every grid point, one column per actuator,
-    coloured by distance to it."""
+    """|G| and unwrapped phase of every grid point, one column per actuator, coloured by distance to it.
+
+    Entries lie in the band that they are stated to be known to; where that reaches zero they are pale.
+    """
     figure = panels(ax, (1.9 * len(data.inputs) + 0.6, 3.9))
     grid = figure.subplots(2, len(data.inputs), sharex=True, sharey="row", squeeze=False)
     gap = distances(data.outputs, data.inputs) * 1e3
@@ -74,16 +76,16 @@ def plot_transfer(data: TransferMatrix, *, ax: Axes | None = None) -> FigureBase
 def _entries(
     column: FloatArray, f: FloatArray, values: ComplexArray, off: FloatArray, gap: FloatArray, scale: Normalize
 ) -> None:
-    """One column's lines in the bands that they are known to, far points first so that near ones lie on top.
-
-    A band that reaches zero ends at the smallest value there is, as logarithmic axes have no zero.
-    """
-    (top, bottom), foot = column, np.nanmin(np.abs(values), initial=np.inf)
+    """One column's lines, far points first so that near ones lie on top: solid in the band that an entry is known to,
+    pale where it may be nothing."""
+    (top, bottom), foot = column, MICRO * np.nanmin(np.abs(values), initial=np.inf)
     for o in np.argsort(-gap):
-        colour, size = colormaps["viridis_r"](scale(gap[o])), np.abs(values[:, o])
-        ends = np.maximum(size - off[:, o], foot), size + off[:, o]
-        top.fill_between(f, *(MICRO * end for end in ends), color=colour, alpha=0.12, lw=0)
-        top.plot(f, MICRO * size, color=colour)
+        colour, size = colormaps["viridis_r"](scale(gap[o])), MICRO * np.abs(values[:, o])
+        error = MICRO * off[:, o]
+        known = ~(error >= size)  # where nothing is stated, nothing is doubted
+        top.fill_between(f, np.maximum(size - error, foot), size + error, where=known, color=colour, alpha=0.2, lw=0)
+        top.plot(f, size, color=colour, alpha=0.35, lw=0.8)
+        top.plot(f, np.where(known, size, np.nan), color=colour)
         bottom.plot(f, unwrapped(values[:, o]), color=colour)
 
 
