@@ -22,7 +22,14 @@ from forearm_fem.io import read_transfer
 from forearm_fem.io.jsonfiles import read_json
 from forearm_fem.pipeline.simulation import render_transfer
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.transfer import TransferMatrix, band_error, relative_error, relative_error_at, total_error
+from forearm_fem.transfer import (
+    TransferMatrix,
+    band_error,
+    entry_band_errors,
+    relative_error,
+    relative_error_at,
+    total_error,
+)
 
 SHOWN = (20.0, 60.0, 100.0, 250.0, 400.0, 500.0)  # Hz
 COLUMNS = ("what", "true", "stated", "run", "finer")
@@ -38,6 +45,11 @@ def rows(run: Path, finer: Path) -> Iterator[tuple[str, float, float]]:
         at = int(np.argmin(np.abs(coarse.frequency - f)))
         yield f"G at {f:g} Hz", float(true[at]), float(stated[at])
     yield "frequencies stated below half of the truth", float(np.mean(stated < true / 2)), 0.0
+    own, off = entry_band_errors(coarse), np.linalg.norm(coarse.values - fine.values, axis=0)
+    entries = off / np.linalg.norm(coarse.values, axis=0)
+    yield "entries of G, median", float(np.median(entries)), float(np.median(own))
+    yield "entries of G, worst", float(entries.max()), float(own.max())
+    yield "entry of G, least stated over true", 1.0, float((own / entries).min())
     yield from _strengths(run, coarse, fine)
 
 

@@ -20,6 +20,7 @@ __all__ = [
     "ErrorEstimate",
     "TransferMatrix",
     "band_error",
+    "entry_band_errors",
     "entry_errors",
     "error_of_pairs",
     "finite",
@@ -31,16 +32,9 @@ __all__ = [
 ]
 
 ErrorSource = Literal[
-    "discretisation",
-    "truncation",
-    "reduction",
-    "linear solve",
-    "measurement",
-    "quadrature",
-    "bridging",
-    "interpolation",
-    "contact",
-]
+    "discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature", "bridging",
+    "interpolation", "contact",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -204,3 +198,15 @@ def entry_errors(transfer: TransferMatrix) -> FloatArray:
         size = relative_error_at(e, transfer.frequency)[:, None, None] if pairs is None else pairs
         square += (size * largest[:, None, None]) ** 2
     return np.asarray(np.where(np.isfinite(g) & bool(transfer.errors), np.sqrt(square), np.nan))
+
+
+def entry_band_errors(transfer: TransferMatrix) -> FloatArray:
+    """Stated error (n_out, n_in) [-] of each entry of G over the band, relative to the entry's own norm there.
+
+    NaN where it is unknown (:func:`entry_errors`) and for entries that are zero throughout, as of an actuator out of
+    contact.
+    """
+    off = entry_errors(transfer)
+    known = np.isfinite(off)
+    stated, own = (np.sqrt(np.sum(np.abs(x) ** 2, axis=0, where=known)) for x in (off, transfer.values))
+    return np.asarray(np.divide(stated, own, out=np.full(own.shape, np.nan), where=own > 0))

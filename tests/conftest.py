@@ -29,7 +29,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 # With no kernel kept the first file compiles nearly all of them, in a process of its own: until then the other worker
 # has the next ones, on flat layers alone. Long files taken last would leave a worker idle.
-_FIRST = (
+FIRST = (
     "test_compile_ahead.py", "test_scenario_keys.py", "test_cli_measured.py", "test_two_commands.py",
     "test_strength.py", "test_prediction.py", "test_parametric.py", "test_library.py", "test_fem_reduction.py",
     "test_geometry_even.py", "test_pipeline.py", "test_workbench.py", "test_workbench_page.py", "test_figures.py",
@@ -38,8 +38,8 @@ _FIRST = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files of ``_FIRST`` before all others; the order within a file is kept."""
-    place = {name: k for k, name in enumerate(_FIRST)}
+    """Files of ``FIRST`` before all others; the order within a file is kept."""
+    place = {name: k for k, name in enumerate(FIRST)}
     items.sort(key=lambda item: place.get(item.path.name, len(place)))
 
 

@@ -30,6 +30,7 @@ from forearm_fem.figures import (
     plot_errors,
     plot_table_one,
     plot_target,
+    plot_transfer,
     strengths,
     target_waves,
     versus_of,
@@ -41,7 +42,7 @@ from forearm_fem.io import write_transfer
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
 from forearm_fem.tissue import KelvinVoigt
-from forearm_fem.transfer import entry_errors
+from forearm_fem.transfer import ErrorEstimate, entry_errors
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +80,18 @@ def test_the_numbers_beside_a_figure_are_those_of_the_run(made: Path, run: Resul
     np.testing.assert_allclose(written, np.abs(run.transfer.values[:, 4, 1]), rtol=1e-9)
     off = [float(line["off_G_5_A2_m/V"]) for line in lines]
     np.testing.assert_allclose(off, entry_errors(run.transfer)[:, 4, 1], rtol=1e-9)
+
+
+def test_entries_of_g_are_solid_where_they_are_known_and_pale_where_they_may_be_nothing(run: Results) -> None:
+    """What is off by twice the largest entry may be nothing everywhere, by a millionth of the smallest nowhere."""
+    g = run.transfer
+    small = 1e-6 * float(np.abs(g.values).min() / np.abs(g.values).max())
+    for size, solid in ((2.0, False), (small, True)):
+        figure = plot_transfer(replace(g, errors=(ErrorEstimate("truncation", size, "stated here"),)))
+        pale, known = (figure.axes[0].lines[k::2] for k in (0, 1))
+        assert {line.get_alpha() for line in pale} == {0.35}
+        assert all(np.isfinite(line.get_ydata()).all() == solid for line in known)
+        assert all(np.isnan(line.get_ydata()).all() != solid for line in known)
 
 
 def test_table_one_beside_the_thesis(made: Path, run: Results) -> None:

@@ -43,3 +43,11 @@ def test_a_public_room_states_its_names(room: str):
     assert module.__all__
     for name in module.__all__:
         assert getattr(module, name) is not None
+
+
+def test_files_that_the_suite_begins_with_are_there():
+    """A name that is out of date would go unnoticed: its file would come in the order of the alphabet."""
+    from conftest import FIRST
+
+    here = Path(__file__).parent
+    assert [name for name in FIRST if not (here / name).is_file()] == []

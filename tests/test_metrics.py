@@ -27,7 +27,7 @@ from forearm_fem.metrics import (
 )
 from forearm_fem.metrics.uncertainty import perturbed
 from forearm_fem.ports import Port
-from forearm_fem.transfer import ErrorEstimate, TransferMatrix, entry_errors, error_of_pairs
+from forearm_fem.transfer import ErrorEstimate, TransferMatrix, entry_band_errors, entry_errors, error_of_pairs
 
 # ---------------------------------------------------------------- S
 
@@ -159,6 +159,16 @@ def test_an_entry_errs_by_what_its_pair_is_stated_to_of_the_largest():
     left = np.isnan(entry_errors(replace(g, errors=(apart, alike), valid=valid)))
     assert left[:, 1, 1].all()
     assert left.sum() == len(g.frequency)
+
+
+def test_over_the_band_an_entry_s_error_is_of_its_own_size_and_unknown_where_it_has_none():
+    g, e = small_transfer(), ErrorEstimate("truncation", 0.02, "test")
+    values = g.values.copy()
+    values[:, :, 1] = 0  # an actuator out of contact
+    found = entry_band_errors(replace(g, values=values, errors=(e,)))
+    largest = np.abs(values).max(axis=(1, 2))
+    assert found[:, 0] == pytest.approx(0.02 * np.linalg.norm(largest) / np.linalg.norm(values[:, :, 0], axis=0))
+    assert np.isnan(found[:, 1]).all()
 
 
 def test_errors_of_other_pairs_than_those_of_g_are_refused():

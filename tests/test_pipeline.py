@@ -61,6 +61,15 @@ def finished(home, tmp_path_factory):
     return out
 
 
+def test_a_run_states_what_its_mesh_errs_by_at_each_pair_of_ports(finished):
+    """Of the largest pair that is e(f), kept in single precision; far points move and err by less than half of it."""
+    error = next(e for e in read_transfer(finished / "transfer.nc").errors if e.source == "discretisation")
+    assert error.per_pair.max(axis=(1, 2)) == pytest.approx(error.per_frequency, rel=1e-6)
+    assert np.median(error.per_pair.min(axis=(1, 2)) / error.per_frequency) < 0.5
+    line = next(x for x in (finished / "report.md").read_text().splitlines() if "entries err by" in x)
+    assert "←" in line
+
+
 def test_a_run_leaves_every_file_that_is_promised(finished):
     promised = [
         "transfer.nc",

@@ -44,7 +44,8 @@ def signal_strength_uncertainty(
 
     ``strength`` maps a G to S of any shape, e.g. ``lambda g: strengths(g, targets, methods, wavelet)``: it aims anew on
     each perturbed G (the error of the S printed), or replays fixed drives (what a device calibrated on a wrong G does).
-    Each source adds an independent complex Gaussian perturbation over all entries, with max_ij |dG_ij| = e(f) max_ij
+    Each source adds an independent complex Gaussian perturbation, as large at each pair of ports as it states there
+    (:func:`perturbed`), or where it does not tell pairs apart over all entries, with max_ij |dG_ij| = e(f) max_ij
     |G_ij| at every frequency, smooth in frequency over about ``correlation`` [Hz]: discretisation and truncation err
     smoothly, and errors white in frequency would average out of S. The true error has structure that this does not
     know. Raises DataError without errors or with fewer than 2 draws.

@@ -151,7 +151,7 @@ def interval(
 
     S is taken over the ``span`` [s] of :attr:`.Rendering.window`.
 
-    Each draw adds to G independent complex noise of every source's e(f) (:func:`perturbed`), smooth over 50 Hz, and
+    Each draw adds to G independent complex noise of every source (:func:`perturbed`), smooth over 50 Hz, and
     aims anew. It starts from the ``others`` in turn where there are such: G as it may be by an error that is not among
     ``errors``, since its shape is known. Two meshes agree at single frequencies by chance, so e(f) of the
     discretisation is its band value at least. Random errors of a measurement, of standard deviation ``random``

@@ -18,7 +18,7 @@ from ..rendering.limits import Limits, beyond_limits
 from ..results import StrengthRecord
 from ..scenario import Scenario
 from ..scenario.device import Device
-from ..transfer import TransferMatrix, entry_errors, size_words
+from ..transfer import TransferMatrix, entry_band_errors, size_words
 from ..typing import FloatArray
 
 Rows = list[list[str]]
@@ -150,11 +150,8 @@ def matrix_block(results: Results) -> Block:
 
 def _of_entries(g: TransferMatrix) -> str:
     """What the best and the worst entry of G are stated to err by over the band."""
-    off, size = entry_errors(g), np.abs(g.values)
-    known = np.isfinite(off)
-    error = np.sqrt(np.sum(off**2, axis=0, where=known) / np.sum(size**2, axis=0, where=known))
-    error[~known.any(axis=0)] = np.nan
-    if not known.any():
+    error = entry_band_errors(g)
+    if not np.isfinite(error).any():
         return "unknown"
     ends = (np.unravel_index(int(find(error)), error.shape) for find in (np.nanargmin, np.nanargmax))
     return " to ".join(f"{error[at]:.2g} ({g.outputs[at[0]].name} ← {g.inputs[at[1]].name})" for at in ends)

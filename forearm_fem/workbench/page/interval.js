@@ -29,7 +29,7 @@ export function whyNone(content) {
 /**
  * Half widths of the interval of log S, a row of outputs for each method; yields in between, so that the page stays awake.
  *
- * Each draw adds independent smooth noise of every source's e(f) max|G| and aims anew; no target gets less than the rms of
+ * Each draw adds independent smooth noise of every source, as large as it states at each pair of ports or e(f) max|G|, and aims anew; no target gets less than the rms of
  * its method over all. A changed device's G is taken to err by the same shares as the run's.
  * @param {Experiment} experiment @param {import("./renderers.js").Method[]} methods @param {Noise} noise
  * @returns {Generator<undefined, number[][], undefined>}
