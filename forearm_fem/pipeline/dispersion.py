@@ -31,28 +31,13 @@ def phase_error(order: int, kh: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(factor * kh ** (2 * order), _MOST))
 
 
-def phase_lags(
-    scenario: Scenario,
-    mesh: TissueMesh,
-    outputs: tuple[Port, ...],
-    inputs: tuple[Port, ...],
-    frequency: FloatArray,
-    scale: float = 1.0,
-) -> FloatArray:
-    """Phase [rad] (n_frequency, n_out, n_in) by which elements ``scale`` times as large as those of ``mesh`` delay
-    shear waves on their straight way from contacts to points, in the tissue where that is most.
-
-    A wave k = k' - i a gathers k' (error of k') per metre as long as it lasts, (1 - e^(-a r)) / a of r metres. The
-    error is a mean over elements up to ``REACH`` from the nearest contact, weighted as a surface wave passes them:
-    e^(-k' depth - a r) / r. What waves do that change from one tissue to another is not covered.
-    """
-    return Lags.of(scenario, mesh, outputs, inputs).phases(scenario, frequency, scale)
-
-
 @dataclass(frozen=True, eq=False)
 class Lags:
-    """:func:`phase_lags` for any tissue on one mesh: ``around`` is what there is near the contacts, ``regions`` name
-    the mesh's tissues, ``away`` (n_out, n_in) [m] are the distances from contacts to points."""
+    """By what phase a mesh delays shear waves of any tissue on their straight way from contacts to points.
+
+    ``around`` is what there is near the contacts, ``regions`` name the mesh's tissues, ``away`` (n_out, n_in) [m] are
+    the distances from contacts to points.
+    """
 
     around: Surroundings
     regions: tuple[str, ...]
@@ -65,7 +50,13 @@ class Lags:
         return cls(Surroundings.of(mesh, order, inputs), tuple(mesh.region_names), distances(outputs, inputs))
 
     def phases(self, scenario: Scenario, frequency: FloatArray, scale: float = 1.0) -> FloatArray:
-        """:func:`phase_lags` for the tissues of a ``scenario``."""
+        """Phase [rad] (n_frequency, n_out, n_in) by which elements ``scale`` times as large as the mesh's delay waves
+        of the ``scenario``'s tissues, in the one where that is most.
+
+        A wave k = k' - i a gathers k' (error of k') per metre as long as it lasts, (1 - e^(-a r)) / a of r metres. The
+        error is a mean over elements up to ``REACH`` from the nearest contact, weighted as a surface wave passes them:
+        e^(-k' depth - a r) / r. What waves do that change from one tissue to another is not covered.
+        """
         some = np.unique(np.linspace(0, len(frequency) - 1, _AT_MOST).round().astype(int))
         found, tissues = np.zeros((len(some), *self.away.shape)), resolve_tissues(scenario)
         for region, name in enumerate(self.regions):

@@ -21,14 +21,14 @@ from ..scenario.limb import MeshLimb
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error_at
 from ..typing import FloatArray
-from .dispersion import phase_lags
+from .dispersion import Lags
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
 from .model_notes import model_notes, near_disc_notes, resolution_notes
 from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
-from .two_meshes import agreed_upon, assumed_order, change_around, estimated_errors, over_pairs
+from .two_meshes import change_around, judged, over_pairs
 
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
 OTHER_ENDS, _OTHER = 0.5, "absorbing ends are clamped (or the reverse), on the coarser mesh"
@@ -156,29 +156,25 @@ def account_of(
 def _discretisation(
     fine: TransferMatrix, coarse: TransferMatrix, scenario: Scenario, mesh: TissueMesh | None
 ) -> ErrorEstimate:
-    ratio, unseen = float(coarse.provenance["ratio"]), np.zeros(fine.values.shape, dtype=bool)
-    lag = np.zeros(fine.values.shape)
+    ratio, lag = float(coarse.provenance["ratio"]), np.zeros(fine.values.shape)
+    coarser = lag
     if mesh is not None:
-        lag, coarser = (
-            phase_lags(scenario, mesh, fine.outputs, fine.inputs, fine.frequency, scale)
-            for scale in (1.0, max(ratio, 1.0))
-        )
-        unseen = agreed_upon(fine.values, lag, coarser)
-    order = assumed_order(fine.values, lag)
-    band, error = estimated_errors(coarse.values, fine.values, fine.frequency, ratio, unseen, order)
-    pairs = over_pairs(error, coarse.values, fine.values, fine.frequency)
-    pairs = np.maximum(pairs, unseen / np.abs(fine.values).max(axis=(1, 2), keepdims=True))
-    lost = fine.frequency[unseen.any(axis=(1, 2))]
+        lags = Lags.of(scenario, mesh, fine.outputs, fine.inputs)
+        lag, coarser = (lags.phases(scenario, fine.frequency, scale) for scale in (1.0, max(ratio, 1.0)))
+    found = judged(coarse.values, fine.values, fine.frequency, ratio, lag, coarser)
+    pairs = over_pairs(found.error, coarse.values, fine.values, fine.frequency)
+    pairs = np.maximum(pairs, found.unseen / np.abs(fine.values).max(axis=(1, 2), keepdims=True))
+    lost = fine.frequency[found.unseen.any(axis=(1, 2))]
     blind = f"; from {lost[0]:g} Hz on at least the lag of waves too short for the elements" if len(lost) else ""
     if mesh is None:
         blind = "; waves too short for both meshes are not looked for, as a library has no mesh"
     return ErrorEstimate(
         "discretisation",
-        band,
+        found.band,
         f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^p - 1|; order p is "
-        f"1.85 where that is below 0.115 ({order.min():.3g} where waves are latest), 3 above 0.117{blind}",
+        f"1.85 where that is below 0.115 ({found.order.min():.3g} where waves are latest), 3 above 0.117{blind}",
         tuple(fine.frequency.tolist()),
-        tuple(error.tolist()),
+        tuple(found.error.tolist()),
         pairs,
     )
 

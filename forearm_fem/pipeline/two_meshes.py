@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..transfer import relative_error
@@ -14,6 +16,30 @@ _RESOLVED, _UNRESOLVED = (0.3 / (COARSER**1.85 - 1), 1.85), (0.82 / (COARSER**3 
 # Lags [rad] of waves on the mesh itself between which the order assumed falls to the last number (same decision).
 _IN_TIME, _LATE, _LATE_ORDER = 0.04, 0.08, 1.3
 _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a third of an octave)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What values on one mesh err by: e_band and e(f) (n_frequency,) as :func:`estimated_errors` has them, ``unseen``
+    errors of its entries that no change shows (:func:`agreed_upon`), and the ``order`` (n_frequency,) assumed
+    (:func:`assumed_order`)."""
+
+    band: float
+    error: FloatArray
+    unseen: FloatArray
+    order: FloatArray
+
+
+def judged(
+    other: ComplexArray, own: ComplexArray, frequency: FloatArray, ratio: float, lag: FloatArray, coarser: FloatArray
+) -> Judged:
+    """The one rule for ``own`` values (n_frequency, n_out, n_in), of a scene, of an arm, of a case of verification.
+
+    ``other`` values are those on the second mesh, whose nodes are ``ratio`` times as far apart; waves arrive with a
+    ``lag`` [rad] on the mesh itself, and ``coarser`` on the coarser of the two, both shaped like the values.
+    """
+    unseen, order = agreed_upon(own, lag, coarser), assumed_order(own, lag)
+    return Judged(*estimated_errors(other, own, frequency, ratio, unseen, order), unseen, order)
 
 
 def remaining_error(change: FloatArray, ratio: float = COARSER, order: FloatArray | float = _RESOLVED[1]) -> FloatArray:

@@ -14,7 +14,7 @@ from ..pipeline.dispersion import Lags
 from ..pipeline.missed import Missed
 from ..pipeline.parametric import ParametricModel, parametric_model
 from ..pipeline.second_mesh import second_mesh
-from ..pipeline.two_meshes import agreed_upon, estimated_errors, spread_change
+from ..pipeline.two_meshes import Judged, judged, spread_change
 from ..progress import Progress
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate, relative_error
@@ -39,30 +39,29 @@ class ArmMeshes:
     def missed(self, arm: Scenario, found: Compliance) -> tuple[ErrorEstimate, Missed]:
         """Of the compliance ``found`` for an ``arm`` on the first mesh, by the rule for a scene of its own.
 
-        That is from the change on the second mesh (:func:`.estimated_errors`), and from the lag of waves that neither
-        carries (:func:`.agreed_upon`). Over pairs of ports its shape is that of the change on the second mesh, and the
-        largest of points under contacts is e(f), but e_band at least, as two meshes agree by chance.
+        That is from the change on the second mesh and from the lag of waves (:func:`.judged`). Over pairs of ports its
+        shape is that of the change, and the largest of points under contacts is e(f), but e_band at least, as two
+        meshes agree by chance.
         """
         some = _probes(found.frequency)
         frequency = found.frequency[some]
         part = replace(found, frequency=frequency, values=found.values[some])
         second = self._second(arm, frequency)
         own, other = part.block("point", "contact"), second.block("point", "contact")
-        unseen = self._unseen(arm, frequency, own)
-        band, error = estimated_errors(other, own, frequency, self.ratio, unseen)
+        rule = self._judged(arm, frequency, other, own)
         shape, size = spread_change(second.values, part.values, frequency), np.abs(own).max(axis=(1, 2))
         points, contacts = part.indices("point"), part.indices("contact")
         largest = shape[:, points][:, :, contacts].max(axis=(1, 2))
-        known = np.divide(np.maximum(error, band), largest, out=np.zeros_like(error), where=largest > 0)
+        known = np.divide(np.maximum(rule.error, rule.band), largest, out=np.zeros_like(largest), where=largest > 0)
         shares = known[:, None, None] * shape
-        for x, lost in zip(shares, unseen / size[:, None, None], strict=True):
+        for x, lost in zip(shares, rule.unseen / size[:, None, None], strict=True):
             x[np.ix_(points, contacts)] = np.maximum(x[np.ix_(points, contacts)], lost)
             x[np.ix_(contacts, points)] = x[np.ix_(points, contacts)].T
         return ErrorEstimate(
-            "discretisation", band,
+            "discretisation", rule.band,
             f"change of the arm's compliance on a second mesh, nodes {self.ratio:.2g} times as far apart, at "
             f"{len(frequency)} frequencies",
-            tuple(frequency.tolist()), tuple(error.tolist()),
+            tuple(frequency.tolist()), tuple(rule.error.tolist()),
         ), Missed(frequency, shares)  # fmt: skip
 
     def share(self, arm: Scenario, found: Compliance) -> FloatArray:
@@ -72,17 +71,16 @@ class ArmMeshes:
         """
         own, frequency = found.block("point", "contact"), found.frequency
         other = self._second(arm, frequency).block("point", "contact")
-        _, error = estimated_errors(other, own, frequency, self.ratio, self._unseen(arm, frequency, own))
-        change = relative_error(other, own)
+        error, change = self._judged(arm, frequency, other, own).error, relative_error(other, own)
         return np.divide(error, change, out=np.zeros_like(error), where=change > 0)
 
     def _second(self, arm: Scenario, frequency: FloatArray) -> Compliance:
         return Compliance(frequency, self.second.bare(arm, frequency), self.second.ports)
 
-    def _unseen(self, arm: Scenario, frequency: FloatArray, own: ComplexArray) -> FloatArray:
-        """Errors of what points do under contacts (n_frequency, n_point, n_contact) that no change shows."""
+    def _judged(self, arm: Scenario, frequency: FloatArray, other: ComplexArray, own: ComplexArray) -> Judged:
+        """What points do under contacts (n_frequency, n_point, n_contact), judged as a scene's own is."""
         lag, coarser = (self.lags.phases(arm, frequency, scale) for scale in (1.0, self.ratio))
-        return agreed_upon(own, lag, coarser)
+        return judged(other, own, frequency, self.ratio, lag, coarser)
 
 
 def _probes(frequency: FloatArray) -> IntArray:

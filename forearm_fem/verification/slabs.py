@@ -9,10 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from ..pipeline.two_meshes import COARSER, estimated_errors, remaining_error
+from ..fem.assembly.model import ForearmModel
+from ..pipeline.dispersion import Lags
+from ..pipeline.two_meshes import COARSER, judged, remaining_error
 from ..scenario import Scenario
 from ..transfer import band_error
-from ..typing import ComplexArray
+from ..typing import ComplexArray, FloatArray
 from .rows import Row
 from .scenes import quarter_slab, slab_model, slab_response, twin_response
 from .twin import PRESET_O, disc_means, miller_pursey
@@ -218,20 +220,27 @@ _SPREAD = (0.8, 1.0, 1.25)
 def effectivities(slabs: Sequence[Slab] = SCENES, scales: Sequence[float] = (1.5, 1.0)) -> Iterator[Effectivity]:
     """Estimated against true error on meshes of each scene, the estimate from one COARSER times coarser."""
     for slab in slabs:
-        band = [slab.frequency * s for s in _SPREAD]
-        truth = twin_response(slab.scenario, band)[:, 1:]
+        band = np.array([slab.frequency * s for s in _SPREAD])
+        truth = twin_response(slab.scenario, band.tolist())[:, 1:]
         for scale in scales:
             _, coarse = _band_solve(slab, scale * COARSER, band)
-            unknowns, fine = _band_solve(slab, scale, band)
-            whole, single = estimated_errors(coarse[:, :, None], fine[:, :, None], np.array(band))
-            true = band_error(fine, truth), _middle(fine, truth)
-            yield Effectivity(scene_name(slab), scale, unknowns, whole, true[0], float(single[1]), true[1])
+            model, fine = _band_solve(slab, scale, band)
+            rule = judged(coarse[:, :, None], fine[:, :, None], band, COARSER, *_lags(slab, model, band))
+            true, middle = band_error(fine, truth), _middle(fine, truth)
+            yield Effectivity(scene_name(slab), scale, model.operator.n, rule.band, true, float(rule.error[1]), middle)
 
 
-def _band_solve(slab: Slab, scale: float, band: Sequence[float]) -> tuple[int, ComplexArray]:
-    """Unknowns and the points' values (n_frequency, n_point) [m/N]."""
+def _band_solve(slab: Slab, scale: float, band: FloatArray) -> tuple[ForearmModel, ComplexArray]:
+    """The mesh's model and the points' values (n_frequency, n_point) [m/N]."""
     model = slab_model(slab.scenario, scale=scale)
-    return model.operator.n, slab_response(model, band)[:, 1:]
+    return model, slab_response(model, band.tolist())[:, 1:]
+
+
+def _lags(slab: Slab, model: ForearmModel, band: FloatArray) -> Iterator[FloatArray]:
+    """Those of waves on the mesh itself and on one COARSER times coarser [rad] (n_frequency, n_point, 1)."""
+    points, contacts = (tuple(p for p in model.ports if p.kind == kind) for kind in ("point", "contact"))
+    lags = Lags.of(slab.scenario, model.space.mesh, points, contacts)
+    return (lags.phases(slab.scenario, band, scale) for scale in (1.0, COARSER))
 
 
 def _middle(found: ComplexArray, truth: ComplexArray) -> float:
