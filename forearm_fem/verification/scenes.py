@@ -126,9 +126,9 @@ def quarter_slab(
     )
 
 
-def slab_model(scenario: Scenario, *, scale: float = 1.0) -> ForearmModel:
-    """Mesh and assemble a slab scenario; ``scale`` multiplies every element size."""
-    mesh = build_mesh(scenario, scale=scale)
+def slab_model(scenario: Scenario, *, scale: float = 1.0, mesh: TissueMesh | None = None) -> ForearmModel:
+    """Assemble a slab scenario on its ``mesh``, or on one with every element size multiplied by ``scale``."""
+    mesh = mesh or build_mesh(scenario, scale=scale)
     tissues, ports, sheets = resolve_tissues(scenario), place_ports(scenario, mesh), scenario.tissues
     return build_model(
         mesh, ports, tissues, scenario.supports, sheets.membrane, element=scenario.element, patch=sheets.patch

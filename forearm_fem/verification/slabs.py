@@ -5,12 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from ..fem.assembly.model import ForearmModel
+from ..geometry.cache import cached_mesh
+from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..pipeline.dispersion import Lags
+from ..pipeline.second_mesh import second_mesh
 from ..pipeline.two_meshes import COARSER, judged, remaining_error
 from ..scenario import Scenario
 from ..transfer import band_error
@@ -218,29 +222,33 @@ _SPREAD = (0.8, 1.0, 1.25)
 
 
 def effectivities(slabs: Sequence[Slab] = SCENES, scales: Sequence[float] = (1.5, 1.0)) -> Iterator[Effectivity]:
-    """Estimated against true error on meshes of each scene, the estimate from one COARSER times coarser."""
+    """Estimated against true error on meshes of each scene, the estimate from the pipeline's second mesh."""
     for slab in slabs:
         band = np.array([slab.frequency * s for s in _SPREAD])
         truth = twin_response(slab.scenario, band.tolist())[:, 1:]
         for scale in scales:
-            _, coarse = _band_solve(slab, scale * COARSER, band)
-            model, fine = _band_solve(slab, scale, band)
-            rule = judged(coarse[:, :, None], fine[:, :, None], band, COARSER, *_lags(slab, model, band))
+            sizes = {name: scale * getattr(slab, name) for name in ("grid", "far", "contact")}
+            scenario = replace(slab, **sizes).scenario
+            mesh = cached_mesh(scenario)
+            second = second_mesh(scenario, mesh, base=Path())
+            (model, fine), (_, coarse) = (_band_solve(scenario, m, band) for m in (mesh, second.mesh))
+            lags = _lags(scenario, model, band, second.ratio)
+            rule = judged(coarse[:, :, None], fine[:, :, None], band, second.ratio, *lags)
             true, middle = band_error(fine, truth), _middle(fine, truth)
             yield Effectivity(scene_name(slab), scale, model.operator.n, rule.band, true, float(rule.error[1]), middle)
 
 
-def _band_solve(slab: Slab, scale: float, band: FloatArray) -> tuple[ForearmModel, ComplexArray]:
+def _band_solve(scenario: Scenario, mesh: TissueMesh, band: FloatArray) -> tuple[ForearmModel, ComplexArray]:
     """The mesh's model and the points' values (n_frequency, n_point) [m/N]."""
-    model = slab_model(slab.scenario, scale=scale)
+    model = slab_model(scenario, mesh=mesh)
     return model, slab_response(model, band.tolist())[:, 1:]
 
 
-def _lags(slab: Slab, model: ForearmModel, band: FloatArray) -> Iterator[FloatArray]:
-    """Those of waves on the mesh itself and on one COARSER times coarser [rad] (n_frequency, n_point, 1)."""
+def _lags(scenario: Scenario, model: ForearmModel, band: FloatArray, ratio: float) -> Iterator[FloatArray]:
+    """Those of waves on the mesh itself and on the coarser of two [rad] (n_frequency, n_point, 1)."""
     points, contacts = (tuple(p for p in model.ports if p.kind == kind) for kind in ("point", "contact"))
-    lags = Lags.of(slab.scenario, model.space.mesh, points, contacts)
-    return (lags.phases(slab.scenario, band, scale) for scale in (1.0, COARSER))
+    lags = Lags.of(scenario, model.space.mesh, points, contacts)
+    return (lags.phases(scenario, band, scale) for scale in (1.0, max(ratio, 1.0)))
 
 
 def _middle(found: ComplexArray, truth: ComplexArray) -> float:
