@@ -13,6 +13,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
@@ -36,6 +37,7 @@ from forearm_fem.figures import (
     versus_of,
 )
 from forearm_fem.figures.judge import errors
+from forearm_fem.figures.style import SHEET, arrange
 from forearm_fem.figures.targets import moments
 from forearm_fem.figures.waves import travel
 from forearm_fem.io import write_transfer
@@ -275,3 +277,18 @@ def test_a_journal_s_width_and_a_curve_are_in_the_picture(run: Results, tmp_path
         points = float(text.split('width="')[1].split("pt")[0])
         assert points / 72 * 25.4 == pytest.approx(wide, abs=0.1)
     assert "published" in (tmp_path / "figure-a2.svg").read_text(encoding="utf-8")
+
+
+def test_a_figure_is_laid_out_once_and_as_saving_would():
+    """Boxes of axes as after a draw, and no layout engine is left that would find them anew for each file."""
+    figures = [Figure(figsize=(4, 3), layout="constrained") for _ in range(2)]
+    for figure in figures:
+        left, right = figure.subplots(1, 2)
+        left.set(ylabel="a long label", title="two\nlines")
+        right.plot([0, 1e6])
+    with style.context(SHEET):
+        figures[0].draw_without_rendering()
+    arrange(figures[1])
+    boxes = [np.array([ax.get_position().extents for ax in f.axes]) for f in figures]
+    assert np.array_equal(*boxes)
+    assert figures[1].get_layout_engine() is None

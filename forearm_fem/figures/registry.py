@@ -19,7 +19,7 @@ from ..transfer import TransferMatrix
 from . import device, judge, matrix, mesh, methods, targets, waves
 from .data import Results
 from .overlay import WIDTHS, Curve, fit_width, lay_over, read_curves
-from .style import SHEET, Drawn, figure_of, sign
+from .style import SHEET, Drawn, arrange, figure_of, sign
 from .tables import Table
 
 FORMATS = ("png", "pdf", "svg")
@@ -210,9 +210,7 @@ def save_drawn(drawn: Drawn, stem: Path, formats: Sequence[str], source: str = "
     figure = figure_of(drawn)
     if source:
         sign(figure, source)
-    with style.context(SHEET):
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # arranged once, not once per format
+    arrange(figure)
     written = []
     for ending in formats:
         path = stem.with_name(f"{stem.name}.{ending}")

@@ -26,6 +26,7 @@ ACTUATORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 METHODS = {"inverse filter": "#0072B2", "funneling": "#D55E00", "combination": "#009E73"}
 TISSUES = {"skin": "#E8B4A0", "fat": "#F2DE9B", "muscle": "#A84B4B", "bone": "#DAD7CB"}
 SIGNED, SIZE = "RdBu_r", "cividis"
+_NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False}  # what no engine means
 MICRO = 1e6  # what displacements are drawn times: in micrometres, their unit by :func:`micro`
 
 
@@ -67,6 +68,14 @@ def figure_of(drawn: Drawn) -> Figure:
     while not isinstance(base, Figure):
         base = base.figure if isinstance(base, Axes) else base.get_figure(root=True)
     return base
+
+
+def arrange(figure: Figure) -> None:
+    """Lay ``figure`` out once and for all; saving it does so, and draws it, twice for each file otherwise."""
+    if (layout := figure.get_layout_engine()) is not None:
+        with style.context((SHEET, _NO_LAYOUT)):
+            layout.execute(figure)
+            figure.set_layout_engine(None)
 
 
 def sign(figure: Figure, source: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..figures.style import ACTUATORS, FAINT, SIZE, decimal, letter, sign, single, styled
+from ..figures.style import ACTUATORS, FAINT, SIZE, arrange, decimal, letter, sign, single, styled
 from ..io.atomic import atomic_path
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
@@ -83,5 +83,6 @@ def save_live(path: str | Path, transfer: TransferMatrix, coherence: FloatArray)
         letter(ax, text)
     done = int(finite.any(axis=0).sum())
     sign(figure, f"{done} of {share.size} entries measured; grey: one standard deviation, and bins marked invalid")
+    arrange(figure)
     with atomic_path(path) as beside:
         figure.savefig(beside, dpi=200)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +46,7 @@ _FIGURES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], Drawn]]] = {
 
 def _picture(name: str, data: Mapping[str, Any], stamp: str) -> Picture:
     title, draw = _FIGURES[name]
-    return replace(embedded(draw(data), title, stamp), name=name)
+    return embedded(draw(data), title, stamp, name)
 
 
 def lead_of(data: Mapping[str, Any]) -> str:

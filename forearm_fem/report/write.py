@@ -18,7 +18,7 @@ from ..figures.data import Results
 from ..figures.motion import View
 from ..figures.registry import applies, kinds
 from ..figures.show import render_still
-from ..figures.style import SHEET, Drawn, figure_of, sign
+from ..figures.style import SHEET, Drawn, arrange, figure_of, sign
 from ..figures.targets import plot_traces, target_waves
 from ..io.atomic import atomic_path, write_text
 from ..io.markdown import markdown_table
@@ -142,14 +142,15 @@ def _traces(results: Results, target: str) -> Picture:
     return embedded(plot_traces(target_waves(results, target)), title, results.stamp)
 
 
-def embedded(drawn: Drawn, title: str, stamp: str) -> Picture:
-    """A figure as a picture of a report, signed with ``stamp``."""
+def embedded(drawn: Drawn, title: str, stamp: str, name: str = "") -> Picture:
+    """A figure as a picture of a report, signed with ``stamp``; ``name`` is that of its file."""
     figure = figure_of(drawn)
     sign(figure, stamp)
+    arrange(figure)
     stream = io.BytesIO()
     with style.context(SHEET):
         figure.savefig(stream, format="png", dpi=130)
-    return Picture(title, base64.b64encode(stream.getvalue()).decode())
+    return Picture(title, base64.b64encode(stream.getvalue()).decode(), name)
 
 
 def _still(results: Results, target: str) -> Picture:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import resources
@@ -11,16 +10,13 @@ from pathlib import Path
 
 import pandas as pd
 from jinja2 import Environment
-from matplotlib import style
-from matplotlib.figure import Figure
 
 from .. import __version__
 from ..errors import DataError
-from ..figures.style import SHEET, sign
 from ..io.atomic import atomic_path, write_text
 from ..ports import Port
 from ..report.facts import Block
-from ..report.write import Picture, Section
+from ..report.write import Section, embedded
 from .adaptive import Track
 from .analysis import Tests, analyse, confusion, ellipses, in_order, with_errors
 from .comparisons import Correction
@@ -117,22 +113,21 @@ def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Co
     names = [p.name for p in grid]
     shares = {m: confusion(main, names, m) for m in in_order(main, "method")}
     pictures = [
-        _picture(plot_ellipses(found, grid), f"{name}-ellipses", "Answers to each target: means and ellipses of one "
-                 "standard deviation over all trials, the target a star (figure 8 of the thesis)"),
+        (plot_ellipses(found, grid), "ellipses", "Answers to each target: means and ellipses of one standard deviation "
+         "over all trials, the target a star (figure 8 of the thesis)"),
     ]  # fmt: skip
     measures, said = {"error": "error of place (eq. 10) [m]"}, list[str]()
     if answer != "drawing":
-        pictures.append(
-            _picture(plot_confusion(shares, names), f"{name}-confusion", "Which points were answered to which target")
-        )
+        pictures.append((plot_confusion(shares, names), "confusion", "Which points were answered to which target"))
     if answer == "several points":
-        pictures.append(_picture(plot_points(main), f"{name}-points", "Points chosen (figure 9 of the thesis)"))
+        pictures.append((plot_points(main), "points", "Points chosen (figure 9 of the thesis)"))
         measures["points"], said = "points chosen", [_SELECTION]
     if answer == "drawing":
-        pictures.append(_picture(plot_areas(main), f"{name}-areas", "Areas drawn, as figure 9 for points"))
-        pictures.append(_picture(plot_outlines(main, grid), f"{name}-outlines", "Where outlines lie"))
+        pictures.append((plot_areas(main), "areas", "Areas drawn, as figure 9 for points"))
+        pictures.append((plot_outlines(main, grid), "outlines", "Where outlines lie"))
         measures["response_area"], said = "area drawn [m²]", [_SELECTION]
-    sections = [Section(name, f"Task {name}", _counts(main), pictures=pictures, paragraphs=said)]
+    kept = [embedded(figure, title, _SOURCE, f"{name}-{what}") for figure, what, title in pictures]
+    sections = [Section(name, f"Task {name}", _counts(main), pictures=kept, paragraphs=said)]
     tables = {f"{name}-trials": main, f"{name}-ellipses": _ellipse_table(found)}
     for measure, words in measures.items():
         try:
@@ -239,14 +234,6 @@ def _detection(table: pd.DataFrame, name: str, study: Study) -> Analysed:
 
 def _decibels(value: float) -> str:
     return f"{value:.1f} dB" if value == value else "unknown"
-
-
-def _picture(figure: Figure, name: str, title: str) -> Picture:
-    sign(figure, _SOURCE)
-    stream = io.BytesIO()
-    with style.context(SHEET):
-        figure.savefig(stream, format="png", dpi=130)
-    return Picture(title, base64.b64encode(stream.getvalue()).decode(), name)
 
 
 def _p(value: float) -> str:
