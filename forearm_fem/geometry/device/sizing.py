@@ -186,7 +186,9 @@ class SpaceField:
 
 
 def _tree(points: FloatArray) -> cKDTree:
-    return cKDTree(points[np.isfinite(points).all(axis=1)])
+    # Large, plain leaves: half of the time of a search for most of a limb, which is far away, and the same distances.
+    finite = points[np.isfinite(points).all(axis=1)]
+    return cKDTree(finite, leafsize=32, compact_nodes=False, balanced_tree=False)
 
 
 def _disc() -> FloatArray:
