@@ -6,11 +6,13 @@ import alternatives as slow
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
+from threadpoolctl import threadpool_limits
 
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.assembly.coefficients import Polynomial
 from forearm_fem.fem.assembly.operator import affine_operator
 from forearm_fem.fem.kernels.symmetric import SymmetricMatrix
+from forearm_fem.fem.kernels.threads import thread_count
 from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.linear.factor import SuperLUFactor, make_factor, refined_solve
@@ -234,6 +236,50 @@ def test_superlu_factor_can_be_reused(model, loads):
         rest = loads - model.operator.multiply(data, solver.solve(loads))
         assert np.linalg.norm(rest) < 1e-6 * np.linalg.norm(loads)
     solver.release()
+
+
+def test_superlu_keeps_to_the_diagonal_until_it_is_hardened(model, loads):
+    """Largest pivots fill more by half; both leave a residual of rounding, and what was hardened stays so."""
+    data = model.operator.data(OMEGA)
+    solver, size = SuperLUFactor(model.operator.upper(data)), np.linalg.norm(loads)
+    solver.factorise(data)
+    filled = solver._lu.nnz
+    assert np.linalg.norm(loads - model.operator.multiply(data, solver.solve(loads))) < 1e-9 * size
+    assert solver.harden()
+    assert solver._lu.nnz > 1.3 * filled
+    assert np.linalg.norm(loads - model.operator.multiply(data, solver.solve(loads))) < 1e-9 * size
+    assert not solver.harden()
+    solver.factorise(model.operator.data(2 * OMEGA))
+    assert solver._lu.nnz > 1.3 * filled
+
+
+def test_superlu_pivots_off_a_diagonal_of_zeros():
+    """Exactly incompressible tissue has no pressure of its own: [[0, 1], [1, 0]] within the rest."""
+    matrix = np.array([[2.0, 1, 1], [1, 0, 3], [1, 3, 0]])
+    upper = csr_array(np.triu(matrix))
+    solver = SuperLUFactor(upper)
+    solver.factorise(upper.data)
+    assert solver.solve(np.eye(3)) == pytest.approx(np.linalg.inv(matrix), abs=1e-14)
+
+
+def test_superlus_blas_has_one_thread(monkeypatch):
+    """With two its small blocks took eight times as long beside other work."""
+    seen: list[int] = []
+
+    class Solved:
+        def solve(self, right):
+            seen.append(thread_count())
+            return right
+
+    monkeypatch.setattr(factors, "splu", lambda *_, **__: (seen.append(thread_count()), Solved())[1])
+    solver, upper = SuperLUFactor(csr_array(np.eye(2))), csr_array(np.eye(2))
+    with threadpool_limits(2, user_api="blas"):
+        if thread_count() < 2:
+            pytest.skip("this BLAS has one thread at most")
+        solver.factorise(upper.data)
+        solver.solve(np.eye(2))
+        assert thread_count() == 2
+    assert seen == [1, 1]
 
 
 @pytest.mark.needs_mkl

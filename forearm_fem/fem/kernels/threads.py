@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import TypeVar
 
@@ -27,8 +28,15 @@ def in_threads(work: Callable[[Thing], Result], things: Sequence[Thing]) -> list
     count = thread_count()
     if min(count, len(things)) < 2:
         return [work(thing) for thing in things]
-    with _blas(len(sys.modules)).limit(limits=1), ThreadPoolExecutor(count) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(count) as pool:
         return list(pool.map(work, things))
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """BLAS has one thread meanwhile."""
+    with _blas(len(sys.modules)).limit(limits=1):
+        yield
 
 
 @lru_cache(maxsize=1)

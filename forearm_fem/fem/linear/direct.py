@@ -87,6 +87,7 @@ class DirectSolver:
             if not self.factor.harden():
                 break
             how = "single precision with matching" if self.factor.single else "double precision"
+            how = "the largest pivots" if self.factor.name == "superlu" else how
             _log.warning("the factors were not accurate enough at this frequency; %s from here on", how)
         return refined_solve(self.factor, matrix, right, tolerance=self.tolerance)
 

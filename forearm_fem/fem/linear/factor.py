@@ -6,7 +6,9 @@ import importlib.util
 import logging
 import platform
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -18,6 +20,7 @@ from ...errors import SolverError
 from ...typing import ComplexArray, FloatArray, IntArray
 from ..assembly.operator import AffineOperator
 from ..kernels.compiled import compiled
+from ..kernels.threads import one_blas_thread
 from . import cudss, pardiso
 from .ordering import nested_dissection
 
@@ -71,8 +74,19 @@ class Factor(Protocol):
         ...
 
 
+# Pivots of SuperLU: on the diagonal unless that is below a hundredth of its column, which keeps the order's fill (a
+# fortieth of the time at 6,786 unknowns, residuals no larger); hardened, the largest of each column.
+_ON_DIAGONAL = MappingProxyType(
+    {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01, "options": {"SymmetricMode": True}}
+)
+_LARGEST = MappingProxyType({"permc_spec": "COLAMD", "diag_pivot_thresh": 1.0})
+
+
 class SuperLUFactor:
-    """SciPy's SuperLU: a fallback for small scenes (n below about 3e4); it stores both triangles."""
+    """SciPy's SuperLU: a fallback for small scenes (n below about 3e4); it stores both triangles.
+
+    Its BLAS has one thread: its blocks are so small that two take several times as long.
+    """
 
     name = "superlu"
     single = False
@@ -80,21 +94,24 @@ class SuperLUFactor:
     def __init__(self, upper: csr_array) -> None:
         self._indptr, self._indices, self._shape = upper.indptr, upper.indices, upper.shape
         self.n = int(upper.shape[0])
+        self._how: Mapping[str, Any] = _ON_DIAGONAL
 
     def factorise(self, data: ComplexArray | FloatArray) -> None:
         """See :class:`Factor`."""
+        self._data, self._real = data, not np.iscomplexobj(data)
         upper = csr_array((data.astype(complex), self._indices, self._indptr), shape=self._shape)
-        self._real = not np.iscomplexobj(data)
         full = csc_array(upper + upper.T)
         full.setdiag(upper.diagonal())
         try:
-            self._lu = splu(full, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": False})
+            with one_blas_thread():
+                self._lu = splu(full, **self._how)
         except RuntimeError as problem:
             raise SolverError(f"SuperLU: {problem}: the system is singular at this frequency") from None
 
     def solve(self, right: Columns) -> Columns:
         """See :class:`Factor`."""
-        x = self._lu.solve(np.ascontiguousarray(right, dtype=complex))
+        with one_blas_thread():
+            x = self._lu.solve(np.ascontiguousarray(right, dtype=complex))
         return np.asarray(x.real if self._real else x)
 
     def products(self, data: ComplexArray | FloatArray, right: Columns) -> ComplexArray | None:
@@ -102,8 +119,12 @@ class SuperLUFactor:
         return None
 
     def harden(self) -> bool:
-        """See :class:`Factor`; this one is in double precision."""
-        return False
+        """See :class:`Factor`; False where the largest pivots were taken already."""
+        if self._how is _LARGEST:
+            return False
+        self._how = _LARGEST
+        self.factorise(self._data)
+        return True
 
     def release(self) -> None:
         """See :class:`Factor`."""
