@@ -75,7 +75,7 @@ class Factor(Protocol):
 
 
 # Pivots of SuperLU: on the diagonal unless that is below a hundredth of its column, which keeps the order's fill (a
-# fortieth of the time at 6,786 unknowns, residuals no larger); hardened, the largest of each column.
+# thirtieth of the time at 6,786 unknowns, residuals no larger); hardened, the largest of each column.
 _ON_DIAGONAL = MappingProxyType(
     {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01, "options": {"SymmetricMode": True}}
 )
@@ -85,7 +85,7 @@ _LARGEST = MappingProxyType({"permc_spec": "COLAMD", "diag_pivot_thresh": 1.0})
 class SuperLUFactor:
     """SciPy's SuperLU: a fallback for small scenes (n below about 3e4); it stores both triangles.
 
-    Its BLAS has one thread: its blocks are so small that two take several times as long.
+    Its BLAS has one thread: its blocks are so small that two, beside other work, took eight times as long.
     """
 
     name = "superlu"
