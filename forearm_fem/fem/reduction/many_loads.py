@@ -3,7 +3,7 @@
 As in :mod:`.rate_space`, but loads come in batches, and a direction whose solution or derivative the space holds
 already, to within a share ``drop`` of its length, is neither kept nor followed further: far from their loads fields of
 neighbours are nearly the same. All loads are outputs, too, so the error of a compliance is that of both fields
-multiplied.
+multiplied. Columns are made orthonormal in single precision, as in :func:`.basis.rough_extension`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from ..assembly.coefficients import rate_weights
 from ..linear.direct import DirectSolver
 from .basis import Basis, Columns
 from .rate_space import Pairs
-
-_AGAIN = 0.3  # of a column's length: known columns are subtracted twice from remainders below
 
 
 class LoadSpace:
@@ -69,7 +67,7 @@ class LoadSpace:
         """The next derivative (n, k) of the solutions that the ``latest`` pairs stand for."""
         one, two = self._weights[1], self._weights[2]
         padded = latest.padded(self.size)
-        both = self.basis.combination(np.hstack([padded.upper, 2 * padded.upper + padded.lower]))
+        both = self.basis.rough_combination(np.hstack([padded.upper, 2 * padded.upper + padded.lower])).astype(float)
         halves = [np.ascontiguousarray(half) for half in np.hsplit(both, 2)]
         matrices = self._solver.model.operator.matrices
         return self._solved(-matrices.real_sum(np.array([one - 2 * two, two]), halves))
@@ -77,22 +75,16 @@ class LoadSpace:
     def _extended(self, x: FloatArray, before: FloatArray, drop: float) -> tuple[Pairs, Columns]:
         """Pairs and columns of the directions of ``x`` (n, b) that the space lacks."""
         n_u = self._solver.model.operator.n_displacements
-        lengths, coordinates = np.linalg.norm(x[:n_u], axis=0), np.zeros((self.size, x.shape[1]))
-        for _ in range(2):
-            known = self.basis.inner(x[:n_u]) if self.size else coordinates
-            if self.size:
-                self.basis.subtract_in_place(x, known)
-            coordinates = coordinates + known
-            gram = x[:n_u].T @ x[:n_u]
-            if (np.sqrt(np.maximum(gram.diagonal(), 0.0)) >= _AGAIN * lengths).all():
-                break
+        lengths = np.linalg.norm(x[:n_u], axis=0)
         scale = 1 / np.where(lengths > 0, lengths, 1.0)
-        values, vectors = np.linalg.eigh(scale[:, None] * gram * scale)
+        rest = (x * scale).astype(np.float32)
+        coordinates = self.basis.subtracted_in_place(rest, n_u)
+        values, vectors = np.linalg.eigh((rest[:n_u].T @ rest[:n_u]).astype(float))
         keep = values > drop**2
-        chosen = scale[:, None] * vectors[:, keep]
-        made = np.asarray(x @ (chosen / np.sqrt(values[keep])), dtype=np.float32)
-        upper = np.vstack([coordinates @ chosen, np.diag(np.sqrt(values[keep]))])
-        lower = np.pad(before @ chosen, ((0, len(upper) - len(before)), (0, 0)))
+        chosen, sizes = vectors[:, keep], np.sqrt(values[keep])
+        made = rest @ (chosen / sizes).astype(np.float32)
+        upper = np.vstack([coordinates @ chosen, np.diag(sizes)])
+        lower = np.pad(before @ (scale[:, None] * chosen), ((0, len(upper) - len(before)), (0, 0)))
         if made.shape[1]:
             self.basis = self.basis.with_block(made)
         return Pairs(upper, lower), made
