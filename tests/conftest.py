@@ -1,4 +1,4 @@
-"""Two workers share two cores: each computes with one thread, unless told otherwise. What needs MKL says so.
+"""Two workers share two cores: each computes with one thread, unless told otherwise. What asks for PARDISO says so.
 
 Kernels are compiled once, by one worker, while the other runs files that need none; the longest files come first.
 """
@@ -20,11 +20,11 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip what is marked ``needs_mkl`` without MKL: SuperLU serves in its place, which is for small systems only."""
+    """Skip what is marked ``needs_mkl`` without MKL."""
     from forearm_fem.fem.linear.pardiso import mkl_library
 
     if item.get_closest_marker("needs_mkl") and mkl_library() is None:
-        pytest.skip("MKL is not installed, or off: SuperLU would take minutes or refuse")
+        pytest.skip("MKL is not installed, or off: there is no PARDISO")
 
 
 # With no kernel kept the first file compiles nearly all of them, in a process of its own: until then the other worker

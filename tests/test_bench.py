@@ -236,7 +236,6 @@ def test_the_page_says_what_to_choose(tmp_path: Path) -> None:
     assert "210 to 210 times as long" in page
 
 
-@pytest.mark.needs_mkl
 @pytest.mark.parametrize("method", ["reduced", "direct"])
 def test_every_method_runs_on_a_tiny_slab(method: str) -> None:
     rows = error._WORK[method](error.Case(method, "P2", "double", 5.0))
@@ -252,7 +251,6 @@ def test_the_twin_is_as_exact_as_asked() -> None:
     assert row.error_worst < 1e-4
 
 
-@pytest.mark.needs_mkl
 def test_one_size_in_both_precisions() -> None:
     double, single = (size.sized((p, 5.0)) for p in ("double", "single"))
     assert double.unknowns == single.unknowns > 2000

@@ -116,7 +116,6 @@ def test_first_order_elements_stay_straight():
     assert abs(parts[0] - parts[1]).max() == 0
 
 
-@pytest.mark.needs_mkl
 def test_an_oscillating_sphere_needs_few_bent_facets():
     """Oestreicher's impedance; third order, arcs of 30 degrees. The wall at 12 radii leaves 0.001 of it."""
     (flat,), (bent,) = (sphere_errors((3,), 300.0, curved=curved, element="P3") for curved in (False, True))

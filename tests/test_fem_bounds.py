@@ -23,7 +23,6 @@ from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
-pytestmark = pytest.mark.needs_mkl  # its truths are direct solves in double precision
 BAND = np.arange(10.0, 221.0, 3.0)  # a dozen peaks of this block; the bins are about as wide as the upper ones
 DOUBLE = SolverOptions(precision="double")
 

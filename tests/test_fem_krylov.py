@@ -18,7 +18,6 @@ from forearm_fem.tissue import Hysteretic, KelvinVoigt, Tissue
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
-pytestmark = pytest.mark.needs_mkl  # its truths are direct solves in double precision
 BAND = np.linspace(10.0, 500.0, 197)
 CHECK = BAND[[0, 9, 28, 52, 80, 129, 184, 196]]
 RATE = 2 * np.pi * 100.0

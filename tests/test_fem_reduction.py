@@ -166,7 +166,7 @@ def test_what_an_elimination_would_not_pass_is_solved_and_refined(model, monkeyp
 @needs_multifrontal
 @pytest.mark.parametrize(
     "options",
-    [pytest.param(SolverOptions(precision="double"), marks=pytest.mark.needs_mkl), SolverOptions(backend="superlu")],
+    [SolverOptions(precision="double"), SolverOptions(backend="superlu")],
 )
 def test_solvers_that_keep_factors_certify_by_them(small, options):
     result = reduced_sweep(small, BAND, options, tolerance=1e-3)
@@ -264,7 +264,6 @@ def test_derivatives_raise_the_order_of_contact(model):
         assert np.log2(error[1] / error[0]) > 2 * q + 1.5
 
 
-@pytest.mark.needs_mkl
 def test_derivatives_in_single_precision_are_refined(model):
     """Each is corrected together with the next one, which must see the correction; refined 5e-7, else 1e-4."""
     series = []

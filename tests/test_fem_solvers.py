@@ -92,7 +92,6 @@ def test_pardiso_superlu_and_dense_agree(model, loads):
         solver.release()
 
 
-@pytest.mark.needs_mkl
 def test_compliance_equals_dense(model):
     found = direct_sweep(model, np.array([5.0, 150.0]), SolverOptions()).values
     for value, f in zip(found, (5.0, 150.0), strict=True):
@@ -100,7 +99,6 @@ def test_compliance_equals_dense(model):
         assert np.abs(value - exact).max() < 1e-10 * np.abs(exact).max()
 
 
-@pytest.mark.needs_mkl
 @pytest.mark.parametrize("frequency", [0.5, 150.0, 2000.0])
 def test_single_precision_is_refined_to_double(model, frequency):
     f = np.array([frequency])

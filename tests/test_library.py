@@ -126,7 +126,6 @@ def test_bells_read_the_mean_of_what_they_cover(element):
     assert seen.T @ motion == pytest.approx(np.ones(2), abs=1e-6)
 
 
-@pytest.mark.needs_mkl
 def test_own_loads_are_answered_as_a_direct_solve_does(slab, library):
     """The reduced space of all loads, at a frequency in the middle, against solves of the same system."""
     skin, bells, meshed = library.skin, loaded_skin(slab).bells, meshed_scenario(slab, library.skin)
