@@ -205,6 +205,15 @@ def test_matlab_round_trip(tmp_path: Path) -> None:
     same(io.read_thesis_mat(tmp_path / "G.mat"), kept)
 
 
+def test_matlab_keeps_the_last_bin_of_odd_records(tmp_path: Path) -> None:
+    """Of 9 bins 1 to 4 are positive, and the band may reach to the last of them."""
+    g = replace(transfer(np.arange(1.0, 5.0)), valid=None)
+    io.write_thesis_mat(tmp_path / "G.mat", g, 9.0, 1.0)
+    back = io.read_thesis_mat(tmp_path / "G.mat")
+    np.testing.assert_array_equal(back.frequency, g.frequency)
+    np.testing.assert_array_equal(back.values, g.values)
+
+
 @pytest.mark.parametrize(
     ("frequency", "message"),
     [

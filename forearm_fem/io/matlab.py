@@ -111,7 +111,7 @@ def _axes(prefix: str, ports: tuple[Port, ...]) -> dict[str, Any]:
 
 def _unpack(content: dict[str, Any]) -> TransferMatrix:
     n = content["G"].shape[2]
-    half = np.flatnonzero(content["excited"].ravel()[: n // 2])
+    half = np.flatnonzero(content["excited"].ravel()[: (n + 1) // 2])  # of odd n the last positive bin is (n - 1) / 2
     valid = np.moveaxis(content["valid"].astype(bool), 2, 0)
     return TransferMatrix(
         frequency=content["frequency_Hz"].ravel()[half],
