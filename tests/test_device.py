@@ -326,12 +326,16 @@ def test_driving_point_impedance_of_a_spring_and_dashpot() -> None:
     np.testing.assert_allclose(z[:, 0], 0.26 + 166.0 / (2j * np.pi * f), rtol=1e-12)
 
 
+FOLLOWED = Housing(skin_share=1.0, strap_stiffness=100.0)  # most of what points do is the housing's
+
+
+@pytest.mark.parametrize("housing", [Housing(), FOLLOWED], ids=["skin", "housing"])
 @pytest.mark.parametrize("drive", ["voltage", "force", "displacement"])
-def test_propagated_error_matches_random_perturbations(drive: str) -> None:
+def test_propagated_error_matches_random_perturbations(drive: str, housing: Housing) -> None:
     size, rng = 1e-4, np.random.default_rng(3)
     estimate = ErrorEstimate("discretisation", size, "test", (10.0, 500.0), (size, size))
     c = replace(skin(), errors=(estimate,))
-    device = Device(drive=drive)
+    device = Device(drive=drive, housing=housing)
     (carried,) = close_loop(c, device).errors
     (bound,) = propagate_errors(c, contact_state(c, device), worst_case=True)
     nominal, sampled = close_loop(c, device).values, []

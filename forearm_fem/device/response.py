@@ -45,6 +45,8 @@ class DeviceResponse:
     """Coil currents [A/V], the admittance matrix of the device's electrical terminals."""
     reaction: ComplexArray
     """S [N/m]: raising the skin under actuator k by d (all coils shorted) changes F by -S[:, k] d."""
+    lifted: ComplexArray
+    """The same changes q by -lifted[:, k] d (n_frequency, n_q, n_actuator) [-]."""
 
     @property
     def input_impedance(self) -> ComplexArray:
@@ -153,4 +155,5 @@ class _System:
             force=np.asarray(unknown * self.touching[:, None]),
             current=np.asarray((np.eye(n) - back_emf) / lumped.electrical[:, None, None]),
             reaction=np.asarray(raised * self.touching[:, None]),
+            lifted=np.asarray(solution[:, n:, n:]),
         )

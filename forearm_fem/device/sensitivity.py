@@ -1,7 +1,8 @@
 """How errors of the compliance become errors of G: first order, entry by entry, no sampling.
 
-G = C_pc F and dF = -S dC_cc F give dG = dC_pc F - (C_pc S) dC_cc F. The entries of dC are taken as independent, of zero
-mean and of one size per block: e(f) max|block| for e(f), e_band times the block's root mean square for the band norm.
+G = C_pc F + K, K what points follow of the housing, with dF = -S dC_cc F and dK = -R dC_cc F give
+dG = dC_pc F - (C_pc S + R) dC_cc F. The entries of dC are taken as independent, of zero mean and of one size per block:
+e(f) max|block| for e(f), e_band times the block's root mean square for the band norm.
 The squares of their effects add; that dC is symmetric is not used. Coherent errors (all of C too soft by one factor)
 partly cancel in G, so this tends to overestimate; ``worst_case=True`` adds the sizes instead: a first-order bound.
 """
@@ -56,7 +57,7 @@ def _effect(
     power = 1 if worst_case else 2
     to_points, under = compliance.block("point", "contact"), compliance.block("contact", "contact")
     forces = (np.abs(state.force) ** power).sum(axis=1, keepdims=True)
-    relayed = (np.abs(to_points @ state.reaction) ** power).sum(axis=2, keepdims=True)
+    relayed = (np.abs(to_points @ state.reaction + state.released) ** power).sum(axis=2, keepdims=True)
     squares = forces * (size(to_points) ** power + relayed * size(under) ** power)
     return np.asarray(squares ** (1 / power))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -21,13 +21,15 @@ class ContactState:
 
     ``force`` F on the skin [N/unit], ``contacts`` displacement of the cones [m/unit], ``reaction`` S [N/m]
     the loss of force when the skin is raised: a change dC of the compliance gives dF = -S dC_cc F. ``carried``
-    (n_frequency, n_point, n_input) [m/unit] is what the points follow of the housing.
+    (n_frequency, n_point, n_input) [m/unit] is what the points follow of the housing, and ``released``
+    (n_frequency, n_point, n_actuator) [-] the loss of that when the skin is raised.
     """
 
     force: ComplexArray
     contacts: ComplexArray
     reaction: ComplexArray
     carried: ComplexArray
+    released: ComplexArray
 
     def at_points(self, compliance: Compliance) -> ComplexArray:
         """Displacement of the points (n_frequency, n_point, n_input) [m/unit]."""
@@ -38,28 +40,30 @@ def contact_state(compliance: Compliance, device: Device) -> ContactState:
     """Forces, displacements and reactions at the contacts per unit of ``device.drive``, ``device.gains`` included."""
     state = _STATES[device.drive](compliance, device)
     gains = drive_gains(device, state.force.shape[2])
-    return ContactState(state.force * gains, state.contacts * gains, state.reaction, state.carried * gains)
+    return replace(state, force=state.force * gains, contacts=state.contacts * gains, carried=state.carried * gains)
 
 
 def _voltage(compliance: Compliance, device: Device) -> ContactState:
     response, housing = respond(compliance, device), device.housing
     points = tuple(compliance.ports[i] for i in compliance.indices("point"))
     levers = lever_matrix(housing, contact_ports(compliance, device), points)
-    carried = housing.skin_share * (levers @ response.coordinates)
-    return ContactState(response.force, response.cone, response.reaction, np.asarray(carried))
+    carried, released = (housing.skin_share * (levers @ q) for q in (response.coordinates, response.lifted))
+    return ContactState(response.force, response.cone, response.reaction, np.asarray(carried), np.asarray(released))
 
 
 def _force(compliance: Compliance, device: Device) -> ContactState:
     under, touching = _under(compliance, device)
     force = np.broadcast_to(np.diag(touching).astype(complex), under.shape)
-    return ContactState(force, under @ force, np.zeros_like(under), _still(compliance))
+    still = _still(compliance)
+    return ContactState(force, under @ force, np.zeros_like(under), still, still)
 
 
 def _displacement(compliance: Compliance, device: Device) -> ContactState:
     under, touching = _under(compliance, device)
     both = touching[:, None] & touching[None, :]
     force = np.where(both, np.linalg.inv(contact_map(under, touching, np.zeros(len(touching)))), 0)
-    return ContactState(force, under @ force, force, _still(compliance))
+    still = _still(compliance)
+    return ContactState(force, under @ force, force, still, still)
 
 
 def _under(compliance: Compliance, device: Device) -> tuple[ComplexArray, BoolArray]:
