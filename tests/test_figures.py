@@ -36,14 +36,17 @@ from forearm_fem.figures import (
     target_waves,
     versus_of,
 )
+from forearm_fem.figures.device import drive_levels, plot_drives
 from forearm_fem.figures.judge import errors
 from forearm_fem.figures.style import SHEET, arrange
 from forearm_fem.figures.targets import moments
-from forearm_fem.figures.waves import travel
+from forearm_fem.figures.waves import _row, kernel_root, travel
 from forearm_fem.io import write_transfer
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
-from forearm_fem.tissue import KelvinVoigt
+from forearm_fem.ports import Port
+from forearm_fem.scenario import Scenario
+from forearm_fem.tissue import KelvinVoigt, resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, entry_errors
 
 
@@ -160,6 +163,24 @@ def test_the_traced_root_of_a_half_space_is_rayleighs() -> None:
     np.testing.assert_allclose(root, rayleigh_wavenumber(omega, layer.modulus(omega), 1050.0), rtol=1e-6)
 
 
+def test_the_root_of_a_loaded_skin_is_that_of_layers_and_sheet() -> None:
+    """A sheet of mass m on one tissue: (mu p r - m w^2)(mu q r - m w^2) = (mu k d)^2, docs/theory/twin.md."""
+    muscle = {"layers": [{"tissue": "muscle", "thickness": 0.01}], "core": "muscle"}
+    scene = Scenario.model_validate(
+        {"name": "loaded", "limb": {"shape": "slab", **muscle}, "tissues": {"membrane": {"mass": 0.5}}}
+    )
+    f = np.array([50.0, 200.0])
+    k, w, tissue = kernel_root(scene, f), 2 * np.pi * f, resolve_tissues(scene)["muscle"]
+    mu = tissue.modulus.at(w)
+    ks2 = tissue.density * w**2 / mu
+    p, q = np.sqrt(k**2 - ks2 * mu / (tissue.bulk + 4 * mu / 3)), np.sqrt(k**2 - ks2)
+    r = ks2 / (k**2 - p * q)
+    load, across = 0.5 * w**2, (mu * k * (2 - r)) ** 2
+    np.testing.assert_allclose((mu * p * r - load) * (mu * q * r - load), across, rtol=1e-6)  # differences of Newton's
+    bare = rayleigh_wavenumber(w, mu, tissue.density)
+    assert np.all(k.real > bare.real)  # mass slows the wave
+
+
 def test_the_estimator_on_the_surface_wave_alone_finds_its_speed(run: Results) -> None:
     data = dispersion(run)
     assert data.root is not None
@@ -167,6 +188,22 @@ def test_the_estimator_on_the_surface_wave_alone_finds_its_speed(run: Results) -
     speed = 2 * np.pi * data.fit.frequency / data.root.real
     np.testing.assert_allclose(data.alone.speed, speed, rtol=0.07)  # 1/sqrt(r) and near field shift the phase
     assert np.all(data.alone.attenuation > -data.root.imag)  # spreading counts as attenuation in the thesis' fit
+
+
+def test_a_line_of_grid_points_lies_on_one_side_of_its_source() -> None:
+    """Under the middle of a row two points are as far away, which is no line that a wave travels along."""
+    points = tuple(Port(str(k + 1), "point", (6e-3 * (k - 2), 0.0, 0.0)) for k in range(6))
+    source = Port("A1", "contact", (0.0, 0.0, 0.0))
+    assert _row(points, source) == [2, 3, 4, 5]
+    assert _row(points, replace(source, position=(0.012, 0.03, 0.0))) == [4, 3, 2, 1, 0]
+
+
+def test_drives_that_are_no_voltages_have_no_power_to_draw(run: Results) -> None:
+    data = drive_levels(run)
+    unknown = np.full(data.power.shape, np.nan)
+    figure = plot_drives(replace(data, unit="N", power=unknown, max_peak=np.nan, max_power=np.nan))
+    FigureCanvasAgg(figure).draw()
+    assert [ax.get_yscale() for ax in figure.axes[-2:]] == ["log", "linear"]
 
 
 def test_conditioning_holds_control_rows_of_each_target(run: Results) -> None:

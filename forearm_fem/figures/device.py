@@ -190,7 +190,8 @@ def _by_target(ax: Axes, data: DriveLevels, values: FloatArray, limit: float, la
         shift = 0.2 * (m - (len(data.methods) - 1) / 2)
         ax.plot(place + shift, values[m], "o", color=method_colour(method, data.methods), label=method)
     ax.set_xticks(place, data.targets)
-    ax.set(xlabel="target", ylabel=label, yscale="log" if np.nanmin(values, initial=1) > 0 else "linear")
+    known = values[np.isfinite(values)]  # none of powers where the drive is no voltage
+    ax.set(xlabel="target", ylabel=label, yscale="log" if len(known) and known.min() > 0 else "linear")
     if np.isfinite(limit):
         ax.axhline(limit, color=GREY, ls="--", lw=0.8)
         ax.annotate(f"limit {limit:g}", (1, limit), xycoords=("axes fraction", "data"), ha="right", va="bottom",

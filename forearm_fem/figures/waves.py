@@ -15,6 +15,7 @@ from ..compare.adapters import layers_from
 from ..errors import NotApplicable, ScenarioError
 from ..layered import surface_kernel
 from ..metrics import WaveFit, fit_waves
+from ..pipeline.layered_engine import flat_surface
 from ..ports import Port, distances, positions
 from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives
 from ..scenario import Scenario
@@ -81,18 +82,23 @@ def _same_bins(results: Results, frequency: FloatArray) -> ComplexArray | None:
 
 def _grid_line(g: TransferMatrix) -> Line:
     gap = distances(g.outputs, g.inputs)[:, 0]
-    chosen = _row(g.outputs, gap)
+    chosen = _row(g.outputs, g.inputs[0])
     cone = None if g.contacts is None else g.contacts[:, 0, 0]
     values = shown(g)[:, chosen, 0]
     return Line(g.inputs[0].name, g.frequency, gap[chosen], values, cone, g.unit, "row of grid points")
 
 
-def _row(outputs: tuple[Port, ...], gap: FloatArray) -> list[int]:
-    """Points that share x or y with the nearest one, whichever are more, by distance."""
-    at = positions(outputs)
-    near = at[int(np.argmin(gap))]
-    rows = [np.flatnonzero(np.abs(at[:, c] - near[c]) < 1e-3) for c in (0, 1)]
-    best = max(rows, key=len)
+def _row(outputs: tuple[Port, ...], source: Port) -> list[int]:
+    """Points that share x or y with the one nearest to ``source``, on one side of it, where most are, by distance."""
+    from_source = positions(outputs) - positions((source,))
+    gap = np.linalg.norm(from_source, axis=1)
+    near = from_source[int(np.argmin(gap))]
+    sides = [
+        np.flatnonzero((np.abs(from_source[:, c] - near[c]) < 1e-3) & (way * from_source[:, 1 - c] > -1e-6))
+        for c in (0, 1)
+        for way in (1, -1)
+    ]
+    best = max(sides, key=len)
     return [int(k) for k in best[np.argsort(gap[best], kind="stable")]]
 
 
@@ -266,12 +272,13 @@ def dispersion(results: Results) -> Dispersion:
 
 
 def kernel_root(scenario: Scenario, frequency: FloatArray) -> ComplexArray | None:
-    """The Rayleigh-like root of the scenario's layers; None for a limb without layers."""
+    """The Rayleigh-like root of the scenario's layers with the membrane on them; None for a limb without layers, and
+    under a patch, which has edges."""
     try:
-        layers = layers_from(scenario)
+        layers, sheet = layers_from(scenario), flat_surface(scenario.tissues)
     except ScenarioError:
         return None
-    return trace_root(lambda k, w: surface_kernel(k, w, layers), layers, 2 * np.pi * frequency)
+    return trace_root(lambda k, w: surface_kernel(k, w, layers, surface=sheet), layers, 2 * np.pi * frequency)
 
 
 def dispersion_table(data: Dispersion) -> Table:
