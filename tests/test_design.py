@@ -157,6 +157,13 @@ def test_drives_are_those_that_move_the_target_as_asked(tmp_path):
     assert large.score == small.score
 
 
+def test_power_is_that_of_the_scenarios_record_however_short_the_search_has_it(tmp_path):
+    text = 'set = {"sweep.duration" = 0.4}\n' + SPACING
+    short, own = (evaluate(design(tmp_path, text + f"[search]\nduration = {d}\n"), {}, Waves()) for d in (0.1, 0.4))
+    assert short.total_power == pytest.approx(own.total_power, rel=0.05)  # bins further apart ring a little otherwise
+    assert short.power == pytest.approx(own.power, rel=0.05)
+
+
 def test_free_places_and_their_images(tmp_path):
     text = "[positions]\ncount = [4, 8]\nx = [0.01, 0.03]\ny = [0.01, 0.025]\nmirrored = true\n"
     asked = design(tmp_path, text)

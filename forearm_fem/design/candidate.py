@@ -21,7 +21,7 @@ from ..scenario import Scenario
 from ..transfer import TransferMatrix, finite, total_error
 from ..typing import FloatArray
 from .arm import ArmModel
-from .model import Constraints, Design, Objective, Values
+from .model import Constraints, Design, DesignFile, Objective, Values
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Candidate:
 
     ``score`` is the objective [-], NaN where the device cannot be; ``strengths`` S by target, mean over the arms;
     ``voltage`` [V] and ``power`` [W] are the largest of any actuator with the target's motion at ``target_peak``,
-    ``total_power`` [W] all actuators' mean over targets, NaN for drives that are no voltages; ``error`` is e_band
-    of G, the largest over the arms. ``violations`` are the constraints that do not hold, by how much [-]; ``problem``
-    says why the device cannot be.
+    ``total_power`` [W] all actuators' mean over targets, NaN for drives that are no voltages; powers are means over the
+    scenario's own record, however short it was while searching. ``error`` is e_band of G, the largest over the arms.
+    ``violations`` are the constraints that do not hold, by how much [-]; ``problem`` says why the device cannot be.
     """
 
     values: Values
@@ -75,10 +75,10 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
     """The candidate ``values`` of ``design`` on ``arm``; what cannot be is data, not an error."""
     asked = design.asked
     try:
-        scenarios = [_shorter(s, asked.search.duration) for s in design.scenarios(values)]
+        scenarios = design.scenarios(values)
         first = scenarios[0]
         broken = _geometry(first, asked.constraints, _targets(first, asked.objective))
-        found = [_one(s, arm, asked.objective, asked.constraints, design.base) for s in scenarios]
+        found = [_one(s, arm, asked, design.base) for s in scenarios]
     except ForearmError as problem:
         return _impossible(values, str(problem))
     s = np.array([f.strengths for f in found])
@@ -122,16 +122,18 @@ def transfer_on(scenario: Scenario, arm: ArmModel) -> TransferMatrix:
     return finite(close_loop(arm.compliance(scenario), scenario.device))
 
 
-def _one(scenario: Scenario, arm: ArmModel, objective: Objective, limits: Constraints, base: Path) -> _Found:
+def _one(whole: Scenario, arm: ArmModel, asked: DesignFile, base: Path) -> _Found:
+    scenario = _shorter(whole, asked.search.duration)
     check_servable(scenario)
-    targets = _targets(scenario, objective)
+    targets = _targets(scenario, asked.objective)
     g = transfer_on(scenario, arm)
     rendering = _rendered(scenario, g, targets, base)
     method = rendering.methods[0]
-    share = np.array([_share(rendering, method, t, limits.target_peak) for t in targets])
+    share = np.array([_share(rendering, method, t, asked.constraints.target_peak) for t in targets])
     reports = [rendering[method, t].report for t in targets]
     peak = np.array([r.peak for r in reports]) * share[:, None]
-    power = np.array([r.power for r in reports]) * share[:, None] ** 2
+    silence = scenario.sweep.duration / whole.sweep.duration  # a drive ends, and the rest of its record is still
+    power = np.array([r.power for r in reports]) * share[:, None] ** 2 * silence
     volts = g.unit == "m/V"
     return _Found(
         targets, rendering.strengths[0], float(peak.max()) if volts else math.nan, float(power.max()),
@@ -200,5 +202,3 @@ def _shorter(scenario: Scenario, duration: float) -> Scenario:
 
 def _impossible(values: Values, problem: str) -> Candidate:
     return Candidate(values, math.nan, {}, 0, math.nan, math.nan, math.nan, math.nan, math.nan, {}, problem)
-
-

@@ -133,7 +133,9 @@ class Constraints(Part):
     actuator_mass: Annotated[float, Within(1e-6, 10.0, "kg")] = Field(0.0125, description="of one actuator [kg]")
     shell_mass: Annotated[float, Within(1e-6, 10.0, "kg", zero=True)] = Field(0.040, description="of the shell [kg]")
     max_voltage: Annotated[float, Within(1e-9, 1e4, "V")] | None = Field(None, description="peak of any drive [V]")
-    max_power: Annotated[float, Within(1e-12, 1e6, "W")] | None = Field(None, description="of any actuator, mean [W]")
+    max_power: Annotated[float, Within(1e-12, 1e6, "W")] | None = Field(
+        None, description="of any actuator, mean over the scenario's own record [W]"
+    )
     target_peak: Annotated[float, Within(1e-9, 1e-2, "m")] = Field(1e-6, description="motion of the target [m]")
 
 
