@@ -356,7 +356,7 @@ def test_what_numerics_may_do_to_an_arm_widens_the_band_and_never_narrows_it() -
     assert arms.above(8.0)[:, 0] == pytest.approx(np.array([91, 93, 97]) / 101)
     both = numbers.Enclosed(values, values / 2, values * 2)
     assert (both.quantiles()[[0, -1]] / arms.quantiles()[[0, -1]])[:, 0] == pytest.approx([1.0, 2.0])
-    targets = both.of_groups(["5"])
+    targets = both.of_groups({"Middle (5)": [0]})
     assert (targets.high / targets.low == 4).all()
 
 
@@ -380,8 +380,9 @@ def test_groups_and_winners_by_hand() -> None:
         "Middle (5)": [2], "Edges (2/4/6/8)": [1], "Corners (1/3/7/9)": [0, 3],
     }  # fmt: skip
     assert numbers.group_columns(["1", "17"]) == {"All": [0, 1]}
+    assert numbers.group_columns(["1", "2", "3", "4"], thesis_grid=False) == {"All": [0, 1, 2, 3]}  # of 2 x 2 points
     s = np.array([[[1.0, 2.0, 3.0, 5.0]], [[2.0, 2.0, 2.0, 4.0]]])
-    assert numbers.group_means(s, ["1", "2", "5", "9"])[:, 0].tolist() == [[3, 2, 3], [2, 2, 3]]
+    assert numbers.group_means(s, numbers.group_columns(["1", "2", "5", "9"]))[:, 0].tolist() == [[3, 2, 3], [2, 2, 3]]
     duel = np.array([[[3.0], [1.0]], [[1.0], [2.0]], [[2.0], [2.0]], [[5.0], [4.0]]])
     assert numbers.winners(duel)[:, 0].tolist() == [0.625, 0.375]
 

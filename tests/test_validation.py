@@ -124,8 +124,8 @@ def table_of(values: np.ndarray) -> Draws:
 
 def test_table_one_is_judged_entry_by_entry_and_jointly() -> None:
     rng = np.random.default_rng(0)
-    spread = table_of(np.exp(0.2 * rng.standard_normal(400)))
-    found = module._table_one(spread, "calibrated")
+    table = table_of(np.exp(0.2 * rng.standard_normal(400)))
+    found = module._table_one(table, "calibrated")
     assert found["all"]["inside"] == 9
     assert set(found) == {"all", "zener", "springpot"}
     # a band of 90 % of a log-normal is x/÷ exp(1.645 s)
@@ -135,6 +135,8 @@ def test_table_one_is_judged_entry_by_entry_and_jointly() -> None:
     assert apart["all"]["beyond"] == 0
     assert apart["all"]["distance"] > 4
     assert found["all"]["order"][0][0] == "combination"
+    turned = replace(table, methods=table.methods[::-1], strengths=table.strengths[:, :, ::-1])
+    assert module._table_one(turned, "calibrated")["all"]["inside"] == 9  # methods are told by name
 
 
 @pytest.fixture(scope="module")
@@ -224,3 +226,6 @@ def test_scenes_that_cannot_be_judged_are_one_sentence(tmp_path: Path) -> None:
     assert "set engine=layered" in answer.sentence
     answer = cli("validate", "thesis", "--measured", "nowhere.nc", "--out", tmp_path / "o", cwd=tmp_path)
     assert "no such file" in answer.sentence
+    nine = parse_scenario({**SMALL, "grid": {"rows": 1, "columns": 9, "pitch": 0.004}})
+    with pytest.raises(ScenarioError, match="which is of 3 x 3 points"):  # their names are 1 to 9, too
+        validate(Question(nine, Path()), tmp_path, draws=21)

@@ -26,6 +26,7 @@ from ..pipeline.renderers import unsuited, wavelet
 from ..pipeline.simulation import account_of, render_transfer, simulate
 from ..pipeline.strengths import StrengthAccount
 from ..progress import Progress, tell, within
+from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from .arm import ArmModel, arm_model
@@ -138,7 +139,8 @@ def predict(
     finally:  # an interruption, too, keeps what is done
         if len(kept) > reused:
             _write(out, kept, setup, question)
-    found = draws_of([kept[n] for n in range(draws)], setup.method_names, setup.targets)
+    grid = is_thesis_grid(setup.outputs)
+    found = draws_of([kept[n] for n in range(draws)], setup.method_names, setup.targets, grid)
     held = tuple(sorted({*question.held, *arm.held}))
     return Prediction(
         question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began, arm.unknown

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -27,7 +27,8 @@ class Draws:
     """Draws that gave S: ``strengths`` (n, n_reading, n_method, n_target) [-], ``drivers`` (n, n_driver) by ``names``
     (a categorical law as its index), ``laws`` (n,), ``numerics`` (n,) e_band of each G and ``spread``
     (n, n_method, n_target) the half width of the interval of log S that it leaves; ``problems`` of the others, and how
-    many have them."""
+    many have them. ``thesis_grid`` says whether targets are of the thesis' 3 x 3 points, whose groups mean something.
+    """
 
     strengths: FloatArray
     methods: tuple[str, ...]
@@ -39,6 +40,12 @@ class Draws:
     seconds: FloatArray
     spread: FloatArray
     problems: Mapping[str, int]
+    thesis_grid: bool = True
+
+    @property
+    def groups(self) -> Mapping[str, list[int]]:
+        """Columns of targets by group (:func:`group_columns`)."""
+        return group_columns(self.targets, self.thesis_grid)
 
     def reading(self, name: str) -> FloatArray:
         """S (n, n_method, n_target) by one of :data:`READINGS`."""
@@ -52,14 +59,16 @@ class Draws:
     def of_law(self, law: str) -> Draws:
         """The draws of one law only."""
         chosen = np.array([x == law for x in self.laws])
-        return Draws(
-            self.strengths[chosen], self.methods, self.targets, tuple(x for x in self.laws if x == law), self.names,
-            self.drivers[chosen], self.numerics[chosen], self.seconds[chosen], self.spread[chosen],
-            MappingProxyType({}),
+        return replace(
+            self, strengths=self.strengths[chosen], laws=tuple(x for x in self.laws if x == law),
+            drivers=self.drivers[chosen], numerics=self.numerics[chosen], seconds=self.seconds[chosen],
+            spread=self.spread[chosen], problems=MappingProxyType({}),
         )  # fmt: skip
 
 
-def draws_of(outcomes: Sequence[Outcome], methods: Sequence[str], targets: Sequence[str]) -> Draws:
+def draws_of(
+    outcomes: Sequence[Outcome], methods: Sequence[str], targets: Sequence[str], thesis_grid: bool = True
+) -> Draws:
     """The outcomes as arrays; DataError where fewer than :data:`LEAST` gave S."""
     good = [o for o in sorted(outcomes, key=lambda o: o.number) if not o.problem]
     problems = MappingProxyType(Counter(o.problem for o in outcomes if o.problem))
@@ -73,7 +82,7 @@ def draws_of(outcomes: Sequence[Outcome], methods: Sequence[str], targets: Seque
     return Draws(
         np.array([o.strengths for o in good]), tuple(methods), tuple(targets), laws, (*shared, "law"),
         np.array(columns), np.array([o.numerics for o in good]), np.array([o.seconds for o in good]),
-        np.array([o.spread for o in good]), problems,
+        np.array([o.spread for o in good]), problems, thesis_grid,
     )  # fmt: skip
 
 
@@ -96,9 +105,9 @@ class Enclosed:
         of = [self.low if level < 0.5 else self.high if level > 0.5 else self.value for level in LEVELS]
         return np.stack([np.quantile(values, level, axis=0) for values, level in zip(of, LEVELS, strict=True)])
 
-    def of_groups(self, targets: Sequence[str]) -> Enclosed:
+    def of_groups(self, groups: Mapping[str, list[int]]) -> Enclosed:
         """Means over groups (:func:`group_means`); errors of a group's targets are taken to go together."""
-        return Enclosed(*(group_means(x, targets) for x in (self.value, self.low, self.high)))
+        return Enclosed(*(group_means(x, groups) for x in (self.value, self.low, self.high)))
 
     def above(self, limit: float) -> FloatArray:
         """Shares of arms (3, ...) above ``limit``: whatever their numerics, as they are, as numerics may make them."""
@@ -123,16 +132,19 @@ class Enclosed:
         return np.asarray(within), np.asarray(np.where(within, narrow, (widest[0] | widest[1]) & (outer > 0)))
 
 
-def group_columns(targets: Sequence[str]) -> dict[str, list[int]]:
-    """Columns of the thesis' middle, edges and corners among ``targets``; all targets as one group on other grids."""
+def group_columns(targets: Sequence[str], thesis_grid: bool = True) -> dict[str, list[int]]:
+    """Columns of the thesis' middle, edges and corners among ``targets``; all targets as one group on other grids,
+    whatever their names."""
     found = {label: [i for i, t in enumerate(targets) if t in members] for label, members in GROUPS}
     stray = set(targets) - {t for _, members in GROUPS for t in members}
-    return {"All": list(range(len(targets)))} if stray else {g: c for g, c in found.items() if c}
+    if stray or not thesis_grid:
+        return {"All": list(range(len(targets)))}
+    return {g: c for g, c in found.items() if c}
 
 
-def group_means(values: FloatArray, targets: Sequence[str]) -> FloatArray:
-    """S (n, n_method, n_group): of each draw the mean over a group's targets, as in Table I."""
-    return np.stack([values[..., c].mean(axis=-1) for c in group_columns(targets).values()], axis=-1)
+def group_means(values: FloatArray, groups: Mapping[str, list[int]]) -> FloatArray:
+    """S (n, n_method, n_group): of each draw the mean over the columns of each of the ``groups``, as in Table I."""
+    return np.stack([values[..., c].mean(axis=-1) for c in groups.values()], axis=-1)
 
 
 def winners(values: FloatArray) -> FloatArray:

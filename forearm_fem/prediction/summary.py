@@ -13,7 +13,7 @@ from ..io.jsonfiles import write_json
 from ..tissue import resolve_tissues
 from ..typing import FloatArray
 from .run import Prediction
-from .statistics import LEVELS, Enclosed, group_columns, quantiles, rank_correlations, sobol_indices, winners
+from .statistics import LEVELS, Enclosed, quantiles, rank_correlations, sobol_indices, winners
 from .tissues import REFERENCE
 
 FOLDER, FILE = "prediction", "prediction.json"
@@ -28,12 +28,12 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
     """
     draws, nominal = prediction.draws, prediction.nominal
     calibrated, played, record = (draws.enclosed(name) for name in ("calibrated", "played", "calibrated, record"))
-    grouped = calibrated.of_groups(draws.targets)
+    groups = draws.groups
+    grouped = calibrated.of_groups(groups)
     means = grouped.value
     drivers = {"rank": rank_correlations(draws.drivers, means)}
     if sobol:
         drivers["sobol"] = sobol_indices(draws.drivers, draws.names, means)
-    groups = group_columns(draws.targets)
     return {
         "program": __version__,
         "scenario": prediction.question.scenario.model_dump(mode="json"),
@@ -62,8 +62,8 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
             "record": record.quantiles(), "wins": winners(calibrated.value),
         }),
         "by_group": _table(draws.methods, tuple(groups), {
-            **_spread(grouped), "played": played.of_groups(draws.targets).quantiles(),
-            "record": record.of_groups(draws.targets).quantiles(), "wins": winners(means),
+            **_spread(grouped), "played": played.of_groups(groups).quantiles(),
+            "record": record.of_groups(groups).quantiles(), "wins": winners(means),
         }),
         "drivers": [
             {"name": name, **{what: _table(draws.methods, tuple(groups), {"": found[k]}, flat=True)

@@ -16,11 +16,13 @@ import numpy as np
 from .. import __version__
 from ..compare.crossplay import wavelet_for
 from ..errors import DataError, ForearmError, ScenarioError
+from ..geometry.device.layout import planform_ports
 from ..io.jsonfiles import read_json, write_json
 from ..metrics.strength import thesis_table
 from ..pipeline.renderers import renderers
 from ..progress import Progress, tell
 from ..rendering import render_all
+from ..rendering.lattice import is_thesis_grid
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .arm import without_bones
@@ -28,7 +30,7 @@ from .draws import LAWS, Draw, draw_inputs, scenario_of
 from .observables import TOLERANCE, Arm, fat_of, motor_ratios, observables
 from .priors import load_priors
 from .run import Prediction, Question, expanded, predict
-from .statistics import LEVELS, Draws, Enclosed, group_columns, group_means, joint_distance, quantiles, winners
+from .statistics import LEVELS, Draws, Enclosed, group_means, joint_distance, quantiles, winners
 from .targets import SHAH_ARMS, SHAH_STEPS, TARGETS, Target
 
 FILE, OBSERVABLES = "validation.json", "observables.json"
@@ -55,10 +57,12 @@ def validate(
 
     ``draws`` arms of the question's scene give S (:func:`.run.predict`, resumable) and, on the same arms, what each
     published measurement would have found. A ``measured`` G, ``measured_name`` on the page, runs through the same
-    comparison as Table I. Raises ScenarioError for scenes without the thesis' targets or without layers.
+    comparison as Table I. Raises ScenarioError for scenes without the thesis' grid and targets or without layers.
     """
     if question.scenario.engine != "layered":
         raise ScenarioError("validate draws arms on the twin; set engine=layered (what it leaves out is said)")
+    if not is_thesis_grid(planform_ports(question.scenario)[0]):
+        raise ScenarioError("validate compares with Table I, which is of 3 x 3 points; leave grid as in the thesis")
     out = Path(folder)
     prediction = predict(
         question, out, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=progress
@@ -176,14 +180,15 @@ def _sure_share(share: float, count: int) -> bool:
 def _table_one(draws: Draws, reading: str) -> dict[str, Any]:
     """The thesis' nine entries against all arms and those of each law."""
     theirs = thesis_table()
-    found = {"all": _entries(draws, reading, theirs.mean.T)}
-    found |= {law: _entries(draws.of_law(law), reading, theirs.mean.T) for law in LAWS if law in draws.laws}
+    point = theirs.mean.T[[theirs.methods.index(m) for m in draws.methods]]
+    found = {"all": _entries(draws, reading, point)}
+    found |= {law: _entries(draws.of_law(law), reading, point) for law in LAWS if law in draws.laws}
     return found
 
 
 def _entries(draws: Draws, reading: str, point: FloatArray) -> dict[str, Any]:
     """``point`` (n_method, n_group) against the group means of S."""
-    arms = draws.enclosed(reading).of_groups(draws.targets)
+    arms = draws.enclosed(reading).of_groups(draws.groups)
     means = arms.value
     hit, sure = arms.judged(point)
     low, median, high = quantiles(means)[[0, 2, -1]]
@@ -193,12 +198,9 @@ def _entries(draws: Draws, reading: str, point: FloatArray) -> dict[str, Any]:
          "median": float(median[m, g]), "high": float(high[m, g]), "inside": bool(hit[m, g]), "sure": bool(sure[m, g]),
          "width": float(np.sqrt(high[m, g] / low[m, g]))}
         for m, method in enumerate(draws.methods)
-        for g, group in enumerate(group_columns(draws.targets))
+        for g, group in enumerate(draws.groups)
     ]  # fmt: skip
-    order = [
-        [draws.methods[int(i)] for i in np.argsort(-winners(means)[:, g])]
-        for g in range(len(group_columns(draws.targets)))
-    ]
+    order = [[draws.methods[int(i)] for i in np.argsort(-winners(means)[:, g])] for g in range(len(draws.groups))]
     return {"draws": len(means), "entries": entries, "inside": int(hit.sum()), "distance": distance, "beyond": beyond,
             "width": float(np.exp(np.mean(np.log(high / low)) / 2)), "order": order}  # fmt: skip
 
@@ -236,5 +238,5 @@ def _measured(transfer: TransferMatrix, question: Question, prediction: Predicti
     shape = wavelet_for(transfer.frequency)  # a record on whose bins this G lies
     methods = [m for m in renderers(question.scenario, shape) if m.name in prediction.draws.methods]
     found = render_all(transfer, prediction.draws.targets, methods, shape, window=options.window)
-    point = group_means(found.strengths[None], prediction.draws.targets)[0]
+    point = group_means(found.strengths[None], prediction.draws.groups)[0]
     return _entries(prediction.draws, "calibrated", point)

@@ -77,7 +77,7 @@ def strength_words(cell: Mapping[str, Any]) -> str:
 def _sections(data: Mapping[str, Any], pictures: Mapping[str, Picture]) -> list[Section]:
     return [
         Section("strength", "S at each target", _targets(data), pictures=[pictures["bands"]]),
-        Section("groups", "Middle, edges and corners", _groups(data)),
+        Section("groups", "Middle, edges and corners" if "All" not in data["groups"] else "Mean S", _groups(data)),
         Section("methods", "Which method wins", _wins(data), pictures=[pictures["methods"]]),
         Section("drivers", "What drives S", _drivers(data), pictures=[pictures["drivers"]]),
         Section("numerics", "How wrong the numerics may be", paragraphs=[_numerics(data)]),
