@@ -6,6 +6,7 @@ says so, what a newer one wrote besides is kept and written again. JSON has no N
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -157,9 +158,9 @@ class RunRecord(_Record):
 
     @property
     def band_error(self) -> float | None:
-        """Largest e_band of all sources; None where one is unknown or none is stated."""
-        bands = [e.band for e in self.errors]
-        return None if None in bands else max((b for b in bands if b is not None), default=None)
+        """e_band of all sources together, as the report has it; None where one is unknown or none is stated."""
+        bands = [e.band for e in self.errors if e.band is not None]
+        return math.hypot(*bands) if bands and len(bands) == len(self.errors) else None
 
 
 def read_run(path: str | Path) -> RunRecord:

@@ -44,6 +44,8 @@ def test_what_could_not_be_estimated_is_unknown_and_makes_the_total_unknown():
     assert record().band_error is None
     assert record(errors=record().errors[:1]).band_error == 1e-5
     assert record(errors=()).band_error is None
+    both = (ErrorRecord.of(ErrorEstimate(s, b, "")) for s, b in (("reduction", 3e-5), ("truncation", 4e-5)))
+    assert record(errors=tuple(both)).band_error == pytest.approx(5e-5)  # as total_error
     assert record().seconds == 3.0
 
 
