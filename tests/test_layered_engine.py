@@ -25,6 +25,7 @@ def scene(**changes):
     return data
 
 
+LONG = {"shape": "slab", "length": 0.3, "width": 0.2}
 CYLINDER = {"shape": "cylinder", "diameter": 0.07, "length": 0.12, "layers": LAYERS}
 REFUSED = {
     "contacts overlap": ({"device": {"contacts": [[0, 0], [0.004, 0]]}}, "contacts A1 and A2"),
@@ -86,6 +87,18 @@ def test_rigid_contacts_are_stiffer_and_noted():
         assert any("curvature, bones, supports, sides and ends" in note for note in run.notes)
         assert not any("uniform pressure" in note for note in run.notes)
     assert pressure.transfer.errors[0].band < 1e-6 < bonded.transfer.errors[0].band < 1e-4
+
+
+def test_points_far_away_err_by_more_of_their_own_size(monkeypatch):
+    """Integrals err by a share of what the disc itself does, of which far points do a ten-thousandth."""
+    far = {"points": [[0.06, 0.0], [0.07, 0.004]]}
+    device = {"contacts": [[0.0, 0.0]], "drive": "force", "cone": {"contact": "pressure"}}
+    there = parse_scenario(scene(engine="layered", device=device, grid=far, limb=LONG, sweep={"frequencies": [300.0]}))
+    found = simulate(there).transfer
+    monkeypatch.setattr("forearm_fem.pipeline.layered_engine._TOLERANCE", 1e-11)
+    true = float(relative_error(found.values, simulate(there).transfer.values)[0])
+    stated = found.errors[0].worst
+    assert true < stated < 100 * true  # quadrature's own control overstates
 
 
 def test_membrane_viscosity_is_part_of_the_skin():

@@ -18,7 +18,7 @@ from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.tissues import Tissues
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
-from ..typing import FloatArray
+from ..typing import ComplexArray, FloatArray
 
 _TOLERANCE = 1e-7  # of the quadrature and of the interpolation in frequency: far below what rigid contacts leave
 _LEFT_OUT = "curvature, bones, supports, sides and ends are left out: what they change, only engine = fem can tell"
@@ -39,16 +39,26 @@ def solve_layered(
         layers, 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
         tolerance=_TOLERANCE, progress=progress,
     )  # fmt: skip
-    error = np.asarray(result.error)
+    integrals = (result.quadrature + result.interpolation) * _over_points(result.values, ports)
+    error = np.asarray(result.truncation + integrals)
     estimate = ErrorEstimate(
         "quadrature",
         float(error.max()),
-        "Hankel quadrature's own control, the last terms and orders of the tractions under rigid discs, and the last "
-        "coefficients between frequencies; relative to the largest entry",
+        "Hankel quadrature's own control and the last coefficients between frequencies, relative to the largest entry "
+        "of points, and the last terms and orders of the tractions under rigid discs, relative to the largest entry",
         tuple(frequency.tolist()),
         tuple(error.tolist()),
     )
     return Compliance(frequency, result.values, ports, (estimate,))
+
+
+def _over_points(values: ComplexArray, ports: tuple[Port, ...]) -> FloatArray:
+    """Largest entry over the largest between contacts and points (n,) [-]: integrals err by a share of the former, and
+    G, which is made of the latter, by as much of itself; 1 where there are no points."""
+    size, point = np.abs(values), np.array([port.kind == "point" for port in ports])
+    if not point.any() or point.all():
+        return np.ones(len(values))
+    return np.asarray(np.nanmax(size, axis=(1, 2)) / size[:, point][:, :, ~point].max(axis=(1, 2)))
 
 
 def flat_ports(scenario: Scenario) -> tuple[Port, ...]:
