@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import shutil
 import subprocess
@@ -38,6 +39,7 @@ from forearm_fem.figures import (
 )
 from forearm_fem.figures.device import drive_levels, plot_drives
 from forearm_fem.figures.judge import errors
+from forearm_fem.figures.registry import _chosen
 from forearm_fem.figures.style import SHEET, arrange
 from forearm_fem.figures.targets import moments
 from forearm_fem.figures.waves import _row, kernel_root, travel
@@ -204,6 +206,22 @@ def test_drives_that_are_no_voltages_have_no_power_to_draw(run: Results) -> None
     figure = plot_drives(replace(data, unit="N", power=unknown, max_peak=np.nan, max_power=np.nan))
     FigureCanvasAgg(figure).draw()
     assert [ax.get_yscale() for ax in figure.axes[-2:]] == ["log", "linear"]
+
+
+def test_a_scene_that_renders_nothing_has_the_figures_of_its_matrix(folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    for name in ("transfer.nc", "run.json"):
+        shutil.copy(folder / name, tmp_path)
+    text = (folder / "scenario.json").read_text()
+    silent = {**json.loads(text), "rendering": {"methods": []}}
+    (tmp_path / "scenario.json").write_text(json.dumps(silent))
+    names = {k.name for k in _chosen(Results.open(tmp_path), None)}
+    assert {"transfer", "figure-a2", "impedance"} <= names
+    assert not names & {"drives", "strength", "figure-4", "target-5"}
+    with pytest.raises(DataError, match="its scene renders nothing"):
+        make_figures(tmp_path, tmp_path, only=["drives"])
+    (tmp_path / "transfer.nc").unlink()
+    with pytest.raises(DataError, match=r"transfer\.nc is missing"):
+        make_figures(tmp_path, tmp_path)
 
 
 def test_conditioning_holds_control_rows_of_each_target(run: Results) -> None:

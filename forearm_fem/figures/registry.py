@@ -103,6 +103,8 @@ def _target_kind(target: str) -> FigureKind:
 
 def applies(kind: FigureKind, results: Results) -> str:
     """Empty if the figure suits the run, else the reason why not, in a sentence."""
+    if any(_never_made(name, results) for name in kind.needs):
+        return f"{kind.name}: does not apply to {results.folder}: rendering.methods is empty: its scene renders nothing"
     for name in kind.optional:
         if name == "errors" and not results.transfer.errors:
             return f"{kind.name}: G carries no error estimate"
@@ -163,11 +165,17 @@ def _chosen(results: Results, only: Sequence[str] | None) -> list[FigureKind]:
     chosen = [known[n] for n in only or known]
     for kind in chosen:
         for name in kind.needs:
-            results.path(name)
+            if not _never_made(name, results):
+                results.path(name)
     reasons = {k.name: applies(k, results) for k in chosen}
     if only and (told := [r for r in reasons.values() if r]):
         raise DataError(told[0])
     return [k for k in chosen if not reasons[k.name]]
+
+
+def _never_made(name: str, results: Results) -> bool:
+    """Whether a file is one of renderers', of which the run has none."""
+    return name != "transfer.nc" and not results.has(name) and not results.scenario.rendering.methods
 
 
 def _check_writable(folder: Path) -> None:
