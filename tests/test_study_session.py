@@ -150,6 +150,24 @@ def test_a_changed_study_file_is_refused(tmp_path):
         StudyStore.open(tmp_path, small(repetitions=4))
 
 
+def test_until_somebody_takes_part_the_study_may_change_and_looking_writes_nothing(tmp_path):
+    """``study status`` begins no data, and a session that was refused binds nobody."""
+    StudyStore.open(tmp_path / "data", small(), begin=False)
+    assert not (tmp_path / "data").exists()
+    StudyStore.open(tmp_path, small())
+    answer_one(opened(tmp_path, small(repetitions=4)))
+    assert len(StudyStore.open(tmp_path, small(repetitions=4), begin=False).people()) == 1
+
+
+@pytest.mark.parametrize(("name", "content"), [("study.json", b'{"name": "pi'), ("participants.tsv", b"p\xfc\n")])
+def test_a_damaged_table_or_study_is_a_sentence(tmp_path, name, content):
+    """Cut short by a full disk, or saved anew in another encoding by a spreadsheet."""
+    opened(tmp_path, small())
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(DataError, match=f"{name}: (damaged|is not in UTF-8)"):
+        StudyStore.open(tmp_path, small()).people()
+
+
 def test_answers_that_were_not_asked_are_refused_and_nothing_is_written(tmp_path):
     session = opened(tmp_path, small())
     with pytest.raises(DataError, match="no stimulus is due"):

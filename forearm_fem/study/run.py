@@ -54,9 +54,9 @@ class Prepared:
         made = wavelet(scenario.rendering, scenario.sweep, source.parent)
         return cls(study, scenario, made, path.parent, folder or path.parent / study.name)
 
-    def store(self) -> StudyStore:
-        """The folder of data, opened or begun."""
-        return StudyStore.open(self.folder, self.study)
+    def store(self, *, begin: bool = False) -> StudyStore:
+        """The folder of data as it is; with ``begin`` it is made where there is none."""
+        return StudyStore.open(self.folder, self.study, begin=begin)
 
     def grid(self) -> tuple[Port, ...]:
         """The scenario's grid points, seen from above."""
@@ -80,7 +80,7 @@ def session_for(
     transfer = transfer_of(prepared.study, prepared.base, participant, planform_ports(prepared.scenario), declaration)
     stimuli = prepared.stimuli(transfer)
     player, plays = device_player(prepared, transfer, stimuli, daq, card=card, cable=cable)
-    store = prepared.store()
+    store = prepared.store(begin=True)
     store.enrol(participant, consent=consent, added=datetime.now(UTC).date().isoformat())
     return Session(store, participant, asked, transfer.outputs, player, back_end=plays), transfer.outputs
 
@@ -164,7 +164,7 @@ def rehearse(
     All share one G here; ``field`` is the skin's motion that belongs to it, the grid points' alone where there is none.
     ``through_device`` plays every stimulus through the virtual device too (slower).
     """
-    store, stimuli = prepared.store(), prepared.stimuli(transfer)
+    store, stimuli = prepared.store(begin=True), prepared.stimuli(transfer)
     player: Player
     player, plays = _silent(prepared), SIMULATED
     if through_device:

@@ -83,11 +83,20 @@ class StudyStore:
     study: Study
 
     @classmethod
-    def open(cls, folder: str | Path, study: Study) -> StudyStore:
-        """The folder, made if need be with the study it belongs to; DataError where another study lies there."""
+    def open(cls, folder: str | Path, study: Study, *, begin: bool = True) -> StudyStore:
+        """The folder; DataError where another study lies there that somebody takes part in.
+
+        With ``begin`` it is made if need be with the study it belongs to; else nothing is written.
+        """
         store, text = cls(Path(folder), study), study.model_dump_json(indent=2)
         kept = store.folder / "study.json"
-        if not kept.exists():
+        same = _study_in(kept) == study
+        if not same and store.people():
+            raise DataError(
+                f"{store.folder}: the study file was changed after data were taken; put it back, or give the new one "
+                "a folder of its own"
+            )
+        if begin and not same:
             about = {"Name": study.name, "BIDSVersion": "1.10.0", "DatasetType": "raw",
                      "GeneratedBy": [{"Name": "forearm_fem", "Version": __version__}]}  # fmt: skip
             write_text(store.folder / "dataset_description.json", json.dumps(about, indent=2))
@@ -95,11 +104,6 @@ class StudyStore:
             write_text(store.folder / ".bidsignore", "\n".join(_IGNORED) + "\n")
             write_text(store.folder / "participants.json", _dictionary(_PEOPLE))
             write_text(kept, text)
-        elif Study.model_validate_json(kept.read_text(encoding="utf-8")) != study:
-            raise DataError(
-                f"{store.folder}: the study file was changed after data were taken; put it back, or give the new one "
-                "a folder of its own"
-            )
         return store
 
     def people(self) -> list[dict[str, str]]:
@@ -162,6 +166,18 @@ class StudyStore:
         return read_table(self.folder / "devices.tsv", tuple(DEVICES))
 
 
+def _study_in(file: Path) -> Study | None:
+    """The study kept in ``file``; None where there is none, DataError where it cannot be read."""
+    if not file.exists():
+        return None
+    try:
+        return Study.model_validate_json(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # pydantic's and the decoder's are among the second
+        raise DataError(
+            f"{file}: damaged; delete this one file, the same study writes it again and the answers stay"
+        ) from None
+
+
 def _dictionary(columns: Mapping[str, str], facts: Mapping[str, str] | None = None) -> str:
     """A data dictionary in the manner of BIDS: ``facts``, and description and unit of each column."""
     told: dict[str, Any] = dict(facts or {})
@@ -188,7 +204,10 @@ def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = 
     if not file.exists():
         return []
     _take_off_torn_line(file)
-    text = file.read_text(encoding="utf-8")
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise DataError(f"{file}: is not in UTF-8, as another program saves it; save it as UTF-8, with tabs") from None
     rows = list(csv.DictReader(io.StringIO(text), delimiter="\t", quoting=csv.QUOTE_NONE))
     for number, row in enumerate(rows, start=2):
         if set(row) | set(optional) != set(columns) or any(v is None for v in row.values()):
