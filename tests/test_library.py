@@ -17,7 +17,7 @@ from forearm_fem.geometry.device.place import parametric_skin
 from forearm_fem.layered import Surface, surface_kernel
 from forearm_fem.layered.integrals import Medium
 from forearm_fem.layered.rigid import Disc
-from forearm_fem.library import load_library, make_library, save_library, side, store
+from forearm_fem.library import is_library, load_library, make_library, save_library, side, store
 from forearm_fem.library.arm import library_skin
 from forearm_fem.library.between import Lattice, Prior, Shape, shape_of
 from forearm_fem.library.flat_bells import between_flat_bells, flat_compliance, pair_distances
@@ -378,6 +378,33 @@ def test_a_design_is_searched_on_a_library(library, asked_design, tmp_path):
         if not row["problem"]:  # sums of as many threads as a process has
             assert other["strengths"] == pytest.approx(row["strengths"], rel=1e-9)
             assert other["error"] == pytest.approx(row["error"], rel=1e-9)
+
+
+def test_a_dry_run_on_a_library_meshes_nothing_and_says_what_it_does_not_answer(asked_design, tmp_path, monkeypatch):
+    file, arm = asked_design[0].parent / "slab.toml", asked_design[1]
+    monkeypatch.setattr("forearm_fem.geometry.cache.cached_mesh", lambda *_, **__: pytest.fail("meshed"))
+    said = cli("run", file, "--library", arm, "--dry-run")
+    assert (said.code, said.out) == (0, "library: no mesh and no solve; 5 frequencies in about a second\n")
+    off = cli("run", file, "--library", arm, "--dry-run", "--set", "device.contacts=[[-0.02, 0], [0, 0]]")
+    assert "lies off the library's patch" in off.sentence
+    beyond = cli("run", file, "--library", arm, "--dry-run", "--set", "sweep.f_max=200")
+    assert "the library holds 60 to 100 Hz" in beyond.sentence
+
+
+def test_a_library_is_known_by_what_it_holds_and_by_no_name(asked_design):
+    assert is_library(asked_design[1])
+    assert not is_library(asked_design[0])
+    said = cli("workbench", asked_design[1], "--declare", "unit='mm/V'")
+    assert "a library says all of itself" in said.sentence
+
+
+def test_what_no_candidate_can_change_is_no_matter_of_variables(asked_design, tmp_path):
+    file, arm = asked_design
+    scene = file.parent / "slab.toml"
+    scene.write_text(f'engine = "layered"\n{scene.read_text()}')
+    said = cli("design", file, "--library", arm, "--out", tmp_path / "out", "--no-confirm")
+    assert "can be evaluated: engine: a library stands for finite elements" in said.sentence
+    assert "widen" not in said.sentence
 
 
 @pytest.mark.slow  # rims of 2 mm: 90 s

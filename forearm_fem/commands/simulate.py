@@ -9,7 +9,7 @@ import typer
 
 from ..progress import tell, within
 from ..scenario import Scenario, load_scenario
-from .common import Display, LibraryFile, OutFolder, Overrides, ScenarioFile, print_notes, stage
+from .common import Display, LibraryFile, OutFolder, Overrides, ScenarioFile, library_file, print_notes, stage
 
 if TYPE_CHECKING:
     from ..pipeline.forecast import Forecast
@@ -25,8 +25,13 @@ def run(
     """The main job: mesh, solve, render, figures and report."""
     asked = load_scenario(scenario, overrides=overrides or ())
     if dry_run:
+        from ..pipeline.frequencies import frequencies
         from ..pipeline.unread import unread_notes
 
+        if (kept := library_file(library)) is not None:
+            kept.ports(asked)  # what it does not answer for is said now
+            typer.echo(f"library: no mesh and no solve; {len(frequencies(asked.sweep))} frequencies in about a second")
+            return
         with Display() as display:
             expected = _expected(asked, scenario.parent, display)
         _print_forecast(asked, expected)

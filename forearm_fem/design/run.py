@@ -148,6 +148,8 @@ def _best(candidates: Sequence[Candidate]) -> Candidate:
         return max(feasible, key=lambda c: (c.score, -c.actuators))
     problems = [c.problem or f"{', '.join(c.violations)} not held" for c in candidates]
     common = max(set(problems), key=problems.count) if problems else "none was evaluated"
+    if len(set(problems)) == 1 and all(c.problem for c in candidates):  # what all have is not of the variables
+        raise ScenarioError(f"none of {len(candidates)} candidates can be evaluated: {common}")
     raise ScenarioError(f"none of {len(candidates)} candidates is feasible, mostly: {common}; widen variables")
 
 

@@ -23,7 +23,7 @@ class Store:
         self._question = question(design, mark)
         self._known: dict[str, Candidate] = {}
         folder.mkdir(parents=True, exist_ok=True)
-        text = self._file.read_text(encoding="utf-8") if self._file.is_file() else ""
+        text = self._file.read_text(encoding="utf-8", errors="replace") if self._file.is_file() else ""
         for line in text.splitlines():
             self._take(line)
         if text and not text.endswith("\n"):  # cut short by an interruption

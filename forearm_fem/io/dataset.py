@@ -18,6 +18,7 @@ from .. import __version__
 from ..errors import DataError
 from ..ports import Port, positions
 from .atomic import write_bytes
+from .reading import refuse_no_file
 from .seal import check_tail, sealed_tail
 
 T = TypeVar("T")
@@ -42,11 +43,19 @@ def save(path: str | Path, variables: Variables, attributes: Mapping[str, str]) 
     write_bytes(path, sealed_tail(memory.getvalue()))
 
 
+def said_content(path: str | Path) -> str:
+    """What a netCDF file of this program says that it holds; empty for any other file."""
+    try:
+        with h5py.File(path, "r") as file:
+            return str(file.attrs.get("content", ""))
+    except Exception:  # damaged HDF5 fails in ways that h5py does not list
+        return ""
+
+
 def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T:
     """``unpack`` applied to the file's dataset; DataError if missing, damaged or not ``content``."""
     file = Path(path)
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
+    refuse_no_file(file)
     try:
         whole = check_tail(file.read_bytes())
         with h5py.File(file, "r") as probe:

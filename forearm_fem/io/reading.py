@@ -10,6 +10,12 @@ from ..errors import DataError, MissingExtra
 from .seal import check_seals
 
 
+def refuse_no_file(file: Path) -> None:
+    """DataError where ``file`` is a folder, or is not there."""
+    if not file.is_file():
+        raise DataError(f"{file}: {'is a folder, expected a file' if file.is_dir() else 'no such file'}")
+
+
 @contextmanager
 def reading(file: Path, unreadable: str, *, seals: bool = True) -> Iterator[None]:
     """Every failure of the block as a DataError about ``file``: what it says itself, else that it is ``unreadable``.
@@ -17,8 +23,7 @@ def reading(file: Path, unreadable: str, *, seals: bool = True) -> Iterator[None
     Libraries fail in ways they do not list where a file is damaged. A missing file is told before, and so is one whose
     checksum does not fit where the format keeps it in ``seals`` (:mod:`.seal`). MissingExtra passes.
     """
-    if not file.is_file():
-        raise DataError(f"{file}: no such file")
+    refuse_no_file(file)
     try:
         if seals:
             check_seals(file.read_bytes())

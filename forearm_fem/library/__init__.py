@@ -8,6 +8,6 @@ flat twin, ``bands`` splits the band.
 
 from .arm import ArmLibrary
 from .make import make_library
-from .store import load_library, save_library
+from .store import is_library, load_library, save_library
 
-__all__ = ["ArmLibrary", "load_library", "make_library", "save_library"]
+__all__ = ["ArmLibrary", "is_library", "load_library", "make_library", "save_library"]

@@ -124,7 +124,6 @@ class ArmLibrary:
 
     def _asked(self, scenario: Scenario) -> _Asked:
         ports, frequency = self.ports(scenario), frequencies(scenario.sweep)
-        self._check_band(frequency)
         places = self.skin.flat(positions(ports))
         gripped = [i for i, port in enumerate(ports) if port.kind == "contact" and len(self.sideways)]
         twin, number, parts = self._flat_discs(ports, places, frequency), self.bands.number(frequency), []
@@ -183,6 +182,7 @@ class ArmLibrary:
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
         """Ports of ``scenario`` on the library's skin, after all that may be refused was."""
         self._check_same(scenario)
+        self._check_band(frequencies(scenario.sweep))
         cone = scenario.device.cone
         if abs(cone.radius - self.twin.radius) > 1e-9 or cone.contact != self.twin.contact:
             raise ScenarioError(

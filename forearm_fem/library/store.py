@@ -10,7 +10,7 @@ from typing import Any
 import xarray as xr
 
 from ..errors import DataError
-from ..io.dataset import load, provenance_json, save
+from ..io.dataset import load, provenance_json, said_content, save
 from ..layered.tabulated import from_arrays
 from ..pipeline.layered_engine import flat_layers, flat_surface
 from ..scenario import parse_scenario
@@ -54,6 +54,11 @@ def save_library(path: str | Path, library: ArmLibrary) -> None:
         "facts": provenance_json(library.facts),
     }
     save(path, variables, attributes)
+
+
+def is_library(path: str | Path) -> bool:
+    """Whether the file says of itself that it holds an arm's library; of this version or not, whole or not."""
+    return said_content(path) == _CONTENT
 
 
 def load_library(path: str | Path) -> ArmLibrary:

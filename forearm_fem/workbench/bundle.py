@@ -15,7 +15,7 @@ from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
 from ..io.declaration import Declaration
 from ..io.recognise import read_measured
-from ..library import load_library
+from ..library import is_library, load_library
 from ..progress import Progress
 from ..scenario import Scenario
 from .content import content_of, library_content, measured_content
@@ -47,10 +47,17 @@ def _content(
         return content_of(what)
     place = Path(what)
     if place.is_dir():
+        if scenario is not None or declaration is not None:
+            raise DataError(
+                f"{place}: a run holds its own scenario and unit, so that --scenario and --declare have no effect; "
+                "leave them out, or name its transfer.nc"
+            )
         return content_of(Results.open(place))
     if not place.is_file():
         raise DataError(f"{place}: no such results folder or file; `forearm-fem run SCENARIO` makes a folder")
-    if place.name.endswith(LIBRARY):
+    if place.name.endswith(LIBRARY) or is_library(place):
+        if declaration is not None:
+            raise DataError(f"{place}: a library says all of itself, so that --declare has no effect; leave it out")
         arm = load_library(place)
         asked = scenario or arm.scenario.model_copy(update={"name": place.name.removesuffix(LIBRARY)})
         return library_content(arm, asked, f"library {place.name}", progress)
