@@ -21,6 +21,11 @@ from command_pages import every_command
 
 from forearm_fem import cli as program
 from forearm_fem.commands import study
+from forearm_fem.geometry.device.layout import planform_ports
+from forearm_fem.io.netcdf import write_transfer
+from forearm_fem.ports import Port
+from forearm_fem.scenario import load_scenario
+from forearm_fem.transfer import TransferMatrix
 
 WRITTEN = {"out", "save", "page", "data", "folder"}  # paths that a command makes
 STUDY = 'name = "s"\nscenario = "small.toml"\ntransfer = "lab.csv"\n'
@@ -172,3 +177,64 @@ def test_a_lost_wavelet_is_said_before_a_run_solves(lab: Path, monkeypatch: pyte
     (lab / "lost.toml").write_text(f"{SMALL}[rendering.wavelet]\nfile = 'lost.csv'\n")
     answer = cli("run", "lost.toml", "--out", "out", cwd=lab)
     assert (answer.code, "lost.csv" in answer.sentence) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (("run", "."), "is a folder, expected a TOML file"),
+        (("run", "small.toml", "--library", "."), "is a folder, expected a file"),
+        (("run", "s.toml"), "names a scenario, so it is a file for `forearm-fem design`"),
+        (("fit", "small.toml", "small.toml", "scale"), "is no recipe of a G"),
+        (("figures", "."), "no run's folder, unless one works there now"),
+        (("fit", "small.toml", "lab.csv", "scale", "--declare", "unit"), "--declare expects key.path=value"),
+        (("workbench", ".", "--scenario", "small.toml"), "--scenario and --declare have no effect"),
+    ],
+)
+def test_what_is_of_another_kind_is_called_by_its_name(lab: Path, line: Any, said: str) -> None:
+    """And a folder that no run has begun is not recommended for one."""
+    before = leftovers(lab)
+    answer = cli(*line, cwd=lab)
+    assert (answer.code, said in answer.sentence, "--out" in answer.sentence) == (2, True, False), answer.err
+    assert leftovers(lab) == before
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        ("workbench", ".", "--save", "small.toml"),
+        ("validate", "small.toml", "--page", "small.toml"),
+        ("library", "small.toml", "--out", "small.toml"),
+        ("loopback", "small.toml", "--out", "small.toml"),
+    ],
+)
+def test_no_file_that_was_given_is_written_over(lab: Path, line: Any) -> None:
+    answer = cli(*line, cwd=lab)
+    assert (answer.code, "choose a name that ends in" in answer.sentence) == (2, True)
+    assert (lab / "small.toml").read_text() == SMALL
+
+
+def stored_g(file: Path, **provenance: Any) -> bytes:
+    """A G of one entry in ``file``; its bytes."""
+    port = Port("1", "point", (0.0, 0.0, 0.0)), Port("A1", "contact", (0.0, 0.0, 0.0))
+    g = TransferMatrix(np.array([100.0]), np.ones((1, 1, 1)) + 0j, (port[0],), (port[1],), "m/V", provenance=provenance)
+    write_transfer(file, g)
+    return file.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("line", "provenance", "said"),
+    [
+        (("solve", "small.toml", "--out", "."), {"source": "measured"}, "holds a measured G"),
+        (("calibrate", "small.toml", "--through", "lab.nc", "--out", "."), {"scenario": {}}, "holds a G of a run"),
+        (("library", "small.toml", "--out", "transfer.nc"), {"source": "measured"}, "is there and no library"),
+    ],
+)
+def test_a_g_of_another_origin_is_not_replaced(lab: Path, line: Any, provenance: Any, said: str) -> None:
+    before = stored_g(lab / "transfer.nc", **provenance)
+    outputs, inputs = planform_ports(load_scenario(lab / "small.toml"))
+    g = TransferMatrix(np.array([20.0, 300.0]), np.ones((2, 9, 4)) + 0j, outputs, inputs, "m/V")
+    write_transfer(lab / "lab.nc", g)
+    answer = cli(*line, cwd=lab)
+    assert (answer.code, said in answer.sentence) == (2, True), answer.err
+    assert (lab / "transfer.nc").read_bytes() == before

@@ -40,6 +40,7 @@ def test_curves_are_drawn_where_their_header_says_and_move_no_axis(tmp_path):
         ("f\n1\n", "a curve in each other one"),
         ("f,a\n1\n", "a curve in each other one"),
         ("", "a curve in each other one"),
+        ("<p>" + 200_000 * "x", "no table of curves"),  # a page, in lines longer than the reader takes
     ],
 )
 def test_what_is_no_curve_of_the_figure_is_refused_in_a_sentence(text, told, tmp_path):

@@ -48,6 +48,17 @@ def there(remedy: str, folder: bool = False) -> Callable[[Path | None], Path | N
     return checked
 
 
+def ends_in(ending: str) -> Callable[[Path | None], Path | None]:
+    """A callback for a file to write: refused where its name does not end in ``ending``, as one of another kind's."""
+
+    def checked(what: Path | None) -> Path | None:
+        if what is not None and what.suffix.lower() != ending:
+            raise DataError(f"{what}: choose a name that ends in {ending}; this one may be of something else")
+        return what
+
+    return checked
+
+
 def holds_g(what: Path | None) -> Path | None:
     """A callback that refuses what :func:`transfer_file` refuses, before the command begins."""
     if what is not None:
@@ -267,7 +278,7 @@ def declaration(items: Sequence[str] | None) -> Declaration | None:
     from ..io.declaration import Declaration
 
     try:
-        return Declaration.model_validate(apply_overrides({}, items))
+        return Declaration.model_validate(apply_overrides({}, items, "--declare"))
     except ValidationError as problem:
         known = ", ".join(Declaration.model_fields)
         raise DataError(f"--declare {first_problem(problem, 'declaration')}; known are {known}") from None

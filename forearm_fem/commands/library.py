@@ -7,21 +7,26 @@ from typing import Annotated
 
 import typer
 
+from ..errors import DataError
 from ..scenario import load_scenario
-from .common import Display, Overrides, ScenarioFile
+from .common import Display, Overrides, ScenarioFile, ends_in
 
 
 def library(
     scenario: ScenarioFile,
     overrides: Overrides = None,
-    out: Annotated[Path | None, typer.Option("--out", help="the file to write; default NAME.library.nc")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="the file to write; default NAME.library.nc", callback=ends_in(".nc"))
+    ] = None,
 ) -> None:
     """Solve once for a patch of an arm's skin; `run --library` then needs no solve."""
     from ..io.lock import locked
-    from ..library import make_library, save_library
+    from ..library import is_library, make_library, save_library
 
     asked = load_scenario(scenario, overrides=overrides or ())
     file = out or Path(f"{asked.name}.library.nc")
+    if file.is_file() and not is_library(file):
+        raise DataError(f"{file}: is there and no library; it is not replaced, name another file with --out")
     with locked(file.parent), Display() as display:
         made = make_library(asked, base=scenario.parent, progress=display)
         save_library(file, made)

@@ -19,6 +19,7 @@ from .common import (
     console,
     declaration,
     declared,
+    ends_in,
     holds_g,
     measured_g,
     noted,
@@ -189,7 +190,9 @@ def loopback(
     overrides: Overrides = None,
     daq: Annotated[Literal["ni", "sound"], typer.Option("--daq", help="ni: a cDAQ; sound: a sound card")] = "sound",
     card: Card = None,
-    out: Annotated[Path, typer.Option("--out", help="record for calibrate and study run")] = Path("loopback.json"),
+    out: Annotated[
+        Path, typer.Option("--out", help="record for calibrate and study run", callback=ends_in(".json"))
+    ] = Path("loopback.json"),
 ) -> None:
     """Measure a device's latency and gain: a cable from its first output to the sensor's input."""
     from ..measurement.loopback import write_loopback

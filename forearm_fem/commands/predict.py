@@ -8,7 +8,18 @@ from typing import Annotated
 import typer
 
 from ..scenario import load_scenario
-from .common import Declared, Display, OutFolder, Overrides, ScenarioFile, holds_g, measured_g, noted, out_folder
+from .common import (
+    Declared,
+    Display,
+    OutFolder,
+    Overrides,
+    ScenarioFile,
+    ends_in,
+    holds_g,
+    measured_g,
+    noted,
+    out_folder,
+)
 
 
 def predict(
@@ -77,7 +88,9 @@ def validate(
         typer.Option(help="a measured G (file or results folder) to run through the same comparison", callback=holds_g),
     ] = None,
     declare: Declared = None,
-    page: Annotated[Path | None, typer.Option(help="write the page there, e.g. docs/validation.md")] = None,
+    page: Annotated[
+        Path | None, typer.Option(help="write the page there, e.g. docs/validation.md", callback=ends_in(".md"))
+    ] = None,
 ) -> None:
     """Judge predictions by what was published: measured, band over arms, inside or not; where it fails comes first."""
     asked = load_scenario(scenario, overrides=overrides or ())

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .common import Declared, Display, declaration, noted, scene_of, there
+from .common import Declared, Display, declaration, ends_in, noted, scene_of, there
 
 
 def workbench(
@@ -17,7 +17,9 @@ def workbench(
                        callback=there("no such results folder or file; `forearm-fem run SCENARIO` makes a folder")),
     ],
     save: Annotated[
-        Path | None, typer.Option("--save", help="the page; default workbench.html in the folder, NAME.html by a file")
+        Path | None,
+        typer.Option("--save", help="the page; default workbench.html in the folder, NAME.html by a file",
+                     callback=ends_in(".html")),
     ] = None,
     scenario: Annotated[
         Path | None,

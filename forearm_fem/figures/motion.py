@@ -87,12 +87,21 @@ def default_times() -> FloatArray:
     return np.asarray(np.arange(-24, 36) * 0.5e-3, dtype=np.float64)
 
 
+def _by_a_model(results: Results) -> bool:
+    """Whether no mesh stood behind the run: the layered twin answered, or a library."""
+    twin = results.has("scenario.json") and results.scenario.engine == "layered"
+    return twin or (results.has("run.json") and results.run.solution.solver == "library")
+
+
 def check_view(results: Results, view: View) -> None:
     """Raise DataError for a view that the results cannot give."""
     if not results.has_field:
         missing = "mesh.vtu" if not results.has("mesh.vtu") else "wavefield.npz"
+        remedy = results.remedy(missing)
+        if _by_a_model(results):
+            remedy = f"`forearm-fem workbench {results.folder}` shows its G"
         raise DataError(f"{results.folder}: no field between the ports is known, {missing} is missing "
-                        f"(the layered twin and measured G have none); {results.remedy(missing)}")  # fmt: skip
+                        f"(the layered twin, a library and measured G have none); {remedy}")  # fmt: skip
     if view.actuator is None:
         for name, known in ((view.method, results.drives.methods), (view.target, results.drives.targets)):
             if name not in known:

@@ -38,7 +38,7 @@ def read_curves(path: str | Path) -> tuple[Curve, ...]:
     try:
         lines = [line for line in csv.reader(file.read_text(encoding="utf-8-sig").splitlines()) if line]
         table = np.array([[float(cell) if cell.strip() else np.nan for cell in line] for line in lines[1:]])
-    except (OSError, ValueError) as problem:
+    except (OSError, ValueError, csv.Error) as problem:
         raise DataError(
             f"{file}: is no table of curves ({problem}); expected a header and then numbers"[:300]
         ) from None

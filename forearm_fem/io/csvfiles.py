@@ -18,6 +18,7 @@ from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .atomic import write_bytes
 from .declaration import RawMatrix, port_from
+from .reading import refuse_no_file
 from .seal import BLANK, MARK, check_seals, sealed
 
 _COLUMNS = ("frequency_Hz", "output", "input", "real", "imag", "valid", "deviation")
@@ -96,14 +97,13 @@ def _read(file: Path) -> RawMatrix:
 
 def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]:
     """Our first line if there is one, the header, the rows and the number of the header's line."""
+    refuse_no_file(file)
     try:
         content = file.read_bytes().removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n")
         check_seals(content, _EDITED)
         text = content.decode()
     except DataError as problem:
         raise DataError(f"{file}: {problem}") from None
-    except FileNotFoundError:
-        raise DataError(f"{file}: no such file") from None
     except (OSError, UnicodeDecodeError):
         raise DataError(f"{file}: cannot be read as text in UTF-8; is it really CSV?") from None
     lines = text.splitlines()

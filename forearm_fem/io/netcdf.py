@@ -41,6 +41,20 @@ def read_transfer(path: str | Path) -> TransferMatrix:
     return load(path, _CONTENT, _unpack_transfer)
 
 
+def refuse_other_g(file: Path, *, measured: bool) -> None:
+    """DataError where ``file`` holds a G of the other kind, measured or of a run, which is not to be replaced.
+
+    That of a run names its scenario. What cannot be read is no G.
+    """
+    try:
+        of_run = "scenario" in read_transfer(file).provenance
+    except DataError:
+        return
+    if of_run == measured:
+        what = "G of a run" if of_run else "measured G"
+        raise DataError(f"{file}: holds a {what}, which is not replaced; name another folder with --out")
+
+
 def read_compliance(path: str | Path) -> Compliance:
     """The compliance exactly as written; DataError if the file is missing, damaged or holds none."""
     return load(path, _CONTENT, _unpack_compliance)

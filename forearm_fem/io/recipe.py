@@ -75,8 +75,14 @@ class ImportRecipe(Part):
 def load_recipe(path: str | Path) -> ImportRecipe:
     """The recipe in a TOML file; DataError in one sentence for what is wrong with it."""
     file = Path(path)
+    table = read_toml(file, "no such recipe", DataError)
+    if not {"array", "declaration"} & set(table):
+        raise DataError(
+            f"{file}: is no recipe of a G, it has neither [array] nor [declaration]; name a file or folder that holds "
+            "a G"
+        )
     try:
-        return ImportRecipe.model_validate(read_toml(file, "no such recipe", DataError))
+        return ImportRecipe.model_validate(table)
     except ValidationError as problem:
         raise DataError(f"{file}: {first_problem(problem, 'recipe')}") from None
 

@@ -78,7 +78,10 @@ def write_signal_strength_csv(path: str | Path, rows: Iterable[StrengthRow]) -> 
 
 def read_signal_strength_csv(path: str | Path) -> tuple[StrengthRow, ...]:
     """The rows as written; DataError for a missing file, another header or a line that does not fit."""
-    lines = list(csv.reader(io.StringIO(_read(path))))
+    try:
+        lines = list(csv.reader(io.StringIO(_read(path))))
+    except csv.Error as problem:
+        raise DataError(f"{path}: cannot be read as a table ({problem})") from None
     header = lines[0] if lines else []
     if tuple(header) not in (_HEADER, _OLDER):
         raise DataError(f"{path}: expected the header {','.join(_HEADER)}, got '{','.join(header)}'")

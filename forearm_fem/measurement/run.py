@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import DataError, HardwareError, ScenarioError
 from ..geometry.device.layout import planform_ports
-from ..io.netcdf import write_transfer
+from ..io.netcdf import refuse_other_g, write_transfer
 from ..io.signals import read_drives
 from ..io.wav import read_wav_drives
 from ..progress import Progress, tell
@@ -89,6 +89,7 @@ def run_calibration(
     device = daq if not isinstance(daq, str) else _device(daq, plan, virtual, card)
     plan = _timed(plan, daq, device, cable)
     target = Path(folder)
+    refuse_other_g(target / "transfer.nc", measured=True)
 
     def after(step: Step) -> None:
         if figure and not step.reused:

@@ -25,7 +25,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
 from ..io.matlab import write_thesis_mat
-from ..io.netcdf import read_transfer, write_transfer
+from ..io.netcdf import read_transfer, refuse_other_g, write_transfer
 from ..io.signals import stack, write_displacements, write_drives
 from ..io.tables import strength_rows, write_signal_strength_csv
 from ..progress import Progress, tell, within
@@ -153,6 +153,7 @@ def run_render(run: Run) -> Rendering:
 
 
 def _solved(run: Run) -> TransferMatrix:
+    refuse_other_g(run.out / "transfer.nc", measured=False)
     mesh = run_mesh(run)
     with run.stage("solve"):
         simulation = _simulated(run, mesh)

@@ -31,6 +31,11 @@ def load_scenario(path: str | Path, *, overrides: Sequence[str] = ()) -> Scenari
     """
     file = scenario_file(path)
     table = read_toml(file, f"no such file; by name there are {', '.join(shipped_scenarios())}")
+    if "scenario" in table:
+        raise ScenarioError(
+            f"{file}: names a scenario, so it is a file for `forearm-fem design`, `campaign` or `study`; give it to "
+            "that command, or give the scenario here"
+        )
     return parse_scenario(apply_overrides(table, overrides), origin=str(file))
 
 
@@ -49,17 +54,21 @@ def scenario_schema() -> str:
     return json.dumps(Scenario.model_json_schema(), indent=2)
 
 
-def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """A copy of ``data`` with each ``key.path=value`` put in place; values are TOML, ".01", or plain strings."""
+def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str], option: str = "--set") -> dict[str, Any]:
+    """A copy of ``data`` with each ``key.path=value`` put in place; values are TOML, ".01", or plain strings.
+
+    ScenarioError about the ``option`` where one is none.
+    """
     result: dict[str, Any] = _copied(data)
     for item in overrides:
         key, separator, text = item.partition("=")
         if not separator or not key.strip():
-            raise ScenarioError(f"--set expects key.path=value, got '{item}'; e.g. --set device.spacing=0.040")
+            example = "device.spacing=0.040" if option == "--set" else "unit='mm/V'"
+            raise ScenarioError(f"{option} expects key.path=value, got '{item}'; e.g. {option} \"{example}\"")
         path = key.strip().split(".")
         if len(path) > DEEPEST:
-            raise ScenarioError(f"--set {item}: the key has {len(path)} parts, expected at most {DEEPEST}")
-        _put(result, path, _copied(_toml_value(text.strip())), item)
+            raise ScenarioError(f"{option} {item}: the key has {len(path)} parts, expected at most {DEEPEST}")
+        _put(result, path, _copied(_toml_value(text.strip())), f"{option} {item}")
     return result
 
 
@@ -75,7 +84,7 @@ def _put(data: dict[str, Any], path: list[str], value: Any, item: str) -> None:
     for key in path[:-1]:
         data = data.setdefault(key, {})
         if not isinstance(data, dict):
-            raise ScenarioError(f"--set {item}: '{key}' is a value, not a table, so nothing can be set below it")
+            raise ScenarioError(f"{item}: '{key}' is a value, not a table, so nothing can be set below it")
     data[path[-1]] = value
 
 

@@ -11,6 +11,8 @@ from ..errors import ForearmError, ScenarioError
 
 def read_toml(file: Path, missing: str, error: type[ForearmError] = ScenarioError) -> dict[str, Any]:
     """The table in ``file``; ``error`` with the sentence ``missing`` where there is none, or why it cannot be read."""
+    if file.is_dir():
+        raise error(f"{file}: is a folder, expected a TOML file")
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
