@@ -107,7 +107,8 @@ class TransferMatrix:
     ``values`` (n_frequency, n_out, n_in) in ``unit`` (m/V for voltage drive, m/N for plain forces, m/m for
     prescribed displacement). ``contacts`` (n_frequency, n_in, n_in) is the displacement of the cones
     themselves in the same unit, where known (driving points on its diagonal). ``valid`` marks entries that may be used
-    (None = all); ``deviation`` is a standard deviation per entry (None = unknown).
+    (None = all); ``deviation`` is a standard deviation per entry (None = unknown). Names of outputs and of inputs are
+    unique. DataError for arrays of other shapes and for a unit that is not of metres.
     """
 
     frequency: FloatArray
@@ -122,12 +123,32 @@ class TransferMatrix:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._check_shapes()
+        for what, ports in (("outputs", self.outputs), ("inputs", self.inputs)):
+            if len({p.name for p in ports}) < len(ports):
+                raise DataError(f"two of G's {what} have the same name; give each its own")
+        if not self.unit.startswith("m/"):
+            raise DataError(f"G is in metres per drive, m/V, m/N or m/m, got {self.unit}; convert the values")
         for e in self.errors:
             wanted = (len(e.frequency), *self.values.shape[1:])
             if e.per_pair is not None and e.per_pair.shape != wanted:
                 raise DataError(
                     f"the error by {e.source} is of pairs {e.per_pair.shape}, G's are {wanted}; take the same pairs of "
                     "its per_pair, or None"
+                )
+
+    def _check_shapes(self) -> None:
+        n, outputs, inputs = len(self.frequency), len(self.outputs), len(self.inputs)
+        for name, wanted in (
+            ("frequency", (n,)), ("values", (n, outputs, inputs)), ("contacts", (n, inputs, inputs)),
+            ("valid", (n, outputs, inputs)), ("deviation", (n, outputs, inputs)),
+        ):  # fmt: skip
+            given = getattr(self, name)
+            if given is not None and (not isinstance(given, np.ndarray) or given.shape != wanted):
+                came = given.shape if isinstance(given, np.ndarray) else type(given).__name__
+                raise DataError(
+                    f"G's {name}: expected {wanted}, a numpy array, as there are {n} frequencies, {outputs} outputs "
+                    f"and {inputs} inputs, got {came}"
                 )
 
     @property

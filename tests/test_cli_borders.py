@@ -227,7 +227,7 @@ def stored_g(file: Path, **provenance: Any) -> bytes:
     [
         (("solve", "small.toml", "--out", "."), {"source": "measured"}, "holds a measured G"),
         (("calibrate", "small.toml", "--through", "lab.nc", "--out", "."), {"scenario": {}}, "holds a G of a run"),
-        (("library", "small.toml", "--out", "transfer.nc"), {"source": "measured"}, "is there and no library"),
+        (("library", "small.toml", "--set", "engine=fem", "--out", "transfer.nc"), {}, "is there and no library"),
     ],
 )
 def test_a_g_of_another_origin_is_not_replaced(lab: Path, line: Any, provenance: Any, said: str) -> None:
@@ -238,3 +238,19 @@ def test_a_g_of_another_origin_is_not_replaced(lab: Path, line: Any, provenance:
     answer = cli(*line, cwd=lab)
     assert (answer.code, said in answer.sentence) == (2, True), answer.err
     assert (lab / "transfer.nc").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (("calibrate", "small.toml", "--card", "3"), "--card: has no effect with --daq virtual"),
+        (("play", "small.toml", "drives.nc", "--daq", "sound", "--through", "lab.csv"), "--through: has no effect"),
+        (("library", "small.toml"), "engine: a library is made of finite elements"),
+        (("verify", "--out", "small.toml"), "small.toml: cannot be written"),
+    ],
+)
+def test_what_would_have_no_effect_or_no_place_is_said_at_once(lab: Path, line: Any, said: str) -> None:
+    before = leftovers(lab)
+    answer = cli(*line, cwd=lab)
+    assert (answer.code, said in answer.sentence) == (2, True), answer.err
+    assert leftovers(lab) == before

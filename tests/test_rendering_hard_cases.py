@@ -174,5 +174,12 @@ def test_impossible_control_points_are_named(coarse, short, zeros, target, messa
 
 
 def test_a_shape_that_does_not_fit_the_ports_is_an_error(coarse, short):
-    with pytest.raises(DataError, match=r"expected \(99, 9, 4\)"):
-        drives(Funneling(), replace(coarse, values=coarse.values.swapaxes(1, 2)), "5", short)
+    """Said where G is made, before any renderer; a list, another unit and a name given twice are as little a G."""
+    with pytest.raises(DataError, match=r"G's values: expected \(99, 9, 4\)"):
+        replace(coarse, values=coarse.values.swapaxes(1, 2))
+    with pytest.raises(DataError, match=r"a numpy array.*got list"):
+        replace(coarse, values=coarse.values.tolist())
+    with pytest.raises(DataError, match="got mm/V; convert the values"):
+        replace(coarse, unit="mm/V")
+    with pytest.raises(DataError, match="two of G's outputs have the same name"):
+        replace(coarse, outputs=(coarse.outputs[0], *coarse.outputs[:-1]))

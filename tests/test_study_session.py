@@ -159,6 +159,17 @@ def test_until_somebody_takes_part_the_study_may_change_and_looking_writes_nothi
     assert len(StudyStore.open(tmp_path, small(repetitions=4), begin=False).people()) == 1
 
 
+@pytest.mark.parametrize("simulated", [True, False])
+def test_people_and_simulated_participants_share_no_folder(tmp_path, simulated):
+    """A rehearsal in a folder of people would go on with an unfinished session, under a person's name."""
+    store = StudyStore.open(tmp_path, small())
+    store.refuse_others(simulated=simulated)
+    store.enrol("01", consent="2026-11-24", added="2026-11-24", note="simulated" if simulated else "")
+    store.refuse_others(simulated=simulated)
+    with pytest.raises(DataError, match="are not added; name another folder"):
+        store.refuse_others(simulated=not simulated)
+
+
 @pytest.mark.parametrize(("name", "content"), [("study.json", b'{"name": "pi'), ("participants.tsv", b"p\xfc\n")])
 def test_a_damaged_table_or_study_is_a_sentence(tmp_path, name, content):
     """Cut short by a full disk, or saved anew in another encoding by a spreadsheet."""

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..errors import DataError
+from ..errors import DataError, ScenarioError
 from ..scenario import load_scenario
 from .common import Display, Overrides, ScenarioFile, ends_in
 
@@ -24,6 +24,8 @@ def library(
     from ..library import is_library, make_library, save_library
 
     asked = load_scenario(scenario, overrides=overrides or ())
+    if asked.engine != "fem":
+        raise ScenarioError("engine: a library is made of finite elements; set engine = 'fem', or leave it out")
     file = out or Path(f"{asked.name}.library.nc")
     if file.is_file() and not is_library(file):
         raise DataError(f"{file}: is there and no library; it is not replaced, name another file with --out")

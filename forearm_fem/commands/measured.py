@@ -55,6 +55,14 @@ Latency = Annotated[int, typer.Option(min=0, help="virtual: delay of the inputs,
 Seed = Annotated[int, typer.Option(help="virtual: seed of the noise")]
 
 
+def _refuse_idle(daq: str, card: str | None, through: Path | None = None) -> None:
+    """DataError for an option that the device which was asked for does not look at."""
+    if card is not None and daq != "sound":
+        raise DataError(f"--card: has no effect with --daq {daq}; leave it out, or give --daq sound")
+    if through is not None and daq != "virtual":
+        raise DataError(f"--through: has no effect with --daq {daq}, which plays through skin; leave it out")
+
+
 def calibrate(
     scenario: ScenarioFile,
     overrides: Overrides = None,
@@ -73,6 +81,7 @@ def calibrate(
     """Measure G, one actuator and one point at a time; the same command resumes after a stop."""
     from ..io.lock import locked
 
+    _refuse_idle(daq, card, through)
     asked = load_scenario(scenario, overrides=overrides or ())
     folder = out or out_folder(None, asked, overrides) / "calibration"
     with locked(folder):
@@ -173,6 +182,7 @@ def play(
     """Send drive signals, faded and within the voltage limit; Ctrl-C ramps down, twice cuts."""
     from ..measurement.run import run_play
 
+    _refuse_idle(daq, card, through)
     asked = load_scenario(scenario, overrides=overrides or ())
     virtual = _virtual(asked, scenario, through, declare, snr, 16, 0, 0, overrides) if daq == "virtual" else None
     with noted(), stop_on_ctrl_c() as stop:
@@ -198,6 +208,7 @@ def loopback(
     from ..measurement.loopback import write_loopback
     from ..measurement.run import run_loopback
 
+    _refuse_idle(daq, card)
     found = run_loopback(load_scenario(scenario, overrides=overrides or ()), daq=daq, card=card)
     write_loopback(out, found)
     typer.echo(

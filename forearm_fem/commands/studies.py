@@ -53,9 +53,10 @@ def verify(
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
     from .. import verification
     from ..io.atomic import write_text
+    from ..io.lock import locked
     from ..verification import report
 
-    with Display() as display, noted():
+    with locked(out), Display() as display, noted():
         if hard:
             cases = verification.run_hard_cases(progress=display)
             good = all(c.verdict != "WRONG" for c in cases)

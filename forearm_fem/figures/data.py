@@ -76,7 +76,8 @@ class Results:
     def path(self, name: str) -> Path:
         """The path of a file that must be there."""
         if not self.has(name):
-            remedy = self.remedy(name) if self.has("scenario.json") else self._other
+            begun = self.has("scenario.json") or self.has("run.json")
+            remedy = self.remedy(name) if begun else self._other
             raise DataError(f"{self.folder}: unfinished, {name} is missing; {remedy}")
         return self.folder / name
 
@@ -85,7 +86,7 @@ class Results:
         """Half a sentence for a folder that no run has begun: what to name instead."""
         g = self.folder / "transfer.nc"
         page = f", or `forearm-fem workbench {g}` for its G" if g.is_file() else ""
-        return f"no run's folder, unless one works there now; name one, `forearm-fem run SCENARIO` makes it{page}"
+        return f"no run's folder, unless one works there now; name one of `forearm-fem run SCENARIO`{page}"
 
     def remedy(self, name: str) -> str:
         """Half a sentence: the command that makes the file ``name``."""

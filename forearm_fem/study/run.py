@@ -31,7 +31,7 @@ from .percept import Felt, Percept, SimulatedParticipant
 from .plan import Study, Task, load_study
 from .session import Given, Player, Presented, Session
 from .stimuli import DevicePlayer, Stimulus, stimuli_for, transfer_of
-from .store import StudyStore
+from .store import SIMULATION, StudyStore
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +81,7 @@ def session_for(
     stimuli = prepared.stimuli(transfer)
     player, plays = device_player(prepared, transfer, stimuli, daq, card=card, cable=cable)
     store = prepared.store(begin=True)
+    store.refuse_others(simulated=False)
     store.enrol(participant, consent=consent, added=datetime.now(UTC).date().isoformat())
     return Session(store, participant, asked, transfer.outputs, player, back_end=plays), transfer.outputs
 
@@ -165,6 +166,7 @@ def rehearse(
     ``through_device`` plays every stimulus through the virtual device too (slower).
     """
     store, stimuli = prepared.store(begin=True), prepared.stimuli(transfer)
+    store.refuse_others(simulated=True)
     player: Player
     player, plays = _silent(prepared), SIMULATED
     if through_device:
@@ -174,7 +176,7 @@ def rehearse(
     today = datetime.now(UTC).date().isoformat()
     for k in range(participants):
         name, rng = f"{k + 1:02d}", np.random.default_rng([seed, k])
-        store.enrol(name, consent=today, added=today, note="simulated")
+        store.enrol(name, consent=today, added=today, note=SIMULATION)
         person = SimulatedParticipant(percept.varied(rng), felt, transfer.outputs, rng)
         for task in prepared.study.tasks:
             session = Session(store, name, task, transfer.outputs, player, _Clock(), back_end=plays)

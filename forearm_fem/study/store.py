@@ -65,6 +65,7 @@ DEVICES: Mapping[str, str] = {
     "full_scale": "of the outputs [V]",
     "level_basis": "known, declared (the scenario's full scale) or declared and checked by a cable",
 }
+SIMULATION = "simulated"  # the note of one who is
 _LATER = ("comparison", "response_outline")  # columns that 0.14.0 did not write
 _NUMBERS = ("onset", "duration", "response_time")  # BIDS itself says that they are numbers
 _IGNORED = ("study.json", "devices.tsv", "devices.json", "analysis/", "*.png")
@@ -122,6 +123,13 @@ class StudyStore:
             raise DataError(f"{name}: no consent is recorded; give its date, e.g. --consent 2026-11-24")
         row = {"participant_id": name, "consent": consent, "status": "active", "added": added, "note": note}
         _append(self.folder / "participants.tsv", tuple(_PEOPLE), row)
+
+    def refuse_others(self, *, simulated: bool) -> None:
+        """DataError where others than ``simulated`` participants, or than people, take part: they share no tables."""
+        if any((p["note"] == SIMULATION) != simulated for p in self.people() if p["status"] == "active"):
+            there, here = ("people", "simulated ones") if simulated else ("simulated participants", "people")
+            raise DataError(f"{self.folder}: holds answers of {there}, to which those of {here} are not added; name "
+                            "another folder with --data")  # fmt: skip
 
     def withdraw(self, participant: str) -> None:
         """Delete a participant's answers and mark the pseudonym; nothing of what was answered is kept."""
