@@ -72,5 +72,7 @@ def test_steady_tones_are_g_times_the_force():
     assert np.allclose(motor.steady(g, 0.1, "A1")[:, 0], 2e-4 / motor.frequency * motor.force(0.1), rtol=1e-4)
     with pytest.raises(DataError, match="needs G in m/N"):
         motor.steady(TransferMatrix(f, g.values, (POINT,), (CONTACT,), "m/V"), 0.1, "A1")
+    with pytest.raises(DataError, match="give the moving body's mass"):
+        motor.steady(g, -0.1, "A1")  # a peak below nothing
     with pytest.raises(DataError, match="solve a wider band"):
         motor.steady(TransferMatrix(f[:50], g.values[:50], (POINT,), (CONTACT,), "m/N"), 0.1, "A1")

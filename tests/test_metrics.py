@@ -336,6 +336,21 @@ def test_spot_measures():
     assert spot_radius(areas, places, 1) == pytest.approx(np.sqrt((1 * 0.01**2 + 2 * 0.02**2) / 7))
 
 
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda: singular_values(np.eye(3)), "add the first axis"),
+        (lambda: contrast(np.ones(3), 3), "one of the outputs as target"),
+        (lambda: contrast(np.ones(3), -1), "one of the outputs as target"),  # would be the last one, without a word
+        (lambda: spot_radius(np.ones(3), np.zeros((2, 3)), 0), "needs as many positions"),
+        (lambda: area(np.ones((2, 9)), time=np.arange(8.0), window=(0.0, 4.0)), "a time for each of the 9 samples"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_said(wrong, said):
+    with pytest.raises(DataError, match=said):
+        wrong()
+
+
 def test_width_at_half_maximum():
     x = np.linspace(-1, 1, 2001)
     assert fwhm(x, np.exp(-((x / 0.2) ** 2))) == pytest.approx(

@@ -39,7 +39,9 @@ class RotatingMass:
 
     def force(self, mass: float) -> FloatArray:
         """Peak force (n,) [N] at each step: the body's ``mass`` [kg], which the source does not give, times its
-        acceleration."""
+        acceleration. DataError for a mass that no body has."""
+        if not 0 < mass < np.inf:
+            raise DataError(f"a rotating mass shakes a body of some kg, got {mass:g}; give the moving body's mass [kg]")
         return mass * self.acceleration
 
     def steady(self, transfer: TransferMatrix, mass: float, actuator: str) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import DataError
 from ..typing import ComplexArray, FloatArray
 
 
@@ -11,7 +12,12 @@ def singular_values(values: ComplexArray) -> FloatArray:
     """Singular values (n, min(n_out, n_in)) of ``values`` (n, n_out, n_in), descending, in its unit.
 
     Take the rows of the control points first to judge an inverse filter. Matrices with NaN give NaN.
+    DataError for a single matrix or a row of them.
     """
+    if values.ndim != 3:
+        raise DataError(
+            f"singular values are those of (n, n_out, n_in) matrices, got {values.shape}; add the first axis"
+        )
     usable = np.all(np.isfinite(values), axis=(1, 2))
     out = np.full((len(values), min(values.shape[1:])), np.nan)
     out[usable] = np.linalg.svd(values[usable], compute_uv=False)

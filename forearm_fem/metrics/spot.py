@@ -12,7 +12,9 @@ def contrast(areas: FloatArray, target: int) -> float:
     """Area of |u| at ``target`` over the largest one elsewhere [-]; ``areas`` (n_out,) from :func:`area`.
 
     Above 1 the target moves most; stricter than S, which compares with the mean. NaN areas are ignored elsewhere.
+    DataError for a target that is none of the outputs.
     """
+    _check_target(areas, target)
     others = np.delete(areas, target)
     largest = np.max(others[np.isfinite(others)], initial=0.0)
     return float(areas[target] / largest) if largest > 0 else float("inf")
@@ -21,11 +23,20 @@ def contrast(areas: FloatArray, target: int) -> float:
 def spot_radius(areas: FloatArray, positions: FloatArray, target: int) -> float:
     """Root mean square distance [m] of the motion from the target, weighted with ``areas`` (n_out,).
 
-    ``positions`` (n_out, 2 or 3) [m]. Depends on the grid: compare only results on the same grid.
+    ``positions`` (n_out, 2 or 3) [m]. Depends on the grid: compare only results on the same grid. DataError for other
+    shapes and for a target that is none of the outputs.
     """
+    _check_target(areas, target)
+    if positions.ndim != 2 or len(positions) != len(areas):
+        raise DataError(f"a spot of {len(areas)} outputs needs as many positions, got {positions.shape}")
     distance = np.linalg.norm(positions - positions[target], axis=1)
     known = np.isfinite(areas)
     return float(np.sqrt(np.sum(areas[known] * distance[known] ** 2) / np.sum(areas[known])))
+
+
+def _check_target(areas: FloatArray, target: int) -> None:
+    if areas.ndim != 1 or not 0 <= target < len(areas):
+        raise DataError(f"a spot needs areas (n_out,) and one of the outputs as target, got {areas.shape}, {target}")
 
 
 def fwhm(position: FloatArray, value: FloatArray) -> float:

@@ -24,6 +24,8 @@ def area(
         return np.asarray(np.abs(displacement).mean(axis=1))
     if time is None:
         raise DataError("a window of S needs the time of the samples")
+    if len(time) != displacement.shape[1]:
+        raise DataError(f"a window of S needs a time for each of the {displacement.shape[1]} samples, got {len(time)}")
     inside = (time >= window[0]) & (time <= window[1])
     if not inside.any():
         raise DataError(f"no sample lies in the window {window[0]:g} to {window[1]:g} s")
