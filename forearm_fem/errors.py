@@ -21,6 +21,7 @@ __all__ = [
     "optional",
 ]
 
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
@@ -92,10 +93,21 @@ class MissingExtra(ForearmError):
 
 
 def first_problem(problem: Any, whole: str) -> str:
-    """Key (else ``whole``) and fault of a pydantic ValidationError; an unknown key comes first, as it causes others."""
+    """Key (else ``whole``), fault and what came of a pydantic ValidationError; an unknown key comes first, as it causes
+    others. Lists and tables are called what TOML calls them."""
     first = min(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
     said = "unknown key" if first["type"] == "extra_forbidden" else first["msg"].removeprefix("Value error, ")
-    return f"{'.'.join(map(str, first['loc'])) or whole}: {said[0].lower()}{said[1:]}"
+    for theirs, ours in (("valid tuple", "list"), ("valid list", "list"), ("valid dictionary", "table")):
+        said = said.replace(theirs, ours)
+    of_table = first["type"] == "value_error" and isinstance(first["input"], Mapping)  # what its values are together
+    silent = first["type"] in ("extra_forbidden", "missing") or of_table or "got" in said
+    came = "" if silent else f", got {_short(first['input'])}"
+    return f"{'.'.join(map(str, first['loc'])) or whole}: {said[0].lower()}{said[1:]}{came}"
+
+
+def _short(value: Any) -> str:
+    text = "a table" if isinstance(value, Mapping) else repr(value)
+    return text if len(text) <= 60 else f"{text[:40]} ..."
 
 
 def optional(module: str, extra: str, purpose: str, *, package: str = "") -> Any:

@@ -159,6 +159,13 @@ def test_until_somebody_takes_part_the_study_may_change_and_looking_writes_nothi
     assert len(StudyStore.open(tmp_path, small(repetitions=4), begin=False).people()) == 1
 
 
+@pytest.mark.parametrize("consent", ["yesterday", "2026-02-30", "24-11-2026"])
+def test_consent_is_a_day(tmp_path, consent):
+    with pytest.raises(DataError, match="expects the date of signing"):
+        StudyStore.open(tmp_path, small()).enrol("01", consent=consent, added="2026-11-24")
+    assert not (tmp_path / "participants.tsv").exists()
+
+
 @pytest.mark.parametrize("simulated", [True, False])
 def test_people_and_simulated_participants_share_no_folder(tmp_path, simulated):
     """A rehearsal in a folder of people would go on with an unfinished session, under a person's name."""

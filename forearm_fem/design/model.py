@@ -37,7 +37,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, first_problem
 from ..pipeline.unread import unread_because
 from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario, scenario_beside
 from ..scenario.base import Name, Part, Within
@@ -252,7 +252,7 @@ def _parsed(file: Path) -> DesignFile:
         if first["type"] == "extra_forbidden":
             known = ", ".join(_known(first["loc"]))
             raise ScenarioError(f"{file}: {key}: unknown key; known are {known}") from None
-        raise ScenarioError(f"{file}: {key}: {first['msg'].removeprefix('Value error, ')}") from None
+        raise ScenarioError(f"{file}: {first_problem(problem, 'design')}") from None
 
 
 def _known(where: Sequence[Any]) -> Sequence[str]:

@@ -16,6 +16,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +113,7 @@ class StudyStore:
         return read_table(self.folder / "participants.tsv", tuple(_PEOPLE))
 
     def enrol(self, participant: str, *, consent: str, added: str, note: str = "") -> None:
-        """Add a participant once; DataError without recorded consent, or where the pseudonym was withdrawn."""
+        """Add a participant once; DataError without a date of consent, or where the pseudonym was withdrawn."""
         known = {p["participant_id"]: p for p in self.people()}
         name = f"sub-{participant}"
         if name in known:
@@ -121,6 +122,12 @@ class StudyStore:
             return
         if not consent:
             raise DataError(f"{name}: no consent is recorded; give its date, e.g. --consent 2026-11-24")
+        try:
+            date.fromisoformat(consent)
+        except ValueError:
+            raise DataError(
+                f"{name}: --consent expects the date of signing, e.g. 2026-11-24, got '{consent}'"
+            ) from None
         row = {"participant_id": name, "consent": consent, "status": "active", "added": added, "note": note}
         _append(self.folder / "participants.tsv", tuple(_PEOPLE), row)
 
