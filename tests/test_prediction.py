@@ -17,6 +17,7 @@ from scipy import stats
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.figures.data import Results
+from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.io.jsonfiles import read_json
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.prediction import run as runs
@@ -187,7 +188,7 @@ def test_an_outcome_by_hand() -> None:
 
 def test_noise_has_the_size_stated() -> None:
     values = np.random.default_rng(0).standard_normal((400, 9, 4)) * np.array([1, 10, 0.1, 3]) + 0j
-    g = TransferMatrix(np.arange(1.0, 401), values, (), ())
+    g = TransferMatrix(np.arange(1.0, 401), values, *planform_ports(SCENE))
     draw = draw_inputs(load_priors(), SCENE, 0, 0)
     draw = replace(draw, values={**draw.values, "signal to noise": 26.0})
     scene = parse_scenario({**SMALL, "measurement": {"repeats": 4}})

@@ -22,6 +22,7 @@ from forearm_fem.pipeline.simulation import account_of, render_transfer
 from forearm_fem.pipeline.strengths import at_least_band, finer_than_known, strength_account
 from forearm_fem.pipeline.two_meshes import over_pairs
 from forearm_fem.ports import Port
+from forearm_fem.prediction.run import Question, check_question
 from forearm_fem.rendering import (
     Combination,
     InverseFilter,
@@ -469,6 +470,12 @@ def test_no_method_left_is_known_before_the_solve():
     corners = {**TWIN, "grid": SCATTERED, "rendering": {"methods": ["inverse filter"], "zeros": "thesis"}}
     with pytest.raises(ScenarioError, match=r"set rendering\.zeros = 'auto'"):
         check_servable(parse_scenario(corners))
+    alone = {**TWIN, "grid": {"points": [[0.012, 0.0]]}}
+    with pytest.raises(ScenarioError, match=r"there is one point; add points, or set rendering\.methods"):
+        check_servable(parse_scenario(alone))
+    with pytest.raises(ScenarioError, match="there is one point"):
+        check_question(Question(parse_scenario(alone), Path()))
+    assert check_servable(parse_scenario({**alone, "rendering": {"methods": []}})) == {}
 
 
 def test_a_method_left_out_is_not_missed_by_the_account():

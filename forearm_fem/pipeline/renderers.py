@@ -119,13 +119,19 @@ def _remedy(method: str, problem: str) -> str:
 def check_servable(scenario: Scenario) -> dict[str, str]:
     """:func:`unsuited` seen from above, before anything is solved.
 
-    ScenarioError if no method is left, DataError if none of the record's bins would have a G.
+    ScenarioError if no method is left or there is no point beside the target, DataError if none of the record's bins
+    would have a G.
     """
     options, sweep = scenario.rendering, scenario.sweep
     if options.methods:
         band = frequencies(sweep)
         place_on_bins(band, np.zeros((len(band), 1), dtype=complex), sweep.sample_rate, sweep.duration)
     outputs, inputs = planform_ports(scenario)
+    if options.methods and len(outputs) < 2:
+        raise ScenarioError(
+            "grid: S holds the target's motion against that of the other points, and there is one point; add points, "
+            "or set rendering.methods = []"
+        )
     targets = [p.name for p in outputs] if options.targets == "all" else list(options.targets)
     found = unsuited(options, outputs, inputs, targets)
     if options.methods and len(found) == len(options.methods):

@@ -22,7 +22,7 @@ from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ForearmError, ScenarioError
 from ..fem.kernels.heap import freed_memory_kept
 from ..pipeline.frequencies import frequencies
-from ..pipeline.renderers import unsuited, wavelet
+from ..pipeline.renderers import check_servable, unsuited, wavelet
 from ..pipeline.simulation import account_of, render_transfer, simulate
 from ..pipeline.strengths import StrengthAccount
 from ..progress import Progress, tell, within
@@ -148,7 +148,7 @@ def predict(
 
 
 def check_question(question: Question) -> None:
-    """ScenarioError for laws, inputs or groups that are not known and a scene that renders nothing; DataError for a
+    """ScenarioError for laws, inputs or groups that are not known and a scene that nothing renders on; DataError for a
     wavelet's file that cannot be read.
     """
     wavelet(question.scenario.rendering, question.scenario.sweep, question.base)
@@ -170,6 +170,7 @@ def check_question(question: Question) -> None:
         )
     if not question.scenario.rendering.methods:
         raise ScenarioError("rendering.methods is empty, so there is no S to predict; name a method")
+    check_servable(question.scenario)
     if question.scenario.rendering.zeros == "search":
         raise ScenarioError(
             "rendering.zeros: a search for zero points in each draw takes days; set 'auto' or name them"

@@ -51,6 +51,8 @@ class Rendering(Mapping[tuple[str, str], Rendered]):
     limits: Limits
 
     def __getitem__(self, key: tuple[str, str]) -> Rendered:
+        if key not in self.results:
+            raise KeyError(f"{key}: methods are {', '.join(self.methods)}, targets {', '.join(self.targets)}")
         return self.results[key]
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
