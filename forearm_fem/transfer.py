@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from .ports import Port
 from .typing import BoolArray, ComplexArray, FloatArray
 
 __all__ = [
+    "UNITS",
     "Compliance",
     "ErrorEstimate",
     "TransferMatrix",
@@ -30,6 +32,9 @@ __all__ = [
     "size_words",
     "total_error",
 ]
+
+UNITS: Mapping[str, str] = MappingProxyType({"voltage": "m/V", "force": "m/N", "displacement": "m/m"})
+"""The unit of G by what drives it."""
 
 ErrorSource = Literal[
     "discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature", "bridging",
@@ -108,7 +113,7 @@ class TransferMatrix:
     prescribed displacement). ``contacts`` (n_frequency, n_in, n_in) is the displacement of the cones
     themselves in the same unit, where known (driving points on its diagonal). ``valid`` marks entries that may be used
     (None = all); ``deviation`` is a standard deviation per entry (None = unknown). Names of outputs and of inputs are
-    unique. DataError for arrays of other shapes and for a unit that is not of metres.
+    unique. DataError for arrays of other shapes and for a unit that is none of :data:`UNITS`.
     """
 
     frequency: FloatArray
@@ -127,8 +132,8 @@ class TransferMatrix:
         for what, ports in (("outputs", self.outputs), ("inputs", self.inputs)):
             if len({p.name for p in ports}) < len(ports):
                 raise DataError(f"two of G's {what} have the same name; give each its own")
-        if not self.unit.startswith("m/"):
-            raise DataError(f"G is in metres per drive, m/V, m/N or m/m, got {self.unit}; convert the values")
+        if self.unit not in UNITS.values():
+            raise DataError(f"G's unit is one of {', '.join(UNITS.values())}, got {self.unit}; convert the values")
         for e in self.errors:
             wanted = (len(e.frequency), *self.values.shape[1:])
             if e.per_pair is not None and e.per_pair.shape != wanted:

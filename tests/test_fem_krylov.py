@@ -10,6 +10,7 @@ from forearm_fem.fem.assembly.coefficients import rate_weights
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.linear.direct import ENOUGH, DirectSolver, make_solver, watched
 from forearm_fem.fem.reduction.expansion import expansion_rate
+from forearm_fem.fem.reduction.many_loads import LoadSpace
 from forearm_fem.fem.reduction.rate_space import Chunk, RateSpace
 from forearm_fem.fem.reduction.reduced_model import empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
@@ -60,23 +61,50 @@ def test_the_first_weights_are_the_operator_at_the_rate(model):
     assert np.abs(exact.imag).max() < 1e-12 * np.abs(exact).max()
 
 
+def derivatives(solver, weights, forces, highest):
+    """Solutions for ``forces`` and their derivatives about the rate, by the plain recursion."""
+    operator, series = solver.model.operator, [solver.about_rate(weights[0], forces).values]
+    for _ in range(highest):
+        right = [
+            operator.multiply(operator.combine(w.tolist()), x) for w, x in zip(weights[1:], series[::-1], strict=False)
+        ]
+        series.append(solver.factor.solve(-sum(right)))
+    return series
+
+
 def test_the_space_holds_the_derivatives(model):
     """The first five derivatives by the plain recursion, in double precision: what the space lacks of each."""
     solver, operator = make_solver(model, DOUBLE, 100.0), model.operator
     weights = rate_weights([t.coefficient for t in operator.terms], RATE)
     forces = np.ascontiguousarray(model.functionals[:, :1])
-    series = [solver.about_rate(weights[0], forces).values]
-    for _ in range(5):
-        right = [
-            operator.multiply(operator.combine(w.tolist()), x) for w, x in zip(weights[1:], series[::-1], strict=False)
-        ]
-        series.append(solver.factor.solve(-sum(right)))
+    series = derivatives(solver, weights, forces, 5)
     chunk = space_of(model, DOUBLE, forces).more(6)
     basis, n_u = whole(chunk, model), operator.n_displacements
     assert chunk.columns.shape[1] == chunk.derivatives == 6
     for x in series:
         rest = x[:n_u] - basis @ (basis.T @ x[:n_u])
         assert np.linalg.norm(rest) < 1e-9 * np.linalg.norm(x[:n_u])
+
+
+def test_a_space_of_many_loads_holds_the_derivatives_of_each(model):
+    """Two batches of loads far apart in size, at a rate where masses matter: what the space lacks of three derivatives.
+
+    Nothing is dropped, so that is what columns in single precision leave: thirty of its roundings are allowed. Pairs
+    without their lower halves, or with halves scaled apart, leave twenty times as much and more.
+    """
+    rate, n_u = 15 * RATE, model.operator.n_displacements
+    solver = make_solver(model, DOUBLE, rate / (2 * np.pi))
+    loads = model.functionals * np.geomspace(1.0, 1e3, model.functionals.shape[1])
+    space = LoadSpace(solver, rate, derivatives=3)
+    for batch in (loads[:, :1], loads[:, 1:]):
+        space.add(np.ascontiguousarray(batch), 1e-4)
+    assert space.size == 4 * loads.shape[1]
+    basis = np.hstack(space.basis.blocks)[:n_u].astype(float)
+    assert np.abs(basis.T @ basis - np.eye(space.size)).max() < 1e-3  # 1e-7 over the share that is dropped
+    weights = rate_weights([t.coefficient for t in model.operator.terms], rate)
+    for x in derivatives(solver, weights, np.ascontiguousarray(loads), 3):
+        rest = x[:n_u] - basis @ np.linalg.lstsq(basis, x[:n_u], rcond=None)[0]
+        assert (np.linalg.norm(rest, axis=0) < 2e-6 * np.linalg.norm(x[:n_u], axis=0)).all()
 
 
 @pytest.mark.parametrize("options", [AUTO, DOUBLE])

@@ -14,10 +14,7 @@ from forearm_fem.fem.linear.ordering import alike, nested_dissection
 from forearm_fem.fem.linear.pardiso import PardisoFactor
 from forearm_fem.verification.scenes import flesh, held_block
 
-pytestmark = [
-    pytest.mark.needs_mkl,
-    pytest.mark.skipif(importlib.util.find_spec("pymetis") is None, reason="pymetis is not installed"),
-]
+pytestmark = pytest.mark.skipif(importlib.util.find_spec("pymetis") is None, reason="pymetis is not installed")
 OMEGA = 2 * np.pi * 150.0
 
 
@@ -70,6 +67,7 @@ def test_pressures_wait_for_a_quarter_of_their_displacements(model, upper):
         assert np.mean(coupled < place[n + p]) > 0.25 - 1 / len(coupled)
 
 
+@pytest.mark.needs_mkl
 def test_single_precision_keeps_four_digits(model, upper):
     """Residual 1e-2 where pressures were left where nested dissection puts them (third-order forearm)."""
     load = model.functionals.astype(complex)
@@ -84,6 +82,7 @@ def test_the_same_order_each_time(model, upper):
     assert np.array_equal(first, second)
 
 
+@pytest.mark.needs_mkl
 def test_no_more_fill_than_the_solvers_own_and_the_same_solutions(model, upper, monkeypatch):
     """Both in double precision, without matching: they differ by rounding alone. On small blocks METIS gains nothing
     over PARDISO's, and pressures that wait cost 4 %; on a forearm entries are 3 % fewer (docs/decisions/0008)."""
@@ -98,6 +97,7 @@ def test_no_more_fill_than_the_solvers_own_and_the_same_solutions(model, upper, 
     assert np.abs(solutions[0] - solutions[1]).max() < 1e-8 * np.abs(solutions[1]).max()
 
 
+@pytest.mark.needs_mkl
 def test_hardening_gives_the_order_up_for_matching(model, upper):
     factor = PardisoFactor(upper, nested_dissection(upper, model.operator.n_displacements), single=True, matching=False)
     load = model.functionals.astype(complex)
@@ -110,6 +110,7 @@ def test_hardening_gives_the_order_up_for_matching(model, upper):
     assert np.abs(factor.solve(load) - first).max() < 1e-3 * np.abs(first).max()
 
 
+@pytest.mark.needs_mkl
 def test_without_metis_the_solver_orders_itself(model, upper, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert nested_dissection(upper, model.operator.n_displacements) is None

@@ -384,7 +384,7 @@ def test_a_dry_run_on_a_library_meshes_nothing_and_says_what_it_does_not_answer(
     file, arm = asked_design[0].parent / "slab.toml", asked_design[1]
     monkeypatch.setattr("forearm_fem.geometry.cache.cached_mesh", lambda *_, **__: pytest.fail("meshed"))
     said = cli("run", file, "--library", arm, "--dry-run")
-    assert (said.code, said.out) == (0, "library: no mesh and no solve; 5 frequencies in about a second\n")
+    assert (said.code, said.out) == (0, "library: no mesh and no solve; 5 frequencies in seconds\n")
     off = cli("run", file, "--library", arm, "--dry-run", "--set", "device.contacts=[[-0.02, 0], [0, 0]]")
     assert "lies off the library's patch" in off.sentence
     beyond = cli("run", file, "--library", arm, "--dry-run", "--set", "sweep.f_max=200")

@@ -179,7 +179,8 @@ def test_a_shape_that_does_not_fit_the_ports_is_an_error(coarse, short):
         replace(coarse, values=coarse.values.swapaxes(1, 2))
     with pytest.raises(DataError, match=r"a numpy array.*got list"):
         replace(coarse, values=coarse.values.tolist())
-    with pytest.raises(DataError, match="got mm/V; convert the values"):
-        replace(coarse, unit="mm/V")
+    for unit in ("mm/V", "m/s/V"):
+        with pytest.raises(DataError, match=f"got {unit}; convert the values"):
+            replace(coarse, unit=unit)
     with pytest.raises(DataError, match="two of G's outputs have the same name"):
         replace(coarse, outputs=(coarse.outputs[0], *coarse.outputs[:-1]))

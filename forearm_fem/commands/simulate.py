@@ -30,7 +30,7 @@ def run(
 
         if (kept := library_file(library)) is not None:
             kept.ports(asked)  # what it does not answer for is said now
-            typer.echo(f"library: no mesh and no solve; {len(frequencies(asked.sweep))} frequencies in about a second")
+            typer.echo(f"library: no mesh and no solve; {len(frequencies(asked.sweep))} frequencies in seconds")
             return
         with Display() as display:
             expected = _expected(asked, scenario.parent, display)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ..device.loop import UNITS
 from ..errors import DataError, ForearmError
 from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
@@ -21,7 +20,7 @@ from ..pipeline.parametric import BEYOND, ParametricModel
 from ..ports import Port
 from ..progress import Progress, within
 from ..scenario import Scenario
-from ..transfer import TransferMatrix
+from ..transfer import UNITS, TransferMatrix
 from .adapters import (
     ComplianceOf,
     ScenarioModel,

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-
 from ..scenario.device import Device
-from ..transfer import Compliance, TransferMatrix
+from ..transfer import UNITS, Compliance, TransferMatrix
 from .response import contact_ports
 from .sensitivity import propagate_errors
 from .state import contact_state
-
-UNITS: Mapping[str, str] = MappingProxyType({"voltage": "m/V", "force": "m/N", "displacement": "m/m"})
 
 
 def close_loop(compliance: Compliance, device: Device) -> TransferMatrix:
