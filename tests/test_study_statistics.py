@@ -87,6 +87,48 @@ def test_effects_do_not_depend_on_subjects_offsets():
         assert one.f == pytest.approx(other.f, rel=1e-8)  # 100 / 1 of cancellation costs four of sixteen digits
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_two_participants_tell_nothing_of_sphericity(seed):
+    """Their covariance has rank one, so that Greenhouse and Geisser's epsilon is 1 / d whatever they answer, and Huynh
+    and Feldt's (n d gg - 2) / (d (n - 1 - d gg)) is 0 / 0: rounding made it -1, 1 or anything. One contrast needs none.
+    """
+    values = np.random.default_rng(seed).normal(size=(2, 4, 3, 2)).mean(axis=1)
+    levels, sides, both = repeated_measures(values, ("level", "side"))
+    for effect in (levels, both):
+        assert effect.gg == pytest.approx(0.5, rel=1e-9)
+        assert np.isnan(effect.hf)
+        assert np.isnan(effect.p_hf)
+    assert (sides.gg, sides.hf) == (1.0, 1.0)
+    assert sides.p_hf == sides.p
+
+
+def test_what_does_not_vary_has_no_f():
+    """Participants who differ from each other alone: sums of squares of 1e-32 over 1e-32 are no F of 3."""
+    own = np.broadcast_to(np.array([0.1, 0.7, 1.3])[:, None, None], (3, 3, 3))
+    for effect in repeated_measures(own, ("location", "method")):
+        assert np.isnan([effect.f, effect.p, effect.p_gg, effect.p_hf, effect.mauchly_p, effect.partial_eta2]).all()
+        assert effect.generalised_eta2 == 0
+    everyone = np.broadcast_to(np.array([0.1, 0.7, 1.3])[None, :, None], (3, 3, 3))
+    location, method, _ = repeated_measures(everyone, ("location", "method"))
+    assert (location.f, location.p_gg) == (np.inf, 0.0)
+    assert np.isnan(method.f)
+
+
+def test_the_same_answers_in_another_order_are_ties():
+    """Method b has a's answers at other targets: sums of thirds in another order differ in the last digit, and ranks of
+    that are chance. Ranks of whole numbers are exact."""
+    rng = np.random.default_rng(0)
+    cells = rng.integers(1, 4, (8, 9, 3, 3))
+    cells[:, :, 1] = cells[:, rng.permutation(9), 0]
+    means, whole = cells.mean(axis=-1).mean(axis=1), cells.sum(axis=(1, 3)).astype(float)
+    assert (means[:, 0] != means[:, 1]).any()  # what makes this a test
+    assert friedman(means).statistic == pytest.approx(stats.friedmanchisquare(*whole.T).statistic, rel=1e-9)
+    same, other, _ = pairwise(means, ("a", "b", "c"))
+    assert same.difference == 0
+    assert np.isnan([same.t, same.p, same.d_z]).all()
+    assert np.isfinite([other.t, other.p]).all()
+
+
 def test_missing_cells_and_single_subjects_are_refused():
     values = np.zeros((4, 3))
     values[1, 2] = np.nan

@@ -198,7 +198,13 @@ def _notes(effects: Sequence[Effect], normality: Normality, left_out: Sequence[s
     if rough := [e.name for e in effects if e.mauchly_p < 0.05]:
         notes.append(f"Sphericity does not hold for {', '.join(rough)}; read the corrected probabilities.")
     if untested := [e.name for e in effects if not np.isfinite(e.mauchly_p) and e.df > 1]:
-        notes.append(f"Sphericity cannot be tested for {', '.join(untested)}: there are too few participants.")
+        notes.append(
+            f"Sphericity cannot be tested for {', '.join(untested)}: there are too few participants, or nothing varies."
+        )
+    if any(np.isnan(e.hf) for e in effects):
+        notes.append("Two participants leave Huynh and Feldt's epsilon unknown, Greenhouse and Geisser's at its least.")
+    if still := [e.name for e in effects if np.isnan(e.f)]:
+        notes.append(f"Neither {', '.join(still)} nor its error vary: there is no F.")
     if normality.p < 0.05:
         notes.append("Residuals are not normal (Shapiro and Wilk); compare with the rank test.")
     return tuple(notes)

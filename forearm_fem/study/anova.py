@@ -18,6 +18,8 @@ from scipy import linalg, stats
 from ..errors import DataError
 from ..typing import FloatArray
 
+ROUNDING = 1e-12  # of the answers' size: smaller differences are none
+
 
 @dataclass(frozen=True)
 class Effect:
@@ -27,6 +29,10 @@ class Effect:
     degrees of freedom multiplied with ``gg`` (Greenhouse and Geisser) and ``hf`` (Huynh and Feldt, at most 1).
     ``mauchly_w`` and ``mauchly_p`` test sphericity: NaN where there are too few subjects or one contrast only.
     ``partial_eta2`` and ``generalised_eta2`` (Olejnik and Algina 2003, all factors manipulated) are effect sizes.
+
+    Two subjects tell nothing of sphericity: of several contrasts ``gg`` is then its least value whatever they answer,
+    and ``hf``, which takes that for an estimate, is 0 / 0: NaN. Where neither effect nor error vary, ``f``, all p and
+    ``partial_eta2`` are NaN.
     """
 
     name: str
@@ -96,16 +102,20 @@ def _contrasts(levels: tuple[int, ...], chosen: tuple[int, ...]) -> FloatArray:
 
 
 def _parts(flat: FloatArray, contrasts: FloatArray) -> _Parts:
+    """Sums of squares of the scores on ``contrasts``; those that only rounding has made are zero."""
     scores = flat @ contrasts
     mean = scores.mean(axis=0)
     apart = scores - mean
-    return _Parts(len(flat) * float(mean @ mean), float(np.sum(apart**2)), apart.T @ apart / (len(flat) - 1), len(flat))
+    effect, error, least = len(flat) * float(mean @ mean), float(np.sum(apart**2)), ROUNDING**2 * float(np.sum(flat**2))
+    if error <= least:
+        apart, error = np.zeros_like(apart), 0.0
+    return _Parts(effect if effect > least else 0.0, error, apart.T @ apart / (len(flat) - 1), len(flat))
 
 
 def _effect(name: str, part: _Parts, errors: float) -> Effect:
     d, n = len(part.covariance), part.subjects
     df, df_error = float(d), float(d * (n - 1))
-    f = part.effect / df / (part.error / df_error) if part.error > 0 else float("inf")
+    f = _ratio(part.effect / df, part.error / df_error)
     gg, hf = _epsilons(part)
     w, p_w = _mauchly(part)
 
@@ -114,15 +124,28 @@ def _effect(name: str, part: _Parts, errors: float) -> Effect:
 
     return Effect(
         name, df, df_error, f, p(1.0), gg, p(gg), hf, p(min(hf, 1.0)), w, p_w,
-        part.effect / (part.effect + part.error), part.effect / (part.effect + errors),
+        _ratio(part.effect, part.effect + part.error), _ratio(part.effect, part.effect + errors),
     )  # fmt: skip
 
 
+def _ratio(above: float, below: float) -> float:
+    """``above`` / ``below``, both zero or more: infinite over zero, NaN for zero over zero."""
+    return above / below if below > 0 else float("inf") if above > 0 else float("nan")
+
+
 def _epsilons(part: _Parts) -> tuple[float, float]:
-    """Greenhouse and Geisser's epsilon tr(S)^2 / (d tr(S^2)), and Huynh and Feldt's from it."""
+    """Greenhouse and Geisser's epsilon tr(S)^2 / (d tr(S^2)), and Huynh and Feldt's from it.
+
+    The latter grows without bound as d gg nears n - 1, its most: 1 there. With two subjects d gg is 1 whatever they
+    answer, and it is 0 / 0: NaN, but for a single contrast, which needs no correction.
+    """
     d, n, s = len(part.covariance), part.subjects, part.covariance
     square = float(np.sum(s * s))
     gg = float(np.trace(s)) ** 2 / (d * square) if square > 0 else 1.0
+    if d == 1:
+        return 1.0, 1.0
+    if n == 2:
+        return gg, float("nan")
     room = n - 1 - d * gg
     return gg, (n * d * gg - 2) / (d * room) if room > 0 else 1.0
 
@@ -133,7 +156,7 @@ def _mauchly(part: _Parts) -> tuple[float, float]:
     Anderson 2003, section 10.7.4; R's car differs in the fourth digit, see the test.
     """
     d, df = len(part.covariance), part.subjects - 1
-    if d < 2 or df < d:
+    if d < 2 or df < d or part.error == 0:
         return float("nan"), float("nan")
     sign, logarithm = np.linalg.slogdet(part.covariance)
     w = float(np.exp(logarithm - d * np.log(np.trace(part.covariance) / d))) if sign > 0 else 0.0

@@ -13,6 +13,7 @@ from scipy import stats
 
 from ..errors import DataError, optional
 from ..typing import FloatArray
+from .anova import ROUNDING
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,7 +25,8 @@ Correction = Literal["bonferroni", "holm"]
 class Pair:
     """Paired t test of two levels over subjects: ``difference`` first minus second, ``p`` corrected for all pairs.
 
-    ``d_z`` is the mean difference over its standard deviation (Cohen).
+    ``d_z`` is the mean difference over its standard deviation (Cohen). Where nobody's answers differ, ``t``, ``p`` and
+    ``d_z`` are NaN.
     """
 
     first: str
@@ -45,8 +47,9 @@ def pairwise(values: FloatArray, levels: Sequence[str], correction: Correction =
     if cells.ndim != 2 or len(cells) < 2 or not np.all(np.isfinite(cells)):
         raise DataError(f"paired tests need a value per subject and level of two subjects or more, got {cells.shape}")
     pairs = list(combinations(range(cells.shape[1]), 2))
-    apart = np.array([cells[:, i] - cells[:, j] for i, j in pairs])
-    spread = apart.std(axis=1, ddof=1)
+    cells = _without_rounding(cells)
+    apart = _without_rounding(np.array([cells[:, i] - cells[:, j] for i, j in pairs]), np.abs(cells).max())
+    spread = np.where(np.ptp(apart, axis=1) > 0, apart.std(axis=1, ddof=1), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         d_z = apart.mean(axis=1) / spread
     t = d_z * np.sqrt(len(cells))
@@ -55,6 +58,12 @@ def pairwise(values: FloatArray, levels: Sequence[str], correction: Correction =
         Pair(levels[i], levels[j], float(a.mean()), float(t[k]), len(cells) - 1, float(p[k]), float(d_z[k]))
         for k, ((i, j), a) in enumerate(zip(pairs, apart, strict=True))
     )
+
+
+def _without_rounding(values: FloatArray, size: float | None = None) -> FloatArray:
+    """The same on a lattice so fine that only sums in another order tell values apart that fall together on it."""
+    step = ROUNDING * float(np.abs(values).max() if size is None else size)
+    return np.asarray(step * np.rint(values / step)) if step > 0 else values
 
 
 def corrected_p(p: FloatArray, correction: Correction) -> FloatArray:
@@ -80,10 +89,14 @@ class Friedman:
 
 
 def friedman(values: FloatArray) -> Friedman:
-    """Do the columns of ``values`` (n_subject, n_level) differ, by ranks within subjects? Needs three levels."""
+    """Do the columns of ``values`` (n_subject, n_level) differ, by ranks within subjects? Needs three levels.
+
+    Means of the same answers in another order are ties. NaN where everybody's answers are all tied.
+    """
     if values.shape[1] < 3:
         raise DataError(f"Friedman's test needs three levels or more, got {values.shape[1]}; use a paired test")
-    found = stats.friedmanchisquare(*values.T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = stats.friedmanchisquare(*_without_rounding(values).T)
     n, k = values.shape
     return Friedman(float(found.statistic), k - 1, float(found.pvalue), float(found.statistic) / (n * (k - 1)))
 
