@@ -16,7 +16,7 @@ from forearm_fem.ports import Port  # noqa: E402
 from forearm_fem.study.analysis import analyse, cell_means, confusion, ellipses, with_errors  # noqa: E402
 from forearm_fem.study.field import SkinField, grid_field  # noqa: E402
 from forearm_fem.study.percept import Felt, Percept, SimulatedParticipant, pooled, sensitivity  # noqa: E402
-from forearm_fem.study.power import Supposed, needed, power_curve, supposed_from  # noqa: E402
+from forearm_fem.study.power import Supposed, needed, power_curve, supposed_from, untold  # noqa: E402
 from forearm_fem.study.session import _outline  # noqa: E402
 from forearm_fem.study.tables import foreign_table  # noqa: E402
 from forearm_fem.study.thesis import verdicts  # noqa: E402
@@ -241,6 +241,37 @@ def test_a_pilot_gives_back_what_it_was_drawn_from():
     found = supposed_from(values, 3, 6e-3)
     assert found.between == pytest.approx(2e-3, rel=0.15)
     assert found.cell == pytest.approx(3e-3, rel=0.15)
+
+
+def test_chance_in_a_pilot_is_not_taken_for_an_effect():
+    """400 pilots of four people: the effect supposed is on average as large as the true one (its square within 15 %,
+    four standard errors), and without one more than half of the pilots suppose none. Cell means as they are hold a
+    variance / 4 of scatter more for each degree of freedom, here as much as the effect itself."""
+    rng, sizes = np.random.default_rng(2), []
+    for effect in (0.0, 2.5e-3):
+        means = np.full((9, 3), 1e-2) + effect * np.array([1.0, 0.0, -1.0])
+        found = []
+        for _ in range(400):
+            pilot = means + 3e-3 * rng.standard_normal((4, 1, 1)) + 6e-3 * rng.standard_normal((4, 9, 3))
+            supposed = supposed_from(pilot, 3, 1e-3).means
+            found.append(float(np.sum((supposed.mean(axis=0) - supposed.mean()) ** 2)))
+        sizes.append(np.array(found))
+    assert np.median(sizes[0]) < 1e-30  # rounding of what is none
+    assert sizes[1].mean() == pytest.approx(2 * 2.5e-3**2, rel=0.15)
+
+
+def test_a_pilots_incomplete_participants_are_left_out_and_its_doubt_is_said():
+    rng = np.random.default_rng(3)
+    pilot = 1e-2 + 5e-3 * rng.standard_normal((5, 9, 3))
+    assert "4 participants do not tell this effect from chance" in untold(np.r_[pilot[:4], [np.full((9, 3), np.nan)]],
+                                                                        "method")  # fmt: skip
+    assert untold(pilot + np.array([0.0, 0.0, 0.1]), "method") == ""
+    assert untold(pilot + np.array([0.0, 0.0, 0.1]), "pairs") == ""
+    gap = pilot.copy()
+    gap[2, 3, 1] = np.nan
+    assert np.array_equal(supposed_from(gap, 3, 1e-3).means, supposed_from(np.delete(pilot, 2, axis=0), 3, 1e-3).means)
+    with pytest.raises(DataError, match="two participants who answered every cell, got 1"):
+        supposed_from(pilot[:1], 3, 1e-3)
 
 
 def test_other_peoples_tables_are_read_by_a_declared_mapping(tmp_path):

@@ -225,9 +225,7 @@ def rehearse(
     with Display() as display, noted():
         g = measured_g(transfer, prepared.scenario, declare)
         assert g is not None  # it was named
-        run_rehearsal(
-            Prepared.of(file, folder), g, participants, Percept(), field=field, seed=seed, progress=display
-        )
+        run_rehearsal(Prepared.of(file, folder), g, participants, Percept(), field=field, seed=seed, progress=display)
     typer.echo(f"{folder}: `forearm-fem study analyse {file} --data {folder}` analyses it")
 
 
@@ -252,7 +250,7 @@ def power(
     from ..io.atomic import atomic_path
     from ..study.analysis import cell_means, with_errors
     from ..study.figures import plot_power
-    from ..study.power import needed, power_curve, supposed_from
+    from ..study.power import needed, power_curve, supposed_from, untold
     from ..study.run import Prepared, answers_of, require_study_extra
 
     require_study_extra()
@@ -270,6 +268,8 @@ def power(
         )
     for p in curve:
         typer.echo(f"{p.participants:3d} participants: {100 * p.share:.0f} % ({100 * p.low:.0f}-{100 * p.high:.0f} %)")
+    if doubt := untold(values, effect):
+        print_notes([doubt])
     enough = needed(curve)
     typer.echo("80 % is not reached" if enough is None else f"80 % from {enough} participants on")
     from matplotlib import style

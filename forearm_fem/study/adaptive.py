@@ -5,11 +5,13 @@ A detection track looks for the level that is felt; a strength track for the one
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import lru_cache
+from typing import Any, Literal, Protocol
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from ..errors import optional
 from .order import Trial
@@ -17,23 +19,32 @@ from .plan import Adaptive, Task
 
 _SETTLING = 2  # reversals of a staircase that are left out of its mean
 _FEWEST = 4  # reversals kept, for a mean with a deviation
+_SIMULATED = 200  # tracks: what they scatter by is known to 5 %
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """Level [dB] and its standard ``deviation`` after so many ``trials``; NaN where they are too few to tell."""
+    """Level [dB] and its standard ``deviation`` after so many ``trials``; NaN where these do not tell it.
+
+    That is after too few, and where all that is known is that the level lies beyond an end of those played: ``beyond``
+    then says which, "below" or "above". Tracks beyond are no part of a mean, which leans away from that end without
+    them.
+    """
 
     method: str
     target: str
     level: float
     deviation: float
     trials: int
+    beyond: Literal["", "below", "above"] = ""
 
 
 class _Levels(Protocol):
     def next(self) -> float: ...
     def update(self, level: float, yes: bool) -> None: ...
     def estimate(self) -> tuple[float, float, int]: ...
+    @property
+    def beyond(self) -> Literal["", "below", "above"]: ...
 
 
 class Track:
@@ -67,7 +78,9 @@ class Track:
         found = []
         for (method, target), track in self._tracks.items():
             level, deviation, trials = track.estimate()
-            found.append(Threshold(method, target, level, deviation, trials))
+            if track.beyond:
+                level = deviation = float("nan")
+            found.append(Threshold(method, target, level, deviation, trials, track.beyond))
         return tuple(found)
 
     def _of(self, key: tuple[str, str]) -> _Levels:
@@ -82,6 +95,7 @@ class _Quest:
     def __init__(self, options: Adaptive) -> None:
         quest = optional("questplus", "study", "adaptive thresholds")
         levels = np.arange(options.low, options.high + options.step / 2, options.step)
+        self._levels = len(levels)
         lapse: dict[str, Any] = {"lapse_rate": options.lapse}
         if options.reference is None:
             self._name = "threshold"
@@ -101,6 +115,12 @@ class _Quest:
 
     def update(self, level: float, yes: bool) -> None:
         self._quest.update(stim={"intensity": level}, outcome={"response": "Yes" if yes else "No"})
+
+    @property
+    def beyond(self) -> Literal["", "below", "above"]:
+        """Which end of the levels is the likeliest, so that nothing is known but that the level is there or further."""
+        likeliest = int(np.argmax(self._quest.marginal_posterior[self._name]))
+        return "below" if likeliest == 0 else "above" if likeliest == self._levels - 1 else ""
 
     def estimate(self) -> tuple[float, float, int]:
         density = self._quest.marginal_posterior[self._name]
@@ -132,9 +152,63 @@ class _Staircase:
         self._last, self._run = step, 0
         self._level = min(max(level + step * self._options.step, self._options.low), self._options.high)
 
+    @property
+    def kept(self) -> list[float]:
+        """Levels [dB] at reversals but for the first ones, an even number of them."""
+        return self._turns[_SETTLING + (len(self._turns) - _SETTLING) % 2 :]
+
+    @property
+    def beyond(self) -> Literal["", "below", "above"]:
+        """At which end of the levels half of the reversals are: it holds the track, and not the participant."""
+        kept = np.array(self.kept)
+        at_end = [len(kept) > 0 and 2 * np.count_nonzero(kept == end) >= len(kept)
+                  for end in (self._options.low, self._options.high)]  # fmt: skip
+        return "below" if at_end[0] else "above" if at_end[1] else ""
+
     def estimate(self) -> tuple[float, float, int]:
-        """Mean of the levels at reversals, an even number of them, and its standard error."""
-        kept = self._turns[_SETTLING + (len(self._turns) - _SETTLING) % 2 :]
-        if len(kept) < _FEWEST:
+        """Mean of the levels at reversals, and what it scatters by over tracks; NaN for a track that has not settled.
+
+        Neighbouring reversals are alike where steps are fine, so that their own scatter tells too little. The deviation
+        is that of simulated tracks of as many trials, by the curve that the options assume about the level found. A
+        track that ends further from its mean than any of them was still on its way.
+        """
+        if len(self.kept) < _FEWEST:
             return float("nan"), float("nan"), self._count
-        return float(np.mean(kept)), float(np.std(kept, ddof=1) / np.sqrt(len(kept))), self._count
+        level = float(np.mean(self.kept))
+        deviation, furthest = _scatter(self._options, round(8 * level / self._options.step), self._count)
+        if abs(self._level - level) > furthest:
+            level = deviation = float("nan")
+        return level, deviation, self._count
+
+
+@lru_cache(maxsize=4096)
+def _scatter(options: Adaptive, eighths: int, trials: int) -> tuple[float, float]:
+    """Standard deviation [dB] of the level that simulated tracks of so many ``trials`` find, and how far from its own
+    the furthest ended, where the level is ``eighths`` of a step; NaN and infinite where they find none."""
+    answer, rng = _felt_at(options, eighths * options.step / 8), np.random.default_rng(0)
+    found = list[tuple[float, float]]()
+    for _ in range(_SIMULATED):
+        track = _Staircase(options)
+        for chance in rng.random(trials):
+            level = track.next()
+            track.update(level, bool(chance < answer(level)))
+        if len(track.kept) >= _FEWEST:
+            mean = float(np.mean(track.kept))
+            found.append((mean, abs(track.next() - mean)))
+    if len(found) < _FEWEST:
+        return float("nan"), float("inf")
+    means, ends = np.array(found).T
+    return float(means.std(ddof=1)), float(ends.max())
+
+
+def _felt_at(options: Adaptive, level: float) -> Callable[[float], float]:
+    """Chance of a yes at any level [dB] by the curve assumed, which a staircase would follow to ``level``."""
+    settled = 0.5 ** (1 / options.down)
+    if options.reference is None:
+        low, room = options.guess, 1 - options.guess - options.lapse
+        share = min(max((settled - low) / room, 1e-3), 1 - 1e-3)
+        threshold = level - 20 / options.slope * np.log10(-np.log1p(-share))
+        return lambda at: float(low + room * -np.expm1(-(10 ** (options.slope * (at - threshold) / 20))))
+    low, room = options.lapse, 1 - 2 * options.lapse
+    middle = level - options.spread * float(ndtri(min(max((settled - low) / room, 1e-3), 1 - 1e-3)))
+    return lambda at: float(low + room * ndtr((at - middle) / options.spread))

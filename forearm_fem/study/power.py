@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from ..errors import DataError
 from ..progress import Progress, tell
 from ..typing import FloatArray
 from .anova import repeated_measures
@@ -78,15 +79,52 @@ def needed(curve: Sequence[Power], power: float = 0.8) -> int | None:
 def supposed_from(values: FloatArray, repetitions: int, within: float) -> Supposed:
     """What a pilot's cell means ``values`` (n_participant, n_target, n_method) and trial scatter ``within`` suggest.
 
-    The scatter of cell means holds within^2 / repetitions of trial noise, which is taken off.
+    The scatter of cell means holds within^2 / repetitions of trial noise, which is taken off. So is what chance has
+    made of the effects in so few participants: each is drawn in by sqrt(1 - 1 / F), F its own mean square over that of
+    the scatter of cells, to nothing where F is below 1. What is left is one pilot's guess all the same. Participants
+    without all cells are left out; DataError for fewer than two with all.
     """
-    means = values.mean(axis=0)
+    values = _complete(values)
     own = values.mean(axis=(1, 2), keepdims=True)
-    rest = values - own - means + values.mean()
+    rest = values - own - values.mean(axis=0) + values.mean()
     cells = values[0].size
-    cell = max(float(np.sum(rest**2)) / ((len(values) - 1) * (cells - 1)) - within**2 / repetitions, 0.0)
+    scatter = float(np.sum(rest**2)) / ((len(values) - 1) * (cells - 1))
+    cell = max(scatter - within**2 / repetitions, 0.0)
     between = max(float(own.var(ddof=1)) - cell / cells - within**2 / (repetitions * cells), 0.0)
+    means = _without_chance(values.mean(axis=0), scatter / len(values))
     return Supposed(means, float(np.sqrt(between)), float(np.sqrt(cell)), within)
+
+
+def untold(values: FloatArray, test: str, alpha: float = 0.05) -> str:
+    """A sentence where a pilot's cell means do not tell the effect of ``test`` from chance, else empty."""
+    whole = _complete(values)
+    if _significant(whole, test, alpha):
+        return ""
+    return (
+        f"the pilot's {len(whole)} participants do not tell this effect from chance: how large it is, and so how many "
+        "it takes, is a guess; the wider the pilot the better, or suppose the least effect that would matter"
+    )
+
+
+def _complete(values: FloatArray) -> FloatArray:
+    """Participants with all cells, two or more."""
+    whole = values[np.isfinite(values).all(axis=(1, 2))]
+    if len(whole) < 2:
+        raise DataError(f"a pilot needs two participants who answered every cell, got {len(whole)}")
+    return np.asarray(whole)
+
+
+def _without_chance(means: FloatArray, variance: float) -> FloatArray:
+    """``means`` (n_target, n_method) with each effect drawn in by what cells of that ``variance`` make of none."""
+    grand = means.mean()
+    targets, methods = (means.mean(axis=k, keepdims=True) - grand for k in (1, 0))
+    a, b = (n - 1 for n in means.shape)
+    parts = ((targets, a), (methods, b), (means - grand - targets - methods, a * b))
+    out = np.full(means.shape, grand)
+    for part, df in parts:
+        square = float(np.sum(np.broadcast_to(part, means.shape) ** 2))
+        out += part * np.sqrt(max(1 - df * variance / square, 0.0) if square > 0 else 0.0)
+    return out
 
 
 def _study(supposed: Supposed, count: int, repetitions: int, rng: np.random.Generator) -> FloatArray:

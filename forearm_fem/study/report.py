@@ -221,14 +221,17 @@ def _detection(table: pd.DataFrame, name: str, study: Study) -> Analysed:
         rows += [{"participant": participant, **asdict(t)} for t in track.thresholds()]
     found, asked = pd.DataFrame(rows), study.task(name).adaptive
     assert asked is not None
-    lines = [
-        [str(m), _decibels(p.mean()), _decibels(p.std(ddof=1)), str(int(p.isna().sum()))]
-        for m, p in found.groupby("method")["level"]
-    ]
+    lines = []
+    for m, part in found.groupby("method"):
+        level, beyond = part["level"], part["beyond"] != ""
+        lines.append([str(m), _decibels(level.mean()), _decibels(level.std(ddof=1)), str(int(beyond.sum())),
+                      str(int((level.isna() & ~beyond).sum()))])  # fmt: skip
     what = "threshold" if asked.reference is None else "level of equal strength"
-    head = ["method", f"mean {what}", "standard deviation over tracks", "tracks too short to tell"]
+    head = ["method", f"mean {what}", "standard deviation over tracks", "tracks beyond the levels played",
+            "tracks too short to tell"]  # fmt: skip
     against = "" if asked.reference is None else f" The reference is {asked.reference} at its own level."
-    block = Block(head, lines, f"Levels are re the stimulus' own; by {asked.rule}.{against}")
+    note = f"Levels are re the stimulus' own; by {asked.rule}.{against} Only tracks that tell are in the mean."
+    block = Block(head, lines, note)
     return Analysed([Section(name, f"Task {name}: {what}", block)], {f"{name}-thresholds": found})
 
 
