@@ -109,6 +109,8 @@ def write(path, kind):
         np.save(path, BURST)
     elif kind == "wav":
         wavfile.write(path, 10000, (BURST * 1000).astype(np.int16))
+    elif kind == "8bit.wav":  # unsigned, silence at 128
+        wavfile.write(path, 10000, (BURST * 24 + 128).astype(np.uint8))
     elif kind == "csv":
         path.write_text("# burst\nvalue\n" + "\n".join(map(str, BURST)), encoding="utf-8")
     else:
@@ -116,7 +118,7 @@ def write(path, kind):
         path.write_text("time,value\n" + rows, encoding="utf-8")
 
 
-@pytest.mark.parametrize("kind", ["npy", "wav", "csv", "timed.csv"])
+@pytest.mark.parametrize("kind", ["npy", "wav", "8bit.wav", "csv", "timed.csv"])
 def test_samples_from_a_file_peak_at_time_zero(tmp_path, kind):
     path = tmp_path / f"burst.{kind}"
     write(path, kind)

@@ -15,6 +15,7 @@ from forearm_fem.compare.crossplay import cross_play
 from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import AccuracyWarning, ScenarioError
 from forearm_fem.figures import Results
+from forearm_fem.measurement.entry import noise_estimate
 from forearm_fem.pipeline import strengths as account_module
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.renderers import check_servable, renderers
@@ -243,6 +244,23 @@ def test_the_deviation_of_a_measured_g_makes_the_interval_of_s():
     none = found(g.values, np.full(g.values.shape, np.nan))
     assert "states neither an error nor a deviation" in none.unknown
     assert np.isnan(none.low).all()
+
+
+def test_the_noise_of_a_measured_g_is_drawn_once():
+    """A calibration states its noise twice: as the deviation of each entry, and as e(f), the worst entry's over the
+    largest of G. Drawn as both, the second smooth over 50 Hz, it doubled the interval. Nothing systematic is stated by
+    either, which is said of both."""
+    g, shape, methods = waves(BINS), ricker(duration=0.25), (InverseFilter(),)
+    deviation = np.full(g.values.shape, 0.01) * np.abs(g.values).max(axis=(1, 2), keepdims=True)
+    stated = noise_estimate(g.frequency, g.values, deviation, np.ones(g.values.shape, dtype=bool))
+    once, both, other = (
+        strength_account(render_all(replace(g, deviation=d, errors=e), TARGETS, methods, shape), methods, shape, True)
+        for d, e in ((deviation, ()), (deviation, stated), (None, stated))
+    )
+    assert np.array_equal(both.high, once.high)
+    assert "no systematic one is stated" in both.unknown
+    assert "no systematic one is stated" in other.unknown
+    assert np.isfinite(other.high).all()
 
 
 def test_draws_on_a_shorter_record_give_the_same_interval(monkeypatch):

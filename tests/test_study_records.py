@@ -7,9 +7,11 @@ import json
 import os
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_rendering import waves
 from test_study_session import GRID, opened, silent, small, study
 
 pd = pytest.importorskip("pandas")
@@ -19,6 +21,8 @@ from forearm_fem.errors import DataError, HardwareError  # noqa: E402
 from forearm_fem.measurement.loopback import Loopback  # noqa: E402
 from forearm_fem.measurement.sound import SoundCard  # noqa: E402
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions  # noqa: E402
+from forearm_fem.rendering import InverseFilter, drives, render_all, ricker  # noqa: E402
+from forearm_fem.scenario import parse_scenario  # noqa: E402
 from forearm_fem.scenario.measurement import DaqOptions  # noqa: E402
 from forearm_fem.study.adaptive import Track  # noqa: E402
 from forearm_fem.study.analysis import outline, with_errors  # noqa: E402
@@ -29,7 +33,7 @@ from forearm_fem.study.plan import Adaptive, Order, Stimuli, Study, Task  # noqa
 from forearm_fem.study.report import write_analysis  # noqa: E402
 from forearm_fem.study.run import answer_of, answers_of  # noqa: E402
 from forearm_fem.study.session import Given, Presented, Session  # noqa: E402
-from forearm_fem.study.stimuli import DevicePlayer, Stimulus  # noqa: E402
+from forearm_fem.study.stimuli import DevicePlayer, Stimulus, stimuli_for  # noqa: E402
 from forearm_fem.study.store import StudyStore  # noqa: E402
 from forearm_fem.transfer import TransferMatrix  # noqa: E402
 
@@ -329,6 +333,24 @@ def test_strength_needs_a_reference_and_detection_none():
         Task(name="s", answer="yes or no", adaptive=Adaptive(reference="funneling"))
     with pytest.raises(ValueError, match=r"is not among stimuli\.methods"):
         Study(name="a", scenario="b", stimuli=Stimuli(methods=("combination",)), tasks=strength().tasks)
+
+
+def test_stimuli_on_a_g_with_holes_are_those_of_a_run():
+    """Bins that were not measured are bridged before anything is aimed, as `render` does: undriven, a hole of three of
+    123 rings through the record and moves the drives by per cents."""
+    g, shape = waves(np.arange(12.0, 500.1, 4.0)), ricker(duration=0.25)
+    valid = np.ones(g.values.shape, dtype=bool)
+    valid[[20, 45, 70]] = False
+    holed = replace(g, valid=valid, values=np.where(valid, g.values, np.nan))
+    scenario = parse_scenario({"sweep": {"duration": 0.25}})
+    wanted = Stimuli(methods=("inverse filter",), targets=("5",), lead=0.1, tail=0.1)
+    expected = render_all(holed, ("5",), (InverseFilter(),), shape)["inverse filter", "5"]
+    kept = np.abs(shape.record.time) <= 0.1
+    found = stimuli_for(holed, scenario, wanted, shape)["inverse filter", "5"]
+    for ours, theirs in ((found.signals, expected.drives.signals), (found.moved, expected.displacements.values)):
+        np.testing.assert_allclose(ours, theirs[:, kept], atol=1e-9 * np.abs(theirs).max())
+    undriven = drives(InverseFilter(), holed, "5", shape).signals[:, kept]
+    assert np.abs(undriven - found.signals).max() > 0.01 * np.abs(found.signals).max()
 
 
 def test_levels_that_a_task_may_ask_for_are_refused_before_the_session():

@@ -203,6 +203,7 @@ def test_observables_resume_and_other_questions_start_anew(
 
 def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
     from forearm_fem.pipeline import simulate
+    from forearm_fem.pipeline.simulation import render_transfer
 
     found, _ = whole
     assert found["measured"] is None
@@ -217,6 +218,12 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     assert "G of `g.nc`, at the places" in page.partition("## A measured G through the same comparison")[2]
     out = f"The measured G of `g.nc`: {9 - told['inside']} of 9 entries lie outside."
     assert out in page.partition("## What it is for")[0]
+    slow = parse_scenario({**SMALL, "rendering": {"wavelet": {"peak": 120.0}}})
+    own = render_transfer(slow, g).strengths  # the wavelet is the scene's, not 250 Hz whatever it says
+    again = module._measured(g, Question(slow, Path()), prediction)
+    middle = [e["measured"] for e in again["entries"] if e["group"] == "Middle (5)"]
+    assert middle == pytest.approx(own[:, 4], rel=5e-3)  # samples of another rate fill the window
+    assert middle != pytest.approx([e["measured"] for e in told["entries"] if e["group"] == "Middle (5)"], rel=0.05)
     short = replace(g, outputs=g.outputs[:3], values=g.values[:, :3])
     with pytest.raises(DataError, match="no output called '4'"):
         module._measured(short, Question(scene, Path()), prediction)

@@ -83,8 +83,9 @@ def strength_account(
     """Account of the S of ``rendering`` by ``methods`` (its renderers) with ``wavelet``.
 
     The interval is for the errors stated for G and its ``deviation``, bridged holes included; that the systematic
-    errors of a ``measured`` G are in none of these is said. Renderers aim anew in each draw, with zero points as found
-    for the G printed.
+    errors of a ``measured`` G are in none of these is said. Where G has a deviation, the error by "measurement" says
+    the same of its worst entry, and is not drawn a second time. Renderers aim anew in each draw, with zero points as
+    found for the G printed.
     """
     kept = tuple(_with_found_zeros(m, rendering) for m in methods)
     holes = rendering.bridged
@@ -100,8 +101,9 @@ def strength_account(
     known = bool(g.errors) or random is not None
     unknown = _why_unknown(errors, known, measured)
     asked = rendering.targets, rendering.window
-    spread = np.full(value.shape, np.nan) if unknown else interval(g, errors, *asked, kept, wavelet, random)
-    unknown = unknown or ("" if g.errors else _RANDOM_ONLY)
+    smooth = errors if random is None else tuple(e for e in errors if e.source != "measurement")
+    spread = np.full(value.shape, np.nan) if unknown else interval(g, smooth, *asked, kept, wavelet, random)
+    unknown = unknown or ("" if any(e.source != "measurement" for e in g.errors) else _RANDOM_ONLY)
     tapered = wavelet.tapered(float(g.frequency[0]), float(g.frequency[-1]))
     return StrengthAccount(
         rendering.methods, rendering.targets, rendering.window, value,

@@ -19,7 +19,7 @@ from ..errors import DataError, ForearmError, ScenarioError
 from ..geometry.device.layout import planform_ports
 from ..io.jsonfiles import read_json, write_json
 from ..metrics.strength import thesis_table
-from ..pipeline.renderers import renderers
+from ..pipeline.renderers import renderers, wavelet
 from ..progress import Progress, tell
 from ..rendering import render_all
 from ..rendering.lattice import is_thesis_grid
@@ -80,16 +80,18 @@ def validate(
         "model": prediction.model,
         "left_out": prediction.left_out,
         "numerics": {
-            "S": float(np.median(prediction.draws.numerics)), "largest": float(prediction.draws.numerics.max()),
-            "factor": float(np.exp(np.median(prediction.draws.spread))), "observables": TOLERANCE,
+            "S": float(np.median(prediction.draws.numerics)),
+            "largest": float(prediction.draws.numerics.max()),
+            "factor": float(np.exp(np.median(prediction.draws.spread))),
+            "observables": TOLERANCE,
         },
         "failed": dict(prediction.draws.problems),
         "targets": [_judged(t, rows) for t in TARGETS],
         "table_one": {name: _table_one(prediction.draws, reading) for name, reading in TABLE.items()},
         "shah": _shah(question, progress),
-        "measured": None if measured is None else {
-            "name": measured.provenance.get("cite") or measured_name, **_measured(measured, question, prediction)
-        },
+        "measured": None
+        if measured is None
+        else {"name": measured.provenance.get("cite") or measured_name, **_measured(measured, question, prediction)},
     }
     write_json(out / FILE, content)
     return content
@@ -230,12 +232,16 @@ def _shah(question: Question, progress: Progress | None) -> list[dict[str, Any]]
 
 
 def _measured(transfer: TransferMatrix, question: Question, prediction: Prediction) -> dict[str, Any]:
-    """S of a measured G by the scene's methods, against the arms."""
+    """S of a measured G by the scene's methods and wavelet, against the arms."""
     names = {p.name for p in transfer.outputs}
     if missing := [t for t in prediction.draws.targets if t not in names]:
         raise DataError(f"the measured G has no output called '{missing[0]}'; it needs the scene's targets 1 to 9")
     options = question.scenario.rendering
-    shape = wavelet_for(transfer.frequency)  # a record on whose bins this G lies
+    shape = (
+        wavelet_for(transfer.frequency, options.wavelet.peak)  # a record on whose bins this G lies
+        if options.wavelet.file is None
+        else wavelet(options, question.scenario.sweep, question.base)
+    )
     methods = [m for m in renderers(question.scenario, shape) if m.name in prediction.draws.methods]
     found = render_all(transfer, prediction.draws.targets, methods, shape, window=options.window)
     point = group_means(found.strengths[None], prediction.draws.groups)[0]

@@ -180,7 +180,8 @@ def _is_number(cell: str) -> bool:
 
 def _read_wav(path: Path) -> tuple[FloatArray, float | None]:
     rate, samples = wavfile.read(path)
-    return np.asarray(samples, dtype=float), float(rate)
+    silence = 128.0 if samples.dtype == np.uint8 else 0.0  # 8 bits have no sign
+    return np.asarray(samples, dtype=float) - silence, float(rate)
 
 
 def _read_npy(path: Path) -> tuple[FloatArray, float | None]:

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import HardwareError, ScenarioError
+from ..errors import AccuracyWarning, HardwareError, ScenarioError
 from ..io.declaration import Declaration, Ports
 from ..io.recognise import read_measured
 from ..measurement.daq import Daq
 from ..measurement.play import play
 from ..pipeline.renderers import renderers
+from ..rendering.bridging import bridged
 from ..rendering.drives import Drives, drives, scale_to
 from ..rendering.drives import displacements as reached
-from ..rendering.spectrum import place
+from ..rendering.spectrum import Placed, place
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions
@@ -61,32 +63,36 @@ def stimuli_for(
 ) -> dict[tuple[str, str], Stimulus]:
     """A stimulus for each method and target of ``options``.
 
-    Signals keep ``options.lead`` seconds before the wavelet's centre and ``options.tail`` after. Raises ScenarioError
-    for a G that is not in m/V, and as the renderers do.
+    Signals keep ``options.lead`` seconds before the wavelet's centre and ``options.tail`` after. Holes of G are bridged
+    as in a run, and warned of (AccuracyWarning) where they are not safe to. Raises ScenarioError for a G that is not in
+    m/V, and as the renderers do.
     """
     if transfer.unit != "m/V":
         raise ScenarioError(f"stimuli need a G in m/V, got {transfer.unit}; set device.drive = 'voltage'")
     wanted = scenario.rendering.model_copy(update={"methods": options.methods})
     chosen = {r.name: r for r in renderers(scenario.model_copy(update={"rendering": wanted}), wavelet)}
-    placed = place(transfer, wavelet.record)
+    holes = bridged(transfer)
+    if holes.left:
+        warnings.warn(holes.sentence, AccuracyWarning, stacklevel=2)
+    placed = place(holes.transfer, wavelet.record)
     time = wavelet.record.time
     kept = (time >= -options.lead) & (time <= options.tail)
     result: dict[tuple[str, str], Stimulus] = {}
     for method in options.methods:
         for target in options.targets:
-            made_drives = _levelled(drives(chosen[method], placed, target, wavelet), transfer, options)
+            made_drives = _levelled(drives(chosen[method], placed, target, wavelet), placed, options)
             moved = reached(placed, made_drives).values
             result[method, target] = Stimulus(made_drives.signals[:, kept], moved[:, kept])
     return result
 
 
-def _levelled(made: Drives, transfer: TransferMatrix, options: Stimuli) -> Drives:
+def _levelled(made: Drives, placed: Placed, options: Stimuli) -> Drives:
     level = options.level
     if level.rule == "as rendered" or level.value is None:
         return made
     if level.rule == "drive peak":
         return scale_to(made, drive_peak=level.value)
-    return scale_to(made, transfer, target_peak=level.value * _MICROMETRE)
+    return scale_to(made, placed, target_peak=level.value * _MICROMETRE)
 
 
 class DevicePlayer:
