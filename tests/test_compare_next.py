@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from forearm_fem.compare.fit import fit
+from forearm_fem.compare.fit import fit, with_model_error
 from forearm_fem.compare.next_best import candidates_of, next_best
 from forearm_fem.compare.parameters import Parameter
 from forearm_fem.ports import Port
@@ -65,6 +67,32 @@ def test_the_interval_shrinks_as_said_once_it_is_measured():
     after = fit(both, joint, PARAMETERS)
     widths = [np.log(r.interval["loss"][1] / r.interval["loss"][0]) for r in (before, after)]
     assert widths[1] / widths[0] == pytest.approx(found.share, rel=0.15)
+
+
+@pytest.mark.parametrize("said", [0.02, 0.005, 0.2, None])
+def test_the_forecast_follows_the_misfit_and_not_what_was_said_of_the_noise(said):
+    """Noise of 0.02 that is stated right, too small by four, or not at all (then taken for 5 % of the rms): intervals
+    follow the misfit, and so must the measurement to come. Forecasts were .66 and .99 of a true .83, and what counts is
+    the ratio of what is known to what is added. Noise stated too large is believed, in the interval and the forecast.
+    """
+    data = measured(slice(None), ("near",))
+    told = None if said is None else np.full(data.values.shape, said)
+    taken = 0.05 * float(np.sqrt(np.mean(np.abs(data.values) ** 2))) if said is None else said
+    right, other = (fit(lambda v: everything(v)[:, [0]], replace(data, deviation=d), PARAMETERS)
+                    for d in (data.deviation, told))  # fmt: skip
+    shares = [next_best(r, everything, F, NAMES, n).share for r, n in ((right, 0.02), (other, taken))]
+    assert shares[1] == pytest.approx(shares[0], rel=0.02)  # chi^2 of 58 numbers is 1 +- 0.19; values hardly move
+
+
+def test_what_the_model_errs_by_is_not_measured_away():
+    """Half of the variance is the model's: however much is measured, sqrt(1/2) of the interval stays."""
+    plain = fitted(slice(None), ("near",))
+    off = {p.name: plain.values[p.name] for p in PARAMETERS}
+    off["loss"] *= (plain.interval["loss"][1] / plain.interval["loss"][0]) ** 0.5  # as far as the interval reaches
+    both = with_model_error(plain, off, 1.0)
+    alone, found = (next_best(r, everything, F, NAMES, 0.02) for r in (plain, both))
+    assert found.parameter == "loss"
+    assert found.share == pytest.approx(np.sqrt((alone.share**2 + 1) / 2), rel=1e-3)
 
 
 def test_what_nobody_hears_is_not_promised():

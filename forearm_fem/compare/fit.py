@@ -41,6 +41,9 @@ class FitResult:
     if no deviation was known. ``singular_values`` (k,) of the whitened Jacobian over the allowed ranges.
     ``unknown`` are combinations that the data do not determine, ``at_bound`` names of parameters that ended
     on a bound. ``e_band`` is the misfit's norm over the data's. ``n_data`` counts real numbers.
+
+    ``scatter`` [-] is what deviations, stated or taken where none are, had to be multiplied with for the misfit;
+    ``systematic`` (k, k) the share of ``covariance`` that the model errs by, which more data leave as it is.
     """
 
     parameters: tuple[Parameter, ...]
@@ -58,6 +61,8 @@ class FitResult:
     evaluations: int
     converged: bool
     message: str
+    scatter: float = 1.0
+    systematic: FloatArray | None = None
 
     @property
     def identified(self) -> bool:
@@ -90,8 +95,9 @@ def fit(
 
     ``model`` maps values by name to G (n_frequency, n_out, n_in) on ``measured``'s frequencies, ports and unit;
     ``gradient`` to its derivatives by name (from adjoints, say), differences are taken without it. Parameters called
-    "scale" and "delay" are applied here, times scale exp(-i omega delay). Entries without a standard deviation are
-    weighted as if it were ``fallback_noise`` of the entries' rms, and the covariance then follows from the misfit.
+    "scale" and "delay" are applied here, times scale exp(-i omega delay). Where some entries have a standard deviation
+    those without are left out; where none has, each is weighted as if it were ``fallback_noise`` of the entries' rms,
+    and the covariance then follows from the misfit.
     Phases make local minima: with ``starts`` > 1 the fit is repeated from other places in the ranges and the best is
     kept. ``progress`` counts evaluations. Raises DataError without usable data or for fewer data than parameters.
     """
@@ -259,13 +265,14 @@ def with_model_error(result: FitResult, coarser: Values, factor: float) -> FitRe
     place, other = (np.array([p.to_unit(v[p.name]) for p in parameters]) for v in (result.values, coarser))
     span = np.array([p.span for p in parameters])
     moved = factor * (other - place) * span / 1.96
-    covariance = result.covariance + np.outer(moved, moved)
+    covariance, known = result.covariance + np.outer(moved, moved), result.systematic
     sd = np.sqrt(np.diag(covariance))
     each = list(zip(parameters, place, sd / span, strict=True))
     return replace(
         result, covariance=covariance, correlation=covariance / np.outer(sd, sd),
         deviation={p.name: _half_width(p, x, d) for p, x, d in each},
         interval={p.name: _interval(p, x, 1.96 * d) for p, x, d in each},
+        systematic=np.outer(moved, moved) + (0 if known is None else known),
     )  # fmt: skip
 
 
@@ -303,6 +310,7 @@ def _result(problem: _Problem, place: FloatArray, converged: bool, message: str)
         evaluations=problem.count[0],
         converged=converged,
         message=message,
+        scatter=math.sqrt(inflate),
     )
 
 

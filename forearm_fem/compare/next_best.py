@@ -1,7 +1,8 @@
 """The measurement that would tell most beside those made: which point, in which band, shrinks the widest interval.
 
-At the fitted values the information of data is J^T J, J their whitened derivatives; a candidate adds its own. What it
-leaves of the widest interval follows without measuring it, as long as the model holds and is near linear there.
+At the fitted values the information of data is J^T J, J their whitened derivatives; a candidate adds its own, its noise
+as much larger than stated as the misfit of the data was. What it leaves of the widest interval follows without
+measuring it, as long as the model is near linear there. What the model errs by stays in the interval as it is.
 """
 
 from __future__ import annotations
@@ -75,21 +76,24 @@ def next_best(
     """What to measure next after a fit.
 
     ``answer`` gives G (n, n_output, n_input) of all ``outputs`` at ``frequency`` (n,) [Hz] for values by name, without
-    scale and delay; ``noise`` is the standard deviation of one entry to come, in G's unit. The widest interval is
-    that which is largest beside its parameter's allowed range.
+    scale and delay; ``noise`` is the standard deviation of one entry as the data of ``result`` state theirs, or as the
+    fit took it where they state none, in G's unit. The widest interval is that which is largest beside its parameter's
+    allowed range.
     """
     span = np.array([p.span for p in result.parameters])
     before = result.covariance / np.outer(span, span)
+    kept = np.zeros_like(before) if result.systematic is None else result.systematic / np.outer(span, span)
     widest = int(np.argmax(np.diag(before)))
-    spreads, directions = np.linalg.eigh(before)
+    spreads, directions = np.linalg.eigh(before - kept)
     spreads = np.maximum(spreads, _ROUNDING * spreads[-1])
     known = (directions / spreads) @ directions.T
-    slopes = _slopes(result, answer, frequency) * (math.sqrt(2) / noise)
+    slopes = _slopes(result, answer, frequency) * (math.sqrt(2) / (noise * max(result.scatter, _ROUNDING)))
     best: tuple[float, PossibleMeasurement] | None = None
     for candidate in candidates_of(frequency, outputs, bands):
         part = slopes[:, candidate.rows, list(outputs).index(candidate.output)].reshape(len(span), -1)
         told = (part @ part.conj().T).real
-        share = math.sqrt(float(np.linalg.inv(known + told)[widest, widest] / before[widest, widest]))
+        after = np.linalg.inv(known + told) + kept
+        share = math.sqrt(float(after[widest, widest] / before[widest, widest]))
         if best is None or share < best[0]:
             best = share, candidate
     assert best is not None

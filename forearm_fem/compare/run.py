@@ -230,12 +230,12 @@ def _with_outputs(data: TransferMatrix, outputs: tuple[Port, ...]) -> TransferMa
 
 
 def _noise_of(data: TransferMatrix) -> float:
-    """Standard deviation of an entry: the data's own in the median, else what the fit takes for it."""
-    stated = np.zeros(0) if data.deviation is None else data.deviation[np.isfinite(data.deviation)]
+    """Standard deviation of an entry that the fit used: the data's own in the median, else what it takes for it."""
+    used = np.isfinite(data.values) if data.valid is None else data.valid & np.isfinite(data.values)
+    stated = np.zeros(0) if data.deviation is None else data.deviation[used & np.isfinite(data.deviation)]
     if (stated > 0).any():
         return float(np.median(stated[stated > 0]))
-    finite = data.values[np.isfinite(data.values)]
-    return FALLBACK_NOISE * float(np.sqrt(np.mean(np.abs(finite) ** 2)))
+    return FALLBACK_NOISE * float(np.sqrt(np.mean(np.abs(data.values[used]) ** 2)))
 
 
 def _reduction_note(reduction: float, result: FitResult) -> tuple[str, ...]:
