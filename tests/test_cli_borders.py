@@ -254,3 +254,27 @@ def test_what_would_have_no_effect_or_no_place_is_said_at_once(lab: Path, line: 
     answer = cli(*line, cwd=lab)
     assert (answer.code, said in answer.sentence) == (2, True), answer.err
     assert leftovers(lab) == before
+
+
+def valued() -> list[tuple[str, str]]:
+    """(command, option) of every option that takes a value."""
+    return [
+        (name, parameter.opts[0])
+        for name, command in every_command()
+        for parameter in command.params
+        if parameter.opts[0].startswith("--") and not getattr(parameter, "is_flag", False)
+    ]
+
+
+@pytest.mark.parametrize(("command", "option"), valued())
+def test_an_empty_value_is_refused_and_not_taken_for_this_folder(tmp_path: Path, command: str, option: str) -> None:
+    """A path of "" is this folder, and an empty list everything: "$RESULTS" of a shell that does not know it."""
+    for given in ((option, ""), (f"{option}=",), (option, " ")):
+        answer = cli(*command.split(), *given, cwd=tmp_path)
+        assert (answer.code, answer.sentence.partition(": expected a value")[0]) == (2, option), answer.err
+    assert leftovers(tmp_path) == []
+
+
+def test_an_empty_argument_is_refused_and_an_empty_text_of_a_key_is_the_keys_matter(tmp_path: Path) -> None:
+    assert cli("run", "", cwd=tmp_path).sentence.startswith("an argument: expected a value")
+    assert "toml: name: expected a folder's name" in cli("run", "quick", "--set", "name=", cwd=tmp_path).sentence
