@@ -278,3 +278,33 @@ def test_an_empty_value_is_refused_and_not_taken_for_this_folder(tmp_path: Path,
 def test_an_empty_argument_is_refused_and_an_empty_text_of_a_key_is_the_keys_matter(tmp_path: Path) -> None:
     assert cli("run", "", cwd=tmp_path).sentence.startswith("an argument: expected a value")
     assert "toml: name: expected a folder's name" in cli("run", "quick", "--set", "name=", cwd=tmp_path).sentence
+
+
+CAMPAIGN = 'name = "c"\nscenario = "small.toml"\nstage = "solve"\n[[members]]\nname = "m"\n'
+DESIGN = 'name = "d"\nscenario = "small.toml"\n[[variables]]\nkey = "device.spacing"\nlow = 0.04\nhigh = 0.05\n'
+OF_ANOTHER = {  # each kind of folder: a file that it is known by, and the line that would work in it
+    "run": ("run.json", ("run", "small.toml", "--out")),
+    "design": ("candidates.jsonl", ("design", "d.toml", "--out")),
+    "campaign": ("summary.md", ("campaign", "c.toml", "--out")),
+    "study": ("study.json", ("study", "rehearse", "s.toml", *("--transfer", "lab.csv"), *declared(SAID, ""), "--data")),
+    "calibration": ("session.json", ("calibrate", "small.toml", "--through", "lab.csv", *declared(SAID, ""), "--out")),
+}
+
+
+@pytest.mark.parametrize("kind", OF_ANOTHER)
+@pytest.mark.parametrize("own", OF_ANOTHER)
+def test_the_folder_of_another_command_is_refused_before_anything_is_written(lab: Path, own: str, kind: str) -> None:
+    """Both would write report.md, or figures, and who opens the folder would read one as the other."""
+    if own == kind:
+        return
+    (lab / "c.toml").write_text(CAMPAIGN)
+    (lab / "d.toml").write_text(DESIGN)
+    mark, _ = OF_ANOTHER[kind]
+    (lab / "theirs").mkdir()
+    (lab / "theirs" / mark).write_text("{}")
+    before = leftovers(lab)
+    answer = cli(*OF_ANOTHER[own][1], "theirs", cwd=lab)
+    assert (answer.code, answer.sentence) == (
+        2, f"theirs: holds a {kind} ({mark}), with which a {own} does not mix; name another folder",
+    )  # fmt: skip
+    assert leftovers(lab) == before
