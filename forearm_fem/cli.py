@@ -7,14 +7,32 @@ import sys
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from . import __version__
 from .commands import about, design, library, measured, new, pictures, predict, simulate, studies, study, workbench
 from .commands.common import console, print_error
-from .errors import ForearmError
+from .errors import DataError, ForearmError
+
+
+class _NoEmptyValues(TyperGroup):
+    """Refuses "" wherever a value is expected: what a shell's variable that is not set leaves would be this folder."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        for before, value in zip(["", *args], args, strict=False):
+            option, given, rest = value.partition("=")
+            if given and not rest and option.startswith("--"):
+                before, value = option, rest
+            if value.strip():
+                continue
+            named = before.startswith("--")
+            what, remedy = (before, "leave it out, or ") if named else ("an argument", "")
+            raise DataError(f"{what}: expected a value, got '{value}'; {remedy}set the variable that was meant")
+        return super().parse_args(ctx, args)
+
 
 app = typer.Typer(
-    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False,
+    cls=_NoEmptyValues, add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False,
     help="Simulate vibration in a layered forearm, render on it, and say how wrong each number may be.",
 )  # fmt: skip
 

@@ -10,6 +10,7 @@ import psutil
 
 from . import __version__
 from .fem.linear.factor import available_backends
+from .geometry.cache import default_cache_dir
 
 _PICTURE = (
     "import pyvista as pv; pv.OFF_SCREEN = True; p = pv.Plotter(off_screen=True, window_size=(40, 40)); "
@@ -29,8 +30,16 @@ def diagnosis() -> dict[str, str]:
     found["memory"] = (
         f"{psutil.virtual_memory().available / 1e9:.1f} of {psutil.virtual_memory().total / 1e9:.1f} GB free"
     )
+    found["cache"] = _cache()
     found["rendering back end"] = rendering_backend()
     return found
+
+
+def _cache() -> str:
+    """Where finished meshes and solves are kept, and how much lies there."""
+    folder = default_cache_dir()
+    sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+    return f"{folder}: {sum(sizes) / 1e6:.1f} MB in {len(sizes)} files"
 
 
 def rendering_backend() -> str:

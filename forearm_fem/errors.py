@@ -21,6 +21,7 @@ __all__ = [
     "optional",
 ]
 
+import re
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
@@ -97,12 +98,20 @@ def first_problem(problem: Any, whole: str) -> str:
     others. Lists and tables are called what TOML calls them."""
     first = min(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
     said = "unknown key" if first["type"] == "extra_forbidden" else first["msg"].removeprefix("Value error, ")
-    for theirs, ours in (("valid tuple", "list"), ("valid list", "list"), ("valid dictionary", "table")):
-        said = said.replace(theirs, ours)
+    said = in_tomls_words(said)
     of_table = first["type"] == "value_error" and isinstance(first["input"], Mapping)  # what its values are together
     silent = first["type"] in ("extra_forbidden", "missing") or of_table or "got" in said
     came = "" if silent else f", got {_short(first['input'])}"
     return f"{'.'.join(map(str, first['loc'])) or whole}: {said[0].lower()}{said[1:]}{came}"
+
+
+def in_tomls_words(message: str) -> str:
+    """``message`` of pydantic with lists and tables called what TOML calls them."""
+    return (
+        re.sub(r"valid dictionary( or (object|instance of \w+)( to extract fields from)?)?", "table", message)
+        .replace("valid tuple", "list")
+        .replace("valid list", "list")
+    )
 
 
 def _short(value: Any) -> str:

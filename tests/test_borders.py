@@ -27,11 +27,13 @@ from forearm_fem.measurement.figures import save_live
 from forearm_fem.measurement.play import LONGEST, play
 from forearm_fem.measurement.run import VirtualSetup
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions
-from forearm_fem.pipeline.simulation import simulate
+from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.pipeline.verdict import accuracy_verdict
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction.run import Question, predict
-from forearm_fem.scenario import Scenario, apply_overrides, parse_scenario
+from forearm_fem.rendering import ricker
+from forearm_fem.scenario import Scenario, apply_overrides, load_scenario, parse_scenario
+from forearm_fem.scenario.device import Device
 from forearm_fem.scenario.measurement import DaqOptions
 from forearm_fem.study.plan import load_study
 
@@ -64,7 +66,12 @@ def parse_overridden(item: str) -> Scenario:
 @pytest.mark.parametrize(
     ("data", "says"),
     [
-        ({"rendering": {"window": "all"}}, "rendering.window: input should be 'wavelet' or 'record', or a valid tuple"),
+        (
+            {"device": {"out_of_contact": "[A1, A2]"}},
+            'device.out_of_contact: input should be a list, got \'[A1, A2]\'; write ["A1", "A2"], in a shell between ',
+        ),
+        ({"device": 3}, "device: input should be a table, got 3"),
+        ({"rendering": {"window": "all"}}, "rendering.window: input should be 'wavelet' or 'record', or a list"),
         ({"device": {"columns": [1, 25]}}, "device.columns.1: expected 1 to 20, got 25"),
         ({"limb": {"shape": "mesh", "file": "x", "regions": {"1": 5}}}, "limb.regions.1: input should be a valid s"),
         ({"tissues": {"override": {"forearm": {"mu": "x"}}}}, "tissues.override.forearm.mu: input should be a valid n"),
@@ -231,3 +238,35 @@ def test_a_dead_channel_is_said_when_two_matrices_are_compared(dead: Any, says: 
     assert explained(common_ground(A, replace(A, values=values))).startswith(says)
     assert "A is zero" in explained(common_ground(replace(A, values=values), A))
     assert explained(common_ground(A, A)) == ""
+
+
+@pytest.mark.parametrize(
+    ("built", "says"),
+    [
+        (lambda: Scenario(accuracy=7), "Scenario: accuracy: expected 1e-05 to 0.5, got 7"),
+        (lambda: Scenario(device={"spacng": 0.04}), "Scenario: device.spacng: unknown key; did you mean "
+                                                    "device.spacing?"),
+        (lambda: Scenario(limb={"length": "l"}), "Scenario: limb.length: input should be a valid number, got 'l'"),
+        (lambda: Device(spacing=-1), "Device: spacing: expected 0.0002 to 0.3 m, got -1"),
+        (lambda: Device(**{"spacng": 0.04}), "Device: spacng: unknown key; did you mean spacing?"),
+    ],
+)  # fmt: skip
+def test_a_scenario_built_in_python_is_told_what_a_file_is_told(built: Any, says: str) -> None:
+    with pytest.raises(ScenarioError) as said:
+        built()
+    assert str(said.value) == says
+
+
+def test_a_scenarios_name_where_a_scenario_is_wanted_is_told_how_to_read_it() -> None:
+    with pytest.raises(ScenarioError, match=r"got 'quick'; read it first: load_scenario"):
+        simulate("quick")  # type: ignore[arg-type]
+
+
+def test_a_wavelets_file_is_seen_from_where_simulate_was_told(tmp_path: Path) -> None:
+    samples = ricker(120.0, sample_rate=2000.0, duration=0.25).samples  # within the scene's band
+    np.savetxt(tmp_path / "here.csv", samples)
+    (tmp_path / "small.toml").write_text(SMALL + 'wavelet = { file = "here.csv" }\n')
+    scene = load_scenario(tmp_path / "small.toml")
+    assert render(simulate(scene, base=tmp_path))["funneling", "5"].strength > 0
+    with pytest.raises(ForearmError, match=r"here\.csv: no such file"):
+        render(simulate(scene))

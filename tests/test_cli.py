@@ -81,6 +81,17 @@ def test_doctor_says_what_the_machine_offers() -> None:
     assert all(word in out for word in ("forearm-fem", "numpy", "direct solvers", "memory", "rendering back end"))
 
 
+def test_doctor_says_where_the_cache_is_and_how_much_lies_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "kept"))
+    monkeypatch.setattr("forearm_fem.diagnosis.rendering_backend", lambda: "not tried")
+    assert f"{tmp_path / 'kept'}: 0.0 MB in 0 files" in cli("doctor").out
+    (tmp_path / "kept" / "solves").mkdir(parents=True)
+    (tmp_path / "kept" / "solves" / "a.nc").write_bytes(bytes(2_500_000))
+    assert f"{tmp_path / 'kept'}: 2.5 MB in 1 files" in cli("doctor").out
+
+
 def test_dry_run_solves_and_writes_nothing(scene: Path) -> None:
     answer = cli("run", "small.toml", "--dry-run", cwd=scene)
     assert answer.code == 0

@@ -254,3 +254,57 @@ def test_what_would_have_no_effect_or_no_place_is_said_at_once(lab: Path, line: 
     answer = cli(*line, cwd=lab)
     assert (answer.code, said in answer.sentence) == (2, True), answer.err
     assert leftovers(lab) == before
+
+
+def valued() -> list[tuple[str, str]]:
+    """(command, option) of every option that takes a value."""
+    return [
+        (name, parameter.opts[0])
+        for name, command in every_command()
+        for parameter in command.params
+        if parameter.opts[0].startswith("--") and not getattr(parameter, "is_flag", False)
+    ]
+
+
+@pytest.mark.parametrize(("command", "option"), valued())
+def test_an_empty_value_is_refused_and_not_taken_for_this_folder(tmp_path: Path, command: str, option: str) -> None:
+    """A path of "" is this folder, and an empty list everything: "$RESULTS" of a shell that does not know it."""
+    for given in ((option, ""), (f"{option}=",), (option, " ")):
+        answer = cli(*command.split(), *given, cwd=tmp_path)
+        assert (answer.code, answer.sentence.partition(": expected a value")[0]) == (2, option), answer.err
+    assert leftovers(tmp_path) == []
+
+
+def test_an_empty_argument_is_refused_and_an_empty_text_of_a_key_is_the_keys_matter(tmp_path: Path) -> None:
+    assert cli("run", "", cwd=tmp_path).sentence.startswith("an argument: expected a value")
+    assert "toml: name: expected a folder's name" in cli("run", "quick", "--set", "name=", cwd=tmp_path).sentence
+
+
+CAMPAIGN = 'name = "c"\nscenario = "small.toml"\nstage = "solve"\n[[members]]\nname = "m"\n'
+DESIGN = 'name = "d"\nscenario = "small.toml"\n[[variables]]\nkey = "device.spacing"\nlow = 0.04\nhigh = 0.05\n'
+OF_ANOTHER = {  # each kind of folder: a file that it is known by, and the line that would work in it
+    "run": ("run.json", ("run", "small.toml", "--out")),
+    "design": ("candidates.jsonl", ("design", "d.toml", "--out")),
+    "campaign": ("summary.md", ("campaign", "c.toml", "--out")),
+    "study": ("study.json", ("study", "rehearse", "s.toml", *("--transfer", "lab.csv"), *declared(SAID, ""), "--data")),
+    "calibration": ("session.json", ("calibrate", "small.toml", "--through", "lab.csv", *declared(SAID, ""), "--out")),
+}
+
+
+@pytest.mark.parametrize("kind", OF_ANOTHER)
+@pytest.mark.parametrize("own", OF_ANOTHER)
+def test_the_folder_of_another_command_is_refused_before_anything_is_written(lab: Path, own: str, kind: str) -> None:
+    """Both would write report.md, or figures, and who opens the folder would read one as the other."""
+    if own == kind:
+        return
+    (lab / "c.toml").write_text(CAMPAIGN)
+    (lab / "d.toml").write_text(DESIGN)
+    mark, _ = OF_ANOTHER[kind]
+    (lab / "theirs").mkdir()
+    (lab / "theirs" / mark).write_text("{}")
+    before = leftovers(lab)
+    answer = cli(*OF_ANOTHER[own][1], "theirs", cwd=lab)
+    assert (answer.code, answer.sentence) == (
+        2, f"theirs: holds a {kind} ({mark}), with which a {own} does not mix; name another folder",
+    )  # fmt: skip
+    assert leftovers(lab) == before

@@ -112,6 +112,9 @@ def test_a_search_that_was_interrupted_goes_on_to_the_same_front(tmp_path):
     assert resumed.best == whole.best
     assert 10**9 - again.left == len(whole.candidates) - 10 + 2  # the scenario's own, and the best for its interval
     assert (tmp_path / "cut/front.csv").read_text() == (tmp_path / "whole/front.csv").read_text()
+    page = (tmp_path / "whole/report.md").read_text()
+    assert "\nMean S of" in page
+    assert "| voltage [V] | power [W] | total power [W] | mass [kg] | e_band of G |" in page  # a reader has no code
     for name in ("candidates.csv", "candidates.nc", "best.json", "report.md", "front.png", "device.png"):
         assert (tmp_path / "whole" / name).is_file()
 

@@ -286,7 +286,7 @@ def test_points_follow_a_share_of_the_housing() -> None:
 
 @pytest.mark.parametrize("key", ["contact_springs", "gains"])
 def test_springs_and_gains_of_unknown_actuators_are_refused(key: str) -> None:
-    with pytest.raises(ValueError, match=rf"{key} names \['A5'\], known are"):
+    with pytest.raises(ScenarioError, match=rf"{key} names \['A5'\], known are"):
         Device(**{key: {"A5": 1.0}})
 
 

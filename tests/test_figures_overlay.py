@@ -49,6 +49,19 @@ def test_what_is_no_curve_of_the_figure_is_refused_in_a_sentence(text, told, tmp
         lay_over(two_panels(), read_curves(tmp_path / "c.csv"))
 
 
+def test_a_curve_in_other_units_is_told_the_axes_names_and_no_empty_one(tmp_path):
+    """Panels that share an axis name it once, at the lowest."""
+    (tmp_path / "c.csv").write_text("f,a\n1000,0.5\n")
+    figure = Figure()
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    lower.set(xlabel="frequency [Hz]", xlim=(0, 10))
+    with pytest.raises(DataError, match=r"of panel 1 \(frequency \[Hz\]\); are"):
+        lay_over(figure, read_curves(tmp_path / "c.csv"))
+    upper.set(ylabel="S")
+    with pytest.raises(DataError, match=r"of panel 1 \(frequency \[Hz\]; S\); are"):
+        lay_over(figure, read_curves(tmp_path / "c.csv"))
+
+
 @pytest.mark.parametrize(
     ("inches", "asked", "made"), [(3.5, 88, 88), (10.2, 88, 181), (10.2, 181, 181), (3.5, 181, 181)]
 )

@@ -211,9 +211,9 @@ def test_any_quantity_ends_as_metres(tmp_path, quantity):
 
 
 def test_impossible_options_are_refused():
-    with pytest.raises(ValueError, match="max_voltage"):
+    with pytest.raises(ScenarioError, match="max_voltage"):
         options(amplitude=3.0)
-    with pytest.raises(ValueError, match="deconvolution"):
+    with pytest.raises(ScenarioError, match="deconvolution"):
         options(window=0.1)
     with pytest.raises(ScenarioError, match="f_min"):
         ExponentialSweep(10.0, 5000.0, 0.5, RATE)

@@ -7,14 +7,15 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError
-from forearm_fem.figures import Results
-from forearm_fem.report import write_report
+from forearm_fem.figures import Results, kinds
+from forearm_fem.report import write, write_report
 from forearm_fem.report.facts import differences, exceeded
 
 
@@ -62,6 +63,24 @@ def test_limits_exceeded_are_named(folder: Path, tmp_path: Path) -> None:  # noq
     said = r"funneling: \d+ of 36 drives exceed 0\.1 V peak, most of all \S+ V at A\d towards \d; rendering\.amplitude"
     assert re.match(said, lines[1])
     assert exceeded(Results.open(folder)) == []
+
+
+def test_one_limit_is_told_in_the_singular(folder: Path) -> None:  # noqa: F811
+    results = Results.open(folder)
+    assert write._limit_words(["a"], results) == "One limit is exceeded."
+    assert write._limit_words(["a", "b"], results) == "2 limits are exceeded."
+
+
+def test_another_grids_waves_are_not_called_the_thesis_figures(folder: Path) -> None:  # noqa: F811
+    """Point 5 of 3 x 3 is the middle; of another grid it may be a corner, which no figure of the thesis shows."""
+    ours = Results.open(folder)
+    *rest, last = ours.transfer.outputs
+    other = Results.open(folder)
+    vars(other)["transfer"] = replace(ours.transfer, outputs=(*rest, replace(last, position=(0.03, 0.03, 0.0))))
+    titles = [kinds(run)["target-5"].title for run in (ours, other)]
+    assert titles == ["Waves towards target 5 (thesis' figure 6)", "Waves towards target 5"]
+    assert "figure" not in write._traces(other, "5").title
+    assert write._traces(ours, "5").title.endswith("as in the thesis' figure 6")
 
 
 def test_an_unfinished_run_has_no_report(folder: Path, tmp_path: Path) -> None:  # noqa: F811

@@ -17,7 +17,7 @@ from test_study_session import GRID, opened, silent, small, study
 pd = pytest.importorskip("pandas")
 pytest.importorskip("statsmodels")
 
-from forearm_fem.errors import DataError, HardwareError  # noqa: E402
+from forearm_fem.errors import DataError, HardwareError, ScenarioError  # noqa: E402
 from forearm_fem.measurement.loopback import Loopback  # noqa: E402
 from forearm_fem.measurement.sound import SoundCard  # noqa: E402
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions  # noqa: E402
@@ -327,11 +327,11 @@ def test_a_threshold_beyond_the_levels_is_no_number(rule, level, side):
 
 
 def test_strength_needs_a_reference_and_detection_none():
-    with pytest.raises(ValueError, match=r"adaptive.reference go together"):
+    with pytest.raises(ScenarioError, match=r"adaptive.reference go together"):
         Task(name="s", answer="first or second", adaptive=Adaptive())
-    with pytest.raises(ValueError, match=r"adaptive.reference go together"):
+    with pytest.raises(ScenarioError, match=r"adaptive.reference go together"):
         Task(name="s", answer="yes or no", adaptive=Adaptive(reference="funneling"))
-    with pytest.raises(ValueError, match=r"is not among stimuli\.methods"):
+    with pytest.raises(ScenarioError, match=r"is not among stimuli\.methods"):
         Study(name="a", scenario="b", stimuli=Stimuli(methods=("combination",)), tasks=strength().tasks)
 
 

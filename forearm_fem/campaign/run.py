@@ -15,6 +15,7 @@ import psutil
 from ..errors import ForearmError
 from ..io.atomic import write_text
 from ..io.markdown import markdown_table
+from ..io.owner import refuse_folder_of_another
 from ..progress import Progress, tell
 from .executor import LIGHT, SHARE, cluster, completed, in_turn
 from .member import MemberJob, finish_member, finished
@@ -56,6 +57,7 @@ def run_campaign(
     otherwise ``workers`` local processes are started (default: as many as cores and forecast memory allow; without Dask
     members run here, one after the other).
     """
+    refuse_folder_of_another(folder, "campaign")
     out = Path(folder).resolve()
     jobs = [_job(campaign, m, out) for m in campaign.members]
     done = {job.name: found for job in jobs if (found := finished(job)) is not None}

@@ -13,7 +13,7 @@ def schema() -> None:
 
 
 def doctor() -> None:
-    """Print versions, the solver found, threads, memory and whether pictures can be rendered."""
+    """Print versions, the solver found, threads, memory, the cache and whether pictures can be rendered."""
     from ..diagnosis import diagnosis
 
     for name, value in diagnosis().items():

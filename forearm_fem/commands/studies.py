@@ -23,7 +23,7 @@ def campaign(
         typer.Option(help="address of a running Dask scheduler, e.g. tcp://host:8786; default: this machine"),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="processes on this machine; default: what memory allows")
+        int | None, typer.Option(min=1, help="processes on this machine; default: what cores and memory allow")
     ] = None,
 ) -> None:  # fmt: skip
     """Run many variants of a scenario; finished ones are skipped, failed ones do not stop the rest."""
@@ -33,9 +33,7 @@ def campaign(
     asked = load_campaign(file)
     folder = out or Path("results") / asked.name
     with locked(folder), Display() as display, noted():
-        result = run_campaign(
-            asked, folder, scheduler=scheduler, workers=workers, progress=display
-        )
+        result = run_campaign(asked, folder, scheduler=scheduler, workers=workers, progress=display)
     typer.echo(result.table)
     print_notes([f"{m.name}: {m.problem}" for m in result.members if m.problem])
     typer.echo(f"campaign: {result.folder}")

@@ -10,7 +10,7 @@ import typer
 from ..errors import DataError, ScenarioError
 from .common import Declared, Display, declaration, holds_g, measured_g, noted, print_notes, there
 
-app = typer.Typer(no_args_is_help=True, help="Studies with people: new, run, status, analyse, rehearse, power.")
+app = typer.Typer(no_args_is_help=True, help="Studies with people, from the stimulus to the statistics.")
 
 StudyFile = Annotated[
     Path, typer.Argument(help="study file; `forearm-fem study new` writes one",

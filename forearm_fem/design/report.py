@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,15 @@ from .candidate import Candidate
 from .figures import plot_devices, plot_front, plot_map
 from .run import DesignResult
 
+_TITLES: Mapping[str, str] = MappingProxyType({  # of the page's columns; tables in CSV keep the bare names
+    "voltage": "voltage [V]", "power": "power [W]", "total_power": "total power [W]", "mass": "mass [kg]",
+    "error": "e_band of G",
+})  # fmt: skip
+_PICTURES: Mapping[str, str] = MappingProxyType({
+    "front": "Score against the number of actuators and against power; the Pareto front stands out",
+    "device": "The scenario's own device and the winner from above, points coloured by S",
+    "map": "Score over the first two variables, a dot for each candidate",
+})  # fmt: skip
 _NUMBERS = ("score", "actuators", "voltage", "power", "total_power", "mass", "error")
 
 
@@ -83,7 +93,7 @@ def _netcdf(result: DesignResult) -> None:
 def outcome_words(result: DesignResult) -> list[str]:
     """The outcome in a few sentences."""
     best, reference, objective = result.best, result.reference, result.design.asked.objective
-    what = {"mean": "mean S", "least": "least S", "share": "share of targets with S above 1"}[objective.of]
+    what = {"mean": "Mean S", "least": "Least S", "share": "Share of targets with S above 1"}[objective.of]
     low, high = result.interval
     known = f"{low:.2f} to {high:.2f}" if math.isfinite(low + high) else "unknown"
     lines = [
@@ -118,6 +128,7 @@ def page(result: DesignResult, pictures: Sequence[str]) -> str:
     """The page: outcome, Pareto front, pictures, and what was not feasible."""
     front = [{k: _short(v) for k, v in row(c).items() if k not in ("not held", "problem", "device.contacts")}
              for c in result.front]  # fmt: skip
+    front = [{_TITLES.get(k, k): v for k, v in r.items()} for r in front]
     columns = list(dict.fromkeys(key for r in front for key in r))
     count, bad = len(result.candidates), [c for c in result.candidates if not c.feasible]
     reasons: dict[str, int] = {}
@@ -128,10 +139,11 @@ def page(result: DesignResult, pictures: Sequence[str]) -> str:
     return "\n".join([
         f"# Design {result.design.asked.name}", "", *outcome_words(result), "",
         "## Pareto front", "",
-        "No other candidate has more S with as few actuators and as little power (all actuators together, for the "
-        f"target's motion of {1e6 * result.design.asked.constraints.target_peak:g} um).", "",
+        "No other candidate has more S with as few actuators and as little power (all actuators together). Voltage and "
+        "power are of the actuator that needs most, for a motion of the target of "
+        f"{1e6 * result.design.asked.constraints.target_peak:g} um.", "",
         rows_table(columns, front),
-        *(f"![{name}]({name}.png)" for name in pictures), "",
+        *(f"![{_PICTURES[name]}]({name}.png)\n" for name in pictures),
         f"{count} candidates; {len(bad)} not feasible{': ' + told if told else ''}. All are in candidates.csv.", "",
     ])  # fmt: skip
 

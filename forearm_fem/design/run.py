@@ -16,6 +16,7 @@ import psutil
 
 from ..campaign.executor import LIGHT, SHARE, cluster
 from ..errors import ScenarioError
+from ..io.owner import refuse_folder_of_another
 from ..pipeline.folder import Run, run_all
 from ..pipeline.renderers import wavelet
 from ..progress import Progress, tell, within
@@ -76,6 +77,7 @@ def run_design(
     """
     for scenario in design.scenarios({}):
         wavelet(scenario.rendering, scenario.sweep, design.base)  # a missing file is said before the search
+    refuse_folder_of_another(folder, "design")
     out = Path(folder).resolve()
     model = arm or TwinArm(progress=progress)
     store = Store(out, design, model.mark)
@@ -94,9 +96,7 @@ def run_design(
     reference = evaluate(design, {}, model)
     interval = s_interval(design, best, model)
     confirmation = _confirmed(design, best, out, progress) if confirm else None
-    found = DesignResult(
-        design, out, store.all, pareto_front(store.all), best, interval, reference, confirmation
-    )
+    found = DesignResult(design, out, store.all, pareto_front(store.all), best, interval, reference, confirmation)
     from .report import write_design_report
 
     write_design_report(found)

@@ -67,9 +67,11 @@ def lay_over(figure: Figure, curves: tuple[Curve, ...]) -> None:
         (left, right), (low, high) = sorted(panel.get_xlim()), sorted(panel.get_ylim())
         seen = (left <= curve.x) & (curve.x <= right) & (low <= curve.y) & (curve.y <= high)
         if not seen.any():
+            along = next((a.get_xlabel() for a in panel.get_shared_x_axes().get_siblings(panel) if a.get_xlabel()), "")
+            names = "; ".join(name for name in (along, panel.get_ylabel()) if name)
             raise DataError(
                 f"'{curve.label}': none of its points lies within {left:.3g} to {right:.3g} and {low:.3g} to "
-                f"{high:.3g} of panel {curve.panel} ({panel.get_xlabel()}; {panel.get_ylabel()}); are the units right?"
+                f"{high:.3g} of panel {curve.panel} ({names}); are the units right?"
             )
         hidden = f" ({np.sum(~seen)} of {len(seen)} points beyond the axes)" if not seen.all() else ""
         with style.context(SHEET):

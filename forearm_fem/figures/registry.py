@@ -84,15 +84,22 @@ _FIXED = (
 def kinds(results: Results | None = None) -> Mapping[str, FigureKind]:
     """Every figure by name: those of the thesis first; ``target-N`` for each target of ``results``."""
     names: Iterable[str] = results.displacements.targets if results and results.has("displacements.nc") else ("5", "6")
-    by_target = {f"target-{t}": _target_kind(t) for t in names}
+    by_target = {f"target-{t}": _target_kind(t, results) for t in names}
     return {**{k.name: k for k in _FIXED}, **by_target}
 
 
-def _target_kind(target: str) -> FigureKind:
-    thesis = {"5": " (thesis' figure 6)", "6": " (thesis' figure 7)"}.get(target, "")
+def thesis_figure(target: str, results: Results | None) -> str:
+    """The thesis' figure of waves towards ``target``; empty where it has none, or the grid is another."""
+    if results is not None and not is_thesis_grid(results.transfer.outputs):
+        return ""
+    return {"5": "thesis' figure 6", "6": "thesis' figure 7"}.get(target, "")
+
+
+def _target_kind(target: str, results: Results | None) -> FigureKind:
+    thesis = thesis_figure(target, results)
     return FigureKind(
         f"target-{target}",
-        f"Waves towards target {target}{thesis}",
+        f"Waves towards target {target}{f' ({thesis})' if thesis else ''}",
         partial(targets.target_waves, target=target),
         targets.plot_target,
         targets.target_table,

@@ -13,6 +13,7 @@ import numpy as np
 from ..errors import DataError, HardwareError, ScenarioError
 from ..geometry.device.layout import planform_ports
 from ..io.netcdf import refuse_other_g, write_transfer
+from ..io.owner import refuse_folder_of_another
 from ..io.signals import read_drives
 from ..io.wav import read_wav_drives
 from ..progress import Progress, tell
@@ -90,6 +91,7 @@ def run_calibration(
     plan = _timed(plan, daq, device, cable)
     target = Path(folder)
     refuse_other_g(target / "transfer.nc", measured=True)
+    refuse_folder_of_another(target, "calibration")
 
     def after(step: Step) -> None:
         if figure and not step.reused:

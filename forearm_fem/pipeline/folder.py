@@ -26,6 +26,7 @@ from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
 from ..io.matlab import write_thesis_mat
 from ..io.netcdf import read_transfer, refuse_other_g, write_transfer
+from ..io.owner import refuse_folder_of_another
 from ..io.signals import stack, write_displacements, write_drives
 from ..io.tables import strength_rows, write_signal_strength_csv
 from ..progress import Progress, tell, within
@@ -125,6 +126,7 @@ def _check_rendering(run: Run) -> None:
 
 def run_mesh(run: Run) -> TissueMesh | None:
     """Make or find the mesh and write ``mesh.vtu``; None for the layered engine and a library, which need none."""
+    refuse_folder_of_another(run.out, "run")
     if run.scenario.engine == "layered" or run.library is not None:
         return None
     start_compiling()

@@ -40,7 +40,8 @@ class Simulation:
     """A simulated calibration.
 
     ``coarse`` is G on the second mesh (None where no estimate was asked or could be made): ``transfer.errors`` and the
-    error of S follow from it. ``notes`` are sentences that belong in the report.
+    error of S follow from it. ``notes`` are sentences that belong in the report. ``base`` is the folder that files in
+    the scenario are seen from.
     """
 
     scenario: Scenario
@@ -50,6 +51,7 @@ class Simulation:
     coarse: TransferMatrix | None = None
     solved: Solved | None = None
     notes: tuple[str, ...] = field(default=())
+    base: Path = Path(".")
 
 
 class AnswersForArm(Protocol):
@@ -71,9 +73,17 @@ def simulate(
     """G of ``scenario`` in m per volt (or per newton, per metre) with an error estimate per source.
 
     A ``library`` of the scenario's arm takes the place of mesh and solve (:mod:`forearm_fem.library`).
-    ``base`` is the folder that user files in the scenario refer to. Raises a :class:`ForearmError` for whatever cannot
-    be built or solved.
+    ``base`` is the folder that user files in the scenario refer to, also the wavelet's that :func:`render` reads.
+    Raises a :class:`ForearmError` for whatever cannot be built or solved.
     """
+    if not isinstance(scenario, Scenario):
+        raise ScenarioError(f"expected a Scenario, got {scenario!r}; read it first: load_scenario(NAME_OR_FILE)")
+    return replace(_simulated(scenario, Path(base), progress, mesh, library), base=Path(base))
+
+
+def _simulated(
+    scenario: Scenario, base: Path, progress: Progress | None, mesh: TissueMesh | None, library: AnswersForArm | None
+) -> Simulation:
     frequency = frequencies(scenario.sweep)
     resolve_tissues(scenario)  # what they lack is said before anything is meshed
     if library is not None:
@@ -84,8 +94,8 @@ def simulate(
         return Simulation(scenario, None, compliance, transfer, notes=flat_notes(compliance))
     if mesh is None:
         start_compiling()
-        mesh = cached_mesh(scenario, base=Path(base))
-    result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
+        mesh = cached_mesh(scenario, base=base)
+    result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=base, progress=progress))
     return replace(result, notes=(*resolution_notes(scenario, mesh), *near_disc_notes(scenario), *result.notes))
 
 
@@ -110,8 +120,11 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
 
 
 def render(simulation: Simulation, *, progress: Progress | None = None) -> Rendering:
-    """Drives, displacements and S of the scenario's methods and targets on its G."""
-    return render_transfer(simulation.scenario, simulation.transfer, progress=progress)
+    """Drives, displacements and S of the scenario's methods and targets on its G.
+
+    Errors as of :func:`render_transfer`.
+    """
+    return render_transfer(simulation.scenario, simulation.transfer, base=simulation.base, progress=progress)
 
 
 def render_transfer(

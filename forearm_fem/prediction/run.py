@@ -21,6 +21,7 @@ from ..campaign.executor import LIGHT, SHARE, cluster, completed, in_turn
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ForearmError, ScenarioError
 from ..fem.kernels.heap import freed_memory_kept
+from ..io.owner import refuse_folder_of_another
 from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import check_servable, unsuited, wavelet
 from ..pipeline.simulation import account_of, render_transfer, simulate
@@ -118,6 +119,7 @@ def predict(
     """
     began = time.monotonic()
     check_question(question)
+    refuse_folder_of_another(folder, "prediction")
     out = Path(folder)
     _, setup, arm = _prepared(*_plain(question), progress)  # an arm that cannot be is said before minutes of solving
     tell(progress, "the scene itself", 0, 1)

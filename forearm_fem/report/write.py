@@ -16,7 +16,7 @@ from PIL import Image
 from ..errors import DataError, ForearmError
 from ..figures.data import Results
 from ..figures.motion import View
-from ..figures.registry import applies, kinds
+from ..figures.registry import applies, kinds, thesis_figure
 from ..figures.show import render_still
 from ..figures.style import SHEET, Drawn, arrange, figure_of, sign
 from ..figures.targets import plot_traces, target_waves
@@ -104,7 +104,7 @@ def _limit_words(limits: list[str], results: Results) -> str:
         return "The drives are no voltages, so limits were not checked."
     if not limits:
         return "No drive exceeds the actuators' limits in voltage or mean power."
-    return f"{len(limits)} limits are exceeded."
+    return "One limit is exceeded." if len(limits) == 1 else f"{len(limits)} limits are exceeded."
 
 
 def _pictures(results: Results, progress: Progress | None) -> tuple[list[tuple[str, Picture]], list[str]]:
@@ -137,8 +137,8 @@ def _figure(results: Results, name: str) -> Picture:
 
 
 def _traces(results: Results, target: str) -> Picture:
-    thesis = {"5": ", as in the thesis' figure 6", "6": ", as in the thesis' figure 7"}.get(target, "")
-    title = f"Displacement of all points over time, target {target} solid{thesis}"
+    thesis = thesis_figure(target, results)
+    title = f"Displacement of all points over time, target {target} solid{f', as in the {thesis}' if thesis else ''}"
     return embedded(plot_traces(target_waves(results, target)), title, results.stamp)
 
 

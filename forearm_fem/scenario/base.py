@@ -14,9 +14,13 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    ValidationError,
     model_validator,
 )
 from pydantic_core import CoreSchema, core_schema
+
+from ..errors import ScenarioError
+from .problem import first_problem_of
 
 LONGEST_TEXT = 4000  # characters of one text in a scenario
 
@@ -71,9 +75,22 @@ Name = Annotated[str, AfterValidator(_folder_name), Field(json_schema_extra={"pa
 
 
 class Part(BaseModel):
-    """Base of all scenario parts; ``allow_inf_nan`` is off so that NaN never enters a solve."""
+    """Base of all scenario parts; ``allow_inf_nan`` is off so that NaN never enters a solve.
+
+    Built in Python, one raises the sentence that a file would be told, as :class:`ScenarioError`.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def __init__(self, **data: Any) -> None:
+        try:
+            super().__init__(**data)
+        except ValidationError as problem:
+            name, schema = type(self).__name__, type(self).model_json_schema()
+            raise ScenarioError(f"{name}: {first_problem_of(problem, schema)}") from None
+
+    # Tables within tables are validated by pydantic without calling this, so that it knows the whole key.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     @model_validator(mode="before")
     @classmethod

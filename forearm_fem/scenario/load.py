@@ -6,19 +6,17 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from datetime import date, time
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from ..errors import ScenarioError
-from .meant import key_meant
 from .model import Scenario
+from .problem import first_problem_of
 from .shipped import scenario_file, shipped_scenarios
 from .toml import read_toml
 
-_KIND = re.compile(r"(literal|tuple|list|dict|function-[a-z]+|constrained-[a-z]+)\[")  # of a union's members
 DEEPEST = 12  # levels of tables and lists; a scenario's own keys need 5
 
 
@@ -42,11 +40,9 @@ def load_scenario(path: str | Path, *, overrides: Sequence[str] = ()) -> Scenari
 def parse_scenario(data: Mapping[str, Any], *, origin: str = "scenario") -> Scenario:
     """Scenario from plain data; see :func:`load_scenario` for the errors."""
     try:
-        limb = data.get("limb")
-        shaped = {"limb": {"shape": "forearm", **limb}} if isinstance(limb, dict) else {}
-        return Scenario.model_validate({**data, **shaped})
+        return Scenario.model_validate(dict(data))
     except ValidationError as problem:
-        raise ScenarioError(f"{origin}: {_first_problem(problem)}") from None
+        raise ScenarioError(f"{origin}: {first_problem_of(problem, Scenario.model_json_schema())}") from None
 
 
 def scenario_schema() -> str:
@@ -96,39 +92,3 @@ def _toml_value(text: str) -> Any:
         return read["value"] if len(read) == 1 else text
     except (ValueError, RecursionError):  # the first is also what numbers of thousands of digits raise
         return text
-
-
-def _first_problem(problem: ValidationError) -> str:
-    """One sentence: key path, what was expected, what came; unknown keys first, as they cause others."""
-    errors = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    first = next((e for e in errors if _key(e["loc"]).startswith(f"{_key(errors[0]['loc'])}.")), errors[0])
-    where = _key(first["loc"])
-    same = [e for e in errors if _key(e["loc"]) == where]  # a key of several kinds fails once for each of them
-    more = f" (and {len(errors) - len(same)} more)" if len(errors) > len(same) else ""
-    if first["type"] == "extra_forbidden":
-        meant = key_meant(where, Scenario.model_json_schema())
-        advice = f"did you mean {meant}?" if meant else "`forearm-fem schema` lists the known ones"
-        return f"{where}: unknown key; {advice}{more}"
-    came = first["input"]
-    shown = "" if isinstance(came, Mapping) else f", got {_shown(came)}"
-    said = dict.fromkeys(_sentence(e["msg"]) for e in same)
-    message = ", or ".join(m if k == 0 else m.removeprefix("input should be ") for k, m in enumerate(said))
-    return f"{where}{': ' if where else ''}{message}{shown}{more}"
-
-
-def _sentence(message: str) -> str:
-    said = message.removeprefix("Value error, ")
-    return said[0].lower() + said[1:]
-
-
-def _key(place: tuple[int | str, ...]) -> str:
-    """The dotted key at a validator's ``place``, without the limb's shape and what the validator calls its kinds."""
-    if place[:1] == ("limb",):
-        place = (*place[:1], *place[2:])
-    return ".".join(str(part) for part in place if not _KIND.match(str(part)))
-
-
-def _shown(value: Any) -> str:
-    """What came, as TOML would have it, at most 60 characters of it."""
-    text = str(value) if isinstance(value, date | time) else repr(value)
-    return text if len(text) <= 60 else f"{text[:40]} ... {text[-15:]}"

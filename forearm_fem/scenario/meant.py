@@ -11,7 +11,7 @@ _ALIKE = 0.8  # of difflib's ratio: one or two letters of ten
 
 def key_meant(key: str, schema: dict[str, Any]) -> str | None:
     """The dotted key of the JSON ``schema`` that ``key`` was most likely to be; None where none is like it."""
-    known = dict.fromkeys(_keys(schema, schema["$defs"]))
+    known = dict.fromkeys(_keys(schema, schema.get("$defs", {})))
     table, _, name = key.rpartition(".")
     namesakes = [k for k in known if k.rpartition(".")[2] == name]
     if namesakes:

@@ -52,14 +52,17 @@ class Scenario(Part):
     @model_validator(mode="before")
     @classmethod
     def _forearm_as_long_as_needed(cls, data: Any) -> Any:
-        """``accuracy`` sets the length of a forearm that leaves it out."""
+        """A limb without a shape is a forearm; ``accuracy`` sets the length of one that leaves it out."""
         limb = data.get("limb", {}) if isinstance(data, Mapping) else None
-        if not isinstance(limb, Mapping) or limb.get("shape", "forearm") != "forearm" or "length" in limb:
+        if not isinstance(limb, Mapping):
+            return data
+        data = {**data, "limb": {"shape": "forearm", **limb}}
+        if data["limb"]["shape"] != "forearm" or "length" in limb:
             return data
         accuracy = data.get("accuracy", cls.model_fields["accuracy"].default)
         if not isinstance(accuracy, int | float) or not 0 < accuracy < 1:
             return data  # refused below, with its own sentence
-        return {**data, "limb": {"shape": "forearm", **limb, "length": forearm_length(accuracy)}}
+        return {**data, "limb": {**data["limb"], "length": forearm_length(accuracy)}}
 
     @property
     def element(self) -> Element:

@@ -23,6 +23,7 @@ from typing import Any
 from .. import __version__
 from ..errors import DataError
 from ..io.atomic import write_text
+from ..io.owner import refuse_folder_of_another
 from .plan import Study
 
 EVENTS: Mapping[str, str] = {
@@ -99,6 +100,7 @@ class StudyStore:
                 "a folder of its own"
             )
         if begin and not same:
+            refuse_folder_of_another(store.folder, "study")
             about = {"Name": study.name, "BIDSVersion": "1.10.0", "DatasetType": "raw",
                      "GeneratedBy": [{"Name": "forearm_fem", "Version": __version__}]}  # fmt: skip
             write_text(store.folder / "dataset_description.json", json.dumps(about, indent=2))
