@@ -247,6 +247,45 @@ def test_what_discs_held_against_tilt_may_take_is_stated(slab, library):
     assert stated == pytest.approx([(30 * (30 + 50) + 40 * (40 + 50)) * a**2 / (1.5 * 2)], rel=1e-12)
 
 
+def test_what_the_space_misses_is_the_largest_of_as_far_or_farther():
+    away = np.array([0.0, 5e-3, 11e-3, 14e-3])
+    found = side._farther(np.array([4.0, 3.0, 1.0, 2.0]), away, np.arange(6) * side.BIN)
+    assert found.tolist() == [4, 3, 2, 2, 2, 2]  # the second farthest misses less than one farther; the last is kept
+    assert not side._farther(np.zeros(0), np.zeros(0), np.arange(3) * side.BIN).any()
+
+
+def test_bells_that_were_no_witness_miss_what_is_told_for_their_distance(slab, library):
+    """Along the skin half of the bells are no witness; direct solves at the band's end, which is checked."""
+    bells, meshed = loaded_skin(slab).bells, meshed_scenario(slab, library.skin)
+    model = fem_model(meshed, cached_mesh(meshed))
+    seen = bell_functionals(model, library.skin, bells).toarray()
+    some = np.arange(len(bells.centres))[::3]
+    witness = replace(model, functionals=seen[:, some], shares=np.ones(len(some)))
+    at = float(library.reduction[0, -1])
+    truth = seen.T @ replace(make_solver(model, meshed.solver, at), model=witness).at(at).values
+    off = np.abs(library.fine.between(np.array([at]), np.eye(len(seen.T)))[0][:, some] - truth)
+    away = np.linalg.norm(bells.centres[:, None] - bells.centres[some][None], axis=2)
+    along = (np.arange(len(bells.centres)) >= len(library.centres)).astype(int)
+    told = np.array([np.interp(away, library.bins, one) for one in library.missed[-1]])
+    kind = (along[:, None] + along[some])[None]
+    assert (off <= 2 * np.take_along_axis(told, kind, axis=0)[0]).mean() > 0.99  # the largest of other pairs, alike
+
+
+def test_far_entries_state_more_of_what_the_space_misses(slab, library):
+    """A miss of one size at all places is a share of G that grows as entries fall."""
+    level = 1e-6
+    alike = replace(library, missed=np.full_like(library.missed, level))
+    device = {**SLAB["device"], "contacts": [[-0.008, 0.0]]}
+    shares = []
+    for x in (-0.002, 0.008):
+        found = alike.compliance(parse_scenario({**SLAB, "device": device, "grid": {"points": [[x, 0.0]]}}))
+        stated = np.array({e.source: e for e in found.errors}["reduction"].per_frequency)
+        size = np.abs(found.values[:, 1, 0])
+        assert (stated >= level / size).all()  # the disc is held sideways, which adds what its own motion misses
+        shares.append(stated * size)
+    assert np.allclose(shares[0], shares[1], rtol=0.5)  # held or not, metres per newton are alike
+
+
 def test_a_cylinders_curvature_is_one_over_its_radius():
     scenario = parse_scenario({"limb": {"shape": "cylinder", "diameter": 0.06}})
     assert flat_skin(parametric_skin(scenario), 0.04, 0.04).curvature == pytest.approx(1 / 0.03, rel=1e-3)  # chords

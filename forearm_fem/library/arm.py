@@ -76,7 +76,8 @@ class ArmLibrary:
     at ``distances`` [m], at the nodes of :class:`Bands`; ``twin`` the twin for discs. ``spread`` (n_part, 3, n_bin) is
     the standard deviation [m/N] of what is interpolated, by distance (``bins`` (n_bin,) [m]), in units of the prior:
     along the normal, between it and the skin, and along the skin. ``reduction`` (3, n) are frequencies [Hz] and the
-    reduced model's e(f) there, against direct solves, along the normal and along the skin.
+    reduced model's e(f) there, against direct solves, along the normal and along the skin, ``missed`` (n, 3, n_bin)
+    [m/N] what it is off there by distance.
     """
 
     scenario: Scenario
@@ -93,6 +94,7 @@ class ArmLibrary:
     bins: FloatArray
     spread: FloatArray
     reduction: FloatArray
+    missed: FloatArray
     facts: Mapping[str, Any]
 
     @property
@@ -155,13 +157,12 @@ class ArmLibrary:
     def _stated(self, asked: _Asked) -> Compliance:
         """C of the finer mesh with what is stated of interpolation, twin, contacts and reduction."""
         found, hold, slope = self._answer(asked, self.fine, slopes=True)
-        deviation = np.zeros(asked.twin.values.shape)
+        deviation, missed = np.zeros(asked.twin.values.shape), self._missed(asked)
         for part in asked.parts:
             deviation[part.mine] = self._deviation(part.number, asked.places, asked.gripped, part.known)
         beside = 0.25 * (self.twin.radius * self.skin.curvature) ** 2 + self._tilt(found, asked.twin.values, slope)
-        reduction = np.interp(asked.frequency, self.reduction[0], self.reduction[1])
-        spread = deviation_held(deviation, hold)
-        stated = stated_errors(found, spread, asked.twin.error, beside, reduction, self.twin.contact)
+        spread, missed = deviation_held(deviation, hold), deviation_held(missed, hold)
+        stated = stated_errors(found, spread, missed, asked.twin.error, beside, self.twin.contact)
         return replace(found, errors=stated)
 
     def _slopes(self, part: int, places: FloatArray) -> FloatArray:
@@ -244,15 +245,27 @@ class ArmLibrary:
     def _deviation(self, part: int, places: FloatArray, gripped: list[int], variance: FloatArray) -> FloatArray:
         """Standard deviation (p + 2 c, p + 2 c) [m/N] of what is interpolated between the ports, and the ``gripped``
         ones along the skin, of which both directions are alike."""
-        every = np.concatenate([np.arange(len(places)), gripped]).astype(int)
-        along = np.arange(len(every)) >= len(places)
-        away = np.linalg.norm(places[every][:, None] - places[every][None], axis=2)
-        scale = np.array([np.interp(away, self.bins, spread) for spread in self.spread[part]])
         before, known = variance
         left = np.sqrt(np.maximum(np.outer(before, before) - np.outer(known, known), 0.0))
-        kind = along[:, None].astype(int) + along
-        both = np.concatenate([np.arange(len(every)), np.flatnonzero(along)])
-        return np.asarray((left * np.take_along_axis(scale, kind[None], axis=0)[0])[both[:, None], both])
+        twice = np.concatenate([np.arange(len(left)), np.arange(len(places), len(left))])
+        return np.asarray(left[twice[:, None], twice] * self._by_distance(self.spread[part], places, gripped))
+
+    def _missed(self, asked: _Asked) -> FloatArray:
+        """What the reduced model is off by (n_frequency, p + 2 c, p + 2 c) [m/N], by distance and direction; its
+        logarithm is linear between the frequencies checked."""
+        least, checked = np.finfo(float).tiny, self.reduction[0]
+        share = np.array([np.interp(asked.frequency, checked, one) for one in np.eye(len(checked))])
+        each = np.array([self._by_distance(of, asked.places, asked.gripped) for of in self.missed])
+        return np.asarray(np.exp(np.einsum("kf,kij->fij", share, np.log(each + least))))
+
+    def _by_distance(self, of: FloatArray, places: FloatArray, gripped: list[int]) -> FloatArray:
+        """Entries (p + 2 c, p + 2 c) of what is known ``of`` (3, n_bin) directions and distances: of the ports at
+        ``places`` along the normal, and of those ``gripped`` along u and along v, which are alike."""
+        every = np.concatenate([np.arange(len(places)), gripped, gripped]).astype(int)
+        along = (np.arange(len(every)) >= len(places)).astype(int)
+        away = np.linalg.norm(places[every][:, None] - places[every][None], axis=2)
+        values = np.array([np.interp(away, self.bins, one) for one in of])
+        return np.asarray(np.take_along_axis(values, (along[:, None] + along)[None], axis=0)[0])
 
     def _check_same(self, scenario: Scenario) -> None:
         if scenario.engine != "fem":

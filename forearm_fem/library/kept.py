@@ -28,11 +28,13 @@ _log = logging.getLogger("forearm_fem.library")
 @dataclass(frozen=True, eq=False)
 class Side:
     """One mesh's part: the limb through the bells, with free ends where it has absorbing ones, ``reduction`` (3, n),
-    frequencies [Hz] and the reduced model's errors there along the normal and along the skin, and facts."""
+    frequencies [Hz] and the reduced model's errors there along the normal and along the skin, ``missed`` (n, 3, n_bin)
+    [m/N], what they are by distance, and facts."""
 
     limb: Limb
     freed: Limb | None
     reduction: FloatArray
+    missed: FloatArray
     facts: Mapping[str, Any]
 
 
@@ -62,13 +64,14 @@ class Kept:
             with np.load(self._folder / _SIDE, allow_pickle=False) as data:
                 limb, freed = (_limb(data, name) for name in _LIMBS)
                 facts = json.loads(str(data["facts"]))
-                return None if limb is None else Side(limb, freed, data["reduction"], facts)
+                return None if limb is None else Side(limb, freed, data["reduction"], data["missed"], facts)
         except _UNREADABLE:
             return None
 
     def finish(self, side: Side) -> None:
         """Keep the part, and let its columns go."""
-        arrays: dict[str, Any] = {"facts": np.array(json.dumps(dict(side.facts))), "reduction": side.reduction}
+        facts = np.array(json.dumps(dict(side.facts)))
+        arrays: dict[str, Any] = {"facts": facts, "reduction": side.reduction, "missed": side.missed}
         for name in _LIMBS:
             limb: Limb | None = getattr(side, name)
             if limb is not None:

@@ -23,12 +23,11 @@ from .between import Lattice
 from .flat_bells import between_flat_bells, flat_compliance, pair_distances
 from .kept import Side
 from .loads import Bells
-from .side import LoadedSkin, solved_side
+from .side import BIN, LoadedSkin, solved_side
 from .skin import FlatSkin
 
 COARSER = 2.0  # size ratio of the second mesh
 _DISC = 8e-3  # [m] radius of the one contact that the mesh is made around
-_BIN = 5e-3  # [m] of distance in which what is interpolated is taken as equally uncertain
 
 
 def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progress | None = None) -> ArmLibrary:
@@ -51,8 +50,8 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     twin = kept_tables(scenario, tables_reach(float(distances[-1])), progress=progress)
     library = ArmLibrary(
         scenario, centres, sideways, width, fine.limb, coarse.limb if coarse else None, fine.freed, COARSER,
-        distances, flat.reshape(*bands.nodes.shape, *flat.shape[1:]), twin, np.zeros(0), np.zeros((0, 3, 0)),
-        fine.reduction, {**fine.facts, "seconds": time.monotonic() - began},
+        distances, flat.reshape(*bands.nodes.shape, *flat.shape[1:]), twin, loaded.bins, np.zeros((0, 3, 0)),
+        fine.reduction, fine.missed, {**fine.facts, "seconds": time.monotonic() - began},
     )  # fmt: skip
     return _judged(library)
 
@@ -127,7 +126,7 @@ def _second_side(meshed: Scenario, loaded: LoadedSkin, base: Path, progress: Pro
 
 
 def _judged(library: ArmLibrary) -> ArmLibrary:
-    """The library with ``bins`` and ``spread``: each bell left out in turn, in the middle of each part of the band.
+    """The library with its ``spread``: each bell left out in turn, in the middle of each part of the band.
 
     Those on the patch's edge are not judged: without them what the others see is carried on, not interpolated.
     """
@@ -135,7 +134,7 @@ def _judged(library: ArmLibrary) -> ArmLibrary:
     at, loads = library.bands.nodes[:, node], n + 2 * len(library.sideways)
     flat = flat_compliance(library.flat[:, node], library.distances, library.centres, library.sideways)
     every = library.fine.between(at, np.eye(loads)) - flat
-    bins = np.arange(0.0, library.distances[-1] + _BIN, _BIN)
+    bins = library.bins
     spread = np.zeros((len(at), 3, len(bins)))
     for k, of in enumerate(every):
         spread[k, 0] = _left_out(library.lattices[0][k], of[:n, :n], library.centres, bins)
@@ -145,7 +144,7 @@ def _judged(library: ArmLibrary) -> ArmLibrary:
             both = np.tile(library.sideways, (2, 1))
             spread[k, 1] = _left_out(one, np.hstack([u[:, :n], v[:, :n]]), np.tile(library.centres, (2, 1)), bins)
             spread[k, 2] = _left_out(one, np.hstack([u[:, n:], v[:, n:]]), np.tile(both, (2, 1)), bins)
-    return replace(library, bins=bins, spread=spread)
+    return replace(library, spread=spread)
 
 
 def _left_out(lattice: Lattice, values: ComplexArray, readers: FloatArray, bins: FloatArray) -> FloatArray:
@@ -153,7 +152,7 @@ def _left_out(lattice: Lattice, values: ComplexArray, readers: FloatArray, bins:
     centres, shape = lattice.centres, lattice.shape
     inside = (np.abs(centres) < np.abs(centres).max(axis=0) * (1 - 1e-9)).all(axis=1)
     away = np.linalg.norm(centres[inside][:, None] - readers[None], axis=2)
-    number = np.minimum(np.rint(away / _BIN).astype(int), len(bins) - 1).ravel()
+    number = np.minimum(np.rint(away / BIN).astype(int), len(bins) - 1).ravel()
     off = np.abs(lattice.left_out(values)[inside]) ** 2 / lattice.prior.covariance(shape, shape, np.zeros(1))[0]
     count = np.maximum(np.bincount(number, minlength=len(bins)), 1)
     return np.asarray(np.sqrt(np.bincount(number, weights=off.ravel(), minlength=len(bins)) / count))

@@ -33,14 +33,15 @@ from .limb import Limb
 from .loads import Bells, bell_functionals
 from .skin import FlatSkin
 
-_MAKING = 3  # raise when the same question would give another part
+_MAKING = 4  # raise when the same question would give another part
 _DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most (docs/decisions/0037-library.md)
 _SIDEWAYS_DROP = 3e-2  # of those that loads along the skin add: what discs held sideways take is a correction
 _FASTER = 2.5  # than the sweep's rate: high frequencies are what a space cut at _DROP leaves out
 _AT_ONCE = 48  # loads
 _WITNESSES = 24  # loads of the direct solve that the reduced model is compared with
-_CHECKED = (0.0, 0.5, 1.0)  # of the band: far fields fall with frequency, so that its end is the hardest
+_CHECKED = (0.0, 0.1, 0.5, 0.75, 1.0)  # of the band: far fields fall with frequency, so that its end is the hardest
 _APART = 4  # widths between bells from which their compliance counts there
+BIN = 5e-3  # [m] of distance in which errors are taken as alike
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,12 @@ class LoadedSkin:
     skin: FlatSkin
     bells: Bells
     normal: int
+
+    @property
+    def bins(self) -> FloatArray:
+        """Distances (n_bin,) [m] by which errors are told apart, the farthest between two loads among them."""
+        farthest = float(np.linalg.norm(np.ptp(self.bells.centres, axis=0)))
+        return np.arange(0.0, farthest + BIN, BIN)
 
     @property
     def batches(self) -> list[tuple[IntArray, float]]:
@@ -162,15 +169,16 @@ def _finished(
         freed = _poles(reduced.changed(dict.fromkeys(names, Polynomial())), frequency)
         tell(progress, "poles", 2, steps)
     poles = time.monotonic() - began
-    off = np.full((2, len(_CHECKED)), np.nan)
+    checked = _checked(frequency)
+    off, missed = np.full((2, len(checked)), np.nan), np.zeros((len(checked), 3, len(loaded.bins)))
     if whole:
-        off = _reduction_error(meshed, model, seen, reduced, loaded, frequency)
+        off, missed = _reduction_error(meshed, model, seen, limb, loaded, frequency)
     tell(progress, "poles", steps, steps)
     facts: dict[str, Any] = {
         "loads": seen.shape[1], "size": reduced.size, "solves": state.solves, "unknowns": model.operator.n,
         "seconds_loads": state.seconds, "seconds_poles": poles, "seconds_check": time.monotonic() - began - poles,
     }  # fmt: skip
-    return Side(limb, freed, np.stack([_checked(frequency), *off]), facts)
+    return Side(limb, freed, np.stack([checked, *off]), missed, facts)
 
 
 def _poles(reduced: ReducedModel, frequency: FloatArray) -> Limb:
@@ -183,34 +191,53 @@ def _poles(reduced: ReducedModel, frequency: FloatArray) -> Limb:
 
 
 def _checked(frequency: FloatArray) -> FloatArray:
-    """Frequencies (n,) [Hz] of direct solves."""
-    return frequency[[round(share * (len(frequency) - 1)) for share in _CHECKED]]
+    """Frequencies (n,) [Hz] of direct solves, rising."""
+    return np.asarray(frequency[np.unique([round(share * (len(frequency) - 1)) for share in _CHECKED])])
 
 
 def _reduction_error(
     meshed: Scenario,
     model: ForearmModel,
     seen: csr_array,
-    reduced: ReducedModel,
+    limb: Limb,
     loaded: LoadedSkin,
     frequency: FloatArray,
-) -> FloatArray:
-    """Largest error over the largest compliance between bells some widths apart (2, n) at each frequency checked:
-    between those along the normal, and between those along the skin (NaN without)."""
+) -> tuple[FloatArray, FloatArray]:
+    """What the limb's poles are off by between some of the bells, against direct solves, at each frequency checked.
+
+    The largest over the largest compliance between bells some widths apart (2, n), of those along the normal and of
+    those along the skin (NaN without); and :func:`_farther` (n, 3, n_bin) [m/N].
+    """
     bells, groups = loaded.bells, (np.arange(loaded.normal), np.arange(loaded.normal, len(loaded.bells.centres)))
     spread = [of[np.unique(np.linspace(0, len(of) - 1, _WITNESSES).astype(int))] for of in groups if len(of)]
     some = np.concatenate(spread)
     chosen = np.asarray(seen[:, some].toarray())
     witness = replace(model, functionals=chosen, shares=np.ones(len(some)))
-    own = replace(reduced, functionals=reduced.functionals[:, some], shares=np.ones(len(some)))
     away = np.linalg.norm(bells.centres[some][:, None] - bells.centres[some][None], axis=2)
-    along = some < loaded.normal
-    kinds = [(away > _APART * bells.width) & of[:, None] & of for of in (along, ~along)]
-    off = np.full((2, len(_CHECKED)), np.nan)
+    sideways = (some >= loaded.normal).astype(int)
+    kind, far = sideways[:, None] + sideways, away > _APART * bells.width
+    checked = _checked(frequency)
+    off, missed = np.full((2, len(checked)), np.nan), np.zeros((len(checked), 3, len(loaded.bins)))
     solver = make_solver(model, meshed.solver, float(frequency[-1]))
-    for k, at in enumerate(_checked(frequency)):
+    for k, at in enumerate(checked):
         truth = chosen.T @ replace(solver, model=witness).at(float(at)).values
-        apart = np.abs(own.compliance(np.array([at]))[0] - truth)
-        off[: len(spread), k] = [apart[far].max() / np.abs(truth)[far].max() for far in kinds[: len(spread)]]
+        apart = np.abs(limb.between(np.array([at]), np.eye(len(bells.centres))[:, some])[0] - truth)
+        for group, one in enumerate((0, 2)[: len(spread)]):
+            mine = far & (kind == one)
+            off[group, k] = apart[mine].max() / np.abs(truth)[mine].max()
+        missed[k] = [_farther(apart[kind == one], away[kind == one], loaded.bins) for one in range(3)]
     solver.factor.release()
-    return off
+    return off, missed
+
+
+def _farther(apart: FloatArray, away: FloatArray, bins: FloatArray) -> FloatArray:
+    """The largest of ``apart`` (n,) at each distance (n_bin,) [m] of ``bins`` or farther, of pairs ``away`` (n,) [m];
+    beyond the farthest pair, what that one has. Zero without pairs.
+
+    A space that drops a hundredth of fields as strong as those under their loads may miss all of one far away.
+    """
+    number = np.minimum(np.rint(away / BIN).astype(int), len(bins) - 1)
+    largest = np.zeros(len(bins))
+    np.maximum.at(largest, number, apart)
+    largest = np.maximum.accumulate(largest[::-1])[::-1]
+    return np.asarray(largest[np.minimum(np.arange(len(bins)), number.max(initial=0))])

@@ -19,26 +19,32 @@ _CONTACT = MappingProxyType({
 
 
 def stated_errors(
-    found: Compliance, deviation: FloatArray, flat: FloatArray, held: FloatArray, reduction: FloatArray, contact: str
+    found: Compliance, deviation: FloatArray, missed: FloatArray, flat: FloatArray, held: FloatArray, contact: str
 ) -> tuple[ErrorEstimate, ...]:
-    """Estimates from the standard ``deviation`` (n_frequency, p, p) [m/N] of what is interpolated, and from e(f)
-    (n_frequency,) of the ``flat`` twin, of what its discs of this ``contact`` leave out, and of the ``reduction``.
+    """Estimates from the standard ``deviation`` (n_frequency, p, p) [m/N] of what is interpolated and what the reduced
+    model has ``missed`` (likewise), and from e(f) (n_frequency,) of the ``flat`` twin and of what its discs of this
+    ``contact`` leave out.
 
     Entries from discs to points count, between discs where there are none.
     """
     rows, columns = found.indices("point") or found.indices("contact"), found.indices("contact")
-    values, deviation = found.values[:, rows][:, :, columns], deviation[:, rows][:, :, columns]
+    values = found.values[:, rows][:, :, columns]
     size = np.abs(values).max(axis=(1, 2))
     frequency = tuple(found.frequency.tolist())
-    between = tuple((deviation.max(axis=(1, 2)) / size).tolist())
+
+    def by_entry(source: ErrorSource, off: FloatArray, method: str) -> ErrorEstimate:
+        off = off[:, rows][:, :, columns]
+        each = tuple((off.max(axis=(1, 2)) / size).tolist())
+        return ErrorEstimate(source, float(np.linalg.norm(off) / np.linalg.norm(values)), method, frequency, each)
+
     return (
-        ErrorEstimate("interpolation", float(np.linalg.norm(deviation) / np.linalg.norm(values)), "spread of what lies "
-                      "between the library's loads, by leaving each of them out", frequency, between),
+        by_entry("interpolation", deviation, "spread of what lies between the library's loads, by leaving each of them "
+                 "out"),
         _weighed("quadrature", flat, size, frequency, "the flat twin's tables, and last terms and orders of the "
                  "tractions under its discs"),
         _weighed("contact", held, size, frequency, _CONTACT[contact]),
-        _weighed("reduction", reduction, size, frequency, "against direct solves for some of the library's loads at "
-                 "three frequencies, and between them"),
+        by_entry("reduction", missed, "largest against direct solves for some of the library's loads at five "
+                 "frequencies, of those as far apart or farther; and between them"),
     )  # fmt: skip
 
 

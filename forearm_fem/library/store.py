@@ -18,7 +18,7 @@ from .arm import ArmLibrary
 from .limb import Limb
 
 _CONTENT = "arm's library"
-_MADE = 2  # raise when what a library holds is another
+_MADE = 3  # raise when what a library holds is another
 _LIMBS = ("fine", "coarse", "freed")
 _TABLES = "twin_"
 _NUMBERS = ("width", "ratio")
@@ -30,6 +30,7 @@ _ARRAYS = {
     "bins": ("bin",),
     "spread": ("part", "direction", "bin"),
     "reduction": ("frequency_and_errors", "checked"),
+    "missed": ("checked", "direction", "bin"),
 }
 
 
@@ -69,7 +70,7 @@ def load_library(path: str | Path) -> ArmLibrary:
 def _unpack(dataset: xr.Dataset) -> ArmLibrary:
     if dataset.attrs.get("made", 1) != _MADE:
         raise DataError(
-            "this library was made by another version of forearm_fem, which kept other loads; make it again with "
+            "this library was made by another version of forearm_fem, which kept other things; make it again with "
             "`forearm-fem library`"
         )
     disc, number = (json.loads(dataset.attrs[name]) for name in ("disc", "numbers"))
@@ -84,7 +85,7 @@ def _unpack(dataset: xr.Dataset) -> ArmLibrary:
         scenario, dataset["centres"].values, dataset["sideways"].values, float(number["width"]),
         fine, coarse, freed, float(number["ratio"]), dataset["distances"].values, dataset["flat"].values, twin,
         dataset["bins"].values, dataset["spread"].values, dataset["reduction"].values,
-        json.loads(dataset.attrs["facts"]),
+        dataset["missed"].values, json.loads(dataset.attrs["facts"]),
     )  # fmt: skip
 
 
