@@ -666,9 +666,12 @@ def test_intervals_of_a_fit_hold_what_the_reduction_errs_by(model, monkeypatch):
         half = np.log(whole.fit.interval[p.name][1] / whole.fit.values[p.name])
         assert half == pytest.approx(np.hypot(own, 3 * moved), rel=0.01)  # fits end within 1e-4 of their values
         assert abs(3 * moved) > 0.1 * own
+    p = max(chosen, key=lambda p: np.log(whole.fit.interval[p.name][1] / whole.fit.values[p.name]) / p.span)
+    own = np.log(noise.interval[p.name][1] / noise.values[p.name])
+    assert own < 0.4 * np.log(whole.fit.interval[p.name][1] / whole.fit.values[p.name])  # the model's share is most
     assert np.diag(whole.fit.correlation) == pytest.approx(1.0)
     assert "what a coarser reduction finds" in whole.text
-    assert "next best measurement: point " in whole.text
+    assert "take a finer model" in whole.text  # without all noise .92 of the widest interval would be left at least
 
 
 @pytest.mark.parametrize(

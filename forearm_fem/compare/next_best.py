@@ -49,7 +49,7 @@ class NextBest:
         if self.share > _WORTH:
             return (
                 f"next: no point and band asked about shrinks the widest interval, that of {self.parameter}, by a "
-                "tenth; repeat what was measured, or fix the parameter"
+                "tenth; repeat what was measured, take a finer model where its error is most, or fix the parameter"
             )
         return (
             f"next best measurement: {self.candidate.words}; the widest interval, that of {self.parameter}, would "
