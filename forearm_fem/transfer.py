@@ -17,7 +17,6 @@ from .ports import Port
 from .typing import BoolArray, ComplexArray, FloatArray
 
 __all__ = [
-    "UNITS",
     "Compliance",
     "ErrorEstimate",
     "TransferMatrix",
@@ -113,7 +112,7 @@ class TransferMatrix:
     prescribed displacement). ``contacts`` (n_frequency, n_in, n_in) is the displacement of the cones
     themselves in the same unit, where known (driving points on its diagonal). ``valid`` marks entries that may be used
     (None = all); ``deviation`` is a standard deviation per entry (None = unknown). Names of outputs and of inputs are
-    unique. DataError for arrays of other shapes and for a unit that is none of :data:`UNITS`.
+    unique. DataError for arrays of other shapes and for a unit that is none of m/V, m/N and m/m.
     """
 
     frequency: FloatArray
