@@ -271,19 +271,23 @@ def test_bells_that_were_no_witness_miss_what_is_told_for_their_distance(slab, l
     assert (off <= 2 * np.take_along_axis(told, kind, axis=0)[0]).mean() > 0.99  # the largest of other pairs, alike
 
 
-def test_far_entries_state_more_of_what_the_space_misses(slab, library):
-    """A miss of one size at all places is a share of G that grows as entries fall."""
-    level = 1e-6
-    alike = replace(library, missed=np.full_like(library.missed, level))
+def test_what_the_space_misses_reaches_g_entry_by_entry(slab, library):
+    """A miss of one size at all places is a share of G that grows as entries fall. Between the frequencies checked its
+    logarithm is linear: by hand, of one disc and one point, with nothing missed along the skin."""
+    levels = 1e-7 * 10.0 ** np.arange(len(library.missed))
+    along_z, along_skin = np.zeros_like(library.missed), np.zeros_like(library.missed)
+    along_z[:, 0], along_skin[:, 1:] = levels[:, None], 1e-6
     device = {**SLAB["device"], "contacts": [[-0.008, 0.0]]}
-    shares = []
     for x in (-0.002, 0.008):
-        found = alike.compliance(parse_scenario({**SLAB, "device": device, "grid": {"points": [[x, 0.0]]}}))
-        stated = np.array({e.source: e for e in found.errors}["reduction"].per_frequency)
-        size = np.abs(found.values[:, 1, 0])
-        assert (stated >= level / size).all()  # the disc is held sideways, which adds what its own motion misses
-        shares.append(stated * size)
-    assert np.allclose(shares[0], shares[1], rtol=0.5)  # held or not, metres per newton are alike
+        asked = parse_scenario({**SLAB, "device": device, "grid": {"points": [[x, 0.0]]}})
+        stated = []
+        for missed in (along_z, along_skin):
+            found = replace(library, missed=missed).compliance(asked)
+            stated.append(np.array({e.source: e for e in found.errors}["reduction"].per_frequency))
+        between = np.exp(np.interp(found.frequency, library.reduction[0], np.log(levels)))
+        assert stated[0] == pytest.approx(between / np.abs(found.values[:, 1, 0]), rel=1e-9)
+        assert (stated[1] > 0).all()  # discs are held sideways, with forces that see what is missed there
+    assert not np.isin(found.frequency, library.reduction[0]).all()  # so one lies between
 
 
 def test_a_cylinders_curvature_is_one_over_its_radius():

@@ -43,8 +43,8 @@ def stated_errors(
         _weighed("quadrature", flat, size, frequency, "the flat twin's tables, and last terms and orders of the "
                  "tractions under its discs"),
         _weighed("contact", held, size, frequency, _CONTACT[contact]),
-        by_entry("reduction", missed, "largest against direct solves for some of the library's loads at five "
-                 "frequencies, of those as far apart or farther; and between them"),
+        by_entry("reduction", missed, "largest against direct solves for some of the library's loads, of those as far "
+                 "apart or farther, at up to five frequencies; and between these"),
     )  # fmt: skip
 
 

@@ -80,18 +80,16 @@ def validate(
         "model": prediction.model,
         "left_out": prediction.left_out,
         "numerics": {
-            "S": float(np.median(prediction.draws.numerics)),
-            "largest": float(prediction.draws.numerics.max()),
-            "factor": float(np.exp(np.median(prediction.draws.spread))),
-            "observables": TOLERANCE,
+            "S": float(np.median(prediction.draws.numerics)), "largest": float(prediction.draws.numerics.max()),
+            "factor": float(np.exp(np.median(prediction.draws.spread))), "observables": TOLERANCE,
         },
         "failed": dict(prediction.draws.problems),
         "targets": [_judged(t, rows) for t in TARGETS],
         "table_one": {name: _table_one(prediction.draws, reading) for name, reading in TABLE.items()},
         "shah": _shah(question, progress),
-        "measured": None
-        if measured is None
-        else {"name": measured.provenance.get("cite") or measured_name, **_measured(measured, question, prediction)},
+        "measured": None if measured is None else {
+            "name": measured.provenance.get("cite") or measured_name, **_measured(measured, question, prediction)
+        },
     }
     write_json(out / FILE, content)
     return content
