@@ -62,7 +62,7 @@ ROWS = io.strength_rows(("inverse filter", "funneling"), ("1", "5"), np.array([[
 def _block() -> TissueMesh:
     region = (CORNERS[TETRA].mean(axis=1)[:, 2] > -0.01).astype(np.int64)
     bare = TissueMesh(CORNERS, oriented(CORNERS, TETRA), region, ("muscle", "fat"), {})
-    return with_boundaries(bare, 1e-6)
+    return with_boundaries(bare)
 
 
 MESH = _block()

@@ -52,7 +52,7 @@ def user_mesh(limb: MeshLimb, base: Path, layout: Layout, least: float, *, keep_
     mesh = TissueMesh(points, tetrahedra, region, names, {})
     mesh = mesh if keep_bone else without_bone(mesh)
     check_room(file, mesh.points, layout, limb.unit)
-    return with_boundaries(mesh, 1e-6 * float(np.ptp(points[:, 0])))
+    return with_boundaries(mesh)
 
 
 def _tetrahedra(file: Path, read: Any) -> IntArray:

@@ -149,7 +149,7 @@ def surfaces_mesh(
         tell(progress, f"cutting along the surface of {inner.tissue}", 0, 0)
         mesh = _with_region(mesh, _stretched(inner, low[0], high[0]))
     mesh = mesh if keep_bone else without_bone(mesh)
-    return with_boundaries(mesh, 1e-3 * float(high[0] - low[0]))
+    return with_boundaries(mesh)
 
 
 def _check_count(outer: ClosedSurface, grid: FloatArray, wanted: FloatArray, most: float) -> None:
