@@ -76,3 +76,7 @@ def test_steady_tones_are_g_times_the_force():
         motor.steady(g, -0.1, "A1")  # a peak below nothing
     with pytest.raises(DataError, match="solve a wider band"):
         motor.steady(TransferMatrix(f[:50], g.values[:50], (POINT,), (CONTACT,), "m/N"), 0.1, "A1")
+    valid = np.ones(g.values.shape, dtype=bool)
+    valid[120:130] = False  # 170 to 179 Hz: the motor's fifth step
+    masked = motor.steady(TransferMatrix(f, g.values, (POINT,), (CONTACT,), "m/N", valid=valid), 0.1, "A1")[:, 0]
+    assert np.flatnonzero(np.isnan(masked)).tolist() == [4]  # what may not be used moves nothing that is known

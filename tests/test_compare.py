@@ -101,6 +101,46 @@ def test_gaps_are_not_bridged():
     assert agreement(ground).band < 1e-4
 
 
+def test_a_gap_in_one_is_a_part_of_the_band_that_only_the_other_has():
+    fine = wave_matrix(np.arange(10.0, 500.5, 0.5))
+    keep = (fine.frequency < 200) | (fine.frequency > 260)
+    holed = replace(fine, frequency=fine.frequency[keep], values=fine.values[keep])
+    assert common_ground(holed, fine).only_b == ((199.5, 260.5),)
+    assert common_ground(fine, holed).only_a == ((199.5, 260.5),)
+    assert common_ground(holed, fine).only_a == ()
+
+
+def test_an_axis_that_grows_coarser_by_and_by_has_no_gaps():
+    """Steps of a logarithmic axis are seven times its median at the end; all of it was left out as gaps."""
+    uneven = wave_matrix(np.geomspace(10.0, 500.0, 600))
+    ground = common_ground(wave_matrix(np.arange(20.0, 480.0, 7.0)), uneven)
+    assert ground.interpolated == "b"
+    assert ground.valid.all()
+    assert agreement(ground).band < 1e-4
+    assert ground.only_a == ground.only_b[1:-1] == ()
+
+
+def test_what_interpolation_may_cost_is_said_where_it_counts():
+    """A G compared with itself on samples too far apart for its waves differs by the spline alone, which is said to be
+    no smaller; where samples are dense no word is lost."""
+    for step in (16.0, 24.0, 32.0, 40.0):
+        sparse, asked = wave_matrix(np.arange(10.0, 500.0, step)), wave_matrix(np.arange(21.3, 440.0, 1.7 * step))
+        said = common_ground(asked, sparse)
+        (note,) = said.notes
+        assert f"B is interpolated between samples up to {step:g} Hz apart, which alone may make an e_band of" in note
+        stated, true = float(note.partition("an e_band of ")[2].split(":")[0]), agreement(said).band
+        assert true < stated < 7 * true
+        assert compare(asked, sparse, render=False).notes[0] == note
+    assert not common_ground(asked, wave_matrix(np.arange(10.0, 500.0, 4.0))).notes
+
+
+def test_the_scale_of_an_arbitrary_gain_is_said_to_mean_nothing():
+    b = replace(A, provenance={"gain": "arbitrary"})
+    assert compare(A, b, render=False).notes[0].startswith("the gain of B is arbitrary, as was declared: FRAC, phases")
+    assert compare(b, A, render=False).notes[0].startswith("the gain of A is arbitrary")
+    assert compare(A, A, render=False).notes == ()
+
+
 def test_masked_entries_stay_out_of_everything():
     valid = np.ones(A.values.shape, dtype=bool)
     valid[:, 4, 2] = False

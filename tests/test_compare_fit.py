@@ -207,6 +207,17 @@ def test_layered_twin_recovers_skin_and_coil_parameters(tmp_path):
     assert json.loads((tmp_path / "fit.json").read_text())["identified"]
 
 
+def test_data_of_arbitrary_gain_are_fitted_with_a_scale_of_any_size():
+    """A scale between a fifth and five times cannot undo a gain of 3,000: the tissues would have to."""
+    truth = twin(**{"tissues.override.skin.mu": 18e3})
+    data = replace(truth, values=3e3 * truth.values, contacts=None, provenance={"gain": "arbitrary"})
+    with pytest.raises(DataError, match="name `scale` among the parameters"):
+        run_fit(SCENARIO, data, ["skin.mu"])
+    found = run_fit(SCENARIO, data, ["scale", "skin.mu"]).fit.values
+    assert found["scale"] == pytest.approx(3e3, rel=1e-3)
+    assert found["tissues.override.skin.mu"] == pytest.approx(18e3, rel=1e-3)
+
+
 def test_layered_twin_says_that_coil_and_cone_mass_are_one_number():
     data = replace(twin(), contacts=None)
     sigma = 0.01 * np.sqrt(np.mean(np.abs(data.values) ** 2))

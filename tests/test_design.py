@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,9 @@ import pytest
 from cli_runner import cli
 
 from forearm_fem.design import Candidate, TwinArm, evaluate, load_design, pareto_front, run_design
+from forearm_fem.design import candidate as candidates
+from forearm_fem.design.candidate import score_of
+from forearm_fem.design.model import Objective
 from forearm_fem.design.search import planned, search
 from forearm_fem.design.store import Store
 from forearm_fem.errors import DataError, GeometryError, ScenarioError
@@ -149,6 +153,56 @@ def test_constraints_that_do_not_hold_are_named_and_cost_more_than_any_that_does
     impossible = evaluate(asked, {"device.spacing": 0.0021}, Waves())
     assert "need 7.35 mm" in impossible.problem
     assert impossible.cost == 1000
+
+
+def test_the_housing_follows_the_number_of_actuators(tmp_path):
+    """What is weighed is what moves: a candidate of nine has nine actuators in its shell, in G, too."""
+    asked = design(tmp_path, SPACING)
+    mass = lambda **values: asked.scenarios({k.replace("_", "."): v for k, v in values.items()})[0].device.housing.mass  # noqa: E731
+    assert mass() == 0.090
+    assert mass(device_columns=3) == pytest.approx(0.040 + 6 * 0.0125)
+    six = {"device.columns": 3, "device.spacing_y": 0.02}
+    found = evaluate(asked, six, Waves())
+    assert found.mass == pytest.approx(0.115)
+    stated = evaluate(asked, {**six, "device.housing.mass": 0.090}, Waves())
+    assert stated.mass == 0.090
+    assert stated.score != found.score
+    assert mass(device_actuator="TEAX09C005-8", device_columns=3) == pytest.approx(0.040 + 6 * 0.0032)
+    light = design(tmp_path, SPACING + "[constraints]\nactuator_mass = 0.004\nshell_mass = 0.02\n")
+    assert light.scenarios({})[0].device.housing.mass == pytest.approx(0.036)
+    nine = SCENE.replace("[device.cone]", "[device]\nrows = 3\ncolumns = 3\n[device.cone]")
+    with pytest.raises(ScenarioError, match=r"housing.mass: 0\.09 kg is less than its 9 actuators of 0\.0125 kg"):
+        design(tmp_path, '[[variables]]\nkey = "device.columns"\nvalues = [2, 3]\n', nine)
+
+
+def test_drives_without_volts_do_not_beat_those_whose_power_is_known():
+    """Their power is unknown, not nothing."""
+    volts = scored({"k": 1}, 2.0, total_power=0.1)
+    forces = scored({"k": 2}, 2.1, total_power=math.nan)
+    worse = scored({"k": 3}, 1.9, total_power=math.nan)
+    assert pareto_front([worse, forces, volts]) == (volts, forces)
+    assert pareto_front([forces, worse]) == (forces,)
+
+
+def test_an_s_that_is_unknown_is_no_share_of_targets_and_no_score_of_the_other_arm(tmp_path):
+    share = Objective(of="share")
+    assert score_of(np.array([2.0, 0.5]), share) == 0.5
+    assert math.isnan(score_of(np.array([2.0, np.nan]), share))
+    asked = design(tmp_path, SPACING + '[objective]\nover = "least"\n')
+    asked = replace(asked, data=(*asked.data, *asked.data))
+    strengths = iter([np.full(9, 2.0), np.full(9, np.nan)])
+    one = candidates._one
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(candidates, "_one", lambda *args: replace(one(*args), strengths=next(strengths)))
+        found = evaluate(asked, {}, Waves())
+    assert math.isnan(found.score)
+    assert not found.feasible
+
+
+def test_a_target_under_a_cone_is_too_near_whatever_is_asked_for(tmp_path):
+    near = design(tmp_path, SPACING + "[constraints]\nclearance = 0.0\n")
+    found = evaluate(near, {"device.contacts": [[0.0, 0.0], [0.02, 0.02]]}, Waves())
+    assert found.violations == {"clearance": pytest.approx(3.5)}  # 3.5 mm within the rim, in mm
 
 
 def test_drives_are_those_that_move_the_target_as_asked(tmp_path):

@@ -109,6 +109,14 @@ def test_a_milder_second_mesh_is_tried_first(cold, monkeypatch):
     assert "1.3 times as far apart" in result.transfer.errors[0].method
 
 
+def test_a_measured_g_meets_no_accuracy_by_its_scatter_alone():
+    scatter = ErrorEstimate("measurement", 0.001, "")
+    said = accuracy_verdict(Scenario(accuracy=0.1), (scatter,))
+    assert said == (
+        "asked e_band <= 0.1: UNKNOWN, as a measured G states its scatter (0.001) and no systematic error"
+    )
+
+
 def test_all_sources_count_together():
     scenario, one = Scenario(accuracy=0.1), ErrorEstimate("discretisation", 0.08, "")
     other = replace(one, source="truncation")

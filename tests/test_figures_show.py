@@ -19,7 +19,18 @@ from forearm_fem.figures import Results
 from forearm_fem.figures.interact import Room, interact
 from forearm_fem.figures.motion import View, motion, nice
 from forearm_fem.figures.scene import plotter_for
-from forearm_fem.figures.show import Look, Stage, amplification, animate, body_of, render_still, standing, write_pvd
+from forearm_fem.figures.show import (
+    Look,
+    Stage,
+    amplification,
+    animate,
+    body_of,
+    render_still,
+    staged,
+    standing,
+    write_pvd,
+)
+from forearm_fem.scenario import parse_scenario
 
 SMALL = (320, 240)
 
@@ -63,6 +74,40 @@ def test_the_drawn_amplification_is_honest(run: Results) -> None:
     assert 1.5e-3 < factor * most < 5.5e-3  # metres on the picture
     assert amplification(moved, skin, Look(amplification=7.0)) == 7.0
     assert [nice(v) for v in (1.0, 1.9, 4.99, 5.0, 730.0)] == [1, 1, 2, 5, 500]
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(2.5, "motion drawn 2.5 times larger"), (0.2, "motion drawn 0.2 times as large"), (1.0, "drawn true to scale"),
+     (20000.0, "motion drawn 20,000 times larger"), (0.0, "motion not drawn, only coloured")],
+)  # fmt: skip
+def test_the_amplification_is_said_as_it_is_drawn(run: Results, factor: float, said: str) -> None:
+    """To whole numbers, as it was, a bulge of a fifth was drawn "0 times larger", one of 2.5 "2 times"."""
+    stage = Stage(MagicMock(), body_of(run, "", "5"), motion(run, View("funneling", "5")), factor, 1e-6)
+    assert stage._words(0).splitlines()[-1] == said
+
+
+def test_a_picture_says_what_it_leaves_out_of_the_housing(folder: Path) -> None:  # noqa: F811
+    results = Results.open(folder)
+    with plotter_for(SMALL) as plotter:
+        whole = staged(results, plotter, motion(results, View()), Look(size=SMALL))
+    assert "housing" not in whole._words(0)
+    shared = {**results.scenario.model_dump(), "device": {**results.scenario.device.model_dump()}}
+    shared["device"]["housing"]["skin_share"] = 0.03
+    results.__dict__["scenario"] = parse_scenario(shared)
+    with plotter_for(SMALL) as plotter:
+        told = staged(results, plotter, motion(results, View()), Look(size=SMALL))
+    assert told._words(0).endswith("without what the skin follows of the housing")
+
+
+def test_the_frequency_said_is_the_one_that_is_shown(run: Results) -> None:
+    """The field has bins: what is asked for between them is the nearest one's, and is called so."""
+    own = run.wavefield.frequency
+    between = motion(run, View(frequency=float(own[9] + 0.3 * (own[10] - own[9]))))
+    exact = motion(run, View(frequency=float(own[9])))
+    assert np.array_equal(between.states, exact.states)
+    assert between.view.words == exact.view.words
+    assert f", {own[9]:g} Hz, " in between.view.words
 
 
 def test_a_still_shows_the_wave(run: Results, tmp_path: Path) -> None:

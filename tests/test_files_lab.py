@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
+from dataclasses import replace
 
 import h5netcdf
 import numpy as np
@@ -13,7 +14,7 @@ from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
 
 from forearm_fem.errors import DataError
 from forearm_fem.io.declaration import Declaration
-from forearm_fem.io.recognise import read_measured
+from forearm_fem.io.recognise import read_measured, write_measured
 from forearm_fem.io.recognition import RecognitionWarning
 
 PORTS = (OUTPUTS, INPUTS)
@@ -130,6 +131,49 @@ def test_uff_nodes_are_points_by_their_numbers_else_in_their_order_with_a_warnin
         back = read_measured(tmp_path / "lab.uff", Declaration(sign="+iwt"), ports=PORTS)
     assert len(caught) == 1
     assert np.abs(back.values - G.values).max() < DIGITS * np.abs(G.values).max()
+
+
+def test_axes_that_differ_by_rounding_are_one(tmp_path):
+    """Two files put together: 10 + 2.3 and 12.3 Hz are one frequency, else every other row would lack every entry."""
+    rows = lines()
+    turned = [r.replace(r.partition(",")[0], repr(float(r.partition(",")[0]) * (1 + 1e-13)), 1) for r in rows[1:]]
+    own = [t if r.split(",")[1] == POINTS[1] else r for t, r in zip(turned, rows[1:], strict=True)]
+    assert own != rows[1:]
+    back = read(tmp_path, [rows[0], *own])
+    assert len(back.frequency) == len(G.frequency)
+    assert back.valid.all()
+    assert np.abs(back.values - G.values).max() < 1e-12 * np.abs(G.values).max()
+    with pytest.raises(DataError, match=r"20\.0 and 20\.0000000000\d+ Hz are one frequency.*keep one of them"):
+        read(tmp_path, [*rows, turned[0]])
+
+
+def test_uff_functions_of_their_own_even_axes_meet_on_one(tmp_path):
+    whole = 10.0 + 0.1 * np.arange(50)
+    for node, x in ((1, whole), (2, 12.3 + 0.1 * np.arange(27))):
+        block = pyuff.prepare_58(
+            binary=0, func_type=4, rsp_node=node, rsp_dir=3, ref_node=1, ref_dir=3, data=x * (1 + 1j), x=x,
+            num_pts=len(x), ord_data_type=6, abscissa_spacing=1, abscissa_min=x[0], abscissa_inc=0.1,
+            abscissa_spec_data_type=18, ordinate_spec_data_type=8, ordinate_axis_units_lab="m",
+            orddenom_spec_data_type=0, orddenom_axis_units_lab="V",
+        )  # fmt: skip
+        pyuff.UFF(str(tmp_path / "lab.uff")).write_sets(block, mode="add")
+    back = read_measured(tmp_path / "lab.uff", Declaration(sign="+iwt"), ports=(OUTPUTS[:2], INPUTS[:1]))
+    assert np.allclose(back.frequency, whole, rtol=1e-9, atol=0)
+    assert back.valid[:, :, 0].sum(axis=0).tolist() == [50, 27]
+    assert np.allclose(back.values[23:, 1, 0], whole[23:] * (1 + 1j), rtol=1e-9)
+
+
+@pytest.mark.parametrize("suffix", ["nc", "csv", "tdms", "uff"])
+def test_an_arbitrary_gain_stays_arbitrary_in_every_format(tmp_path, suffix):
+    """Micrometres of such a G mean nothing: a file that forgets it states them."""
+    rows = lines()
+    (tmp_path / "lab.csv").write_text("\n".join(rows) + "\n")
+    declared = SAID.model_copy(update={"arbitrary_gain": True})
+    g = read_measured(tmp_path / "lab.csv", declared, ports=PORTS)
+    write_measured(tmp_path / f"G.{suffix}", g)
+    assert read_measured(tmp_path / f"G.{suffix}").provenance["gain"] == "arbitrary"
+    write_measured(tmp_path / f"plain.{suffix}", replace(g, provenance={}))
+    assert "gain" not in read_measured(tmp_path / f"plain.{suffix}").provenance
 
 
 def test_netcdf_of_another_program_is_said_to_be_one(tmp_path):

@@ -115,12 +115,13 @@ def test_window_on_the_impulse_response_lowers_the_noise(tmp_path):
     assert rms[0.05] < 0.5 * rms[None]  # sqrt(0.05 / 0.5) = 0.32 of the noise, plus the window's bias
 
 
-def test_loopback_removes_an_unknown_latency_of_the_output(tmp_path):
+@pytest.mark.parametrize("latency", [0, 7])
+def test_loopback_removes_an_unknown_latency_of_the_output(tmp_path, latency):
     truth = part(wave_matrix(), 1, 1)
     plan = plan_for(truth)
     daq = plan.options.daq.model_copy(update={"loopback": "ai1", "latency": 0.0})
     plan = replace(plan, options=plan.options.model_copy(update={"daq": daq}))
-    measured = calibrate(plan, device_for(truth, bits=0, ahead=500), tmp_path).transfer
+    measured = calibrate(plan, device_for(truth, bits=0, ahead=500, latency=latency), tmp_path).transfer
     assert band_error(measured.values, truth.values) < 1e-12
 
 

@@ -20,6 +20,7 @@ from forearm_fem.pipeline import folder
 from forearm_fem.pipeline.fem_engine import FemSolution
 from forearm_fem.pipeline.folder import Run, run_all, run_render, run_solve
 from forearm_fem.pipeline.solved import _Store, field_modes
+from forearm_fem.results import read_run
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import SolverOptions
 from forearm_fem.transfer import Compliance
@@ -150,6 +151,17 @@ def test_a_new_coil_needs_no_new_solve(finished, home, monkeypatch, tmp_path):
     other = run_solve(Run.start(heavier, tmp_path / "heavier", Path()))
     before = read_transfer(finished / "transfer.nc")
     assert np.abs(other.values - before.values).max() > 0.01 * np.abs(before.values).max()
+
+
+def test_what_the_field_leaves_out_of_the_housing_is_said(finished, home, tmp_path):
+    """Points follow a share of the housing, the field between them does not: films would show less in silence."""
+    share = "device.housing.skin_share: pictures, films and wavefield.npz leave out"
+    assert not any(note.startswith(share) for note in read_run(finished / "run.json").notes)
+    for k, housing in enumerate(({"skin_share": 0.03}, {"skin_share": 0.03, "fixed": True})):
+        scenario = parse_scenario({**TINY, "device": {**TINY["device"], "housing": housing}})
+        run_solve(Run.start(scenario, tmp_path / str(k), Path()))
+        notes = read_run(tmp_path / str(k) / "run.json").notes
+        assert any(note.startswith(share) for note in notes) == (k == 0)
 
 
 def interrupted_then_resumed(monkeypatch, tmp_path, stage, done, **solver):

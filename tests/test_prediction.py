@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from cli_runner import cli
@@ -465,6 +466,8 @@ def test_the_store_is_read_back_and_damage_is_told(found: tuple[Prediction, Path
     kept = [o.transfer for o in back if o.number < KEPT]
     assert all(g is not None and np.isfinite(g).all() and g.shape == kept[0].shape for g in kept)
     assert np.abs(kept[1] - kept[0]).max() > 0.01 * np.abs(kept[0]).max()  # another arm, another G
+    with h5py.File(folder / FILE) as file:
+        assert file["G"].attrs["units"] == "m/V"
     content = bytearray((folder / FILE).read_bytes())
     content[len(content) // 2] ^= 0x40
     (tmp_path / FILE).write_bytes(content)

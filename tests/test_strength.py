@@ -40,7 +40,7 @@ from forearm_fem.rendering import (
     thesis_renderers,
 )
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.transfer import ErrorEstimate, band_error, relative_error
+from forearm_fem.transfer import ErrorEstimate, band_error, entry_errors, relative_error
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 TARGETS = tuple(str(k) for k in range(1, 10))
@@ -306,6 +306,33 @@ def test_frequencies_left_out_of_an_even_list_are_holes_too():
     assert np.array_equal(found.transfer.frequency, g.frequency)
     assert np.allclose(found.transfer.values, g.values, atol=1e-3 * np.abs(g.values).max())
     assert found.bins == 3
+
+
+def test_what_bridging_states_over_the_band_is_that_of_the_entries_it_filled():
+    """In the norm of G, where a hole in a loud part weighs more than one in a faint part; what was known errs by
+    nothing. The rms of e(f) stated both alike."""
+    g = waves(BINS)
+    g = replace(g, values=g.values * np.exp(-(BINS - BINS[0]) / 60)[:, None, None])
+    found = []
+    for row in (4, 100):
+        valid = np.ones(g.values.shape, dtype=bool)
+        valid[row, 2, 1] = False
+        holed = bridged(replace(g, valid=valid, values=np.where(valid, g.values, np.nan)))
+        off = entry_errors(replace(holed.transfer, errors=(holed.error,)))
+        assert np.argwhere(off).tolist() == [[row, 2, 1]]
+        assert holed.error.band == pytest.approx(np.linalg.norm(off) / np.linalg.norm(holed.transfer.values))
+        assert holed.error.worst == pytest.approx(off.max() / np.abs(holed.transfer.values[row]).max())
+        found.append(holed.error.band / holed.error.worst)
+    assert found[0] > 100 * found[1]  # G has fallen by a factor of 600
+
+
+def test_a_row_left_out_takes_no_deviation_of_the_others():
+    g = waves(BINS)
+    kept = np.delete(np.arange(len(BINS)), [40, 41])
+    size = np.abs(g.values[kept]) / 100
+    found = bridged(replace(g, frequency=BINS[kept], values=g.values[kept], deviation=size)).transfer
+    assert np.array_equal(found.deviation[kept], size)
+    assert np.isnan(found.deviation[[40, 41]]).all()
 
 
 def test_what_cannot_be_bridged_stays_open_and_its_cost_is_stated():

@@ -353,6 +353,19 @@ def test_stimuli_on_a_g_with_holes_are_those_of_a_run():
     assert np.abs(undriven - found.signals).max() > 0.01 * np.abs(found.signals).max()
 
 
+def test_a_g_of_arbitrary_gain_makes_no_stimulus_of_micrometres():
+    """Its drives would be volts by a scale that nobody knows; a peak of the drives needs none."""
+    g, shape = replace(waves(np.arange(12.0, 500.1, 4.0)), provenance={"gain": "arbitrary"}), ricker(duration=0.25)
+    scenario = parse_scenario({"sweep": {"duration": 0.25}})
+    wanted = {"methods": ["inverse filter"], "targets": ["5"]}
+    for level in ({"rule": "target peak", "value": 2.0}, {}):
+        with pytest.raises(ScenarioError, match=r"set stimuli\.level\.rule = 'drive peak'"):
+            stimuli_for(g, scenario, Stimuli.model_validate({**wanted, "level": level}), shape)
+    asked = Stimuli.model_validate({**wanted, "level": {"rule": "drive peak", "value": 0.5}})
+    made = stimuli_for(g, scenario, asked, shape)["inverse filter", "5"]
+    assert np.abs(made.signals).max() == pytest.approx(0.5)
+
+
 def test_levels_that_a_task_may_ask_for_are_refused_before_the_session():
     """A drive of 1 V raised by 12 dB is 4 V; the limit is 2.5 V."""
     g = TransferMatrix(np.array([50.0, 100.0]), np.ones((2, 1, 1), dtype=complex), GRID[:1], (GRID[0],))

@@ -143,6 +143,18 @@ def test_table_one_is_judged_entry_by_entry_and_jointly() -> None:
     assert others == entries  # methods are told by name
 
 
+def test_few_arms_say_nothing_of_a_joint_distance_and_no_band_of_a_law() -> None:
+    """Seven arms span six directions of nine: a point in the others counted as near as the rest."""
+    rng = np.random.default_rng(0)
+    few, enough = (module._table_one(table_of(np.exp(0.2 * rng.standard_normal(n))), "calibrated") for n in (18, 46))
+    assert set(few) == {"all"}
+    assert few["all"]["distance"] is None
+    assert few["all"]["beyond"] is None
+    assert set(enough) == {"all", "zener", "springpot"}  # 23 of each
+    assert enough["all"]["distance"] > 0
+    assert enough["zener"]["distance"] is None
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
     patch = pytest.MonkeyPatch()
@@ -174,6 +186,8 @@ def test_the_page_says_first_where_it_fails(whole: tuple[dict[str, Any], Path]) 
     )
     assert sum(what.startswith("Table I, S over the wavelet's window:") for what, _, _ in failures(found)) == len(out)
     assert page.count("not seen") >= 5
+    assert "Too few arms for a band of its own: Kelvin-Voigt" in page  # seven of each
+    assert "Too few arms to say how far the nine lie jointly." in first
     assert "question of interest" in page
     assert read_json(folder / "validation.json")["draws"] == 21
 
@@ -224,6 +238,16 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     middle = [e["measured"] for e in again["entries"] if e["group"] == "Middle (5)"]
     assert middle == pytest.approx(own[:, 4], rel=5e-3)  # samples of another rate fill the window
     assert middle != pytest.approx([e["measured"] for e in told["entries"] if e["group"] == "Middle (5)"], rel=0.05)
+    valid = np.ones(g.values.shape, dtype=bool)
+    valid[g.frequency > 400] = False
+    holed = module._measured(replace(g, valid=valid), Question(scene, Path()), prediction)
+    assert "at the ends of its band, which are not bridged and not driven" in holed["note"]
+    assert "of the wavelet's energy lies where it is unknown and is not driven" in holed["note"]
+    assert holed["note"] in validation_page({**found, "measured": {"name": "g.nc", **holed}})
+    assert told["note"] == ""
+    valid[:, 6] = g.frequency[:, None] < 20
+    with pytest.raises(DataError, match="the measured G gives no S: 100% of the wavelet"):
+        module._measured(replace(g, valid=valid), Question(scene, Path()), prediction)
     short = replace(g, outputs=g.outputs[:3], values=g.values[:, :3])
     with pytest.raises(DataError, match="no output called '4'"):
         module._measured(short, Question(scene, Path()), prediction)

@@ -465,6 +465,43 @@ def test_a_measured_g_with_holes(flat: Results) -> None:
     np.testing.assert_allclose(answer, expected, rtol=1e-9)
 
 
+@needs_node
+def test_what_is_sent_lies_before_the_gains_as_pythons_drives_do(content: dict[str, Any], flat: Results) -> None:
+    """A gain is the channel's own: a file of drives that held it would be amplified twice. Nothing goes to one that is
+    off."""
+    scenario = parse_scenario({**LAYERED, "device": {**LAYERED["device"], "gains": {"A2": 0.7}}})
+    shape = ricker(250.0, 1.0, 4000.0, 0.25)
+    drives = render_all(close_loop(flat.compliance, scenario.device), wavelet=shape)["funneling", "2"].drives.signals
+    job = {"ask": "sent", "method": "funneling"}
+    sent, off = asked(content, *({**job, "settings": {"target": 1, "device": {"gain": gain}}}
+                                 for gain in ([1, 0.7, 1, 1], [1, 1, 0, 1])))  # fmt: skip
+    np.testing.assert_allclose(sent, drives, atol=1e-10 * np.abs(drives).max())
+    assert not np.any(off[2])
+    assert np.any(off[3])
+
+
+@needs_node
+def test_a_bridged_g_that_states_no_error_has_no_interval(flat: Results) -> None:
+    """What bridging missed is no error of the rest: intervals for it alone were far too narrow."""
+    valid = np.ones(flat.transfer.values.shape, dtype=bool)
+    valid[20:22] = False
+    g = replace(flat.transfer, valid=valid, contacts=None, errors=())
+    holed = measured_content(g, flat.scenario, "")
+    assert [e["source"] for e in holed["errors"]] == ["bridging"]
+    assert asked(holed, {"ask": "why no interval"}) == ["this G states no errors"]
+    stated = measured_content(replace(g, errors=(ErrorEstimate("discretisation", 0.05, ""),)), flat.scenario, "")
+    assert asked(stated, {"ask": "why no interval"}) == [""]
+
+
+def test_a_measured_page_states_no_accuracy_and_no_scale_that_it_has_not(flat: Results) -> None:
+    scatter = ErrorEstimate("measurement", 1e-3, "scatter")
+    g = replace(flat.transfer, contacts=None, errors=(scatter,), provenance={"gain": "arbitrary"})
+    found = measured_content(g, flat.scenario, "")
+    assert "UNKNOWN, as a measured G states its scatter" in found["accuracy"]
+    assert found["notes"][0].startswith("the gain of this G is arbitrary, as was declared")
+    assert measured_content(replace(g, provenance={}), flat.scenario, "")["notes"] == []
+
+
 def test_points_on_a_line_are_drawn_too(flat: Results) -> None:
     g = replace(flat.transfer, outputs=flat.transfer.outputs[:3], values=flat.transfer.values[:, :3], contacts=None)
     found = measured_content(g, parse_scenario(LAYERED), "measured")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import median_filter
 
 from ..errors import DataError
 from ..ports import Port
@@ -16,7 +17,9 @@ from ..typing import BoolArray, ComplexArray, FloatArray
 from .places import matched
 
 _SAME = 1e-6  # relative: frequencies closer than this are the same
-_GAP = 3.0  # an interval this much wider than the median one is a gap
+_GAP = 3.0  # an interval this much wider than the median of those about it is a gap
+_ABOUT = 9  # intervals
+_EXACT = 0.01  # e_band of interpolation that no word is lost about
 _SHORTEST = 8  # samples in a row that a spline needs
 
 
@@ -27,7 +30,8 @@ class CommonGround:
     ``deviation_a`` and ``deviation_b`` (n, n_out, n_in), None if unknown. ``interpolated`` names the one
     that was splined to the other's frequencies ("", "a" or "b"); ``only_a`` and ``only_b`` are the parts of
     the bands [Hz] that the other does not cover; ``covered`` [-] is the share of entries compared. ``notes`` say where
-    ports were matched by place, where names and places disagree, and which entries one of the two lacks.
+    ports were matched by place, where names and places disagree, which entries one of the two lacks, and what
+    interpolation may cost.
     """
 
     frequency: FloatArray
@@ -78,7 +82,7 @@ def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
     frequency = _shared(coarse, fine)
     first, second = _at(coarse, frequency), _at(fine, frequency)
     ours, theirs = (first, second) if coarse_is_a else (second, first)
-    splined = "" if second.copied else ("b" if coarse_is_a else "a")
+    splined = "" if second.error is None else ("b" if coarse_is_a else "a")
     valid = ours.valid & theirs.valid
     if not valid.any():
         raise DataError(_nothing_shared(ours.valid, theirs.valid))
@@ -95,7 +99,7 @@ def common_ground(a: TransferMatrix, b: TransferMatrix) -> CommonGround:
         interpolated=splined,
         only_a=_uncovered(a.frequency, b.frequency),
         only_b=_uncovered(b.frequency, a.frequency),
-        notes=(*notes, *_lacking(ours.valid, theirs.valid, a)),
+        notes=(*notes, *_lacking(ours.valid, theirs.valid, a), *_guessed(splined.upper(), fine, second.error)),
         provenance=(a.provenance, theirs_from),
     )
 
@@ -167,7 +171,7 @@ class _Sampled:
     values: ComplexArray
     valid: BoolArray
     deviation: FloatArray | None
-    copied: bool
+    error: float | None = None  # e_band of what was splined, None where all was copied
 
 
 def _at(g: TransferMatrix, frequency: FloatArray) -> _Sampled:
@@ -178,19 +182,21 @@ def _at(g: TransferMatrix, frequency: FloatArray) -> _Sampled:
     deviation = None if g.deviation is None else g.deviation[nearest]
     values, known = np.where(valid, g.values, 0)[nearest], valid[nearest]
     if same.all():
-        return _Sampled(values, known, deviation, True)
-    splined, filled = _splined(g.frequency, np.where(valid, g.values, 0), valid, frequency)
+        return _Sampled(values, known, deviation)
+    splined, filled, error = _splined(g.frequency, np.where(valid, g.values, 0), valid, frequency)
     pick = same[:, None, None]
-    return _Sampled(np.where(pick, values, splined), np.where(pick, known, filled), deviation, False)
+    return _Sampled(np.where(pick, values, splined), np.where(pick, known, filled), deviation, error)
 
 
-def _splined(x: FloatArray, values: ComplexArray, valid: BoolArray, at: FloatArray) -> tuple[ComplexArray, BoolArray]:
-    """Cubic splines per unbroken run of valid samples; nothing elsewhere."""
+def _splined(
+    x: FloatArray, values: ComplexArray, valid: BoolArray, at: FloatArray
+) -> tuple[ComplexArray, BoolArray, float]:
+    """Cubic splines per unbroken run of valid samples, nothing elsewhere; and what they may err by, as e_band."""
     out, known = (
         np.zeros((len(at), *values.shape[1:]), dtype=complex),
         np.zeros((len(at), *values.shape[1:]), dtype=bool),
     )
-    wide = np.diff(x) > _GAP * np.median(np.diff(x))
+    wide, off, size = _wide(x), 0.0, 0.0
     for o, i in np.ndindex(*values.shape[1:]):
         broken = wide | ~valid[1:, o, i] | ~valid[:-1, o, i]
         for run in np.split(np.arange(len(x)), np.nonzero(broken)[0] + 1):
@@ -198,11 +204,43 @@ def _splined(x: FloatArray, values: ComplexArray, valid: BoolArray, at: FloatArr
             if len(run) >= _SHORTEST and inside.any():
                 out[inside, o, i] = CubicSpline(x[run], values[run, o, i])(at[inside])
                 known[inside, o, i] = True
-    return out, known
+                squares = _off(x[run], values[run, o, i])
+                off, size = off + squares[0], size + squares[1]
+    return out, known, float(np.sqrt(off / size)) if size > 0 else 0.0
+
+
+def _off(x: FloatArray, y: ComplexArray) -> tuple[float, float]:
+    """Squared norms of what a spline through ``y`` at ``x`` may err by, and of ``y``, at every other sample.
+
+    That is an eighth of what a spline through the rest misses them by, as half the step divides an error by 16 and
+    more; a third where that is half of ``y`` or more: waves then turn between the rest.
+    """
+    miss = float(np.linalg.norm(CubicSpline(x[::2], y[::2])(x[1:-1:2]) - y[1:-1:2]))
+    size = float(np.linalg.norm(y[1:-1:2]))
+    return (miss / (8 if miss < size / 2 else 3)) ** 2, size**2
+
+
+def _wide(x: FloatArray) -> BoolArray:
+    """Which intervals between ``x`` are gaps: wider than those about them, as axes may grow coarser by and by."""
+    step = np.diff(x)
+    return np.asarray(step > _GAP * median_filter(step, _ABOUT, mode="nearest")) if len(step) else step > 0
+
+
+def _guessed(name: str, fine: TransferMatrix, error: float | None) -> tuple[str, ...]:
+    """What to say of a matrix whose interpolation may count."""
+    if error is None or error <= _EXACT:
+        return ()
+    step = float(np.diff(fine.frequency)[~_wide(fine.frequency)].max())
+    return (
+        f"{name} is interpolated between samples up to {step:.3g} Hz apart, which alone may make an e_band of "
+        f"{error:.2g}: the figures below hold it; solve or measure {name} at the frequencies of the other",
+    )
 
 
 def _uncovered(ours: FloatArray, theirs: FloatArray) -> tuple[tuple[float, float], ...]:
-    """Parts of our band beyond the other's ends."""
+    """Parts of our band beyond the other's ends, and in its gaps."""
     parts = [(float(ours[0]), float(theirs[0]))] if ours[0] < theirs[0] * (1 - _SAME) else []
+    gaps = [(float(theirs[k]), float(theirs[k + 1])) for k in np.flatnonzero(_wide(theirs))]
+    parts += [(a, b) for a, b in gaps if ((ours > a * (1 + _SAME)) & (ours < b * (1 - _SAME))).any()]
     parts += [(float(theirs[-1]), float(ours[-1]))] if ours[-1] > theirs[-1] * (1 + _SAME) else []
     return tuple(parts)

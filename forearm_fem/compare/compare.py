@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..io.declaration import arbitrary_gain
 from ..metrics import WaveFit, condition_number, fit_waves
 from ..ports import distances
 from ..transfer import TransferMatrix
@@ -28,7 +29,7 @@ class Comparison:
     ``waves_a`` and ``waves_b`` hold one fit per input by the thesis' estimator over the points sorted by
     distance, None where there are fewer than three distances. ``crossed`` is None with the reason in
     ``not_crossed``. ``notes`` come before all figures: ports that do not lie where their names say, entries that are
-    missing, and the reading of B (:mod:`.readings`) that would make the two agree.
+    missing, scales that are arbitrary, and the reading of B (:mod:`.readings`) that would make the two agree.
     """
 
     names: tuple[str, str]
@@ -67,7 +68,17 @@ def compare(
         _condition(ground, ground.b),
         crossed,
         why,
-        tuple(note for note in (*ground.notes, explained(ground)) if note),
+        tuple(note for note in (*_of_scale(ground), *ground.notes, explained(ground)) if note),
+    )
+
+
+def _of_scale(ground: CommonGround) -> tuple[str, ...]:
+    """A sentence for each side whose scale is unknown."""
+    return tuple(
+        f"the gain of {side} is arbitrary, as was declared: FRAC, phases, delays, condition numbers and S hold, "
+        "e_band, e, dB and the misfit mean nothing"
+        for side, provenance in zip("AB", ground.provenance, strict=True)
+        if arbitrary_gain(provenance)
     )
 
 

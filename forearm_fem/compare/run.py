@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import DataError, ForearmError
 from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
-from ..io.declaration import Declaration, Ports, declared_by
+from ..io.declaration import Declaration, Ports, arbitrary_gain, declared_by
 from ..io.netcdf import write_transfer
 from ..io.recognise import read_measured
 from ..pipeline.parametric import BEYOND, ParametricModel
@@ -36,10 +36,12 @@ from .compare import Comparison, compare, plain
 from .earlier import check_earlier, clear_earlier
 from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, with_model_error
 from .next_best import NextBest, next_best
+from .parameters import Parameter
 from .readings import explained, mistake
 from .report import FILES, as_markdown, save_report
 
 FIT_FILES = ("fit.json", "fit.md", "fitted.nc")
+_ANY = 100.0  # times either way that an arbitrary gain may be off the ratio to the model at its start
 __all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
 
 
@@ -137,7 +139,7 @@ def run_fit(
     ``base`` is the folder of the scenario's files). Actuators of the device that were not measured are there
     all the same. Writes fit.json, fit.md and fitted.nc into ``folder``; their notes say which reading of the data
     (:mod:`.readings`) would make model and data agree. DataError for a G without valid entries, of another drive than
-    ``device.drive``, or of inputs that the device does not have.
+    ``device.drive``, of inputs that the device does not have, or of arbitrary gain without ``scale`` to find.
     """
     asked = {
         "scenario": scenario.model_dump(mode="json"), "measured": _said(measured, declaration),
@@ -147,6 +149,8 @@ def run_fit(
         check_earlier(Path(folder), FIT_FILES, asked)
     data = thinned(_load(measured, declaration, planform_ports(scenario)), frequencies)
     _check_drive(scenario, data)
+    if arbitrary_gain(data.provenance) and SCALE not in parameters:
+        raise DataError("the measured G has an arbitrary gain, as was declared: name `scale` among the parameters")
     chosen = common_parameters(scenario, parameters)
     inputs, outputs = all_inputs(scenario, data), data.outputs
     if fem:
@@ -163,6 +167,8 @@ def run_fit(
     def model(values: Mapping[str, float]) -> TransferMatrix:
         return answering(whole(values), data)
 
+    if arbitrary_gain(data.provenance):
+        chosen = _rescaled(chosen, data, model({p.name: p.start for p in chosen if p.name not in (SCALE, DELAY)}))
     result, numerics = fit(model, data, chosen, progress=progress), ""
     if fem:
         rough = fem_compliance_of(reduced.coarser, data.frequency)
@@ -183,6 +189,14 @@ def run_fit(
     text = fit_text(result, notes)
     files = () if folder is None else _save_fit(Path(folder), asked, result, best, text, notes)
     return FitCommandResult(result, best, following, reduction, numerics, text, files)
+
+
+def _rescaled(chosen: Sequence[Parameter], data: TransferMatrix, start: TransferMatrix) -> tuple[Parameter, ...]:
+    """The parameters with ``scale`` about the ratio of ``data`` of arbitrary gain to the model at its ``start``."""
+    used = np.isfinite(data.values) if data.valid is None else data.valid & np.isfinite(data.values)
+    ratio = float(np.linalg.norm(data.values[used]) / np.linalg.norm(start.values[used]))
+    low, high = ratio / _ANY, ratio * _ANY
+    return tuple(replace(p, start=ratio, lower=low, upper=high) if p.name == SCALE else p for p in chosen)
 
 
 def _refitted(

@@ -23,6 +23,8 @@ from ..typing import FloatArray
 from .arm import ArmModel
 from .model import Constraints, Design, DesignFile, Objective, Values
 
+_NEARNESS = 1e-3  # m
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -83,14 +85,14 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
         return _impossible(values, str(problem))
     s = np.array([f.strengths for f in found])
     scores = [score_of(row, asked.objective) for row in s]
-    over = min(scores) if asked.objective.over == "least" else float(np.mean(scores))
+    over = float(np.min(scores) if asked.objective.over == "least" else np.mean(scores))  # NaN where one is
     count, limits = len(first.device.centres), asked.constraints
-    voltage, power = max(f.voltage for f in found), max(f.power for f in found)
+    voltage, power = (float(np.max([getattr(f, what) for f in found])) for what in ("voltage", "power"))
     total = float(np.mean([f.total_power for f in found]))
-    mass = limits.shell_mass + count * limits.actuator_mass
+    mass = first.device.housing.mass
     broken |= _beyond({"max_voltage": voltage, "max_power": power, "max_mass": mass, "max_actuators": count}, limits)
     means = dict(zip(found[0].targets, map(float, s.mean(axis=0)), strict=True))
-    error = max(f.error for f in found)
+    error = float(np.max([f.error for f in found]))
     return Candidate(values, over, means, count, voltage, power, total, mass, error, broken)
 
 
@@ -103,7 +105,7 @@ def s_interval(design: Design, candidate: Candidate, arm: ArmModel) -> tuple[flo
         account = account_of(scenario, g, rendering, base=design.base)
         low.append(score_of(account.low[0], asked.objective))
         high.append(score_of(account.high[0], asked.objective))
-    pick = min if asked.objective.over == "least" else np.mean
+    pick = np.min if asked.objective.over == "least" else np.mean
     return float(pick(low)), float(pick(high))
 
 
@@ -159,9 +161,9 @@ def _share(rendering: Rendering, method: str, target: str, wanted: float) -> flo
 
 
 def score_of(strengths: FloatArray, objective: Objective) -> float:
-    """The objective [-] of S (n_target,)."""
+    """The objective [-] of S (n_target,); NaN where some S is."""
     if objective.of == "share":
-        return float(np.mean(strengths > 1))
+        return float(np.mean(strengths > 1)) if not np.isnan(strengths).any() else math.nan
     return float(strengths.min() if objective.of == "least" else strengths.mean())
 
 
@@ -171,7 +173,7 @@ def _targets(scenario: Scenario, objective: Objective) -> tuple[str, ...]:
 
 
 def _geometry(scenario: Scenario, limits: Constraints, targets: tuple[str, ...]) -> dict[str, float]:
-    """Distances that are too small, by the share that they lack [-]."""
+    """Distances that are too small, by the share that they lack [-]; of 1 mm where none is asked for."""
     contacts, places = np.array(scenario.device.centres), np.array(scenario.grid.places)
     aimed = places[[int(t) - 1 for t in targets]]
     clear = float(np.linalg.norm(aimed[:, None] - contacts[None], axis=2).min()) - scenario.device.cone.radius
@@ -179,7 +181,7 @@ def _geometry(scenario: Scenario, limits: Constraints, targets: tuple[str, ...])
     found = {}
     for name, is_, least in (("clearance", clear, limits.clearance), ("min_distance", apart, limits.min_distance)):
         if is_ < least * (1 - 1e-9):
-            found[name] = 1 - is_ / least
+            found[name] = (least - is_) / (least or _NEARNESS)
     return found
 
 

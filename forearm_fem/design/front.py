@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -12,18 +12,26 @@ from .candidate import Candidate
 
 def pareto_front(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
     """Feasible candidates with no other of at least their score, at most their actuators and at most their power, one
-    of these strictly; by number of actuators, then power. Power counts where it is known (drives in volts).
+    of these strictly; by number of actuators, then power. Power is unknown of drives that are no voltages: such a
+    candidate is compared with its like alone, by score and actuators.
     """
     feasible = [c for c in candidates if c.feasible]
-    if not feasible:
-        return ()
-    power = [0.0 if math.isnan(c.total_power) else c.total_power for c in feasible]
-    goods = np.array([(-c.score, c.actuators, p) for c, p in zip(feasible, power, strict=True)])
     kept: list[Candidate] = []
+    for unknown in (False, True):
+        kept += _unbeaten([c for c in feasible if math.isnan(c.total_power) == unknown])
+    return tuple(sorted(kept, key=lambda c: (c.actuators, _power(c), -c.score)))
+
+
+def _power(candidate: Candidate) -> float:
+    return math.inf if math.isnan(candidate.total_power) else candidate.total_power
+
+
+def _unbeaten(alike: Sequence[Candidate]) -> Iterator[Candidate]:
+    """Those of candidates that know their power, or that all do not, which no other beats; of equals the first."""
+    goods = np.array([(-c.score, c.actuators, _power(c)) for c in alike]).reshape(-1, 3)
     seen: set[tuple[float, ...]] = set()
-    for i, mine in enumerate(goods):
+    for mine, candidate in zip(goods, alike, strict=True):
         worse = (goods <= mine).all(axis=1) & (goods < mine).any(axis=1)
         if not worse.any() and tuple(mine) not in seen:
             seen.add(tuple(mine))
-            kept.append(feasible[i])
-    return tuple(sorted(kept, key=lambda c: (c.actuators, c.total_power, -c.score)))
+            yield candidate

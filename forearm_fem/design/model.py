@@ -31,6 +31,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -40,11 +41,13 @@ from pydantic import Field, ValidationError, model_validator
 from ..errors import ScenarioError, first_problem
 from ..pipeline.unread import unread_because
 from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario, scenario_beside
+from ..scenario.actuators import ACTUATORS
 from ..scenario.base import Name, Part, Within
 from ..scenario.rendering import Method
 from ..scenario.toml import read_toml
 from ..typing import BoolArray, FloatArray
 
+_HOUSING, _THESIS = "device.housing.mass", 12.5e-3  # kg of the thesis' actuator
 _TABLED = ("device.cone.radius", "device.cone.contact", "tissues", "limb", "sweep")
 Values = dict[str, Any]
 Span = tuple[float, float]
@@ -128,10 +131,15 @@ class Constraints(Part):
     )
     max_actuators: Annotated[int, Within(1, 100)] | None = None
     max_mass: Annotated[float, Within(1e-6, 10.0, "kg")] | None = Field(
-        None, description="of actuators and shell [kg]: housing.mass, of which actuator_mass times four is the thesis'"
+        None, description="of actuators and shell [kg]: device.housing.mass, which follows the number of actuators "
+        "unless set or a variable gives it",
+    )  # fmt: skip
+    actuator_mass: Annotated[float, Within(1e-6, 10.0, "kg")] | None = Field(
+        None, description="of one actuator [kg]; left out: what its preset's source states, else the thesis' 12.5 g"
     )
-    actuator_mass: Annotated[float, Within(1e-6, 10.0, "kg")] = Field(0.0125, description="of one actuator [kg]")
-    shell_mass: Annotated[float, Within(1e-6, 10.0, "kg", zero=True)] = Field(0.040, description="of the shell [kg]")
+    shell_mass: Annotated[float, Within(1e-6, 10.0, "kg", zero=True)] | None = Field(
+        None, description="of the shell [kg]; left out: what the scenario's housing weighs beside its own actuators"
+    )
     max_voltage: Annotated[float, Within(1e-9, 1e4, "V")] | None = Field(None, description="peak of any drive [V]")
     max_power: Annotated[float, Within(1e-12, 1e6, "W")] | None = Field(
         None, description="of any actuator, mean over the scenario's own record [W]"
@@ -197,9 +205,41 @@ class Design:
         return found
 
     def scenarios(self, values: Values) -> tuple[Scenario, ...]:
-        """Each scenario with ``values`` in place; raises ScenarioError for what cannot be."""
+        """Each scenario with ``values`` in place; raises ScenarioError for what cannot be.
+
+        Its housing weighs what its shell and its actuators do, unless the design gives ``device.housing.mass``.
+        """
         aims = {"rendering.methods": [self.asked.objective.method]}
-        return tuple(parse_scenario(_with(data, {**self.asked.set, **values, **aims})) for data in self.data)
+        given = {**self.asked.set, **values}
+        found = tuple(parse_scenario(_with(data, {**given, **aims})) for data in self.data)
+        if _HOUSING in given:
+            return found
+        return tuple(_weighed(s, own, self.asked.constraints) for s, own in zip(found, self._own, strict=True))
+
+    @cached_property
+    def _own(self) -> tuple[Scenario, ...]:
+        """The scenarios as their files have them."""
+        return tuple(parse_scenario(apply_overrides(data, [])) for data in self.data)
+
+
+def _weighed(scenario: Scenario, own: Scenario, limits: Constraints) -> Scenario:
+    """``scenario`` with the mass of its housing, by that of its file's ``own`` device."""
+    (count, each), (was, other) = ((len(s.device.centres), _one_mass(s, limits)) for s in (scenario, own))
+    if limits.shell_mass is None and (count, each) == (was, other):
+        return scenario
+    shell = own.device.housing.mass - was * other if limits.shell_mass is None else limits.shell_mass
+    if shell < -1e-9:
+        raise ScenarioError(
+            f"device.housing.mass: {own.device.housing.mass:g} kg is less than its {was} actuators of {other:g} kg; "
+            "correct it, or give constraints.actuator_mass or constraints.shell_mass"
+        )
+    housing = scenario.device.housing.model_copy(update={"mass": round(shell + count * each, 9)})
+    return scenario.model_copy(update={"device": scenario.device.model_copy(update={"housing": housing})})
+
+
+def _one_mass(scenario: Scenario, limits: Constraints) -> float:
+    """Of one actuator [kg]."""
+    return limits.actuator_mass or ACTUATORS[scenario.device.actuator].mass or _THESIS
 
 
 def _span(variable: Variable) -> tuple[float, float, bool]:

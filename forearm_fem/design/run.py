@@ -168,5 +168,5 @@ def _confirmed(design: Design, best: Candidate, out: Path, progress: Progress | 
         s = np.array([entry.value for entry in strength.methods[objective.method].values()], dtype=float)
         scores.append(score_of(s, objective))
         folders.append(folder)
-    over = min(scores) if objective.over == "least" else float(np.mean(scores))
+    over = np.min(scores) if objective.over == "least" else np.mean(scores)
     return Confirmation(float(over), best.score, tuple(folders))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..ports import Port, positions
-from ..scenario.device import Housing
+from ..scenario.device import Device, Housing
 from ..typing import ComplexArray, FloatArray
 
 
@@ -40,3 +40,9 @@ def strap_stiffness(housing: Housing) -> ComplexArray:
 def dynamic_stiffness(housing: Housing, omega: FloatArray) -> ComplexArray:
     """Diagonal of k (1 + i loss) - omega^2 m per coordinate (n_frequency, n_q) [N/m]; omega > 0."""
     return np.asarray(strap_stiffness(housing) - housing.mass * omega[:, None] ** 2)
+
+
+def carries_points(device: Device) -> bool:
+    """Whether the skin at the points follows a share of the housing's motion (``device.housing.skin_share``)."""
+    housing = device.housing
+    return device.drive == "voltage" and not housing.fixed and housing.skin_share > 0

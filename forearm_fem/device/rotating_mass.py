@@ -45,7 +45,8 @@ class RotatingMass:
         return mass * self.acceleration
 
     def steady(self, transfer: TransferMatrix, mass: float, actuator: str) -> FloatArray:
-        """Peak displacement (n, n_out) [m] at each step with the motor alone on contact ``actuator``.
+        """Peak displacement (n, n_out) [m] at each step with the motor alone on contact ``actuator``, NaN where G is
+        not valid beside a step.
 
         ``transfer`` is a G in m/N. Raises DataError for another unit, an unknown actuator, or steps beyond its band.
         """
@@ -61,6 +62,7 @@ class RotatingMass:
                 f"the motor's steps reach from {self.frequency.min():g} to {self.frequency.max():g} Hz, G from {low:g} "
                 f"to {high:g} Hz; solve a wider band"
             )
-        column = np.abs(transfer.values[:, :, names.index(actuator)])
+        usable = True if transfer.valid is None else transfer.valid
+        column = np.abs(np.where(usable, transfer.values, np.nan)[:, :, names.index(actuator)])
         gain = np.array([np.interp(self.frequency, transfer.frequency, row) for row in column.T]).T
         return np.asarray(gain * self.force(mass)[:, None])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -22,7 +22,7 @@ Quantity = Literal["normal", "magnitude", "phase"]
 class View:
     """What to show.
 
-    ``method`` and ``target`` choose the drives; with ``frequency`` [Hz] only their bin there, scaled so that the
+    ``method`` and ``target`` choose the drives; with ``frequency`` [Hz] only the bin nearest to it, scaled so that the
     largest drive is one unit; ``actuator`` replaces them by one unit on that actuator (needs a frequency).
     ``quantity``: the outward "normal" component, the "magnitude", or the "phase" of the normal component (at a
     frequency).
@@ -72,6 +72,7 @@ def motion(results: Results, view: View, steps: FloatArray | None = None) -> Mot
     check_view(results, view)
     field = results.wavefield
     if view.frequency is not None:
+        view = replace(view, frequency=_nearest(field, view.frequency))
         phasor = _phasor(results, view, field)
         at = np.linspace(0, 2 * np.pi, 24, endpoint=False) if steps is None else steps
         return Motion(view, at, (np.exp(1j * at)[:, None] * phasor).real, phasor)
@@ -112,13 +113,17 @@ def check_view(results: Results, view: View) -> None:
         raise DataError("a phase belongs to a frequency; give one in Hz, or show 'normal' or 'magnitude'")
 
 
-def _phasor(results: Results, view: View, field: Wavefield) -> ComplexArray:
-    """Complex amplitudes (r,) of the modes at the bin nearest to the view's frequency."""
-    assert view.frequency is not None
+def _nearest(field: Wavefield, frequency: float) -> float:
+    """The field's bin [Hz] that stands for ``frequency``; DataError beyond the sweep."""
     low, high = field.frequency[0], field.frequency[-1]
-    if not low - 1 <= view.frequency <= high + 1:
-        raise DataError(f"{view.frequency:g} Hz lies outside the sweep of {low:g} to {high:g} Hz")
-    nearest = int(np.argmin(np.abs(field.frequency - view.frequency)))
+    if not low - 1 <= frequency <= high + 1:
+        raise DataError(f"{frequency:g} Hz lies outside the sweep of {low:g} to {high:g} Hz")
+    return float(field.frequency[np.argmin(np.abs(field.frequency - frequency))])
+
+
+def _phasor(results: Results, view: View, field: Wavefield) -> ComplexArray:
+    """Complex amplitudes (r,) of the modes at the view's frequency, a bin of the field."""
+    nearest = int(np.flatnonzero(field.frequency == view.frequency)[0])
     return np.asarray(field.amplitudes[nearest] @ _unit_drives(results, view, field, nearest))
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from ..device.housing import carries_points
 from ..errors import DataError, optional
 from ..io.atomic import atomic_path, write_bytes, write_text
 from ..ports import Port
@@ -147,13 +148,14 @@ def colour_limit(results: Results, moved: Motion, look: Look) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A plotter with everything in place; :meth:`show` sets one step of the motion."""
+    """A plotter with everything in place; :meth:`show` sets one step of the motion; ``without`` says what it lacks."""
 
     plotter: Any
     body: Body
     moved: Motion
     factor: float
     limit: float
+    without: tuple[str, ...] = ()
 
     def show(self, step: int) -> None:
         """Deform and colour the body as at ``step``, and say which it is."""
@@ -174,17 +176,20 @@ class Stage:
         return 1e6 * shown_values(u, self.body.normals, self.moved.view.quantity)
 
     def _words(self, step: int) -> str:
-        drawn = "drawn true to scale" if self.factor == 1 else f"motion drawn {self.factor:,.0f} times larger"
+        size = f"{self.factor:,.12g} times {'larger' if self.factor > 1 else 'as large'}"
+        drawn = "drawn true to scale" if self.factor == 1 else f"motion drawn {size}"
         if self.factor == 0:
             drawn = "motion not drawn, only coloured"
-        return f"{self.moved.view.words}\n{self.moved.label(step)}\n{drawn}"
+        return "\n".join([self.moved.view.words, self.moved.label(step), drawn, *self.without])
 
 
 def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
     """Body, device, grid, bones, scale bar, colours and camera in ``plotter``."""
     view = moved.view
     body = body_of(results, look.cut, view.target)
-    stage = Stage(plotter, body, moved, amplification(moved, body, look), colour_limit(results, moved, look))
+    without = ("without what the skin follows of the housing",) if carries_points(results.scenario.device) else ()
+    scales = amplification(moved, body, look), colour_limit(results, moved, look)
+    stage = Stage(plotter, body, moved, *scales, without)
     stage.show(0)
     ports = (*results.transfer.inputs, *results.transfer.outputs)
     plotter.add_mesh(body.dataset, scalars="shown", cmap=_MAPS[view.quantity], clim=_range(stage), smooth_shading=True,

@@ -17,7 +17,7 @@ from ..ports import Port
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .atomic import write_bytes
-from .declaration import RawMatrix, port_from
+from .declaration import RawMatrix, arbitrary_gain, port_from
 from .reading import refuse_no_file
 from .seal import BLANK, MARK, check_seals, sealed
 
@@ -39,6 +39,7 @@ def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
         "sign": "+iwt",
         "spectrum": "one-sided",
         "masked": transfer.valid is not None,
+        **arbitrary_gain(transfer.provenance),
         "outputs": [vars(p) for p in transfer.outputs],
         "inputs": [vars(p) for p in transfer.inputs],
     }
@@ -207,7 +208,7 @@ def _raw(
         inputs=_ports(head.get("inputs")),
         valid=valid if head.get("masked", True) else None,
         deviation=deviation,
-        provenance={"format": "CSV"},
+        provenance={"format": "CSV", **arbitrary_gain(head)},
     )
 
 

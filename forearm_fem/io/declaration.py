@@ -26,6 +26,7 @@ Axis = Literal["frequency", "output", "input"]
 Spectrum = Literal["one-sided", "two-sided"]
 Sign = Literal["+iwt", "-iwt"]
 _HERMITIAN = 1e-6  # of the largest value: how far a two-sided spectrum may be from G(-f) = conj G(f)
+_SAME = 1e-6  # relative: frequencies closer than this are one, as where two G are compared
 
 
 class PortDeclaration(Part):
@@ -119,7 +120,7 @@ def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = N
     outputs, inputs = known
     named = placed_by_name(raw, outputs, inputs)
     ordered = _ordered(named, declaration, len(outputs), len(inputs))
-    frequency = _frequency(ordered, declaration)
+    ordered, frequency = _united(ordered, _frequency(ordered, declaration))
     one_sided = _one_sided(ordered, frequency, _agreed(raw, declaration, "spectrum"))
     transfer = _metres(one_sided, declaration, outputs, inputs)
     return _banded(transfer, declaration.band, raw.name)
@@ -175,6 +176,11 @@ def asked(silent: Mapping[str, str]) -> str:
     others = ", ".join(v for k, v in _ELSE.items() if k in silent)
     where = "where true" + (f" (else {others})" if others else "")
     return f"does not say all of itself; add {' '.join(silent.values())} {where}" if silent else ""
+
+
+def arbitrary_gain(provenance: Mapping[str, Any]) -> dict[str, str]:
+    """What of ``provenance`` says that a G's scale is unknown: ``{"gain": "arbitrary"}``, or nothing."""
+    return {"gain": "arbitrary"} if provenance.get("gain") == "arbitrary" else {}
 
 
 def declare(key: str, value: str) -> str:
@@ -254,6 +260,35 @@ def _frequency(raw: RawMatrix, declaration: Declaration) -> FloatArray:
     if _agreed(raw, declaration, "spectrum") == "two-sided":
         return np.arange(n) * declaration.sample_rate / n
     return np.arange(n) * declaration.sample_rate / (2 * (n - 1))
+
+
+def _united(raw: RawMatrix, frequency: FloatArray) -> tuple[RawMatrix, FloatArray]:
+    """Rows at frequencies that differ by rounding alone as one: entries measured with axes of their own have such.
+
+    DataError where an entry is known in two of them.
+    """
+    step = np.diff(frequency)
+    near = (step > 0) & (step < _SAME * frequency[1:])
+    if not near.any():
+        return raw, frequency
+    row = np.concatenate([[0], np.cumsum(~near)])
+    known = np.isfinite(raw.values) if raw.valid is None else raw.valid & np.isfinite(raw.values)
+    shape = (row[-1] + 1, *raw.values.shape[1:])
+    count = np.zeros(shape, dtype=int)
+    np.add.at(count, row, known)
+    if (count > 1).any():
+        first = frequency[np.nonzero(row == np.nonzero((count > 1).any(axis=(1, 2)))[0][0])[0]]
+        raise DataError(
+            f"{raw.name}: {float(first[0])!r} and {float(first[1])!r} Hz are one frequency, and some entry is known at "
+            "both; keep one of them"
+        )
+    at, o, i = np.nonzero(known)
+    values, deviation = np.full(shape, np.nan + 0j), None if raw.deviation is None else np.full(shape, np.nan)
+    values[row[at], o, i] = raw.values[at, o, i]
+    if deviation is not None and raw.deviation is not None:
+        deviation[row[at], o, i] = raw.deviation[at, o, i]
+    firsts = np.concatenate([[True], ~near])
+    return replace(raw, values=values, valid=count > 0, deviation=deviation), frequency[firsts]
 
 
 def _one_sided(raw: RawMatrix, frequency: FloatArray, spectrum: Spectrum) -> RawMatrix:

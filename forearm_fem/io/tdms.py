@@ -18,7 +18,7 @@ from ..errors import DataError, optional
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .atomic import atomic_path, write_bytes
-from .declaration import RawMatrix, port_from
+from .declaration import RawMatrix, arbitrary_gain, port_from
 from .reading import reading
 from .recording import Recording
 from .seal import BLANK, check_seals, sealed
@@ -41,6 +41,7 @@ def write_tdms(path: str | Path, transfer: TransferMatrix) -> None:
         "spectrum": "one-sided",
         "ports": json.dumps(ports),
         "masked": int(transfer.valid is not None),
+        **arbitrary_gain(transfer.provenance),
         "sha256": BLANK.decode(),
     }
     parts = [
@@ -163,7 +164,7 @@ def _read(file: Path) -> RawMatrix:
         deviation=_cube(group, shape, "deviation") if "1<-1 deviation" in group else None,
         outputs=ports["outputs"],
         inputs=ports["inputs"],
-        provenance={"format": "TDMS"},
+        provenance={"format": "TDMS", **arbitrary_gain(says)},
     )
 
 

@@ -21,7 +21,7 @@ from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .atomic import atomic_path
-from .declaration import RawMatrix, port_from
+from .declaration import RawMatrix, arbitrary_gain, port_from
 from .reading import reading
 from .seal import BLANK, sealed
 
@@ -73,7 +73,7 @@ def _pyuff() -> Any:
 def _header(transfer: TransferMatrix) -> bytes:
     """A private dataset with the ports as JSON in 80-column lines: readers skip numbers that they do not know."""
     ports = {"outputs": [vars(p) for p in transfer.outputs], "inputs": [vars(p) for p in transfer.inputs]}
-    text = json.dumps({"unit": transfer.unit, **ports}, ensure_ascii=True)
+    text = json.dumps({"unit": transfer.unit, **arbitrary_gain(transfer.provenance), **ports}, ensure_ascii=True)
     lines = [BLANK.decode(), *(f"|{text[k : k + 72]}|" for k in range(0, len(text), 72))]
     return "\n".join([_END, f"{_PRIVATE:6d}", _MARK, *lines, _END, ""]).encode("ascii")
 
@@ -210,7 +210,7 @@ def _raw(
         inputs=None if own is None else tuple(port_from(p) for p in own["inputs"]),
         valid=valid,
         deviation=_deviation(sets, x, nodes),
-        provenance={"format": "UFF 58"},
+        provenance={"format": "UFF 58", **arbitrary_gain(own or {})},
         names=None if own is not None else (tuple(map(str, nodes[0])), tuple(f"A{n}" for n in nodes[1])),
         numbered=True,
     )

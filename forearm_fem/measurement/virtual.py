@@ -52,7 +52,7 @@ class VirtualOptions:
     """Noise, converter and latency of a virtual device.
 
     ``noise`` [V rms] is white and added before the converter; :func:`noise_for` finds it for a signal-to-noise ratio.
-    ``bits`` 0 = no quantisation. ``latency`` [samples] delays the sensor, ``ahead`` is the driver's queue.
+    ``bits`` 0 = no quantisation. ``latency`` [samples] delays the inputs, ``ahead`` is the driver's queue.
     """
 
     noise: float = 0.0
@@ -76,7 +76,7 @@ class VirtualDaq:
         self._outputs = tuple(p.name for p in transfer.outputs)
         self._kernel = _kernels(transfer, self._record, options)
         self._range, self._point, self._session = 10.0, 0, 0
-        self._tail = np.zeros(0)
+        self._tail = self._cable = np.zeros(0)
         self._history = np.zeros((1, 0))
         self._rng = np.random.default_rng(options.seed)
         self._tick = 0
@@ -123,6 +123,7 @@ class VirtualDaq:
         self._tick = 0
         self._late = np.zeros((len(wiring.inputs), 0))
         self._tail = np.zeros(self._record.n - 1)
+        self._cable = np.zeros(self._options.latency)
         self._history = np.zeros((len(wiring.inputs), self._options.ahead))
 
     def exchange(self, block: FloatArray) -> FloatArray:
@@ -145,13 +146,19 @@ class VirtualDaq:
     def _inputs(self, block: FloatArray) -> FloatArray:
         assert self._wiring is not None
         sensor = self._sensor(block)
-        rows = [sensor, block[np.argmax(np.abs(block).max(axis=1))]][: len(self._wiring.inputs)]
+        rows = [sensor, self._returned(block)][: len(self._wiring.inputs)]
         noisy = np.stack(rows) + self._options.noise * self._rng.standard_normal((len(rows), block.shape[1]))
         clipped = np.clip(noisy, -self._range, self._range)
         volts = clipped if self._options.bits == 0 else np.round(clipped / self.resolution) * self.resolution
         if (broken := self._options.faults.nan_at) is not None:
             volts = np.where(self._tick + np.arange(volts.shape[1]) == broken, np.nan, volts)
         return self._late_by_drop(volts)
+
+    def _returned(self, block: FloatArray) -> FloatArray:
+        """What a cable from the driven output brings back (m,): as late as the sensor, by the same inputs."""
+        whole = np.concatenate([self._cable, block[np.argmax(np.abs(block).max(axis=1))]])
+        self._cable = whole[block.shape[1] :]
+        return whole[: block.shape[1]]
 
     def _sensor(self, block: FloatArray) -> FloatArray:
         """The vibrometer's volts (m,): streaming convolution by overlap and add, then drift and saturation."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from .. import __version__
 from ..device import contact_state
+from ..device.housing import carries_points
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.build import limb_volume
@@ -67,6 +68,10 @@ _DERIVED = (
     "transfer.mat", "wavefield.npz", "reduced.nc", "drives.nc", "displacements.nc", "signal_strength.csv",
     "signal_strength.json", "report.md", "report.html", "waves.csv",
 )  # fmt: skip
+_WITHOUT_SHARE = (
+    "device.housing.skin_share: pictures, films and wavefield.npz leave out what the skin follows of the housing; G, "
+    "drives, displacements and S hold it"
+)
 
 
 @dataclass
@@ -211,6 +216,8 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
         write_thesis_mat(out / "transfer.mat", transfer, scenario.sweep.sample_rate, scenario.sweep.duration)
     if simulation.solved is not None and simulation.solved.modes.size:
         save_wavefield(wavefield_of(simulation), out / "wavefield.npz")
+        if carries_points(scenario.device):
+            run.notes.append(_WITHOUT_SHARE)
     if simulation.solved is not None and simulation.solved.skin is not None:
         save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
     facts = simulation.solved.facts if simulation.solved else SolutionRecord()

@@ -9,7 +9,8 @@ from ..transfer import ErrorEstimate, total_error
 
 
 def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> str:
-    """One sentence: was the accuracy asked for met, by the estimates? Unknown where one of them could not be made."""
+    """One sentence: was the accuracy asked for met, by the estimates? Unknown where one of them could not be made, and
+    for a measured G, which states its scatter alone."""
     if not errors:
         return "no error estimate was made, so the accuracy asked for cannot be confirmed"
     asked, total = f"asked e_band <= {scenario.accuracy:g}", total_error(errors)
@@ -17,5 +18,7 @@ def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> s
         missing = [e for e in errors if not e.known]
         names = ", ".join(e.source for e in missing)
         return f"{asked}: UNKNOWN, as {names} could not be estimated ({missing[0].method})"
+    if all(e.source == "measurement" for e in errors):
+        return f"{asked}: UNKNOWN, as a measured G states its scatter ({total:.2g}) and no systematic error"
     met = "met" if total <= scenario.accuracy else "NOT met"
     return f"{asked}, estimated {total:.2g} over all sources: {met}"

@@ -29,7 +29,7 @@ from ..pipeline.strengths import StrengthAccount
 from ..progress import Progress, tell, within
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
-from ..transfer import TransferMatrix
+from ..transfer import UNITS, TransferMatrix
 from .arm import ArmModel, arm_model
 from .draws import LAWS, draw_inputs, scenario_of
 from .outcome import READINGS, Outcome, Setup, outcome_of, setup_of
@@ -225,7 +225,8 @@ def _set_aside(file: Path) -> None:
 
 def _write(out: Path, kept: Mapping[int, Outcome], setup: Setup, question: Question) -> None:
     frequency = frequencies(question.scenario.sweep)
-    write_outcomes(out / FILE, list(kept.values()), setup.method_names, setup.targets, question.digest, frequency)
+    unit = UNITS[question.scenario.device.drive]
+    write_outcomes(out / FILE, list(kept.values()), setup.method_names, setup.targets, question.digest, frequency, unit)
 
 
 def _outcomes(

@@ -20,6 +20,7 @@ from .outcome import READINGS, Outcome
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 LEAST = 20  # draws, for quantiles of 5 and 95 %
 _LEAST_SOBOL = 100
+_DRAWS_AN_ENTRY = 5  # of a joint distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +208,10 @@ def _rbd_fast() -> Any:
 
 def joint_distance(values: FloatArray, point: FloatArray) -> tuple[float, float]:
     """How far ``point`` (m,) lies from draws ``values`` (n, m): Mahalanobis' distance of logarithms, over its median
-    among the draws, and the share of draws that lie further out."""
+    among the draws, and the share of draws that lie further out. NaN for fewer than 5 m draws: they do not tell how
+    entries go together, and a point off their span would count as near."""
+    if len(values) < _DRAWS_AN_ENTRY * values.shape[1]:
+        return float("nan"), float("nan")
     logs, at = np.log(values), np.log(point)
     centre = logs.mean(axis=0)
     inverse = np.linalg.pinv(np.cov(logs.T))

@@ -21,11 +21,11 @@ _CONTENT = "prediction"
 
 def write_outcomes(
     path: Path, outcomes: Sequence[Outcome], methods: Sequence[str], targets: Sequence[str], digest: str,
-    frequency: FloatArray,
+    frequency: FloatArray, unit: str = "m/V",
 ) -> None:  # fmt: skip
     """All ``outcomes`` in the order of their numbers, whole or not at all; ``digest`` names the question.
 
-    ``frequency`` (n,) [Hz] is that of the G kept of some.
+    ``frequency`` (n,) [Hz] and ``unit`` are those of the G kept of some.
     """
     ordered = sorted(outcomes, key=lambda o: o.number)
     names = sorted({name for o in ordered for name in o.drivers})
@@ -58,7 +58,7 @@ def write_outcomes(
             "kept": (("kept",), np.array([o.number for o in kept], dtype=np.int64), {"long_name": "draws with a G"}),
             "G": (
                 ("kept", "frequency", "output", "input"), np.array([o.transfer for o in kept]),
-                {"long_name": "true transfer matrix of the draw", "time_convention": "e^{+i omega t}"},
+                {"units": unit, "long_name": "true transfer matrix of the draw", "time_convention": "e^{+i omega t}"},
             ),
         }  # fmt: skip
     save(path, variables, {"content": _CONTENT, "question": digest})

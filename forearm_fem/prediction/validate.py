@@ -21,7 +21,7 @@ from ..io.jsonfiles import read_json, write_json
 from ..metrics.strength import thesis_table
 from ..pipeline.renderers import renderers, wavelet
 from ..progress import Progress, tell
-from ..rendering import render_all
+from ..rendering import Rendering, render_all
 from ..rendering.lattice import is_thesis_grid
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
@@ -38,6 +38,8 @@ _SAVE = 10.0  # s
 _SUBJECT_DRAWS = 25
 _SHOWN_STEPS = (0, 3, 11)  # of Shah's motor: below, at and far above the 150 Hz that its abstract names
 _SEEN = 0.05  # of the arms must show a trend
+_FEWEST = 10  # arms of a band
+_LOST, _MOST_LOST = 0.02, 0.5  # of the wavelet's energy: a band that ends at 500 Hz leaves out 1 % of the thesis'
 TABLE = {"window": "calibrated", "record": "calibrated, record"}  # the thesis does not state what it sums over
 
 
@@ -158,7 +160,7 @@ def _judged(target: Target, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def _band(target: Target, rows: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
     values = np.array([r[target.name] for r in rows if np.isfinite(r.get(target.name, np.nan))])
-    if len(values) < 10:
+    if len(values) < _FEWEST:
         return None
     if target.kind == "trend":
         share = float(values.mean())
@@ -178,11 +180,11 @@ def _sure_share(share: float, count: int) -> bool:
 
 
 def _table_one(draws: Draws, reading: str) -> dict[str, Any]:
-    """The thesis' nine entries against all arms and those of each law."""
+    """The thesis' nine entries against all arms and those of each law that has enough for a band."""
     theirs = thesis_table()
     point = theirs.mean.T[[theirs.methods.index(m) for m in draws.methods]]
     found = {"all": _entries(draws, reading, point)}
-    found |= {law: _entries(draws.of_law(law), reading, point) for law in LAWS if law in draws.laws}
+    found |= {law: _entries(draws.of_law(law), reading, point) for law in LAWS if draws.laws.count(law) >= _FEWEST}
     return found
 
 
@@ -192,7 +194,8 @@ def _entries(draws: Draws, reading: str, point: FloatArray) -> dict[str, Any]:
     means = arms.value
     hit, sure = arms.judged(point)
     low, median, high = quantiles(means)[[0, 2, -1]]
-    distance, beyond = joint_distance(means.reshape(len(means), -1), point.ravel())
+    joint = joint_distance(means.reshape(len(means), -1), point.ravel())
+    distance, beyond = (x if np.isfinite(x) else None for x in joint)
     entries = [
         {"method": method, "group": group, "measured": float(point[m, g]), "low": float(low[m, g]),
          "median": float(median[m, g]), "high": float(high[m, g]), "inside": bool(hit[m, g]), "sure": bool(sure[m, g]),
@@ -229,10 +232,10 @@ def _shah(question: Question, progress: Progress | None) -> list[dict[str, Any]]
     return found
 
 
-def _measured(transfer: TransferMatrix, question: Question, prediction: Prediction) -> dict[str, Any]:
-    """S of a measured G by the scene's methods and wavelet, against the arms."""
+def _strengths_of(transfer: TransferMatrix, question: Question, draws: Draws) -> tuple[Rendering, str]:
+    """S of a measured G by the scene's methods and wavelet, and what of it is not known; DataError where S is not."""
     names = {p.name for p in transfer.outputs}
-    if missing := [t for t in prediction.draws.targets if t not in names]:
+    if missing := [t for t in draws.targets if t not in names]:
         raise DataError(f"the measured G has no output called '{missing[0]}'; it needs the scene's targets 1 to 9")
     options = question.scenario.rendering
     shape = (
@@ -240,7 +243,20 @@ def _measured(transfer: TransferMatrix, question: Question, prediction: Predicti
         if options.wavelet.file is None
         else wavelet(options, question.scenario.sweep, question.base)
     )
-    methods = [m for m in renderers(question.scenario, shape) if m.name in prediction.draws.methods]
-    found = render_all(transfer, prediction.draws.targets, methods, shape, window=options.window)
-    point = group_means(found.strengths[None], prediction.draws.groups)[0]
-    return _entries(prediction.draws, "calibrated", point)
+    methods = [m for m in renderers(question.scenario, shape) if m.name in draws.methods]
+    found = render_all(transfer, draws.targets, methods, shape, window=options.window)
+    lost = max(r.drives.lost for r in found.values())
+    if lost > _MOST_LOST or not np.isfinite(found.strengths).all():
+        raise DataError(
+            f"the measured G gives no S: {lost:.0%} of the wavelet's energy lies where it is unknown; measure it"
+        )
+    silent = f"{lost:.0%} of the wavelet's energy lies where it is unknown and is not driven" if lost >= _LOST else ""
+    return found, "; ".join(s for s in (found.bridged.sentence, silent) if s)
+
+
+def _measured(transfer: TransferMatrix, question: Question, prediction: Prediction) -> dict[str, Any]:
+    """S of a measured G by the scene's methods and wavelet, against the arms."""
+    found, note = _strengths_of(transfer, question, prediction.draws)
+    rows = [found.methods.index(m) for m in prediction.draws.methods]
+    point = group_means(found.strengths[None, rows], prediction.draws.groups)[0]
+    return {**_entries(prediction.draws, "calibrated", point), "note": note}

@@ -65,7 +65,7 @@ def bridged(transfer: TransferMatrix) -> Bridged:
     whole = _with_missing_rows(transfer)
     known = np.isfinite(whole.values) & (True if whole.valid is None else whole.valid)
     holes, ends = _inner_holes(known), int(np.count_nonzero(_beyond(known)))
-    if not holes.any():
+    if not holes.any() or not whole.values[known].any():
         return Bridged(transfer, ends=ends)
     size = np.abs(np.where(known, whole.values, 0)).max(axis=(1, 2))
     size = np.interp(whole.frequency, whole.frequency[size > 0], size[size > 0])
@@ -75,14 +75,11 @@ def bridged(transfer: TransferMatrix) -> Bridged:
         values[at, o, i], miss = _best_fit(whole.frequency, values[:, o, i], on, at, size)
         missed[at, o, i] = _MARGIN * miss
     safe = holes & (missed <= _MARGIN * _SAFE)
-    error = np.where(safe, missed, 0).max(axis=(1, 2))
-    method = f"{_MARGIN:g} times what the fit misses at known bins that it did not see"
-    estimate = ErrorEstimate(
-        "bridging", float(np.sqrt(np.mean(error**2))), method, tuple(whole.frequency.tolist()), tuple(error.tolist())
-    )
+    filled = np.where(known | safe, values, 0)
+    estimate = _estimate(whole.frequency, filled, np.where(safe, missed, 0) * size[:, None, None])
     left = int(np.count_nonzero(holes & ~safe))
     return Bridged(
-        replace(whole, values=np.where(known | safe, values, 0), valid=known | safe),
+        replace(whole, values=filled, valid=known | safe),
         replace(whole, values=values, valid=known | holes) if left else None,
         estimate if safe.any() else None,
         int(np.count_nonzero(safe)),
@@ -90,6 +87,17 @@ def bridged(transfer: TransferMatrix) -> Bridged:
         int(np.count_nonzero(holes.any(axis=(1, 2)))),
         ends,
     )
+
+
+def _estimate(frequency: FloatArray, values: ComplexArray, off: FloatArray) -> ErrorEstimate:
+    """Of ``values`` that may be ``off`` (n, n_out, n_in), both in G's unit; what was not filled errs by nothing."""
+    largest = np.abs(values).max(axis=(1, 2), keepdims=True)
+    shares = np.divide(off, largest, out=np.zeros_like(off), where=largest > 0)
+    return ErrorEstimate(
+        "bridging", float(np.linalg.norm(off) / np.linalg.norm(values)),
+        f"{_MARGIN:g} times what the fit misses at known bins that it did not see",
+        tuple(frequency.tolist()), tuple(shares.max(axis=(1, 2)).tolist()), shares,
+    )  # fmt: skip
 
 
 def _with_missing_rows(transfer: TransferMatrix) -> TransferMatrix:
@@ -108,7 +116,10 @@ def _with_missing_rows(transfer: TransferMatrix) -> TransferMatrix:
     values[place] = transfer.values
     valid = np.zeros(values.shape, dtype=bool)
     valid[place] = np.isfinite(transfer.values) if transfer.valid is None else transfer.valid
-    return replace(transfer, frequency=frequency, values=values, valid=valid, contacts=None, deviation=None)
+    deviation = None if transfer.deviation is None else np.full(values.shape, np.nan)
+    if deviation is not None:
+        deviation[place] = transfer.deviation
+    return replace(transfer, frequency=frequency, values=values, valid=valid, contacts=None, deviation=deviation)
 
 
 def _inner_holes(known: BoolArray) -> BoolArray:

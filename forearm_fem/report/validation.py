@@ -152,15 +152,17 @@ def joint_words(data: Mapping[str, Any]) -> list[str]:
     for reading, words in _READINGS.items():
         every = data["table_one"][reading]["all"]
         out = sum(not e["inside"] for e in every["entries"])
-        lines.append(
-            f"Table I, S {words}: {out} of 9 entries lie outside. Jointly {_share(every['beyond'])} of the arms lie as "
-            f"far from the middle as the thesis' nine do ({every['distance']:.1f} times the median distance)."
-        )
+        jointly = "Too few arms to say how far the nine lie jointly." if every["distance"] is None else (
+            f"Jointly {_share(every['beyond'])} of the arms lie as far from the middle as the thesis' nine do "
+            f"({every['distance']:.1f} times the median distance)."
+        )  # fmt: skip
+        lines.append(f"Table I, S {words}: {out} of 9 entries lie outside. {jointly}")
     if (found := data["measured"]) is not None:
         lines.append(f"The measured G of `{found['name']}`: {9 - found['inside']} of 9 entries lie outside.")
-    never = _never(data)
-    lines.append(f"In no law's band, whichever the reading: {', '.join(never)}." if never else
-                 "Every entry of Table I lies in the band of some law and reading.")  # fmt: skip
+    never, laws = _never(data), any(len(found) > 1 for found in data["table_one"].values())
+    whose = "In no law's band, whichever the reading" if laws else "In the band of all arms in neither reading"
+    lines.append(f"{whose}: {', '.join(never)}." if never else
+                 f"Every entry of Table I lies in the band of some {'law and ' if laws else ''}reading.")  # fmt: skip
     return lines
 
 
@@ -248,7 +250,9 @@ def _table_one(data: Mapping[str, Any]) -> list[str]:
             cells = [f"{b['low']:.2f}-{b['high']:.2f}{'' if b['inside'] else ' (out)'}" for b in bands]
             rows.append([entry["group"], entry["method"], f"{entry['measured']:.2f}", *cells,
                          verdict(entry)])  # fmt: skip
-        parts += [f"S {words}:\n", markdown_table(header, rows), _summary(found)]
+        few = [name for law, name in _NAMES.items() if law not in found]
+        missing = [f"Too few arms for a band of its own: {', '.join(few)}.\n"] if few else []
+        parts += [f"S {words}:\n", markdown_table(header, rows), *missing, _summary(found)]
     return parts
 
 
@@ -260,8 +264,8 @@ def _summary(found: Mapping[str, Any]) -> str:
             str(f["draws"]),
             f"{f['inside']} of 9",
             f"{f['width']:.2f}",
-            f"{f['distance']:.1f}",
-            _share(f["beyond"]),
+            "–" if f["distance"] is None else f"{f['distance']:.1f}",
+            "–" if f["beyond"] is None else _share(f["beyond"]),
         ]
         for k, f in found.items()
     ]
@@ -288,6 +292,9 @@ def _measured(data: Mapping[str, Any]) -> list[str]:
     rows = [[e["group"], e["method"], f"{e['measured']:.2f}", f"{e['low']:.2f}-{e['high']:.2f}",
              verdict(e)] for e in found["entries"]]  # fmt: skip
     told = (f"G of `{found['name']}`, at the places that it declares: one measured elsewhere tests this comparison "
-            f"and not the arms. {found['inside']} of {len(rows)} inside. {_share(found['beyond']).capitalize()} of the "
-            f"arms lie as far out ({found['distance']:.1f} times the median distance).\n")  # fmt: skip
-    return ["## A measured G through the same comparison\n", markdown_table(header, rows), told]
+            f"and not the arms. {found['inside']} of {len(rows)} inside.")  # fmt: skip
+    if found["distance"] is not None:
+        told += (f" {_share(found['beyond']).capitalize()} of the arms lie as far out ({found['distance']:.1f} times "
+                 "the median distance).")  # fmt: skip
+    missed = f" {found['note']}." if found.get("note") else ""
+    return ["## A measured G through the same comparison\n", markdown_table(header, rows), f"{told}{missed}\n"]

@@ -19,7 +19,7 @@ class Actuator:
     """One product. ``keys`` are what it sets under [device], ``drive`` among them: what a unit drive is.
 
     ``band`` [Hz] is what its source says it plays, None where it does not. ``steps`` are (frequency [Hz], acceleration
-    [g]) of a rotating mass, whose amplitude cannot be chosen apart from its frequency.
+    [g]) of a rotating mass, whose amplitude cannot be chosen apart from its frequency. ``mass`` [kg] is all of it.
     """
 
     name: str
@@ -30,6 +30,7 @@ class Actuator:
     keys: Mapping[str, Any] = field(default_factory=dict)
     band: tuple[float, float] | None = None
     steps: tuple[tuple[float, float], ...] = ()
+    mass: float | None = None
 
     @property
     def drive(self) -> str:
@@ -46,7 +47,7 @@ _FORCE = "its motor constant was not seen, so it is a source of force, G is in m
 _ALL = (
     Actuator(
         "TEAX14C02-8", "voice coil", "de Vlam 2022; a distributor's copy of Tectonic's data sheet (physics_data.md 4)",
-        "the thesis' actuator; every method", "moving mass (derived: 0.2-0.6 g), quality",
+        "the thesis' actuator; every method", "moving mass (derived: 0.2-0.6 g), quality", mass=12.5e-3,
     ),
     Actuator(
         "TEAX09C005-8", "voice coil", "Tectonic's smaller sister, by the same secondary source (physics_data.md 4)",
@@ -54,7 +55,7 @@ _ALL = (
         {
             "coil": {"force_factor": 1.1, "moving_mass": 0.13e-3, "resonance": 635.0},
             "housing": {"mass": 4 * 3.2e-3 + 0.040},  # four of 3.2 g in the default shell of 40 g
-        },
+        }, mass=3.2e-3,
     ),
     Actuator(
         "EAI C-MF", "voice coil", "Engineering Acoustics, C-MF product data sheet 2021", f"sine bursts; {_FORCE}",
@@ -62,7 +63,7 @@ _ALL = (
     ),
     Actuator(
         "DAEX-13-4SM", "voice coil", "Dayton Audio, by a component library (4 ohm, 3 W, resonance 200 Hz, 15 g)",
-        _FORCE, "force factor, moving mass, contact area", {"drive": "force"},
+        _FORCE, "force factor, moving mass, contact area", {"drive": "force"}, mass=15e-3,
     ),
     Actuator(
         "LRA 10 mm", "LRA", "Kim et al. 2021, Heterogeneous Stroke (10 mm across, resonance 170 Hz)",

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AccuracyWarning, HardwareError, ScenarioError
-from ..io.declaration import Declaration, Ports
+from ..io.declaration import Declaration, Ports, arbitrary_gain
 from ..io.recognise import read_measured
 from ..measurement.daq import Daq
 from ..measurement.play import play
@@ -65,10 +65,15 @@ def stimuli_for(
 
     Signals keep ``options.lead`` seconds before the wavelet's centre and ``options.tail`` after. Holes of G are bridged
     as in a run, and warned of (AccuracyWarning) where they are not safe to. Raises ScenarioError for a G that is not in
-    m/V, and as the renderers do.
+    m/V or of arbitrary gain without a peak of the drives, and as the renderers do.
     """
     if transfer.unit != "m/V":
         raise ScenarioError(f"stimuli need a G in m/V, got {transfer.unit}; set device.drive = 'voltage'")
+    if arbitrary_gain(transfer.provenance) and options.level.rule != "drive peak":
+        raise ScenarioError(
+            "the gain of this G is arbitrary, as was declared, so that no drive follows from micrometres; set "
+            "stimuli.level.rule = 'drive peak'"
+        )
     wanted = scenario.rendering.model_copy(update={"methods": options.methods})
     chosen = {r.name: r for r in renderers(scenario.model_copy(update={"rendering": wanted}), wavelet)}
     holes = bridged(transfer)

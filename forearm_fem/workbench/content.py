@@ -15,6 +15,7 @@ from ..figures import Results
 from ..figures.data import PREDICTION
 from ..figures.style import METHODS, TISSUES
 from ..geometry.device.layout import layout_of
+from ..io.declaration import arbitrary_gain
 from ..io.reduced import read_reduced
 from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import least_error, wavelet
@@ -133,7 +134,8 @@ def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -
     holes = bridged(transfer)
     placed = place(holes.transfer, record)
     shape = wavelet(scenario.rendering, scenario.sweep, Path())
-    sentence = holes.sentence
+    gain = "the gain of this G is arbitrary, as was declared: S holds, micrometres, drives and limits mean nothing"
+    notes = [*([gain] if arbitrary_gain(transfer.provenance) else []), *([holes.sentence] if holes.sentence else [])]
     return {
         **_common(scenario, holes, placed, between_points(transfer.outputs), record, shape),
         "name": scenario.name,
@@ -146,7 +148,7 @@ def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -
         "frequencies": packed(transfer.frequency, "f8"),
         "strength": {},
         "arms": None,
-        "notes": [sentence] if sentence else [],
+        "notes": notes,
     }
 
 

@@ -1,7 +1,7 @@
 // What the page computes, for tests/test_workbench.py: reads {content, jobs} from the file named, prints one JSON value a job.
 import { readFileSync } from "node:fs";
 import { Experiment, METHODS } from "../../forearm_fem/workbench/page/experiment.js";
-import { halves, noiseOf, shorter } from "../../forearm_fem/workbench/page/interval.js";
+import { halves, noiseOf, shorter, whyNone } from "../../forearm_fem/workbench/page/interval.js";
 import { amplitudesAt, displace, Field } from "../../forearm_fem/workbench/page/field.js";
 
 const { content, jobs } = JSON.parse(readFileSync(process.argv[2], "utf8"));
@@ -25,6 +25,8 @@ function done(job) {
     zeros: () => METHODS.map((m) => experiment.outputs.map((_, t) => experiment.zerosOf(m, t).map((i) => experiment.outputs[i].name))),
     problem: () => experiment.outcome(job.method).problem,
     signals: () => experiment.outcome(job.method).signals.map(plain),
+    sent: () => experiment.sent(experiment.outcome(job.method)).map(plain),
+    "why no interval": () => whyNone(content),
     moves: () => experiment.outcome(job.method).moves.map(plain),
     undriven: () => experiment.outcome(job.method).undriven,
     condition: () => plain(experiment.outcome(job.method).aim.inversion.condition),

@@ -262,6 +262,12 @@ export class Experiment {
     };
   }
 
+  /** What is sent to each actuator, and nothing to one that is off. A gain is the channel's own and lies behind it: as in
+   * Python's drives and limits. @param {Outcome} outcome @returns {Float64Array[]} */
+  sent(outcome) {
+    return outcome.signals.map((s, i) => (this.settings.device.gain[i] ? s : new Float64Array(s.length)));
+  }
+
   /** S on a drawn arm, whichever is chosen. @param {number} arm @param {Method} method @param {number} target @returns {number} */
   strengthOn(arm, method, target) {
     return this.once(`S ${method} ${target} of ${arm}`, () => {

@@ -18,7 +18,7 @@ export function exportsPanel(app) {
     make("signals CSV", "csv", () => save(app, ".csv", signals(app), "text/csv")), make("drives WAV", "wav", () => save(app, `-${app.focus.replace(" ", "-")}.wav`, drives(app), "audio/wav")),
     make("G CSV", "gcsv", () => save(app, "-G.csv", gAsCsv(app), "text/csv")), make("G JSON", "gjson", () => save(app, "-G.json", gAsJson(app), "application/json")),
     make("scenario TOML", "toml", () => scenario(app)), make("print", "print", () => print())),
-  h("p", { class: "soft", style: "margin:6px 0 0;font-size:12px", text: "WAV: floating point, 1.0 is one volt, a channel per actuator. TOML: what is seen, for forearm-fem run." }));
+  h("p", { class: "soft", style: "margin:6px 0 0;font-size:12px", text: "WAV: floating point, 1.0 is one volt, a channel per actuator, before its gain. TOML: what is seen, for forearm-fem run." }));
 }
 
 /** @param {App} app @param {string} ending @param {BlobPart} content @param {string} type */
@@ -148,7 +148,7 @@ export function signals(app) {
   for (const method of METHODS) {
     const o = experiment.outcome(method), short = method.replace(" ", "_");
     o.moves.forEach((u, i) => { columns[`${short}_u_${experiment.outputs[i].name}_m`] = u.subarray(first, last); });
-    o.signals.forEach((s, i) => { columns[`${short}_drive_${experiment.inputs[i].name}_${unit}`] = s.subarray(first, last).map((v) => v * experiment.settings.device.gain[i]); });
+    experiment.sent(o).forEach((s, i) => { columns[`${short}_drive_${experiment.inputs[i].name}_${unit}`] = s.subarray(first, last); });
   }
   return writeCsv(columns, [caption(app), ...METHODS.map((m) => `S ${m}: ${experiment.outcome(m).strength}`)]);
 }
@@ -157,7 +157,7 @@ export function signals(app) {
 export function drives(app) {
   const { outcome, experiment } = app;
   if (!outcome.signals.length) throw new Error(outcome.problem);
-  return writeWav(outcome.signals.map((s, i) => s.map((v) => v * experiment.settings.device.gain[i])), experiment.record.rate);
+  return writeWav(experiment.sent(outcome), experiment.record.rate);
 }
 
 /** G of the points as it plays; invalid entries NaN. @param {App} app */

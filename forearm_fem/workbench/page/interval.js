@@ -20,7 +20,7 @@ const HALF_WIDTH = 1.5, LEAST_SPAN = 4; // rms changes of log S (decision on the
 
 /** Why no interval can be drawn; empty if one can. @param {any} content of the page @returns {string} */
 export function whyNone(content) {
-  if (!content.errors.length) return "this G states no errors";
+  if (content.errors.every((/** @type {any} */ e) => e.source === "bridging")) return "this G states no errors"; // of its own
   const lost = content.errors.filter((/** @type {any} */ e) => e.band === null).map((/** @type {any} */ e) => e.source);
   if (lost.length) return `the error by ${lost.join(", ")} is unknown`;
   return content.deviates ? "the scatter between a measurement's sweeps is not drawn here" : "";

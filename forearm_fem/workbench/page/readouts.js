@@ -58,7 +58,7 @@ export function traces(app) {
     /** @type {Series[]} */
     const moves = o.moves.map((u, i) => ({ y: cut(u, 1e6), colour: i === settings.target ? colour(method) : held.includes(i) ? "var(--warn)" : "var(--soft)", width: i === settings.target ? 1.8 : 0.8, dash: held.includes(i) ? "3 2" : undefined, opacity: i === settings.target ? 1 : 0.55 }));
     if (moves.length) moves.push(/** @type {Series} */ (moves.splice(settings.target, 1)[0]));
-    const sent = o.signals.map((s, i) => ({ y: cut(s, settings.device.gain[i]), colour: ACTUATORS[i % ACTUATORS.length], width: 1.2 }));
+    const sent = experiment.sent(o).map((s, i) => ({ y: cut(s, 1), colour: ACTUATORS[i % ACTUATORS.length], width: 1.2 }));
     const limits = volts ? [{ y: device.max_voltage, label: `limit ${say(device.max_voltage)} V` }, { y: -device.max_voltage, label: "" }] : [];
     const charts = [
       draw({ title: `${method}: outward displacement of all points`, x, span: ms, xLabel: "time [ms]", yLabel: "displacement [µm]", series: moves, symmetric: true, shade }),
@@ -171,8 +171,8 @@ function fill(app, version, row) {
 function drivesTable(app) {
   const { experiment } = app, { content, settings, inputs } = experiment, volts = content.unit === "m/V", unit = content.unit.split("/")[1];
   const o = app.outcome, { max_voltage: most, max_power: hot } = content.device;
-  const rows = o.signals.map((s, i) => {
-    const l = levels(s.map((v) => v * settings.device.gain[i]), settings.device.coil.resistance);
+  const rows = experiment.sent(o).map((s, i) => {
+    const l = levels(s, settings.device.coil.resistance);
     return h("tr", {}, h("td", { text: inputs[i].name }), h("td", { class: volts && l.peak > most ? "over" : "", text: `${say(l.peak)} ${unit}` }), h("td", { text: `${sayUnit(l.rms, unit)}` }), h("td", { class: volts && l.power > hot ? "over" : "", text: volts ? sayUnit(l.power, "W") : "–" }));
   });
   const limits = volts ? `limits: ${say(most)} V peak, ${sayUnit(hot, "W")} in ${say(settings.device.coil.resistance)} ohm, over the record` : "drives are no voltages, so the limits do not apply";
