@@ -19,7 +19,17 @@ from forearm_fem.figures import Results
 from forearm_fem.figures.interact import Room, interact
 from forearm_fem.figures.motion import View, motion, nice
 from forearm_fem.figures.scene import plotter_for
-from forearm_fem.figures.show import Look, Stage, amplification, animate, body_of, render_still, standing, write_pvd
+from forearm_fem.figures.show import (
+    Look,
+    Stage,
+    amplification,
+    animate,
+    body_of,
+    drawn_words,
+    render_still,
+    standing,
+    write_pvd,
+)
 
 SMALL = (320, 240)
 
@@ -63,6 +73,15 @@ def test_the_drawn_amplification_is_honest(run: Results) -> None:
     assert 1.5e-3 < factor * most < 5.5e-3  # metres on the picture
     assert amplification(moved, skin, Look(amplification=7.0)) == 7.0
     assert [nice(v) for v in (1.0, 1.9, 4.99, 5.0, 730.0)] == [1, 1, 2, 5, 500]
+
+
+def test_a_caption_says_the_frequency_and_the_size_that_are_drawn(run: Results) -> None:
+    """The nearest bin's, where a frequency between two was asked for; a metre of drive is drawn smaller."""
+    bins = run.wavefield.frequency
+    assert motion(run, View(frequency=0.7 * bins[0] + 0.3 * bins[1], actuator="A1")).view.frequency == bins[0]
+    said = [drawn_words(f) for f in (2000.0, 1.5, 1.0, 0.005, 0.0)]
+    assert said[:2] == ["motion drawn 2,000 times larger", "motion drawn 1.5 times larger"]
+    assert said[2:] == ["drawn true to scale", "motion drawn 200 times smaller", "motion not drawn, only coloured"]
 
 
 def test_a_still_shows_the_wave(run: Results, tmp_path: Path) -> None:
@@ -167,6 +186,7 @@ def test_the_windows_sliders_change_what_moves(run: Results) -> None:
     with plotter_for(SMALL) as plotter:
         room = Room(run, plotter, View(), Look(size=SMALL))
         room.furnish()
+        assert room.view == View()  # the sliders stand where the view is
         room._to_method(1)
         room._to_target(0)
         room._to_step(3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -73,6 +73,7 @@ def motion(results: Results, view: View, steps: FloatArray | None = None) -> Mot
     field = results.wavefield
     if view.frequency is not None:
         phasor = _phasor(results, view, field)
+        view = replace(view, frequency=float(field.frequency[_bin(field, view.frequency)]))  # what is shown
         at = np.linspace(0, 2 * np.pi, 24, endpoint=False) if steps is None else steps
         return Motion(view, at, (np.exp(1j * at)[:, None] * phasor).real, phasor)
     at = default_times() if steps is None else steps
@@ -118,8 +119,13 @@ def _phasor(results: Results, view: View, field: Wavefield) -> ComplexArray:
     low, high = field.frequency[0], field.frequency[-1]
     if not low - 1 <= view.frequency <= high + 1:
         raise DataError(f"{view.frequency:g} Hz lies outside the sweep of {low:g} to {high:g} Hz")
-    nearest = int(np.argmin(np.abs(field.frequency - view.frequency)))
+    nearest = _bin(field, view.frequency)
     return np.asarray(field.amplitudes[nearest] @ _unit_drives(results, view, field, nearest))
+
+
+def _bin(field: Wavefield, frequency: float) -> int:
+    """Number of the bin nearest to a ``frequency`` [Hz]."""
+    return int(np.argmin(np.abs(field.frequency - frequency)))
 
 
 def _unit_drives(results: Results, view: View, field: Wavefield, nearest: int) -> ComplexArray:
