@@ -352,6 +352,11 @@ SURFACES = (
         put(skin=SKIN.copy().apply_scale(0.1), muscle=MUSCLE_BODY.copy().apply_scale(0.1)),
         "limb.unit = 0.001 right, or should it be 0.01",
     ),
+    of_surfaces(
+        "inches for millimetres",
+        put(skin=SKIN.copy().apply_scale(1 / 25.4), muscle=MUSCLE_BODY.copy().apply_scale(1 / 25.4)),
+        "limb.unit = 0.001 right, or should it be 0.01 (centimetres) or 0.0254 (inches)",
+    ),
     of_surfaces("centimetres for decimetres", put(skin=SKIN, **BOTH), "tetrahedra, mesh.max_elements", unit=0.012),
     of_surfaces("identical", put(skin=SKIN, muscle=SKIN), "'skin' and 'muscle' are the same"),
     of_surfaces("identical, cut more finely", put(skin=SKIN, muscle=shell(cuts=3)), "are the same"),

@@ -15,9 +15,11 @@ from cli_runner import SMALL, cli
 
 from forearm_fem.campaign import CampaignResult, executor, load_campaign, run, run_campaign
 from forearm_fem.campaign.executor import in_turn
+from forearm_fem.campaign.member import MemberJob
 from forearm_fem.campaign.model import DrawTable, draws
 from forearm_fem.errors import MissingExtra, ScenarioError, SolverError
-from forearm_fem.scenario import Scenario
+from forearm_fem.prediction.run import Question
+from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.tissue import PRESETS
 
 QUICK = "set = { sweep = { frequencies = [100.0, 200.0] } }\n"
@@ -160,6 +162,17 @@ def test_a_fault_of_the_program_is_kept_to_its_member(
 
     monkeypatch.setattr("forearm_fem.pipeline.folder.run_solve", broken)
     assert "ZeroDivisionError: oh" in start(made(tmp_path, "")).members[0].problem
+
+
+def test_what_is_kept_is_not_of_files_that_changed_since(tmp_path: Path) -> None:
+    """A member, and a prediction's draws: their marks hold what stands in the files that the scenario names."""
+    scenario = parse_scenario({"rendering": {"wavelet": {"file": "burst.csv"}}})
+    job = MemberJob("a", scenario.model_dump_json(), "render", str(tmp_path), str(tmp_path / "a"))
+    marks = {(job.digest, Question(scenario, tmp_path).digest)}
+    for text in ("0\n1\n0\n", "0\n1\n-1\n", "0\n1\n-1\n"):
+        (tmp_path / "burst.csv").write_text(text)
+        marks.add((job.digest, Question(scenario, tmp_path).digest))
+    assert [len(set(each)) for each in zip(*marks, strict=True)] == [3, 3]
 
 
 def test_rendered_members_state_their_strengths(tmp_path: Path, here: Here) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ from cli_runner import SMALL, cli, leftovers
 from forearm_fem import __version__
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.signals import read_drives
+from forearm_fem.io.tables import read_signal_strength_csv
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 
@@ -108,11 +110,19 @@ def test_solve_states_the_error_and_the_file(solved: Path) -> None:
     assert (g.values.shape[1:], g.unit) == ((9, 4), "m/V")
 
 
-def test_render_prints_the_strengths_it_wrote(solved: Path) -> None:
+def test_render_prints_the_strengths_it_wrote_to_the_digits_that_can_be_trusted(solved: Path) -> None:
     folder = solved / "results/small"
-    written = (folder / "signal_strength.csv").read_text()
-    assert written in cli("render", "small.toml", cwd=solved).out
+    said = cli("render", "small.toml", cwd=solved).out
+    for row in read_signal_strength_csv(folder / "signal_strength.csv"):
+        assert f"{row.S:.2f} ({row.S_low:.2f} to {row.S_high:.2f})" in said
+    assert str(folder.relative_to(solved) / "signal_strength.csv") in said
+    assert not re.search(r"\d\.\d{5}", said)
     assert read_drives(folder / "drives.nc").targets == ("5", "6")
+
+
+def test_a_scenario_with_the_mark_that_windows_editors_write_is_read(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_bytes(b"\xef\xbb\xbf" + SMALL.encode())
+    assert cli("run", "small.toml", "--dry-run", cwd=tmp_path).code == 0
 
 
 def test_overrides_reach_the_scenario(scene: Path) -> None:

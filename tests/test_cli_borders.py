@@ -247,9 +247,19 @@ def test_a_g_of_another_origin_is_not_replaced(lab: Path, line: Any, provenance:
         (("play", "small.toml", "drives.nc", "--daq", "sound", "--through", "lab.csv"), "--through: has no effect"),
         (("library", "small.toml"), "engine: a library is made of finite elements"),
         (("verify", "--out", "small.toml"), "small.toml: cannot be written"),
+        (("verify", "--full", "--hard"), "--full: has no effect with --hard"),
+        (("calibrate", "small.toml", "--daq", "ni", "--snr", "40"), "--snr: has no effect with --daq ni"),
+        (("calibrate", "small.toml", "--daq", "sound", "--declare", "unit=m/V"), "--declare: has no effect with"),
+        (("calibrate", "small.toml", "--loopback", "lab.csv"), "--loopback: has no effect with --daq virtual"),
+        (("play", "small.toml", "drives.nc", "--daq", "ni", "--snr", "40"), "--snr: has no effect with --daq ni"),
+        (("figures", ".", "--over", "transfer=a.csv", "--over", "transfer=b.csv"), "--over: names a figure twice"),
+        (("library", "thesis", "--out", "folder.nc"), "folder.nc: is a folder, expected the name of a file"),
+        (("show", ".", "--save", "folder.gif"), "folder.gif: is a folder, expected the name of a file"),
     ],
 )
 def test_what_would_have_no_effect_or_no_place_is_said_at_once(lab: Path, line: Any, said: str) -> None:
+    for name in ("folder.nc", "folder.gif"):
+        (lab / name).mkdir()
     before = leftovers(lab)
     answer = cli(*line, cwd=lab)
     assert (answer.code, said in answer.sentence) == (2, True), answer.err

@@ -17,7 +17,7 @@ from forearm_fem.compare.parameters import Parameter
 from forearm_fem.compare.run import fit_text, run_fit
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.ports import distances
-from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import TransferMatrix
 
 F = np.arange(20.0, 400.0, 10.0)
@@ -128,6 +128,19 @@ def test_a_wrong_model_says_so_and_widens_its_interval():
     assert any("misses the data" in s for s in result.sentences)
     clean = fit(lambda p: model({**TRUE, **p}), noisy(model(TRUE), 5), PARAMETERS[:1])
     assert result.deviation["speed"] > 2 * clean.deviation["speed"]
+
+
+def test_an_actuator_unlike_the_thesis_one_is_fitted_too():
+    """Its values lie outside the ranges of the thesis' kind, which stay as they are for that."""
+    own = {"device": {"coil": {"force_factor": 0.3, "resonance": 150.0}, "cone": {"mass": 0.0}}}
+    (skin,) = common_parameters(parse_scenario(own), ["skin.mu"])
+    assert skin.lower < skin.start < skin.upper
+    weak, low = common_parameters(parse_scenario(own), ["coil.force_factor", "coil.resonance"])
+    assert (weak.lower, weak.upper, low.lower, low.upper) == pytest.approx((0.1, 7.0, 50.0, 1000.0))
+    with pytest.raises(ScenarioError, match=r"no parameter is called cone\.mass"):
+        common_parameters(parse_scenario(own), ["cone.mass"])
+    (usual,) = common_parameters(Scenario(), ["coil.resonance"])
+    assert (usual.lower, usual.upper) == (300.0, 1000.0)
 
 
 def test_a_bound_that_holds_is_named():

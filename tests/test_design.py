@@ -18,7 +18,7 @@ from forearm_fem.design import candidate as candidates
 from forearm_fem.design.candidate import score_of
 from forearm_fem.design.model import Objective
 from forearm_fem.design.search import planned, search
-from forearm_fem.design.store import Store
+from forearm_fem.design.store import Store, question
 from forearm_fem.errors import DataError, GeometryError, ScenarioError
 from forearm_fem.layered import Disc, Layer, layered_compliance, tabulated
 from forearm_fem.layered.tabulating import tabulate
@@ -26,6 +26,7 @@ from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.layered_engine import flat_ports
 from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.ports import distances
+from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario
 from forearm_fem.transfer import Compliance, ErrorEstimate
 
@@ -72,6 +73,24 @@ def design(folder: Path, text: str, scene: str = SCENE) -> Any:
 
 def scored(values: dict[str, Any], score: float, **changes: Any) -> Candidate:
     return replace(Candidate(values, score, {"5": score}, 4, 1.0, 0.1, 0.2, 0.1, 1e-3, {}), **changes)
+
+
+def test_files_of_several_arms_are_seen_from_the_folder_of_each_and_are_part_of_the_question(tmp_path):
+    for name, peak in (("a", 100.0), ("b", 250.0)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "scene.toml").write_text(f'{SCENE}[rendering.wavelet]\nfile = "burst.csv"\n')
+        np.savetxt(tmp_path / name / "burst.csv", ricker(peak, 1.0, 2000.0, 0.1).samples)
+
+    def scores(*names):
+        file = tmp_path / "several.toml"
+        file.write_text(f'name = "d"\nscenario = {[f"{n}/scene.toml" for n in names]}\n{SPACING}{QUICK}')
+        return evaluate(load_design(file), {}, Waves()).score, question(load_design(file))
+
+    both, asked = scores("a", "b")
+    assert both == pytest.approx((scores("a")[0] + scores("b")[0]) / 2)
+    assert abs(scores("a")[0] / scores("b")[0] - 1) > 0.05
+    np.savetxt(tmp_path / "b" / "burst.csv", ricker(200.0, 1.0, 2000.0, 0.1).samples)
+    assert scores("a", "b")[1] != asked
 
 
 def test_the_search_finds_the_optimum_of_an_analytic_stand_in(tmp_path):

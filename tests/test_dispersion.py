@@ -9,9 +9,11 @@ from forearm_fem.device import close_loop
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.pipeline.dispersion import Lags, phase_error
+from forearm_fem.pipeline.folder import Run, run_solve
 from forearm_fem.pipeline.layered_engine import solve_layered
 from forearm_fem.pipeline.model_notes import near_disc_notes
 from forearm_fem.pipeline.simulation import simulate
+from forearm_fem.results import read_run
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import band_error, relative_error, relative_error_at, total_error
 
@@ -154,3 +156,14 @@ def test_the_lag_falls_with_the_fourth_power_of_the_size_of_second_order_element
     assert fine.shape == (2, 3, 1)
     assert fine / finer == pytest.approx(np.full((2, 3, 1), 16.0))
     assert (np.diff(fine[:, :, 0], axis=1) > 0).all()  # later the longer the way
+
+
+def test_a_command_says_so_too(tmp_path):
+    scene = {
+        "limb": {"shape": "slab", "symmetry": ["x", "y"], "length": 0.06, "width": 0.06}, "accuracy": 0.1,
+        "device": {"contacts": [[0, 0]], "cone": {"contact": "pressure"}}, "grid": {"points": [[0.01, 0]]},
+        "mesh": {"element": "P2", "size_grid": 6e-3, "size_contact": 3e-3, "size_far": 12e-3},
+        "sweep": {"frequencies": [60.0]}, "solver": {"discretisation_estimate": False}, "rendering": {"methods": []},
+    }  # fmt: skip
+    run_solve(Run.start(parse_scenario(scene), tmp_path, tmp_path))
+    assert any(n.startswith("points 1 lie within 8 mm") for n in read_run(tmp_path / "run.json").notes)

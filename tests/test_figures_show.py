@@ -78,7 +78,7 @@ def test_the_drawn_amplification_is_honest(run: Results) -> None:
 
 @pytest.mark.parametrize(
     ("factor", "said"),
-    [(2.5, "motion drawn 2.5 times larger"), (0.2, "motion drawn 0.2 times as large"), (1.0, "drawn true to scale"),
+    [(2.5, "motion drawn 2.5 times larger"), (0.2, "motion drawn 5 times smaller"), (1.0, "drawn true to scale"),
      (20000.0, "motion drawn 20,000 times larger"), (0.0, "motion not drawn, only coloured")],
 )  # fmt: skip
 def test_the_amplification_is_said_as_it_is_drawn(run: Results, factor: float, said: str) -> None:
@@ -212,6 +212,7 @@ def test_the_windows_sliders_change_what_moves(run: Results) -> None:
     with plotter_for(SMALL) as plotter:
         room = Room(run, plotter, View(), Look(size=SMALL))
         room.furnish()
+        assert room.view == View()  # the sliders stand where the view is
         room._to_method(1)
         room._to_target(0)
         room._to_step(3)

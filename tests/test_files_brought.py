@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bad_meshes import BROUGHT, FINE, FINE_TETRA, MESHES, SURFACES, Brought
+from bad_meshes import BROUGHT, FINE, FINE_TETRA, MESHES, REST, SURFACES, Brought
 
 from forearm_fem.errors import ForearmError, GeometryError, MeshError
 from forearm_fem.geometry import build
@@ -22,6 +23,7 @@ from forearm_fem.geometry.user import crossing, surfaces, tetwild
 from forearm_fem.geometry.user.cells import joined
 from forearm_fem.geometry.user.meshes import user_mesh
 from forearm_fem.geometry.user.surfaces import read_surfaces
+from forearm_fem.pipeline.forecast import doubts_of
 from forearm_fem.scenario import load_scenario, parse_scenario
 
 WRONG = [case for case in BROUGHT if case.says]
@@ -173,6 +175,21 @@ def test_meshing_that_took_too_long_is_not_tried_again(tmp_path, monkeypatch):
     with pytest.raises(ForearmError, match="did not finish"):
         build_mesh(parse_scenario(case.scenario()), base=tmp_path)
     assert len(tries) == 1
+
+
+def test_a_limb_that_lies_otherwise_than_meant_is_named(tmp_path):
+    """A limb that stands on its end, one that is nowhere cut across x, and two files that were exchanged."""
+    mesh, scenario = taken(MESHES[0], tmp_path), parse_scenario(MESHES[0].scenario())
+    assert doubts_of(scenario, mesh) == ()
+    (upright,) = doubts_of(scenario, replace(mesh, points=mesh.points * [1, 1, 8]))
+    assert upright.startswith("limb: is 160 mm long in z, but 80 mm in x")
+    (uncut,) = doubts_of(scenario, replace(mesh, facets={k: v for k, v in mesh.facets.items() if k != "end"}))
+    assert "no plane cut end" in uncut
+    limb = {"shape": "surfaces", "surfaces": {"skin": "a.stl", "bone": "b.stl", "fat": "c.stl", "muscle": "d.stl"}}
+    nested = parse_scenario({**REST, "limb": limb})
+    assert doubts_of(nested, replace(mesh, region_names=("skin", "fat", "muscle"))) == ()
+    (exchanged,) = doubts_of(nested, replace(mesh, region_names=("skin", "muscle", "fat")))
+    assert exchanged.startswith("limb.surfaces: names fat before muscle, whose surface encloses it")
 
 
 def test_the_sample_arm_is_sound_and_small():

@@ -177,19 +177,19 @@ BAD_LIMBS = [
     ({"limb": {"circumference": [[0, 0.02]], "bones": []}}, "4.2 mm thick together"),
     (
         {"limb": {"aspect": 2.0, "layers": [{"tissue": "fat", "thickness": 0.012}], "bones": []}},
-        "bring aspect nearer 1",
+        "bring limb.aspect nearer 1",
     ),
     ({"limb": _bones((0.03, 0.03, 0.014))}, "bone 'b0' does not lie inside the muscle"),
     ({"limb": _bones((0.0, 0.008, 0.014))}, "bone 'b0' does not lie inside"),
     ({"limb": _bones((0.0, 0.2, 0.014))}, "bone 'b0' does not lie inside"),
     ({"limb": _bones((-0.005, 0.03, 0.014), (0.005, 0.03, 0.014))}, "'b0' and 'b1' overlap by"),
-    ({"limb": {"length": 0.05}}, "contact A1 .* reaches beyond the limb"),
+    ({"limb": {"length": 0.05}}, "A1 .* reaches beyond the limb .* reduce device.cone.radius, .* enlarge limb.length"),
     ({"limb": {"length": 0.04}}, "contact A1 .* misses the limb"),
-    ({"device": {"contacts": [[0.0, 0.0322]]}}, "contact A1 .* hangs over the limb's side"),
+    ({"device": {"contacts": [[0.0, 0.0322]]}}, "contact A1 .* hangs over the limb's side.* place in device.contacts"),
     ({"device": {"spacing": 0.09}}, "contact A1 .* misses the limb"),
     ({"device": {"contacts": [[0, 0], [0.001, 0]]}}, "contacts A1 and A2"),
     ({"grid": {"points": [[0.0, 0.035]]}}, "grid point 1 .* hangs over"),
-    ({"grid": {"points": [[0.0, 0.04]]}}, "grid point 1 .* misses"),
+    ({"grid": {"points": [[0.0, 0.04]]}}, "grid point 1 .* misses .* place in grid.points, or enlarge limb.length"),
     ({"limb": {"shape": "cylinder", "diameter": 0.008}}, "layers are 4.2 mm thick together"),
 ]
 

@@ -12,7 +12,7 @@ from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.boundary import with_boundaries, without_bone
 from forearm_fem.geometry.user.tetwild import background_grid
 from forearm_fem.pipeline.folder import Run, run_solve
-from forearm_fem.pipeline.model_notes import end_notes
+from forearm_fem.pipeline.forecast import doubts_of
 from forearm_fem.results import read_run
 from forearm_fem.scenario import parse_scenario
 
@@ -105,7 +105,7 @@ def test_a_limb_without_cut_ends_says_so_in_its_report(tmp_path):
         "mesh": {"element": "P2", "size_contact": 2e-3}, "solver": {"discretisation_estimate": False},
     })  # fmt: skip
     run_solve(Run.start(scenario, tmp_path / "out", tmp_path))
-    (said,) = [n for n in read_run(tmp_path / "out" / "run.json").notes if "no cut end" in n]
-    assert said.startswith("the limb has no cut end at its smallest and its largest x")
+    (said,) = [n for n in read_run(tmp_path / "out" / "run.json").notes if "cut end" in n]
+    assert said.startswith("limb: no plane cut end across x was found at its smallest and its largest x")
     assert len(said) <= 300
-    assert end_notes(scenario, with_boundaries(bar())) == ()
+    assert doubts_of(scenario, with_boundaries(bar())) == ()

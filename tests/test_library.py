@@ -485,6 +485,11 @@ def test_what_a_library_cannot_answer_is_one_sentence(library, change, error, sa
     [
         ({"library": {"length": 0.2, "width": 0.03}}, "reaches beyond the volar skin"),
         ({"limb": {**SLAB["limb"], "symmetry": ["x"]}}, "cut by limb.symmetry"),
+        (
+            {"limb": {"shape": "slab", "length": 0.3, "width": 0.3},
+             "library": {"length": 0.2, "width": 0.2, "step": 1e-3}},
+            r"library: \d+ loads, 1 mm apart, need more than .* enlarge library.step",
+        ),
         ({"tissues": {"override": {"fat": {"model": "springpot", "mu": 3e3, "exponent": 0.2}}}}, "needs Kelvin-Voigt"),
     ],
 )

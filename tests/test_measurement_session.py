@@ -193,6 +193,8 @@ def test_run_play_sends_wav_drives_and_reports(tmp_path):
     write_wav_drives(tmp_path / "e.wav", signals, 8000)
     with pytest.raises(HardwareError, match="sampled at 8000 Hz"):
         run_play(scenario(), tmp_path / "e.wav", virtual=VirtualSetup(SCENE))
+    with pytest.raises(DataError, match="so --method and --target have no effect"):
+        run_play(scenario(), tmp_path / "d.wav", virtual=VirtualSetup(SCENE), method="funneling")
 
 
 def test_play_fades_both_ends_and_stays_within_the_limit():

@@ -502,6 +502,18 @@ def test_a_measured_page_states_no_accuracy_and_no_scale_that_it_has_not(flat: R
     assert measured_content(replace(g, provenance={}), flat.scenario, "")["notes"] == []
 
 
+def test_a_wavelets_file_is_seen_from_the_scenario_s_folder(flat: Results, tmp_path: Path) -> None:
+    (tmp_path / "scene").mkdir()
+    burst = ricker(100.0, 1.0, 4000.0, 0.25).samples
+    np.savetxt(tmp_path / "scene" / "burst.csv", burst)
+    text = 'engine = "layered"\n[sweep]\nduration = 0.25\nsample_rate = 4000.0\nf_max = 400.0\n'
+    (tmp_path / "scene" / "s.toml").write_text(f'{text}[rendering.wavelet]\nfile = "burst.csv"\n')
+    write_transfer(tmp_path / "lab.nc", replace(flat.transfer, contacts=None))
+    answer = cli("workbench", "lab.nc", "--scenario", "scene/s.toml", cwd=tmp_path)
+    assert answer.code == 0, answer.err
+    assert (tmp_path / "lab.html").is_file()
+
+
 def test_points_on_a_line_are_drawn_too(flat: Results) -> None:
     g = replace(flat.transfer, outputs=flat.transfer.outputs[:3], values=flat.transfer.values[:, :3], contacts=None)
     found = measured_content(g, parse_scenario(LAYERED), "measured")

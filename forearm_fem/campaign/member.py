@@ -13,6 +13,8 @@ from ..errors import DataError, ForearmError
 from ..io.jsonfiles import read_json, write_json
 from ..io.lock import locked
 from ..results import read_run
+from ..scenario import Scenario
+from ..scenario.contents import contents, named_files
 
 MARK = "member.json"
 
@@ -30,7 +32,8 @@ class MemberJob:
     @property
     def digest(self) -> str:
         """SHA-256 of what is asked; a mark with another digest is of an older question."""
-        content = json.dumps([__version__, self.scenario, self.stage])
+        files = named_files(Scenario.model_validate_json(self.scenario))
+        content = json.dumps([__version__, self.scenario, self.stage, contents(files, self.base)])
         return hashlib.sha256(content.encode()).hexdigest()
 
 
@@ -63,8 +66,6 @@ def finish_member(job: MemberJob) -> dict[str, Any]:
 
 def _done(job: MemberJob) -> dict[str, Any]:
     from ..pipeline.folder import Run, run_all, run_render, run_solve
-    from ..scenario import Scenario
-
     scenario = Scenario.model_validate_json(job.scenario)
     run = Run.start(scenario, Path(job.folder), Path(job.base))
     with locked(job.folder):

@@ -49,14 +49,22 @@ def there(remedy: str, folder: bool = False) -> Callable[[Path | None], Path | N
 
 
 def ends_in(ending: str) -> Callable[[Path | None], Path | None]:
-    """A callback for a file to write: refused where its name does not end in ``ending``, as one of another kind's."""
+    """A callback for a file to write: refused where it is a folder, or its name does not end in ``ending``, as one of
+    another kind's."""
 
     def checked(what: Path | None) -> Path | None:
         if what is not None and what.suffix.lower() != ending:
             raise DataError(f"{what}: choose a name that ends in {ending}; this one may be of something else")
+        refuse_folder(what)
         return what
 
     return checked
+
+
+def refuse_folder(file: Path | None) -> None:
+    """DataError where a ``file`` to write is a folder: before the work rather than after it."""
+    if file is not None and file.is_dir():
+        raise DataError(f"{file}: is a folder, expected the name of a file to write; give another")
 
 
 def holds_g(what: Path | None) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,9 @@ import typer
 
 from ..errors import DataError, ScenarioError
 from ..scenario import load_scenario
-from .common import Display, Overrides, ScenarioFile, ends_in
+from .common import Display, Overrides, ScenarioFile, ends_in, print_notes, refuse_folder
+
+_LATER = ("device.", "grid.", "rendering.", "measurement.")  # tables of which a library knows the cone alone
 
 
 def library(
@@ -27,8 +30,10 @@ def library(
     if asked.engine != "fem":
         raise ScenarioError("engine: a library is made of finite elements; set engine = 'fem', or leave it out")
     file = out or Path(f"{asked.name}.library.nc")
+    refuse_folder(file)
     if file.is_file() and not is_library(file):
         raise DataError(f"{file}: is there and no library; it is not replaced, name another file with --out")
+    print_notes(_idle(overrides or ()))
     with locked(file.parent), Display() as display:
         made = make_library(asked, base=scenario.parent, progress=display)
         save_library(file, made)
@@ -38,3 +43,10 @@ def library(
     off = ", ".join(f"{error:.1e} at {f:g} Hz" for f, error, _ in made.reduction.T)
     typer.echo(f"reduction    {off}")
     typer.echo(f"library: {file} ({file.stat().st_size / 1e6:.0f} MB, {facts['seconds']:.0f} s)")
+
+
+def _idle(overrides: Sequence[str]) -> list[str]:
+    """A note on keys that were set for a library and are asked of it later."""
+    given = [item.partition("=")[0].strip() for item in overrides]
+    idle = [k for k in given if k.startswith(_LATER) and k not in ("device.cone.radius", "device.cone.contact")]
+    return [f"{', '.join(idle)}: no effect on a library; give it to `run --library`"] if idle else []

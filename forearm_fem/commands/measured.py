@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -55,12 +57,23 @@ Latency = Annotated[int, typer.Option(min=0, help="virtual: delay of the inputs,
 Seed = Annotated[int, typer.Option(help="virtual: seed of the noise")]
 
 
-def _refuse_idle(daq: str, card: str | None, through: Path | None = None) -> None:
+_NOT_ASKED: Mapping[str, float] = MappingProxyType({"snr": 60.0, "bits": 16, "latency": 0, "seed": 0})
+
+
+def _refuse_idle(
+    daq: str, card: str | None, through: Path | None = None, declare: list[str] | None = None,
+    cable: Path | None = None, **virtual: float,
+) -> None:  # fmt: skip
     """DataError for an option that the device which was asked for does not look at."""
     if card is not None and daq != "sound":
         raise DataError(f"--card: has no effect with --daq {daq}; leave it out, or give --daq sound")
     if through is not None and daq != "virtual":
         raise DataError(f"--through: has no effect with --daq {daq}, which plays through skin; leave it out")
+    if cable is not None and daq == "virtual":
+        raise DataError("--loopback: has no effect with --daq virtual, whose latency is known; leave it out")
+    idle = [name for name, value in virtual.items() if value != _NOT_ASKED[name]] + ["declare"] * bool(declare)
+    if idle and daq != "virtual":
+        raise DataError(f"--{idle[0]}: has no effect with --daq {daq}; leave it out, or give --daq virtual")
 
 
 def calibrate(
@@ -81,7 +94,7 @@ def calibrate(
     """Measure G, one actuator and one point at a time; the same command resumes after a stop."""
     from ..io.lock import locked
 
-    _refuse_idle(daq, card, through)
+    _refuse_idle(daq, card, through, declare, cable, snr=snr, bits=bits, latency=latency, seed=seed)
     asked = load_scenario(scenario, overrides=overrides or ())
     folder = out or out_folder(None, asked, overrides) / "calibration"
     with locked(folder):
@@ -182,7 +195,7 @@ def play(
     """Send drive signals, faded and within the voltage limit; Ctrl-C ramps down, twice cuts."""
     from ..measurement.run import run_play
 
-    _refuse_idle(daq, card, through)
+    _refuse_idle(daq, card, through, declare, snr=snr)
     asked = load_scenario(scenario, overrides=overrides or ())
     virtual = _virtual(asked, scenario, through, declare, snr, 16, 0, 0, overrides) if daq == "virtual" else None
     with noted(), stop_on_ctrl_c() as stop:

@@ -9,7 +9,7 @@ import typer
 
 from ..errors import DataError
 from ..scenario import load_scenario
-from .common import Display, noted, there
+from .common import Display, noted, refuse_folder, there
 
 Results = Annotated[
     Path, typer.Argument(help="results folder of a run",
@@ -33,7 +33,10 @@ def figures(
     ] = None,
 ) -> None:
     """Make the figures of a run, each with its numbers as CSV."""
-    laid = dict(pair.partition("=")[::2] for pair in over or ())
+    pairs = [pair.partition("=")[::2] for pair in over or ()]
+    laid = dict(pairs)
+    if len(laid) < len(pairs):
+        raise DataError("--over: names a figure twice; put all curves for it into one table, a column each")
     if "" in laid.values():
         raise DataError("--over: expected NAME=FILE.csv, a figure and a table of curves")
     from ..figures import make_figures
@@ -78,6 +81,7 @@ def _results_of(what: Path) -> Path:
 
 
 def _saved(folder: Path, save: Path) -> None:
+    refuse_folder(save)
     kind = save.suffix.lower()
     if kind == ".png":
         from ..figures.show import render_still

@@ -76,8 +76,11 @@ def render(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder =
 
     asked = load_scenario(scenario, overrides=overrides or ())
     with stage(asked, scenario, out, run_render, overrides) as job:
-        typer.echo((job.out / "signal_strength.csv").read_text(encoding="utf-8"))
-        typer.echo(f"results: {job.out}")
+        from ..figures import Results
+        from ..report import strengths_by_target
+
+        typer.echo(strengths_by_target(Results.open(job.out)))
+        typer.echo(f"S with all digits: {job.out / 'signal_strength.csv'}\nresults: {job.out}")
 
 
 def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Forecast | None:
@@ -86,7 +89,9 @@ def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Fo
         return None
     from ..geometry.cache import cached_mesh
     from ..pipeline.forecast import forecast
+    from ..tissue import resolve_tissues
 
+    resolve_tissues(asked)  # what they lack is said before anything is meshed
     progress = within(display, "mesh")
     tell(progress, "looking for a finished one", 0, 0)
     mesh = cached_mesh(asked, base=base, progress=progress)

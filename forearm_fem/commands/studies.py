@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..errors import DataError
 from .common import Display, noted, print_notes, there
 
 Full = Annotated[bool, typer.Option("--full", help="the long version")]
@@ -54,6 +55,8 @@ def verify(
     from ..io.lock import locked
     from ..verification import report
 
+    if full and hard:
+        raise DataError("--full: has no effect with --hard, which runs all of its cases; leave one of them out")
     with locked(out), Display() as display, noted():
         if hard:
             cases = verification.run_hard_cases(progress=display)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..scenario import scenario_file
 from .common import Declared, Display, declaration, ends_in, noted, scene_of, there
 
 
@@ -33,5 +34,8 @@ def workbench(
 
     page = save or (what / "workbench.html" if what.is_dir() else what.with_suffix(".html"))
     with noted(), Display() as display:
-        write_workbench(what, page, scenario=asked, declaration=declaration(declare), progress=display)
+        write_workbench(
+            what, page, scenario=asked, declaration=declaration(declare), progress=display,
+            base=scenario_file(scenario).parent if scenario else Path(),
+        )  # fmt: skip
     typer.echo(f"{page}: {page.stat().st_size / 1e6:.1f} MB, opens in any browser")

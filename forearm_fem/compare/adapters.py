@@ -189,18 +189,26 @@ def common_parameters(scenario: Scenario, names: Sequence[str]) -> tuple[Paramet
     return tuple(known[n] for n in names)
 
 
+def _around(key: str, start: float, low: float, high: float, unit: str = "") -> Parameter:
+    """A parameter of an actuator, from ``low`` to ``high`` for the thesis' kind; for another the range is wider."""
+    if not low <= start <= high:
+        low, high = min(low, start / 3), max(high, 3 * start)
+    return Parameter(key, start, low, high, log=True, unit=unit)
+
+
 def _known(scenario: Scenario) -> dict[str, Parameter]:
     tissues = resolve_tissues(scenario)
     coil, cone = scenario.device.coil, scenario.device.cone
     found = {
         "scale": Parameter("scale", 1.0, 0.2, 5.0, log=True, stage=0),
         "delay": Parameter("delay", 0.0, -2e-3, 2e-3, stage=0, unit="s"),
-        "coil.moving_mass": Parameter("device.coil.moving_mass", coil.moving_mass, 0.1e-3, 1e-3, log=True, unit="kg"),
-        "coil.force_factor": Parameter("device.coil.force_factor", coil.force_factor, 0.8, 7.0, log=True, unit="T m"),
-        "coil.resonance": Parameter("device.coil.resonance", coil.resonance, 300.0, 1000.0, log=True, unit="Hz"),
-        "coil.quality": Parameter("device.coil.quality", coil.quality, 1.0, 10.0, log=True),
-        "cone.mass": Parameter("device.cone.mass", cone.mass, 0.1e-3, 1.5e-3, log=True, unit="kg"),
+        "coil.moving_mass": _around("device.coil.moving_mass", coil.moving_mass, 0.1e-3, 1e-3, "kg"),
+        "coil.force_factor": _around("device.coil.force_factor", coil.force_factor, 0.8, 7.0, "T m"),
+        "coil.resonance": _around("device.coil.resonance", coil.resonance, 300.0, 1000.0, "Hz"),
+        "coil.quality": _around("device.coil.quality", coil.quality, 1.0, 10.0),
     }
+    if cone.mass > 0:
+        found["cone.mass"] = _around("device.cone.mass", cone.mass, 0.1e-3, 1.5e-3, "kg")
     for layer, part in enumerate(layers_of(scenario.limb)):
         key = f"limb.layers.{layer}.thickness"
         found[f"{part.tissue}.thickness"] = Parameter(

@@ -80,7 +80,7 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
         scenarios = design.scenarios(values)
         first = scenarios[0]
         broken = _geometry(first, asked.constraints, _targets(first, asked.objective))
-        found = [_one(s, arm, asked, design.base) for s in scenarios]
+        found = [_one(s, arm, asked, base) for s, base in zip(scenarios, design.bases, strict=True)]
     except ForearmError as problem:
         return _impossible(values, str(problem))
     s = np.array([f.strengths for f in found])
@@ -99,10 +99,11 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
 def s_interval(design: Design, candidate: Candidate, arm: ArmModel) -> tuple[float, float]:
     """Least and largest score [-] that the errors of the model's G allow, by draws (docs/decisions/0027)."""
     asked, low, high = design.asked, [], []
-    for scenario in (_shorter(s, asked.search.duration) for s in design.scenarios(candidate.values)):
+    for whole, base in zip(design.scenarios(candidate.values), design.bases, strict=True):
+        scenario = _shorter(whole, asked.search.duration)
         g = transfer_on(scenario, arm)
-        rendering = _rendered(scenario, g, _targets(scenario, asked.objective), design.base)
-        account = account_of(scenario, g, rendering, base=design.base)
+        rendering = _rendered(scenario, g, _targets(scenario, asked.objective), base)
+        account = account_of(scenario, g, rendering, base=base)
         low.append(score_of(account.low[0], asked.objective))
         high.append(score_of(account.high[0], asked.objective))
     pick = np.min if asked.objective.over == "least" else np.mean

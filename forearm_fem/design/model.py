@@ -28,7 +28,6 @@ candidates = 300
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -174,10 +173,10 @@ class DesignFile(Part):
 
 @dataclass(frozen=True)
 class Design:
-    """A design file with its scenarios read; ``base`` is the folder that files named in them are relative to."""
+    """A design file with its scenarios read; ``bases`` are the folders that files named in each are relative to."""
 
     asked: DesignFile
-    base: Path
+    bases: tuple[Path, ...]
     data: tuple[Mapping[str, Any], ...]
 
     @property
@@ -278,7 +277,7 @@ def load_design(path: str | Path) -> Design:
             raise ScenarioError(
                 f"{file}: {variable.key}: give step or values, for each of its values takes tables of its own"
             )
-    design = Design(asked, sources[0].parent, data)
+    design = Design(asked, tuple(source.parent for source in sources), data)
     _check(file, design)
     return design
 
@@ -305,7 +304,7 @@ def _known(where: Sequence[Any]) -> Sequence[str]:
 
 def _read(source: Path) -> Mapping[str, Any]:
     load_scenario(source)  # its own sentence for whatever is wrong with it
-    return tomllib.loads(source.read_text(encoding="utf-8"))
+    return read_toml(source, "no such file")
 
 
 def _check(file: Path, design: Design) -> None:

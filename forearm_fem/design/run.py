@@ -75,8 +75,8 @@ def run_design(
     ``arm`` is what candidates are evaluated on (None: the layered twin from tables); with ``workers`` above 1 or a
     ``scheduler`` generations are spread over Dask. Raises ScenarioError where no candidate is feasible.
     """
-    for scenario in design.scenarios({}):
-        wavelet(scenario.rendering, scenario.sweep, design.base)  # a missing file is said before the search
+    for scenario, base in zip(design.scenarios({}), design.bases, strict=True):
+        wavelet(scenario.rendering, scenario.sweep, base)  # a missing file is said before the search
     refuse_folder_of_another(folder, "design")
     out = Path(folder).resolve()
     model = arm or TwinArm(progress=progress)
@@ -157,11 +157,11 @@ def _confirmed(design: Design, best: Candidate, out: Path, progress: Progress | 
     """The winner by the scenarios' own engine, whole record, with figures and report."""
     scores, folders = [], []
     objective = design.asked.objective
-    for k, scenario in enumerate(design.scenarios(best.values)):
+    for k, (scenario, base) in enumerate(zip(design.scenarios(best.values), design.bases, strict=True)):
         aims: dict[str, Any] = {"targets": objective.targets}
         rendering = scenario.rendering.model_copy(update=aims)
         folder = out / ("confirmed" if len(design.data) == 1 else f"confirmed-{k + 1}")
-        run_all(Run.start(scenario.model_copy(update={"rendering": rendering}), folder, design.base,
+        run_all(Run.start(scenario.model_copy(update={"rendering": rendering}), folder, base,
                           within(progress, "confirmation")))  # fmt: skip
         strength = read_run(folder / "run.json").signal_strength
         assert strength is not None

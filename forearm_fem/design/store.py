@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..scenario.contents import contents, named_files
 from .candidate import Candidate
 from .model import Design, Values
 
@@ -60,8 +61,15 @@ def question(design: Design, mark: str = "") -> str:
     """SHA-256 of what a candidate's numbers depend on: not the search's seed or length. ``mark`` is the
     arm model's."""
     asked = design.asked.model_dump(mode="json", include={"set", "objective", "constraints"})
-    parts = [__version__, mark, asked, design.asked.search.duration, [dict(d) for d in design.data]]
+    parts = [__version__, mark, asked, design.asked.search.duration, [dict(d) for d in design.data], _contents(design)]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:32]
+
+
+def _contents(design: Design) -> list[list[str]]:
+    """What stands in the files that the scenarios, and choices of the search, name."""
+    chosen = [str(c) for v in design.asked.variables if v.key.endswith(".file") for c in v.values or ()]
+    arms = zip(design.scenarios({}), design.bases, strict=True)
+    return [contents((*named_files(scenario), *chosen), base) for scenario, base in arms]
 
 
 def _key(values: Values) -> str:

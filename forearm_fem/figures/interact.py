@@ -42,8 +42,8 @@ class Room:
         drives = self.results.drives
         assert self.stage is not None
         self._slider("phase" if self.view.frequency else "instant", len(self.stage.moved.steps), 0, self._to_step)
-        self._slider("target", len(drives.targets), 1, self._to_target)
-        self._slider("method", len(drives.methods), 2, self._to_method)
+        self._choice("target", drives.targets, self.view.target, 1, self._to_target)
+        self._choice("method", drives.methods, self.view.method, 2, self._to_method)
         if self.view.frequency is not None:
             band = self.results.transfer.frequency
             ends = (float(band[0]), float(band[-1]))
@@ -55,6 +55,16 @@ class Room:
             self.plotter.add_slider_widget(
                 lambda v: act(round(v)), (0, n - 1), value=0, title=title, fmt="%.0f", **_place(row)
             )
+
+    def _choice(self, title: str, names: tuple[str, ...], now: str, row: int, act: Callable[[int], None]) -> None:
+        """A slider that shows names, for their numbers are not those of points."""
+        words = [f"{title} {name}" if name.isdigit() else name for name in names]
+        if len(names) > 1:
+            place = {key: value for key, value in _place(row).items() if key != "title_height"}
+            slider = self.plotter.add_text_slider_widget(
+                lambda word: act(words.index(word)), words, value=names.index(now) if now in names else 0, **place
+            )
+            slider.GetRepresentation().SetTitleHeight(_place(row)["title_height"])
 
     def _rebuild(self) -> None:
         camera = self.plotter.camera_position if self.stage is not None else None

@@ -176,11 +176,15 @@ class Stage:
         return 1e6 * shown_values(u, self.body.normals, self.moved.view.quantity)
 
     def _words(self, step: int) -> str:
-        size = f"{self.factor:,.12g} times {'larger' if self.factor > 1 else 'as large'}"
-        drawn = "drawn true to scale" if self.factor == 1 else f"motion drawn {size}"
-        if self.factor == 0:
-            drawn = "motion not drawn, only coloured"
-        return "\n".join([self.moved.view.words, self.moved.label(step), drawn, *self.without])
+        lines = [self.moved.view.words, self.moved.label(step), drawn_words(self.factor), *self.without]
+        return "\n".join(lines)
+
+
+def drawn_words(factor: float) -> str:
+    """How a motion is drawn that was multiplied by ``factor``."""
+    if factor in (0, 1):
+        return "drawn true to scale" if factor else "motion not drawn, only coloured"
+    return f"motion drawn {max(factor, 1 / factor):,.6g} times {'larger' if factor > 1 else 'smaller'}"
 
 
 def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:

@@ -14,6 +14,7 @@ from ..errors import DataError, MeshError
 from ..io.atomic import write_text
 from ..progress import Progress
 from ..scenario import Scenario
+from ..scenario.contents import contents, limb_files
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.mesh import MeshOptions
 from .build import build_mesh
@@ -74,14 +75,11 @@ def mesh_key(scenario: Scenario, *, base: Path = Path("."), scale: float = 1.0) 
     """SHA-256 of everything the mesh depends on, user files' contents included."""
     layout = layout_of(scenario)
     limb = scenario.limb
-    files = [limb.file] if isinstance(limb, MeshLimb) else []
-    files += list(limb.surfaces.values()) if isinstance(limb, SurfacesLimb) else []
-    paths = [base / f for f in files]
     sizes = element_sizes(scenario, scale=scale)
     depends = {
         "generator": GENERATOR,
         "limb": scenario.limb.model_dump(mode="json"),
-        "files": [hashlib.sha256(p.read_bytes()).hexdigest() if p.is_file() else "missing" for p in paths],
+        "files": contents(limb_files(limb), base),
         "contacts": layout.contacts.tolist(),
         "radius": layout.radius,
         "rigid": scenario.device.cone.contact in RIGID or ["pressure", scale],

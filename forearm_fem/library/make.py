@@ -40,6 +40,7 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     began = time.monotonic()
     _check_tissues(scenario)
     loaded = loaded_skin(scenario)
+    _check_size(scenario, len(loaded.bells.centres))
     meshed = meshed_scenario(scenario, loaded.skin)
     fine = solved_side(meshed, loaded, Path(base), progress=progress)
     coarse = _second_side(meshed, loaded, Path(base), progress)
@@ -101,6 +102,17 @@ def _check_tissues(scenario: Scenario) -> None:
                 f"{key}: a library starts from one real rate and needs Kelvin-Voigt tissue, but {name} is not; set "
                 f"tissues.override.{name}.model = 'kelvin-voigt'"
             )
+
+
+def _check_size(scenario: Scenario, loads: int) -> None:
+    """What answering would hold of the flat twin alone, said before hours of solving."""
+    need = 16 * Bands.of(*library_band(scenario)).nodes.size * loads**2
+    if need > scenario.solver.memory_limit:
+        raise ScenarioError(
+            f"library: {loads} loads, {1e3 * scenario.library.step:.3g} mm apart, need more than {need / 1e9:.3g} GB, "
+            f"and solver.memory_limit = {scenario.solver.memory_limit / 1e9:.3g} GB; enlarge library.step, or reduce "
+            "library.length and library.width"
+        )
 
 
 def meshed_scenario(scenario: Scenario, skin: FlatSkin) -> Scenario:

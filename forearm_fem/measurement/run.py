@@ -260,6 +260,8 @@ def read_signals(path: str | Path, method: str | None, target: str | None) -> tu
     """Drive signals (n_in, n) [V] and their rate [Hz] from drives.nc or WAV; DataError if method or target is open."""
     file = Path(path)
     if file.suffix.lower() == ".wav":
+        if method is not None or target is not None:
+            raise DataError(f"{file}: a WAV file holds drives for one target, so --method and --target have no effect")
         return read_wav_drives(file)
     stored = read_drives(file)
     if stored.unit != "V":

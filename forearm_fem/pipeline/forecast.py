@@ -20,6 +20,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
+from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..tissue import resolve_tissues
 from .fem_engine import reduction_tolerance
 from .frequencies import frequencies
@@ -39,6 +40,7 @@ _DERIVATIVES = 45  # about a rate, where 1e-4 is asked in 10-500 Hz
 _FROM_RATE = 1.6  # a sweep from a rate costs as much as so many expansions and certificates; measured with AVX-512
 _COPIES = 3  # of all signals: themselves, their spectra, and the array that is written
 _ESTIMATE = 1.2  # with the coarser mesh's solve
+_OBLONG = 1.5  # times as long in y or z as in x: more likely turned than cut so short
 
 
 @dataclass(frozen=True)
@@ -50,15 +52,18 @@ class Forecast:
     memory_bytes: float
     seconds: float
     resolution: tuple[Resolution, ...]
+    doubts: tuple[str, ...] = ()
 
     def sentences(self, f_max: float) -> tuple[str, ...]:
-        """What the mesh cannot carry: a sentence per tissue with too few nodes near the ports."""
-        return tuple(
+        """What the mesh cannot carry: a sentence per tissue with too few nodes near the ports; before these what makes
+        doubt of the user's own limb."""
+        few = tuple(
             f"{r.tissue}: {r.per_wavelength_near_ports:.1f} nodes per shear wavelength near the ports at {f_max:g} Hz, "
             f"need {NODES_NEEDED:g}; lower mesh.size_grid and mesh.grading, or sweep.f_max at these sizes"
             for r in self.resolution
             if r.per_wavelength_near_ports < NODES_NEEDED
         )
+        return (*self.doubts, *few)
 
 
 def forecast(
@@ -86,7 +91,44 @@ def forecast(
         _factor_bytes(scenario, unknowns, rate=rate) + _REST + _basis_bytes(scenario, unknowns, ports, rate=rate),
         one * factorisations * 2.2 + _SMALL if scenario.solver.sweep == "reduced" else one * factorisations * 1.2,
         resolution_near_ports(scenario, mesh),
+        doubts_of(scenario, mesh),
     )
+
+
+def doubts_of(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
+    """What makes doubt that the user's own limb is what was meant: turned, not cut, two files exchanged."""
+    limb, found = scenario.limb, list[str]()
+    if not isinstance(limb, SurfacesLimb | MeshLimb):
+        return ()
+    size = 1e3 * np.ptp(mesh.points, axis=0)
+    long = int(size.argmax())
+    if size[long] > _OBLONG * size[0]:
+        found.append(
+            f"limb: is {size[long]:.0f} mm long in {'xyz'[long]}, but {size[0]:.0f} mm in x, which is taken for the "
+            "way to the elbow (+z for the volar side); turn the files unless that is meant"
+        )
+    elif uncut := _uncut(mesh):
+        found.append(
+            f"limb: no plane cut end across x was found at its {' and its '.join(uncut)} x, which is free skin where "
+            "waves turn back; cut it across x, flat to a thousandth of its length, unless that is meant"
+        )
+    if isinstance(limb, SurfacesLimb):
+        written = [name for name in limb.surfaces if name in mesh.region_names]
+        found += [
+            f"limb.surfaces: names {first} before {outer}, whose surface encloses it; write them from the outside "
+            "inwards, or two files are exchanged"
+            for first, outer in zip(written, mesh.region_names, strict=False)
+            if first != outer
+        ][:1]
+    return tuple(found)
+
+
+def _uncut(mesh: TissueMesh) -> list[str]:
+    """Which of the "smallest" and the "largest" x have no cut end."""
+    x = mesh.points[:, 0]
+    at = x[mesh.facets.get("end", np.zeros((0, 3), dtype=np.int64))[:, 0]]
+    middle = (x.min() + x.max()) / 2
+    return [side for side, found in (("smallest", at < middle), ("largest", at > middle)) if not found.any()]
 
 
 def _factor_bytes(scenario: Scenario, unknowns: int, *, rate: bool) -> float:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..results import SolutionRecord
 from ..scenario import Scenario
-from ..scenario.limb import MeshLimb, SlabLimb, SurfacesLimb
+from ..scenario.limb import SlabLimb
 from .forecast import forecast
 from .frequencies import frequencies
 
@@ -39,20 +37,4 @@ def near_disc_notes(scenario: Scenario) -> tuple[str, ...]:
     return (
         f"points {named} lie within 8 mm of the rim of a disc of pressure on second-order elements, where as little as "
         "a tenth of the error was stated; mesh.element = 'P2/P3' errs a tenth there, at two to four times the unknowns",
-    )
-
-
-def end_notes(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
-    """A sentence on the ends of a user's limb that are not cut: waves turn back there, and no estimate says so."""
-    if not isinstance(scenario.limb, MeshLimb | SurfacesLimb):
-        return ()
-    x = mesh.points[:, 0]
-    at = mesh.points[mesh.facets.get("end", np.zeros((0, 3), dtype=np.int64))][:, 0, 0]
-    middle = (x.min() + x.max()) / 2
-    missing = [side for side, found in (("smallest", at < middle), ("largest", at > middle)) if not found.any()]
-    if not missing:
-        return ()
-    return (
-        f"the limb has no cut end at its {' and its '.join(missing)} x, so waves turn back there as at a free end; if "
-        "the arm goes on, cut its surface or mesh with a plane across x, flat to a thousandth of its length",
     )

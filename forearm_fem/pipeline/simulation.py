@@ -24,7 +24,7 @@ from ..typing import FloatArray
 from .dispersion import Lags
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
-from .model_notes import end_notes, model_notes, near_disc_notes, resolution_notes
+from .model_notes import model_notes, near_disc_notes, resolution_notes
 from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
@@ -115,8 +115,8 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
         errors.append(_either(truncations))
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
-    of_mesh = (*near_disc_notes(scenario), *end_notes(scenario, mesh)) if mesh is not None else ()
-    notes = (*unknown, *model_notes(solved.facts), *of_mesh, *_idle_sizes(scenario))
+    near = near_disc_notes(scenario) if mesh is not None else ()
+    notes = (*unknown, *model_notes(solved.facts), *near, *_idle_sizes(scenario))
     return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, notes)
 
 

@@ -29,6 +29,7 @@ from ..pipeline.strengths import StrengthAccount
 from ..progress import Progress, tell, within
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
+from ..scenario.contents import contents, named_files
 from ..transfer import UNITS, TransferMatrix
 from .arm import ArmModel, arm_model
 from .draws import LAWS, draw_inputs, scenario_of
@@ -64,7 +65,8 @@ class Question:
         priors = load_priors()
         content = [__version__, self.scenario.model_dump(mode="json", exclude={"name", "description"}), self.seed,
                    sorted(self.laws), sorted(self.held), self.twin, repr(priors.inputs), repr(priors.laws),
-                   {law: joint.mean.tolist() for law, joint in priors.joint.items()}]  # fmt: skip
+                   {law: joint.mean.tolist() for law, joint in priors.joint.items()},
+                   contents(named_files(self.scenario), self.base)]  # fmt: skip
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 

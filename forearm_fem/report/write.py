@@ -72,6 +72,12 @@ def write_report(
     return paths
 
 
+def strengths_by_target(results: Results) -> str:
+    """S of every method and target with its interval, to the report's digits, and what it is taken over."""
+    block = facts.by_target_block(results)
+    return f"{markdown_table(block.header, block.rows)}\n{block.note}"
+
+
 def _sections(results: Results, progress: Progress | None) -> list[Section]:
     drawn, missing = _pictures(results, progress)
     limits = facts.exceeded(results)

@@ -118,7 +118,7 @@ class SurfacesLimb(Part):
 
     shape: Literal["surfaces"] = Field("surfaces", description="closed surfaces from files, one per tissue")
     surfaces: dict[str, str] = Field(
-        description="tissue -> STL/OBJ/PLY file, relative to the scenario; 'bone' is a bone"
+        description="tissue -> STL/OBJ/PLY file, relative to the scenario, from the outside inwards; 'bone' is a bone"
     )
     unit: Unit = Field(1.0, description="metres per unit of the files (0.001 for millimetres)")
 

@@ -28,7 +28,12 @@ _BESIDE = 8e-3
 
 
 class Scenario(Part):
-    """A limb, its tissues, a device, a sweep and what to render; SI units throughout."""
+    """A limb, its tissues, a device, a sweep and what to render; SI units throughout.
+
+    Frozen: ``parse_scenario({**scenario.model_dump(), "accuracy": 0.1})`` is another one, checked like a file's. What
+    it inherits from pydantic is not: ``model_copy(update=...)`` checks nothing, ``model_validate`` raises an error of
+    pydantic's in place of :class:`.ScenarioError`.
+    """
 
     schema_version: Literal[1] = Field(1, description="of this file's format; only 1 is known")
     name: Name = Field("scenario", description="letters, digits, dot, dash, underscore; results go to results/NAME")

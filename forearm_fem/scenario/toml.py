@@ -14,7 +14,7 @@ def read_toml(file: Path, missing: str, error: type[ForearmError] = ScenarioErro
     if file.is_dir():
         raise error(f"{file}: is a folder, expected a TOML file")
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise error(f"{file}: {missing}") from None
     except (OSError, UnicodeDecodeError) as problem:

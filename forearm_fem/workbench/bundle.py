@@ -28,21 +28,22 @@ LIBRARY = ".library.nc"
 
 def write_workbench(
     what: Results | str | Path, path: str | Path, *, scenario: Scenario | None = None,
-    declaration: Declaration | None = None, progress: Progress | None = None,
+    declaration: Declaration | None = None, progress: Progress | None = None, base: str | Path = ".",
 ) -> Path:  # fmt: skip
     """Write the page of a results folder, a ``NAME.library.nc`` or a file with a measured G, whole or not at all.
 
     ``scenario`` gives a measured file its record, wavelet, limits and, where it names none, its points and
-    actuators (default: the thesis' own), a library its device. Raises DataError for anything that is neither, and
-    where the folder's run is unfinished.
+    actuators (default: the thesis' own), a library its device; its wavelet's file is seen from ``base``. Raises
+    DataError for anything that is neither, and where the folder's run is unfinished.
     """
-    write_text(path, page_of(_content(what, scenario, declaration, progress)))
+    write_text(path, page_of(_content(what, scenario, declaration, progress, Path(base))))
     return Path(path)
 
 
 def _content(
-    what: Results | str | Path, scenario: Scenario | None, declaration: Declaration | None, progress: Progress | None
-) -> dict[str, Any]:
+    what: Results | str | Path, scenario: Scenario | None, declaration: Declaration | None, progress: Progress | None,
+    base: Path,
+) -> dict[str, Any]:  # fmt: skip
     if isinstance(what, Results):
         return content_of(what)
     place = Path(what)
@@ -60,10 +61,11 @@ def _content(
             raise DataError(f"{place}: a library says all of itself, so that --declare has no effect; leave it out")
         arm = load_library(place)
         asked = scenario or arm.scenario.model_copy(update={"name": place.name.removesuffix(LIBRARY)})
-        return library_content(arm, asked, f"library {place.name}", progress)
+        return library_content(arm, asked, f"library {place.name}", progress, base)
     asked = scenario or Scenario(name=place.stem)
     transfer = read_measured(place, declaration, ports=planform_ports(asked))
-    return measured_content(transfer, asked.model_copy(update={"name": place.stem}), f"measured G of {place.name}")
+    named = asked.model_copy(update={"name": place.stem})
+    return measured_content(transfer, named, f"measured G of {place.name}", base)
 
 
 def page_of(content: dict[str, Any]) -> str:

@@ -79,9 +79,10 @@ def content_of(results: Results) -> dict[str, Any]:
 
 
 def library_content(
-    arm: LibraryOfArm, scenario: Scenario, stamp: str, progress: Progress | None = None
+    arm: LibraryOfArm, scenario: Scenario, stamp: str, progress: Progress | None = None, base: Path = Path()
 ) -> dict[str, Any]:
-    """The page's content for an arm's library, whose actuators can be dragged; ``scenario`` is one on the same arm.
+    """The page's content for an arm's library, whose actuators can be dragged; ``scenario`` is one on the same arm, its
+    files seen from ``base``.
 
     The errors are the library's for the scenario's own arrangement, and what the page's few places add; pairs are not
     told apart, as actuators move.
@@ -97,7 +98,7 @@ def library_content(
         raise DataError("sweep: a page of a library needs every bin of its record; leave sweep.frequencies out")
     field = patch_field(arm, places)
     return {
-        **_common(scenario, holes, placed, field, record, wavelet(scenario.rendering, scenario.sweep, Path())),
+        **_common(scenario, holes, placed, field, record, wavelet(scenario.rendering, scenario.sweep, base)),
         "name": scenario.name,
         "stamp": stamp,
         "model": _packed_places(places, arm, scenario),
@@ -125,15 +126,17 @@ def _packed_near(near: Near | None) -> dict[str, Any]:
     return {"xy": packed(near.xy, "f8"), **fields, "scale": near.scale}
 
 
-def measured_content(transfer: TransferMatrix, scenario: Scenario, stamp: str) -> dict[str, Any]:
+def measured_content(
+    transfer: TransferMatrix, scenario: Scenario, stamp: str, base: Path = Path()
+) -> dict[str, Any]:
     """The page's content for a G without compliance: the device cannot be changed, nothing is known between the points.
 
-    ``scenario`` gives the record, the wavelet, the limits and the renderers' options.
+    ``scenario`` gives the record, the wavelet (its file seen from ``base``), the limits and the renderers' options.
     """
     record = Record.of(scenario.sweep.sample_rate, scenario.sweep.duration)
     holes = bridged(transfer)
     placed = place(holes.transfer, record)
-    shape = wavelet(scenario.rendering, scenario.sweep, Path())
+    shape = wavelet(scenario.rendering, scenario.sweep, base)
     gain = "the gain of this G is arbitrary, as was declared: S holds, micrometres, drives and limits mean nothing"
     notes = [*([gain] if arbitrary_gain(transfer.provenance) else []), *([holes.sentence] if holes.sentence else [])]
     return {

@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import GeometryError
 from ...ports import Port
 from ...scenario import Scenario
-from ...scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
+from ...scenario.limb import CylinderLimb, ForearmLimb, Limb, SlabLimb
 from ...typing import FloatArray
 from ..limb.slab import check_slab
 from ..limb.tube import Tube, tube_of
@@ -48,39 +48,60 @@ def parametric_skin(scenario: Scenario) -> Skin | None:
 def ports_on(scenario: Scenario, skin: Skin) -> tuple[Port, ...]:
     """Ports of the device on a skin given as a function of (x, y)."""
     layout, cone = layout_of(scenario), scenario.device.cone
-    _check_rims(layout, skin)
+    _check_rims(scenario, layout, skin)
+    nearer = {kind: f"{_inwards(scenario, kind)}, or {_larger(scenario.limb)}" for kind in ("contact", "grid point")}
     contacts = [
-        Port(name, "contact", *landed(f"contact {name}", xy, skin), cone.radius, cone.contact)
+        Port(name, "contact", *landed(f"contact {name}", xy, skin, nearer["contact"]), cone.radius, cone.contact)
         for name, xy in zip(layout.names, layout.contacts, strict=True)
     ]
-    points = [Port(str(i + 1), "point", *landed(f"grid point {i + 1}", xy, skin)) for i, xy in enumerate(layout.points)]
+    points = [
+        Port(str(i + 1), "point", *landed(f"grid point {i + 1}", xy, skin, nearer["grid point"]))
+        for i, xy in enumerate(layout.points)
+    ]
     return (*contacts, *points)
 
 
 Triple = tuple[float, float, float]
-_KEYS = {"contact": "device.spacing or device.spacing_y", "grid": "grid.pitch or grid.pitch_y"}
 
 
-def landed(what: str, xy: FloatArray, skin: Skin) -> tuple[Triple, Triple]:
-    """Place and outward normal of the ``skin`` at ``xy`` (2,); GeometryError where it misses or is too steep."""
+def landed(what: str, xy: FloatArray, skin: Skin, remedy: str = "move it") -> tuple[Triple, Triple]:
+    """Place and outward normal of the ``skin`` at ``xy`` (2,); GeometryError where it misses or is too steep, with the
+    ``remedy``."""
     point, normal = (each[0] for each in skin(xy[None]))
     if not np.isfinite(point).all():
         raise GeometryError(
             f"{what} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm misses the limb; expected a place over its volar "
-            f"skin: reduce {_KEYS[what.split()[0]]}, or use a longer or wider limb"
+            f"skin: {remedy}"
         )
     if normal[2] < _STEEPEST:
         slope = np.degrees(np.arccos(normal[2]))
         raise GeometryError(
             f"{what} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm hangs over the limb's side: the skin there is "
-            f"{slope:.0f} degrees from facing up, at most 60 are allowed; move it towards the middle"
+            f"{slope:.0f} degrees from facing up, at most 60 are allowed; {remedy}"
         )
     x, y, z = (float(v) for v in point)
     nx, ny, nz = (float(v) for v in normal)
     return (x, y, z), (nx, ny, nz)
 
 
-def _check_rims(layout: Layout, skin: Skin) -> None:
+def _inwards(scenario: Scenario, kind: str) -> str:
+    """Which keys move a port of a ``kind`` towards the middle."""
+    if kind == "contact":
+        rows = "reduce device.spacing or device.spacing_y"
+        return rows if scenario.device.contacts is None else "move its place in device.contacts"
+    return "reduce grid.pitch or grid.pitch_y" if scenario.grid.points is None else "move its place in grid.points"
+
+
+def _larger(limb: Limb) -> str:
+    """Which keys make room on a limb."""
+    if isinstance(limb, ForearmLimb):
+        return "enlarge limb.length or limb.circumference"
+    if isinstance(limb, CylinderLimb):
+        return "enlarge limb.length or limb.diameter"
+    return "turn and move its files: x along the limb, +z volar, the device's middle over x = y = 0"
+
+
+def _check_rims(scenario: Scenario, layout: Layout, skin: Skin) -> None:
     """Whole discs must lie over the limb, symmetry planes excepted (checked with the slab)."""
     if skin is _flat:
         return
@@ -90,7 +111,8 @@ def _check_rims(layout: Layout, skin: Skin) -> None:
         if np.isfinite(skin(xy[None])[0]).all() and not np.isfinite(skin(xy + ring)[0]).all():
             raise GeometryError(
                 f"contact {name} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm reaches beyond the limb with its radius "
-                f"of {layout.radius * 1e3:.3g} mm; move it inwards or use a longer or wider limb"
+                f"of {layout.radius * 1e3:.3g} mm; reduce device.cone.radius, {_inwards(scenario, 'contact')}, or "
+                f"{_larger(scenario.limb)}"
             )
 
 

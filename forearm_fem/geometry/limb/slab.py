@@ -40,7 +40,7 @@ def check_slab(limb: SlabLimb, layout: Layout) -> None:
     if total >= limb.depth:
         raise GeometryError(
             f"the slab's layers are {total * 1e3:.3g} mm thick together, but limb.depth is "
-            f"{limb.depth * 1e3:.3g} mm; increase limb.depth or thin the layers"
+            f"{limb.depth * 1e3:.3g} mm; increase limb.depth or thin limb.layers"
         )
     box = _footprint(limb)
     for name, centre in zip(layout.names, layout.contacts, strict=True):
@@ -59,10 +59,12 @@ def _check_on(box: Rectangle, limb: SlabLimb, what: str, at: FloatArray, radius:
             )
         low = box.low[axis] - (radius if centred else 0)
         if not low <= at[axis] - radius <= at[axis] + radius <= box.high[axis]:
+            keys = ("device.contacts or device.spacing", "grid.points or grid.pitch")[radius == 0]
+            cut = f", or leave '{name}' out of limb.symmetry" if name in limb.symmetry else ""
             raise GeometryError(
                 f"{what} at ({at[0] * 1e3:.4g}, {at[1] * 1e3:.4g}) mm does not lie on the modelled slab, "
-                f"{name} from {box.low[axis] * 1e3:.4g} to {box.high[axis] * 1e3:.4g} mm; move it, "
-                "enlarge the slab, or give up limb.symmetry"
+                f"{name} from {box.low[axis] * 1e3:.4g} to {box.high[axis] * 1e3:.4g} mm; move it ({keys}), "
+                f"enlarge {('limb.length', 'limb.width')[axis]}{cut}"
             )
 
 

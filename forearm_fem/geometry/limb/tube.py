@@ -167,7 +167,7 @@ def _check_layers(tube: Tube, x: FloatArray) -> None:
     if tube.thickness > 0.9 * tightest:
         raise GeometryError(
             f"the layers are {tube.thickness * 1e3:.3g} mm thick together, but the limb bends with a radius of "
-            f"{tightest * 1e3:.3g} mm at its tightest; thin the layers, enlarge the limb or bring aspect nearer 1"
+            f"{tightest * 1e3:.3g} mm at its tightest; thin limb.layers, enlarge the limb or bring limb.aspect nearer 1"
         )
 
 
@@ -183,8 +183,8 @@ def _check_inside(tube: Tube, bone: BoneAxis, x: FloatArray) -> None:
     if gap < _CLEARANCE:
         raise GeometryError(
             f"bone '{bone.name}' does not lie inside the {tube.core} with {_CLEARANCE * 1e3:g} mm to spare (its axis "
-            f"at y = {bone.y * 1e3:.3g} mm, diameter {2e3 * bone.radius:.3g} mm); move it towards the middle (y, "
-            "depth), make it thinner, or shorten the segment"
+            f"at y = {bone.y * 1e3:.3g} mm, diameter {2e3 * bone.radius:.3g} mm); in limb.bones move it towards the "
+            "middle (y, depth) or make it thinner, or reduce limb.length"
         )
 
 
@@ -203,5 +203,5 @@ def _check_apart(tube: Tube, first: BoneAxis, second: BoneAxis, x: FloatArray) -
         how = f"overlap by {-gap * 1e3:.3g} mm" if gap < 0 else f"come within {gap * 1e3:.3g} mm of each other"
         raise GeometryError(
             f"bones '{first.name}' and '{second.name}' {how}, expected {_CLEARANCE * 1e3:g} mm "
-            f"of {tube.core} between them; move them apart or make them thinner"
+            f"of {tube.core} between them; in limb.bones move them apart (y, depth) or make them thinner"
         )

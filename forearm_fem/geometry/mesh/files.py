@@ -77,7 +77,10 @@ def read_quietly(file: Path) -> Any:
             "use .msh, .vtu or .inp"
         ) from None
     except Exception as problem:
-        raise MeshError(f"{file}: cannot be read as a mesh ({type(problem).__name__}: {problem})") from None
+        said = f"{type(problem).__name__}: {problem}"[:100]
+        raise MeshError(
+            f"{file}: cannot be read as a mesh ({said}); it is damaged or odd: export it as .vtu, .msh or .inp"
+        ) from None
 
 
 def _by_ending(file: Path, known: dict[str, Callable[..., Any]]) -> Callable[..., Any]:

@@ -12,7 +12,7 @@ from ..device.layout import Layout
 
 _LEAST, _MOST = 1e-3, 2.0  # m: a thin bone, a whole leg
 _FLAT = 1e-4  # m: thinner than any bone
-_UNITS = ((1.0, "metres"), (0.01, "centimetres"), (0.001, "millimetres"))
+_UNITS = ((1.0, "metres"), (0.01, "centimetres"), (0.001, "millimetres"), (0.0254, "inches"))
 
 
 def check_extent(file: Path, points: FloatArray, unit: float = 1.0) -> None:
@@ -52,7 +52,9 @@ def check_room(file: Path, points: FloatArray, layout: Layout, unit: float) -> N
         return
     limb, device = _spans(low, high), _spans(need_low, need_high)
     if (high - low < need_high - need_low).any():
-        larger = " or ".join(f"{u:g}" for u, _ in _UNITS if unit < u < 1000 * unit)
+        room = max(float(((need_high - need_low) / np.maximum(high - low, 1e-9)).max()), 1.0) * unit  # least that fits
+        most = _MOST * unit / float(np.ptp(points, axis=0).max())
+        larger = " or ".join(f"{u:g} ({name})" for u, name in _UNITS if room <= u <= most and u != unit)
         other = f", or should it be {larger}" if larger else ""
         advice = f"is limb.unit = {unit:g} right{other}? else use a smaller device"
     else:

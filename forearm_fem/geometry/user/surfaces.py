@@ -117,7 +117,7 @@ def _check_nested(outer: ClosedSurface, inner: ClosedSurface) -> None:
     if away.max() > slack and not (both_bones and away.min() > -slack):
         raise GeometryError(
             f"the surface of '{inner.tissue}' reaches {away.max() * 1e3:.3g} mm out of '{outer.tissue}'; "
-            "each smaller surface must lie inside every larger one (is limb.unit right?)"
+            "each smaller surface must lie inside every larger one; several bones go into one file, limb.unit is of all"
         )
     depth = -float(outer.distance(inner.vertices[inner.faces].mean(axis=1)).min())
     if not both_bones and max(depth, -float(away.min())) < _THINNEST:
