@@ -166,4 +166,4 @@ def test_a_command_says_so_too(tmp_path):
         "sweep": {"frequencies": [60.0]}, "solver": {"discretisation_estimate": False}, "rendering": {"methods": []},
     }  # fmt: skip
     run_solve(Run.start(parse_scenario(scene), tmp_path, tmp_path))
-    assert any(n.startswith("points 1 lie within 8 mm") for n in read_run(tmp_path / "run.json").notes)
+    assert any(n.startswith("point 1 lies within 8 mm") for n in read_run(tmp_path / "run.json").notes)

@@ -34,7 +34,8 @@ def near_disc_notes(scenario: Scenario) -> tuple[str, ...]:
     if not near:
         return ()
     named = ", ".join(near[:6]) + (", ..." if len(near) > 6 else "")
+    lie = f"point {named} lies" if len(near) == 1 else f"points {named} lie"
     return (
-        f"points {named} lie within 8 mm of the rim of a disc of pressure on second-order elements, where as little as "
+        f"{lie} within 8 mm of the rim of a disc of pressure on second-order elements, where as little as "
         "a tenth of the error was stated; mesh.element = 'P2/P3' errs a tenth there, at two to four times the unknowns",
     )
