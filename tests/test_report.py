@@ -10,13 +10,14 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError
 from forearm_fem.figures import Results, kinds
 from forearm_fem.report import write, write_report
-from forearm_fem.report.facts import differences, exceeded
+from forearm_fem.report.facts import condition_words, differences, exceeded
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +70,13 @@ def test_one_limit_is_told_in_the_singular(folder: Path) -> None:  # noqa: F811
     results = Results.open(folder)
     assert write._limit_words(["a"], results) == "One limit is exceeded."
     assert write._limit_words(["a", "b"], results) == "2 limits are exceeded."
+
+
+def test_a_singular_g_is_no_well_conditioned_one() -> None:
+    """Bins at which an actuator moves nothing were left out of the median and the largest."""
+    assert condition_words(np.array([2.0, 5.0, np.nan, 9.0])) == "median 5.0, largest 9.0"
+    assert condition_words(np.array([2.0, np.inf, 3e16, np.nan])).startswith("infinite at 2 of 3 frequencies")
+    assert condition_words(np.full(3, np.nan)) == "unknown"
 
 
 def test_another_grids_waves_are_not_called_the_thesis_figures(folder: Path) -> None:  # noqa: F811

@@ -22,6 +22,7 @@ from ..transfer import TransferMatrix, entry_band_errors, size_words
 from ..typing import FloatArray
 
 Rows = list[list[str]]
+_SINGULAR = 1e14  # condition number that rounding alone makes of a singular matrix
 
 
 @dataclass(frozen=True)
@@ -136,16 +137,24 @@ def matrix_block(results: Results) -> Block:
     condition = condition_number(values)
     size = np.abs(values)
     at = np.unravel_index(int(np.nanargmax(size)), size.shape)
-    known = condition[np.isfinite(condition)]
-    spread = f"median {np.median(known):.1f}, largest {known.max():.1f}" if len(known) else "unknown"
     rows = [
         ["entries", f"{size.shape[1]} points × {size.shape[2]} actuators × {size.shape[0]} frequencies, {g.unit}"],
         ["largest entry", f"{1e6 * size[at]:.3g} µ{g.unit} at {g.frequency[at[0]]:g} Hz, "
                           f"{g.outputs[at[1]].name} ← {g.inputs[at[2]].name}"],
-        ["condition number", spread],
+        ["condition number", condition_words(condition)],
         ["entries err by, of their own size", _of_entries(g)],
     ]  # fmt: skip
     return Block(["", ""], rows, "Errors of G are amplified in the drives by up to the condition number.")
+
+
+def condition_words(condition: FloatArray) -> str:
+    """Median and largest of ``condition`` (n,), NaN where unknown; a singular G is said to be one."""
+    known = condition[~np.isnan(condition)]
+    if not len(known):
+        return "unknown"
+    if not (singular := np.count_nonzero(known > _SINGULAR)):
+        return f"median {np.median(known):.1f}, largest {known.max():.1f}"
+    return f"infinite at {singular} of {len(known)} frequencies: an actuator moves nothing there, or two move alike"
 
 
 def _of_entries(g: TransferMatrix) -> str:
