@@ -16,8 +16,8 @@ from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import AccuracyWarning, ScenarioError
 from forearm_fem.figures import Results
 from forearm_fem.measurement.entry import noise_estimate
-from forearm_fem.pipeline import strengths as account_module
 from forearm_fem.metrics.strength import strength_text
+from forearm_fem.pipeline import strengths as account_module
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.renderers import check_servable, renderers
 from forearm_fem.pipeline.simulation import account_of, render_transfer

@@ -69,8 +69,8 @@ def finer_than_known(account: StrengthAccount, errors: Sequence[ErrorEstimate]) 
     m, t = np.unravel_index(int(np.nanargmax(account.value)), account.value.shape)
     if best > WITHOUT_BOUND:
         return (
-            f"S of {account.methods[m]} towards {account.targets[t]} has no bound, {best:.1g} is what rounding leaves: there "
-            "are actuators enough to hold all other points still; lay more points (grid) to see what moves between them"
+            f"S of {account.methods[m]} towards {account.targets[t]} has no bound, {best:.1g} is what rounding leaves: "
+            "actuators are enough to hold all other points still; lay more points (grid) to see what moves between"
         )
     return (
         f"S of {account.methods[m]} towards {account.targets[t]} is {best:.3g}: the others are held stiller "
