@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -58,8 +58,7 @@ def main() -> None:
         print_error(problem)
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
-        console.print("interrupted; what was finished is kept, run the same command to go on")
-        sys.exit(130)
+        _interrupted()
     except MemoryError:
         print_error("out of memory; set mesh sizes or accuracy larger, or solver.precision = 'single'")
         sys.exit(2)
@@ -67,12 +66,26 @@ def main() -> None:
         print_error(f"{problem.filename or 'the output'}: {problem.strerror or problem}")
         sys.exit(2)
     except Exception as problem:
+        if _was_interrupted(problem):
+            _interrupted()
         if not _is_usage(problem):
             raise
         if message := _usage(problem):
             print_error(message)
         sys.exit(2)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _interrupted() -> NoReturn:
+    console.print("interrupted; what was finished is kept, run the same command to go on")
+    sys.exit(130)
+
+
+def _was_interrupted(problem: BaseException | None) -> bool:
+    """Whether Ctrl-C stands behind a ``problem``: compiled code makes a SystemError of it."""
+    while problem is not None and not isinstance(problem, KeyboardInterrupt):
+        problem = problem.__cause__ or problem.__context__
+    return problem is not None
 
 
 def _is_usage(problem: Exception) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import psutil
 
@@ -38,8 +39,19 @@ def diagnosis() -> dict[str, str]:
 def _cache() -> str:
     """Where finished meshes and solves are kept, and how much lies there."""
     folder = default_cache_dir()
-    sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+    above = next(path for path in (folder, *folder.parents) if path.exists())
+    if not above.is_dir() or not os.access(above, os.W_OK):
+        return f"{folder}: nothing can be kept there ({above} is no folder that can be written); set FOREARM_FEM_CACHE"
+    sizes = [_size(path) for path in folder.rglob("*") if path.is_file()]
     return f"{folder}: {sum(sizes) / 1e6:.1f} MB in {len(sizes)} files"
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file; 0 where another command has just removed it."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
 
 
 def rendering_backend() -> str:

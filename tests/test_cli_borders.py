@@ -252,6 +252,8 @@ def test_a_g_of_another_origin_is_not_replaced(lab: Path, line: Any, provenance:
         (("calibrate", "small.toml", "--daq", "sound", "--declare", "unit=m/V"), "--declare: has no effect with"),
         (("calibrate", "small.toml", "--loopback", "lab.csv"), "--loopback: has no effect with --daq virtual"),
         (("play", "small.toml", "drives.nc", "--daq", "ni", "--snr", "40"), "--snr: has no effect with --daq ni"),
+        (("figures", ".", "--format", ","), "--format: expected names between the commas"),
+        (("figures", ".", "--only", ","), "--only: expected names between the commas"),
         (("figures", ".", "--over", "transfer=a.csv", "--over", "transfer=b.csv"), "--over: names a figure twice"),
         (("library", "thesis", "--out", "folder.nc"), "folder.nc: is a folder, expected the name of a file"),
         (("show", ".", "--save", "folder.gif"), "folder.gif: is a folder, expected the name of a file"),

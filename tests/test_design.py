@@ -120,6 +120,14 @@ def test_few_choices_are_all_tried(tmp_path):
     assert {v["device.spacing"] for v in tried} == {0.03, 0.035, 0.04}
 
 
+def test_a_device_that_holds_all_other_points_still_is_no_candidate(tmp_path):
+    """Two actuators at two points: S is one over rounding, and its largest would win."""
+    two = "[grid]\npoints = [[0, 0], [0.012, 0]]\n[device]\ncolumns = 1\n[device.cone]"
+    scene = SCENE.replace("[device.cone]", two)
+    with pytest.raises(ScenarioError, match="can be evaluated: S has no bound"):
+        run_design(design(tmp_path, SPACING + QUICK, scene), tmp_path / "out", arm=Waves(), confirm=False)
+
+
 def test_a_search_that_was_interrupted_goes_on_to_the_same_front(tmp_path):
     asked = design(tmp_path, SPACING + QUICK)
     whole = run_design(asked, tmp_path / "whole", arm=Waves(), confirm=False)

@@ -239,7 +239,7 @@ BAD_SLABS = [
     ({"limb": {"width": 0.04}}, "contact A1 .* enlarge limb.width$"),
     ({"limb": {"symmetry": ["x"]}}, "contact A1 .* symmetry"),
     ({"device": {"spacing": 0.006}}, "contacts A1 and A2 are 6 mm apart"),
-    ({"device": {"contacts": [[0, 0], [0.005, 0]]}}, "contacts A1 and A2 are 5 mm apart"),
+    ({"device": {"contacts": [[0, 0], [0.005, 0]]}}, "A1 and A2 are 5 mm apart, .* move one in device.contacts"),
     ({"grid": {"points": [[0.0, 0.05]]}}, "grid point 1"),
     ({"limb": {"symmetry": ["y"]}, "device": {"contacts": [[0, 0.001]]}}, "put its centre on the plane"),
 ]

@@ -16,6 +16,7 @@ from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import AccuracyWarning, ScenarioError
 from forearm_fem.figures import Results
 from forearm_fem.measurement.entry import noise_estimate
+from forearm_fem.metrics.strength import strength_text
 from forearm_fem.pipeline import strengths as account_module
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.renderers import check_servable, renderers
@@ -440,7 +441,13 @@ def test_silence_finer_than_g_is_known_is_said():
         assert bool(sentence) is said
         assert not said or (f"is {best:.3g}" in sentence and len(sentence) <= 300)
     assert not finer_than_known(account, ())  # no statement to hold S against
-    assert not finer_than_known(account, (ErrorEstimate("truncation", np.nan, "unknown"),))
+    unknown = (ErrorEstimate("truncation", np.nan, "unknown"),)
+    assert not finer_than_known(account, unknown)
+    for errors in ((), unknown):  # as many actuators as points
+        sentence = finer_than_known(replace(account, value=1e14 * account.value), errors)
+        assert "has no bound" in sentence
+        assert len(sentence) <= 300
+    assert [strength_text(s) for s in (2.904, 213216020808372.16, np.nan)] == ["2.90", "2.1e+14", "nan"]
 
 
 def test_a_scenario_damps_for_the_accuracy_it_asks_for_and_four_actuators_for_none():

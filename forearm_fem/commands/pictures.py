@@ -39,12 +39,16 @@ def figures(
         raise DataError("--over: names a figure twice; put all curves for it into one table, a column each")
     if "" in laid.values():
         raise DataError("--over: expected NAME=FILE.csv, a figure and a table of curves")
+    names, kinds = _listed(only), _split(formats)
+    for option, given, read in (("--only", only, names), ("--format", formats, kinds)):
+        if given and not read:
+            raise DataError(f"{option}: expected names between the commas, got none; leave it out for its default")
     from ..figures import make_figures
     from ..io.lock import locked
 
     with locked(out or results), Display() as display, noted():
         written = make_figures(
-            results, out, only=_listed(only), formats=_split(formats),
+            results, out, only=names, formats=kinds,
             progress=display, width=width, over=laid,
         )  # fmt: skip
     for file in written:

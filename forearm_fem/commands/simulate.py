@@ -80,7 +80,7 @@ def render(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder =
         from ..report import strengths_by_target
 
         typer.echo(strengths_by_target(Results.open(job.out)))
-        typer.echo(f"S with all digits: {job.out / 'signal_strength.csv'}\nresults: {job.out}")
+        typer.echo(f"results: {job.out} (signal_strength.csv holds every digit of S)")
 
 
 def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Forecast | None:

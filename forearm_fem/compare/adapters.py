@@ -168,7 +168,9 @@ def layers_from(scenario: Scenario) -> tuple[Layer, ...]:
     layers = layers_of(scenario.limb)
     core = getattr(scenario.limb, "core", None)
     if not layers or not isinstance(core, str):
-        raise ScenarioError("limb: the layered twin needs a parametric limb with layers and a core tissue")
+        raise ScenarioError(
+            "limb: the layered twin needs a parametric limb with layers and a core; fit on finite elements with --fem"
+        )
     tissues = resolve_tissues(scenario)
     return (*(_layer(tissues[x.tissue], x.thickness) for x in layers), _layer(tissues[core], math.inf))
 

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..device import close_loop
-from ..errors import AccuracyWarning, ForearmError
+from ..errors import AccuracyWarning, ForearmError, ScenarioError
+from ..metrics.strength import WITHOUT_BOUND
 from ..pipeline.renderers import check_servable, renderers, wavelet
 from ..pipeline.simulation import account_of
 from ..rendering import Limits, Rendering, render_all
@@ -132,6 +133,11 @@ def _one(whole: Scenario, arm: ArmModel, asked: DesignFile, base: Path) -> _Foun
     g = transfer_on(scenario, arm)
     rendering = _rendered(scenario, g, targets, base)
     method = rendering.methods[0]
+    if np.nanmax(rendering.strengths[0], initial=0.0) > WITHOUT_BOUND:
+        raise ScenarioError(
+            "S has no bound: so many actuators hold all other points still, and rounding would choose; use more grid "
+            "points than actuators, or fewer of these"
+        )
     share = np.array([_share(rendering, method, t, asked.constraints.target_peak) for t in targets])
     reports = [rendering[method, t].report for t in targets]
     peak = np.array([r.peak for r in reports]) * share[:, None]

@@ -17,6 +17,7 @@ from ..figures.registry import save_drawn
 from ..io.atomic import write_text
 from ..io.dataset import save
 from ..io.jsonfiles import write_json
+from ..metrics.strength import strength_text
 from .candidate import Candidate
 from .figures import plot_devices, plot_front, plot_map
 from .run import DesignResult
@@ -95,7 +96,7 @@ def outcome_words(result: DesignResult) -> list[str]:
     best, reference, objective = result.best, result.reference, result.design.asked.objective
     what = {"mean": "Mean S", "least": "Least S", "share": "Share of targets with S above 1"}[objective.of]
     low, high = result.interval
-    known = f"{low:.2f} to {high:.2f}" if math.isfinite(low + high) else "unknown"
+    known = f"{strength_text(low)} to {strength_text(high)}" if math.isfinite(low + high) else "unknown"
     lines = [
         f"{what} of the {objective.method} is {best.score:.3g} ({known} by the model's own errors, e_band of G at most "
         f"{best.error:.1g}) with {values_words(best.values)}.",

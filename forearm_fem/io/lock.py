@@ -28,7 +28,8 @@ def locked(folder: str | Path) -> Iterator[None]:
         place.mkdir(parents=True, exist_ok=True)
         descriptor = _taken(file)
     except OSError as problem:
-        raise DataError(f"{place}: cannot be written ({problem.strerror or problem})") from None
+        why = "it is a file and no folder" if place.is_file() else problem.strerror or problem
+        raise DataError(f"{place}: cannot be written ({why}); name another folder") from None
     try:
         yield
     finally:

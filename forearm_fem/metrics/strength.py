@@ -68,6 +68,14 @@ def _quotient(target: float, others: float) -> float:
     return float("inf") if target > 0 else float("nan")
 
 
+WITHOUT_BOUND = 1e6  # of S: beyond it rounding is all that moves the other points
+
+
+def strength_text(value: float) -> str:
+    """S in words: two decimals; two digits from a thousand on, where the others hardly move."""
+    return f"{value:.2f}" if not value >= 1000 else f"{value:.2g}"
+
+
 GROUPS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("Middle (5)", ("5",)),
     ("Edges (2/4/6/8)", ("2", "4", "6", "8")),

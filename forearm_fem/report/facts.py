@@ -12,7 +12,7 @@ import numpy as np
 from ..figures.data import Results
 from ..figures.judge import WHO, Strengths, spreads, strengths, table_one_rows
 from ..metrics import condition_number, thesis_table
-from ..metrics.strength import GROUPS
+from ..metrics.strength import GROUPS, strength_text
 from ..rendering.lattice import is_thesis_grid
 from ..rendering.limits import Limits, beyond_limits
 from ..results import StrengthRecord
@@ -232,7 +232,7 @@ def by_target_block(results: Results) -> Block:
     rows = []
     for t, target in enumerate(data.targets):
         cells = [
-            f"{data.values[m, t]:.2f}{spreads(data, method, target) or f' ({_span_of(data, m, t)})'}"
+            f"{strength_text(data.values[m, t])}{spreads(data, method, target) or f' ({_span_of(data, m, t)})'}"
             f"{_hole_words(account, method, target) if holes else ''}"
             for m, method in enumerate(data.methods)
         ]
@@ -243,7 +243,7 @@ def by_target_block(results: Results) -> Block:
             "Numerics: S within the errors stated for G, nine in ten of them. Arms: 5-95 % of "
             f"{data.arms['draws']} arms ({data.arms['model']}; {data.arms['left_out']}). Never add the two."
         ]
-    said += [account.unknown.capitalize() + "."] if account.unknown else []
+    said += [f"{account.unknown[0].upper()}{account.unknown[1:]}."] if account.unknown else []
     said += [f"S is taken {window_words(data)}."]
     edge, where = account.largest("edges")
     if where:
@@ -256,7 +256,7 @@ def by_target_block(results: Results) -> Block:
 
 def _span_of(data: Strengths, m: int, t: int) -> str:
     low, high = data.low[m, t], data.high[m, t]
-    return f"{low:.2f} to {high:.2f}" if np.isfinite(low) and np.isfinite(high) else "unknown"
+    return f"{strength_text(low)} to {strength_text(high)}" if np.isfinite(low) and np.isfinite(high) else "unknown"
 
 
 def _hole_words(account: StrengthRecord, method: str, target: str) -> str:
@@ -334,7 +334,7 @@ def headline(results: Results) -> str:
     """The whole story in two sentences."""
     s = results.scenario
     data = strengths(results)
-    best = [f"{m} {np.nanmean(v):.2f}" for m, v in zip(data.methods, data.values, strict=True)]
+    best = [f"{m} {strength_text(float(np.nanmean(v)))}" for m, v in zip(data.methods, data.values, strict=True)]
     verdict = results.account.accuracy or "the accuracy reached is not on record"
     told = f"mean signal strength over {len(data.targets)} targets is {', '.join(best)}"
     return f"Scene {s.name}: {told}. Accuracy: {verdict}."
