@@ -216,7 +216,7 @@ def test_an_s_that_is_unknown_is_no_share_of_targets_and_no_score_of_the_other_a
     assert score_of(np.array([2.0, 0.5]), share) == 0.5
     assert math.isnan(score_of(np.array([2.0, np.nan]), share))
     asked = design(tmp_path, SPACING + '[objective]\nover = "least"\n')
-    asked = replace(asked, data=(*asked.data, *asked.data))
+    asked = replace(asked, data=(*asked.data, *asked.data), bases=(*asked.bases, *asked.bases))
     strengths = iter([np.full(9, 2.0), np.full(9, np.nan)])
     one = candidates._one
     with pytest.MonkeyPatch.context() as patch:
