@@ -109,3 +109,6 @@ def test_a_limb_without_cut_ends_says_so_in_its_report(tmp_path):
     assert said.startswith("limb: no plane cut end across x was found at its smallest and its largest x")
     assert len(said) <= 300
     assert doubts_of(scenario, with_boundaries(bar())) == ()
+    half = with_boundaries(bar())
+    half.facets["end"] = half.facets["end"][half.points[half.facets["end"]][:, 0, 0] > 0]
+    assert "at its smallest x" in doubts_of(scenario, half)[0]

@@ -12,7 +12,7 @@ from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
 from ..limb.layered import underside
 from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import SIDES, boundary_faces, is_member, keys
+from ..mesh.topology import SIDES, boundary_faces, is_member
 
 _ACROSS = 0.9  # cosine between a facet's normal and x from which on it lies across
 _ROUGH, _PLANE = 1e-3, 1e-6  # of the limb's length: how far from plane a cut end may be, and one without an edge
@@ -78,16 +78,10 @@ def _cut_off(points: FloatArray, faces: IntArray, piece: BoolArray, across: Bool
     """Whether most of the ``piece``'s rim, by length, is an edge where the surface turns away from x."""
     sides = np.sort(faces[:, SIDES].reshape(-1, 2), axis=1)
     of = np.repeat(np.arange(len(faces)), 3)
-    rim = _once(sides[piece[of]])
-    beside = ~piece[of] & np.isin(keys(sides, len(points)), keys(rim, len(points)))
+    edges, count = np.unique(sides[piece[of]], axis=0, return_counts=True)
+    beside = ~piece[of] & is_member(sides, edges[count == 1], len(points))
     length = np.linalg.norm(np.diff(points[sides[beside]], axis=1)[:, 0], axis=1)
     return bool(length[~across[of[beside]]].sum() > 0.5 * length.sum())
-
-
-def _once(sides: IntArray) -> IntArray:
-    """The edges (n, 2) that occur once."""
-    edges, count = np.unique(sides, axis=0, return_counts=True)
-    return np.asarray(edges[count == 1])
 
 
 def _outermost(points: FloatArray, faces: IntArray) -> BoolArray:
