@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
 
 from .errors import DataError
 from .io.jsonfiles import read_json, write_json
+from .metrics import condition_number, condition_summary
 from .transfer import ErrorEstimate, TransferMatrix
 
 VERSION = 1  # of the record's own form; files before 0.15 state none and are read as this one
@@ -98,6 +98,12 @@ class Spread(_Record):
     largest: float | None = None
 
 
+class ConditionRecord(Spread):
+    """Condition number of G [-] over the band; at ``singular`` frequencies, not among these, it is infinite."""
+
+    singular: int = 0
+
+
 class StrengthEntry(_Record):
     """One S with its interval, its reading over the whole record, and what band edges and holes of G do to it [-]."""
 
@@ -142,7 +148,7 @@ class RunRecord(_Record):
     solution: SolutionRecord = SolutionRecord()
     errors: tuple[ErrorRecord, ...] = ()
     accuracy: str = ""
-    condition_number: Spread = Spread()
+    condition_number: ConditionRecord = ConditionRecord()
     signal_strength: StrengthRecord = StrengthRecord()
     warnings: tuple[str, ...] = ()
 
@@ -183,11 +189,9 @@ def write_run(path: str | Path, record: RunRecord) -> None:
     write_json(path, record.model_dump(mode="json"))
 
 
-def condition_of(transfer: TransferMatrix) -> Spread:
+def condition_of(transfer: TransferMatrix) -> ConditionRecord:
     """Condition numbers of G over the bins where all of it is known."""
-    usable = np.isfinite(transfer.values).all(axis=(1, 2))
-    numbers = np.linalg.cond(transfer.values[usable])
-    numbers = numbers[np.isfinite(numbers)]
-    if not len(numbers):
-        return Spread()
-    return Spread(least=float(numbers.min()), median=float(np.median(numbers)), largest=float(numbers.max()))
+    found = condition_summary(condition_number(transfer.values))
+    return ConditionRecord(
+        least=found.least, median=found.median, largest=found.largest, singular=found.singular
+    )

@@ -174,6 +174,17 @@ def test_waves_by_the_thesis_estimator_on_both():
     np.testing.assert_allclose(c.condition_a, condition_number(A.values))
 
 
+def test_where_a_matrix_is_singular_is_counted_apart_from_its_condition_numbers():
+    values = A.values.copy()
+    values[3:5, :, 0] = 0.0
+    told = comparison_record(compare(replace(A, values=values), A, render=False))["condition_number"]
+    assert told["A"]["infinite_at"] == 2
+    assert told["B"]["infinite_at"] == 0
+    known = np.delete(condition_number(A.values), [3, 4])
+    assert told["A"]["max"] == pytest.approx(known.max())
+    assert told["A"]["median"] == pytest.approx(np.median(known))
+
+
 def test_cross_play_with_itself_costs_nothing_and_with_another_arm_something():
     same = cross_play(common_ground(A, changed(A, 0.7)), targets=("5", "6"))
     np.testing.assert_allclose(same.worth, 1, rtol=1e-9)  # S does not know gain

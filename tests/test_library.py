@@ -17,11 +17,12 @@ from forearm_fem.geometry.device.place import parametric_skin
 from forearm_fem.layered import Surface, surface_kernel
 from forearm_fem.layered.integrals import Medium
 from forearm_fem.layered.rigid import Disc
-from forearm_fem.library import is_library, load_library, make_library, save_library, side, store
+from forearm_fem.library import is_library, load_library, make, make_library, save_library, side, store
 from forearm_fem.library.arm import library_skin
 from forearm_fem.library.between import Lattice, Prior, Shape, shape_of
 from forearm_fem.library.flat_bells import between_flat_bells, flat_compliance, pair_distances
 from forearm_fem.library.hold import deviation_held, held
+from forearm_fem.library.kept import Side
 from forearm_fem.library.loads import Bells, bell_functionals
 from forearm_fem.library.make import loaded_skin, meshed_scenario
 from forearm_fem.library.skin import flat_skin
@@ -323,6 +324,16 @@ def test_a_library_that_was_ended_goes_on_to_the_same_to_the_bit(slab, library, 
     whole = library.fine.between(at, every)
     # made in one batch of all: other directions are dropped
     assert np.abs(resumed.limb.between(at, every) - whole).max() < 0.01 * np.abs(whole).max()
+
+
+def test_a_library_states_the_seconds_of_all_calls(slab, library, tmp_path, monkeypatch):
+    """The second call finds its part in the cache; that took hours of the first one's."""
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
+
+    facts = {**library.facts, "seconds_loads": 7200.0, "seconds_poles": 60.0}
+    kept = Side(library.fine, library.freed, library.reduction, library.missed, facts)
+    monkeypatch.setattr(make, "solved_side", lambda *asked, **how: kept)
+    assert 7260 <= make_library(slab).facts["seconds"] < 7260 + 600
 
 
 def test_answers_agree_with_finite_elements_of_the_same_slab(slab, library):

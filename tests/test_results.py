@@ -2,12 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from forearm_fem.errors import DataError
 from forearm_fem.figures.data import Results
-from forearm_fem.results import ErrorRecord, RunRecord, StageCost, StrengthRecord, read_run, write_run
-from forearm_fem.transfer import ErrorEstimate
+from forearm_fem.ports import Port
+from forearm_fem.results import ErrorRecord, RunRecord, StageCost, StrengthRecord, condition_of, read_run, write_run
+from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 
 
 def record(**changes) -> RunRecord:
@@ -90,3 +92,11 @@ def test_the_largest_change_of_s_says_where():
     assert strength.largest("edges") == (0.05, "funneling towards 5")
     assert strength.largest("holes") == (0.0, "funneling towards 5")
     assert StrengthRecord().largest("edges") == (0.0, "")
+
+
+def test_frequencies_where_g_is_singular_are_counted_apart():
+    one = np.array([[2.0, 0.0], [0.0, 1.0]])
+    values = np.stack([one, one * [1.0, 0.0], np.full((2, 2), np.nan)]).astype(complex)
+    ports = tuple(Port(str(i), "point", (0.01 * i, 0.0, 0.0), (0.0, 0.0, 1.0)) for i in (1, 2))
+    found = condition_of(TransferMatrix(np.array([10.0, 20.0, 30.0]), values, ports, ports, "m/V"))
+    assert (found.least, found.largest, found.singular) == (2.0, 2.0, 1)

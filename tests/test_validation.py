@@ -245,6 +245,18 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     assert "of the wavelet's energy lies where it is unknown and is not driven" in holed["note"]
     assert holed["note"] in validation_page({**found, "measured": {"name": "g.nc", **holed}})
     assert told["note"] == ""
+    assert all(e["interval"][0] <= e["measured"] <= e["interval"][1] for e in told["entries"])
+    noisy = replace(g, errors=(), deviation=0.3 * np.abs(g.values))
+    scattered = module._measured(noisy, Question(scene, Path()), prediction)
+    for calm, entry in zip(told["entries"], scattered["entries"], strict=True):
+        assert entry["interval"][1] / entry["interval"][0] > calm["interval"][1] / calm["interval"][0]
+        ends = [entry["low"] <= x <= entry["high"] for x in entry["interval"]]
+        assert entry["sure"] == (calm["sure"] and ends == [entry["inside"]] * 2)
+    assert any(a["sure"] > b["sure"] for a, b in zip(told["entries"], scattered["entries"], strict=True))
+    assert "random error of G (its deviation) alone" in scattered["note"]
+    silent = module._measured(replace(g, errors=()), Question(scene, Path()), prediction)
+    assert all(e["interval"] == [] for e in silent["entries"])
+    assert "so the interval of S is unknown" in silent["note"]
     valid[:, 6] = g.frequency[:, None] < 20
     unknown = pytest.warns(AccuracyWarning, match="unknown")
     with unknown, pytest.raises(DataError, match="the measured G gives no S: 100% of the wavelet"):

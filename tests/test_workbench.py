@@ -606,6 +606,27 @@ def test_the_command_writes_pages_of_runs_and_of_files(flat: Results, small: Res
     assert (tmp_path / "b.html").read_text(encoding="utf-8") == (tmp_path / "a.html").read_text(encoding="utf-8")
 
 
+def test_a_page_replaces_only_one_of_the_same_file(flat: Results, tmp_path: Path) -> None:
+    """Two files of one name but for their ending share the default page; a page of one's own may lie there, too."""
+    write_csv(tmp_path / "lab.csv", flat.transfer)
+    write_transfer(tmp_path / "lab.nc", flat.transfer)
+    page = tmp_path / "lab.html"
+    page.write_text("notes of last year")
+    said = cli("workbench", str(tmp_path / "lab.csv"))
+    assert said.code == 2
+    assert "lab.html: is there and no page of lab.csv" in said.sentence
+    assert page.read_text() == "notes of last year"
+    page.unlink()
+    (tmp_path / "s.toml").write_text('name = "s"\n[sweep]\nduration = 0.25\nsample_rate = 4000.0\nf_max = 400.0\n')
+    record = ("--scenario", str(tmp_path / "s.toml"))
+    assert [cli("workbench", str(tmp_path / "lab.csv"), *record).code for _ in range(2)] == [0, 0]
+    of_csv = page.read_bytes()
+    said = cli("workbench", str(tmp_path / "lab.nc"), *record)
+    assert "no page of lab.nc" in said.sentence
+    assert page.read_bytes() == of_csv
+    assert cli("workbench", str(tmp_path / "lab.nc"), *record, "--save", str(page)).code == 0
+
+
 def test_what_is_no_run_is_refused_and_nothing_written(tmp_path: Path) -> None:
     said = cli("workbench", str(tmp_path / "no"), "--save", str(tmp_path / "a.html"))
     assert said.code == 2

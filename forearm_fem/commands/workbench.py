@@ -19,7 +19,7 @@ def workbench(
     ],
     save: Annotated[
         Path | None,
-        typer.Option("--save", help="the page; default workbench.html in the folder, NAME.html by a file",
+        typer.Option("--save", help="the page; default workbench.html in the folder, NAME.html beside a file",
                      callback=ends_in(".html")),
     ] = None,
     scenario: Annotated[
@@ -30,9 +30,9 @@ def workbench(
 ) -> None:  # fmt: skip
     """Write one HTML page in which the waves move and everything can be tried: no server, no network."""
     asked = scene_of(scenario)
-    from ..workbench import write_workbench
+    from ..workbench.bundle import page_beside, write_workbench
 
-    page = save or (what / "workbench.html" if what.is_dir() else what.with_suffix(".html"))
+    page = save or (what / "workbench.html" if what.is_dir() else page_beside(what))
     with noted(), Display() as display:
         write_workbench(
             what, page, scenario=asked, declaration=declaration(declare), progress=display,

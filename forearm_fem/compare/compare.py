@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..io.declaration import arbitrary_gain
-from ..metrics import WaveFit, condition_number, fit_waves
+from ..metrics import WaveFit, condition_number, condition_summary, fit_waves
 from ..ports import distances
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
@@ -145,10 +145,15 @@ def comparison_record(c: Comparison) -> dict[str, Any]:
             for r, o in enumerate(g.outputs)
             for k, i in enumerate(g.inputs)
         ],
-        "condition_number": {"A": extremes(c.condition_a), "B": extremes(c.condition_b)},
+        "condition_number": {"A": _conditioning(c.condition_a), "B": _conditioning(c.condition_b)},
         "waves": [_wave_summary(g, c, k) for k in range(len(g.inputs))],
         "signal_strength": _crossed(c.crossed) if c.crossed else {"missing": c.not_crossed},
     }
+
+
+def _conditioning(condition: FloatArray) -> dict[str, float | int | None]:
+    found = condition_summary(condition)
+    return {"min": found.least, "median": found.median, "max": found.largest, "infinite_at": found.singular}
 
 
 def _wave_summary(g: CommonGround, c: Comparison, k: int) -> dict[str, Any]:

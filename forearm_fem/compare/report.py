@@ -99,7 +99,7 @@ def _entries(s: dict[str, Any]) -> str:
 
 def _condition(s: dict[str, Any]) -> str:
     rows = [(n, *(_number(v) for v in s["condition_number"][n].values())) for n in ("A", "B")]
-    return markdown_table(("condition number", "smallest", "median", "largest"), rows)
+    return markdown_table(("condition number", "smallest", "median", "largest", "frequencies where infinite"), rows)
 
 
 def _strengths(c: Comparison) -> str:

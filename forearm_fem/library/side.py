@@ -78,6 +78,7 @@ def solved_side(
 
     What is done is kept in the cache, and found there.
     """
+    began = time.monotonic()
     mesh = cached_mesh(meshed, base=base, scale=scale, progress=within(progress, "mesh"))
     frequency = frequencies(meshed.sweep)
     kept = Kept(default_cache_dir() / "library-parts" / _key(meshed, mesh.digest, loaded, scale))
@@ -87,9 +88,11 @@ def solved_side(
     model = fem_model(meshed, mesh)
     seen = bell_functionals(model, loaded.skin, loaded.bells)
     tell(progress, "assembly", 1, 1)
+    seconds = time.monotonic() - began
     with freed_memory_kept():  # as long as the columns live: poles and direct solves come to gigabytes of their own
         state = _spanned(meshed, model, seen, loaded, frequency, kept, progress)
     side = _finished(meshed, model, seen, state, loaded, frequency, whole=scale == 1.0, progress=progress)
+    side = replace(side, facts={**side.facts, "seconds_model": seconds})
     kept.finish(side)
     return side
 

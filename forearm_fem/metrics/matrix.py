@@ -2,10 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..errors import DataError
 from ..typing import ComplexArray, FloatArray
+
+_SINGULAR = 1e14  # condition number that rounding alone makes of a singular matrix
+
+
+@dataclass(frozen=True)
+class ConditionSummary:
+    """Least, median and largest condition number [-] over ``regular`` frequencies, None where that is none; at
+    ``singular`` ones, which are not among these, the matrix cannot be inverted at all."""
+
+    least: float | None
+    median: float | None
+    largest: float | None
+    regular: int
+    singular: int
 
 
 def singular_values(values: ComplexArray) -> FloatArray:
@@ -33,3 +49,14 @@ def condition_number(values: ComplexArray) -> FloatArray:
     known = np.isfinite(s[:, 0])
     out = np.where(known, np.inf, np.nan)
     return np.divide(s[:, 0], s[:, -1], out=out, where=known & (s[:, -1] > 0))
+
+
+def condition_summary(condition: FloatArray) -> ConditionSummary:
+    """What :func:`condition_number` (n,) comes to over a band; frequencies where it is NaN are left out."""
+    regular = condition[condition <= _SINGULAR]
+    singular = int(np.count_nonzero(condition > _SINGULAR))
+    if not len(regular):
+        return ConditionSummary(None, None, None, 0, singular)
+    return ConditionSummary(
+        float(regular.min()), float(np.median(regular)), float(regular.max()), len(regular), singular
+    )

@@ -20,8 +20,9 @@ from ..geometry.device.layout import planform_ports
 from ..io.jsonfiles import read_json, write_json
 from ..metrics.strength import thesis_table
 from ..pipeline.renderers import renderers, wavelet
+from ..pipeline.strengths import StrengthAccount, strength_account
 from ..progress import Progress, tell
-from ..rendering import Rendering, render_all
+from ..rendering import render_all
 from ..rendering.lattice import is_thesis_grid
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
@@ -232,7 +233,7 @@ def _shah(question: Question, progress: Progress | None) -> list[dict[str, Any]]
     return found
 
 
-def _strengths_of(transfer: TransferMatrix, question: Question, draws: Draws) -> tuple[Rendering, str]:
+def _strengths_of(transfer: TransferMatrix, question: Question, draws: Draws) -> tuple[StrengthAccount, str]:
     """S of a measured G by the scene's methods and wavelet, and what of it is not known; DataError where S is not."""
     names = {p.name for p in transfer.outputs}
     if missing := [t for t in draws.targets if t not in names]:
@@ -251,12 +252,22 @@ def _strengths_of(transfer: TransferMatrix, question: Question, draws: Draws) ->
             f"the measured G gives no S: {lost:.0%} of the wavelet's energy lies where it is unknown; measure it"
         )
     silent = f"{lost:.0%} of the wavelet's energy lies where it is unknown and is not driven" if lost >= _LOST else ""
-    return found, "; ".join(s for s in (found.bridged.sentence, silent) if s)
+    account = strength_account(found, methods, shape, measured=True)
+    return account, "; ".join(s for s in (found.bridged.sentence, silent, account.unknown) if s)
 
 
 def _measured(transfer: TransferMatrix, question: Question, prediction: Prediction) -> dict[str, Any]:
-    """S of a measured G by the scene's methods and wavelet, against the arms."""
+    """S of a measured G by the scene's methods and wavelet, against the arms, and the ``interval`` [low, high] that the
+    scatter of G and its bridged holes leave of each; a verdict that would be another one at an end of it is not sure.
+    """
     found, note = _strengths_of(transfer, question, prediction.draws)
     rows = [found.methods.index(m) for m in prediction.draws.methods]
-    point = group_means(found.strengths[None, rows], prediction.draws.groups)[0]
-    return {**_entries(prediction.draws, "calibrated", point), "note": note}
+    point, *ends = group_means(np.stack([found.value, found.low, found.high])[:, rows], prediction.draws.groups)
+    judged = _entries(prediction.draws, "calibrated", point)
+    intervals = [[float(x) for x in pair if np.isfinite(x)] for pair in np.stack(ends, axis=-1).reshape(-1, 2)]
+    judged["entries"] = [
+        {**e, "interval": interval,
+         "sure": e["sure"] and all((e["low"] <= end <= e["high"]) == e["inside"] for end in interval)}
+        for e, interval in zip(judged["entries"], intervals, strict=True)
+    ]  # fmt: skip
+    return {**judged, "note": note}

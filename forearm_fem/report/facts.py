@@ -11,7 +11,7 @@ import numpy as np
 
 from ..figures.data import Results
 from ..figures.judge import WHO, Strengths, spreads, strengths, table_one_rows
-from ..metrics import condition_number, thesis_table
+from ..metrics import condition_number, condition_summary, thesis_table
 from ..metrics.strength import GROUPS, strength_text
 from ..rendering.lattice import is_thesis_grid
 from ..rendering.limits import Limits, beyond_limits
@@ -22,7 +22,6 @@ from ..transfer import TransferMatrix, entry_band_errors, size_words
 from ..typing import FloatArray
 
 Rows = list[list[str]]
-_SINGULAR = 1e14  # condition number that rounding alone makes of a singular matrix
 
 
 @dataclass(frozen=True)
@@ -149,12 +148,11 @@ def matrix_block(results: Results) -> Block:
 
 def condition_words(condition: FloatArray) -> str:
     """Median and largest of ``condition`` (n,), NaN where unknown; a singular G is said to be one."""
-    known = condition[~np.isnan(condition)]
-    if not len(known):
-        return "unknown"
-    if not (singular := np.count_nonzero(known > _SINGULAR)):
-        return f"median {np.median(known):.1f}, largest {known.max():.1f}"
-    return f"infinite at {singular} of {len(known)} frequencies: an actuator moves nothing there, or two move alike"
+    found = condition_summary(condition)
+    if found.singular:
+        at = f"{found.singular} of {found.regular + found.singular} frequencies"
+        return f"infinite at {at}: an actuator moves nothing there, or two move alike"
+    return "unknown" if found.median is None else f"median {found.median:.1f}, largest {found.largest:.1f}"
 
 
 def _of_entries(g: TransferMatrix) -> str:

@@ -284,12 +284,16 @@ def _shah(subjects: Sequence[Mapping[str, Any]]) -> str:
     return markdown_table(header, rows)
 
 
+def _with_interval(value: float, ends: Sequence[float]) -> str:
+    return f"{value:.2f}" + (f" ({ends[0]:.2f}-{ends[1]:.2f})" if ends else "")
+
+
 def _measured(data: Mapping[str, Any]) -> list[str]:
     found = data["measured"]
     if found is None:
         return []
     header = ["place", "method", "this G", "arms, 5-95 %", "inside"]
-    rows = [[e["group"], e["method"], f"{e['measured']:.2f}", f"{e['low']:.2f}-{e['high']:.2f}",
+    rows = [[e["group"], e["method"], _with_interval(e["measured"], e["interval"]), f"{e['low']:.2f}-{e['high']:.2f}",
              verdict(e)] for e in found["entries"]]  # fmt: skip
     told = (f"G of `{found['name']}`, at the places that it declares: one measured elsewhere tests this comparison "
             f"and not the arms. {found['inside']} of {len(rows)} inside.")  # fmt: skip

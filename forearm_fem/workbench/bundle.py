@@ -23,6 +23,7 @@ from .content import content_of, library_content, measured_content
 _IMPORT = re.compile(r"^import \{ ([^}]*) \} from \"\./(\w+)\.js\";$", re.MULTILINE)
 _EXPORT = re.compile(r"^export ((?:async )?(?:const|function\*?|class) ([\w$]+))", re.MULTILINE)
 _FIRST = "main"
+_HEAD = 4096  # characters in which a page says what it was made of
 LIBRARY = ".library.nc"
 
 
@@ -36,8 +37,26 @@ def write_workbench(
     actuators (default: the thesis' own), a library its device; its wavelet's file is seen from ``base``. Raises
     DataError for anything that is neither, and where the folder's run is unfinished.
     """
-    write_text(path, page_of(_content(what, scenario, declaration, progress, Path(base))))
+    made_of = Path(what).name if not isinstance(what, Results) and Path(what).is_file() else ""
+    write_text(path, page_of(_content(what, scenario, declaration, progress, Path(base)), made_of))
     return Path(path)
+
+
+def page_beside(file: Path) -> Path:
+    """``NAME.html`` beside a ``file`` with G or a library; DataError where that is no page of it."""
+    page = file.with_suffix(".html")
+    if page.exists():
+        with page.open(encoding="utf-8", errors="replace") as stream:
+            head = stream.read(_HEAD)
+        if _made_of(file.name) not in head:
+            raise DataError(
+                f"{page}: is there and no page of {file.name}; it is not replaced, name another with --save"
+            )
+    return page
+
+
+def _made_of(name: str) -> str:
+    return f'<meta name="made-of" content="{escape(name)}">'
 
 
 def _content(
@@ -68,8 +87,8 @@ def _content(
     return measured_content(transfer, named, f"measured G of {place.name}", base)
 
 
-def page_of(content: dict[str, Any]) -> str:
-    """The page that shows ``content``.
+def page_of(content: dict[str, Any], made_of: str = "") -> str:
+    """The page that shows ``content``, of a file of the name ``made_of``, where it is of one.
 
     Names and notes stand in JSON inside a script element, of which no text can close the element or open another.
     """
@@ -77,12 +96,13 @@ def page_of(content: dict[str, Any]) -> str:
     read = {name: files.joinpath(name).read_text(encoding="utf-8") for name in ("page.html", "page.css")}
     data = json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     parts = {
+        "MADE_OF": _made_of(made_of) if made_of else "",
         "TITLE": escape(f"{content['name']}: workbench"),
         "STYLE": read["page.css"],
         "DATA": data,
         "SCRIPT": script(),
     }
-    return re.sub(r"%%(TITLE|STYLE|DATA|SCRIPT)%%", lambda found: parts[found[1]], read["page.html"])
+    return re.sub(r"%%(MADE_OF|TITLE|STYLE|DATA|SCRIPT)%%", lambda found: parts[found[1]], read["page.html"])
 
 
 def script() -> str:
