@@ -55,10 +55,10 @@ def started(monkeypatch):
 
 
 def test_a_run_compiles_nothing_that_the_process_beside_left_out(tmp_path):
-    # Small, but above the 3,000 unknowns from which the multifrontal solver is taken.
+    # Small, but above the 3,000 unknowns from which the multifrontal solver is taken, on the coarser mesh, too.
     small = [
-        "accuracy=0.5", "sweep.f_max=80", "sweep.duration=0.2", "solver.discretisation_estimate=false",
-        "mesh.size_grid=0.012", "mesh.size_contact=0.012", "mesh.size_far=0.05", "rendering.wavelet.peak=65",
+        "accuracy=0.5", "sweep.f_max=80", "sweep.duration=0.2",
+        "mesh.size_grid=0.008", "mesh.size_contact=0.008", "mesh.size_far=0.04", "rendering.wavelet.peak=65",
     ]  # fmt: skip
     pytest.importorskip("pymetis")
     scene = str(Path(__file__).parents[1] / "scenarios" / "quick.toml")

@@ -141,19 +141,15 @@ def truncation_probes(n: int, count: int = TRUNCATION_PROBES) -> list[int]:
 
 
 def _errors(result: SweepResult) -> tuple[ErrorEstimate, ...]:
-    rounded = any(c.rounding for c in result.certificates)
+    kinds = {c.by for c in result.certificates}
     how = "adjoint-weighted residual |x_i . r_j| of the solves used"
-    if rounded:
+    if "elimination" in kinds:
         how = f"the larger of {how}, and eight times what a certificate's elimination makes of known solutions"
     solve = ErrorEstimate("linear solve", result.solve_error, how)
     if not result.certificates:
         return (solve,)
     text = ", ".join(f"{c.frequency:g} Hz ({c.error:.1e})" for c in result.certificates)
-    return (
-        solve,
-        ErrorEstimate(
-            "reduction",
-            result.reduction_error,
-            f"true error where one derivative changes the model most, against direct solves not used before: {text}",
-        ),
-    )
+    found = "true error" if kinds != {"residual"} else "twice what a richer space finds of the error"
+    against = ", against direct solves not used before" if kinds != {"residual"} else ", by its residual"
+    where = f"{found} where one derivative changes the model most{against}: {text}"
+    return solve, ErrorEstimate("reduction", result.reduction_error, where)

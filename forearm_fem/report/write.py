@@ -163,7 +163,7 @@ def _still(results: Results, target: str) -> Picture:
     methods = results.drives.methods
     view = View("inverse filter" if "inverse filter" in methods else methods[0], target)
     stream = io.BytesIO()
-    Image.fromarray(render_still(results, view=view)).save(stream, "PNG", optimize=True)
+    Image.fromarray(render_still(results, view=view)).save(stream, "PNG")
     title = f"The skin at t = 0: {view.method} towards target {target}; colours cover the range of the grid points"
     return Picture(title, base64.b64encode(stream.getvalue()).decode())
 

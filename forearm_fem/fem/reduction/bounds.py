@@ -67,19 +67,24 @@ class ResidualBound:
         return np.array([_at_rate(c, self.rate) for c in reduced.coefficients])
 
     def _residuals(self, reduced: ReducedModel, frequency: float, states: ComplexArray) -> FloatArray:
-        """eta (n_port,) of the reduced ``states`` (r, n_port) for unit forces.
-
-        Pressures count with the other sign: with it both halves of the saddle form are energies.
-        """
+        """eta (n_port,) of the reduced ``states`` (r, n_port) for unit forces."""
         operator, basis = self.solver.model.operator, reduced.basis
         known = np.hstack([states.real, states.imag])
         known = known if basis.directions is None else basis.directions @ known
         real, imaginary = np.hsplit(basis.combination(known), 2)
         rest = self.solver.model.functionals - operator.at(2 * np.pi * frequency).product(real + 1j * imaginary)
         both = np.hstack([rest.real, rest.imag])
-        energy = both * self.solver.factor.solve(both)
-        total = energy[: operator.n_displacements].sum(axis=0) - energy[operator.n_displacements :].sum(axis=0)
-        return np.asarray(np.sqrt(np.maximum(total.reshape(2, -1).sum(axis=0), 0.0)))
+        return energy_norms(both, self.solver.factor.solve(both), operator.n_displacements)
+
+
+def energy_norms(rest: FloatArray, moved: FloatArray, n_displacements: int) -> FloatArray:
+    """eta (k,) of residuals whose real parts, then imaginary ones, are ``rest`` (n, 2k), ``moved`` by P^-1.
+
+    Pressures count with the other sign: with it both halves of the saddle form are energies.
+    """
+    energy = rest * moved
+    total = energy[:n_displacements].sum(axis=0) - energy[n_displacements:].sum(axis=0)
+    return np.asarray(np.sqrt(np.maximum(total.reshape(2, -1).sum(axis=0), 0.0)))
 
 
 @dataclass(frozen=True)

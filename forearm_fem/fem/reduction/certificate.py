@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -21,13 +22,15 @@ _SPACING = 0.1  # probes are equally far apart in this power of the frequency
 
 @dataclass(frozen=True)
 class Certificate:
-    """Error of the reduced model at a frequency where it was compared with a direct solve it had not used.
+    """Error of the reduced model at a frequency where it was compared with a direct solve it had not used, or, ``by``
+    its residual, twice what a richer space finds of it (:mod:`.dual`).
 
     ``change`` is the largest change of the model, of so many ``expansions``, by one derivative and its weak directions,
     over the band; ``frequency`` is where the model was doubted most (:func:`doubt`). Where resonances are sharp
     ``change`` is a bound of the error at every bin instead (:mod:`.bounds`), largest at ``frequency``. ``wary`` says
     that resonances are sharp, or that the change is, or was before, too large for one true error to speak for the band.
-    ``rounding`` is what may be wrong with the direct solution itself, where it is not refined. ``elsewhere`` is the
+    ``rounding`` is what may be wrong with the direct solution itself, where it is not refined, or what solves left in
+    the space. ``elsewhere`` is the
     largest error at frequencies that were compared before: the model was extended by these solutions and should
     reproduce them; where it does not, as with pressures of incompressible tissue, it is no better between them.
     """
@@ -39,6 +42,7 @@ class Certificate:
     wary: bool = False
     rounding: float = 0.0
     elsewhere: float = 0.0
+    by: Literal["direct solve", "elimination", "residual"] = "direct solve"
 
     @property
     def bound(self) -> float:

@@ -19,6 +19,7 @@ from ..kernels.heap import give_back
 from ..linear.direct import DirectSolver, make_solver, watched
 from .bounds import ResidualBound, sharp_modes
 from .certificate import DOUBTFUL, Certificate, Doubt, certified, doubt, largest_change, most_doubtful_bin
+from .dual import dual_estimate
 from .poles import pole_residue
 from .rate_space import Chunk, RateSpace
 from .reduced_model import ReducedModel, compressible, empty_model, extend, with_last_columns
@@ -30,6 +31,7 @@ _AT_ONCE = 5  # derivatives about a rate between two looks at what the last of t
 _AT_LEAST, _SLOW = 20, 60  # derivatives about a rate before the first look, and before resonances are called sharp
 _SHARP, _SEVERAL = 0.03, 3  # loss factor below which a mode may pass unseen between probes; one or two do not
 _SURE = 1e-2  # of the tolerance: what derivatives may change where resonances are sharp, for the bound to pass soon
+_TWICE = 2.0  # the error that a richer space finds: 0.7 to 2.3 times the true one (docs/decisions/0045)
 _KNOWN = 3  # known solutions that are carried beside the loads of a certificate; with 13 ports they cost nothing
 ROUNDED = 5e-5  # tolerance below which a certificate is refined: elimination alone is right to 1e-5 or so
 _MOST = 1000  # columns about a rate where resonances are sharp; beyond, solves at all bins are no dearer
@@ -100,15 +102,27 @@ class Expander:
         self.model, self._options, self._store, self._residual = model, options, store, residual
         self.orders = derivative_orders(model, options)
         self._solver: DirectSolver | None = None
+        self._space: RateSpace | None = None  # while the factors about its rate are there
 
     def direct(self, frequency: float) -> Expansion:
         """Direct solutions without derivatives, taken from a stored expansion where there is one."""
+        self._space = None
         if self._store is not None and (stored := self._store.get(frequency)) is not None:
             return stored
         self.model.operator.forget_products()  # complex factors need the room first; made again in a second or two
         solution = self._ready(frequency).at(frequency)
         error = self._ready(frequency).solve_error(solution)
         return Expansion(frequency, (solution.values,), solution.residual, error)
+
+    def foreseen(self, made: Made, at: Doubt, tolerance: float) -> Certificate | None:
+        """A certificate by the residual of a model about a rate, without another factorisation; None where it would
+        not pass, or is not enough: as in :meth:`compared`, and where an unknown resonance could do much."""
+        if self._space is None or at.wary or tolerance < ROUNDED:
+            return None
+        bound = ResidualBound(self._ready(at.frequency), made.rate)
+        found = dual_estimate(bound, made.reduced, at.frequency, self._space.solved)
+        certificate = Certificate(at.frequency, _TWICE * found.error, at.change, rounding=found.rounding, by="residual")
+        return certificate if certificate.bound <= tolerance and found.bound <= DOUBTFUL else None
 
     def compared(self, made: Made, at: Doubt, tolerance: float) -> Certificate | None:
         """A certificate by elimination alone, which keeps no factors; None where it would not pass, or is not enough.
@@ -119,12 +133,13 @@ class Expander:
         first = made.reduced.basis.blocks[0][:, : len(self.model.ports)]
         if at.wary or tolerance < ROUNDED or (self._store is not None and self._store.get(at.frequency) is not None):
             return None
+        self._space = None
         chosen = np.linspace(0, first.shape[1] - 1, min(_KNOWN, first.shape[1])).astype(int)
         found = self._ready(at.frequency).by_elimination(at.frequency, first[:, chosen].astype(float))
         if found is None:
             return None
         certificate = certified(made.reduced, self.model, found[0], at, len(made.expansions))
-        certificate = replace(certificate, rounding=found[1])
+        certificate = replace(certificate, rounding=found[1], by="elimination")
         return certificate if certificate.bound <= tolerance else None
 
     def expand(self, frequency: float, start: Expansion | None = None) -> Expansion:
@@ -166,7 +181,7 @@ class Expander:
         tell(progress, "ordering", 0, 1)
         solver = self._ready(float(frequency[-1]))
         tell(progress, "ordering", 1, 1)
-        space = RateSpace(solver, self.model.functionals, rate, stored)
+        self._space = space = RateSpace(solver, self.model.functionals, rate, stored)
         tell(progress, "derivatives", 0, most)
         reduced, derivatives = empty_model(self.model), 0
         for number in range(-(-most // _AT_ONCE)):
@@ -233,6 +248,7 @@ class Expander:
 
     def release(self) -> None:
         """Give the factor's memory back, to the system, too: the coarser mesh needs less."""
+        self._space = None
         if self._solver is not None:
             self._solver.factor.release()
             give_back()

@@ -125,6 +125,12 @@ class RateSpace:
         pairs = self._pairs.last(self._pairs.count - old.count)
         return Chunk(columns[:, :end], pairs, self._last, self.derivatives, self.residual)
 
+    def solved(self, right: FloatArray) -> FloatArray:
+        """P^-1 ``right`` (n, k), unrefined, with P the stiffness at the rate."""
+        if self._start is None:
+            self._start = self._first_solution()
+        return self._solved(right)
+
     @property
     def _number(self) -> type[np.float32] | type[np.float64]:
         """What columns are kept in: rounding to single precision is a tenth of what single-precision solves leave."""

@@ -50,7 +50,8 @@ class SweepResult:
     @property
     def factorisations(self) -> int:
         """How many the reduced model took, certificates included."""
-        return bool(self.rate) + len({*self.expansions, *(c.frequency for c in self.certificates)})
+        compared = (c.frequency for c in self.certificates if c.by != "residual")
+        return bool(self.rate) + len({*self.expansions, *compared})
 
     @property
     def unstable_poles(self) -> int:
@@ -105,13 +106,13 @@ def reduced_sweep(
     """Sweep by a reduced model that is certified between the places it was made from.
 
     Where all moduli are Kelvin-Voigt and resonances not sharp it starts from derivatives about a real rate
-    (``rate_space``), else from ``expansion.expansion_frequencies``. Then the most doubtful frequency
-    (``certificate``) is solved directly: that true error certifies the model, and where it exceeds ``tolerance`` the
-    solution and its derivatives extend it (``max_expansions`` frequencies in all; the certificates say what was
-    reached). Solves are refined to a thousandth of ``tolerance``, to 1e-7 at least. Where resonances are sharp the
-    model is made in double precision, and a bound at every bin (:mod:`.bounds`) must pass as well. With ``tolerance``
-    None nothing is certified and no factorisation is spent on it. Raises SolverError where the stated error is above
-    0.5.
+    (``rate_space``), else from ``expansion.expansion_frequencies``. Then its residual at the most doubtful frequency
+    (``certificate``) certifies it (``dual``), or where that does not pass a direct solve there: where that true error
+    exceeds ``tolerance`` the solution and its derivatives extend it (``max_expansions`` frequencies in all; the
+    certificates say what was reached). Solves are refined to a thousandth of ``tolerance``, to 1e-7 at least. Where
+    resonances are sharp the model is made in double precision, and a bound at every bin (:mod:`.bounds`) must pass as
+    well. With ``tolerance`` None nothing is certified and no factorisation is spent on it. Raises SolverError where
+    the stated error is above 0.5.
     """
     _refuse_lossless(model, frequency)
     residual = ENOUGH if tolerance is None else min(ENOUGH, _SHARE * tolerance)
@@ -170,7 +171,8 @@ def _certified(
             return made
         tell(progress, "certificates", len(made.certificates), len(made.certificates) + 1)
         elsewhere = max((error_at(made.reduced, work.model, f, c) for f, c in truths.items()), default=0.0)
-        if (found := work.compared(made, worst, tolerance)) is not None:
+        found = work.foreseen(made, worst, tolerance) or work.compared(made, worst, tolerance)
+        if found is not None:
             return made.with_certificate(replace(found, elsewhere=elsewhere))
         truth = work.direct(worst.frequency)
         compliance = np.asarray((work.model.functionals.T @ truth.series[0]) * work.model.shares)
