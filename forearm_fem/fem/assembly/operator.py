@@ -143,20 +143,16 @@ def _together(uppers: Sequence[csr_array]) -> tuple[csr_array, list[IntArray]]:
     """The pattern of all ``uppers`` and the diagonal, values of no meaning, and where the entries of each are in it."""
     eye = csr_array(eye_array(uppers[0].shape[0], format="csr"))
     if (patterns := compiled("kernels.triple_products")) is None:
-        pattern = _union(eye, uppers)
+        pattern = eye
+        for upper in uppers:
+            ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
+            pattern = csr_array(pattern + ones)
+        pattern.sort_indices()
         return pattern, [_positions(upper, pattern) for upper in uppers]
     indptr, indices, places = patterns.merged(*stacked([*uppers, eye]))
     pattern = csr_array((np.empty(len(indices), np.int8), indices, indptr), shape=eye.shape)
     ends = np.cumsum([0, *(m.nnz for m in uppers)])
     return pattern, [places[a:b] for a, b in pairwise(ends)]
-
-
-def _union(total: csr_array, uppers: Sequence[csr_array]) -> csr_array:
-    for upper in uppers:
-        ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
-        total = csr_array(total + ones)
-    total.sort_indices()
-    return total
 
 
 def _positions(upper: csr_array, pattern: csr_array) -> IntArray:

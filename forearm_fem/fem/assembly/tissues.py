@@ -18,7 +18,7 @@ from skfem.refdom import RefTet
 from ...typing import BoolArray, FloatArray, IntArray
 from ..kernels.compiled import compiled
 from ..kernels.sparse import added, congruent, projected
-from ..space.bent import bent_matrices
+from ..space.bent import bent_matrices, deviatoric
 from ..space.elements import tabulate
 from ..space.numbering import MixedSpace
 from ..space.orders import Orders
@@ -158,12 +158,8 @@ def shear_blocks(inverse: FloatArray, volume: FloatArray, reference: FloatArray)
     The blocks are combined as 3x3 tensors of the Jacobian, before the contraction makes them nb^2 / 9 times larger.
     """
     metric = np.einsum("e,eai,ebj->ijeab", volume, inverse, inverse, optimize=True)
-    blocks = np.swapaxes(metric, 0, 1) - (2 / 3) * metric
-    trace = metric[0, 0] + metric[1, 1] + metric[2, 2]
-    for i in range(3):
-        blocks[i, i] += trace
     nb = reference.shape[2]
-    whole = blocks.reshape(9 * len(volume), 9) @ reference.reshape(9, nb * nb)
+    whole = deviatoric(metric).reshape(9 * len(volume), 9) @ reference.reshape(9, nb * nb)
     return np.asarray(whole.reshape(3, 3, len(volume), nb, nb))
 
 

@@ -40,7 +40,10 @@ class TaylorRecursion:
         if totals:
             self._matrices.add_products_in_place(totals, np.array(weights), x)
         for j, total in zip(later, totals, strict=False):
-            self._note(k, k + j, total)
+            if k + j not in self._sums:
+                self._sums[k + j] = np.ascontiguousarray(total[:, self._going_on(k, k + j)])
+            elif total is not self._sums[k + j]:
+                self._sums[k + j] += total[:, self._going_on(k, k + j)]
         return whole
 
     def _total(self, k: int, later: int, x: ComplexArray) -> ComplexArray:
@@ -48,12 +51,6 @@ class TaylorRecursion:
         if later in self._sums and self._going_on(k, later).all():
             return self._sums[later]
         return np.zeros(x.shape, dtype=complex)
-
-    def _note(self, k: int, later: int, total: ComplexArray) -> None:
-        if later not in self._sums:
-            self._sums[later] = np.ascontiguousarray(total[:, self._going_on(k, later)])
-        elif total is not self._sums[later]:
-            self._sums[later] += total[:, self._going_on(k, later)]
 
     def _going_on(self, before: int, k: int) -> BoolArray:
         """Which columns of coefficient ``before`` coefficient ``k`` has as well."""

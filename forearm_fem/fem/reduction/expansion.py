@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import SolverError
 from ...progress import Progress, tell
 from ...scenario.sweep import SolverOptions
-from ...typing import ComplexArray, FloatArray, IntArray
+from ...typing import ComplexArray, FloatArray
 from ..assembly.coefficients import is_polynomial
 from ..assembly.model import ForearmModel
 from ..kernels.heap import give_back
@@ -98,7 +98,8 @@ class Expander:
 
     def __init__(self, model: ForearmModel, options: SolverOptions, store: Snapshots | None, residual: float) -> None:
         self.model, self._options, self._store, self._residual = model, options, store, residual
-        self.orders = derivative_orders(model, options)
+        self.orders = np.full(len(model.ports), min(options.point_derivatives, options.derivatives))
+        self.orders[watched(model)[1]] = options.derivatives  # more of the watched forces' solutions than the others'
         self._solver: DirectSolver | None = None
 
     def direct(self, frequency: float) -> Expansion:
@@ -253,13 +254,6 @@ def starts_from_rate(model: ForearmModel, options: SolverOptions) -> bool:
             "set solver.start = 'auto'"
         )
     return able and options.start != "frequencies"
-
-
-def derivative_orders(model: ForearmModel, options: SolverOptions) -> IntArray:
-    """How many derivatives (n_port,) are kept of each port's solution: the watched forces' more than the others'."""
-    orders = np.full(len(model.ports), min(options.point_derivatives, options.derivatives))
-    orders[watched(model)[1]] = options.derivatives
-    return orders
 
 
 def expansion_rate(frequency: FloatArray) -> float:

@@ -112,7 +112,8 @@ class RateSpace:
     def more(self, count: int) -> Chunk:
         """The next ``count`` derivatives; fewer columns, or none, once what the forces can reach is exhausted."""
         if self._start is None:
-            self._start = self._first_solution()
+            solution = self._solver.about_rate(self._weights[0], self._forces)
+            self._start, self.residual = solution.values, solution.residual
         known, old = self._basis, self._pairs
         columns, end = np.empty((len(self._forces), count * self._forces.shape[1]), self._number), 0
         for _ in range(count):
@@ -131,12 +132,6 @@ class RateSpace:
         rough = self._solver.factor.single and self._solver.tolerance >= ENOUGH
         return np.float32 if rough else np.float64
 
-    def _first_solution(self) -> FloatArray:
-        """Factorise and solve for the forces."""
-        solution = self._solver.about_rate(self._weights[0], self._forces)
-        self.residual = solution.residual
-        return solution.values
-
     def _derivative(self) -> FloatArray:
         """The next derivative (n, last) of the solutions that the last pairs stand for."""
         latest, one, two = self._pairs.last(self._last), self._weights[1], self._weights[2]
@@ -144,17 +139,14 @@ class RateSpace:
         # A_1 x_(k-1) + A_2 x_(k-2) so that masses, whose part of A_1 is twice that of A_2, take one product and not two
         right = -self._product(np.array([one - 2 * two, two]), both[:, : self._last], both[:, self._last :])
         x = self._solved(right)
-        if self._needs_refining():
+        # the first derivatives are refined; all where much is asked or factors are poor, none in double precision
+        early = self.derivatives < _REFINED or self._solver.tolerance < ENOUGH
+        if self._correction > _CAREFUL or (early and self._correction > _EXACT):
             change = self._solved(right - self._product(self._weights[:1], x))
             x = x + change
             n_u = self._solver.model.operator.n_displacements
             self._correction = float(np.linalg.norm(change[:n_u]) / np.linalg.norm(x[:n_u]))
         return x
-
-    def _needs_refining(self) -> bool:
-        """The first derivatives; all where much is asked or factors are poor, none in double precision."""
-        early = self.derivatives < _REFINED or self._solver.tolerance < ENOUGH
-        return self._correction > _CAREFUL or (early and self._correction > _EXACT)
 
     def _extended(self, x: FloatArray) -> FloatArray:
         """Columns that the derivative ``x`` (n, b) of the last pairs adds to the space; its pairs are noted."""

@@ -135,7 +135,13 @@ def _reduced(
     done = begun if tolerance is None else _certified(work, begun, frequency, options, tolerance, progress)
     work.release()
     result = replace(_swept(model, done, frequency, tolerance), solver=work.solver)
-    return result if tolerance is None else _usable(result)
+    if tolerance is not None and result.certificates and result.reduction_error > _USELESS:
+        raise SolverError(
+            f"the reduced model of {len(result.expansions)} expansion frequencies may be wrong by "
+            f"{result.reduction_error:.2g} times G: it does not resolve the resonances of this band; raise "
+            "solver.max_expansions, narrow the band, or set solver.sweep = 'direct'"
+        )
+    return result
 
 
 def _refuse_lossless(model: ForearmModel, frequency: FloatArray) -> None:
@@ -181,16 +187,6 @@ def _certified(
             return made
         truths[worst.frequency] = compliance
         made = work.extended(made, worst.frequency, truth)
-
-
-def _usable(result: SweepResult) -> SweepResult:
-    if result.certificates and result.reduction_error > _USELESS:
-        raise SolverError(
-            f"the reduced model of {len(result.expansions)} expansion frequencies may be wrong by "
-            f"{result.reduction_error:.2g} times G: it does not resolve the resonances of this band; raise "
-            "solver.max_expansions, narrow the band, or set solver.sweep = 'direct'"
-        )
-    return result
 
 
 def _swept(model: ForearmModel, made: Made, frequency: FloatArray, tolerance: float | None) -> SweepResult:

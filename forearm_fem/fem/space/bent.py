@@ -53,7 +53,11 @@ def _shear(gradients: FloatArray, measure: FloatArray) -> FloatArray:
     n, _, nb, q = gradients.shape
     rows = gradients.reshape(n, 3 * nb, q)
     metric = (rows * measure[:, None]) @ rows.transpose(0, 2, 1)
-    metric = metric.reshape(n, 3, nb, 3, nb).transpose(1, 3, 0, 2, 4)
+    return deviatoric(metric.reshape(n, 3, nb, 3, nb).transpose(1, 3, 0, 2, 4))
+
+
+def deviatoric(metric: FloatArray) -> FloatArray:
+    """Blocks (3, 3, ...) of the stiffness that keeps volumes free, from products (3, 3, ...) of gradients."""
     blocks = np.swapaxes(metric, 0, 1) - (2 / 3) * metric
     trace = metric[0, 0] + metric[1, 1] + metric[2, 2]
     for i in range(3):

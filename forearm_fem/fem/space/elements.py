@@ -85,20 +85,12 @@ def element_pair(name: str) -> ElementPair:
 
 def tabulate(element: ElementH1, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Values (n_basis, n_point) and reference gradients (n_basis, dim, n_point) at reference points (dim, n)."""
-    count = _basis_count(element)
+    domain = element.refdom
+    count = element.nodal_dofs * domain.nnodes + element.edge_dofs * domain.nedges
+    count += element.facet_dofs * domain.nfacets + element.interior_dofs
     pairs = [element.lbasis(points, i) for i in range(count)]
     values = np.array([np.broadcast_to(v, points.shape[1:]) for v, _ in pairs])
     return values, np.array([np.broadcast_to(g, points.shape) for _, g in pairs])
-
-
-def _basis_count(element: ElementH1) -> int:
-    domain = element.refdom
-    return int(
-        element.nodal_dofs * domain.nnodes
-        + element.edge_dofs * domain.nedges
-        + element.facet_dofs * domain.nfacets
-        + element.interior_dofs
-    )
 
 
 def _orders_agree() -> bool:

@@ -56,7 +56,12 @@ def _snapped(mesh: TissueMesh, port: Port, lift: Lift) -> TissueMesh:
     edges = _crossing(mesh, port)
     distance = from_axis(mesh.points, port) - port.radius
     part = np.abs(distance[edges]) / np.abs(distance[edges]).sum(axis=1, keepdims=True)
-    close = np.union1d(edges[part < _SNAP], _hugging(mesh, port, distance))
+    skin = _skin_edges(mesh, port)  # vertices nearer than part of their shortest edge, crossing the circle or not, too
+    length = np.linalg.norm(mesh.points[skin[:, 0]] - mesh.points[skin[:, 1]], axis=1)
+    shortest = np.full(len(mesh.points), 0.0)
+    shortest[np.unique(skin)] = np.inf
+    np.minimum.at(shortest, skin.ravel(), np.repeat(length, 2))
+    close = np.union1d(edges[part < _SNAP], np.flatnonzero(np.abs(distance) < _SNAP * shortest))
     if not len(close):
         return mesh
     moved = mesh.points.copy()
@@ -65,16 +70,6 @@ def _snapped(mesh: TissueMesh, port: Port, lift: Lift) -> TissueMesh:
     bad = np.unique(mesh.tetrahedra[trial.volumes <= 0.1 * mesh.volumes])
     moved[bad] = mesh.points[bad]
     return replace(mesh, points=moved)
-
-
-def _hugging(mesh: TissueMesh, port: Port, distance: FloatArray) -> IntArray:
-    """Skin vertices nearer to the circle than part of their shortest edge, crossing it or not."""
-    edges = _skin_edges(mesh, port)
-    length = np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
-    shortest = np.full(len(mesh.points), 0.0)
-    shortest[np.unique(edges)] = np.inf
-    np.minimum.at(shortest, edges.ravel(), np.repeat(length, 2))
-    return np.flatnonzero(np.abs(distance) < _SNAP * shortest)
 
 
 def _crossing(mesh: TissueMesh, port: Port) -> IntArray:

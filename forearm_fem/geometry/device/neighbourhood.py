@@ -8,10 +8,10 @@ from scipy.spatial import ConvexHull
 from ...ports import Port
 from ...typing import BoolArray, FloatArray, IntArray
 from ..mesh.tissue_mesh import TissueMesh
+from ..mesh.topology import EDGES
 from .layout import RIGID
 
 REACH, DEPTH = 0.03, 0.025  # [m] what third order gains beyond them on the forearm is in docs/decisions/0002
-_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 _UNIFORM = {"P1": 1, "P2": 2, "P3": 3}
 # Longest edge, relative to the usual edge between ports, up to which second order is enough: in the outermost tissue,
 # the one beneath, all deeper ones. Second order needs edges half as long as third; fat's waves are 1.4 times shorter.
@@ -25,8 +25,11 @@ def tetrahedron_orders(mesh: TissueMesh, ports: tuple[Port, ...], element: str) 
     if element in _UNIFORM:
         return np.full(len(mesh.region), _UNIFORM[element])
     third = near_ports(mesh, ports, REACH, DEPTH)
-    if any(p.contact in RIGID for p in ports):
-        third &= ~_small(mesh, ports)
+    if any(p.contact in RIGID for p in ports):  # their rims made tetrahedra beneath smaller than waves ask
+        corners = mesh.points[mesh.tetrahedra]
+        longest = np.max([np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in EDGES], axis=0)
+        depth = np.minimum(tissue_depths(mesh), len(_SMALL) - 1)[mesh.region]
+        third &= ~(longest < usual_edge(mesh, ports) * np.array(_SMALL)[depth])
     return np.where(third, 3, 2)
 
 
@@ -40,14 +43,6 @@ def near_ports(mesh: TissueMesh, ports: tuple[Port, ...], reach: float, depth: f
     planes = half_planes(places, np.array([p.radius for p in ports]) + reach)
     around = (centre[:, :2] @ planes[:, :2].T + planes[:, 2] <= 0).all(axis=1)
     return np.asarray(around & (centre[:, 2] >= min(p.position[2] for p in ports) - depth))
-
-
-def _small(mesh: TissueMesh, ports: tuple[Port, ...]) -> BoolArray:
-    """Tetrahedra (n_tet,) beneath the outermost tissue that the rims of rigid contacts made smaller than waves ask."""
-    corners = mesh.points[mesh.tetrahedra]
-    longest = np.max([np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in _EDGES], axis=0)
-    depth = np.minimum(tissue_depths(mesh), len(_SMALL) - 1)[mesh.region]
-    return np.asarray(longest < usual_edge(mesh, ports) * np.array(_SMALL)[depth])
 
 
 def tissue_depths(mesh: TissueMesh) -> IntArray:

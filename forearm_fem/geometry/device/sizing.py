@@ -173,8 +173,10 @@ class SpaceField:
     @classmethod
     def on(cls, field: SizeField, surface: Callable[[FloatArray], FloatArray]) -> SpaceField:
         """Field around the ports' places on ``surface``, a map from (x, y) (n, 2) to points (n, 3) or NaN."""
-        patch = _covering(field)
-        discs = np.vstack([c + field.layout.radius * _disc() for c in field.layout.contacts])
+        patch, x = _covering(field), np.linspace(-1, 1, 13)
+        disc = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+        disc = disc[np.linalg.norm(disc, axis=1) <= 1]
+        discs = np.vstack([c + field.layout.radius * disc for c in field.layout.contacts])
         return cls(field.sizes, _INTO_CORE * field.grading, _tree(surface(discs)), _tree(surface(patch)))
 
     def __call__(self, points: FloatArray) -> FloatArray:
@@ -189,13 +191,6 @@ def _tree(points: FloatArray) -> cKDTree:
     # Large, plain leaves: half of the time of a search for most of a limb, which is far away, and the same distances.
     finite = points[np.isfinite(points).all(axis=1)]
     return cKDTree(finite, leafsize=32, compact_nodes=False, balanced_tree=False)
-
-
-def _disc() -> FloatArray:
-    """Points (n, 2) covering the unit disc."""
-    x = np.linspace(-1, 1, 13)
-    xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
-    return np.asarray(xy[np.linalg.norm(xy, axis=1) <= 1])
 
 
 def _covering(field: SizeField) -> FloatArray:

@@ -60,10 +60,11 @@ def _shell(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, elastic: bool)
     parts += [_bone_wall(tube, bone, size, sizes.facet) for bone in tube.bones]
     parts += [_end(tube, parts[0], side) for side in (-1, 1)]
     surface = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
-    if elastic:
-        marrow = [_marrow(tube, bone) for bone in tube.bones]
-        surface = np.concatenate([surface, np.repeat(1 + np.arange(len(marrow)), [len(p) for p in marrow])])
-        parts += marrow
+    for number, bone in enumerate(tube.bones if elastic else ()):
+        # along its axis, ends included, no closer than its radius: bone hardly deforms
+        x = np.linspace(-tube.length / 2, tube.length / 2, max(2, round(tube.length / bone.radius)) + 1)
+        parts.append(np.column_stack([x, tube.bone_centre(bone, x)]))
+        surface = np.append(surface, np.full(len(x), 1 + number))
     points, n_bone = np.vstack(parts), len(tube.bones)
     on = surface[:, None] == np.arange(n_bone + 3)
     on[:, n_bone + 1] |= points[:, 0] == -tube.length / 2
@@ -143,12 +144,6 @@ def _end(tube: Tube, wall: FloatArray, side: int) -> FloatArray:
     return np.asarray(plane[clear])
 
 
-def _marrow(tube: Tube, bone: BoneAxis) -> FloatArray:
-    """Points (n, 3) along a bone's axis, ends included, no closer than its radius: bone hardly deforms."""
-    x = np.linspace(-tube.length / 2, tube.length / 2, max(2, round(tube.length / bone.radius)) + 1)
-    return np.column_stack([x, tube.bone_centre(bone, x)])
-
-
 def _named(tube: Tube, shell: Shell, points: FloatArray, tetrahedra: IntArray, elastic: bool) -> Core:
     """What lies where: the wall's triangles and columns, bones, and the points on these."""
     n_bone = len(tube.bones)
@@ -157,7 +152,9 @@ def _named(tube: Tube, shell: Shell, points: FloatArray, tetrahedra: IntArray, e
     bone = _which(in_bone[tetrahedra])
     faces, _ = boundary_faces(tetrahedra)
     lateral = faces[on[faces, 0].all(axis=1) & (_which(on[faces][:, :, n_bone + 1 :]) < 0)]
-    walls = _bone_walls(tetrahedra, bone, in_bone, on[:, n_bone + 1 :])
+    faces, _ = boundary_faces(tetrahedra[bone < 0])
+    faces = faces[_which(on[faces][:, :, n_bone + 1 :]) < 0]
+    walls = [faces[of[faces].all(axis=1)] for of in in_bone.T]  # of each bone, towards the muscle's outside
     _check_tubes([lateral, *walls])
     column = np.unique(lateral)
     angle, on_bone = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
@@ -173,13 +170,6 @@ def _which(corners_on: BoolArray) -> IntArray:
     return np.asarray(
         np.where(whole.any(axis=1), whole.argmax(axis=1), -1) if whole.shape[1] else np.full(len(whole), -1)
     )
-
-
-def _bone_walls(tetrahedra: IntArray, bone: IntArray, in_bone: BoolArray, on_end: BoolArray) -> list[IntArray]:
-    """Faces (m, 3) of each bone's wall, towards the muscle's outside; ``on_end`` (n_point, 2) marks the cut ends."""
-    faces, _ = boundary_faces(tetrahedra[bone < 0])
-    faces = faces[_which(on_end[faces]) < 0]
-    return [faces[of[faces].all(axis=1)] for of in in_bone.T]
 
 
 def _check_tubes(walls: list[IntArray]) -> None:

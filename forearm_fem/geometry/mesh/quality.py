@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ...errors import MeshError, MeshTooLarge
 from ...ports import Port, positions
-from ...typing import FloatArray, IntArray
+from ...typing import FloatArray
 from ..device.neighbourhood import tetrahedron_orders
 from .curved import true_volumes
 from .tissue_mesh import TissueMesh
@@ -64,7 +64,6 @@ def mesh_quality(mesh: TissueMesh, *, expected_volume: float | None = None) -> Q
 def check_mesh(mesh: TissueMesh, min_quality: float = 0.0) -> None:
     """Raise :class:`MeshError` for the first thing wrong with ``mesh``; return quietly when it is sound."""
     _check_arrays(mesh)
-    _check_regions(mesh)
     check_shape(mesh, min_quality)
     _check_duplicates(mesh)
     _check_faces(mesh)
@@ -90,9 +89,6 @@ def _check_arrays(mesh: TissueMesh) -> None:
         raise MeshError(
             f"tetrahedra refer to point {int(mesh.tetrahedra.max())}, but there are {len(mesh.points)}; repair the file"
         )
-
-
-def _check_regions(mesh: TissueMesh) -> None:
     if len(mesh.region) != len(mesh.tetrahedra):
         raise MeshError(f"{len(mesh.region)} region numbers for {len(mesh.tetrahedra)} tetrahedra; need one for each")
     if mesh.region.min() < 0 or mesh.region.max() >= len(mesh.region_names):
@@ -142,7 +138,13 @@ def _check_faces(mesh: TissueMesh) -> None:
     if not len(mesh.facets.get("skin", ())):
         raise MeshError("the mesh has no skin: no boundary facet could be named so; check the surface's classification")
     boundary = faces[first[count == 1]]
-    _check_named(mesh, boundary)
+    whole = [f for name, f in mesh.facets.items() if name != "underside" and not name.startswith("contact")]
+    unnamed = int((~is_member(boundary, np.vstack(whole), n)).sum())
+    if unnamed:
+        raise MeshError(f"{unnamed} boundary facets are neither skin, bone, end nor symmetry; the mesh is open inside")
+    for name, facets in mesh.facets.items():
+        if not is_member(facets, boundary, n).all():
+            raise MeshError(f"facets '{name}' do not all lie on the boundary of the mesh; rebuild them")
     edges = np.sort(boundary[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     around = np.unique(keys(edges, n), return_counts=True)[1]
     if (around != 2).any():
@@ -150,18 +152,6 @@ def _check_faces(mesh: TissueMesh) -> None:
             f"the boundary is not a closed surface: {int((around != 2).sum())} of its edges do not join exactly two "
             "facets; repair the mesh where parts touch in an edge or a crack runs"
         )
-
-
-def _check_named(mesh: TissueMesh, boundary: IntArray) -> None:
-    n = len(mesh.points)
-    whole = [f for name, f in mesh.facets.items() if name != "underside" and not name.startswith("contact")]
-    named = np.vstack(whole)
-    unnamed = int((~is_member(boundary, named, n)).sum())
-    if unnamed:
-        raise MeshError(f"{unnamed} boundary facets are neither skin, bone, end nor symmetry; the mesh is open inside")
-    for name, facets in mesh.facets.items():
-        if not is_member(facets, boundary, n).all():
-            raise MeshError(f"facets '{name}' do not all lie on the boundary of the mesh; rebuild them")
 
 
 def _check_hanging(mesh: TissueMesh) -> None:
@@ -229,7 +219,12 @@ def nodes_per_wavelength(
     corner = mesh.points[mesh.tetrahedra]
     squared = ((corner[:, EDGES[:, 0]] - corner[:, EDGES[:, 1]]) ** 2).sum(axis=2)
     spacing = np.sqrt(squared.mean(axis=1)) / tetrahedron_orders(mesh, ports, element)
-    gap = cKDTree(_places(mesh, ports)).query(corner.mean(axis=1))[0]
+    if ports:
+        places = positions(ports)
+    else:
+        under = [mesh.points[f].reshape(-1, 3) for name, f in mesh.facets.items() if name.startswith("contact")]
+        places = np.vstack(under) if under else mesh.points[np.unique(mesh.facets["skin"])]
+    gap = cKDTree(places).query(corner.mean(axis=1))[0]
     found = []
     for i, tissue in enumerate(mesh.region_names):
         here = mesh.region == i
@@ -240,10 +235,3 @@ def nodes_per_wavelength(
         most, close = float(spacing[here].max()), float(spacing[near].max())
         found.append(Resolution(tissue, wave / most, wave / close, fade / most, fade / close))
     return tuple(found)
-
-
-def _places(mesh: TissueMesh, ports: tuple[Port, ...]) -> FloatArray:
-    if ports:
-        return positions(ports)
-    under = [mesh.points[f].reshape(-1, 3) for name, f in mesh.facets.items() if name.startswith("contact")]
-    return np.vstack(under) if under else mesh.points[np.unique(mesh.facets["skin"])]

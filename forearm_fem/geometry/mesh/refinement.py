@@ -139,7 +139,10 @@ def refine_rims(
         if not marked.any():
             break
         edges = _terminal_edges(mesh, marked)
-        middles = _on_circles(mesh, edges, middle(mesh, edges), contacts)
+        middles = middle(mesh, edges).copy()
+        for port in contacts:  # those of a rim go out to its circle
+            on = is_member(edges, rim_edges(mesh, port.name), len(mesh.points))
+            middles[on] = onto_circle(middles[on], port)
         mesh = _unspoilt(split_edges(mesh, edges, middles)[0], midpoints(mesh, edges))
     if mesh.volumes.min() <= 0:
         raise MeshError(
@@ -172,19 +175,15 @@ def refine_skin(mesh: TissueMesh, size: Callable[[FloatArray], FloatArray]) -> T
     On the user's own surfaces fTetWild keeps sizes on average; here and there an edge is 2.4 times as long, and one
     such place next to a grid point made that point's receptance 30 % wrong at 400 Hz.
     """
-    n_round = 0
-    while n_round < _MAX_ROUNDS and len(long := _long_skin_edges(mesh, size)):
-        edges = np.sort(mesh.tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
-        marked = is_member(edges, long, len(mesh.points)).reshape(-1, len(EDGES)).any(axis=1)
-        mesh, n_round = refine(mesh, np.asarray(marked)), n_round + 1
+    for _ in range(_MAX_ROUNDS):
+        edges = np.unique(np.sort(mesh.facets["skin"][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+        length = np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
+        long = edges[length > _LONG * size(midpoints(mesh, edges))]
+        if not len(long):
+            break
+        found = is_member(mesh.tetrahedra[:, EDGES].reshape(-1, 2), long, len(mesh.points))
+        mesh = refine(mesh, np.asarray(found.reshape(-1, len(EDGES)).any(axis=1)))
     return mesh
-
-
-def _long_skin_edges(mesh: TissueMesh, size: Callable[[FloatArray], FloatArray]) -> IntArray:
-    pairs = np.sort(mesh.facets["skin"][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edges = np.unique(pairs, axis=0)
-    length = np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
-    return np.asarray(edges[length > _LONG * size(midpoints(mesh, edges))])
 
 
 def _unspoilt(mesh: TissueMesh, middles: FloatArray) -> TissueMesh:
@@ -226,15 +225,6 @@ def _too_long(mesh: TissueMesh, contacts: tuple[Port, ...], rim_size: float) -> 
     marked = np.zeros(len(mesh.tetrahedra), dtype=bool)
     marked[near] = too_long | (on_rim & (length > rim_size)).any(axis=1)
     return marked
-
-
-def _on_circles(mesh: TissueMesh, edges: IntArray, middles: FloatArray, contacts: tuple[Port, ...]) -> FloatArray:
-    """``middles`` (k, 3) of ``edges`` (k, 2), except that those of a rim go out to its circle."""
-    placed, n = middles.copy(), len(mesh.points)
-    for port in contacts:
-        on = is_member(edges, rim_edges(mesh, port.name), n)
-        placed[on] = onto_circle(placed[on], port)
-    return placed
 
 
 def onto_circle(points: FloatArray, port: Port) -> FloatArray:

@@ -99,7 +99,16 @@ def _labels(file: Path, read: Any, limb: MeshLimb, count: int) -> list[str]:
     key = next((k for k in _NUMBERED if k in read.cell_data), None)
     if key is None:
         return _from_sets(file, read, limb, chosen, count)
-    numbers = np.concatenate([_numbers(file, key, read.cell_data[key][i]) for i in chosen])
+    parts = []
+    for i in chosen:
+        found = np.asarray(read.cell_data[key][i])
+        if found.dtype.kind not in "iufb" or found.ndim > 2 or found.shape[1:] not in ((), (1,)):
+            raise MeshError(
+                f"{file}: cell data '{key}' has the shape {found.shape} and type {found.dtype}, expected one number "
+                "for each tetrahedron"
+            )
+        parts.append(found.reshape(len(found)))
+    numbers = np.concatenate(parts)
     if len(numbers) != count:
         raise MeshError(f"{file}: cell data '{key}' has {len(numbers)} entries for {count} tetrahedra; need one each")
     broken = np.flatnonzero(~np.isfinite(numbers) | (numbers != np.round(numbers)))
@@ -110,17 +119,6 @@ def _labels(file: Path, read: Any, limb: MeshLimb, count: int) -> list[str]:
         )
     named = {int(tag[0]): name for name, tag in read.field_data.items() if int(tag[1]) == 3}
     return [named.get(k, str(k)) for k in numbers.astype(np.int64).tolist()]
-
-
-def _numbers(file: Path, key: str, values: Any) -> Any:
-    """One number a cell (n,), from (n,) or (n, 1)."""
-    found = np.asarray(values)
-    if found.dtype.kind not in "iufb" or found.ndim > 2 or found.shape[1:] not in ((), (1,)):
-        raise MeshError(
-            f"{file}: cell data '{key}' has the shape {found.shape} and type {found.dtype}, expected one number for "
-            "each tetrahedron"
-        )
-    return found.reshape(len(found))
 
 
 def _from_sets(file: Path, read: Any, limb: MeshLimb, chosen: list[int], count: int) -> list[str]:
