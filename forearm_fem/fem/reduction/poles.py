@@ -77,30 +77,23 @@ def pole_residue(reduced: ReducedModel, frequency: FloatArray = _BAND) -> Modes 
     """Diagonalised reduced pencil, or None where a modulus is not Kelvin-Voigt or the diagonalisation is inaccurate.
 
     Every coefficient must be a polynomial of second degree in omega (Kelvin-Voigt, springs, dashpots, masses). With
-    s = i omega: (K + s C + s^2 M) q = f, companion form s [q, s q]; the result is checked against direct reduced
+    s = i omega: (K + s C + s^2 M) q = f, first companion form s [q, s q]; the result is checked against direct reduced
     solves at bins of ``frequency`` (n,) [Hz], where it will be used, and refused above 1e-8.
     """
     if not all(is_polynomial(c) for c in reduced.coefficients):
         return None
     taylor = np.array([c.taylor(0.0, 2) for c in reduced.coefficients])
     stiffness, damping, mass = (np.tensordot(w, reduced.matrices, 1) for w in polynomial_weights(taylor))
-    poles, shapes, right = _companion(stiffness, damping, mass, reduced.functionals)
-    result = Modes(poles, reduced.functionals.T @ shapes, right, reduced.shares, shapes)
-    probes = frequency[np.unique(np.linspace(0, len(frequency) - 1, _PROBES).astype(int))]
-    exact, fast = reduced.compliance(probes), result.compliance(probes)
-    off, scale = np.nanmax(np.abs(exact - fast), axis=(1, 2)), np.nanmax(np.abs(exact), axis=(1, 2))
-    return result if np.all(off < 1e-8 * scale) else None
-
-
-def _companion(
-    stiffness: FloatArray, damping: FloatArray, mass: FloatArray, functionals: FloatArray
-) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Poles, shapes and amplitudes from the first companion form, in units of a typical rate."""
-    r = len(mass)
-    rate = np.sqrt(np.linalg.norm(stiffness) / np.linalg.norm(mass))
+    r, functionals = reduced.size, reduced.functionals
+    rate = np.sqrt(np.linalg.norm(stiffness) / np.linalg.norm(mass))  # a typical one, the unit of s
     inverse_k = np.linalg.solve(mass, stiffness) / rate**2
     inverse_c = np.linalg.solve(mass, damping) / rate
     companion = np.block([[np.zeros((r, r)), np.eye(r)], [-inverse_k, -inverse_c]])
     values, vectors = scipy.linalg.eig(companion)
     source = np.vstack([np.zeros_like(functionals), np.linalg.solve(mass, functionals) / rate**2])
-    return values * rate, vectors[:r], np.linalg.solve(vectors, source) * rate
+    shapes, right = vectors[:r], np.linalg.solve(vectors, source) * rate
+    result = Modes(values * rate, functionals.T @ shapes, right, reduced.shares, shapes)
+    probes = frequency[np.unique(np.linspace(0, len(frequency) - 1, _PROBES).astype(int))]
+    exact, fast = reduced.compliance(probes), result.compliance(probes)
+    off, scale = np.nanmax(np.abs(exact - fast), axis=(1, 2)), np.nanmax(np.abs(exact), axis=(1, 2))
+    return result if np.all(off < 1e-8 * scale) else None

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...typing import ComplexArray, FloatArray, IntArray
-from ..assembly.coefficients import Coefficient, grouped, is_polynomial, polynomial_weights
+from ..assembly.coefficients import Coefficient, grouped, polynomial_of
 from ..assembly.model import ForearmModel
 from ..assembly.operator import AffineOperator
 from .basis import Basis, Columns, orthonormal_extension, real_columns
@@ -113,9 +113,8 @@ class ReducedModel:
 
 def _static(coefficient: Coefficient) -> float:
     """What a term keeps without inertia."""
-    if not is_polynomial(coefficient):
-        return float(complex(coefficient.at(np.array(_TYPICAL))).real)
-    return float(polynomial_weights(coefficient.taylor(0.0, 2)[None])[0][0])
+    known = polynomial_of(coefficient)
+    return float(complex(coefficient.at(np.array(_TYPICAL))).real) if known is None else known[0]
 
 
 def _combined(weights: ComplexArray, parts: FloatArray) -> ComplexArray:

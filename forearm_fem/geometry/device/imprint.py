@@ -12,6 +12,7 @@ from ...ports import Port
 from ...typing import FloatArray, IntArray
 from ..mesh.refinement import independent, onto_circle, split_edges
 from ..mesh.tissue_mesh import TissueMesh
+from ..mesh.topology import SIDES, edge_lengths, edges_of
 from .contacts import from_axis, near
 
 Lift = Callable[[FloatArray], FloatArray]
@@ -46,9 +47,7 @@ def _fit(points: FloatArray, port: Port, lift: Lift) -> FloatArray:
 
 def _skin_edges(mesh: TissueMesh, port: Port) -> IntArray:
     skin = mesh.facets["skin"]
-    skin = skin[near(mesh.points, port)[skin].any(axis=1)]
-    pairs = np.sort(skin[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return np.asarray(np.unique(pairs, axis=0))
+    return edges_of(skin[near(mesh.points, port)[skin].any(axis=1)], SIDES)
 
 
 def _snapped(mesh: TissueMesh, port: Port, lift: Lift) -> TissueMesh:
@@ -57,10 +56,9 @@ def _snapped(mesh: TissueMesh, port: Port, lift: Lift) -> TissueMesh:
     distance = from_axis(mesh.points, port) - port.radius
     part = np.abs(distance[edges]) / np.abs(distance[edges]).sum(axis=1, keepdims=True)
     skin = _skin_edges(mesh, port)  # vertices nearer than part of their shortest edge, crossing the circle or not, too
-    length = np.linalg.norm(mesh.points[skin[:, 0]] - mesh.points[skin[:, 1]], axis=1)
     shortest = np.full(len(mesh.points), 0.0)
     shortest[np.unique(skin)] = np.inf
-    np.minimum.at(shortest, skin.ravel(), np.repeat(length, 2))
+    np.minimum.at(shortest, skin.ravel(), np.repeat(edge_lengths(mesh.points, skin), 2))
     close = np.union1d(edges[part < _SNAP], np.flatnonzero(np.abs(distance) < _SNAP * shortest))
     if not len(close):
         return mesh

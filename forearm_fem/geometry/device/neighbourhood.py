@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 from ...ports import Port
 from ...typing import BoolArray, FloatArray, IntArray
 from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import EDGES
+from ..mesh.topology import EDGES, SIDES, edge_lengths, edges_of
 from .layout import RIGID
 
 REACH, DEPTH = 0.03, 0.025  # [m] what third order gains beyond them on the forearm is in docs/decisions/0002
@@ -58,16 +58,14 @@ def tissue_depths(mesh: TissueMesh) -> IntArray:
 
 def usual_edge(mesh: TissueMesh, ports: tuple[Port, ...]) -> float:
     """Median edge [m] of the skin between the ports, away from contacts; zero where nothing is."""
-    facets = mesh.facets["skin"]
-    edges = np.unique(np.sort(np.vstack([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [0, 2]]]), axis=1), axis=0)
-    ends = mesh.points[edges]
-    middle = ends.mean(axis=1)
+    edges = edges_of(mesh.facets["skin"], SIDES)
+    middle = mesh.points[edges].mean(axis=1)
     xy, volar = middle[:, :2], middle[:, 2] > min(p.position[2] for p in ports) - DEPTH
     planes = half_planes(np.array([p.position[:2] for p in ports]), np.array([p.radius for p in ports]))
     chosen = volar & (xy @ planes[:, :2].T + planes[:, 2] <= 0).all(axis=1)
     for port in (p for p in ports if p.kind == "contact"):
         chosen &= np.linalg.norm(xy - port.position[:2], axis=1) > 2 * port.radius
-    lengths = np.linalg.norm(ends[chosen, 1] - ends[chosen, 0], axis=1)
+    lengths = edge_lengths(mesh.points, edges[chosen])
     return float(np.median(lengths)) if len(lengths) else 0.0
 
 

@@ -8,7 +8,7 @@ from ...typing import BoolArray, FloatArray, IntArray
 from ..device.layout import Layout
 from ..device.sizing import Sizes
 from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import boundary_faces
+from ..mesh.topology import boundary_faces, triangle_normals
 from .core import Size3, core_mesh
 from .prisms import oriented, stack_prisms
 from .tube import Tube
@@ -79,6 +79,5 @@ def boundaries(points: FloatArray, tetrahedra: IntArray, on_skin: BoolArray, on_
 
 def underside(points: FloatArray, skin: IntArray) -> IntArray:
     """Skin triangles whose outward normal points down, n_z < -0.5: they may rest on foam."""
-    a, b, c = points[skin].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a)
+    normal = triangle_normals(points, skin)
     return np.asarray(skin[normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)])

@@ -10,6 +10,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
+from ..mesh.topology import SIDES, edges_of
 from .springs import spring_forces
 
 _RELAXATIONS = 60
@@ -127,8 +128,7 @@ def _relax(
     xy = np.vstack([held, free])
     movable = np.arange(len(xy)) >= len(held)
     for _ in range(_RELAXATIONS):
-        pairs = np.sort(_delaunay(xy)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        edges = np.unique(pairs, axis=0)
+        edges = edges_of(_delaunay(xy), SIDES)
         step = _STEP * spring_forces(xy, edges, size(xy[edges].mean(axis=1)), _STRETCH)
         moved = xy + np.where(movable[:, None], step, 0)
         h = size(moved)

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ...errors import MeshError, MeshTooLarge
@@ -16,7 +14,7 @@ from ...typing import FloatArray
 from ..device.neighbourhood import tetrahedron_orders
 from .curved import true_volumes
 from .tissue_mesh import TissueMesh
-from .topology import EDGES, FACES, is_member, keys, mean_ratios
+from .topology import EDGES, FACES, SIDES, edge_lengths, edges_of, is_member, keys, mean_ratios, pieces
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ def mesh_quality(mesh: TissueMesh, *, expected_volume: float | None = None) -> Q
     """Figures of ``mesh``; ``expected_volume`` [m^3] is the analytic limb's (see
     :func:`.build.limb_volume`)."""
     ratio = mean_ratio(mesh)
-    edges = np.unique(keys(mesh.tetrahedra[:, EDGES].reshape(-1, 2), len(mesh.points)))
+    edges = edges_of(mesh.tetrahedra, EDGES)
     volumes = true_volumes(mesh)
     per_tissue = np.bincount(mesh.region, weights=volumes, minlength=len(mesh.region_names))
     return Quality(
@@ -145,8 +143,7 @@ def _check_faces(mesh: TissueMesh) -> None:
     for name, facets in mesh.facets.items():
         if not is_member(facets, boundary, n).all():
             raise MeshError(f"facets '{name}' do not all lie on the boundary of the mesh; rebuild them")
-    edges = np.sort(boundary[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    around = np.unique(keys(edges, n), return_counts=True)[1]
+    around = np.unique(keys(boundary[:, SIDES].reshape(-1, 2), n), return_counts=True)[1]
     if (around != 2).any():
         raise MeshError(
             f"the boundary is not a closed surface: {int((around != 2).sum())} of its edges do not join exactly two "
@@ -158,9 +155,9 @@ def _check_hanging(mesh: TissueMesh) -> None:
     """A vertex in the middle of another element's edge means that neighbours do not conform."""
     n = len(mesh.points)
     named = np.vstack(list(mesh.facets.values()))
-    edges = np.unique(np.sort(named[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = edges_of(named, SIDES)
     start, end = mesh.points[edges[:, 0]], mesh.points[edges[:, 1]]
-    length = np.linalg.norm(end - start, axis=1)
+    length = edge_lengths(mesh.points, edges)
     vertices = np.unique(named)
     hits = cKDTree(mesh.points[vertices]).query_ball_point((start + end) / 2, 0.499 * length)
     edge = np.repeat(np.arange(len(edges)), [len(h) for h in hits])
@@ -176,10 +173,8 @@ def _check_hanging(mesh: TissueMesh) -> None:
 
 
 def _check_one_piece(mesh: TissueMesh) -> None:
-    t, n = mesh.tetrahedra, len(mesh.points)
-    rows, columns = t[:, :3].ravel(), t[:, 1:].ravel()
-    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(n, n))
-    labels = connected_components(graph, directed=False)[1]
+    t = mesh.tetrahedra
+    labels = pieces(len(mesh.points), np.column_stack([t[:, :3].ravel(), t[:, 1:].ravel()]))
     parts = len(np.unique(labels[np.unique(t)]))
     if parts > 1:
         raise MeshError(f"the mesh falls into {parts} separate parts; join them or keep one")
