@@ -151,7 +151,9 @@ def _read(path: Path) -> tuple[FloatArray, float | None]:
 
 def _read_csv(path: Path) -> tuple[FloatArray, float | None]:
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"]
-    if lines and not _is_number(lines[0].split(",")[0]):
+    try:
+        float(lines[0].split(",")[0] if lines else 0)
+    except ValueError:  # names of the columns
         lines = lines[1:]
     if not lines:
         raise ValueError("it holds no numbers")
@@ -164,14 +166,6 @@ def _read_csv(path: Path) -> tuple[FloatArray, float | None]:
     if steps.size == 0 or steps.min() <= 0 or np.ptp(steps) > 1e-3 * steps.mean():
         raise ValueError("its first column is not an evenly increasing time")
     return table[:, 1], float(1 / steps.mean())
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _read_wav(path: Path) -> tuple[FloatArray, float | None]:

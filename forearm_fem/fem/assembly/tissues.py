@@ -198,23 +198,16 @@ def bent_matrices(space: MixedSpace, tetrahedra: IntArray) -> Iterator[tuple[sli
         jacobians = space.jacobians_at(tetrahedra[piece], points)
         measure = np.abs(np.linalg.det(jacobians)) * weights
         gradients = np.einsum("nqri,brq->nibq", np.linalg.inv(jacobians), slopes, optimize=True)
-        yield (
-            piece,
-            BentMatrices(
-                _shear(gradients, measure),
-                _mass(values, measure),
-                np.einsum("pq,nibq->inpb", pressures, gradients * measure[:, None, None], optimize=True),
-                _mass(pressures, measure),
-            ),
+        n, _, nb, q = gradients.shape
+        rows = gradients.reshape(n, 3 * nb, q)
+        metric = (rows * measure[:, None]) @ rows.transpose(0, 2, 1)
+        part = BentMatrices(
+            _deviatoric(metric.reshape(n, 3, nb, 3, nb).transpose(1, 3, 0, 2, 4)),
+            _mass(values, measure),
+            np.einsum("pq,nibq->inpb", pressures, gradients * measure[:, None, None], optimize=True),
+            _mass(pressures, measure),
         )
-
-
-def _shear(gradients: FloatArray, measure: FloatArray) -> FloatArray:
-    """Deviatoric stiffness (3, 3, n, nb, nb) from gradients (n, 3, nb, q) of basis functions."""
-    n, _, nb, q = gradients.shape
-    rows = gradients.reshape(n, 3 * nb, q)
-    metric = (rows * measure[:, None]) @ rows.transpose(0, 2, 1)
-    return _deviatoric(metric.reshape(n, 3, nb, 3, nb).transpose(1, 3, 0, 2, 4))
+        yield piece, part
 
 
 def _mass(values: FloatArray, measure: FloatArray) -> FloatArray:

@@ -148,6 +148,11 @@ def _shared(count: int) -> list[list[slice]]:
     return [pieces[k::threads] for k in range(threads)]
 
 
+def inverse_or_zero(lengths: FloatArray) -> FloatArray:
+    """1 / ``lengths``, zero where they are zero."""
+    return np.where(lengths > 0, 1 / np.where(lengths > 0, lengths, 1.0), 0.0)
+
+
 def real_columns(blocks: Sequence[ComplexArray]) -> FloatArray:
     """Real and imaginary parts (n, 2 sum of k) of complex ``blocks`` (n, k), one block after the other."""
     columns = np.empty((len(blocks[0]), 2 * sum(block.shape[1] for block in blocks)))
@@ -193,7 +198,7 @@ def rough_extension(basis: Basis, blocks: Sequence[FloatArray], n_u: int, *, dro
     """
     widths = [block.shape[1] for block in blocks]
     lengths = np.concatenate([np.linalg.norm(block[:n_u], axis=0) for block in blocks])
-    scale = np.where(lengths > 0, 1 / np.where(lengths > 0, lengths, 1.0), 0.0)
+    scale = inverse_or_zero(lengths)
     starts = np.cumsum([0, *widths])
     columns = np.hstack(
         [(b * scale[i:j]).astype(np.float32) for b, (i, j) in zip(blocks, pairwise(starts), strict=True)]

@@ -181,7 +181,7 @@ class Expander:
             if tolerance is not None and derivatives >= _AT_LEAST:
                 if derivatives == _AT_LEAST and sharp_modes(reduced, frequency, _SHARP) >= _SEVERAL:
                     return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
-                change = largest_change(self.model, reduced, frequency)
+                change = largest_change(self.model, reduced, reduced.lower(), frequency)
                 if change <= tolerance:
                     break
                 if change > DOUBTFUL and derivatives >= _SLOW:
@@ -208,7 +208,7 @@ class Expander:
             reduced = with_last_columns(reduced, self.model, chunk.columns)
             tell(progress, "derivatives", chunk.derivatives, chunk.derivatives)
             if chunk.derivatives >= _AT_LEAST:
-                change = largest_change(self.model, reduced, frequency)
+                change = largest_change(self.model, reduced, reduced.lower(), frequency)
         made = Made(reduced, expansion_rate(frequency), space.derivatives, residual=space.residual, sharp=True)
         return made if change <= wanted else None
 

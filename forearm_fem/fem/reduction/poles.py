@@ -10,6 +10,7 @@ import scipy.linalg
 
 from ...typing import ComplexArray, FloatArray
 from ..assembly.coefficients import is_polynomial, polynomial_weights
+from .rational import chebyshev_frequencies
 from .reduced_model import ReducedModel
 
 _BAND = np.linspace(10.0, 500.0, 50)  # [Hz]
@@ -23,9 +24,7 @@ def compressed(reduced: ReducedModel, frequency: FloatArray, *, samples: int = 4
     Singular directions below ``drop`` of the largest (states of unit length) are left out; projection keeps the
     structure. Costs ``samples`` small solves, and makes each later frequency several times cheaper.
     """
-    low, high = np.sqrt(frequency[0]), np.sqrt(frequency[-1])
-    nodes = (low + (high - low) * (1 - np.cos(np.pi * np.arange(samples) / max(samples - 1, 1))) / 2) ** 2
-    states = reduced.states(nodes)
+    states = reduced.states(chebyshev_frequencies(frequency, samples))
     columns = np.concatenate([states.real, states.imag], axis=2).transpose(1, 0, 2).reshape(reduced.size, -1)
     norms = np.linalg.norm(columns, axis=0)
     keep = norms > 1e-12 * norms.max()

@@ -16,7 +16,7 @@ import numpy as np
 from ...typing import FloatArray
 from ..assembly.coefficients import rate_weights
 from ..linear.direct import ENOUGH, DirectSolver
-from .basis import Basis, Columns
+from .basis import Basis, Columns, inverse_or_zero
 from .reduced_model import compressible
 
 _REFINED = 8  # first derivatives, which are refined once: what solves leave in them reaches all others
@@ -137,12 +137,13 @@ class RateSpace:
         latest, one, two = self._pairs.last(self._last), self._weights[1], self._weights[2]
         both = self._basis.combination(np.hstack([latest.upper, 2 * latest.upper + latest.lower]))
         # A_1 x_(k-1) + A_2 x_(k-2) so that masses, whose part of A_1 is twice that of A_2, take one product and not two
-        right = -self._product(np.array([one - 2 * two, two]), both[:, : self._last], both[:, self._last :])
-        x = self._solved(right)
+        matrices, solve = self._solver.model.operator.matrices, self._solver.factor.solve
+        right = -matrices.real_sum(np.array([one - 2 * two, two]), (both[:, : self._last], both[:, self._last :]))
+        x = solve(right)
         # the first derivatives are refined; all where much is asked or factors are poor, none in double precision
         early = self.derivatives < _REFINED or self._solver.tolerance < ENOUGH
         if self._correction > _CAREFUL or (early and self._correction > _EXACT):
-            change = self._solved(right - self._product(self._weights[:1], x))
+            change = solve(right - matrices.real_sum(self._weights[:1], (x,)))
             x = x + change
             n_u = self._solver.model.operator.n_displacements
             self._correction = float(np.linalg.norm(change[:n_u]) / np.linalg.norm(x[:n_u]))
@@ -156,11 +157,12 @@ class RateSpace:
             known = self._basis.inner(rest[:n_u])
             self._basis.subtract_in_place(rest, known)
             coordinates += known
-            gram = _gram(rest[:n_u])
+            gram = rest[:n_u].T @ rest[:n_u]
             if (np.sqrt(gram.diagonal()) >= _AGAIN * lengths).all():
                 break
         directions = _directions(gram, lengths, self._nothing)
-        directions = directions @ np.linalg.inv(np.linalg.cholesky(_gram(rest[:n_u] @ directions))).T
+        new_u = rest[:n_u] @ directions
+        directions = directions @ np.linalg.inv(np.linalg.cholesky(new_u.T @ new_u)).T
         upper = np.vstack([coordinates, directions.T @ gram])
         before = self._pairs.last(self._last).upper if self.derivatives else np.zeros((0, x.shape[1]))
         lower = np.pad(before, ((0, len(upper) - len(before)), (0, 0)))
@@ -168,24 +170,13 @@ class RateSpace:
         self._pairs, self._last, self.derivatives = self._pairs.and_then(new), new.count, self.derivatives + 1
         return np.asarray(rest @ directions)
 
-    def _product(self, weights: FloatArray, *columns: FloatArray) -> FloatArray:
-        """sum_j sum_t ``weights[j, t]`` A_t x_j for the ``columns`` x_j (n, k)."""
-        return self._solver.model.operator.matrices.real_sum(weights, columns)
-
-    def _solved(self, right: FloatArray) -> FloatArray:
-        return np.asarray(self._solver.factor.solve(right))
-
-
-def _gram(x: FloatArray) -> FloatArray:
-    return np.asarray(x.T @ x)
-
 
 def _directions(gram: FloatArray, lengths: FloatArray, nothing: float) -> FloatArray:
     """Combinations (b, k) of columns with these products that are orthonormal, without those that are ``nothing``.
 
     Columns are compared with the ``lengths`` (b,) that they had.
     """
-    scale = np.where(lengths > 0, 1 / np.where(lengths > 0, lengths, 1.0), 0.0)
+    scale = inverse_or_zero(lengths)
     values, vectors = np.linalg.eigh(scale[:, None] * gram * scale)
     keep = values > nothing**2
     return np.asarray(scale[:, None] * vectors[:, keep] / np.sqrt(values[keep]))
