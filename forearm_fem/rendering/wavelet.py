@@ -152,8 +152,8 @@ def _read(path: Path) -> tuple[FloatArray, float | None]:
 def _read_csv(path: Path) -> tuple[FloatArray, float | None]:
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"]
     try:
-        float(lines[0].split(",")[0] if lines else 0)
-    except ValueError:  # names of the columns
+        float(lines[0].split(",")[0])
+    except (ValueError, IndexError):  # names of the columns, or nothing
         lines = lines[1:]
     if not lines:
         raise ValueError("it holds no numbers")

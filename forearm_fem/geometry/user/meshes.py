@@ -20,7 +20,7 @@ from .cells import check_body, check_indices, joined
 from .extent import check_extent, check_room
 
 _NUMBERED = ("gmsh:physical", "region", "medit:ref", "cell_tags", "gmsh:geometrical", "material", "subdomain")
-_KINDS = ("tetra", "tetra10")
+_KINDS, _FLAT_KINDS = ("tetra", "tetra10"), ("line", "triangle", "quad", "polygon")
 _MIDDLES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))  # whose middles the nodes 4 to 9 of a tetra10 are (VTK)
 _BENT = 1e-3  # of an edge: a middle further off its chord than this is meant
 
@@ -58,20 +58,14 @@ def user_mesh(limb: MeshLimb, base: Path, layout: Layout, least: float, *, keep_
 def _tetrahedra(file: Path, read: Any) -> IntArray:
     """Corner nodes of all tetrahedra; the middles of quadratic ones are looked at by :func:`_check_straight`."""
     blocks = [c.data[:, :4] for c in read.cells if c.type in _KINDS and len(c.data)]
-    others = {c.type for c in read.cells} - {*_KINDS, "vertex"} - {k for k in _kinds(read) if k.startswith(_FLAT_KINDS)}
+    kinds = {str(c.type) for c in read.cells}
+    others = kinds - {*_KINDS, "vertex"} - {k for k in kinds if k.startswith(_FLAT_KINDS)}
     if others:
         raise MeshError(f"{file}: contains {_some(sorted(others))} cells, but only tetrahedra can be used; split them")
     if not blocks:
-        kinds = _some(sorted(_kinds(read))) or "nothing"
-        raise MeshError(f"{file}: contains no tetrahedra (only {kinds}); mesh the volume, not the surface")
+        found = _some(sorted(kinds)) or "nothing"
+        raise MeshError(f"{file}: contains no tetrahedra (only {found}); mesh the volume, not the surface")
     return np.vstack(blocks).astype(np.int64)
-
-
-_FLAT_KINDS = ("line", "triangle", "quad", "polygon")
-
-
-def _kinds(read: Any) -> set[str]:
-    return {str(c.type) for c in read.cells}
 
 
 def _check_straight(file: Path, read: Any, points: FloatArray) -> None:
