@@ -126,35 +126,27 @@ def _marked(
 ) -> TissueMesh:
     """With rims followed by edges, refined where the cone is rigid, and contacts named; checked."""
     limb, cone, sizes = scenario.limb, scenario.device.cone, size.sizes
+    tube = tube_of(limb) if isinstance(limb, ForearmLimb | CylinderLimb) else None
     ports = tuple(p for p in place_ports(scenario, mesh) if p.kind == "contact")
     tell(progress, "following and refining the contact rims", 0, 0)
-    mesh = mesh if isinstance(limb, SlabLimb) else _imprinted(scenario, mesh, ports, size, scale)
+    if not isinstance(limb, SlabLimb):
+        skin = tube.volar if tube else FacetSkin.of(mesh)
+        if not isinstance(limb, MeshLimb):
+            mesh = refine_skin(mesh, SpaceField.on(size, lambda xy: skin(xy)[0]))
+        if tube is None:  # tubes have rings of vertices under the contacts already
+            mesh = refine_near(mesh, ports, min(sizes.contact, scale * WIDEST * cone.radius))
+        for port in ports:
+            mesh = imprint(mesh, port, true_skin(tube) if tube else FacetSkin.of(mesh).lift)
+        if len(found := underside(mesh.points, mesh.facets["skin"])):
+            mesh = replace(mesh, facets={**mesh.facets, "underside": found})
     # rigid discs have a stress singularity at the rim; a uniform pressure only needs its area
     rigid = cone.contact in RIGID
     rim = sizes.rim if rigid else max(0.5 * sizes.contact, 0.25 * scale * cone.radius)
-    middle = bent_middles(tube_of(limb)) if isinstance(limb, ForearmLimb | CylinderLimb) else midpoints
-    mesh = refine_rims(with_contacts(mesh, ports), ports, rim, middle=middle)
+    mesh = refine_rims(with_contacts(mesh, ports), ports, rim, middle=bent_middles(tube) if tube else midpoints)
     mesh = with_true_rims(mesh, ports, sizes.rim_lead if rigid else 0.0)
     check_count(mesh, scenario.mesh.max_elements)
     check_contact_areas(mesh, ports)
     check_mesh(mesh, scenario.mesh.min_quality)
-    return mesh
-
-
-def _imprinted(
-    scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], size: SizeField, scale: float
-) -> TissueMesh:
-    limb = scenario.limb
-    tube = tube_of(limb) if isinstance(limb, ForearmLimb | CylinderLimb) else None
-    skin = tube.volar if tube else FacetSkin.of(mesh)
-    if not isinstance(limb, MeshLimb):
-        mesh = refine_skin(mesh, SpaceField.on(size, lambda xy: skin(xy)[0]))
-    if tube is None:  # tubes have rings of vertices under the contacts already
-        mesh = refine_near(mesh, ports, min(size.sizes.contact, scale * WIDEST * scenario.device.cone.radius))
-    for port in ports:
-        mesh = imprint(mesh, port, true_skin(tube) if tube else FacetSkin.of(mesh).lift)
-    if len(found := underside(mesh.points, mesh.facets["skin"])):
-        mesh = replace(mesh, facets={**mesh.facets, "underside": found})
     return mesh
 
 

@@ -160,8 +160,22 @@ def check_tube(tube: Tube) -> None:
             f"the layers are {tube.thickness * 1e3:.3g} mm thick together, but the limb bends with a radius of "
             f"{tightest * 1e3:.3g} mm at its tightest; thin limb.layers, enlarge the limb or bring limb.aspect nearer 1"
         )
+    angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)
     for bone in tube.bones:
-        _check_inside(tube, bone, x)
+        gap = np.inf
+        for at, centre in zip(x[::10], tube.bone_centre(bone, x)[::10], strict=True):
+            wall = tube.place(np.full(180, at), angle, tube.thickness)[:, 1:]
+            away = float(np.linalg.norm(wall - centre, axis=1).min()) - bone.radius
+            along, towards = np.roll(wall, -1, axis=0) - wall, centre - wall
+            side = along[:, 0] * towards[:, 1] - along[:, 1] * towards[:, 0]
+            inside = (side > 0).all() or (side < 0).all()  # of the section, which is convex
+            gap = min(gap, away if inside else -np.inf)
+        if gap < _CLEARANCE:
+            raise GeometryError(
+                f"bone '{bone.name}' does not lie inside the {tube.core} with {_CLEARANCE * 1e3:g} mm to spare (its "
+                f"axis at y = {bone.y * 1e3:.3g} mm, diameter {2e3 * bone.radius:.3g} mm); in limb.bones move it "
+                "towards the middle (y, depth) or make it thinner, or reduce limb.length"
+            )
     for first, second in combinations(tube.bones, 2):
         apart = np.linalg.norm(tube.bone_centre(first, x) - tube.bone_centre(second, x), axis=1).min()
         gap = float(apart) - first.radius - second.radius
@@ -171,22 +185,3 @@ def check_tube(tube: Tube) -> None:
                 f"bones '{first.name}' and '{second.name}' {how}, expected {_CLEARANCE * 1e3:g} mm "
                 f"of {tube.core} between them; in limb.bones move them apart (y, depth) or make them thinner"
             )
-
-
-def _check_inside(tube: Tube, bone: BoneAxis, x: FloatArray) -> None:
-    angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)
-    centres = tube.bone_centre(bone, x)
-    gap = np.inf
-    for at, centre in zip(x[::10], centres[::10], strict=True):
-        wall = tube.place(np.full(180, at), angle, tube.thickness)[:, 1:]
-        away = float(np.linalg.norm(wall - centre, axis=1).min()) - bone.radius
-        along, towards = np.roll(wall, -1, axis=0) - wall, centre - wall
-        side = along[:, 0] * towards[:, 1] - along[:, 1] * towards[:, 0]
-        inside = (side > 0).all() or (side < 0).all()  # of the section, which is convex
-        gap = min(gap, away if inside else -np.inf)
-    if gap < _CLEARANCE:
-        raise GeometryError(
-            f"bone '{bone.name}' does not lie inside the {tube.core} with {_CLEARANCE * 1e3:g} mm to spare (its axis "
-            f"at y = {bone.y * 1e3:.3g} mm, diameter {2e3 * bone.radius:.3g} mm); in limb.bones move it towards the "
-            "middle (y, depth) or make it thinner, or reduce limb.length"
-        )
