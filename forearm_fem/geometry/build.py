@@ -115,7 +115,7 @@ def _unmarked(scenario: Scenario, base: Path, size: SizeField, progress: Progres
     surfaces = read_surfaces(limb, base)
     check_room(base / limb.surfaces[surfaces[0].tissue], surfaces[0].vertices, size.layout, limb.unit)
     outer = FacetSkin(surfaces[0].vertices, surfaces[0].faces)
-    ports_on(scenario, outer)  # the same
+    ports_on(scenario, outer)  # complain early here, too
     tell(progress, "meshing the outer surface (minutes for fine sizes)", 0, 0)
     field = SpaceField.on(size, lambda xy: outer(xy)[0])
     return surfaces_mesh(surfaces, field, size.sizes.far, scenario.mesh.max_elements, progress, keep_bone=keep_bone)
