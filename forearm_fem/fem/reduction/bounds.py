@@ -8,7 +8,7 @@ and P where damping is modal, so
 
 whatever modes V lacks, as long as alpha is theirs, too. So modes close to omega are taken to resonate exactly there,
 whether they do or not, and alpha is halved once more: a mode that V lacks may lose half as much as the least damped of
-its neighbours, and damping that couples modes changes alpha by less than that (docs/decisions/sharp-resonances.md).
+its neighbours, and damping that couples modes changes alpha by less than that (docs/decisions/0028).
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ class SweepResult:
     def unstable_poles(self) -> int:
         """Poles of the reduced model in the right half-plane, far outside the band: it is good for frequencies there.
 
-        None where all tissue is compressible (:func:`.reduce.condensed`).
+        None where all tissue is compressible (:func:`.reduced_model.condensed`).
         """
         return 0 if self.reduced is None else self.reduced.negative_directions()
 
