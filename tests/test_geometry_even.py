@@ -14,9 +14,8 @@ from forearm_fem.geometry.build import build_mesh, limb_volume
 from forearm_fem.geometry.device.sizing import element_sizes
 from forearm_fem.geometry.limb.chart import Chart, spread
 from forearm_fem.geometry.limb.core import _bone_wall, _check_tubes
-from forearm_fem.geometry.limb.filling import Shell, fill
+from forearm_fem.geometry.limb.filling import Shell, fill, without_slivers
 from forearm_fem.geometry.limb.prisms import oriented, stack_prisms
-from forearm_fem.geometry.limb.slivers import without_slivers
 from forearm_fem.geometry.limb.tube import tube_of
 from forearm_fem.geometry.mesh.curved import true_volumes
 from forearm_fem.geometry.mesh.quality import check_mesh

@@ -10,6 +10,7 @@ partly cancel in G, so this tends to overestimate; ``worst_case=True`` adds the 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,28 +27,21 @@ def propagate_errors(
     """One estimate for G per estimate of the compliance; none where nothing touches the skin."""
     if not compliance.errors or not state.force.any():
         return ()
-    peak_gain, band_gain = _gains(compliance, state, worst_case)
-    return tuple(_carried(e, compliance.frequency, peak_gain, band_gain) for e in compliance.errors)
-
-
-def _carried(estimate: ErrorEstimate, frequency: FloatArray, peak_gain: FloatArray, band_gain: float) -> ErrorEstimate:
-    """``estimate`` times the gains; between its own frequencies e(f) is interpolated linearly."""
-    method = _METHOD.format(source=estimate.source, original=estimate.method)
-    band = estimate.band * band_gain
-    if not estimate.frequency:
-        return ErrorEstimate(estimate.source, band, method)
-    size = np.interp(frequency, estimate.frequency, estimate.per_frequency)
-    per_frequency = tuple((size * peak_gain).tolist())
-    return ErrorEstimate(estimate.source, band, method, tuple(frequency.tolist()), per_frequency)
-
-
-def _gains(compliance: Compliance, state: ContactState, worst_case: bool) -> tuple[FloatArray, float]:
-    """e_G(f) / e_C(f) (n_frequency,), and the ratio of the band norms."""
-    values = state.at_points(compliance)
+    values, frequency = state.at_points(compliance), compliance.frequency
     peak = _effect(compliance, state, _largest, worst_case)
     mean = _effect(compliance, state, _root_mean_square, worst_case)
-    peak_gain = peak.max(axis=(1, 2)) / np.abs(values).max(axis=(1, 2))
-    return peak_gain, float(np.linalg.norm(mean) / np.linalg.norm(values))
+    peak_gain = peak.max(axis=(1, 2)) / np.abs(values).max(axis=(1, 2))  # e_G(f) / e_C(f)
+    band_gain = float(np.linalg.norm(mean) / np.linalg.norm(values))
+    carried = []
+    for estimate in compliance.errors:
+        method = _METHOD.format(source=estimate.source, original=estimate.method)
+        found = ErrorEstimate(estimate.source, estimate.band * band_gain, method)
+        if estimate.frequency:  # linear between its own frequencies
+            size = np.interp(frequency, estimate.frequency, estimate.per_frequency)
+            each = tuple((size * peak_gain).tolist())
+            found = replace(found, frequency=tuple(frequency.tolist()), per_frequency=each)
+        carried.append(found)
+    return tuple(carried)
 
 
 def _effect(

@@ -20,7 +20,7 @@ from .device.imprint import imprint
 from .device.landing import FacetSkin
 from .device.layout import RIGID, layout_of
 from .device.place import place_ports, ports_on, true_skin
-from .device.sizing import WIDEST, SizeField, Sizes, SpaceField, element_sizes, size_growth
+from .device.sizing import WIDEST, SizeField, SpaceField, element_sizes, size_growth
 from .limb.bending import bent_middles, with_bends
 from .limb.layered import limb_mesh, underside
 from .limb.slab import slab_mesh
@@ -105,52 +105,48 @@ def _unmarked(scenario: Scenario, base: Path, size: SizeField, progress: Progres
     if isinstance(limb, SlabLimb):
         return slab_mesh(limb, size.layout, size)
     if isinstance(limb, ForearmLimb | CylinderLimb):
-        ports_on(scenario, tube_of(limb).volar)  # complain about misplaced ports before the long work
-        return _tube_mesh(tube_of(limb), size, progress, keep_bone=keep_bone, seed=attempt)
+        tube = tube_of(limb)
+        ports_on(scenario, tube.volar)  # complain about misplaced ports before the long work
+        tell(progress, "meshing the core", 0, 0)
+        field = SpaceField.on(size, lambda xy: _core_surface(tube, xy))
+        return limb_mesh(tube, field, size.sizes, size.layout, elastic_bones=keep_bone, seed=attempt)
     assert isinstance(limb, SurfacesLimb)
-    return _nested_mesh(scenario, limb, base, size, progress)
+    tell(progress, "reading and checking the surfaces", 0, 0)
+    surfaces = read_surfaces(limb, base)
+    check_room(base / limb.surfaces[surfaces[0].tissue], surfaces[0].vertices, size.layout, limb.unit)
+    outer = FacetSkin(surfaces[0].vertices, surfaces[0].faces)
+    ports_on(scenario, outer)  # complain early here, too
+    tell(progress, "meshing the outer surface (minutes for fine sizes)", 0, 0)
+    field = SpaceField.on(size, lambda xy: outer(xy)[0])
+    return surfaces_mesh(surfaces, field, size.sizes.far, scenario.mesh.max_elements, progress, keep_bone=keep_bone)
 
 
 def _marked(
     scenario: Scenario, mesh: TissueMesh, size: SizeField, progress: Progress | None, scale: float
 ) -> TissueMesh:
     """With rims followed by edges, refined where the cone is rigid, and contacts named; checked."""
+    limb, cone, sizes = scenario.limb, scenario.device.cone, size.sizes
+    tube = tube_of(limb) if isinstance(limb, ForearmLimb | CylinderLimb) else None
     ports = tuple(p for p in place_ports(scenario, mesh) if p.kind == "contact")
     tell(progress, "following and refining the contact rims", 0, 0)
-    mesh = mesh if isinstance(scenario.limb, SlabLimb) else _imprinted(scenario, mesh, ports, size, scale)
-    mesh = _with_fine_rims(scenario, with_contacts(mesh, ports), ports, size.sizes, scale)
+    if not isinstance(limb, SlabLimb):
+        skin = tube.volar if tube else FacetSkin.of(mesh)
+        if not isinstance(limb, MeshLimb):
+            mesh = refine_skin(mesh, SpaceField.on(size, lambda xy: skin(xy)[0]))
+        if tube is None:  # tubes have rings of vertices under the contacts already
+            mesh = refine_near(mesh, ports, min(sizes.contact, scale * WIDEST * cone.radius))
+        for port in ports:
+            mesh = imprint(mesh, port, true_skin(tube) if tube else FacetSkin.of(mesh).lift)
+        if len(found := underside(mesh.points, mesh.facets["skin"])):
+            mesh = replace(mesh, facets={**mesh.facets, "underside": found})
+    # rigid discs have a stress singularity at the rim; a uniform pressure only needs its area
+    rigid = cone.contact in RIGID
+    rim = sizes.rim if rigid else max(0.5 * sizes.contact, 0.25 * scale * cone.radius)
+    mesh = refine_rims(with_contacts(mesh, ports), ports, rim, middle=bent_middles(tube) if tube else midpoints)
+    mesh = with_true_rims(mesh, ports, sizes.rim_lead if rigid else 0.0)
     check_count(mesh, scenario.mesh.max_elements)
     check_contact_areas(mesh, ports)
     check_mesh(mesh, scenario.mesh.min_quality)
-    return mesh
-
-
-def _with_fine_rims(
-    scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], sizes: Sizes, scale: float
-) -> TissueMesh:
-    limb = scenario.limb
-    lead = sizes.rim_lead if scenario.device.cone.contact in RIGID else 0.0
-    middle = bent_middles(tube_of(limb)) if isinstance(limb, ForearmLimb | CylinderLimb) else midpoints
-    cone = scenario.device.cone
-    # rigid discs have a stress singularity at the rim; a uniform pressure only needs its area
-    rim = sizes.rim if cone.contact in RIGID else max(0.5 * sizes.contact, 0.25 * scale * cone.radius)
-    return with_true_rims(refine_rims(mesh, ports, rim, middle=middle), ports, lead)
-
-
-def _imprinted(
-    scenario: Scenario, mesh: TissueMesh, ports: tuple[Port, ...], size: SizeField, scale: float
-) -> TissueMesh:
-    limb = scenario.limb
-    tube = tube_of(limb) if isinstance(limb, ForearmLimb | CylinderLimb) else None
-    skin = tube.volar if tube else FacetSkin.of(mesh)
-    if not isinstance(limb, MeshLimb):
-        mesh = refine_skin(mesh, SpaceField.on(size, lambda xy: skin(xy)[0]))
-    if tube is None:  # tubes have rings of vertices under the contacts already
-        mesh = refine_near(mesh, ports, min(size.sizes.contact, scale * WIDEST * scenario.device.cone.radius))
-    for port in ports:
-        mesh = imprint(mesh, port, true_skin(tube) if tube else FacetSkin.of(mesh).lift)
-    if len(found := underside(mesh.points, mesh.facets["skin"])):
-        mesh = replace(mesh, facets={**mesh.facets, "underside": found})
     return mesh
 
 
@@ -162,26 +158,6 @@ def limb_volume(scenario: Scenario) -> float | None:
     if isinstance(limb, ForearmLimb | CylinderLimb):
         return sum(tube_of(limb).volumes(bones_kept=elastic).values())
     return None
-
-
-def _nested_mesh(
-    scenario: Scenario, limb: SurfacesLimb, base: Path, size: SizeField, progress: Progress | None
-) -> TissueMesh:
-    tell(progress, "reading and checking the surfaces", 0, 0)
-    surfaces = read_surfaces(limb, base)
-    check_room(base / limb.surfaces[surfaces[0].tissue], surfaces[0].vertices, size.layout, limb.unit)
-    outer = FacetSkin(surfaces[0].vertices, surfaces[0].faces)
-    ports_on(scenario, outer)  # complain about misplaced ports before the long work
-    tell(progress, "meshing the outer surface (minutes for fine sizes)", 0, 0)
-    field = SpaceField.on(size, lambda xy: outer(xy)[0])
-    keep_bone = scenario.supports.bone == "elastic"
-    return surfaces_mesh(surfaces, field, size.sizes.far, scenario.mesh.max_elements, progress, keep_bone=keep_bone)
-
-
-def _tube_mesh(tube: Tube, size: SizeField, progress: Progress | None, *, keep_bone: bool, seed: int) -> TissueMesh:
-    tell(progress, "meshing the core", 0, 0)
-    field = SpaceField.on(size, lambda xy: _core_surface(tube, xy))
-    return limb_mesh(tube, field, size.sizes, size.layout, elastic_bones=keep_bone, seed=seed)
 
 
 def _core_surface(tube: Tube, xy: FloatArray) -> FloatArray:

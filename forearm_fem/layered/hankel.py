@@ -179,14 +179,11 @@ class HankelTable:
         with np.errstate(divide="ignore"):
             reach = np.minimum(k[:, None], 2 / self.slowest)
         leak = np.exp(-np.minimum((k[:, None] * self.slowest / _NARROW) ** 2, 700.0))
-        lost = reach * np.maximum(leak, _CUT) + self._mean_error(k) * k[:, None]
-        return np.asarray(np.max(size * lost, axis=1) / (2 * math.pi))
-
-    def _mean_error(self, k: FloatArray) -> FloatArray:
-        """Relative error of :meth:`mean`, by the next term of the series, (n_k, n_columns)."""
-        fourth = np.array([radial.bessel[2] ** 4 for radial in self.radials])
+        fourth = np.array([radial.bessel[2] ** 4 for radial in self.radials])  # of the next term of the mean's series
         x = np.maximum(np.multiply.outer(k, self.radii[0]), 1e-9)
-        return np.asarray(np.where(self._alone, np.minimum(1.0, (fourth[self.a] + fourth[self.b]) / (16 * x**3)), 0.0))
+        missed = np.where(self._alone, np.minimum(1.0, (fourth[self.a] + fourth[self.b]) / (16 * x**3)), 0.0)
+        lost = reach * np.maximum(leak, _CUT) + missed * k[:, None]
+        return np.asarray(np.max(size * lost, axis=1) / (2 * math.pi))
 
     def static(self) -> FloatArray:
         """The integrals for kU = 1, (n_columns,) [1/m]; zero for
@@ -235,11 +232,6 @@ def _between_lines(y: FloatArray, z: FloatArray, q: int, d: float) -> ComplexArr
     return np.asarray(np.exp(1j * q * np.arcsin(offset / d)) / np.sqrt(d * d - offset**2) / (2 * math.pi))
 
 
-def _bell(x: Numbers) -> Numbers:
-    """exp(-x^2/2); zero where that is below what numbers hold."""
-    return np.asarray(np.exp(-0.5 * np.where(np.real(x) < 38, x, 38.0) ** 2))
-
-
 def _between_bells(a: float, b: float, d: float) -> float:
     r""":math:`\frac1{2\pi}\int_0^\infty e^{-k^2(a^2+b^2)/2}J_0(kd)\,dk`, by scaled Bessel functions."""
     both = a * a + b * b
@@ -268,8 +260,9 @@ def _transforms(radials: tuple[Radial, ...], k: Numbers) -> Numbers:
     """g(k) of all ``radials``, (n_k, n_radials)."""
     out = _filled(1.0, k, len(radials))
     for i, g in enumerate(radials):
-        if g.kind == "bell":
-            out[:, i] = _bell(k * g.radius)
+        if g.kind == "bell":  # zero where that is below what numbers hold
+            x = k * g.radius
+            out[:, i] = np.exp(-0.5 * np.where(np.real(x) < 38, x, 38.0) ** 2)
     for radius in {g.radius for g in radials if g.kind not in ("point", "bell")}:
         x = k * radius
         own = [(i, g) for i, g in enumerate(radials) if g.radius == radius and g.kind not in ("point", "bell")]

@@ -114,13 +114,7 @@ class Integrals:
         """One chunk, on the path that its losses ask for; SolverError where no path is safe."""
         if self.medium.loss(omega[:1])[0] >= LOW_LOSS:
             return self._integrate(self.medium, self.real, omega)
-        spent = self._check_raised(omega)
-        block = self._integrate(self.medium, self.raised, omega)
-        return block._replace(n_kernel=block.n_kernel + spent)
-
-    def _check_raised(self, omega: FloatArray) -> int:
-        """Both paths must agree once there is loss enough to integrate along the axis; evaluations spent."""
-        medium = self.medium.lossier(_TEST_LOSS)
+        medium = self.medium.lossier(_TEST_LOSS)  # both paths must agree once there is loss enough for the axis
         axis, above = (self._integrate(medium, rules, omega) for rules in (self.real, self.raised))
         gap = np.max(np.abs(axis.values - above.values), axis=1) / np.max(np.abs(axis.values), axis=1)
         bad = gap > 10 * (axis.error + above.error) + 1e-9
@@ -129,7 +123,8 @@ class Integrals:
                 f"layered: at {omega[bad][0] / (2 * math.pi):.4g} Hz a wave with opposed phase and group "
                 f"velocity defies the lossless path; give every layer a loss tangent >= {LOW_LOSS:g}"
             )
-        return axis.n_kernel + above.n_kernel
+        block = self._integrate(self.medium, self.raised, omega)
+        return block._replace(n_kernel=block.n_kernel + axis.n_kernel + above.n_kernel)
 
     def _integrate(self, medium: Medium, rules: Rules, omega: FloatArray) -> IntegralBlock:
         """Refine dyadic panels until every frequency of the chunk is converged."""

@@ -99,22 +99,15 @@ class Rules:
             factors = self.table.factors(self.path(np.concatenate([d.x for d in dense])))
             ends = np.cumsum([len(d.x) for d in dense])
             for panel, one, end in zip(fresh, dense, ends.tolist(), strict=True):
-                self._cache[panel] = self._rule(one, *(f[end - len(one.x) : end] for f in factors))
+                waves, transforms = (f[end - len(one.x) : end] for f in factors)
+                weighted: Numbers = one.basis
+                if self.offset != 0:  # dk/dx
+                    weighted = weighted * (1 + 1j / np.cosh(np.minimum(one.x / self.offset, 300.0)) ** 2)
+                some = [slice(start, start + _AT_ONCE) for start in range(0, len(one.x), _AT_ONCE)]
+                moments = np.sum([weighted[:, s] @ self.table.joined(waves[s], transforms[s]) for s in some], axis=0)
+                gauge = [np.max(np.abs(moments[:, part]), axis=1, initial=0.0) for part in self.table.parts]
+                self._cache[panel] = Rule(_TO_LEGENDRE.T @ moments[:NODES], np.array(gauge))
         return [self._cache[panel] for panel in panels]
-
-    def _rule(self, dense: _Dense, waves: Numbers, transforms: Numbers) -> Rule:
-        """The rule of one panel from what the columns are made of at its ``dense`` nodes."""
-        weighted = dense.basis * self._slope(dense.x)
-        parts = [slice(start, start + _AT_ONCE) for start in range(0, len(dense.x), _AT_ONCE)]
-        moments = np.sum([weighted[:, s] @ self.table.joined(waves[s], transforms[s]) for s in parts], axis=0)
-        gauge = [np.max(np.abs(moments[:, part]), axis=1, initial=0.0) for part in self.table.parts]
-        return Rule(_TO_LEGENDRE.T @ moments[:NODES], np.array(gauge))
-
-    def _slope(self, x: FloatArray) -> Numbers:
-        """dk/dx."""
-        if self.offset == 0:
-            return np.ones_like(x)
-        return np.asarray(1 + 1j / np.cosh(np.minimum(x / self.offset, 300.0)) ** 2)
 
 
 def panel_errors(values: ComplexArray, gauges: FloatArray) -> FloatArray:

@@ -145,7 +145,8 @@ class Galerkin:
         """Entries (ports, ports) between discs, and those between a disc and a point, where there are such."""
         point = np.zeros(self.ports, dtype=bool)
         point[self.points] = True
-        return entries_by_kind(point)
+        both = (~point[:, None] & ~point, point[:, None] ^ point)
+        return tuple(kind for kind in both if kind.any())
 
     def _alone(self, values: ComplexArray) -> ComplexArray:
         """The same with 0 of a point on itself."""
@@ -169,12 +170,6 @@ def _without_last(a: ComplexArray, shown: int) -> ComplexArray:
             scattered = coupling.swapaxes(1, 2) @ np.linalg.solve(part[:, shown:, shown:], coupling)
             part[:, :shown, :shown] -= 0.5 * (scattered + scattered.swapaxes(1, 2))
     return whole
-
-
-def entries_by_kind(point: BoolArray) -> tuple[BoolArray, ...]:
-    """Entries (n, n) between discs, and between a disc and a ``point`` (n,), where there are such."""
-    both = (~point[:, None] & ~point, point[:, None] ^ point)
-    return tuple(kind for kind in both if kind.any())
 
 
 def changed(more: ComplexArray, less: ComplexArray, kinds: Sequence[BoolArray]) -> FloatArray:

@@ -75,7 +75,8 @@ class Tabulated:
         Raises GeometryError for discs further apart than the table reaches, and for a point within 0.2 mm of a rim.
         """
         kinds, rows, _ = distinct(discs, discs)
-        system = galerkin(kinds, self.surface, terms_of(kinds, self._medium, self._ends), self.orders)
+        terms = terms_of(kinds, self._medium, np.array([self.low, self.high]))
+        system = galerkin(kinds, self.surface, terms, self.orders)
         a = system.matrix(self._integrals(system))
         shown, by_order = system.by_order(a)
         whole = system.free_compliance(shown) if free else by_order[-1]
@@ -130,10 +131,6 @@ class Tabulated:
     @property
     def _medium(self) -> Medium:
         return Medium(self.layers, "halfspace", self.surface)
-
-    @property
-    def _ends(self) -> FloatArray:
-        return np.array([self.low, self.high])
 
     def _integrals(self, system: Galerkin) -> ComplexArray:
         table = system.table

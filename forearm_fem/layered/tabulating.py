@@ -48,7 +48,10 @@ def tabulate(
     omega = chebyshev_nodes(*band, _DEGREE)
     build = _Builder(medium, radius, contact, omega, tolerance)
     edges = (2 * radius, radius)
-    grids = [np.linspace(np.sqrt(0.9 * CLEAR), np.sqrt(farthest - e), _count(farthest - e, step)) for e in edges]
+    grids = []
+    for edge in edges:  # even in the root of the distance, and a step apart at its end
+        count = max(12, int(np.ceil(2 * (farthest - edge) / step)))
+        grids.append(np.linspace(np.sqrt(0.9 * CLEAR), np.sqrt(farthest - edge), count))
     total, done = sum(len(g) for g in grids), [0]
 
     def counted(count: int) -> None:
@@ -61,11 +64,6 @@ def tabulate(
         np.zeros(omega.size),
     )  # fmt: skip
     return replace(made, checked=MARGIN * _seen(made, tolerance))
-
-
-def _count(reach: float, step: float) -> int:
-    """Nodes even in the root of the distance that lie ``step`` apart at its end."""
-    return max(12, int(np.ceil(2 * reach / step)))
 
 
 def _seen(made: Tabulated, tolerance: float) -> FloatArray:
@@ -125,7 +123,8 @@ class _Builder:
         one = self.system(near, [1.0]).table
         kinds = _part(one, np.flatnonzero(one.distance > 0))
         if not near:
-            kinds = _part(kinds, np.array([i for i in range(kinds.a.size) if not _both_points(kinds, i)]))
+            point = np.array([g.kind == "point" for g in kinds.radials])
+            kinds = _part(kinds, np.flatnonzero(~(point[kinds.a] & point[kinds.b])))
         index = {named(kinds, _column(kinds, i)): i for i in range(kinds.a.size)}
         values = []
         distance, more = edge + root**2, _lacking(one, kinds)
@@ -164,7 +163,3 @@ def _lacking(table: HankelTable, kinds: HankelTable) -> HankelTable:
 
 def _column(table: HankelTable, i: int) -> Column:
     return Column(int(table.kernel[i]), int(table.a[i]), int(table.b[i]), int(table.order[i]))
-
-
-def _both_points(table: HankelTable, i: int) -> bool:
-    return bool(table.radials[table.a[i]].kind == "point" and table.radials[table.b[i]].kind == "point")

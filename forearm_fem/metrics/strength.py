@@ -59,13 +59,10 @@ def signal_strength(
             AccuracyWarning,
             stacklevel=2,
         )
-    return _quotient(float(areas[target]), float(others[known].mean()))
-
-
-def _quotient(target: float, others: float) -> float:
-    if others > 0:
-        return target / others
-    return float("inf") if target > 0 else float("nan")
+    moved, elsewhere = float(areas[target]), float(others[known].mean())
+    if elsewhere > 0:
+        return moved / elsewhere
+    return float("inf") if moved > 0 else float("nan")
 
 
 WITHOUT_BOUND = 1e6  # of S: beyond it rounding is all that moves the other points

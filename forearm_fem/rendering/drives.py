@@ -146,23 +146,17 @@ def displacements(transfer: TransferMatrix | Placed, drives: Drives) -> Displace
     placed = _placed(transfer, drives.record)
     if len(placed.inputs) != len(drives.inputs):
         raise ScenarioError(f"G has {len(placed.inputs)} inputs, the drives {len(drives.inputs)}")
-    spectrum, outside = _shared_bins(placed, drives)
+    own = np.rint(drives.frequency / drives.record.df).astype(int)
+    spectrum, outside = drives.spectrum, 0.0
+    if not np.array_equal(placed.bins.index, own):  # the spectra on G's bins, and the drive's energy on other bins
+        _, here, there = np.intersect1d(placed.bins.index, own, return_indices=True)
+        spectrum = np.zeros((len(placed.bins.index), len(drives.inputs)), dtype=complex)
+        spectrum[here] = drives.spectrum[there]
+        outside = float(np.sum(np.abs(drives.spectrum) ** 2)) - float(np.sum(np.abs(spectrum) ** 2))
     values = respond(placed, spectrum)
     lost = _unanswered(placed, spectrum, outside)
     values[lost > 0.5] = np.nan
     return Displacements(drives.method, drives.target, placed.outputs, drives.record, values, lost)
-
-
-def _shared_bins(placed: Placed, drives: Drives) -> tuple[ComplexArray, float]:
-    """Drive spectra on G's bins, and the drive's energy on other bins."""
-    own = np.rint(drives.frequency / drives.record.df).astype(int)
-    if np.array_equal(placed.bins.index, own):
-        return drives.spectrum, 0.0
-    _, here, there = np.intersect1d(placed.bins.index, own, return_indices=True)
-    spectrum = np.zeros((len(placed.bins.index), len(drives.inputs)), dtype=complex)
-    spectrum[here] = drives.spectrum[there]
-    total = float(np.sum(np.abs(drives.spectrum) ** 2))
-    return spectrum, total - float(np.sum(np.abs(spectrum) ** 2))
 
 
 def _unanswered(placed: Placed, spectrum: ComplexArray, outside: float) -> FloatArray:

@@ -34,15 +34,13 @@ def funneling_weights(inputs: tuple[Port, ...], target: Port) -> FloatArray:
     try:
         grid = lattice_of(inputs, "funneling, actuators")
     except GeometryError:  # no rectangle
-        return _elsewhere(inputs, target)
-    shares = [
-        _shares(at, lines, grid.slack, target.name)
-        for at, lines in zip(grid.coordinates(target), (grid.rows, grid.columns), strict=True)
-    ]
-    return np.asarray(shares[0][grid.place[:, 0]] * shares[1][grid.place[:, 1]])
-
-
-def _elsewhere(inputs: tuple[Port, ...], target: Port) -> FloatArray:
+        grid = None
+    if grid is not None:
+        shares = [
+            _shares(at, lines, grid.slack, target.name)
+            for at, lines in zip(grid.coordinates(target), (grid.rows, grid.columns), strict=True)
+        ]
+        return np.asarray(shares[0][grid.place[:, 0]] * shares[1][grid.place[:, 1]])
     place, at = positions(inputs)[:, :2], positions((target,))[0, :2]
     if not (nearest := nearest_distance(place)) > 0:
         raise GeometryError("funneling, actuators: two of them lie at one place; give each its own")
@@ -56,10 +54,9 @@ def _elsewhere(inputs: tuple[Port, ...], target: Port) -> FloatArray:
     along, aside = place @ line, abs(float((at - place.mean(axis=0)) @ np.array([-line[1], line[0]])))
     if aside > slack:
         raise GeometryError(f"funneling: target '{target.name}' lies {aside:.3g} m outside the actuators' line")
-    order = np.argsort(along)
-    shares = np.empty(len(inputs))
-    shares[order] = _shares(float(at @ line), along[order], slack, target.name, "line")
-    return shares
+    order, weights = np.argsort(along), np.empty(len(inputs))
+    weights[order] = _shares(float(at @ line), along[order], slack, target.name, "line")
+    return weights
 
 
 def _shares(at: float, lines: FloatArray, slack: float, name: str, what: str = "rectangle") -> FloatArray:

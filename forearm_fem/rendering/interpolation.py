@@ -40,10 +40,8 @@ def filled_in(
     Samples on a bin are copied; the others serve a cubic spline per unbroken run of valid samples. Raises
     DataError where the spline's estimated error exceeds the tolerance.
     """
-    out, on = (
-        np.zeros((len(index), values.shape[1]), dtype=complex),
-        np.zeros((len(index), values.shape[1]), dtype=bool),
-    )
+    shape = (len(index), values.shape[1])
+    out, on = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=bool)
     nearest = np.rint(place).astype(int)
     rows = np.nonzero((np.abs(place - nearest) < _ON_BIN) & np.isin(nearest, index))[0]
     copied = nearest[rows] - index[0]
@@ -51,9 +49,10 @@ def filled_in(
     if options.enabled and len(open_bins):
         for columns, run in _runs(place, valid, options.gap):
             inside = open_bins[(open_bins > place[run[0]]) & (open_bins < place[run[-1]])]
-            target = np.ix_(inside - index[0], columns)
-            out[target] = _spline(place[run], values[np.ix_(run, columns)], inside, df, options.tolerance)
-            on[target] = True
+            if len(inside):
+                known, target = values[np.ix_(run, columns)], np.ix_(inside - index[0], columns)
+                _judge(place[run], known, inside, df, options.tolerance)
+                out[target], on[target] = CubicSpline(place[run], known)(inside), True
     out[copied], on[copied] = values[rows], valid[rows]
     return out, on
 
@@ -71,13 +70,6 @@ def _runs(place: FloatArray, valid: BoolArray, gap: float) -> list[tuple[IntArra
         pieces = np.split(np.arange(len(place)), np.nonzero(broken)[0] + 1)
         runs.extend((columns, run) for run in pieces if len(run) >= _SHORTEST)
     return runs
-
-
-def _spline(place: FloatArray, values: ComplexArray, bins: IntArray, df: float, tolerance: float) -> ComplexArray:
-    if len(bins) == 0:
-        return np.zeros((0, values.shape[1]), dtype=complex)
-    _judge(place, values, bins, df, tolerance)
-    return np.asarray(CubicSpline(place, values)(bins))
 
 
 def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float, tolerance: float) -> None:

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..typing import ComplexArray
-from .control import Control
 from .drives import Aim
 from .funneling import absent_inputs, known_bins
-from .inversion import Regularisation, decomposed, least_squares
+from .inversion import Control, Regularisation, decomposed, least_squares
 from .spectrum import Placed
 from .zeros import AutoZeros, Zeros, chosen_zeros, settled_zeros, within_thesis
 
@@ -66,23 +65,15 @@ def aim_at(
         rule = Regularisation() if within_thesis(placed) else Regularisation("noise", rule)
 
     def towards(names: tuple[str, ...]) -> Aim:
-        return _least_squares(placed, (target, *names), displacement, rule)
+        control = control_of(placed, (target, *names))
+        used = control.used
+        wanted = np.zeros((int(used.sum()), len(control.rows)), dtype=complex)
+        wanted[:, control.rows.index(placed.row(target))] = displacement[used]
+        spectrum = np.zeros((len(used), len(placed.inputs)), dtype=complex)
+        spectrum[used], report = least_squares(control.h, wanted, rule, placed.bins.frequency[used], placed.error[used])
+        return Aim(spectrum, used, names, report)
 
     return towards(chosen_zeros(zeros, placed, target, towards))
-
-
-def _least_squares(
-    placed: Placed, names: tuple[str, ...], displacement: ComplexArray, regularisation: Regularisation
-) -> Aim:
-    """Drives for ``displacement`` at the first of ``names`` and none at the others."""
-    control = control_of(placed, names)
-    wanted = np.zeros((int(control.used.sum()), len(control.rows)), dtype=complex)
-    wanted[:, control.rows.index(placed.row(names[0]))] = displacement[control.used]
-    spectrum = np.zeros((len(control.used), len(placed.inputs)), dtype=complex)
-    spectrum[control.used], report = least_squares(
-        control.h, wanted, regularisation, placed.bins.frequency[control.used], placed.error[control.used]
-    )
-    return Aim(spectrum, control.used, names[1:], report)
 
 
 def control_of(placed: Placed, names: Iterable[str]) -> Control:

@@ -64,6 +64,19 @@ def decomposed(matrix: ComplexArray) -> Decomposed:
 
 
 @dataclass(frozen=True, eq=False)
+class Control:
+    """Control points: H of some outputs, by increasing ``rows`` of G, on the bins that are ``used`` (n_bins,), those
+    where all of it is known.
+
+    What is wanted at these outputs is a right-hand side, so that targets and methods with the same ones share it.
+    """
+
+    rows: tuple[int, ...]
+    used: BoolArray
+    h: Decomposed
+
+
+@dataclass(frozen=True, eq=False)
 class Inversion:
     """What the inversion of ``h`` met at each of its bins, by what it was ``wanted`` (n, c) to do, the ``drive`` (n, q)
     that came out and the ``weights`` (n, k) of its singular vectors; worked out where it is asked for.
@@ -126,15 +139,18 @@ def least_squares(
     error: FloatArray | None = None,
 ) -> tuple[ComplexArray, Inversion]:
     """:func:`invert` of an H that is decomposed already: nothing here costs more than a product with it."""
-    s = h.s
+    s, kind, value = h.s, regularisation.kind, regularisation.value
     beta = (h.inward @ wanted[:, :, None])[:, :, 0]
-    if regularisation.kind == "noise":
+    if kind == "noise":
         stated = np.zeros(len(s)) if error is None else np.nan_to_num(error)
-        relative = np.maximum(stated, regularisation.value) * np.sqrt(h.matrix.shape[1])
-        parameter = relative * h.largest
+        parameter = np.maximum(stated, value) * np.sqrt(h.matrix.shape[1]) * h.largest
+    elif kind == "discrepancy":
+        parameter = _discrepancy(s, beta, value * np.linalg.norm(wanted, axis=1))
+    elif kind == "lcurve":
+        parameter = _lcurve(s, beta, wanted, max(value, 1e-12))
     else:
-        parameter = _parameter(s, beta, wanted, regularisation)
-    weights = _weights(s, parameter, regularisation.kind)
+        parameter = value * s[:, 0]
+    weights = _weights(s, parameter, kind)
     drive = (h.outward @ (weights * beta)[:, :, None])[:, :, 0]
     drive *= h.driven  # rounding would leave 1e-16 on a dead actuator
     return drive, Inversion(h, wanted, drive, weights, frequency, parameter, regularisation)
@@ -148,14 +164,6 @@ def _weights(s: FloatArray, parameter: FloatArray, kind: RegularisationKind) -> 
         return np.divide(1, s, out=np.zeros_like(s), where=kept)
     damped = s + parameter[:, None] * np.divide(parameter[:, None], s, out=np.zeros_like(s), where=s > 0)
     return np.divide(1, damped, out=np.zeros_like(s), where=(s > floor) & (s > 0))
-
-
-def _parameter(s: FloatArray, beta: ComplexArray, wanted: ComplexArray, regularisation: Regularisation) -> FloatArray:
-    if regularisation.kind == "discrepancy":
-        return _discrepancy(s, beta, regularisation.value * np.linalg.norm(wanted, axis=1))
-    if regularisation.kind == "lcurve":
-        return _lcurve(s, beta, wanted, max(regularisation.value, 1e-12))
-    return np.asarray(regularisation.value * s[:, 0])
 
 
 def _factors(s: FloatArray, parameter: FloatArray) -> FloatArray:

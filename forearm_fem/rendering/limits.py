@@ -47,11 +47,17 @@ class DriveReport:
 def check(drives: Drives, limits: Limits | None = None) -> DriveReport:
     """Peak, rms and power of each actuator against ``limits``; raises ScenarioError for a bad averaging window."""
     limits = limits or Limits()
-    peak = np.abs(drives.signals).max(axis=1)
-    rms = np.sqrt(np.mean(drives.signals**2, axis=1))
+    squares = drives.signals**2
+    peak, loudest = np.abs(drives.signals).max(axis=1), np.mean(squares, axis=1)
+    rms = np.sqrt(loudest)
     if drives.unit != "V":
         return DriveReport(peak, rms, np.full(len(peak), np.nan), (), False)
-    power = _mean_square(drives, limits.window) / limits.resistance
+    if limits.window is not None:
+        samples = round(limits.window * drives.record.sample_rate)
+        if not 1 <= samples <= drives.record.n:
+            raise ScenarioError(f"the power's window of {limits.window:g} s must hold 1 to {drives.record.n} samples")
+        loudest = np.maximum(uniform_filter1d(squares, samples, axis=1, mode="wrap"), 0).max(axis=1)
+    power = loudest / limits.resistance
     over = [
         f"{p.name}: {v:.3g} V peak, limit {limits.voltage:g} V"
         for p, v in zip(drives.inputs, peak, strict=True)
@@ -63,16 +69,6 @@ def check(drives: Drives, limits: Limits | None = None) -> DriveReport:
         if w > limits.power
     ]
     return DriveReport(peak, rms, power, tuple(over), True)
-
-
-def _mean_square(drives: Drives, window: float | None) -> FloatArray:
-    if window is None:
-        return np.asarray(np.mean(drives.signals**2, axis=1))
-    samples = round(window * drives.record.sample_rate)
-    if not 1 <= samples <= drives.record.n:
-        raise ScenarioError(f"the power's window of {window:g} s must hold 1 to {drives.record.n} samples")
-    running = uniform_filter1d(drives.signals**2, samples, axis=1, mode="wrap")
-    return np.asarray(np.maximum(running, 0).max(axis=1))
 
 
 def beyond_limits(

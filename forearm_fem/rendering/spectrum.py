@@ -20,8 +20,8 @@ from ..errors import DataError, ScenarioError
 from ..ports import Port
 from ..transfer import TransferMatrix, relative_error_at
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .control import Control
 from .interpolation import Interpolation, filled_in
+from .inversion import Control
 
 
 @dataclass(frozen=True)

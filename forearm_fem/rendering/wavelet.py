@@ -117,15 +117,6 @@ def from_samples_file(
     record = Record.of(sample_rate, duration)
     if rate is not None and abs(rate / sample_rate - 1) > 1e-3:
         raise DataError(f"{path.name} is sampled at {rate:g} Hz, expected {sample_rate:g} Hz; resample it first")
-    _check(path, samples, record)
-    peak = int(np.argmax(np.abs(samples)))
-    placed = np.zeros(record.n)
-    placed[: samples.size] = samples
-    placed = np.roll(placed, record.centre - peak)
-    return Wavelet(placed / abs(samples[peak]) if normalise else placed, record, path.name)
-
-
-def _check(path: Path, samples: FloatArray, record: Record) -> None:
     if samples.ndim != 1 or samples.size < 2:
         raise DataError(f"{path.name}: expected one row of at least 2 samples, got an array of shape {samples.shape}")
     if not np.all(np.isfinite(samples)):
@@ -134,6 +125,11 @@ def _check(path: Path, samples: FloatArray, record: Record) -> None:
         raise DataError(f"{path.name}: all {samples.size} samples are zero")
     if samples.size > record.n:
         raise DataError(f"{path.name}: {samples.size} samples do not fit into the record of {record.n}")
+    peak = int(np.argmax(np.abs(samples)))
+    placed = np.zeros(record.n)
+    placed[: samples.size] = samples
+    placed = np.roll(placed, record.centre - peak)
+    return Wavelet(placed / abs(samples[peak]) if normalise else placed, record, path.name)
 
 
 def _read(path: Path) -> tuple[FloatArray, float | None]:
@@ -155,7 +151,9 @@ def _read(path: Path) -> tuple[FloatArray, float | None]:
 
 def _read_csv(path: Path) -> tuple[FloatArray, float | None]:
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"]
-    if lines and not _is_number(lines[0].split(",")[0]):
+    try:
+        float(lines[0].split(",")[0])
+    except (ValueError, IndexError):  # names of the columns, or nothing
         lines = lines[1:]
     if not lines:
         raise ValueError("it holds no numbers")
@@ -168,14 +166,6 @@ def _read_csv(path: Path) -> tuple[FloatArray, float | None]:
     if steps.size == 0 or steps.min() <= 0 or np.ptp(steps) > 1e-3 * steps.mean():
         raise ValueError("its first column is not an evenly increasing time")
     return table[:, 1], float(1 / steps.mean())
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _read_wav(path: Path) -> tuple[FloatArray, float | None]:

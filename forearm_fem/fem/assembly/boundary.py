@@ -9,6 +9,7 @@ from scipy.sparse import csr_array, kron
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
+from ...geometry.mesh.topology import triangle_normals
 from ...typing import BoolArray, FloatArray, IntArray
 from ..space.elements import tabulate
 from ..space.numbering import MixedSpace, facet_points
@@ -21,8 +22,7 @@ _MORE = 2  # degrees of the rule beyond what is exact on plane facets: the measu
 
 def facet_normals(points: FloatArray, facets: IntArray) -> tuple[FloatArray, FloatArray]:
     """Unit normals (k, 3), in the facets' own orientation, and areas (k,) [m^2]."""
-    a, b, c = (points[facets[:, i]] for i in range(3))
-    cross = np.cross(b - a, c - a)
+    cross = triangle_normals(points, facets)
     length = np.linalg.norm(cross, axis=1)
     return cross / length[:, None], length / 2
 

@@ -78,6 +78,14 @@ def polynomial_weights(taylor: ComplexArray) -> tuple[FloatArray, FloatArray, Fl
     return taylor[:, 0].real, (taylor[:, 1] / 1j).real, (-taylor[:, 2]).real
 
 
+def polynomial_of(coefficient: Coefficient) -> tuple[float, float, float] | None:
+    """Weights of 1, i omega and -omega^2 in one coefficient; None where it is no such polynomial."""
+    if not is_polynomial(coefficient):
+        return None
+    constant, rate, inertia = polynomial_weights(coefficient.taylor(0.0, 2)[None])
+    return float(constant[0]), float(rate[0]), float(inertia[0])
+
+
 def rate_weights(coefficients: Sequence[Coefficient], rate: float) -> FloatArray:
     """Weights (3, n_term) of A_0, A_1 and A_2 in A(s) = A_0 + A_1 d + A_2 d^2 with s = ``rate`` (1 + d) for i omega.
 

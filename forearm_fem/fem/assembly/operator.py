@@ -120,9 +120,21 @@ class WeightedSum:
 def affine_operator(
     matrices: Sequence[tuple[str, csr_array, Coefficient]], n_displacements: int, pressure_scale: float
 ) -> AffineOperator:
-    """Put real symmetric matrices (full, equal shape) on one upper-triangle pattern."""
+    """Put real symmetric matrices (full, equal shape) on one upper-triangle pattern, the diagonal included."""
     uppers = in_threads(_sorted_upper, [matrix for _, matrix, _ in matrices])
-    pattern, places = _together(uppers)
+    eye = csr_array(eye_array(uppers[0].shape[0], format="csr"))
+    if (patterns := compiled("kernels.triple_products")) is None:
+        pattern = eye
+        for upper in uppers:
+            ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
+            pattern = csr_array(pattern + ones)
+        pattern.sort_indices()
+        places = [_positions(upper, pattern) for upper in uppers]
+    else:
+        indptr, indices, entries = patterns.merged(*stacked([*uppers, eye]))
+        pattern = csr_array((np.empty(len(indices), np.int8), indices, indptr), shape=eye.shape)
+        ends = np.cumsum([0, *(m.nnz for m in uppers)])
+        places = [entries[a:b] for a, b in pairwise(ends)]
     terms = tuple(
         Term(name, position, upper.data, coefficient)
         for (name, _, coefficient), upper, position in zip(matrices, uppers, places, strict=True)
@@ -137,26 +149,6 @@ def _sorted_upper(matrix: csr_array) -> csr_array:
     upper = csr_array(triu(matrix, format="csr"))
     upper.sort_indices()
     return upper
-
-
-def _together(uppers: Sequence[csr_array]) -> tuple[csr_array, list[IntArray]]:
-    """The pattern of all ``uppers`` and the diagonal, values of no meaning, and where the entries of each are in it."""
-    eye = csr_array(eye_array(uppers[0].shape[0], format="csr"))
-    if (patterns := compiled("kernels.triple_products")) is None:
-        pattern = _union(eye, uppers)
-        return pattern, [_positions(upper, pattern) for upper in uppers]
-    indptr, indices, places = patterns.merged(*stacked([*uppers, eye]))
-    pattern = csr_array((np.empty(len(indices), np.int8), indices, indptr), shape=eye.shape)
-    ends = np.cumsum([0, *(m.nnz for m in uppers)])
-    return pattern, [places[a:b] for a, b in pairwise(ends)]
-
-
-def _union(total: csr_array, uppers: Sequence[csr_array]) -> csr_array:
-    for upper in uppers:
-        ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
-        total = csr_array(total + ones)
-    total.sort_indices()
-    return total
 
 
 def _positions(upper: csr_array, pattern: csr_array) -> IntArray:

@@ -2,11 +2,12 @@
 
 On an affine tetrahedron every integral is a fixed tensor of the reference element contracted with the Jacobian,
 D_ij = |J| sum_ab (J^-1)_ai (J^-1)_bj R_ab, so no quadrature loop is left (design.md: 125 s -> seconds). Where edges
-bend there is one (:mod:`forearm_fem.fem.space.bent`). Equality with scikit-fem's own forms is tested to 1e-13.
+bend there is one (:func:`bent_matrices`). Equality with scikit-fem's own forms is tested to 1e-13.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -18,10 +19,12 @@ from skfem.refdom import RefTet
 from ...typing import BoolArray, FloatArray, IntArray
 from ..kernels.compiled import compiled
 from ..kernels.sparse import added, congruent, projected
-from ..space.bent import bent_matrices
 from ..space.elements import tabulate
 from ..space.numbering import MixedSpace
 from ..space.orders import Orders
+
+_MORE = 2  # degrees of the rule for bent tetrahedra beyond what is exact where edges are straight
+_BENT_AT_ONCE = 250  # of them, whose matrices stay in the cache
 
 
 @dataclass(frozen=True)
@@ -158,13 +161,59 @@ def shear_blocks(inverse: FloatArray, volume: FloatArray, reference: FloatArray)
     The blocks are combined as 3x3 tensors of the Jacobian, before the contraction makes them nb^2 / 9 times larger.
     """
     metric = np.einsum("e,eai,ebj->ijeab", volume, inverse, inverse, optimize=True)
+    nb = reference.shape[2]
+    whole = _deviatoric(metric).reshape(9 * len(volume), 9) @ reference.reshape(9, nb * nb)
+    return np.asarray(whole.reshape(3, 3, len(volume), nb, nb))
+
+
+def _deviatoric(metric: FloatArray) -> FloatArray:
+    """Blocks (3, 3, ...) of the stiffness that keeps volumes free, from products (3, 3, ...) of gradients."""
     blocks = np.swapaxes(metric, 0, 1) - (2 / 3) * metric
     trace = metric[0, 0] + metric[1, 1] + metric[2, 2]
     for i in range(3):
         blocks[i, i] += trace
-    nb = reference.shape[2]
-    whole = blocks.reshape(9 * len(volume), 9) @ reference.reshape(9, nb * nb)
-    return np.asarray(whole.reshape(3, 3, len(volume), nb, nb))
+    return np.asarray(blocks)
+
+
+@dataclass(frozen=True)
+class BentMatrices:
+    """Element matrices of k tetrahedra: ``shear`` (3, 3, k, nb, nb) as :func:`shear_blocks` has them,
+    ``mass`` (k, nb, nb), ``divergence`` (3, k, npb, nb) and ``pressure_mass`` (k, npb, npb)."""
+
+    shear: FloatArray
+    mass: FloatArray
+    divergence: FloatArray
+    pressure_mass: FloatArray
+
+
+def bent_matrices(space: MixedSpace, tetrahedra: IntArray) -> Iterator[tuple[slice, BentMatrices]]:
+    """Matrices of some ``tetrahedra`` (n,), piece by piece, and which of them each piece holds."""
+    if not len(tetrahedra):
+        return
+    points, weights = get_quadrature(RefTet, space.pair.degree + _MORE)
+    values, slopes = tabulate(space.pair.displacement, points)
+    pressures, _ = tabulate(space.pair.pressure, points)
+    for start in range(0, len(tetrahedra), _BENT_AT_ONCE):
+        piece = slice(start, start + _BENT_AT_ONCE)
+        jacobians = space.jacobians_at(tetrahedra[piece], points)
+        measure = np.abs(np.linalg.det(jacobians)) * weights
+        gradients = np.einsum("nqri,brq->nibq", np.linalg.inv(jacobians), slopes, optimize=True)
+        n, _, nb, q = gradients.shape
+        rows = gradients.reshape(n, 3 * nb, q)
+        metric = (rows * measure[:, None]) @ rows.transpose(0, 2, 1)
+        part = BentMatrices(
+            _deviatoric(metric.reshape(n, 3, nb, 3, nb).transpose(1, 3, 0, 2, 4)),
+            _mass(values, measure),
+            np.einsum("pq,nibq->inpb", pressures, gradients * measure[:, None, None], optimize=True),
+            _mass(pressures, measure),
+        )
+        yield piece, part
+
+
+def _mass(values: FloatArray, measure: FloatArray) -> FloatArray:
+    """Integrals (n, nb, nb) of products of functions with ``values`` (nb, q)."""
+    products = (values[:, None] * values).reshape(-1, values.shape[1])
+    return np.asarray((measure @ products.T).reshape(len(measure), len(values), len(values)))
 
 
 def scatter(rows: IntArray, columns: IntArray, values: FloatArray, shape: tuple[int, int]) -> csr_array:

@@ -37,22 +37,18 @@ def mkl_library() -> ctypes.CDLL | None:
     """The MKL runtime, or None where it is not installed or FOREARM_FEM_MKL is "off" in the environment."""
     if os.environ.get("FOREARM_FEM_MKL") == "off":
         return None
-    for candidate in _candidates():
-        try:
-            return ctypes.CDLL(candidate)
-        except OSError:
-            continue
-    return None
-
-
-def _candidates() -> list[str]:
-    """Files named mkl_rt inside this environment first (wheels put them off the loader's path)."""
+    # files named mkl_rt inside this environment first: wheels put them off the loader's path
     roots = {Path(sysconfig.get_path("data")), Path(sys.prefix), Path(sys.base_prefix)}
     folders = [root / sub for root in roots for sub in ("lib", "Library/bin")]
     found = [
         str(f) for folder in folders for f in sorted(folder.glob("*mkl_rt*")) if ".so" in f.name or ".dll" in f.name
     ]
-    return [*found, "libmkl_rt.so", "libmkl_rt.so.2", "mkl_rt.2.dll"]
+    for candidate in (*found, "libmkl_rt.so", "libmkl_rt.so.2", "mkl_rt.2.dll"):
+        try:
+            return ctypes.CDLL(candidate)
+        except OSError:
+            continue
+    return None
 
 
 class PardisoFactor:
@@ -83,7 +79,17 @@ class PardisoFactor:
 
     def _analyse(self, data: ComplexArray | FloatArray) -> None:
         self._dtype = np.complex64 if self.single else np.complex128
-        self._parameters = _parameters(self.single, self._matching, ordered=self._order is not None)
+        parameters = self._parameters = np.zeros(64, dtype=np.int32)
+        parameters[0] = 1  # own values below, not the defaults
+        parameters[1] = 2  # nested dissection (METIS), where it is not given
+        parameters[4] = int(self._order is not None)
+        parameters[9] = 8  # perturb pivots below 1e-8 |A|
+        parameters[10] = 1  # scaling
+        parameters[12] = int(self._matching)  # symmetric weighted matching
+        parameters[17] = -1  # count the factors' entries
+        parameters[20] = 1  # Bunch-Kaufman pivoting
+        parameters[27] = int(self.single)
+        parameters[34] = 1  # zero-based indices
         self._data = np.ascontiguousarray(data, dtype=self._dtype)
         self._run(_ANALYSE)
 
@@ -156,21 +162,6 @@ class PardisoFactor:
         )  # fmt: skip
         if error.value:
             raise SolverError(f"PARDISO: {_MESSAGES.get(error.value, f'error {error.value}')} (n = {self.n})")
-
-
-def _parameters(single: bool, matching: bool, *, ordered: bool) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
-    parameters = np.zeros(64, dtype=np.int32)
-    parameters[0] = 1  # own values below, not the defaults
-    parameters[1] = 2  # nested dissection (METIS), where it is not given
-    parameters[4] = int(ordered)
-    parameters[9] = 8  # perturb pivots below 1e-8 |A|
-    parameters[10] = 1  # scaling
-    parameters[12] = int(matching)  # symmetric weighted matching
-    parameters[17] = -1  # count the factors' entries
-    parameters[20] = 1  # Bunch-Kaufman pivoting
-    parameters[27] = int(single)
-    parameters[34] = 1  # zero-based indices
-    return parameters
 
 
 def _integer(value: int) -> ctypes._Pointer[ctypes.c_int]:

@@ -148,6 +148,11 @@ def _shared(count: int) -> list[list[slice]]:
     return [pieces[k::threads] for k in range(threads)]
 
 
+def inverse_or_zero(lengths: FloatArray) -> FloatArray:
+    """1 / ``lengths``, zero where they are zero."""
+    return np.where(lengths > 0, 1 / np.where(lengths > 0, lengths, 1.0), 0.0)
+
+
 def real_columns(blocks: Sequence[ComplexArray]) -> FloatArray:
     """Real and imaginary parts (n, 2 sum of k) of complex ``blocks`` (n, k), one block after the other."""
     columns = np.empty((len(blocks[0]), 2 * sum(block.shape[1] for block in blocks)))
@@ -169,12 +174,17 @@ def orthonormal_extension(
     noise, and columns shorter than 1e-14 of their block's longest are rounding alone. The second result are the
     coordinates of all columns, scaled to unit length, in the basis and the new directions together.
     """
-    _scale_in_place(columns, widths, n_u)
+    norms, ends = np.sqrt(np.einsum("ij,ij->j", columns[:n_u], columns[:n_u])), np.cumsum(widths)
+    longest = np.repeat([norms[e - w : e].max(initial=0.0) for e, w in zip(ends, widths, strict=True)], widths)
+    kept = norms > 1e-14 * longest
+    columns *= np.where(kept, 1 / np.where(kept, norms, 1.0), 0.0)
     known = basis.inner(columns[:n_u])
     basis.subtract_in_place(columns, known)
     gram = columns[:n_u].T @ columns[:n_u]
     directions = _directions(gram, widths, drop)
-    new = _combined_in_place(columns, directions)
+    new = columns[:, : directions.shape[1]]  # they stand where the first columns stood
+    for rows in _pieces(len(columns)):
+        new[rows] = columns[rows] @ directions
     basis.subtract_in_place(new, basis.inner(new[:n_u]))  # weak directions had rounding of known ones left
     half = np.linalg.inv(np.linalg.cholesky(new[:n_u].T @ new[:n_u])).T
     return new @ half, np.vstack([known, (directions @ half).T @ gram])
@@ -188,7 +198,7 @@ def rough_extension(basis: Basis, blocks: Sequence[FloatArray], n_u: int, *, dro
     """
     widths = [block.shape[1] for block in blocks]
     lengths = np.concatenate([np.linalg.norm(block[:n_u], axis=0) for block in blocks])
-    scale = np.where(lengths > 0, 1 / np.where(lengths > 0, lengths, 1.0), 0.0)
+    scale = inverse_or_zero(lengths)
     starts = np.cumsum([0, *widths])
     columns = np.hstack(
         [(b * scale[i:j]).astype(np.float32) for b, (i, j) in zip(blocks, pairwise(starts), strict=True)]
@@ -199,23 +209,6 @@ def rough_extension(basis: Basis, blocks: Sequence[FloatArray], n_u: int, *, dro
     last = len(directions) - 1 - (directions[::-1] != 0).argmax(axis=0)  # of a block's columns, none behind them
     counts = np.histogram(last, starts)[0]
     return np.split(new, np.cumsum(counts)[:-1], axis=1)
-
-
-def _scale_in_place(columns: FloatArray, widths: Sequence[int], n_u: int) -> None:
-    """Displacements of each column to unit length, negligible columns to zero."""
-    norms = np.sqrt(np.einsum("ij,ij->j", columns[:n_u], columns[:n_u]))
-    ends = np.cumsum(widths)
-    longest = np.repeat([norms[e - w : e].max(initial=0.0) for e, w in zip(ends, widths, strict=True)], widths)
-    kept = norms > 1e-14 * longest
-    columns *= np.where(kept, 1 / np.where(kept, norms, 1.0), 0.0)
-
-
-def _combined_in_place(columns: FloatArray, directions: FloatArray) -> FloatArray:
-    """columns @ directions (n, m), standing where the first m columns stood."""
-    new = columns[:, : directions.shape[1]]
-    for rows in _pieces(len(columns)):
-        new[rows] = columns[rows] @ directions
-    return new
 
 
 def _directions(gram: FloatArray, widths: Sequence[int], drop: float) -> FloatArray:

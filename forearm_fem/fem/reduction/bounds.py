@@ -8,7 +8,7 @@ and P where damping is modal, so
 
 whatever modes V lacks, as long as alpha is theirs, too. So modes close to omega are taken to resonate exactly there,
 whether they do or not, and alpha is halved once more: a mode that V lacks may lose half as much as the least damped of
-its neighbours, and damping that couples modes changes alpha by less than that (docs/decisions/sharp-resonances.md).
+its neighbours, and damping that couples modes changes alpha by less than that (docs/decisions/0028).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 import scipy.linalg
 
 from ...typing import ComplexArray, FloatArray
-from ..assembly.coefficients import Coefficient, is_polynomial, polynomial_weights
+from ..assembly.coefficients import Coefficient, polynomial_of
 from ..linear.direct import DirectSolver, watched
 from .poles import Modes
 from .reduced_model import ReducedModel
@@ -104,7 +104,7 @@ def undamped_modes(reduced: ReducedModel, frequency: FloatArray) -> UndampedMode
     """Modes of the reduced model with the moduli that it keeps in the middle of the band."""
     omega = 2 * np.pi * frequency
     theta = np.array([np.broadcast_to(c.at(omega), omega.shape) for c in reduced.coefficients])
-    inertia = np.array([_inertia(c) for c in reduced.coefficients])
+    inertia = np.array([(polynomial_of(c) or (0.0, 0.0, 0.0))[2] for c in reduced.coefficients])
     held = theta.real + np.outer(inertia, omega**2)
     stiffness, mass = (np.tensordot(w, reduced.matrices, 1) for w in (held[:, len(omega) // 2], inertia))
     _, shapes = scipy.linalg.eigh(stiffness, mass)
@@ -123,14 +123,8 @@ def sharp_modes(reduced: ReducedModel, frequency: FloatArray, loss: float) -> in
     return int(np.sum(modes.lost[1:][crossed] < loss * modes.kept[1:][crossed]))
 
 
-def _inertia(coefficient: Coefficient) -> float:
-    if not is_polynomial(coefficient):
-        return 0.0
-    return float(polynomial_weights(coefficient.taylor(0.0, 2)[None])[2][0])
-
-
 def _at_rate(coefficient: Coefficient, rate: float) -> float:
-    if not is_polynomial(coefficient):
+    if (known := polynomial_of(coefficient)) is None:
         return float(complex(coefficient.at(np.array(rate))).real)
-    constant, slope, inertia = (float(w[0]) for w in polynomial_weights(coefficient.taylor(0.0, 2)[None]))
+    constant, slope, inertia = known
     return constant + rate * slope + rate**2 * inertia

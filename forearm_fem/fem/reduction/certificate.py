@@ -90,11 +90,10 @@ def most_doubtful_bin(bounds: FloatArray, frequency: FloatArray, known: Sequence
     return Doubt(float(frequency[worst]), float(bounds.max()), wary=True)
 
 
-def largest_change(model: ForearmModel, reduced: ReducedModel, frequency: FloatArray) -> float:
-    """Largest change of G over the band by what the lower model lacks."""
+def largest_change(model: ForearmModel, reduced: ReducedModel, smaller: ReducedModel, frequency: FloatArray) -> float:
+    """Largest change of G over the band by what the ``smaller`` model lacks."""
     probes = probe_frequencies(frequency, ())[::2]
-    change = relative_error(_watched(model, reduced.lower(), probes), _watched(model, reduced, probes))
-    return float(change.max())
+    return float(relative_error(_watched(model, smaller, probes), _watched(model, reduced, probes)).max())
 
 
 def _watched(model: ForearmModel, reduced: ReducedModel, probes: FloatArray) -> ComplexArray:
@@ -117,6 +116,5 @@ def certified(reduced: ReducedModel, model: ForearmModel, truth: ComplexArray, a
 
 def error_at(reduced: ReducedModel, model: ForearmModel, frequency: float, truth: ComplexArray) -> float:
     """Of the reduced compliance at the watched ports, relative to the largest entry of the ``truth`` there."""
-    block = np.ix_([0], *watched(model))
-    estimate = reduced.compliance(np.array([frequency]))
-    return float(relative_error(estimate[block], truth[None][block])[0])
+    known = truth[None][np.ix_([0], *watched(model))]
+    return float(relative_error(_watched(model, reduced, np.array([frequency])), known)[0])

@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import SolverError
 from ...progress import Progress, tell
 from ...scenario.sweep import SolverOptions
-from ...typing import ComplexArray, FloatArray, IntArray
+from ...typing import ComplexArray, FloatArray
 from ..assembly.coefficients import is_polynomial
 from ..assembly.model import ForearmModel
 from ..kernels.heap import give_back
@@ -100,7 +100,8 @@ class Expander:
 
     def __init__(self, model: ForearmModel, options: SolverOptions, store: Snapshots | None, residual: float) -> None:
         self.model, self._options, self._store, self._residual = model, options, store, residual
-        self.orders = derivative_orders(model, options)
+        self.orders = np.full(len(model.ports), min(options.point_derivatives, options.derivatives))
+        self.orders[watched(model)[1]] = options.derivatives  # more of the watched forces' solutions than the others'
         self._solver: DirectSolver | None = None
         self._space: RateSpace | None = None  # while the factors about its rate are there
 
@@ -195,7 +196,7 @@ class Expander:
             if tolerance is not None and derivatives >= _AT_LEAST:
                 if derivatives == _AT_LEAST and sharp_modes(reduced, frequency, _SHARP) >= _SEVERAL:
                     return self._about_rate_with_care(frequency, _SURE * tolerance, progress)
-                change = largest_change(self.model, reduced, frequency)
+                change = largest_change(self.model, reduced, reduced.lower(), frequency)
                 if change <= tolerance:
                     break
                 if change > DOUBTFUL and derivatives >= _SLOW:
@@ -222,7 +223,7 @@ class Expander:
             reduced = with_last_columns(reduced, self.model, chunk.columns)
             tell(progress, "derivatives", chunk.derivatives, chunk.derivatives)
             if chunk.derivatives >= _AT_LEAST:
-                change = largest_change(self.model, reduced, frequency)
+                change = largest_change(self.model, reduced, reduced.lower(), frequency)
         made = Made(reduced, expansion_rate(frequency), space.derivatives, residual=space.residual, sharp=True)
         return made if change <= wanted else None
 
@@ -269,13 +270,6 @@ def starts_from_rate(model: ForearmModel, options: SolverOptions) -> bool:
             "set solver.start = 'auto'"
         )
     return able and options.start != "frequencies"
-
-
-def derivative_orders(model: ForearmModel, options: SolverOptions) -> IntArray:
-    """How many derivatives (n_port,) are kept of each port's solution: the watched forces' more than the others'."""
-    orders = np.full(len(model.ports), min(options.point_derivatives, options.derivatives))
-    orders[watched(model)[1]] = options.derivatives
-    return orders
 
 
 def expansion_rate(frequency: FloatArray) -> float:

@@ -110,7 +110,11 @@ class Growing:
     def extended_where_worst(self, places: Sequence[Place], of_contacts: int, of_points: int, *, early: bool) -> None:
         """The trial at the place with the largest estimate, whose solution then belongs to the space, with so many
         derivatives by frequency."""
-        found = [self._change_at(p) for p in places]
+        found = []
+        for number, f in places:
+            drawn = replace(self.reduced, coefficients=self._draws[number])
+            whole, less = with_and_without(drawn, self._strong, f)
+            found.append((self._difference(less, whole), whole))
         draw, f = places[int(np.argmax([change for change, _ in found]))]
         estimated, whole = max(found, key=lambda pair: pair[0])
         solver, ports = self._of(self._draws[draw]), range(len(self._model.ports))
@@ -174,11 +178,6 @@ class Growing:
         columns = np.hstack([part for x in scaled for part in (x.real, x.imag)])
         return np.asarray(np.linalg.eigh(columns @ columns.T)[1][:, ::-1])
 
-    def _change_at(self, place: Place) -> tuple[float, ComplexArray]:
-        drawn = replace(self.reduced, coefficients=self._draws[place[0]])
-        whole, less = with_and_without(drawn, self._strong, place[1])
-        return self._difference(less, whole), whole
-
     def _difference(self, estimate: ComplexArray, truth: ComplexArray) -> float:
         """e(f) of the watched entries."""
         block = np.ix_(*watched(self._model))
@@ -203,13 +202,9 @@ class Growing:
     def _of(self, draw: Coefficients) -> DirectSolver:
         if self._ready is None:
             self._ready = make_solver(self._model, self._options, self._highest)
-        return replace(self._ready, model=with_coefficients(self._model, draw))
-
-
-def with_coefficients(model: ForearmModel, coefficients: Coefficients) -> ForearmModel:
-    """The same matrices with other coefficients of the terms."""
-    terms = tuple(replace(t, coefficient=c) for t, c in zip(model.operator.terms, coefficients, strict=True))
-    return replace(model, operator=replace(model.operator, terms=terms))
+        operator = self._model.operator
+        terms = tuple(replace(t, coefficient=c) for t, c in zip(operator.terms, draw, strict=True))
+        return replace(self._ready, model=replace(self._model, operator=replace(operator, terms=terms)))
 
 
 def kelvin_voigt_like(coefficient: Coefficient, omega: float) -> Coefficient:

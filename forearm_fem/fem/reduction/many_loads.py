@@ -8,8 +8,6 @@ multiplied. Columns are made orthonormal in single precision, as in :func:`.basi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from ...typing import FloatArray
@@ -43,25 +41,22 @@ class LoadSpace:
 
         ``drop`` is the share of a direction's length below which it is taken as known.
         """
-        before = self.basis
-        block = np.hstack([np.zeros((len(forces), 0), dtype=np.float32), *self._orders(forces, drop)])
-        self.basis = before.with_block(block) if block.shape[1] else before
-        return block
-
-    def _orders(self, forces: FloatArray, drop: float) -> Iterator[Columns]:
-        """The new columns, order by order."""
+        known, found = self.basis, [np.zeros((len(forces), 0), dtype=np.float32)]
         pairs, last = Pairs(np.zeros((self.size, 0)), np.zeros((self.size, 0))), 0
         for order in range(self._derivatives + 1):
             x = self._solved(forces) if order == 0 else self._derivative(pairs.last(last))
             before = pairs.last(last).upper if order else np.zeros((0, x.shape[1]))
             new, columns = self._extended(x, before, drop)
             if not columns.shape[1]:
-                return
+                break
             new = pairs.remainder(new)
             pairs, last = pairs.and_then(new), new.count
-            yield columns
+            found.append(columns)
             if not last:
-                return
+                break
+        block = np.hstack(found)
+        self.basis = known.with_block(block) if block.shape[1] else known
+        return block
 
     def _derivative(self, latest: Pairs) -> FloatArray:
         """The next derivative (n, k) of the solutions that the ``latest`` pairs stand for."""

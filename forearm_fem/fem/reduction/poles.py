@@ -10,6 +10,7 @@ import scipy.linalg
 
 from ...typing import ComplexArray, FloatArray
 from ..assembly.coefficients import is_polynomial, polynomial_weights
+from .rational import chebyshev_frequencies
 from .reduced_model import ReducedModel
 
 _BAND = np.linspace(10.0, 500.0, 50)  # [Hz]
@@ -23,9 +24,7 @@ def compressed(reduced: ReducedModel, frequency: FloatArray, *, samples: int = 4
     Singular directions below ``drop`` of the largest (states of unit length) are left out; projection keeps the
     structure. Costs ``samples`` small solves, and makes each later frequency several times cheaper.
     """
-    low, high = np.sqrt(frequency[0]), np.sqrt(frequency[-1])
-    nodes = (low + (high - low) * (1 - np.cos(np.pi * np.arange(samples) / max(samples - 1, 1))) / 2) ** 2
-    states = reduced.states(nodes)
+    states = reduced.states(chebyshev_frequencies(frequency, samples))
     columns = np.concatenate([states.real, states.imag], axis=2).transpose(1, 0, 2).reshape(reduced.size, -1)
     norms = np.linalg.norm(columns, axis=0)
     keep = norms > 1e-12 * norms.max()
@@ -77,34 +76,23 @@ def pole_residue(reduced: ReducedModel, frequency: FloatArray = _BAND) -> Modes 
     """Diagonalised reduced pencil, or None where a modulus is not Kelvin-Voigt or the diagonalisation is inaccurate.
 
     Every coefficient must be a polynomial of second degree in omega (Kelvin-Voigt, springs, dashpots, masses). With
-    s = i omega: (K + s C + s^2 M) q = f, companion form s [q, s q]; the result is checked against direct reduced
+    s = i omega: (K + s C + s^2 M) q = f, first companion form s [q, s q]; the result is checked against direct reduced
     solves at bins of ``frequency`` (n,) [Hz], where it will be used, and refused above 1e-8.
     """
     if not all(is_polynomial(c) for c in reduced.coefficients):
         return None
     taylor = np.array([c.taylor(0.0, 2) for c in reduced.coefficients])
     stiffness, damping, mass = (np.tensordot(w, reduced.matrices, 1) for w in polynomial_weights(taylor))
-    poles, shapes, right = _companion(stiffness, damping, mass, reduced.functionals)
-    result = Modes(poles, reduced.functionals.T @ shapes, right, reduced.shares, shapes)
-    return result if _agrees(result, reduced, frequency) else None
-
-
-def _companion(
-    stiffness: FloatArray, damping: FloatArray, mass: FloatArray, functionals: FloatArray
-) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Poles, shapes and amplitudes from the first companion form, in units of a typical rate."""
-    r = len(mass)
-    rate = np.sqrt(np.linalg.norm(stiffness) / np.linalg.norm(mass))
+    r, functionals = reduced.size, reduced.functionals
+    rate = np.sqrt(np.linalg.norm(stiffness) / np.linalg.norm(mass))  # a typical one, the unit of s
     inverse_k = np.linalg.solve(mass, stiffness) / rate**2
     inverse_c = np.linalg.solve(mass, damping) / rate
     companion = np.block([[np.zeros((r, r)), np.eye(r)], [-inverse_k, -inverse_c]])
     values, vectors = scipy.linalg.eig(companion)
     source = np.vstack([np.zeros_like(functionals), np.linalg.solve(mass, functionals) / rate**2])
-    return values * rate, vectors[:r], np.linalg.solve(vectors, source) * rate
-
-
-def _agrees(result: PoleResidue, reduced: ReducedModel, frequency: FloatArray) -> bool:
+    shapes, right = vectors[:r], np.linalg.solve(vectors, source) * rate
+    result = Modes(values * rate, functionals.T @ shapes, right, reduced.shares, shapes)
     probes = frequency[np.unique(np.linspace(0, len(frequency) - 1, _PROBES).astype(int))]
     exact, fast = reduced.compliance(probes), result.compliance(probes)
-    scale = np.nanmax(np.abs(exact), axis=(1, 2))
-    return bool(np.all(np.nanmax(np.abs(exact - fast), axis=(1, 2)) < 1e-8 * scale))
+    off, scale = np.nanmax(np.abs(exact - fast), axis=(1, 2)), np.nanmax(np.abs(exact), axis=(1, 2))
+    return result if np.all(off < 1e-8 * scale) else None

@@ -16,7 +16,7 @@ from scipy.linalg.lapack import csysv, csysv_lwork
 from ...errors import SolverError
 from ...typing import BoolArray, ComplexArray, FloatArray
 from ..assembly.coefficients import Coefficient, grouped
-from .reduced_model import ReducedModel
+from .reduced_model import ReducedModel, combined
 
 Single = NDArray[np.complex64]
 
@@ -49,8 +49,7 @@ class Summed:
         Raises SolverError where the system is singular.
         """
         flat, size = self.sums.reshape(len(self.sums), -1), self.reduced.size
-        theta, matrix = self.theta(np.array([frequency]))[0].astype(np.complex64), np.empty(size**2, dtype=np.complex64)
-        matrix.real, matrix.imag = theta.real @ flat, theta.imag @ flat
+        matrix = combined(self.theta(np.array([frequency]))[0].astype(np.complex64), flat, np.complex64)
         return _solution(matrix.reshape(size, size).T, _right(self.reduced) if right is None else right)
 
     def compliance(self, frequency: FloatArray) -> ComplexArray:
@@ -89,10 +88,8 @@ def _right(reduced: ReducedModel) -> Single:
 def _matrix(reduced: ReducedModel, frequency: float) -> Single:
     """A (r, r) in columns, from the terms one by one: cheaper than their sums for one frequency."""
     theta = np.array([complex(c.at(np.array(2 * np.pi * frequency))) for c in reduced.coefficients])
-    flat, size = reduced.matrices.reshape(len(theta), -1), reduced.size
-    matrix = np.empty(size * size, dtype=np.complex64)
-    matrix.real, matrix.imag = theta.real @ flat, theta.imag @ flat
-    return matrix.reshape(size, size).T  # symmetric
+    matrix = combined(theta, reduced.matrices.reshape(len(theta), -1), np.complex64)
+    return matrix.reshape(reduced.size, reduced.size).T  # symmetric
 
 
 def _solution(matrix: Single, right: Single) -> Single:

@@ -16,7 +16,7 @@ import numpy as np
 from ...typing import FloatArray
 from ..assembly.coefficients import rate_weights
 from ..linear.direct import ENOUGH, DirectSolver
-from .basis import Basis, Columns
+from .basis import Basis, Columns, inverse_or_zero
 from .reduced_model import compressible
 
 _REFINED = 8  # first derivatives, which are refined once: what solves leave in them reaches all others
@@ -112,7 +112,8 @@ class RateSpace:
     def more(self, count: int) -> Chunk:
         """The next ``count`` derivatives; fewer columns, or none, once what the forces can reach is exhausted."""
         if self._start is None:
-            self._start = self._first_solution()
+            solution = self._solver.about_rate(self._weights[0], self._forces)
+            self._start, self.residual = solution.values, solution.residual
         known, old = self._basis, self._pairs
         columns, end = np.empty((len(self._forces), count * self._forces.shape[1]), self._number), 0
         for _ in range(count):
@@ -137,30 +138,22 @@ class RateSpace:
         rough = self._solver.factor.single and self._solver.tolerance >= ENOUGH
         return np.float32 if rough else np.float64
 
-    def _first_solution(self) -> FloatArray:
-        """Factorise and solve for the forces."""
-        solution = self._solver.about_rate(self._weights[0], self._forces)
-        self.residual = solution.residual
-        return solution.values
-
     def _derivative(self) -> FloatArray:
         """The next derivative (n, last) of the solutions that the last pairs stand for."""
         latest, one, two = self._pairs.last(self._last), self._weights[1], self._weights[2]
         both = self._basis.combination(np.hstack([latest.upper, 2 * latest.upper + latest.lower]))
         # A_1 x_(k-1) + A_2 x_(k-2) so that masses, whose part of A_1 is twice that of A_2, take one product and not two
-        right = -self._product(np.array([one - 2 * two, two]), both[:, : self._last], both[:, self._last :])
-        x = self._solved(right)
-        if self._needs_refining():
-            change = self._solved(right - self._product(self._weights[:1], x))
+        matrices, solve = self._solver.model.operator.matrices, self._solver.factor.solve
+        right = -matrices.real_sum(np.array([one - 2 * two, two]), (both[:, : self._last], both[:, self._last :]))
+        x = solve(right)
+        # the first derivatives are refined; all where much is asked or factors are poor, none in double precision
+        early = self.derivatives < _REFINED or self._solver.tolerance < ENOUGH
+        if self._correction > _CAREFUL or (early and self._correction > _EXACT):
+            change = solve(right - matrices.real_sum(self._weights[:1], (x,)))
             x = x + change
             n_u = self._solver.model.operator.n_displacements
             self._correction = float(np.linalg.norm(change[:n_u]) / np.linalg.norm(x[:n_u]))
         return x
-
-    def _needs_refining(self) -> bool:
-        """The first derivatives; all where much is asked or factors are poor, none in double precision."""
-        early = self.derivatives < _REFINED or self._solver.tolerance < ENOUGH
-        return self._correction > _CAREFUL or (early and self._correction > _EXACT)
 
     def _extended(self, x: FloatArray) -> FloatArray:
         """Columns that the derivative ``x`` (n, b) of the last pairs adds to the space; its pairs are noted."""
@@ -170,11 +163,12 @@ class RateSpace:
             known = self._basis.inner(rest[:n_u])
             self._basis.subtract_in_place(rest, known)
             coordinates += known
-            gram = _gram(rest[:n_u])
+            gram = rest[:n_u].T @ rest[:n_u]
             if (np.sqrt(gram.diagonal()) >= _AGAIN * lengths).all():
                 break
         directions = _directions(gram, lengths, self._nothing)
-        directions = directions @ np.linalg.inv(np.linalg.cholesky(_gram(rest[:n_u] @ directions))).T
+        new_u = rest[:n_u] @ directions
+        directions = directions @ np.linalg.inv(np.linalg.cholesky(new_u.T @ new_u)).T
         upper = np.vstack([coordinates, directions.T @ gram])
         before = self._pairs.last(self._last).upper if self.derivatives else np.zeros((0, x.shape[1]))
         lower = np.pad(before, ((0, len(upper) - len(before)), (0, 0)))
@@ -182,24 +176,13 @@ class RateSpace:
         self._pairs, self._last, self.derivatives = self._pairs.and_then(new), new.count, self.derivatives + 1
         return np.asarray(rest @ directions)
 
-    def _product(self, weights: FloatArray, *columns: FloatArray) -> FloatArray:
-        """sum_j sum_t ``weights[j, t]`` A_t x_j for the ``columns`` x_j (n, k)."""
-        return self._solver.model.operator.matrices.real_sum(weights, columns)
-
-    def _solved(self, right: FloatArray) -> FloatArray:
-        return np.asarray(self._solver.factor.solve(right))
-
-
-def _gram(x: FloatArray) -> FloatArray:
-    return np.asarray(x.T @ x)
-
 
 def _directions(gram: FloatArray, lengths: FloatArray, nothing: float) -> FloatArray:
     """Combinations (b, k) of columns with these products that are orthonormal, without those that are ``nothing``.
 
     Columns are compared with the ``lengths`` (b,) that they had.
     """
-    scale = np.where(lengths > 0, 1 / np.where(lengths > 0, lengths, 1.0), 0.0)
+    scale = inverse_or_zero(lengths)
     values, vectors = np.linalg.eigh(scale[:, None] * gram * scale)
     keep = values > nothing**2
     return np.asarray(scale[:, None] * vectors[:, keep] / np.sqrt(values[keep]))

@@ -12,14 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...typing import ComplexArray, FloatArray, IntArray
-from ..assembly.coefficients import Coefficient, grouped, is_polynomial, polynomial_weights
+from ..assembly.coefficients import Coefficient, grouped, polynomial_of
 from ..assembly.model import ForearmModel
 from ..assembly.operator import AffineOperator
-from .basis import Basis, Columns, orthonormal_extension, real_columns
+from .basis import Basis, Columns, inverse_or_zero, orthonormal_extension, real_columns
 
 _DROP = 1e-5  # of a snapshot's length: weaker directions carry what single-precision solves leave, and cost time
 _SAME = 1e-10  # of the strongest pressures' energy, each of unit energy: weaker combinations of them are rounding
@@ -62,7 +64,7 @@ class ReducedModel:
         flat = np.array([np.tensordot(weights, self.matrices, 1).ravel() for weights, _ in sums])
         theta = np.array([np.broadcast_to(c.at(omega), omega.shape) for _, c in sums])
         right = self.functionals.astype(complex)
-        rows = [np.linalg.solve(_combined(w, flat).reshape(self.size, self.size), right) for w in theta.T]
+        rows = [np.linalg.solve(combined(w, flat).reshape(self.size, self.size), right) for w in theta.T]
         return np.array(rows)
 
     def compliance(self, frequency: FloatArray) -> ComplexArray:
@@ -113,14 +115,13 @@ class ReducedModel:
 
 def _static(coefficient: Coefficient) -> float:
     """What a term keeps without inertia."""
-    if not is_polynomial(coefficient):
-        return float(complex(coefficient.at(np.array(_TYPICAL))).real)
-    return float(polynomial_weights(coefficient.taylor(0.0, 2)[None])[0][0])
+    known = polynomial_of(coefficient)
+    return float(complex(coefficient.at(np.array(_TYPICAL))).real) if known is None else known[0]
 
 
-def _combined(weights: ComplexArray, parts: FloatArray) -> ComplexArray:
-    """weights @ parts, without a complex copy of the ``parts`` (k, m)."""
-    total = np.empty(parts.shape[1], dtype=complex)
+def combined(weights: NDArray[Any], parts: NDArray[Any], number: type = complex) -> NDArray[Any]:
+    """weights @ parts as complex numbers of a kind, without a complex copy of the real ``parts`` (k, m)."""
+    total: NDArray[Any] = np.empty(parts.shape[1], dtype=number)
     total.real, total.imag = weights.real @ parts, weights.imag @ parts
     return total
 
@@ -167,16 +168,26 @@ def extend(
 
 def with_columns(reduced: ReducedModel, model: ForearmModel, added: Columns, low: FloatArray) -> ReducedModel:
     """The space with orthonormal ``added`` columns (n, k); ``low`` (r + k, m) are the lower model's snapshots in it."""
-    old = np.vstack([reduced.low, np.zeros((added.shape[1], reduced.low.shape[1]))])
-    matrices, coupling = _extended_matrices(reduced, model.operator, added)
+    operator, old, basis = model.operator, reduced.size, reduced.basis.with_block(added)
+    total, place = old + added.shape[1], reduced.names.index(_COUPLING)
+    matrices, coupling = np.zeros((len(operator.terms), total, total)), np.zeros((total, total))
+    columns = _projected(basis, operator, added)  # only products with the added columns are new
+    coupling[:old, :old] = reduced.coupling
+    coupling[old:], coupling[:, old:] = columns[place].T, columns[-1]
+    matrices[:, :old, :old] = reduced.matrices
+    for matrix, new in zip(matrices, columns[:-1], strict=True):
+        matrix[:, old:] = new
+        matrix[old:, :old] = new[:old].T
+        matrix[old:, old:] = _symmetric(new[old:])
+    matrices[place] = coupling + coupling.T
     if compressible(model.operator):
-        matrices[reduced.names.index(_COUPLING)] = condensed(coupling, -matrices[reduced.names.index(_STORAGE)])
+        matrices[place] = condensed(coupling, -matrices[reduced.names.index(_STORAGE)])
     return replace(
         reduced,
         matrices=matrices,
         functionals=np.vstack([reduced.functionals, Basis((added,)).inner(model.functionals)]),
-        basis=reduced.basis.with_block(added),
-        low=np.hstack([old, low]),
+        basis=basis,
+        low=np.hstack([np.pad(reduced.low, ((0, added.shape[1]), (0, 0))), low]),
         coupling=coupling,
     )
 
@@ -196,8 +207,7 @@ def condensed(coupling: FloatArray, storage: FloatArray) -> FloatArray:
     noise only, what had made the stiffness negative. Here S cancels against the compression's term, -S, and
     G^T S^+ G is an energy.
     """
-    lengths = np.sqrt(np.maximum(storage.diagonal(), 0.0))
-    unit = np.where(lengths > 0, 1 / np.where(lengths > 0, lengths, 1.0), 0.0)
+    unit = inverse_or_zero(np.sqrt(np.maximum(storage.diagonal(), 0.0)))
     values, vectors = np.linalg.eigh(unit[:, None] * storage * unit)
     keep = values > _SAME * values.max(initial=0.0)
     seen = ((unit[:, None] * vectors[:, keep]) / np.sqrt(values[keep])).T @ coupling
@@ -208,25 +218,6 @@ def compressible(operator: AffineOperator) -> bool:
     """Whether all pressures compress something: where tissue is incompressible their energy says nothing of them."""
     storage = next(t for t in operator.terms if t.name == _STORAGE)
     return bool((operator.term_matrix(storage).diagonal()[operator.n_displacements :] < 0).all())
-
-
-def _extended_matrices(
-    reduced: ReducedModel, operator: AffineOperator, added: Columns
-) -> tuple[FloatArray, FloatArray]:
-    """Projected matrices of all terms, and their coupling; only products with the added columns are new."""
-    old, basis = reduced.size, reduced.basis.with_block(added)
-    total = old + added.shape[1]
-    matrices, coupling = np.zeros((len(operator.terms), total, total)), np.zeros((total, total))
-    columns = _projected(basis, operator, added)
-    coupling[:old, :old] = reduced.coupling
-    coupling[old:], coupling[:, old:] = columns[reduced.names.index(_COUPLING)].T, columns[-1]
-    matrices[:, :old, :old] = reduced.matrices
-    for matrix, new in zip(matrices, columns[:-1], strict=True):
-        matrix[:, old:] = new
-        matrix[old:, :old] = new[:old].T
-        matrix[old:, old:] = _symmetric(new[old:])
-    matrices[reduced.names.index(_COUPLING)] = coupling + coupling.T
-    return matrices, coupling
 
 
 def _projected(basis: Basis, operator: AffineOperator, added: Columns) -> FloatArray:

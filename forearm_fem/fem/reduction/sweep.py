@@ -10,11 +10,10 @@ import numpy as np
 from ...errors import SolverError
 from ...progress import Progress, tell
 from ...scenario.sweep import SolverOptions
-from ...transfer import relative_error
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
-from ..linear.direct import ENOUGH, make_solver, watched
-from .certificate import Certificate, certified, error_at, probe_frequencies
+from ..linear.direct import ENOUGH, make_solver
+from .certificate import Certificate, certified, error_at, largest_change
 from .expansion import Expander, Made, Snapshots, expansion_frequencies, starts_from_rate
 from .poles import Modes, compressed, pole_residue
 from .reduced_model import ReducedModel
@@ -57,7 +56,7 @@ class SweepResult:
     def unstable_poles(self) -> int:
         """Poles of the reduced model in the right half-plane, far outside the band: it is good for frequencies there.
 
-        None where all tissue is compressible (:func:`.reduce.condensed`).
+        None where all tissue is compressible (:func:`.reduced_model.condensed`).
         """
         return 0 if self.reduced is None else self.reduced.negative_directions()
 
@@ -118,25 +117,25 @@ def reduced_sweep(
     residual = ENOUGH if tolerance is None else min(ENOUGH, _SHARE * tolerance)
     work = Expander(model, options, snapshots, residual)
     try:
-        return _reduced(work, frequency, options, tolerance, progress)
+        made = work.about_rate(frequency, tolerance, progress) if starts_from_rate(model, options) else None
+        if made is None:
+            made = work.about_frequencies(expansion_frequencies(frequency, options), progress)
+        if tolerance is not None:
+            made = _certified(work, made, frequency, options, tolerance, progress)
+        work.release()
+        result = replace(_swept(model, made, frequency, tolerance), solver=work.solver)
     except np.linalg.LinAlgError as problem:
         raise SolverError(
             f"the reduced model breaks down in this band ({problem}); set solver.sweep = 'direct', or give the tissues "
             "more viscosity (tissues.override)"
         ) from None
-
-
-def _reduced(
-    work: Expander, frequency: FloatArray, options: SolverOptions, tolerance: float | None, progress: Progress | None
-) -> SweepResult:
-    model = work.model
-    begun = work.about_rate(frequency, tolerance, progress) if starts_from_rate(model, options) else None
-    if begun is None:
-        begun = work.about_frequencies(expansion_frequencies(frequency, options), progress)
-    done = begun if tolerance is None else _certified(work, begun, frequency, options, tolerance, progress)
-    work.release()
-    result = replace(_swept(model, done, frequency, tolerance), solver=work.solver)
-    return result if tolerance is None else _usable(result)
+    if tolerance is not None and result.certificates and result.reduction_error > _USELESS:
+        raise SolverError(
+            f"the reduced model of {len(result.expansions)} expansion frequencies may be wrong by "
+            f"{result.reduction_error:.2g} times G: it does not resolve the resonances of this band; raise "
+            "solver.max_expansions, narrow the band, or set solver.sweep = 'direct'"
+        )
+    return result
 
 
 def _refuse_lossless(model: ForearmModel, frequency: FloatArray) -> None:
@@ -185,21 +184,14 @@ def _certified(
         made = work.extended(made, worst.frequency, truth)
 
 
-def _usable(result: SweepResult) -> SweepResult:
-    if result.certificates and result.reduction_error > _USELESS:
-        raise SolverError(
-            f"the reduced model of {len(result.expansions)} expansion frequencies may be wrong by "
-            f"{result.reduction_error:.2g} times G: it does not resolve the resonances of this band; raise "
-            "solver.max_expansions, narrow the band, or set solver.sweep = 'direct'"
-        )
-    return result
-
-
 def _swept(model: ForearmModel, made: Made, frequency: FloatArray, tolerance: float | None) -> SweepResult:
     wary = made.sharp or any(c.wary for c in made.certificates)
     small, change = made.reduced, 0.0
     if not wary and not made.rate:  # derivatives about a rate are few enough, and hold for other moduli too
-        small, change = _second_stage(model, made.reduced, frequency, tolerance or _UNCERTIFIED)
+        most = tolerance or _UNCERTIFIED
+        tried = compressed(made.reduced, frequency, drop=max(0.1 * most, 1e-9))  # directions cost about their own size
+        changed = largest_change(model, made.reduced, tried, frequency)
+        small, change = (tried, changed) if changed <= most else (made.reduced, 0.0)
     fast = pole_residue(small, frequency)
     values = small.compliance(frequency) if fast is None else fast.compliance(frequency)
     return SweepResult(
@@ -215,14 +207,3 @@ def _swept(model: ForearmModel, made: Made, frequency: FloatArray, tolerance: fl
         rate=made.rate,
         derivatives=made.derivatives,
     )
-
-
-def _second_stage(
-    model: ForearmModel, reduced: ReducedModel, frequency: FloatArray, tolerance: float
-) -> tuple[ReducedModel, float]:
-    """The compressed model and what that changes at the watched ports over the band; as it was where that is much."""
-    small = compressed(reduced, frequency, drop=max(0.1 * tolerance, 1e-9))  # directions cost about their own size
-    probes = probe_frequencies(frequency, ())[::2]
-    block = np.ix_(range(len(probes)), *watched(model))
-    change = float(relative_error(small.compliance(probes)[block], reduced.compliance(probes)[block]).max())
-    return (small, change) if change <= tolerance else (reduced, 0.0)

@@ -50,8 +50,7 @@ class Piece:
     def change(self, draw: Coefficients, frequency: float) -> tuple[ComplexArray, ComplexArray]:
         """Compliances (n_port, n_port) of the whole and of the core for a draw."""
         one = np.array([frequency])
-        both = (quick_compliance(replace(m, coefficients=draw), one)[0] for m in (self.whole, self.core))
-        whole, core = both
+        whole, core = (quick_compliance(replace(m, coefficients=draw), one)[0] for m in (self.whole, self.core))
         return whole, core
 
 

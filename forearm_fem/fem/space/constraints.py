@@ -50,7 +50,14 @@ def constraints(
 
     Raises :class:`GeometryError` where a disc touches a held node or another disc.
     """
-    _check_discs(held, discs)
+    seen: dict[int, str] = {int(n): "a held boundary" for n in held}
+    for disc in discs:
+        if len(disc.nodes) == 0:
+            raise GeometryError(f"contact {disc.name} covers no mesh node; refine the mesh (mesh.size_contact)")
+        for node in disc.nodes:
+            if (other := seen.get(int(node))) is not None:
+                raise GeometryError(f"contact {disc.name} touches {other}; move it or make its radius smaller")
+            seen[int(node)] = f"contact {disc.name}"
     free = np.ones(3 * n_nodes, dtype=bool)
     free[(3 * held[:, None] + np.arange(3)).ravel()] = False
     for component, nodes in planes.items():
@@ -67,17 +74,6 @@ def constraints(
         parts.append(part)
     rows, columns, values = (np.concatenate([getattr(p, k) for p in parts]) for k in ("rows", "columns", "values"))
     return LinearConstraints(csr_array(coo_array((values, (rows, columns)), shape=(3 * n_nodes, count))), masters)
-
-
-def _check_discs(held: IntArray, discs: tuple[RigidDisc, ...]) -> None:
-    seen: dict[int, str] = {int(n): "a held boundary" for n in held}
-    for disc in discs:
-        if len(disc.nodes) == 0:
-            raise GeometryError(f"contact {disc.name} covers no mesh node; refine the mesh (mesh.size_contact)")
-        for node in disc.nodes:
-            if (other := seen.get(int(node))) is not None:
-                raise GeometryError(f"contact {disc.name} touches {other}; move it or make its radius smaller")
-            seen[int(node)] = f"contact {disc.name}"
 
 
 def _disc_entries(disc: RigidDisc, allowed: BoolArray, first: int) -> tuple[Triplets, int]:

@@ -11,7 +11,7 @@ import skfem
 from ...geometry.mesh.curved import bent_jacobians, bent_places, straight_jacobians
 from ...geometry.mesh.tissue_mesh import TissueMesh
 from ...typing import BoolArray, FloatArray, IntArray
-from .elements import ElementPair, element_pair
+from .elements import CUBIC_EDGES, CUBIC_FACES, ElementPair, element_pair
 
 
 @dataclass(frozen=True)
@@ -80,13 +80,13 @@ class MixedSpace:
     def facet_nodes(self, facets: IntArray) -> IntArray:
         """Displacement nodes that lie on any of the boundary facets (k, 3), ascending and unique."""
         tets, local = self.owners(facets)
-        return np.unique(np.concatenate([self.nodes[tets[local == f]][:, self._on_facet(f)].ravel() for f in range(4)]))
-
-    def _on_facet(self, local: int) -> IntArray:
-        """Basis functions that do not vanish on a local facet."""
-        points = facet_points(local, _PROBE)
-        values = np.array([self.pair.displacement.lbasis(points, i)[0] for i in range(self.nodes.shape[1])])
-        return np.flatnonzero(np.abs(values).max(axis=1) > 1e-12)
+        found = []
+        for f in range(4):
+            points = facet_points(f, _PROBE)
+            values = np.array([self.pair.displacement.lbasis(points, i)[0] for i in range(self.nodes.shape[1])])
+            not_zero = np.flatnonzero(np.abs(values).max(axis=1) > 1e-12)  # functions that do not vanish on the facet
+            found.append(self.nodes[tets[local == f]][:, not_zero].ravel())
+        return np.unique(np.concatenate(found))
 
     @cached_property
     def node_points(self) -> FloatArray:
@@ -98,7 +98,7 @@ class MixedSpace:
         return result
 
 
-_LOCAL_FACETS = np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]])
+_LOCAL_FACETS = np.array(CUBIC_FACES)
 _PROBE = np.array([[0.21, 0.4, 0.31, 0.05, 0.7], [0.33, 0.1, 0.57, 0.6, 0.15]])
 _REFERENCE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
@@ -112,15 +112,14 @@ def facet_points(local: int, points: FloatArray) -> FloatArray:
 def _node_place(name: str, i: int) -> FloatArray:
     """Barycentric place (4,) of basis function ``i``."""
     place = np.zeros(4)
-    edges = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
     if i < 4:
         place[i] = 1
     elif name == "P1":
         place[:] = 0.25
     elif name == "P2":
-        place[list(edges[i - 4])] = 0.5
+        place[list(CUBIC_EDGES[i - 4])] = 0.5
     elif i < 16:
-        near, far = edges[(i - 4) // 2] if i % 2 == 0 else edges[(i - 4) // 2][::-1]
+        near, far = CUBIC_EDGES[(i - 4) // 2] if i % 2 == 0 else CUBIC_EDGES[(i - 4) // 2][::-1]
         place[near], place[far] = 2 / 3, 1 / 3
     else:
         place[_LOCAL_FACETS[i - 16]] = 1 / 3

@@ -82,9 +82,15 @@ def graded_orders(mesh: TissueMesh, chosen: BoolArray) -> Orders:
     tetrahedra have six cubic edges: elsewhere displacements would not be rich enough for them.
     """
     high = mixed_space(mesh, "P3")
-    edges = _edges(high, chosen)
+    _, first, number = np.unique(high.nodes[:, 4:16:2], return_index=True, return_inverse=True)
+    tet, local, number = first // 6, first % 6, number.reshape(-1, 6)
+    is_cubic = np.zeros(len(first), dtype=bool)
+    is_cubic[number[chosen]] = True
+    ends = high.nodes[tet[:, None], _ENDS[local]]
+    thirds = np.column_stack([high.nodes[tet, 4 + 2 * local], high.nodes[tet, 5 + 2 * local]])
+    edges = _Edges(ends, thirds, is_cubic, number)
     spread, kept = _spread(high, edges)
-    cubic = np.asarray(edges.cubic[edges.number], dtype=bool)
+    cubic = is_cubic[number]
     spread_pressures, kept_pressures = _spread_pressures(high, np.asarray(cubic.all(axis=1)))
     nodes = kept[np.hstack([high.nodes[:, :4], high.nodes[:, 4:16:2]])]
     low = MixedSpace(
@@ -106,17 +112,6 @@ class _Edges:
     number: IntArray
 
 
-def _edges(space: MixedSpace, chosen: BoolArray) -> _Edges:
-    _, first, number = np.unique(space.nodes[:, 4:16:2], return_index=True, return_inverse=True)
-    tet, local = first // 6, first % 6
-    number = number.reshape(-1, 6)
-    cubic = np.zeros(len(first), dtype=bool)
-    cubic[number[chosen]] = True
-    ends = space.nodes[tet[:, None], _ENDS[local]]
-    thirds = np.column_stack([space.nodes[tet, 4 + 2 * local], space.nodes[tet, 5 + 2 * local]])
-    return _Edges(ends, thirds, cubic, number)
-
-
 @dataclass(frozen=True)
 class _Faces:
     """Each face's node (n,), corner nodes and edges (n, 3)."""
@@ -124,12 +119,6 @@ class _Faces:
     node: IntArray
     corners: IntArray
     sides: IntArray
-
-
-def _faces(space: MixedSpace, number: IntArray) -> _Faces:
-    node, first = np.unique(space.nodes[:, 16:20], return_index=True)
-    tet, local = first // 4, first % 4
-    return _Faces(node, space.nodes[tet[:, None], _CORNERS[local]], number[tet[:, None], _SIDES[local]])
 
 
 class _Weights:
@@ -150,7 +139,9 @@ class _Weights:
 
 def _spread(space: MixedSpace, edges: _Edges) -> tuple[csr_array, IntArray]:
     """What displacement nodes follow from, and the numbers of those kept."""
-    faces = _faces(space, edges.number)
+    node, first = np.unique(space.nodes[:, 16:20], return_index=True)
+    tet, local = first[:, None] // 4, first % 4
+    faces = _Faces(node, space.nodes[tet, _CORNERS[local]], edges.number[tet, _SIDES[local]])
     whole = edges.cubic[faces.sides].all(axis=1)
     own = np.ones(space.n_nodes, dtype=bool)  # nodes that are themselves unknowns
     own[edges.thirds[~edges.cubic]] = False
@@ -160,16 +151,12 @@ def _spread(space: MixedSpace, edges: _Edges) -> tuple[csr_array, IntArray]:
     kept = np.where(is_kept, np.cumsum(is_kept) - 1, -1)
     weights = _Weights()
     weights.put(np.flatnonzero(own), np.flatnonzero(own), 1.0)
-    _put_thirds(weights, edges.ends[~edges.cubic], edges.thirds[~edges.cubic])
-    _put_centres(weights, _Faces(faces.node[~whole], faces.corners[~whole], faces.sides[~whole]), edges)
-    return weights.matrix(kept), kept
-
-
-def _put_thirds(weights: _Weights, ends: IntArray, thirds: IntArray) -> None:
-    """Thirds (n, 2) of quadratic edges, whose middles stand where the first third would."""
+    ends, thirds = edges.ends[~edges.cubic], edges.thirds[~edges.cubic]  # middles stand where first thirds would
     for near, far in ((0, 1), (1, 0)):
         for column, weight in zip((ends[:, near], ends[:, far], thirds[:, 0]), _THIRD, strict=True):
             weights.put(thirds[:, near], column, weight)
+    _put_centres(weights, _Faces(faces.node[~whole], faces.corners[~whole], faces.sides[~whole]), edges)
+    return weights.matrix(kept), kept
 
 
 def _put_centres(weights: _Weights, faces: _Faces, edges: _Edges) -> None:

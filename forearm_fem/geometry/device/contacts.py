@@ -11,6 +11,7 @@ from ...ports import Port
 from ...typing import BoolArray, FloatArray, IntArray
 from ..mesh.refinement import rim_edges
 from ..mesh.tissue_mesh import TissueMesh
+from ..mesh.topology import edge_lengths, triangle_normals
 
 _LEAST_AREA = 0.9
 _ON_RIM = 1e-7  # relative to the radius
@@ -50,12 +51,11 @@ def with_true_rims(mesh: TissueMesh, ports: tuple[Port, ...], lead: float) -> Ti
     points = mesh.points.copy()
     for port in (p for p in ports if p.kind == "contact"):
         centre, axis = np.asarray(port.position), np.asarray(port.axis)
-        a, b, c = mesh.points[mesh.facets[f"contact {port.name}"]].transpose(1, 0, 2)
-        part = float(np.abs(np.cross(b - a, c - a) @ axis).sum() / 2) / _disc_area(mesh, port)
+        normals = triangle_normals(mesh.points, mesh.facets[f"contact {port.name}"])
+        part = float(np.abs(normals @ axis).sum() / 2) / _disc_area(mesh, port)
         if part > _LEAST_AREA:
             edges = rim_edges(mesh, port.name)
-            length = float(np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1).mean())
-            wanted = 1 - lead * length / port.radius
+            wanted = 1 - lead * float(edge_lengths(mesh.points, edges).mean()) / port.radius
             rim = np.unique(edges)
             away = mesh.points[rim] - centre
             across = away - np.outer(away @ axis, axis)
@@ -72,8 +72,7 @@ def _disc_area(mesh: TissueMesh, port: Port) -> float:
 
 def facet_area(points: FloatArray, facets: IntArray) -> float:
     """Total area [m^2] of triangles (k, 3)."""
-    a, b, c = points[facets].transpose(1, 0, 2)
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    return float(np.linalg.norm(triangle_normals(points, facets), axis=1).sum() / 2)
 
 
 def with_contacts(mesh: TissueMesh, ports: tuple[Port, ...]) -> TissueMesh:

@@ -12,6 +12,7 @@ from ...ports import Port
 from ...typing import FloatArray, IntArray
 from ..mesh.refinement import independent, onto_circle, split_edges
 from ..mesh.tissue_mesh import TissueMesh
+from ..mesh.topology import SIDES, edge_lengths, edges_of
 from .contacts import from_axis, near
 
 Lift = Callable[[FloatArray], FloatArray]
@@ -46,9 +47,7 @@ def _fit(points: FloatArray, port: Port, lift: Lift) -> FloatArray:
 
 def _skin_edges(mesh: TissueMesh, port: Port) -> IntArray:
     skin = mesh.facets["skin"]
-    skin = skin[near(mesh.points, port)[skin].any(axis=1)]
-    pairs = np.sort(skin[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return np.asarray(np.unique(pairs, axis=0))
+    return edges_of(skin[near(mesh.points, port)[skin].any(axis=1)], SIDES)
 
 
 def _snapped(mesh: TissueMesh, port: Port, lift: Lift) -> TissueMesh:
@@ -56,7 +55,11 @@ def _snapped(mesh: TissueMesh, port: Port, lift: Lift) -> TissueMesh:
     edges = _crossing(mesh, port)
     distance = from_axis(mesh.points, port) - port.radius
     part = np.abs(distance[edges]) / np.abs(distance[edges]).sum(axis=1, keepdims=True)
-    close = np.union1d(edges[part < _SNAP], _hugging(mesh, port, distance))
+    skin = _skin_edges(mesh, port)  # vertices nearer than part of their shortest edge, crossing the circle or not, too
+    shortest = np.full(len(mesh.points), 0.0)
+    shortest[np.unique(skin)] = np.inf
+    np.minimum.at(shortest, skin.ravel(), np.repeat(edge_lengths(mesh.points, skin), 2))
+    close = np.union1d(edges[part < _SNAP], np.flatnonzero(np.abs(distance) < _SNAP * shortest))
     if not len(close):
         return mesh
     moved = mesh.points.copy()
@@ -65,16 +68,6 @@ def _snapped(mesh: TissueMesh, port: Port, lift: Lift) -> TissueMesh:
     bad = np.unique(mesh.tetrahedra[trial.volumes <= 0.1 * mesh.volumes])
     moved[bad] = mesh.points[bad]
     return replace(mesh, points=moved)
-
-
-def _hugging(mesh: TissueMesh, port: Port, distance: FloatArray) -> IntArray:
-    """Skin vertices nearer to the circle than part of their shortest edge, crossing it or not."""
-    edges = _skin_edges(mesh, port)
-    length = np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
-    shortest = np.full(len(mesh.points), 0.0)
-    shortest[np.unique(edges)] = np.inf
-    np.minimum.at(shortest, edges.ravel(), np.repeat(length, 2))
-    return np.flatnonzero(np.abs(distance) < _SNAP * shortest)
 
 
 def _crossing(mesh: TissueMesh, port: Port) -> IntArray:

@@ -10,6 +10,7 @@ import numpy as np
 from ...typing import FloatArray, IntArray
 from ..mesh.nearby import meeting
 from ..mesh.tissue_mesh import TissueMesh
+from ..mesh.topology import triangle_normals
 
 _SLACK = 1e-9
 
@@ -29,10 +30,9 @@ class FacetSkin:
     @cached_property
     def normals(self) -> FloatArray:
         """Area-weighted outward unit normals (n, 3) of the vertices; zero away from the skin."""
-        a, b, c = self.points[self.facets].transpose(1, 0, 2)
-        total = np.zeros_like(self.points)
+        normals, total = triangle_normals(self.points, self.facets), np.zeros_like(self.points)
         for corner in self.facets.T:
-            np.add.at(total, corner, np.cross(b - a, c - a))
+            np.add.at(total, corner, normals)
         return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None])
 
     def __call__(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:

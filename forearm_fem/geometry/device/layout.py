@@ -51,7 +51,8 @@ def turned(scenario: Scenario, places: ArrayLike) -> FloatArray:
     """Limb coordinates (n, 2) [m] of ``places`` in the device's frame."""
     c, s = np.cos(scenario.device.rotation), np.sin(scenario.device.rotation)
     turn = np.array([[c, s], [-s, c]])  # row vectors times this: counter-clockwise seen from above
-    return _tidy(np.array(places, dtype=float).reshape(-1, 2) @ turn)
+    xy = np.array(places, dtype=float).reshape(-1, 2) @ turn
+    return np.where(np.abs(xy) < 1e-12, 0.0, xy)  # rounding leaves 1e-18 m; symmetry planes want exact zeros
 
 
 def planform_ports(scenario: Scenario) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -68,8 +69,3 @@ def planform_ports(scenario: Scenario) -> tuple[tuple[Port, ...], tuple[Port, ..
 def layers_of(limb: Limb) -> tuple[LayerThickness, ...]:
     """Layers of a parametric limb from the skin inwards; none for the user's own surfaces or mesh."""
     return limb.layers if isinstance(limb, ForearmLimb | CylinderLimb | SlabLimb) else ()
-
-
-def _tidy(xy: FloatArray) -> FloatArray:
-    """Rotation leaves rounding of 1e-18 m; symmetry planes want exact zeros."""
-    return np.asarray(np.where(np.abs(xy) < 1e-12, 0.0, xy))

@@ -8,15 +8,15 @@ from scipy.spatial import ConvexHull
 from ...ports import Port
 from ...typing import BoolArray, FloatArray, IntArray
 from ..mesh.tissue_mesh import TissueMesh
+from ..mesh.topology import EDGES, SIDES, edge_lengths, edges_of
 from .layout import RIGID
 
 REACH, DEPTH = 0.03, 0.025  # [m] what third order gains beyond them on the forearm is in docs/decisions/0002
-_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 _UNIFORM = {"P1": 1, "P2": 2, "P3": 3}
 # Longest edge, relative to the usual edge between ports, up to which second order is enough: in the outermost tissue,
 # the one beneath, all deeper ones. Second order needs edges half as long as third; fat's waves are 1.4 times shorter.
 # At 0.95 and 1.42 points beside a rigid disc on a slab were 10 % off at 500 Hz, whatever the accuracy asked for, and
-# the second mesh was off by nearly the same (docs/decisions/rims.md).
+# the second mesh was off by nearly the same (docs/decisions/0026-rims.md).
 _SMALL = (0.0, 0.5, 0.7)
 
 
@@ -25,8 +25,11 @@ def tetrahedron_orders(mesh: TissueMesh, ports: tuple[Port, ...], element: str) 
     if element in _UNIFORM:
         return np.full(len(mesh.region), _UNIFORM[element])
     third = near_ports(mesh, ports, REACH, DEPTH)
-    if any(p.contact in RIGID for p in ports):
-        third &= ~_small(mesh, ports)
+    if any(p.contact in RIGID for p in ports):  # their rims made tetrahedra beneath smaller than waves ask
+        corners = mesh.points[mesh.tetrahedra]
+        longest = np.max([np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in EDGES], axis=0)
+        depth = np.minimum(tissue_depths(mesh), len(_SMALL) - 1)[mesh.region]
+        third &= ~(longest < usual_edge(mesh, ports) * np.array(_SMALL)[depth])
     return np.where(third, 3, 2)
 
 
@@ -42,14 +45,6 @@ def near_ports(mesh: TissueMesh, ports: tuple[Port, ...], reach: float, depth: f
     return np.asarray(around & (centre[:, 2] >= min(p.position[2] for p in ports) - depth))
 
 
-def _small(mesh: TissueMesh, ports: tuple[Port, ...]) -> BoolArray:
-    """Tetrahedra (n_tet,) beneath the outermost tissue that the rims of rigid contacts made smaller than waves ask."""
-    corners = mesh.points[mesh.tetrahedra]
-    longest = np.max([np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in _EDGES], axis=0)
-    depth = np.minimum(tissue_depths(mesh), len(_SMALL) - 1)[mesh.region]
-    return np.asarray(longest < usual_edge(mesh, ports) * np.array(_SMALL)[depth])
-
-
 def tissue_depths(mesh: TissueMesh) -> IntArray:
     """How many tissues (n_region,) lie between each tissue and the skin's surface."""
     depth = np.full(len(mesh.region_names), len(mesh.region_names))
@@ -63,16 +58,14 @@ def tissue_depths(mesh: TissueMesh) -> IntArray:
 
 def usual_edge(mesh: TissueMesh, ports: tuple[Port, ...]) -> float:
     """Median edge [m] of the skin between the ports, away from contacts; zero where nothing is."""
-    facets = mesh.facets["skin"]
-    edges = np.unique(np.sort(np.vstack([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [0, 2]]]), axis=1), axis=0)
-    ends = mesh.points[edges]
-    middle = ends.mean(axis=1)
+    edges = edges_of(mesh.facets["skin"], SIDES)
+    middle = mesh.points[edges].mean(axis=1)
     xy, volar = middle[:, :2], middle[:, 2] > min(p.position[2] for p in ports) - DEPTH
     planes = half_planes(np.array([p.position[:2] for p in ports]), np.array([p.radius for p in ports]))
     chosen = volar & (xy @ planes[:, :2].T + planes[:, 2] <= 0).all(axis=1)
     for port in (p for p in ports if p.kind == "contact"):
         chosen &= np.linalg.norm(xy - port.position[:2], axis=1) > 2 * port.radius
-    lengths = np.linalg.norm(ends[chosen, 1] - ends[chosen, 0], axis=1)
+    lengths = edge_lengths(mesh.points, edges[chosen])
     return float(np.median(lengths)) if len(lengths) else 0.0
 
 

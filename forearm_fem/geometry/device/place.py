@@ -15,7 +15,7 @@ from ..limb.slab import check_slab
 from ..limb.tube import Tube, tube_of
 from ..mesh.tissue_mesh import TissueMesh
 from .landing import FacetSkin
-from .layout import Layout, layout_of
+from .layout import layout_of
 
 _STEEPEST = 0.5  # smallest n_z of the skin under a port: 60 degrees to the side
 Skin = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
@@ -48,7 +48,16 @@ def parametric_skin(scenario: Scenario) -> Skin | None:
 def ports_on(scenario: Scenario, skin: Skin) -> tuple[Port, ...]:
     """Ports of the device on a skin given as a function of (x, y)."""
     layout, cone = layout_of(scenario), scenario.device.cone
-    _check_rims(scenario, layout, skin)
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = layout.radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    whole = skin is not _flat  # symmetry planes may cut a slab's discs: checked with the slab
+    for name, xy in zip(layout.names, layout.contacts, strict=True):
+        if whole and np.isfinite(skin(xy[None])[0]).all() and not np.isfinite(skin(xy + ring)[0]).all():
+            raise GeometryError(
+                f"contact {name} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm reaches beyond the limb with its radius "
+                f"of {layout.radius * 1e3:.3g} mm; reduce device.cone.radius, {_inwards(scenario, 'contact')}, or "
+                f"{_larger(scenario.limb)}"
+            )
     nearer = {kind: f"{_inwards(scenario, kind)}, or {_larger(scenario.limb)}" for kind in ("contact", "grid point")}
     contacts = [
         Port(name, "contact", *landed(f"contact {name}", xy, skin, nearer["contact"]), cone.radius, cone.contact)
@@ -99,21 +108,6 @@ def _larger(limb: Limb) -> str:
     if isinstance(limb, CylinderLimb):
         return "enlarge limb.length or limb.diameter"
     return "turn and move its files: x along the limb, +z volar, the device's middle over x = y = 0"
-
-
-def _check_rims(scenario: Scenario, layout: Layout, skin: Skin) -> None:
-    """Whole discs must lie over the limb, symmetry planes excepted (checked with the slab)."""
-    if skin is _flat:
-        return
-    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    ring = layout.radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    for name, xy in zip(layout.names, layout.contacts, strict=True):
-        if np.isfinite(skin(xy[None])[0]).all() and not np.isfinite(skin(xy + ring)[0]).all():
-            raise GeometryError(
-                f"contact {name} at ({xy[0] * 1e3:.4g}, {xy[1] * 1e3:.4g}) mm reaches beyond the limb with its radius "
-                f"of {layout.radius * 1e3:.3g} mm; reduce device.cone.radius, {_inwards(scenario, 'contact')}, or "
-                f"{_larger(scenario.limb)}"
-            )
 
 
 def _flat(xy: FloatArray) -> tuple[FloatArray, FloatArray]:

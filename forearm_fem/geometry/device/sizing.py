@@ -173,8 +173,16 @@ class SpaceField:
     @classmethod
     def on(cls, field: SizeField, surface: Callable[[FloatArray], FloatArray]) -> SpaceField:
         """Field around the ports' places on ``surface``, a map from (x, y) (n, 2) to points (n, 3) or NaN."""
-        patch = _covering(field)
-        discs = np.vstack([c + field.layout.radius * _disc() for c in field.layout.contacts])
+        layout, grid = field.layout, field.sizes.grid
+        side = np.linspace(-1, 1, 13)
+        disc = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+        disc = disc[np.linalg.norm(disc, axis=1) <= 1]
+        discs = np.vstack([c + layout.radius * disc for c in layout.contacts])
+        places, reach = np.vstack([layout.contacts, layout.points]), layout.radius + grid
+        ends = zip(places.min(axis=0) - reach, places.max(axis=0) + reach, strict=True)
+        x, y = (np.linspace(a, b, max(2, int((b - a) / (grid / 2)))) for a, b in ends)  # at most one size apart
+        patch = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        patch = patch[(patch @ field.half_planes[:, :2].T + field.half_planes[:, 2] <= 0).all(axis=1)]
         return cls(field.sizes, _INTO_CORE * field.grading, _tree(surface(discs)), _tree(surface(patch)))
 
     def __call__(self, points: FloatArray) -> FloatArray:
@@ -189,22 +197,3 @@ def _tree(points: FloatArray) -> cKDTree:
     # Large, plain leaves: half of the time of a search for most of a limb, which is far away, and the same distances.
     finite = points[np.isfinite(points).all(axis=1)]
     return cKDTree(finite, leafsize=32, compact_nodes=False, balanced_tree=False)
-
-
-def _disc() -> FloatArray:
-    """Points (n, 2) covering the unit disc."""
-    x = np.linspace(-1, 1, 13)
-    xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
-    return np.asarray(xy[np.linalg.norm(xy, axis=1) <= 1])
-
-
-def _covering(field: SizeField) -> FloatArray:
-    """Points (n, 2) at most one size apart that cover the hull of all ports."""
-    step = field.sizes.grid / 2
-    places = np.vstack([field.layout.contacts, field.layout.points])
-    reach = field.layout.radius + field.sizes.grid
-    low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
-    x, y = (np.linspace(a, b, max(2, int((b - a) / step))) for a, b in zip(low, high, strict=True))
-    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    inside = (xy @ field.half_planes[:, :2].T + field.half_planes[:, 2] <= 0).all(axis=1)
-    return np.asarray(xy[inside])

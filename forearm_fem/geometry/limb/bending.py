@@ -12,12 +12,12 @@ import numpy as np
 
 from ...scenario import Scenario
 from ...scenario.limb import CylinderLimb, ForearmLimb
-from ...typing import BoolArray, FloatArray, IntArray
+from ...typing import FloatArray, IntArray
 from ..mesh.curved import bent_jacobians, straight_jacobians
 from ..mesh.refinement import Middle, midpoints
 from ..mesh.tissue_mesh import Bends, TissueMesh
 from ..mesh.topology import EDGES, SIDES, boundary_faces, keys
-from .tube import BoneAxis, Tube, tube_of
+from .tube import Tube, tube_of
 
 _FLAT = 0.01  # of an edge's length: offsets below are left out; an arc of 0.08 rad
 _THICKER = 0.02  # of the layers' thickness: vertices of refined edges lie on chords, so much below the core's wall
@@ -33,8 +33,21 @@ def with_bends(scenario: Scenario, mesh: TissueMesh) -> TissueMesh:
 
 
 def bent(mesh: TissueMesh, tube: Tube) -> TissueMesh:
-    """``mesh`` of ``tube`` with the edges in its layers and on its bones' walls bent as these are."""
-    return _unfolded(replace(mesh, bends=_bends(mesh, tube)))
+    """``mesh`` of ``tube`` with the edges in its layers and on its bones' walls bent as these are.
+
+    Edges of tetrahedra whose determinant would fall below a share of what it was, anywhere, stay straight.
+    """
+    mesh = replace(mesh, bends=_bends(mesh, tube))
+    straight, n = straight_jacobians(mesh.points, mesh.tetrahedra), len(mesh.points)
+    while True:
+        offsets = mesh.bends.of(mesh.tetrahedra)
+        some = np.flatnonzero(offsets.any(axis=(1, 2)))
+        determinants = np.linalg.det(bent_jacobians(straight[some], offsets[some], _PROBES))
+        folded = some[determinants.min(axis=1) < _LEAST * np.linalg.det(straight[some])]
+        if not len(folded):
+            return mesh
+        touched = keys(mesh.tetrahedra[folded][:, EDGES].reshape(-1, 2), n)
+        mesh = replace(mesh, bends=mesh.bends.chosen(~np.isin(keys(mesh.bends.edges, n), touched)))
 
 
 def bent_middles(tube: Tube) -> Middle:
@@ -72,28 +85,24 @@ def _in_layers(mesh: TissueMesh, tube: Tube) -> tuple[IntArray, FloatArray]:
 
 
 def _on_bones(mesh: TissueMesh, tube: Tube) -> list[tuple[IntArray, FloatArray]]:
-    """Edges (k, 2) on each bone's wall and their true middles (k, 3)."""
-    edges = _each_once(_bone_facets(mesh)[:, SIDES].reshape(-1, 2))
-    return [_on_bone(mesh.points, edges, tube, bone) for bone in tube.bones]
-
-
-def _on_bone(points: FloatArray, edges: IntArray, tube: Tube, bone: BoneAxis) -> tuple[IntArray, FloatArray]:
-    away = points[:, 1:] - tube.bone_centre(bone, points[:, 0])
-    radius, angle = np.linalg.norm(away, axis=1), np.arctan2(away[:, 0], away[:, 1])
-    mine = edges[(np.abs(radius[edges] / bone.radius - 1) < _ON_WALL).all(axis=1)]
-    a, b = mine.T
-    middle, x = angle[a] + _turn(angle[b] - angle[a]) / 2, points[mine, 0].mean(axis=1)
-    outward = np.column_stack([np.sin(middle), np.cos(middle)])
-    place = tube.bone_centre(bone, x) + radius[mine].mean(axis=1)[:, None] * outward
-    return mine, np.column_stack([x, place])
-
-
-def _bone_facets(mesh: TissueMesh) -> IntArray:
-    """Facets (k, 3) on the walls of bones, which are left out of the mesh or a region of it."""
-    if "bone" not in mesh.region_names:
-        return mesh.facets.get("bone", np.zeros((0, 3), dtype=np.int64))
-    faces, _ = boundary_faces(mesh.tetrahedra[mesh.region == mesh.region_names.index("bone")])
-    return np.asarray(faces[np.ptp(mesh.points[faces, 0], axis=1) > 0])
+    """Edges (k, 2) on each bone's wall, be it left out of the mesh or a region of it, and their true middles (k, 3)."""
+    points, found = mesh.points, []
+    if "bone" in mesh.region_names:
+        walls, _ = boundary_faces(mesh.tetrahedra[mesh.region == mesh.region_names.index("bone")])
+        walls = walls[np.ptp(points[walls, 0], axis=1) > 0]
+    else:
+        walls = mesh.facets.get("bone", np.zeros((0, 3), dtype=np.int64))
+    edges = _each_once(walls[:, SIDES].reshape(-1, 2))
+    for bone in tube.bones:
+        away = points[:, 1:] - tube.bone_centre(bone, points[:, 0])
+        radius, angle = np.linalg.norm(away, axis=1), np.arctan2(away[:, 0], away[:, 1])
+        mine = edges[(np.abs(radius[edges] / bone.radius - 1) < _ON_WALL).all(axis=1)]
+        a, b = mine.T
+        middle, x = angle[a] + _turn(angle[b] - angle[a]) / 2, points[mine, 0].mean(axis=1)
+        outward = np.column_stack([np.sin(middle), np.cos(middle)])
+        place = tube.bone_centre(bone, x) + radius[mine].mean(axis=1)[:, None] * outward
+        found.append((mine, np.column_stack([x, place])))
+    return found
 
 
 def _each_once(pairs: IntArray) -> IntArray:
@@ -106,23 +115,3 @@ def _each_once(pairs: IntArray) -> IntArray:
 def _turn(angle: FloatArray) -> FloatArray:
     """Angles between -pi and pi."""
     return np.asarray(np.angle(np.exp(1j * angle)))
-
-
-def _unfolded(mesh: TissueMesh) -> TissueMesh:
-    """The mesh without the bends of edges of tetrahedra that these would fold or flatten."""
-    straight = straight_jacobians(mesh.points, mesh.tetrahedra)
-    while (bad := _folded(mesh, straight)).any():
-        n = len(mesh.points)
-        touched = keys(mesh.tetrahedra[bad][:, EDGES].reshape(-1, 2), n)
-        mesh = replace(mesh, bends=mesh.bends.chosen(~np.isin(keys(mesh.bends.edges, n), touched)))
-    return mesh
-
-
-def _folded(mesh: TissueMesh, straight: FloatArray) -> BoolArray:
-    """Tetrahedra (n_tet,) with a bent edge in which the determinant falls below a share of what it was."""
-    folded = np.zeros(len(mesh.tetrahedra), dtype=bool)
-    offsets = mesh.bends.of(mesh.tetrahedra)
-    some = np.flatnonzero(offsets.any(axis=(1, 2)))
-    determinants = np.linalg.det(bent_jacobians(straight[some], offsets[some], _PROBES))
-    folded[some] = determinants.min(axis=1) < _LEAST * np.linalg.det(straight[some])
-    return folded

@@ -85,14 +85,9 @@ def spread(
     rim = radius / float(chart.scale(centres).mean()) if len(centres) else 1.0
     box = Rectangle((0.0, -np.pi), (float(chart.u[-1]), np.pi))
     uv, _ = triangulate(box, lambda uv: size(*chart.surface(uv)) / chart.scale(uv), centres, rim, wanted)
-    return chart.surface(_glued(uv, chart.u[-1]))
-
-
-def _glued(uv: FloatArray, end: float) -> FloatArray:
-    """Without the seam's points at v = pi, which are those at -pi again; ends exactly at u = 0 and ``end``."""
     low, high = (np.sort(uv[np.abs(uv[:, 1] - seam) < 1e-9, 0]) for seam in (-np.pi, np.pi))
     if len(low) != len(high):
         raise MeshError("the limb's skin could not be unrolled, its seam has two sides; set mesh.size_far smaller")
-    kept = uv[uv[:, 1] < np.pi - 1e-9]
-    u = np.where(kept[:, 0] < 1e-9, 0.0, np.where(kept[:, 0] > end - 1e-9, end, kept[:, 0]))
-    return np.column_stack([u, kept[:, 1]])
+    u, v = uv[uv[:, 1] < np.pi - 1e-9].T  # the seam's points at v = pi are those at -pi again
+    u = np.where(u < 1e-9, 0.0, np.where(u > chart.u[-1] - 1e-9, chart.u[-1], u))
+    return chart.surface(np.column_stack([u, v]))

@@ -11,7 +11,7 @@ from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
 from ..device.layout import Layout
 from ..device.sizing import Sizes
-from ..mesh.topology import boundary_faces, keys
+from ..mesh.topology import SIDES, boundary_faces, edges_of
 from .chart import Chart, Place, spread
 from .filling import Shell, fill
 from .tube import BoneAxis, Tube
@@ -47,7 +47,21 @@ def core_mesh(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, *, elastic:
     """
     shell = _shell(tube, size, sizes, layout, elastic)
     points, tetrahedra = fill(shell, size, lambda p, gap: _inside(tube, p, gap), seed=seed)
-    return _named(tube, shell, points, tetrahedra, elastic)
+    n_bone, on = len(tube.bones), shell.on_of(len(points))
+    in_bone = on[:, 1 : n_bone + 1]
+    bone = _which(in_bone[tetrahedra])
+    faces, _ = boundary_faces(tetrahedra)
+    lateral = faces[on[faces, 0].all(axis=1) & (_which(on[faces][:, :, n_bone + 1 :]) < 0)]
+    faces, _ = boundary_faces(tetrahedra[bone < 0])
+    faces = faces[_which(on[faces][:, :, n_bone + 1 :]) < 0]
+    walls = [faces[of[faces].all(axis=1)] for of in in_bone.T]  # of each bone, towards the muscle's outside
+    _check_tubes([lateral, *walls])
+    column = np.unique(lateral)
+    angle, on_bone = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
+    angle[column] = tube.angle_of(points[column])
+    for faces in walls:
+        on_bone[faces] = not elastic
+    return Core(points, tetrahedra, bone, lateral, angle, on_bone)
 
 
 def _shell(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, elastic: bool) -> Shell:
@@ -60,10 +74,11 @@ def _shell(tube: Tube, size: Size3, sizes: Sizes, layout: Layout, elastic: bool)
     parts += [_bone_wall(tube, bone, size, sizes.facet) for bone in tube.bones]
     parts += [_end(tube, parts[0], side) for side in (-1, 1)]
     surface = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
-    if elastic:
-        marrow = [_marrow(tube, bone) for bone in tube.bones]
-        surface = np.concatenate([surface, np.repeat(1 + np.arange(len(marrow)), [len(p) for p in marrow])])
-        parts += marrow
+    for number, bone in enumerate(tube.bones if elastic else ()):
+        # along its axis, ends included, no closer than its radius: bone hardly deforms
+        x = np.linspace(-tube.length / 2, tube.length / 2, max(2, round(tube.length / bone.radius)) + 1)
+        parts.append(np.column_stack([x, tube.bone_centre(bone, x)]))
+        surface = np.append(surface, np.full(len(x), 1 + number))
     points, n_bone = np.vstack(parts), len(tube.bones)
     on = surface[:, None] == np.arange(n_bone + 3)
     on[:, n_bone + 1] |= points[:, 0] == -tube.length / 2
@@ -143,30 +158,6 @@ def _end(tube: Tube, wall: FloatArray, side: int) -> FloatArray:
     return np.asarray(plane[clear])
 
 
-def _marrow(tube: Tube, bone: BoneAxis) -> FloatArray:
-    """Points (n, 3) along a bone's axis, ends included, no closer than its radius: bone hardly deforms."""
-    x = np.linspace(-tube.length / 2, tube.length / 2, max(2, round(tube.length / bone.radius)) + 1)
-    return np.column_stack([x, tube.bone_centre(bone, x)])
-
-
-def _named(tube: Tube, shell: Shell, points: FloatArray, tetrahedra: IntArray, elastic: bool) -> Core:
-    """What lies where: the wall's triangles and columns, bones, and the points on these."""
-    n_bone = len(tube.bones)
-    on = shell.on_of(len(points))
-    in_bone = on[:, 1 : n_bone + 1]
-    bone = _which(in_bone[tetrahedra])
-    faces, _ = boundary_faces(tetrahedra)
-    lateral = faces[on[faces, 0].all(axis=1) & (_which(on[faces][:, :, n_bone + 1 :]) < 0)]
-    walls = _bone_walls(tetrahedra, bone, in_bone, on[:, n_bone + 1 :])
-    _check_tubes([lateral, *walls])
-    column = np.unique(lateral)
-    angle, on_bone = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
-    angle[column] = tube.angle_of(points[column])
-    for faces in walls:
-        on_bone[faces] = not elastic
-    return Core(points, tetrahedra, bone, lateral, angle, on_bone)
-
-
 def _which(corners_on: BoolArray) -> IntArray:
     """The first surface (m,) that all corners of a cell lie on, from flags (m, n_corner, n_surface); -1 for none."""
     whole = np.asarray(corners_on.all(axis=1))
@@ -175,19 +166,10 @@ def _which(corners_on: BoolArray) -> IntArray:
     )
 
 
-def _bone_walls(tetrahedra: IntArray, bone: IntArray, in_bone: BoolArray, on_end: BoolArray) -> list[IntArray]:
-    """Faces (m, 3) of each bone's wall, towards the muscle's outside; ``on_end`` (n_point, 2) marks the cut ends."""
-    faces, _ = boundary_faces(tetrahedra[bone < 0])
-    faces = faces[_which(on_end[faces]) < 0]
-    return [faces[of[faces].all(axis=1)] for of in in_bone.T]
-
-
 def _check_tubes(walls: list[IntArray]) -> None:
     """Raise :class:`MeshError` unless each set of faces (m, 3) is one unbroken tube: V - E + F = 0."""
     for faces in walls:
-        n = int(faces.max(initial=0)) + 1
-        edges = np.unique(keys(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), n))
-        if not len(faces) or len(np.unique(faces)) - len(edges) + len(faces) != 0:
+        if not len(faces) or len(np.unique(faces)) - len(edges_of(faces, SIDES)) + len(faces) != 0:
             raise MeshError(
                 "points on the limb's wall or on a bone are too far apart to be joined; set mesh.size_far smaller, or "
                 "leave more muscle between bones and wall"

@@ -10,9 +10,8 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
-from ..mesh.topology import EDGES, boundary_faces, keys
+from ..mesh.topology import EDGES, boundary_faces, edges_of, mean_ratios
 from .prisms import oriented
-from .slivers import without_slivers
 from .springs import spring_forces
 
 Size = Callable[[FloatArray], FloatArray]
@@ -22,6 +21,9 @@ _GROWTH = 0.66  # of the sizes inside, per metre away from the boundary's own sp
 _CLOSE = 0.6  # of its size: how near to a boundary point an inner one may start; below it faces would be lost
 _PER_CELL = 0.72  # points per size^3 and lattice that the springs spread about a size apart
 _REPAIRS = 4
+_TRIALS = 200  # of moves that make flat tetrahedra rounder
+_ROUND = 0.35  # mean ratio above which a tetrahedron is left alone
+_SMALLEST, _LARGEST = -2.5, -0.6  # powers of ten of the moves, relative to the size wanted
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ def fill(shell: Shell, size: Size, allowed: Allowed, *, seed: int = 1) -> tuple[
     """Points (n, 3), the shell's first, and positive tetrahedra (m, 4) of edges about ``size(points)`` [m].
 
     ``allowed(points, gaps)`` tells which points lie inside by their gap at least. Springs after Persson and Strang
-    (2004), slivers removed by :func:`.slivers.without_slivers`. The same at every call with one ``seed``. Raises
+    (2004), slivers removed by :func:`without_slivers`. The same at every call with one ``seed``. Raises
     :class:`MeshError` where a surface of the shell is not made of faces: its points were too far apart.
     """
     wanted = _graded(shell, size)
@@ -98,9 +100,7 @@ def _relaxed(shell: Shell, inner: FloatArray, size: Size, allowed: Allowed) -> F
     points, n = np.vstack([shell.points, inner]), len(shell.points)
     for _ in range(_ROUNDS):
         tetrahedra = _joined(shell, points)
-        many = int(tetrahedra.max()) + 1
-        found = np.unique(keys(tetrahedra[:, EDGES].reshape(-1, 2), many))
-        edges = np.column_stack(np.divmod(found, many))
+        edges = edges_of(tetrahedra, EDGES)
         moved = inner + _STEP * spring_forces(points, edges, size(points[edges].mean(axis=1)), _STRETCH)[n:]
         legal = allowed(moved, 0.45 * size(moved))
         inner = np.where(legal[:, None], moved, inner)
@@ -111,3 +111,46 @@ def _relaxed(shell: Shell, inner: FloatArray, size: Size, allowed: Allowed) -> F
 def _joined(shell: Shell, points: FloatArray) -> IntArray:
     tetrahedra = np.asarray(Delaunay(points).simplices, dtype=np.int64)
     return tetrahedra[~shell.behind(tetrahedra)]
+
+
+def without_slivers(
+    points: FloatArray,
+    tetrahedra: IntArray,
+    movable: BoolArray,
+    size: Size,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Points (n, 3) with the ``movable`` corners of flat ``tetrahedra`` (m, 4) moved, their connections kept.
+
+    A move stays if the flattest tetrahedron around its point becomes rounder, so none ever gets flatter than the
+    flattest one beside it was. Delaunay maximises no angle in space: one tetrahedron in a hundred is a sliver before.
+    """
+    points, quality = points.copy(), mean_ratios(points, tetrahedra)
+    for _ in range(_TRIALS):
+        flat = np.unique(tetrahedra[quality < _ROUND])
+        chosen = _alone(tetrahedra, flat[movable[flat]], rng, len(points))
+        if not chosen.any():
+            break
+        around = chosen[tetrahedra].any(axis=1)
+        near = tetrahedra[around]
+        owner = np.where(chosen[near], near, -1).max(axis=1)
+        count, trial = int(chosen.sum()), points.copy()
+        lengths = size(points[chosen]) * 10 ** rng.uniform(_SMALLEST, _LARGEST, count)
+        trial[chosen] += rng.normal(size=(count, 3)) * lengths[:, None]
+        before, after = np.full((2, len(points)), np.inf)
+        np.minimum.at(before, owner, quality[around])
+        np.minimum.at(after, owner, mean_ratios(trial, near))
+        better = chosen & (after > before)
+        points[better] = trial[better]
+        quality[around] = mean_ratios(points, near)
+    return points
+
+
+def _alone(tetrahedra: IntArray, candidates: IntArray, rng: np.random.Generator, n: int) -> BoolArray:
+    """Which of ``n`` points move now: candidates of which no two share a tetrahedron."""
+    rank = np.full(n, -1.0)
+    rank[candidates] = rng.random(len(candidates))
+    beaten = (rank[tetrahedra] >= 0) & (rank[tetrahedra] < rank[tetrahedra].max(axis=1, keepdims=True))
+    chosen = rank >= 0
+    chosen[tetrahedra[beaten]] = False
+    return chosen

@@ -8,8 +8,8 @@ from ...typing import BoolArray, FloatArray, IntArray
 from ..device.layout import Layout
 from ..device.sizing import Sizes
 from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import boundary_faces
-from .core import Core, Size3, core_mesh
+from ..mesh.topology import boundary_faces, triangle_normals
+from .core import Size3, core_mesh
 from .prisms import oriented, stack_prisms
 from .tube import Tube
 
@@ -35,7 +35,16 @@ def limb_mesh(
     coarse = column[size(core.points[column]) > _COARSE * sizes.grid]
     merged = _merged(levels, tissues, coarse)
     stacked, under = stack_prisms(core.lateral, merged)
-    return _assembled(tube, core, np.vstack(points), stacked, [tissues[u] for u in under], levels[-1, column])
+    inner = ["bone" if b >= 0 else tube.core for b in core.bone]
+    names = tuple(dict.fromkeys([*(each.tissue for each in tube.layers), tube.core, *inner]))
+    region = np.array([names.index(t) for t in [*inner, *(tissues[u] for u in under)]])
+    places = np.vstack(points)
+    on_skin, on_bone = np.zeros((2, len(places)), dtype=bool)
+    on_skin[levels[-1, column]] = True
+    on_bone[: len(core.points)] = core.on_bone
+    used, renumbered = np.unique(oriented(places, np.vstack([core.tetrahedra, stacked])), return_inverse=True)
+    places, tetrahedra = places[used], renumbered.reshape(-1, 4)
+    return TissueMesh(places, tetrahedra, region, names, boundaries(places, tetrahedra, on_skin[used], on_bone[used]))
 
 
 def _merged(levels: IntArray, tissues: list[str], columns: IntArray) -> IntArray:
@@ -58,22 +67,6 @@ def _depths(tube: Tube, sizes: Sizes) -> tuple[FloatArray, list[str]]:
     return np.array(depths), tissues
 
 
-def _assembled(
-    tube: Tube, core: Core, points: FloatArray, stacked: IntArray, tissues: list[str], top: IntArray
-) -> TissueMesh:
-    inner = ["bone" if b >= 0 else tube.core for b in core.bone]
-    names = tuple(dict.fromkeys([*(each.tissue for each in tube.layers), tube.core, *inner]))
-    region = np.array([names.index(t) for t in [*inner, *tissues]])
-    tetrahedra = oriented(points, np.vstack([core.tetrahedra, stacked]))
-    skin = np.zeros(len(points), dtype=bool)
-    skin[top] = True
-    on_bone = np.concatenate([core.on_bone, np.zeros(len(points) - len(core.points), dtype=bool)])
-    used, tetrahedra = np.unique(tetrahedra, return_inverse=True)
-    points, tetrahedra = points[used], tetrahedra.reshape(-1, 4)
-    facets = boundaries(points, tetrahedra, skin[used], on_bone[used])
-    return TissueMesh(points, tetrahedra, region, names, facets)
-
-
 def boundaries(points: FloatArray, tetrahedra: IntArray, on_skin: BoolArray, on_bone: BoolArray) -> dict[str, IntArray]:
     """Skin, underside, bone and end from flags per vertex (n_point,); ends are what remains."""
     faces, _ = boundary_faces(tetrahedra)
@@ -86,6 +79,5 @@ def boundaries(points: FloatArray, tetrahedra: IntArray, on_skin: BoolArray, on_
 
 def underside(points: FloatArray, skin: IntArray) -> IntArray:
     """Skin triangles whose outward normal points down, n_z < -0.5: they may rest on foam."""
-    a, b, c = points[skin].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a)
+    normal = triangle_normals(points, skin)
     return np.asarray(skin[normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)])

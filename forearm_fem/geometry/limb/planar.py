@@ -10,6 +10,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
+from ..mesh.topology import SIDES, edges_of
 from .springs import spring_forces
 
 _RELAXATIONS = 60
@@ -98,7 +99,8 @@ def _scatter(
     box: Rectangle, size: Size, held: FloatArray, circles: FloatArray, radius: float, rng: np.random.Generator
 ) -> FloatArray:
     """Points of a fine hexagonal lattice kept with probability ~ 1/h^2, away from what is held (distmesh)."""
-    finest = float(min(size(held).min(), size(_sampled(box)).min()))
+    sampled = np.meshgrid(*(np.linspace(a, b, 101) for a, b in zip(box.low, box.high, strict=True)))
+    finest = float(min(size(held).min(), size(np.stack(sampled, axis=-1).reshape(-1, 2)).min()))
     x = np.arange(box.low[0], box.high[0], finest)
     y = np.arange(box.low[1], box.high[1], finest * np.sqrt(3) / 2)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
@@ -108,11 +110,6 @@ def _scatter(
     keep = rng.random(len(xy)) < (finest / h) ** 2
     keep &= box.inside(xy, 0.5 * h) & _clear_of(xy, held, 0.6 * h) & ~_in_rings(xy, circles, radius, size)
     return np.asarray(xy[keep])
-
-
-def _sampled(box: Rectangle) -> FloatArray:
-    x, y = (np.linspace(a, b, 101) for a, b in zip(box.low, box.high, strict=True))
-    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
 def _in_rings(xy: FloatArray, circles: FloatArray, radius: float, size: Size) -> BoolArray:
@@ -131,8 +128,7 @@ def _relax(
     xy = np.vstack([held, free])
     movable = np.arange(len(xy)) >= len(held)
     for _ in range(_RELAXATIONS):
-        pairs = np.sort(_delaunay(xy)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        edges = np.unique(pairs, axis=0)
+        edges = edges_of(_delaunay(xy), SIDES)
         step = _STEP * spring_forces(xy, edges, size(xy[edges].mean(axis=1)), _STRETCH)
         moved = xy + np.where(movable[:, None], step, 0)
         h = size(moved)

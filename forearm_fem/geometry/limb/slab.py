@@ -6,7 +6,7 @@ import numpy as np
 
 from ...errors import GeometryError
 from ...scenario.limb import SlabLimb
-from ...typing import FloatArray, IntArray
+from ...typing import FloatArray
 from ..device.layout import Layout
 from ..device.sizing import SizeField
 from ..mesh.tissue_mesh import TissueMesh
@@ -31,7 +31,16 @@ def slab_mesh(limb: SlabLimb, layout: Layout, size: SizeField) -> TissueMesh:
     tetrahedra = oriented(points, tetrahedra)
     names = tuple(dict.fromkeys([*(each.tissue for each in limb.layers), limb.core]))
     region = np.array([names.index(t) for t in layer])[under]
-    return TissueMesh(points, tetrahedra, region, names, _facets(limb, points, tetrahedra, box))
+    faces, _ = boundary_faces(tetrahedra)
+    corner = points[faces]
+    skin = (corner[:, :, 2] == 0).all(axis=1)
+    facets, rest = {"skin": faces[skin]}, ~skin
+    for axis, name in enumerate("xy"):
+        if name in limb.symmetry:
+            plane = (corner[:, :, axis] == box.low[axis]).all(axis=1)
+            facets[f"symmetry {name}"] = faces[plane]
+            rest &= ~plane
+    return TissueMesh(points, tetrahedra, region, names, {**facets, "end": faces[rest]})
 
 
 def check_slab(limb: SlabLimb, layout: Layout) -> None:
@@ -96,17 +105,3 @@ def _growing(total: float, first: float, ratio: float, largest: float) -> FloatA
     if len(steps) > 1 and sum(steps) - total > total - sum(steps[:-1]):
         steps = steps[:-1]
     return np.array(steps) * (total / sum(steps))
-
-
-def _facets(limb: SlabLimb, points: FloatArray, tetrahedra: IntArray, box: Rectangle) -> dict[str, IntArray]:
-    faces, _ = boundary_faces(tetrahedra)
-    corner = points[faces]
-    skin = (corner[:, :, 2] == 0).all(axis=1)
-    facets = {"skin": faces[skin]}
-    cut = ~skin
-    for axis, name in enumerate("xy"):
-        if name in limb.symmetry:
-            plane = (corner[:, :, axis] == box.low[axis]).all(axis=1)
-            facets[f"symmetry {name}"] = faces[plane]
-            cut &= ~plane
-    return {**facets, "end": faces[cut]}

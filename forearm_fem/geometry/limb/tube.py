@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -151,57 +152,36 @@ _CLEARANCE = 1e-3  # [m] of muscle around a bone, or elements become needles
 def check_tube(tube: Tube) -> None:
     """Raise :class:`GeometryError` when layers or bones do not fit."""
     x = np.linspace(-tube.length / 2, tube.length / 2, 201)
-    _check_layers(tube, x)
-    for bone in tube.bones:
-        _check_inside(tube, bone, x)
-    for i, first in enumerate(tube.bones):
-        for second in tube.bones[i + 1 :]:
-            _check_apart(tube, first, second, x)
-
-
-def _check_layers(tube: Tube, x: FloatArray) -> None:
-    """The inward offset of an ellipse exists up to its smallest radius of curvature."""
     b = tube.height(x)
     a = tube.aspect * b
-    tightest = float(np.min(np.minimum(a, b) ** 2 / np.maximum(a, b)))
+    tightest = float(np.min(np.minimum(a, b) ** 2 / np.maximum(a, b)))  # radius of curvature: inward offsets end there
     if tube.thickness > 0.9 * tightest:
         raise GeometryError(
             f"the layers are {tube.thickness * 1e3:.3g} mm thick together, but the limb bends with a radius of "
             f"{tightest * 1e3:.3g} mm at its tightest; thin limb.layers, enlarge the limb or bring limb.aspect nearer 1"
         )
-
-
-def _check_inside(tube: Tube, bone: BoneAxis, x: FloatArray) -> None:
     angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)
-    centres = tube.bone_centre(bone, x)
-    gap = np.inf
-    for at, centre in zip(x[::10], centres[::10], strict=True):
-        wall = tube.place(np.full(180, at), angle, tube.thickness)[:, 1:]
-        away = float(np.linalg.norm(wall - centre, axis=1).min()) - bone.radius
-        inside = _in_section(wall, centre)
-        gap = min(gap, away if inside else -np.inf)
-    if gap < _CLEARANCE:
-        raise GeometryError(
-            f"bone '{bone.name}' does not lie inside the {tube.core} with {_CLEARANCE * 1e3:g} mm to spare (its axis "
-            f"at y = {bone.y * 1e3:.3g} mm, diameter {2e3 * bone.radius:.3g} mm); in limb.bones move it towards the "
-            "middle (y, depth) or make it thinner, or reduce limb.length"
-        )
-
-
-def _in_section(wall: FloatArray, centre: FloatArray) -> bool:
-    """Whether ``centre`` (2,) lies inside the convex section with vertices ``wall`` (n, 2)."""
-    along = np.roll(wall, -1, axis=0) - wall
-    towards = centre - wall
-    side = along[:, 0] * towards[:, 1] - along[:, 1] * towards[:, 0]
-    return bool((side > 0).all() or (side < 0).all())
-
-
-def _check_apart(tube: Tube, first: BoneAxis, second: BoneAxis, x: FloatArray) -> None:
-    apart = np.linalg.norm(tube.bone_centre(first, x) - tube.bone_centre(second, x), axis=1).min()
-    gap = float(apart) - first.radius - second.radius
-    if gap < _CLEARANCE:
-        how = f"overlap by {-gap * 1e3:.3g} mm" if gap < 0 else f"come within {gap * 1e3:.3g} mm of each other"
-        raise GeometryError(
-            f"bones '{first.name}' and '{second.name}' {how}, expected {_CLEARANCE * 1e3:g} mm "
-            f"of {tube.core} between them; in limb.bones move them apart (y, depth) or make them thinner"
-        )
+    for bone in tube.bones:
+        gap = np.inf
+        for at, centre in zip(x[::10], tube.bone_centre(bone, x)[::10], strict=True):
+            wall = tube.place(np.full(180, at), angle, tube.thickness)[:, 1:]
+            away = float(np.linalg.norm(wall - centre, axis=1).min()) - bone.radius
+            along, towards = np.roll(wall, -1, axis=0) - wall, centre - wall
+            side = along[:, 0] * towards[:, 1] - along[:, 1] * towards[:, 0]
+            inside = (side > 0).all() or (side < 0).all()  # of the section, which is convex
+            gap = min(gap, away if inside else -np.inf)
+        if gap < _CLEARANCE:
+            raise GeometryError(
+                f"bone '{bone.name}' does not lie inside the {tube.core} with {_CLEARANCE * 1e3:g} mm to spare (its "
+                f"axis at y = {bone.y * 1e3:.3g} mm, diameter {2e3 * bone.radius:.3g} mm); in limb.bones move it "
+                "towards the middle (y, depth) or make it thinner, or reduce limb.length"
+            )
+    for first, second in combinations(tube.bones, 2):
+        apart = np.linalg.norm(tube.bone_centre(first, x) - tube.bone_centre(second, x), axis=1).min()
+        gap = float(apart) - first.radius - second.radius
+        if gap < _CLEARANCE:
+            how = f"overlap by {-gap * 1e3:.3g} mm" if gap < 0 else f"come within {gap * 1e3:.3g} mm of each other"
+            raise GeometryError(
+                f"bones '{first.name}' and '{second.name}' {how}, expected {_CLEARANCE * 1e3:g} mm "
+                f"of {tube.core} between them; in limb.bones move them apart (y, depth) or make them thinner"
+            )

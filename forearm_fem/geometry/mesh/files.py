@@ -33,7 +33,12 @@ def write_mesh(mesh: TissueMesh, path: str | Path) -> None:
     writer = _by_ending(file, {".vtu": _write_vtu, ".msh": _write_msh})
     with atomic_path(file) as beside:
         writer(mesh, str(beside))
-        beside.write_bytes(sealed(_commented(file.suffix, beside.read_bytes())))
+        content = beside.read_bytes()
+        if file.suffix == ".msh":  # a blank seal before and after what a reader of the format looks at
+            content = _GMSH + content + _GMSH
+        else:
+            content = content.replace(b"?>\n", b"?>\n" + _XML, 1) + b"\n" + _XML
+        beside.write_bytes(sealed(content))
 
 
 def read_mesh(path: str | Path) -> TissueMesh:
@@ -48,13 +53,6 @@ def read_mesh(path: str | Path) -> TissueMesh:
         return mesh
     except (KeyError, IndexError, ValueError) as problem:
         raise MeshError(f"{file}: not a mesh written by this program ({problem}); rebuild it") from None
-
-
-def _commented(ending: str, content: bytes) -> bytes:
-    """``content`` with a blank seal before and after what a reader of the format looks at."""
-    if ending == ".msh":
-        return _GMSH + content + _GMSH
-    return content.replace(b"?>\n", b"?>\n" + _XML, 1) + b"\n" + _XML
 
 
 def check_mesh_seals(file: Path) -> None:

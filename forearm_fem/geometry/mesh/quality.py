@@ -6,17 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ...errors import MeshError, MeshTooLarge
 from ...ports import Port, positions
-from ...typing import FloatArray, IntArray
+from ...typing import FloatArray
 from ..device.neighbourhood import tetrahedron_orders
 from .curved import true_volumes
 from .tissue_mesh import TissueMesh
-from .topology import EDGES, FACES, is_member, keys, mean_ratios
+from .topology import EDGES, FACES, SIDES, edge_lengths, edges_of, is_member, keys, mean_ratios, pieces
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ def mesh_quality(mesh: TissueMesh, *, expected_volume: float | None = None) -> Q
     """Figures of ``mesh``; ``expected_volume`` [m^3] is the analytic limb's (see
     :func:`.build.limb_volume`)."""
     ratio = mean_ratio(mesh)
-    edges = np.unique(keys(mesh.tetrahedra[:, EDGES].reshape(-1, 2), len(mesh.points)))
+    edges = edges_of(mesh.tetrahedra, EDGES)
     volumes = true_volumes(mesh)
     per_tissue = np.bincount(mesh.region, weights=volumes, minlength=len(mesh.region_names))
     return Quality(
@@ -64,7 +62,6 @@ def mesh_quality(mesh: TissueMesh, *, expected_volume: float | None = None) -> Q
 def check_mesh(mesh: TissueMesh, min_quality: float = 0.0) -> None:
     """Raise :class:`MeshError` for the first thing wrong with ``mesh``; return quietly when it is sound."""
     _check_arrays(mesh)
-    _check_regions(mesh)
     check_shape(mesh, min_quality)
     _check_duplicates(mesh)
     _check_faces(mesh)
@@ -90,9 +87,6 @@ def _check_arrays(mesh: TissueMesh) -> None:
         raise MeshError(
             f"tetrahedra refer to point {int(mesh.tetrahedra.max())}, but there are {len(mesh.points)}; repair the file"
         )
-
-
-def _check_regions(mesh: TissueMesh) -> None:
     if len(mesh.region) != len(mesh.tetrahedra):
         raise MeshError(f"{len(mesh.region)} region numbers for {len(mesh.tetrahedra)} tetrahedra; need one for each")
     if mesh.region.min() < 0 or mesh.region.max() >= len(mesh.region_names):
@@ -142,9 +136,14 @@ def _check_faces(mesh: TissueMesh) -> None:
     if not len(mesh.facets.get("skin", ())):
         raise MeshError("the mesh has no skin: no boundary facet could be named so; check the surface's classification")
     boundary = faces[first[count == 1]]
-    _check_named(mesh, boundary)
-    edges = np.sort(boundary[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    around = np.unique(keys(edges, n), return_counts=True)[1]
+    whole = [f for name, f in mesh.facets.items() if name != "underside" and not name.startswith("contact")]
+    unnamed = int((~is_member(boundary, np.vstack(whole), n)).sum())
+    if unnamed:
+        raise MeshError(f"{unnamed} boundary facets are neither skin, bone, end nor symmetry; the mesh is open inside")
+    for name, facets in mesh.facets.items():
+        if not is_member(facets, boundary, n).all():
+            raise MeshError(f"facets '{name}' do not all lie on the boundary of the mesh; rebuild them")
+    around = np.unique(keys(boundary[:, SIDES].reshape(-1, 2), n), return_counts=True)[1]
     if (around != 2).any():
         raise MeshError(
             f"the boundary is not a closed surface: {int((around != 2).sum())} of its edges do not join exactly two "
@@ -152,25 +151,13 @@ def _check_faces(mesh: TissueMesh) -> None:
         )
 
 
-def _check_named(mesh: TissueMesh, boundary: IntArray) -> None:
-    n = len(mesh.points)
-    whole = [f for name, f in mesh.facets.items() if name != "underside" and not name.startswith("contact")]
-    named = np.vstack(whole)
-    unnamed = int((~is_member(boundary, named, n)).sum())
-    if unnamed:
-        raise MeshError(f"{unnamed} boundary facets are neither skin, bone, end nor symmetry; the mesh is open inside")
-    for name, facets in mesh.facets.items():
-        if not is_member(facets, boundary, n).all():
-            raise MeshError(f"facets '{name}' do not all lie on the boundary of the mesh; rebuild them")
-
-
 def _check_hanging(mesh: TissueMesh) -> None:
     """A vertex in the middle of another element's edge means that neighbours do not conform."""
     n = len(mesh.points)
     named = np.vstack(list(mesh.facets.values()))
-    edges = np.unique(np.sort(named[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = edges_of(named, SIDES)
     start, end = mesh.points[edges[:, 0]], mesh.points[edges[:, 1]]
-    length = np.linalg.norm(end - start, axis=1)
+    length = edge_lengths(mesh.points, edges)
     vertices = np.unique(named)
     hits = cKDTree(mesh.points[vertices]).query_ball_point((start + end) / 2, 0.499 * length)
     edge = np.repeat(np.arange(len(edges)), [len(h) for h in hits])
@@ -186,10 +173,8 @@ def _check_hanging(mesh: TissueMesh) -> None:
 
 
 def _check_one_piece(mesh: TissueMesh) -> None:
-    t, n = mesh.tetrahedra, len(mesh.points)
-    rows, columns = t[:, :3].ravel(), t[:, 1:].ravel()
-    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(n, n))
-    labels = connected_components(graph, directed=False)[1]
+    t = mesh.tetrahedra
+    labels = pieces(len(mesh.points), np.column_stack([t[:, :3].ravel(), t[:, 1:].ravel()]))
     parts = len(np.unique(labels[np.unique(t)]))
     if parts > 1:
         raise MeshError(f"the mesh falls into {parts} separate parts; join them or keep one")
@@ -229,7 +214,12 @@ def nodes_per_wavelength(
     corner = mesh.points[mesh.tetrahedra]
     squared = ((corner[:, EDGES[:, 0]] - corner[:, EDGES[:, 1]]) ** 2).sum(axis=2)
     spacing = np.sqrt(squared.mean(axis=1)) / tetrahedron_orders(mesh, ports, element)
-    gap = cKDTree(_places(mesh, ports)).query(corner.mean(axis=1))[0]
+    if ports:
+        places = positions(ports)
+    else:
+        under = [mesh.points[f].reshape(-1, 3) for name, f in mesh.facets.items() if name.startswith("contact")]
+        places = np.vstack(under) if under else mesh.points[np.unique(mesh.facets["skin"])]
+    gap = cKDTree(places).query(corner.mean(axis=1))[0]
     found = []
     for i, tissue in enumerate(mesh.region_names):
         here = mesh.region == i
@@ -240,10 +230,3 @@ def nodes_per_wavelength(
         most, close = float(spacing[here].max()), float(spacing[near].max())
         found.append(Resolution(tissue, wave / most, wave / close, fade / most, fade / close))
     return tuple(found)
-
-
-def _places(mesh: TissueMesh, ports: tuple[Port, ...]) -> FloatArray:
-    if ports:
-        return positions(ports)
-    under = [mesh.points[f].reshape(-1, 3) for name, f in mesh.facets.items() if name.startswith("contact")]
-    return np.vstack(under) if under else mesh.points[np.unique(mesh.facets["skin"])]

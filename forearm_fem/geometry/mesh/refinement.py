@@ -12,7 +12,7 @@ from ...errors import MeshError
 from ...ports import Port
 from ...typing import BoolArray, FloatArray, IntArray
 from .tissue_mesh import TissueMesh
-from .topology import EDGES, is_member, keys
+from .topology import EDGES, SIDES, edge_lengths, edges_of, is_member, keys
 
 Middle = Callable[[TissueMesh, IntArray], FloatArray]
 _RIM_GRADING = 1.0  # size grows by this per metre away from a rim
@@ -102,9 +102,8 @@ def independent(mesh: TissueMesh, edges: IntArray) -> IntArray:
     table, of_tet, _ = _edge_table(mesh)
     n = len(mesh.points)
     at = np.searchsorted(keys(table, n), keys(edges, n))
-    length = np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
     rank = np.full(len(table), -1)
-    rank[at[np.lexsort([at, np.round(length, 9)])]] = np.arange(len(edges))
+    rank[at[np.lexsort([at, np.round(edge_lengths(mesh.points, edges), 9)])]] = np.arange(len(edges))
     best = rank[of_tet].max(axis=1, keepdims=True)
     beaten = np.unique(of_tet[rank[of_tet] < best])
     return np.asarray(edges[~np.isin(at, beaten)])
@@ -115,9 +114,8 @@ def _edge_table(mesh: TissueMesh) -> tuple[IntArray, IntArray, IntArray]:
     n = len(mesh.points)
     key, of_tet = np.unique(keys(mesh.tetrahedra[:, EDGES].reshape(-1, 2), n), return_inverse=True)
     edges = np.column_stack([key // n, key % n])
-    length = np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
     rank = np.empty(len(edges), dtype=np.int64)  # ties are broken the same way everywhere
-    rank[np.lexsort([key, np.round(length, 9)])] = np.arange(len(edges))
+    rank[np.lexsort([key, np.round(edge_lengths(mesh.points, edges), 9)])] = np.arange(len(edges))
     of_tet = of_tet.reshape(-1, 6)
     longest = of_tet[np.arange(len(of_tet)), rank[of_tet].argmax(axis=1)]
     return edges, of_tet, longest
@@ -139,7 +137,10 @@ def refine_rims(
         if not marked.any():
             break
         edges = _terminal_edges(mesh, marked)
-        middles = _on_circles(mesh, edges, middle(mesh, edges), contacts)
+        middles = middle(mesh, edges).copy()
+        for port in contacts:  # those of a rim go out to its circle
+            on = is_member(edges, rim_edges(mesh, port.name), len(mesh.points))
+            middles[on] = onto_circle(middles[on], port)
         mesh = _unspoilt(split_edges(mesh, edges, middles)[0], midpoints(mesh, edges))
     if mesh.volumes.min() <= 0:
         raise MeshError(
@@ -172,19 +173,14 @@ def refine_skin(mesh: TissueMesh, size: Callable[[FloatArray], FloatArray]) -> T
     On the user's own surfaces fTetWild keeps sizes on average; here and there an edge is 2.4 times as long, and one
     such place next to a grid point made that point's receptance 30 % wrong at 400 Hz.
     """
-    n_round = 0
-    while n_round < _MAX_ROUNDS and len(long := _long_skin_edges(mesh, size)):
-        edges = np.sort(mesh.tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
-        marked = is_member(edges, long, len(mesh.points)).reshape(-1, len(EDGES)).any(axis=1)
-        mesh, n_round = refine(mesh, np.asarray(marked)), n_round + 1
+    for _ in range(_MAX_ROUNDS):
+        edges = edges_of(mesh.facets["skin"], SIDES)
+        long = edges[edge_lengths(mesh.points, edges) > _LONG * size(midpoints(mesh, edges))]
+        if not len(long):
+            break
+        found = is_member(mesh.tetrahedra[:, EDGES].reshape(-1, 2), long, len(mesh.points))
+        mesh = refine(mesh, np.asarray(found.reshape(-1, len(EDGES)).any(axis=1)))
     return mesh
-
-
-def _long_skin_edges(mesh: TissueMesh, size: Callable[[FloatArray], FloatArray]) -> IntArray:
-    pairs = np.sort(mesh.facets["skin"][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edges = np.unique(pairs, axis=0)
-    length = np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
-    return np.asarray(edges[length > _LONG * size(midpoints(mesh, edges))])
 
 
 def _unspoilt(mesh: TissueMesh, middles: FloatArray) -> TissueMesh:
@@ -203,7 +199,7 @@ def _unspoilt(mesh: TissueMesh, middles: FloatArray) -> TissueMesh:
 def rim_edges(mesh: TissueMesh, name: str) -> IntArray:
     """Edges (k, 2) around the contact called ``name``; edges on a symmetry plane do not count."""
     n = len(mesh.points)
-    pairs = mesh.facets[f"contact {name}"][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    pairs = mesh.facets[f"contact {name}"][:, SIDES].reshape(-1, 2)
     _, first, count = np.unique(keys(pairs, n), return_index=True, return_counts=True)
     rim = pairs[first[count == 1]]
     planes = [mesh.facets[f] for f in mesh.facets if f.startswith("symmetry")]
@@ -226,15 +222,6 @@ def _too_long(mesh: TissueMesh, contacts: tuple[Port, ...], rim_size: float) -> 
     marked = np.zeros(len(mesh.tetrahedra), dtype=bool)
     marked[near] = too_long | (on_rim & (length > rim_size)).any(axis=1)
     return marked
-
-
-def _on_circles(mesh: TissueMesh, edges: IntArray, middles: FloatArray, contacts: tuple[Port, ...]) -> FloatArray:
-    """``middles`` (k, 3) of ``edges`` (k, 2), except that those of a rim go out to its circle."""
-    placed, n = middles.copy(), len(mesh.points)
-    for port in contacts:
-        on = is_member(edges, rim_edges(mesh, port.name), n)
-        placed[on] = onto_circle(placed[on], port)
-    return placed
 
 
 def onto_circle(points: FloatArray, port: Port) -> FloatArray:

@@ -9,14 +9,12 @@ import numpy as np
 
 from ...typing import IntArray
 from .tissue_mesh import Bends, TissueMesh
-from .topology import SIDES, keys
+from .topology import SIDES, edges_of, keys
 
 
 def skin_edges(mesh: TissueMesh) -> IntArray:
     """Vertices (n, 2) of the skin's edges, each once, in the order of their keys."""
-    sides = mesh.facets["skin"][:, SIDES].reshape(-1, 2)
-    _, first = np.unique(keys(sides, len(mesh.points)), return_index=True)
-    return np.asarray(np.sort(sides[first], axis=1))
+    return edges_of(mesh.facets["skin"], SIDES)
 
 
 def with_finer_skin(mesh: TissueMesh) -> TissueMesh:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ...typing import BoolArray, FloatArray, IntArray
 
@@ -21,6 +23,30 @@ def keys(rows: IntArray, n_point: int) -> IntArray:
     return np.asarray(key)
 
 
+def edges_of(cells: IntArray, local: IntArray) -> IntArray:
+    """Edges (k, 2) of ``cells`` (m, j) between their ``local`` corners (:data:`EDGES` or :data:`SIDES`), each once, in
+    the order of their vertices."""
+    n = 1 + int(cells.max(initial=0))
+    return np.column_stack(np.divmod(np.unique(keys(cells[:, local].reshape(-1, 2), n)), n))
+
+
+def edge_lengths(points: FloatArray, edges: IntArray) -> FloatArray:
+    """Lengths (k,) of edges (k, 2)."""
+    return np.asarray(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1))
+
+
+def triangle_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """Normals (m, 3) of ``triangles`` (m, 3) of ``points`` (n, 3), each as long as twice its area."""
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    return np.asarray(np.cross(b - a, c - a))
+
+
+def pieces(count: int, pairs: IntArray) -> IntArray:
+    """Number (count,) of the connected piece that each of so many things belongs to, by ``pairs`` (k, 2) that touch."""
+    graph = coo_array((np.ones(len(pairs), dtype=np.int8), tuple(pairs.T)), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
 def boundary_faces(tetrahedra: IntArray) -> tuple[IntArray, IntArray]:
     """Faces (m, 3) that belong to one tetrahedron only, normals outwards, and that tetrahedron (m,)."""
     faces = tetrahedra[:, FACES].reshape(-1, 3)
@@ -36,8 +62,7 @@ def is_member(rows: IntArray, of: IntArray, n_point: int) -> BoolArray:
 
 def vertex_areas(points: FloatArray, facets: IntArray) -> FloatArray:
     """Area (n_point,) that each vertex stands for: a third of the ``facets`` (m, 3) that meet there."""
-    a, b, c = points[facets].transpose(1, 0, 2)
-    third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
+    third = np.linalg.norm(triangle_normals(points, facets), axis=1) / 6
     return np.bincount(facets.ravel(), np.repeat(third, 3), minlength=len(points)).astype(float)
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
 from ..limb.layered import underside
 from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import SIDES, boundary_faces, is_member
+from ..mesh.topology import SIDES, boundary_faces, edge_lengths, is_member, pieces, triangle_normals
 
 _ACROSS = 0.9  # cosine between a facet's normal and x from which on it lies across
 _ROUGH, _PLANE = 1e-3, 1e-6  # of the limb's length: how far from plane a cut end may be, and one without an edge
@@ -51,7 +49,10 @@ def with_boundaries(mesh: TissueMesh) -> TissueMesh:
         raise MeshError(
             "the mesh has no skin: all its boundary lies on its two ends in x; turn it so that x runs along it"
         )
-    outer = _outermost(mesh.points, rest)
+    piece = pieces(len(mesh.points), rest[:, SIDES[:2]].reshape(-1, 2))[rest[:, 0]]
+    numbers = np.unique(piece)
+    extent = [np.linalg.norm(np.ptp(mesh.points[np.unique(rest[piece == k])], axis=0)) for k in numbers]
+    outer = piece == numbers[int(np.argmax(extent))]
     named = {"skin": rest[outer], "bone": np.vstack([bones, rest[~outer]]), "end": faces[end]}
     named["underside"] = underside(mesh.points, named["skin"])
     return replace(mesh, facets={name: each for name, each in named.items() if len(each)})
@@ -63,8 +64,7 @@ def _ends(points: FloatArray, faces: IntArray) -> BoolArray:
     fTetWild keeps planes to that only. A rounded end goes on across x beyond it: of such only what is exactly plane is
     an end, and its pole is skin.
     """
-    a, b, c = points[faces].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a)
+    normal = triangle_normals(points, faces)
     across = np.abs(normal[:, 0]) > _ACROSS * np.linalg.norm(normal, axis=1)
     found = np.zeros(len(faces), dtype=bool)
     for beyond in (points[:, 0] - points[:, 0].min(), points[:, 0].max() - points[:, 0]):
@@ -80,16 +80,5 @@ def _cut_off(points: FloatArray, faces: IntArray, piece: BoolArray, across: Bool
     of = np.repeat(np.arange(len(faces)), 3)
     edges, count = np.unique(sides[piece[of]], axis=0, return_counts=True)
     beside = ~piece[of] & is_member(sides, edges[count == 1], len(points))
-    length = np.linalg.norm(np.diff(points[sides[beside]], axis=1)[:, 0], axis=1)
+    length = edge_lengths(points, sides[beside])
     return bool(length[~across[of[beside]]].sum() > 0.5 * length.sum())
-
-
-def _outermost(points: FloatArray, faces: IntArray) -> BoolArray:
-    """Facets of the connected piece with the largest extent; the others enclose cavities."""
-    n = len(points)
-    rows, columns = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
-    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(n, n))
-    piece = connected_components(graph, directed=False)[1][faces[:, 0]]
-    labels = np.unique(piece)
-    extent = [np.linalg.norm(np.ptp(points[np.unique(faces[piece == k])], axis=0)) for k in labels]
-    return np.asarray(piece == labels[int(np.argmax(extent))])

@@ -5,13 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ...errors import MeshError
 from ...typing import FloatArray, IntArray
-from ..mesh.topology import FACES, SIDES, boundary_faces, keys, mean_ratios
+from ..mesh.topology import FACES, SIDES, boundary_faces, keys, mean_ratios, pieces
 from .shells import at_words
 
 _JOINED = 1e-7  # of the body's size: vertices closer than this are one
@@ -58,8 +56,7 @@ def joined(points: FloatArray, cells: IntArray) -> tuple[FloatArray, IntArray]:
     pairs = cKDTree(points).query_pairs(_JOINED * float(np.ptp(points, axis=0).max()), output_type="ndarray")
     if not len(pairs):
         return points, cells
-    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
-    _, first, label = np.unique(connected_components(graph, directed=False)[1], return_index=True, return_inverse=True)
+    _, first, label = np.unique(pieces(len(points), pairs), return_index=True, return_inverse=True)
     return points[first], label[cells]
 
 
@@ -100,14 +97,13 @@ def _check_faces(file: Path, points: FloatArray, cells: IntArray) -> None:
             f"{file}: tetrahedra {a} and {b} lie on the same side of the face they share, at "
             f"{at_words(points[cells[a]])} ({len(same)} such pairs); the mesh is folded over: remesh"
         )
-    graph = coo_array((np.ones(len(shared), dtype=np.int8), tuple((shared // 4).T)), shape=(len(cells),) * 2)
-    parts, label = connected_components(graph, directed=False)
-    if parts > 1:
+    label = pieces(len(cells), shared // 4)
+    if label.max():
         sizes = np.bincount(label)
         first = int(np.flatnonzero(label == sizes.argmin())[0])
         raise MeshError(
-            f"{file}: falls into {parts} parts that share no face, the smallest of {sizes.min()} tetrahedra, number "
-            f"{first} among them, at {at_words(points[cells[first]])}; join the parts or remove them"
+            f"{file}: falls into {len(sizes)} parts that share no face, the smallest of {sizes.min()} tetrahedra, "
+            f"number {first} among them, at {at_words(points[cells[first]])}; join the parts or remove them"
         )
 
 
@@ -129,8 +125,7 @@ def _check_boundary(file: Path, points: FloatArray, cells: IntArray) -> None:
             f"at {at_words(points[cells[at]])}; cells are missing there, or parts meet in an edge only"
         )
     order = np.argsort(inverse, kind="stable").reshape(-1, 2) // 3
-    graph = coo_array((np.ones(len(order), dtype=np.int8), tuple(order.T)), shape=(len(faces),) * 2)
-    piece = connected_components(graph, directed=False)[1]
+    piece = pieces(len(faces), order)
     a, b, c = points[faces].transpose(1, 0, 2)
     volume = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6)
     facets = np.bincount(piece)

@@ -16,7 +16,10 @@ def crossing_faces(first: FloatArray, second: FloatArray | None, faces: IntArray
     Without ``second``, ``first`` is tested against itself; pairs that share a vertex (``faces``) do not count.
     """
     other = first if second is None else second
-    a, b = _near_pairs(first, other)
+    a, b = meeting(*_ball(first), *_ball(other))
+    low = np.maximum(first.min(axis=1)[a], other.min(axis=1)[b])
+    boxes_meet = (low <= np.minimum(first.max(axis=1)[a], other.max(axis=1)[b])).all(axis=1)
+    a, b = a[boxes_meet], b[boxes_meet]
     if second is None:
         assert faces is not None
         once = a < b
@@ -27,14 +30,6 @@ def crossing_faces(first: FloatArray, second: FloatArray | None, faces: IntArray
     for edge in ((0, 1), (1, 2), (2, 0)):
         crosses |= _pierces(first[a][:, edge], other[b]) | _pierces(other[b][:, edge], first[a])
     return np.column_stack([a[crosses], b[crosses]])
-
-
-def _near_pairs(first: FloatArray, other: FloatArray) -> tuple[IntArray, IntArray]:
-    """Pairs whose bounding boxes meet, found among those whose bounding spheres do."""
-    a, b = meeting(*_ball(first), *_ball(other))
-    low = np.maximum(first.min(axis=1)[a], other.min(axis=1)[b])
-    meet = (low <= np.minimum(first.max(axis=1)[a], other.max(axis=1)[b])).all(axis=1)
-    return a[meet], b[meet]
 
 
 def _ball(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:

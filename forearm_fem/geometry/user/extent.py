@@ -26,21 +26,17 @@ def check_extent(file: Path, points: FloatArray, unit: float = 1.0) -> None:
     spans = np.ptp(points, axis=0)
     longest = float(spans.max())
     if not _LEAST <= longest <= _MOST:
+        sizes = [(u, name, u * (longest / unit)) for u, name in _UNITS]
+        fitting = [f"{u:g} ({name}) makes it {size:.2g} m" for u, name, size in sizes if 0.02 <= size <= 1.0]
         raise GeometryError(
             f"{file}: is {longest:.3g} m long with limb.unit = {unit:g}, expected {_LEAST:g} to {_MOST:g} m; set "
-            f"limb.unit, the metres per unit of the file{_would_fit(longest / unit)}"
+            f"limb.unit, the metres per unit of the file{': ' if fitting else ''}{', '.join(fitting)}"
         )
     if spans.min() < _FLAT:
         raise GeometryError(
             f"{file}: is flat, {spans.min() * 1e3:.3g} mm in {'xyz'[int(spans.argmin())]}; expected a body with a "
             "volume, its x along the limb"
         )
-
-
-def _would_fit(length: float) -> str:
-    """Units in which ``length`` would be a forearm's, to be put behind the advice."""
-    fitting = [f"{u:g} ({name}) makes it {u * length:.2g} m" for u, name in _UNITS if 0.02 <= u * length <= 1.0]
-    return f": {', '.join(fitting)}" if fitting else ""
 
 
 def check_room(file: Path, points: FloatArray, layout: Layout, unit: float) -> None:

@@ -11,7 +11,7 @@ from ...errors import MeshError
 from ...typing import BoolArray, FloatArray, IntArray
 from ..mesh.refinement import independent, split_edges
 from ..mesh.tissue_mesh import TissueMesh
-from ..mesh.topology import EDGES, boundary_faces
+from ..mesh.topology import EDGES, boundary_faces, edges_of, triangle_normals
 
 Distance = Callable[[FloatArray], FloatArray]
 _SNAP = 0.3  # a vertex nearer to the surface than this part of an edge across it moves onto it
@@ -27,7 +27,7 @@ def cut_along(mesh: TissueMesh, distance: Distance, *, name: str) -> tuple[Tissu
     """
     mesh, value = _snapped(mesh, distance)
     for _ in range(_ROUNDS):
-        edges = np.unique(np.sort(mesh.tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0)
+        edges = edges_of(mesh.tetrahedra, EDGES)
         crossing = edges[np.prod(np.sign(value[edges]), axis=1) < 0]
         if not len(crossing):
             total = value[mesh.tetrahedra].sum(axis=1)
@@ -69,7 +69,7 @@ def _snapped(mesh: TissueMesh, distance: Distance) -> tuple[TissueMesh, FloatArr
 
 def _close(mesh: TissueMesh, value: FloatArray, part: float) -> IntArray:
     """Vertices nearer to the surface than ``part`` of an edge that crosses it."""
-    edges = np.unique(np.sort(mesh.tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0)
+    edges = edges_of(mesh.tetrahedra, EDGES)
     across = edges[np.prod(np.sign(value[edges]), axis=1) < 0]
     size = np.abs(value[across])
     return np.unique(across[size < part * size.sum(axis=1, keepdims=True)])
@@ -79,8 +79,7 @@ def _freedom(mesh: TissueMesh) -> tuple[BoolArray, FloatArray]:
     """Which vertices (n_point,) may move, and the normal (n_point, 3) they must not move along (zero inside)."""
     n = len(mesh.points)
     faces, _ = boundary_faces(mesh.tetrahedra)
-    a, b, c = mesh.points[faces].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a)
+    normal = triangle_normals(mesh.points, faces)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     total, count = np.zeros((n, 3)), np.bincount(faces.ravel(), minlength=n)
     for corner in faces.T:

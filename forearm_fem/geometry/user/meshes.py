@@ -20,7 +20,7 @@ from .cells import check_body, check_indices, joined
 from .extent import check_extent, check_room
 
 _NUMBERED = ("gmsh:physical", "region", "medit:ref", "cell_tags", "gmsh:geometrical", "material", "subdomain")
-_KINDS = ("tetra", "tetra10")
+_KINDS, _FLAT_KINDS = ("tetra", "tetra10"), ("line", "triangle", "quad", "polygon")
 _MIDDLES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))  # whose middles the nodes 4 to 9 of a tetra10 are (VTK)
 _BENT = 1e-3  # of an edge: a middle further off its chord than this is meant
 
@@ -58,20 +58,14 @@ def user_mesh(limb: MeshLimb, base: Path, layout: Layout, least: float, *, keep_
 def _tetrahedra(file: Path, read: Any) -> IntArray:
     """Corner nodes of all tetrahedra; the middles of quadratic ones are looked at by :func:`_check_straight`."""
     blocks = [c.data[:, :4] for c in read.cells if c.type in _KINDS and len(c.data)]
-    others = {c.type for c in read.cells} - {*_KINDS, "vertex"} - {k for k in _kinds(read) if k.startswith(_FLAT_KINDS)}
+    kinds = {str(c.type) for c in read.cells}
+    others = kinds - {*_KINDS, "vertex"} - {k for k in kinds if k.startswith(_FLAT_KINDS)}
     if others:
         raise MeshError(f"{file}: contains {_some(sorted(others))} cells, but only tetrahedra can be used; split them")
     if not blocks:
-        kinds = _some(sorted(_kinds(read))) or "nothing"
-        raise MeshError(f"{file}: contains no tetrahedra (only {kinds}); mesh the volume, not the surface")
+        found = _some(sorted(kinds)) or "nothing"
+        raise MeshError(f"{file}: contains no tetrahedra (only {found}); mesh the volume, not the surface")
     return np.vstack(blocks).astype(np.int64)
-
-
-_FLAT_KINDS = ("line", "triangle", "quad", "polygon")
-
-
-def _kinds(read: Any) -> set[str]:
-    return {str(c.type) for c in read.cells}
 
 
 def _check_straight(file: Path, read: Any, points: FloatArray) -> None:
@@ -99,7 +93,16 @@ def _labels(file: Path, read: Any, limb: MeshLimb, count: int) -> list[str]:
     key = next((k for k in _NUMBERED if k in read.cell_data), None)
     if key is None:
         return _from_sets(file, read, limb, chosen, count)
-    numbers = np.concatenate([_numbers(file, key, read.cell_data[key][i]) for i in chosen])
+    parts = []
+    for i in chosen:
+        found = np.asarray(read.cell_data[key][i])
+        if found.dtype.kind not in "iufb" or found.ndim > 2 or found.shape[1:] not in ((), (1,)):
+            raise MeshError(
+                f"{file}: cell data '{key}' has the shape {found.shape} and type {found.dtype}, expected one number "
+                "for each tetrahedron"
+            )
+        parts.append(found.reshape(len(found)))
+    numbers = np.concatenate(parts)
     if len(numbers) != count:
         raise MeshError(f"{file}: cell data '{key}' has {len(numbers)} entries for {count} tetrahedra; need one each")
     broken = np.flatnonzero(~np.isfinite(numbers) | (numbers != np.round(numbers)))
@@ -110,17 +113,6 @@ def _labels(file: Path, read: Any, limb: MeshLimb, count: int) -> list[str]:
         )
     named = {int(tag[0]): name for name, tag in read.field_data.items() if int(tag[1]) == 3}
     return [named.get(k, str(k)) for k in numbers.astype(np.int64).tolist()]
-
-
-def _numbers(file: Path, key: str, values: Any) -> Any:
-    """One number a cell (n,), from (n,) or (n, 1)."""
-    found = np.asarray(values)
-    if found.dtype.kind not in "iufb" or found.ndim > 2 or found.shape[1:] not in ((), (1,)):
-        raise MeshError(
-            f"{file}: cell data '{key}' has the shape {found.shape} and type {found.dtype}, expected one number for "
-            "each tetrahedron"
-        )
-    return found.reshape(len(found))
 
 
 def _from_sets(file: Path, read: Any, limb: MeshLimb, chosen: list[int], count: int) -> list[str]:

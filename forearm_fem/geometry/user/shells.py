@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ...errors import GeometryError
 from ...typing import FloatArray, IntArray
-from ..mesh.topology import SIDES, keys
+from ..mesh.topology import SIDES, keys, pieces
 
 _LEAST = 1e-12  # m^3
 
@@ -37,7 +35,13 @@ def closed(file: Path, tissue: str, vertices: FloatArray, faces: IntArray) -> In
     faces = faces[(faces[:, [0, 1, 2]] != faces[:, [1, 2, 0]]).all(axis=1)]
     if not len(faces):
         raise GeometryError(f"{file}: all triangles of '{tissue}' have shrunk to lines; is limb.unit right?")
-    _check_once(file, tissue, faces)
+    _, first, inverse = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True)
+    again = np.setdiff1d(np.arange(len(faces)), first)
+    if len(again):
+        raise GeometryError(
+            f"{file}: {len(again)} triangles of '{tissue}' occur twice, the first is number {again[0]}, the same as "
+            f"{first[inverse.ravel()[again[0]]]}; remove duplicate faces"
+        )
     sides = faces[:, SIDES].reshape(-1, 2)
     _, inverse, often = np.unique(keys(sides, len(vertices)), return_inverse=True, return_counts=True)
     _check_sides(file, tissue, vertices, sides, often[inverse])
@@ -48,7 +52,7 @@ def closed(file: Path, tissue: str, vertices: FloatArray, faces: IntArray) -> In
             f"{file}: triangles of '{tissue}' face both ways along {int((~opposite).sum())} edges, the first at "
             f"{at_words(vertices[sides[order[~opposite][0, 0]]])}; make their winding consistent"
         )
-    body = bodies(faces, order // 3)
+    body = pieces(len(faces), order // 3)
     a, b, c = vertices[faces].transpose(1, 0, 2)
     volume = np.bincount(body, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6).astype(float)
     if np.abs(volume).sum() < _LEAST:
@@ -63,7 +67,7 @@ def closed(file: Path, tissue: str, vertices: FloatArray, faces: IntArray) -> In
 def check_one_body(tissue: str, vertices: FloatArray, faces: IntArray) -> None:
     """Raise :class:`GeometryError` where the closed surface of the outermost tissue is several bodies."""
     order = np.argsort(keys(faces[:, SIDES].reshape(-1, 2), len(vertices)), kind="stable").reshape(-1, 2) // 3
-    body = bodies(faces, order)
+    body = pieces(len(faces), order)
     if body.max():
         smallest = int(np.bincount(body).argmin())
         raise GeometryError(
@@ -73,27 +77,10 @@ def check_one_body(tissue: str, vertices: FloatArray, faces: IntArray) -> None:
         )
 
 
-def bodies(faces: IntArray, neighbours: IntArray) -> IntArray:
-    """Number of the body (m,) that each of ``faces`` belongs to, given pairs (k, 2) of ``neighbours``."""
-    graph = coo_array((np.ones(len(neighbours), dtype=np.int8), tuple(neighbours.T)), shape=(len(faces),) * 2)
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
-
-
 def at_words(points: FloatArray) -> str:
     """The middle of ``points`` (n, 3) [m] in words."""
     x, y, z = np.round(points.mean(axis=0) * 1e3, 1) + 0.0  # no -0.0
     return f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
-
-
-def _check_once(file: Path, tissue: str, faces: IntArray) -> None:
-    ordered = np.sort(faces, axis=1)
-    _, first, inverse = np.unique(ordered, axis=0, return_index=True, return_inverse=True)
-    again = np.setdiff1d(np.arange(len(faces)), first)
-    if len(again):
-        raise GeometryError(
-            f"{file}: {len(again)} triangles of '{tissue}' occur twice, the first is number {again[0]}, the same as "
-            f"{first[inverse.ravel()[again[0]]]}; remove duplicate faces"
-        )
 
 
 def _check_sides(file: Path, tissue: str, vertices: FloatArray, sides: IntArray, often: IntArray) -> None:

@@ -139,7 +139,10 @@ def surfaces_mesh(
     outer = surfaces[0]
     low, high = outer.vertices.min(axis=0), outer.vertices.max(axis=0)
     grid, cells = background_grid(low, high, float((high - low).max()) / 40)
-    wanted = np.minimum.reduce([size(grid), *(_size_around(inner, grid) for inner in surfaces[1:])])
+    wanted = size(grid)
+    for inner in surfaces[1:]:  # what resolves a slender inner body such as a bone, growing away from it
+        width = float(np.ptp(inner.vertices, axis=0).min())
+        wanted = np.minimum(wanted, _PER_WIDTH * width + 0.5 * np.abs(inner.distance(grid)))
     _check_count(outer, grid, wanted, most)
     points, tetrahedra = tetrahedralise(outer.vertices, outer.faces, grid, cells, wanted, far)
     mesh = _on_surface(
@@ -147,7 +150,12 @@ def surfaces_mesh(
     )
     for inner in surfaces[1:]:
         tell(progress, f"cutting along the surface of {inner.tissue}", 0, 0)
-        mesh = _with_region(mesh, _stretched(inner, low[0], high[0]))
+        mesh, inside = cut_along(mesh, _stretched(inner, low[0], high[0]).distance, name=inner.tissue)
+        if not inside.any():
+            raise GeometryError(f"no element lies inside the surface of '{inner.tissue}'; set mesh.size_grid smaller")
+        names = tuple(dict.fromkeys([*mesh.region_names, inner.tissue]))
+        region = np.where(inside, names.index(inner.tissue), mesh.region)
+        mesh = replace(mesh, region=region, region_names=names)
     mesh = mesh if keep_bone else without_bone(mesh)
     return with_boundaries(mesh)
 
@@ -162,12 +170,6 @@ def _check_count(outer: ClosedSurface, grid: FloatArray, wanted: FloatArray, mos
             f"a limb of {np.ptp(outer.vertices[:, 0]):.2g} m would need about {count:.2g} tetrahedra, "
             f"mesh.max_elements allows {most:.2g}; enlarge mesh.size_far and mesh.size_grid, or correct limb.unit"
         )
-
-
-def _size_around(inner: ClosedSurface, places: FloatArray) -> FloatArray:
-    """Edge lengths (n,) that resolve a slender inner body such as a bone, growing away from it."""
-    width = float(np.ptp(inner.vertices, axis=0).min())
-    return np.asarray(_PER_WIDTH * width + 0.5 * np.abs(inner.distance(places)))
 
 
 def _on_surface(mesh: TissueMesh, outer: ClosedSurface) -> TissueMesh:
@@ -188,12 +190,3 @@ def _stretched(inner: ClosedSurface, low: float, high: float) -> ClosedSurface:
     moved = inner.vertices.copy()
     moved[:, 0] += reach * ((x > high - 1e-4 * length).astype(float) - (x < low + 1e-4 * length))
     return ClosedSurface(inner.tissue, moved, inner.faces)
-
-
-def _with_region(mesh: TissueMesh, inner: ClosedSurface) -> TissueMesh:
-    mesh, inside = cut_along(mesh, inner.distance, name=inner.tissue)
-    if not inside.any():
-        raise GeometryError(f"no element lies inside the surface of '{inner.tissue}'; set mesh.size_grid smaller")
-    names = tuple(dict.fromkeys([*mesh.region_names, inner.tissue]))
-    region = np.where(inside, names.index(inner.tissue), mesh.region)
-    return replace(mesh, region=region, region_names=names)
