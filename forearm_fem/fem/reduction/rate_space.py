@@ -111,15 +111,12 @@ class RateSpace:
 
     def more(self, count: int) -> Chunk:
         """The next ``count`` derivatives; fewer columns, or none, once what the forces can reach is exhausted."""
-        if self._start is None:
-            solution = self._solver.about_rate(self._weights[0], self._forces)
-            self._start, self.residual = solution.values, solution.residual
-        known, old = self._basis, self._pairs
+        start, known, old = self._begun(), self._basis, self._pairs
         columns, end = np.empty((len(self._forces), count * self._forces.shape[1]), self._number), 0
         for _ in range(count):
             if self.derivatives and not self._last:
                 break
-            new = self._extended(self._derivative() if self.derivatives else self._start)
+            new = self._extended(self._derivative() if self.derivatives else start)
             columns[:, end : end + new.shape[1]] = new
             end += new.shape[1]
             self._basis = known.with_block(columns[:, :end])
@@ -128,9 +125,15 @@ class RateSpace:
 
     def solved(self, right: FloatArray) -> FloatArray:
         """P^-1 ``right`` (n, k), unrefined, with P the stiffness at the rate."""
+        self._begun()
+        return np.asarray(self._solver.factor.solve(right))
+
+    def _begun(self) -> FloatArray:
+        """Solutions for the forces; factorised at the first call, for derivatives and others that follow."""
         if self._start is None:
-            self._start = self._first_solution()
-        return self._solved(right)
+            solution = self._solver.about_rate(self._weights[0], self._forces)
+            self._start, self.residual = solution.values, solution.residual
+        return self._start
 
     @property
     def _number(self) -> type[np.float32] | type[np.float64]:
