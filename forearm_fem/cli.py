@@ -68,7 +68,7 @@ def main() -> None:
     except Exception as problem:
         if _was_interrupted(problem):
             _interrupted()
-        if not _is_usage(problem):
+        if not type(problem).__module__.startswith(("click", "typer")):  # a wrong option, as the parser says it
             raise
         if message := _usage(problem):
             print_error(message)
@@ -86,11 +86,6 @@ def _was_interrupted(problem: BaseException | None) -> bool:
     while problem is not None and not isinstance(problem, KeyboardInterrupt):
         problem = problem.__cause__ or problem.__context__
     return problem is not None
-
-
-def _is_usage(problem: Exception) -> bool:
-    """A wrong option or argument, as the parser says it."""
-    return type(problem).__module__.startswith(("click", "typer"))
 
 
 def _usage(problem: Any) -> str:

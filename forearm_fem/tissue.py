@@ -210,7 +210,12 @@ def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
         name: _overridden(name, records.get(name), override) for name, override in scenario.tissues.override.items()
     }
     result = {**tissues, **changed}
-    _check_limb(scenario.limb, result)
+    for path, name in limb_tissue_keys(scenario.limb).items():
+        if name not in result:
+            raise ScenarioError(
+                f"{path}: no tissue is called '{name}'; known are {', '.join(sorted(result))}, "
+                f"or define it under [tissues.override.{name}]"
+            )
     return result
 
 
@@ -221,15 +226,6 @@ def limb_tissue_keys(limb: object) -> dict[str, str]:
     surfaces = {f"limb.surfaces.{name}": name for name in getattr(limb, "surfaces", ())}
     regions = {f"limb.regions.{key}": name for key, name in getattr(limb, "regions", {}).items()}
     return {**layers, **core, **surfaces, **regions}
-
-
-def _check_limb(limb: object, tissues: Mapping[str, Tissue]) -> None:
-    for path, name in limb_tissue_keys(limb).items():
-        if name not in tissues:
-            raise ScenarioError(
-                f"{path}: no tissue is called '{name}'; known are {', '.join(sorted(tissues))}, "
-                f"or define it under [tissues.override.{name}]"
-            )
 
 
 # model -> parameters it must have; a springpot's eta may be left out (1 Pa s)
@@ -277,20 +273,11 @@ def _overridden(name: str, record: TissueRecord | None, override: TissueOverride
     kept = dict(record.values) if record else {}
     if record and model != record.model:
         kept = {key: kept[key] for key in ("density", "bulk")}
-    _check_used(path, model, given)
-    spec = _Spec(name, model, {**kept, **given})
-    _check_complete(path, spec)
-    return spec.tissue()
-
-
-def _check_used(path: str, model: str, given: Mapping[str, float]) -> None:
     used = {"density", "bulk", *_NEEDS[model], *(("eta",) if model == "springpot" else ())}
     for key in given:
         if key not in used:
             raise ScenarioError(f"{path}.{key}: has no effect with the {model} model; remove it or set {path}.model")
-
-
-def _check_complete(path: str, spec: _Spec) -> None:
+    spec = _Spec(name, model, {**kept, **given})
     missing = [key for key in ("density", "bulk", *_NEEDS[spec.model]) if key not in spec.values]
     if missing:
         raise ScenarioError(f"{path}: a {spec.model} tissue stated anew also needs {', '.join(missing)}")
@@ -299,6 +286,7 @@ def _check_complete(path: str, spec: _Spec) -> None:
         raise ScenarioError(f"{path}.eta: a springpot without viscosity has no stiffness either; set eta > 0 Pa s")
     if spec.model == "zener" and v["mu_infinity"] <= v["mu"]:
         raise ScenarioError(f"{path}.mu_infinity: must exceed mu = {v['mu']:g} Pa, is {v['mu_infinity']:g}")
+    return spec.tissue()
 
 
 def _density(value: float, low: float, high: float, spread: float) -> Sourced:

@@ -86,7 +86,11 @@ class Campaign:
 def load_campaign(path: str | Path) -> Campaign:
     """Campaign from a TOML file, every member's scenario checked; raises ScenarioError in one sentence."""
     file = Path(path)
-    asked = _parsed(file)
+    try:
+        asked = CampaignFile.model_validate(read_toml(file, "no such campaign file"))
+    except ValidationError as problem:
+        known = ", ".join(CampaignFile.model_fields)
+        raise ScenarioError(f"{file}: {first_problem(problem, 'campaign')}; known keys are {known}") from None
     source = scenario_beside(file.parent, asked.scenario)
     preset = load_scenario(source, overrides=[_override(*item) for item in asked.set.items()])
     variants = list(_variants(asked, preset))
@@ -99,14 +103,6 @@ def load_campaign(path: str | Path) -> Campaign:
         source.parent,
         tuple(_member(source, asked, *variant) for variant in variants),
     )
-
-
-def _parsed(file: Path) -> CampaignFile:
-    try:
-        return CampaignFile.model_validate(read_toml(file, "no such campaign file"))
-    except ValidationError as problem:
-        known = ", ".join(CampaignFile.model_fields)
-        raise ScenarioError(f"{file}: {first_problem(problem, 'campaign')}; known keys are {known}") from None
 
 
 def _variants(asked: CampaignFile, preset: Scenario) -> Iterator[tuple[str, Values]]:
@@ -126,12 +122,9 @@ def _variants(asked: CampaignFile, preset: Scenario) -> Iterator[tuple[str, Valu
 
 def grid_name(values: Mapping[str, Any]) -> str:
     """A folder name that says what varies: last part of each key and its value."""
-    parts = [f"{key.rpartition('.')[2]}-{_plain(value)}" for key, value in values.items()]
+    plain = {key: f"{value:g}" if isinstance(value, float) else value for key, value in values.items()}
+    parts = [f"{key.rpartition('.')[2]}-{value}" for key, value in plain.items()]
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", "_".join(parts)).strip("-")
-
-
-def _plain(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:

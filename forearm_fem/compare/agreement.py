@@ -39,7 +39,10 @@ class Agreement:
 def agreement(g: CommonGround) -> Agreement:
     """All of :class:`Agreement` from the valid entries of ``g``."""
     a, b = np.where(g.valid, g.a, 0), np.where(g.valid, g.b, 0)
-    ratio_db, phase = _ratio(a, b)
+    both = (a != 0) & (b != 0)
+    ratio = np.divide(b, a, out=np.full(a.shape, np.nan + 0j), where=both)
+    ratio_db, phase = 20 * np.log10(np.abs(ratio)), np.where(both, np.angle(ratio), np.nan)
+    off, largest = np.abs(b - a).max(axis=(1, 2)), np.abs(a).max(axis=(1, 2))
     entry = (0,)
     misfit = _squared_misfit(g)
     return Agreement(
@@ -49,7 +52,7 @@ def agreement(g: CommonGround) -> Agreement:
         delay=_delay(g.omega, a, b),
         error=np.sqrt(_share(_power(b - a), _power(a), entry)),
         frac=assurance(a, b, entry),
-        per_frequency=_peak_ratio(a, b),
+        per_frequency=np.divide(off, largest, out=np.full(len(a), np.nan), where=largest > 0),
         fdac=assurance(a, b, (1, 2)),
         band=float(np.sqrt(_share(_power(b - a), _power(a), (0, 1, 2)))),
         overall_frac=float(assurance(a, b, (0, 1, 2))),
@@ -81,13 +84,6 @@ def _power(x: ComplexArray) -> FloatArray:
     return np.asarray(x.real**2 + x.imag**2)
 
 
-def _ratio(a: ComplexArray, b: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """20 log10 |b/a| and the phase of b/a; NaN where either is zero."""
-    both = (a != 0) & (b != 0)
-    ratio = np.divide(b, a, out=np.full(a.shape, np.nan + 0j), where=both)
-    return 20 * np.log10(np.abs(ratio)), np.where(both, np.angle(ratio), np.nan)
-
-
 def _mean(x: FloatArray, axes: tuple[int, ...]) -> FloatArray:
     """Mean of the finite values, NaN if there are none."""
     known = np.isfinite(x)
@@ -101,12 +97,6 @@ def _share(x: FloatArray, weight: FloatArray, axes: tuple[int, ...]) -> FloatArr
     below = weight.sum(axis=axes)
     above = np.where(np.isfinite(x), x, 0).sum(axis=axes)
     return np.asarray(np.divide(above, below, out=np.full(np.shape(below), np.nan), where=below > 0))
-
-
-def _peak_ratio(a: ComplexArray, b: ComplexArray) -> FloatArray:
-    """e(f) = max |b - a| / max |a| over the valid entries."""
-    below = np.abs(a).max(axis=(1, 2))
-    return np.asarray(np.divide(np.abs(b - a).max(axis=(1, 2)), below, out=np.full(len(a), np.nan), where=below > 0))
 
 
 def _delay(omega: FloatArray, a: ComplexArray, b: ComplexArray) -> FloatArray:

@@ -223,7 +223,10 @@ class Design:
 
 def _weighed(scenario: Scenario, own: Scenario, limits: Constraints) -> Scenario:
     """``scenario`` with the mass of its housing, by that of its file's ``own`` device."""
-    (count, each), (was, other) = ((len(s.device.centres), _one_mass(s, limits)) for s in (scenario, own))
+    (count, each), (was, other) = (
+        (len(s.device.centres), limits.actuator_mass or ACTUATORS[s.device.actuator].mass or _THESIS)
+        for s in (scenario, own)
+    )
     if limits.shell_mass is None and (count, each) == (was, other):
         return scenario
     shell = own.device.housing.mass - was * other if limits.shell_mass is None else limits.shell_mass
@@ -234,11 +237,6 @@ def _weighed(scenario: Scenario, own: Scenario, limits: Constraints) -> Scenario
         )
     housing = scenario.device.housing.model_copy(update={"mass": round(shell + count * each, 9)})
     return scenario.model_copy(update={"device": scenario.device.model_copy(update={"housing": housing})})
-
-
-def _one_mass(scenario: Scenario, limits: Constraints) -> float:
-    """Of one actuator [kg]."""
-    return limits.actuator_mass or ACTUATORS[scenario.device.actuator].mass or _THESIS
 
 
 def _span(variable: Variable) -> tuple[float, float, bool]:
@@ -271,7 +269,9 @@ def load_design(path: str | Path) -> Design:
         raise ScenarioError(f"{file}: {twice[0]} is given twice; name each key once, in variables or in set")
     names = [asked.scenario] if isinstance(asked.scenario, str) else list(asked.scenario)
     sources = [scenario_beside(file.parent, name) for name in names]
-    data = tuple(_read(source) for source in sources)
+    for source in sources:
+        load_scenario(source)  # its own sentence for whatever is wrong with it
+    data = tuple(read_toml(source, "no such file") for source in sources)
     for variable in asked.variables:
         if variable.levels is None and variable.key.startswith(_TABLED):
             raise ScenarioError(
@@ -289,22 +289,14 @@ def _parsed(file: Path) -> DesignFile:
         first = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")[0]
         key = ".".join(map(str, first["loc"]))
         if first["type"] == "extra_forbidden":
-            known = ", ".join(_known(first["loc"]))
+            tables: Mapping[str, type[Part]] = {
+                "constraints": Constraints, "objective": Objective, "search": Search, "positions": Positions,
+                "variables": Variable,
+            }  # fmt: skip
+            table = tables.get(str(first["loc"][0]), DesignFile) if len(first["loc"]) > 1 else DesignFile
+            known = ", ".join(table.model_fields)
             raise ScenarioError(f"{file}: {key}: unknown key; known are {known}") from None
         raise ScenarioError(f"{file}: {first_problem(problem, 'design')}") from None
-
-
-def _known(where: Sequence[Any]) -> Sequence[str]:
-    tables: Mapping[str, type[Part]] = {
-        "constraints": Constraints, "objective": Objective, "search": Search, "positions": Positions,
-        "variables": Variable,
-    }  # fmt: skip
-    return list(tables.get(str(where[0]), DesignFile).model_fields) if len(where) > 1 else list(DesignFile.model_fields)
-
-
-def _read(source: Path) -> Mapping[str, Any]:
-    load_scenario(source)  # its own sentence for whatever is wrong with it
-    return read_toml(source, "no such file")
 
 
 def _check(file: Path, design: Design) -> None:

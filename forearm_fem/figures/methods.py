@@ -64,7 +64,8 @@ def method(results: Results) -> Method:
         raise NotApplicable(f"{results.folder}: the inverse filter was not rendered; figure 4 shows it")
     target = "5" if "5" in sent.targets else sent.targets[0]
     at = (sent.methods.index("inverse filter"), sent.targets.index(target))
-    controls = (target, *_zeros(results, target))
+    on_record = results.account.signal_strength.zeros.get("inverse filter", {}).get(target)
+    controls = (target, *(on_record or zero_points(g, target)))  # in folders before 0.14 the default ones
     rows = [moved.channels.index(c) for c in controls]
     keep = busy(sent.values[at], sent.time)
     wanted = np.zeros((len(rows), len(sent.time)))
@@ -81,12 +82,6 @@ def method(results: Results) -> Method:
         reached=moved.values[at][rows][:, keep],
         drive_unit=sent.unit,
     )
-
-
-def _zeros(results: Results, target: str) -> tuple[str, ...]:
-    """Zero points on record for the inverse filter; in folders before 0.14, the default ones."""
-    found = results.account.signal_strength.zeros.get("inverse filter", {}).get(target)
-    return found or zero_points(results.transfer, target)
 
 
 def _measure(results: Results) -> SweptEntry:
@@ -181,25 +176,16 @@ def _filter(figure: FigureBase, data: Method) -> None:
         most = MICRO * float(np.nanmax(np.abs(rows))) or 1.0
         axes = np.atleast_1d(part.subplots(n, 1, sharex=True))
         for k, panel in enumerate(axes):
-            _control(panel, data, k, ms, rows, most)
+            if k >= len(data.controls):
+                panel.axis("off")
+                continue
+            panel.plot(ms, MICRO * rows[k], color="#D55E00" if k == 0 else INK)
+            panel.set(ylim=(-1.1 * most, 1.1 * most), xlim=(ms[0], ms[-1]))
+            kind = "target" if k == 0 else "zero"
+            panel.set_ylabel(f"{kind} {data.controls[k]}\n[µm]", rotation=0, ha="right", va="center")
         axes[-1].set_xlabel("time [ms]")
         part.suptitle(title, fontsize=8)
     axes = np.atleast_1d(middle.subplots(n, 1, sharex=True))
-    _drives(axes, data, ms)
-    middle.suptitle("drives, $S = H^{+} U$", fontsize=8)
-
-
-def _control(ax: Axes, data: Method, k: int, ms: FloatArray, rows: FloatArray, most: float) -> None:
-    if k >= len(data.controls):
-        ax.axis("off")
-        return
-    ax.plot(ms, MICRO * rows[k], color="#D55E00" if k == 0 else INK)
-    ax.set(ylim=(-1.1 * most, 1.1 * most), xlim=(ms[0], ms[-1]))
-    kind = "target" if k == 0 else "zero"
-    ax.set_ylabel(f"{kind} {data.controls[k]}\n[µm]", rotation=0, ha="right", va="center")
-
-
-def _drives(axes: FloatArray, data: Method, ms: FloatArray) -> None:
     most = 1.1 * float(np.abs(data.drives).max()) or 1.0
     last = min(len(data.inputs), len(axes)) - 1
     for k, panel in enumerate(axes):
@@ -211,6 +197,7 @@ def _drives(axes: FloatArray, data: Method, ms: FloatArray) -> None:
         panel.set_ylabel(f"{data.inputs[k].name}\n[{data.drive_unit}]", rotation=0, ha="right", va="center")
     axes[last].set_xlabel("time [ms]")
     axes[last].tick_params(labelbottom=True)
+    middle.suptitle("drives, $S = H^{+} U$", fontsize=8)
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,16 +74,11 @@ def _tapered(low: float, high: float, height: float, foot: FloatArray, axis: Flo
     """A truncated cone of radii ``low`` and ``high`` [m], its small end at ``foot`` [mm]."""
     profile = MM * np.array([[0, 0, 0], [low, 0, 0], [high, 0, height], [0, 0, height]])
     body = pv.lines_from_points(profile).extrude_rotate(resolution=40, capping=False)
-    return body.rotate_vector(*_turn(axis), point=(0, 0, 0)).translate(foot)
-
-
-def _turn(axis: FloatArray) -> tuple[FloatArray, float]:
-    """Vector and angle [degrees] that turn z into ``axis``."""
     across = np.cross([0.0, 0.0, 1.0], axis)
     size = float(np.linalg.norm(across))
-    if size < 1e-9:
-        return np.array([1.0, 0.0, 0.0]), 0.0
-    return across / size, float(np.degrees(np.arctan2(size, axis[2])))
+    about = across / size if size >= 1e-9 else np.array([1.0, 0.0, 0.0])
+    angle = float(np.degrees(np.arctan2(size, axis[2]))) if size >= 1e-9 else 0.0  # turns z into ``axis``
+    return body.rotate_vector(about, angle, point=(0, 0, 0)).translate(foot)
 
 
 def add_device(plotter: Any, ports: Sequence[Port], *, lift: float = 0.0, opacity: float = 0.35) -> None:

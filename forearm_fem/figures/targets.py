@@ -18,8 +18,8 @@ from ..ports import Port, positions
 from ..rendering import to_spectrum
 from ..typing import ComplexArray, FloatArray
 from ..wavefield import Wavefield
-from .data import Results
-from .device import busy, record_of
+from .data import Results, record_of
+from .device import busy
 from .patch import VolarPatch, volar_patch
 from .style import FAINT, GREY, INK, MICRO, SIGNED, figure_of, method_colour, panels, styled
 from .tables import Table, stacked_rows

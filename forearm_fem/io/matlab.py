@@ -61,7 +61,19 @@ def read_thesis_mat(path: str | Path) -> TransferMatrix:
     """The positive, excited bins of a file by :func:`write_thesis_mat`; DataError if missing or damaged."""
     file = Path(path)
     with reading(file, "damaged, or not a G written by forearm_fem ({why})"):
-        return _unpack(loadmat(file, appendmat=False, chars_as_strings=True))
+        content = loadmat(file, appendmat=False, chars_as_strings=True)
+        n = content["G"].shape[2]
+        half = np.flatnonzero(content["excited"].ravel()[: (n + 1) // 2])  # of odd n the last positive bin: (n - 1) / 2
+        valid = np.moveaxis(content["valid"].astype(bool), 2, 0)
+        return TransferMatrix(
+            frequency=content["frequency_Hz"].ravel()[half],
+            values=np.ascontiguousarray(np.moveaxis(content["G"][:, :, half], 2, 0)),
+            outputs=_ports(content, "grid", "point"),
+            inputs=_ports(content, "actuator", "contact"),
+            unit=str(content["units"][0]),
+            valid=None if valid.all() else valid,
+            provenance=json.loads(str(content["provenance"][0])),
+        )
 
 
 def mat5(variables: dict[str, Any], *, compressed: bool = False) -> bytes:
@@ -107,21 +119,6 @@ def _axes(prefix: str, ports: tuple[Port, ...]) -> dict[str, Any]:
         f"{prefix}_radii_m": np.array([p.radius for p in ports], dtype=float),
         f"{prefix}_contacts": labels(tuple(p.contact for p in ports)),
     }
-
-
-def _unpack(content: dict[str, Any]) -> TransferMatrix:
-    n = content["G"].shape[2]
-    half = np.flatnonzero(content["excited"].ravel()[: (n + 1) // 2])  # of odd n the last positive bin is (n - 1) / 2
-    valid = np.moveaxis(content["valid"].astype(bool), 2, 0)
-    return TransferMatrix(
-        frequency=content["frequency_Hz"].ravel()[half],
-        values=np.ascontiguousarray(np.moveaxis(content["G"][:, :, half], 2, 0)),
-        outputs=_ports(content, "grid", "point"),
-        inputs=_ports(content, "actuator", "contact"),
-        unit=str(content["units"][0]),
-        valid=None if valid.all() else valid,
-        provenance=json.loads(str(content["provenance"][0])),
-    )
 
 
 def _ports(content: dict[str, Any], prefix: str, kind: Any) -> tuple[Port, ...]:

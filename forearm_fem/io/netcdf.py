@@ -8,6 +8,7 @@ HDF5 reader opens it; complex numbers are the compound (r, i) that h5py, xarray 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, get_args
 
@@ -140,18 +141,17 @@ def _errors_of(dataset: xr.Dataset, of: str) -> tuple[ErrorEstimate, ...]:
     names = text(dataset[f"{of}_error_source"].values), text(dataset[f"{of}_error_method"].values)
     numbers = (dataset[f"{of}_error_{key}"].values for key in ("band", "frequency", "per_frequency"))
     pairs = dataset[f"{of}_error_per_pair"].values if f"{of}_error_per_pair" in dataset else [None] * len(names[0])
-    return tuple(_estimate(*row) for row in zip(*names, *numbers, pairs, strict=True))
-
-
-def _estimate(
-    source: Any, method: str, band: float, frequency: FloatArray, size: FloatArray, pairs: FloatArray | None
-) -> ErrorEstimate:
-    if source not in get_args(ErrorSource):
-        raise ValueError(f"unknown error source '{source}'")
-    used = ~np.isnan(frequency)
-    bins, sizes = (tuple(a[used].tolist()) for a in (frequency, size))
-    of_pairs = None if pairs is None or np.isnan(pairs[used]).all() else np.asarray(pairs[used], dtype=float)
-    return ErrorEstimate(source, float(band), method, bins, sizes, of_pairs)
+    errors = list[ErrorEstimate]()
+    rows: Iterable[Any] = zip(*names, *numbers, pairs, strict=True)
+    for source, method, band, frequency, size, per_pair in rows:
+        if source not in get_args(ErrorSource):
+            raise ValueError(f"unknown error source '{source}'")
+        used = ~np.isnan(frequency)
+        bins, sizes = (tuple(a[used].tolist()) for a in (frequency, size))
+        known = per_pair is not None and not np.isnan(per_pair[used]).all()
+        of_pairs = np.asarray(per_pair[used], dtype=float) if known else None
+        errors.append(ErrorEstimate(source, float(band), method, bins, sizes, of_pairs))
+    return tuple(errors)
 
 
 def _unpack_transfer(dataset: xr.Dataset) -> TransferMatrix:

@@ -89,7 +89,10 @@ def load_recipe(path: str | Path) -> ImportRecipe:
 
 def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix:
     """G from the recipe's files in ``folder``; DataError for missing, short or contradictory ones."""
-    array, axes = _stacked(recipe.array, Path(folder))
+    stack, arrays = recipe.array.stack, [_array(recipe.array, Path(folder) / name) for name in recipe.array.files]
+    array, axes = arrays[0], list(recipe.array.axes)
+    if stack is not None:
+        array, axes = np.stack(arrays, axis=-1), [*axes, stack]
     array, axes = _selected(recipe, array, axes)
     domain = "frequency" if recipe.time is None else "time"
     if sorted(axes) != sorted((domain, "output", "input")):
@@ -111,18 +114,17 @@ def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix
         return understand(raw, recipe.declaration)
 
 
-def _stacked(recipe: ArrayRecipe, folder: Path) -> tuple[FloatArray, list[str]]:
-    arrays = [_array(recipe, folder / name) for name in recipe.files]
-    if recipe.stack is None:
-        return arrays[0], list(recipe.axes)
-    return np.stack(arrays, axis=-1), [*recipe.axes, recipe.stack]
-
-
 def _array(recipe: ArrayRecipe, file: Path) -> FloatArray:
     if not file.is_file():
         raise DataError(f"{file}: no such file; the recipe expects it here")
     try:
-        numbers = np.load(file, allow_pickle=False) if recipe.format == "npy" else _raw_numbers(recipe, file)
+        if recipe.format == "npy":
+            numbers = np.load(file, allow_pickle=False)
+        else:
+            content = file.read_bytes()[recipe.skip :]
+            if len(content) % np.dtype(recipe.dtype).itemsize:
+                raise ValueError(f"{len(content)} bytes are no whole number of items")
+            numbers = np.frombuffer(content, dtype=recipe.dtype)
     except (ValueError, TypeError, EOFError) as problem:
         raise DataError(f"{file}: cannot be read as {recipe.format} {recipe.dtype}: {problem}") from None
     expected = int(np.prod(recipe.shape))
@@ -134,13 +136,6 @@ def _array(recipe: ArrayRecipe, file: Path) -> FloatArray:
     return np.asarray(
         numbers.reshape(recipe.shape, order=recipe.order) if recipe.format == "raw" else numbers, dtype=float
     )
-
-
-def _raw_numbers(recipe: ArrayRecipe, file: Path) -> FloatArray:
-    content = file.read_bytes()[recipe.skip :]
-    if len(content) % np.dtype(recipe.dtype).itemsize:
-        raise ValueError(f"{len(content)} bytes are no whole number of items")
-    return np.frombuffer(content, dtype=recipe.dtype)
 
 
 def _selected(recipe: ImportRecipe, array: FloatArray, axes: list[str]) -> tuple[FloatArray, list[str]]:

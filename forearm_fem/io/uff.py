@@ -47,7 +47,15 @@ def write_uff(path: str | Path, transfer: TransferMatrix) -> None:
         raise DataError(f"{path}: {bad} entries of G are not finite; mark them in `valid` before writing UFF")
     blocks = [_header(transfer)]
     for o, i in np.ndindex(*transfer.values.shape[1:]):
-        blocks += _entry(transfer, valid[:, o, i], o, i)
+        some = valid[:, o, i]
+        if not some.any():
+            continue
+        x, drive = transfer.frequency[some], transfer.unit.rpartition("/")[2]
+        blocks.append(_dataset58("frequency response", 4, (o, i), x, transfer.values[some, o, i], drive))
+        if transfer.deviation is not None:
+            size = transfer.deviation[some, o, i]
+            known = np.isfinite(size)
+            blocks += [_dataset58(_DEVIATION, 0, (o, i), x[known], size[known], drive)] if known.any() else []
     with atomic_path(path) as beside:
         beside.write_bytes(sealed(b"".join([*blocks, _END_SEAL])))
         _compare(path, transfer, valid, read_uff(beside))
@@ -63,7 +71,21 @@ def read_uff(path: str | Path) -> RawMatrix:
     """
     file = Path(path)
     with reading(file, "damaged or not a universal file ({why})"):
-        return _read(file)
+        sets = _sets(file)
+        responses = [s for s in sets if s.get("type") == 58 and s.get("func_type") == 4]
+        if not responses:
+            raise DataError(
+                f"{file}: holds no frequency response functions (dataset 58, type 4); export those from the analyser"
+            )
+        for s in responses:
+            _check_count(file, s)
+        own = _own_ports(file)
+        x = np.unique(np.concatenate([s["x"] for s in responses]))
+        nodes = [sorted({int(s[k]) for s in responses}) for k in ("rsp_node", "ref_node")]
+        if own is not None:
+            nodes = [list(range(1, len(p) + 1)) for p in (own["outputs"], own["inputs"])]
+        values, valid = _cube(file, responses, x, nodes)
+        return _raw(file, sets, x, values, valid, nodes, own)
 
 
 def _pyuff() -> Any:
@@ -76,19 +98,6 @@ def _header(transfer: TransferMatrix) -> bytes:
     text = json.dumps({"unit": transfer.unit, **arbitrary_gain(transfer.provenance), **ports}, ensure_ascii=True)
     lines = [BLANK.decode(), *(f"|{text[k : k + 72]}|" for k in range(0, len(text), 72))]
     return "\n".join([_END, f"{_PRIVATE:6d}", _MARK, *lines, _END, ""]).encode("ascii")
-
-
-def _entry(transfer: TransferMatrix, valid: BoolArray, o: int, i: int) -> list[bytes]:
-    """The response of one entry on its valid bins, and its deviation where that is known."""
-    if not valid.any():
-        return []
-    x, drive = transfer.frequency[valid], transfer.unit.rpartition("/")[2]
-    sets = [_dataset58("frequency response", 4, (o, i), x, transfer.values[valid, o, i], drive)]
-    if transfer.deviation is not None:
-        size = transfer.deviation[valid, o, i]
-        known = np.isfinite(size)
-        sets += [_dataset58(_DEVIATION, 0, (o, i), x[known], size[known], drive)] if known.any() else []
-    return sets
 
 
 def _dataset58(title: str, kind: int, place: tuple[int, int], x: FloatArray, data: Any, drive: str) -> bytes:
@@ -108,24 +117,6 @@ def _dataset58(title: str, kind: int, place: tuple[int, int], x: FloatArray, dat
         row.format(0, 0, 0, 0, "NONE", "NONE"),
     ]
     return "\n".join([*lines, ""]).encode("ascii") + body + f"{_END}\n".encode("ascii")
-
-
-def _read(file: Path) -> RawMatrix:
-    sets = _sets(file)
-    responses = [s for s in sets if s.get("type") == 58 and s.get("func_type") == 4]
-    if not responses:
-        raise DataError(
-            f"{file}: holds no frequency response functions (dataset 58, type 4); export those from the analyser"
-        )
-    for s in responses:
-        _check_count(file, s)
-    own = _own_ports(file)
-    x = np.unique(np.concatenate([s["x"] for s in responses]))
-    nodes = [sorted({int(s[k]) for s in responses}) for k in ("rsp_node", "ref_node")]
-    if own is not None:
-        nodes = [list(range(1, len(p) + 1)) for p in (own["outputs"], own["inputs"])]
-    values, valid = _cube(file, responses, x, nodes)
-    return _raw(file, sets, x, values, valid, nodes, own)
 
 
 def _sets(file: Path) -> list[dict[str, Any]]:

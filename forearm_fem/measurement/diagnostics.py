@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -35,15 +35,14 @@ def diagnose(recording: Recording, band: BoolArray, *, max_drift: float = 0.05) 
     for check in (_not_finite, _no_drive, _still):
         if found := list(check(recording)):
             return tuple(found)
-    checks: tuple[Callable[[], Iterator[Finding]], ...] = (
-        lambda: _hardware(recording),
-        lambda: _clipped(recording),
-        lambda: _loopback(recording, band),
-        lambda: _lost(recording),
-        lambda: _silent(recording, band),
-        lambda: _moved(recording, band, max_drift),
+    return (
+        *(Finding("hardware", f"{recording.label}: {note}", "warning") for note in recording.notes),
+        *_clipped(recording),
+        *_loopback(recording, band),
+        *_lost(recording),
+        *_silent(recording, band),
+        *_moved(recording, band, max_drift),
     )
-    return tuple(finding for check in checks for finding in check())
 
 
 def _not_finite(r: Recording) -> Iterator[Finding]:
@@ -66,11 +65,6 @@ def _still(r: Recording) -> Iterator[Finding]:
             f"{r.label}: the sensor's channel stands still at "
             f"{np.mean(r.response):.4g} V; check its cable, power and range",
         )
-
-
-def _hardware(r: Recording) -> Iterator[Finding]:
-    for note in r.notes:
-        yield Finding("hardware", f"{r.label}: {note}", "warning")
 
 
 def _clipped(r: Recording) -> Iterator[Finding]:

@@ -99,8 +99,11 @@ def _noise(xx: FloatArray, yy: FloatArray, xy: ComplexArray, repeats: int, band:
 
 def estimate(kind: Estimator, s: Spectra, band: BoolArray, options: MeasurementOptions, rate: float) -> Estimate:
     """The estimate ``kind`` asks for, zero outside ``band``; ``rate`` is the sample rate [Hz]."""
-    if kind == "deconvolution":
-        return _deconvolution(s, band, options, rate)
+    if kind == "deconvolution":  # S_xy / (S_xx + lambda max S_xx), optionally cut to a window of the impulse response
+        below = s.xx + options.regularisation * s.xx[band].max(initial=0)
+        value = np.where(band, _ratio(s.xy, below), 0)
+        plain = Estimate(value, _deviation(s, below, band), s.coherence, band)
+        return plain if options.window is None else _windowed(plain, band, options.window, rate)
     value = np.where(band, _ESTIMATORS[kind](s), 0)
     return Estimate(value, _deviation(s, s.xx, band), s.coherence, band)
 
@@ -136,14 +139,6 @@ def _ratio(a: ComplexArray, b: FloatArray | ComplexArray) -> ComplexArray:
 _ESTIMATORS: Mapping[str, Callable[[Spectra], ComplexArray]] = MappingProxyType(
     {"fourier": _h1, "H1": _h1, "H2": _h2, "Hv": _hv}
 )
-
-
-def _deconvolution(s: Spectra, band: BoolArray, options: MeasurementOptions, rate: float) -> Estimate:
-    """S_xy / (S_xx + lambda max S_xx), optionally cut to ``options.window`` seconds of impulse response."""
-    below = s.xx + options.regularisation * s.xx[band].max(initial=0)
-    value = np.where(band, _ratio(s.xy, below), 0)
-    plain = Estimate(value, _deviation(s, below, band), s.coherence, band)
-    return plain if options.window is None else _windowed(plain, band, options.window, rate)
 
 
 def _windowed(plain: Estimate, band: BoolArray, window: float, rate: float) -> Estimate:

@@ -40,7 +40,6 @@ from ..results import (
     ResolutionRecord,
     RunRecord,
     SolutionRecord,
-    StageCost,
     StrengthRecord,
     condition_of,
     read_run,
@@ -49,9 +48,9 @@ from ..results import (
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
-from .actuator_notes import actuator_notes
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
+from .notes import actuator_notes
 from .renderers import check_servable, wavelet
 from .resources import Ledger
 from .simulation import AnswersForArm, Simulation, account_of, render_transfer, simulate, with_device
@@ -161,28 +160,23 @@ def run_render(run: Run) -> Rendering:
 
 def _solved(run: Run) -> TransferMatrix:
     refuse_other_g(run.out / "transfer.nc", measured=False)
-    mesh = run_mesh(run)
+    scenario, mesh = run.scenario, run_mesh(run)
     with run.stage("solve"):
-        simulation = _simulated(run, mesh)
+        if mesh is None:
+            found = simulate(scenario, base=run.base, progress=run.progress, library=run.library)
+        else:
+            expected = forecast(scenario, base=run.base, mesh=mesh)
+            refuse_if_too_large(expected, scenario)
+            for sentence in expected.sentences(float(frequencies(scenario.sweep)[-1])):
+                warnings.warn(sentence, AccuracyWarning, stacklevel=2)
+            solved = solve(scenario, mesh, frequencies(scenario.sweep), base=run.base, progress=run.progress)
+            found = with_device(scenario, mesh, solved)
+        run.notes += found.notes
+        solver = found.solved.facts.solver if found.solved is not None else None
+        transfer = replace(found.transfer, provenance=provenance(scenario, mesh, solver))
     with run.stage("write"):
-        _write_solution(run, simulation)
-    return simulation.transfer
-
-
-def _simulated(run: Run, mesh: TissueMesh | None) -> Simulation:
-    scenario = run.scenario
-    if mesh is None:
-        result = simulate(scenario, base=run.base, progress=run.progress, library=run.library)
-    else:
-        expected = forecast(scenario, base=run.base, mesh=mesh)
-        refuse_if_too_large(expected, scenario)
-        for sentence in expected.sentences(float(frequencies(scenario.sweep)[-1])):
-            warnings.warn(sentence, AccuracyWarning, stacklevel=2)
-        solved = solve(scenario, mesh, frequencies(scenario.sweep), base=run.base, progress=run.progress)
-        result = with_device(scenario, mesh, solved)
-    run.notes += result.notes
-    solver = result.solved.facts.solver if result.solved is not None else None
-    return replace(result, transfer=replace(result.transfer, provenance=provenance(scenario, mesh, solver)))
+        _write_solution(run, replace(found, transfer=transfer))
+    return transfer
 
 
 def provenance(scenario: Scenario, mesh: TissueMesh | None, solver: str | None) -> dict[str, Any]:
@@ -312,7 +306,14 @@ def _mesh_record(run: Run, mesh: TissueMesh | None) -> MeshRecord:
 def _write_run(run: Run) -> None:
     """``run.json``: the whole account; stages not run now keep their account of last time."""
     target = run.out / "run.json"
-    before = _stages_before(target)
+    try:
+        stages = dict(read_run(target).stages)
+    except DataError:
+        stages = {}
+    for name, cost in run.ledger.stages.items():
+        # what it cost when it was computed: a stage that only reused results keeps its older, larger account
+        if name not in stages or cost.seconds >= stages[name].seconds:
+            stages[name] = cost
     transfer, solution = read_transfer(run.out / "transfer.nc"), _read_json(run.out / "solution.json")
     account = RunRecord(
         scenario=run.scenario.model_dump(mode="json"),
@@ -320,7 +321,7 @@ def _write_run(run: Run) -> None:
         program=__version__,
         mesh=MeshRecord.model_validate(solution.get("mesh", {})),
         solution=SolutionRecord.model_validate(solution.get("facts", {})),
-        stages={name: _first_cost(cost, before.get(name)) for name, cost in {**before, **run.ledger.stages}.items()},
+        stages=stages,
         errors=tuple(ErrorRecord.of(e) for e in transfer.errors),
         accuracy=accuracy_verdict(run.scenario, transfer.errors),
         condition_number=condition_of(transfer),
@@ -328,18 +329,6 @@ def _write_run(run: Run) -> None:
         notes=tuple(dict.fromkeys(run.notes)),
     )
     write_run(target, account)
-
-
-def _stages_before(target: Path) -> dict[str, StageCost]:
-    try:
-        return dict(read_run(target).stages)
-    except DataError:
-        return {}
-
-
-def _first_cost(cost: StageCost, before: StageCost | None) -> StageCost:
-    """What the stage cost when it was computed: a stage that only reused results keeps its older, larger account."""
-    return before if before and before.seconds > cost.seconds else cost
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -78,7 +78,10 @@ def forecast(
     ports = place_ports(scenario, mesh)
     orders = element_orders(mesh, ports, scenario.element)
     unknowns = 3 * orders.spread.shape[1] + orders.spread_pressures.shape[1]
-    rate = _starts_from_rate(scenario, mesh)
+    # as ``expansion.starts_from_rate`` finds on the assembled model
+    tissues = resolve_tissues(scenario)
+    polynomial = all(is_polynomial(tissues[name].modulus) for name in mesh.region_names)
+    rate = polynomial and scenario.solver.start != "frequencies"
     factorisations = _FROM_RATE if rate else scenario.solver.expansions + 1.0
     if scenario.solver.sweep == "direct":
         factorisations = len(frequencies(scenario.sweep))
@@ -140,13 +143,6 @@ def _factor_bytes(scenario: Scenario, unknowns: int, *, rate: bool) -> float:
         return double / 2
     passing = rate and scenario.solver.sweep == "reduced" and reduction_tolerance(scenario) >= ROUNDED
     return double / 2 * _FRONTS * (_PASSING if passing else 1.0)
-
-
-def _starts_from_rate(scenario: Scenario, mesh: TissueMesh) -> bool:
-    """Whether the sweep will, as ``expansion.starts_from_rate`` finds on the assembled model."""
-    tissues = resolve_tissues(scenario)
-    able = all(is_polynomial(tissues[name].modulus) for name in mesh.region_names)
-    return able and scenario.solver.start != "frequencies"
 
 
 def _basis_bytes(scenario: Scenario, unknowns: int, ports: Sequence[Port], *, rate: bool) -> float:

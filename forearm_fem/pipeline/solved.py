@@ -7,6 +7,7 @@ import json
 import logging
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -65,19 +66,17 @@ class Solved:
     other_ends: Compliance | None = None
 
 
+@freed_memory_kept()
 def solve(
     scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, *, base: Path, progress: Progress | None = None
 ) -> Solved:
     """Solve what is not in the cache yet; each finished part is stored at once."""
-    with freed_memory_kept():
-        return _solve(scenario, mesh, frequency, base, progress)
-
-
-def _solve(
-    scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, base: Path, progress: Progress | None
-) -> Solved:
     store = _Store(default_cache_dir() / "solves" / solve_key(scenario, mesh, frequency))
-    main = _main_part(store, scenario, mesh, frequency, progress)
+    if (main := store.main()) is None:
+        tolerance = reduction_tolerance(scenario)
+        solution = solve_fem(scenario, mesh, frequency, progress=progress, snapshots=store, tolerance=tolerance)
+        main = _packed(scenario, solution, frequency)
+        store.keep_main(main)
     # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
     unseen = main.freed is None or isinstance(scenario.limb, SlabLimb)
     cut = unseen and len(mesh.facets.get("end", ())) > 0
@@ -120,19 +119,6 @@ def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> st
         "frequency": hashlib.sha256(frequency.tobytes()).hexdigest(),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def _main_part(
-    store: _Store, scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, progress: Progress | None
-) -> Solved:
-    if (kept := store.main()) is not None:
-        return kept
-    solution = solve_fem(
-        scenario, mesh, frequency, progress=progress, snapshots=store, tolerance=reduction_tolerance(scenario)
-    )
-    result = _packed(scenario, solution, frequency)
-    store.keep_main(result)
-    return result
 
 
 def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) -> Solved:
@@ -204,23 +190,20 @@ class _Store:
     def chunks(self) -> tuple[Chunk, ...]:
         """What an interrupted sweep left of the space about a rate, up to the first part that is missing or damaged."""
         found = list[Chunk]()
-        while (chunk := self._chunk(len(found))) is not None:
-            found.append(chunk)
-        return tuple(found)
+        while True:
+            try:
+                with self._snapshot(f"rate-{len(found)}").open("rb") as stream, np.load(stream) as data:
+                    columns, counts = data["columns"], (int(data["last"]), int(data["derivatives"]))
+                    pairs = Pairs(data["upper"], data["lower"])
+                    found.append(Chunk(columns, pairs, *counts, float(data["residual"])))
+            except _DAMAGED:
+                return tuple(found)
 
     def put_chunk(self, number: int, chunk: Chunk) -> None:
         """Keep a part of the space about a rate until the sweep is finished."""
         parts = {"columns": chunk.columns.astype(np.float32), "upper": chunk.pairs.upper, "lower": chunk.pairs.lower}
         parts |= {name: getattr(chunk, name) for name in ("last", "derivatives", "residual")}
         self._keep(f"rate-{number}", parts)
-
-    def _chunk(self, number: int) -> Chunk | None:
-        try:
-            with self._snapshot(f"rate-{number}").open("rb") as stream, np.load(stream) as data:
-                columns, counts = data["columns"], (int(data["last"]), int(data["derivatives"]))
-                return Chunk(columns, Pairs(data["upper"], data["lower"]), *counts, float(data["residual"]))
-        except _DAMAGED:
-            return None
 
     def _keep(self, name: str, parts: dict[str, Any]) -> None:
         try:
@@ -264,14 +247,11 @@ class _Store:
         except _DAMAGED:
             return None
         ends = self.read("freed") if facts.ends_by == "reduced model" else None
-        skin = self._skin() if facts.reduced_size else None
+        skin = None
+        if facts.reduced_size:
+            with suppress(ForearmError):
+                skin = load_skin_model(self._folder / "reduced.nc")
         return None if compliance is None else Solved(compliance, None, ends, modes, states, facts, skin=skin)
-
-    def _skin(self) -> SkinModel | None:
-        try:
-            return load_skin_model(self._folder / "reduced.nc")
-        except ForearmError:
-            return None
 
     def keep_main(self, solved: Solved) -> None:
         """Store the main part, then drop the expansions it came from."""

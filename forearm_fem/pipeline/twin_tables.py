@@ -46,20 +46,16 @@ def kept_tables(
     file = (folder or default_cache_dir() / "twin-tables") / f"{key}.npz"
     found = _read(file, scenario)
     if found is None:
-        found = _made(scenario, reach, progress)
+        cone, (low, high) = scenario.device.cone, _band(scenario)
+        found = tabulate(
+            flat_layers(scenario), (2 * np.pi * low, 2 * np.pi * high), cone.radius, cone.contact,
+            surface=flat_surface(scenario.tissues), farthest=reach, progress=progress,
+        )  # fmt: skip
         with atomic_path(file) as beside, beside.open("wb") as stream:
             np.savez(stream, **found.arrays())  # type: ignore[arg-type]
     if known is not None:
         known[key] = found
     return found
-
-
-def _made(scenario: Scenario, reach: float, progress: Progress | None) -> Tabulated:
-    cone, (low, high) = scenario.device.cone, _band(scenario)
-    return tabulate(
-        flat_layers(scenario), (2 * np.pi * low, 2 * np.pi * high), cone.radius, cone.contact,
-        surface=flat_surface(scenario.tissues), farthest=reach, progress=progress,
-    )  # fmt: skip
 
 
 def _read(file: Path, scenario: Scenario) -> Tabulated | None:

@@ -139,12 +139,11 @@ def _changed(scenario: Scenario, part: BaseModel, path: str) -> Iterator[str]:
         value, key = getattr(part, name), f"{path}{name}"
         if isinstance(value, BaseModel):
             yield from _changed(scenario, value, f"{key}.")
-        elif name != "shape" and value != _default(scenario, part, name, field.get_default(call_default_factory=True)):
-            yield key
-
-
-def _default(scenario: Scenario, part: BaseModel, name: str, default: object) -> object:
-    return forearm_length(scenario.accuracy) if isinstance(part, ForearmLimb) and name == "length" else default
+        elif name != "shape":
+            follows = isinstance(part, ForearmLimb) and name == "length"  # the accuracy asked for
+            usual = forearm_length(scenario.accuracy) if follows else field.get_default(call_default_factory=True)
+            if value != usual:
+                yield key
 
 
 def _has_bone(scenario: Scenario) -> bool:

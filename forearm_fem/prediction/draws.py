@@ -77,12 +77,15 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
     """``scenario`` on the arm and with the device of ``draw``; inputs of the names or groups ``held`` stay its own.
 
     Tissues called skin, fat and muscle get the drawn law; others, and limbs without layers, keep theirs. Noise, and the
-    places that the experimenter takes for true, are not in a scenario (:mod:`forearm_fem.prediction.measuring`).
+    places that the experimenter takes for true, are not in a scenario (:mod:`forearm_fem.prediction.outcome`).
     """
     data: dict[str, Any] = scenario.model_dump()
     values = {name: value for name, value in draw.values.items() if name not in held}
     if "tissue" not in held:
-        _set_tissues(data, draw, scenario)
+        known, override = resolve_tissues(scenario), data["tissues"]["override"]
+        for tissue, parameters in law_parameters(draw.law, draw.values).items():
+            bulk = "incompressible" if known[tissue].incompressible else known[tissue].bulk
+            override[tissue] = {"density": known[tissue].density, "bulk": bulk, **parameters}
     if "skin tension" in values:
         data["tissues"]["membrane"]["tension"] = values["skin tension"]
     for layer in data["limb"].get("layers", ()):
@@ -91,13 +94,6 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
     if _PLACED & values.keys():
         data["grid"]["points"] = moved_points(scenario, values)
     return Scenario.model_validate(data)
-
-
-def _set_tissues(data: dict[str, Any], draw: Draw, scenario: Scenario) -> None:
-    known, override = resolve_tissues(scenario), data["tissues"]["override"]
-    for tissue, parameters in law_parameters(draw.law, draw.values).items():
-        bulk = "incompressible" if known[tissue].incompressible else known[tissue].bulk
-        override[tissue] = {"density": known[tissue].density, "bulk": bulk, **parameters}
 
 
 def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:

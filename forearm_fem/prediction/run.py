@@ -30,7 +30,7 @@ from ..progress import Progress, tell, within
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
 from ..scenario.contents import contents, named_files
-from ..transfer import UNITS, TransferMatrix
+from ..transfer import UNITS
 from .arm import ArmModel, arm_model
 from .draws import LAWS, draw_inputs, scenario_of
 from .outcome import READINGS, Outcome, Setup, outcome_of, setup_of
@@ -202,14 +202,6 @@ def _nominal(question: Question, progress: Progress | None) -> StrengthAccount:
     return account
 
 
-def _setup(question: Question, transfer: TransferMatrix, arm: ArmModel) -> Setup:
-    options = question.scenario.rendering
-    targets = [p.name for p in transfer.outputs] if options.targets == "all" else list(options.targets)
-    left_out = unsuited(options, transfer.outputs, transfer.inputs, targets)
-    held = expanded(question.held) | expanded(arm.held)
-    return setup_of(question.scenario, transfer, question.base, left_out, held)
-
-
 def _kept(file: Path, digest: str, draws: int) -> dict[int, Outcome]:
     try:
         return {o.number: o for o in read_outcomes(file, digest) if o.number < draws}
@@ -295,7 +287,11 @@ def _prepared(
     on_twin = question.scenario.engine == "layered" or twin
     arm = arm_model(question.scenario, base=base, draws=() if on_twin else pool(question), twin=twin, progress=progress)
     compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
-    return question, _setup(question, close_loop(compliance, question.scenario.device), arm), arm
+    transfer, options = close_loop(compliance, question.scenario.device), question.scenario.rendering
+    targets = [p.name for p in transfer.outputs] if options.targets == "all" else list(options.targets)
+    left_out = unsuited(options, transfer.outputs, transfer.inputs, targets)
+    held_by_both = expanded(question.held) | expanded(arm.held)
+    return question, setup_of(question.scenario, transfer, question.base, left_out, held_by_both), arm
 
 
 def pool(question: Question) -> list[Scenario]:

@@ -17,7 +17,6 @@ from ..rendering.lattice import is_thesis_grid
 from ..rendering.limits import Limits, beyond_limits
 from ..results import StrengthRecord
 from ..scenario import Scenario
-from ..scenario.device import Device
 from ..transfer import TransferMatrix, entry_band_errors, size_words
 from ..typing import FloatArray
 
@@ -68,19 +67,17 @@ def _limb(s: Scenario) -> str:
 def _device(s: Scenario) -> str:
     d = s.device
     absent = f"; out of contact: {', '.join(d.out_of_contact)}" if d.out_of_contact else ""
-    count = _counted(len(d.centres), "actuator")
-    return (f"{count} {_arranged(d)}, {d.drive} drive, cones of {_mm(2 * d.cone.radius)} diameter, "
-            f"{d.cone.contact} contact{absent}")  # fmt: skip
-
-
-def _arranged(d: Device) -> str:
     if d.contacts is not None:
-        return f"at own places{_nearest(d.contacts)}"
-    counts = d.columns if isinstance(d.columns, tuple) else (d.columns,) * d.rows
-    rows = f"in rows of {', '.join(map(str, counts))}" if len(set(counts)) > 1 else f"in {d.rows} x {counts[0]}"
-    across = d.spacing_y or d.spacing
-    aside = f", rows staggered by {_mm(d.stagger * across)}" if d.stagger else ""
-    return f"{rows}, {_mm(d.spacing)}{'' if across == d.spacing else f' x {_mm(across)}'} apart{aside}"
+        arranged = f"at own places{_nearest(d.contacts)}"
+    else:
+        counts = d.columns if isinstance(d.columns, tuple) else (d.columns,) * d.rows
+        rows = f"in rows of {', '.join(map(str, counts))}" if len(set(counts)) > 1 else f"in {d.rows} x {counts[0]}"
+        across = d.spacing_y or d.spacing
+        aside = f", rows staggered by {_mm(d.stagger * across)}" if d.stagger else ""
+        arranged = f"{rows}, {_mm(d.spacing)}{'' if across == d.spacing else f' x {_mm(across)}'} apart{aside}"
+    count = _counted(len(d.centres), "actuator")
+    return (f"{count} {arranged}, {d.drive} drive, cones of {_mm(2 * d.cone.radius)} diameter, "
+            f"{d.cone.contact} contact{absent}")  # fmt: skip
 
 
 def _counted(count: int, what: str) -> str:

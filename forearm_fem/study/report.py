@@ -93,7 +93,8 @@ def _device_section(devices: Sequence[Mapping[str, str]], answers: Mapping[str, 
     kinds: dict[tuple[str, ...], int] = {}
     for d in devices:
         gain = "unknown" if d["gain"] == "n/a" else d["gain"]
-        key = (d["device"], _milliseconds(d["latency"]), d["latency_basis"], gain, d["level_basis"])
+        late = "unknown" if d["latency"] == "n/a" else f"{1e3 * float(d['latency']):.3g} ms"
+        key = (d["device"], late, d["latency_basis"], gain, d["level_basis"])
         kinds[key] = kinds.get(key, 0) + 1
     if lost := len(sittings - told):
         kinds[("unknown",) * 5] = lost
@@ -101,10 +102,6 @@ def _device_section(devices: Sequence[Mapping[str, str]], answers: Mapping[str, 
     head = ["device", "sittings", "latency, out and in", "how", "gain of a cable [V/V]", "level"]
     note = "Response times run from the end of the stimulus as it was sent; a latency that is unknown is in them."
     return Section("devices", "What played", Block(head, rows, note))
-
-
-def _milliseconds(text: str) -> str:
-    return "unknown" if text == "n/a" else f"{1e3 * float(text):.3g} ms"
 
 
 def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Correction, answer: Answer) -> Analysed:

@@ -200,16 +200,13 @@ class Session:
                 yes = given.interval == trial.comparison if trial.comparison else bool(given.yes)
                 self._track.update(trial, self._level, yes)
             self._answered, self._presented = self._answered + 1, 0
-            self._waiting = self._after(trial)
-
-    def _after(self, trial: Trial) -> Waiting:
-        following = self.current
-        if following is None:
-            return "done"
-        if following.block == trial.block:
-            return "stimulus"
-        self._break_until = self._clock() + self.task.break_seconds
-        return "break"
+            following = self.current
+            if following is None:
+                self._waiting = "done"
+            elif following.block == trial.block:
+                self._waiting = "stimulus"
+            else:
+                self._waiting, self._break_until = "break", self._clock() + self.task.break_seconds
 
     def _response(self, given: Given) -> dict[str, Any]:
         kind = self.task.answer

@@ -167,9 +167,12 @@ class StudyStore:
     def add(self, participant: str, task: str, row: Mapping[str, Any]) -> None:
         """Append one answer; on the disk when this returns. DataError where it cannot be written."""
         file = self.events_file(participant, task)
-        if not file.exists():
+        columns = tuple(EVENTS)
+        if file.exists():  # one begun by an earlier version keeps its columns
+            with file.open(encoding="utf-8") as stream:
+                columns = tuple(stream.readline().rstrip("\n").split("\t"))
+        else:
             write_text(file.with_suffix(".json"), _dictionary(EVENTS, {"TaskName": task}))
-        columns = _columns_of(file) or tuple(EVENTS)
         _append(file, columns, {k: v for k, v in row.items() if k in columns or k not in EVENTS})
 
     def add_device(self, row: Mapping[str, Any]) -> None:
@@ -203,14 +206,6 @@ def _dictionary(columns: Mapping[str, str], facts: Mapping[str, str] | None = No
         told[name] = {"Description": text} | ({"Units": unit} if unit else {})
         told[name] |= {"Format": "number"} if name in _NUMBERS else {}
     return json.dumps(told, indent=2, ensure_ascii=False)
-
-
-def _columns_of(file: Path) -> tuple[str, ...]:
-    """Header of a table that is there already: one begun by an earlier version keeps its columns."""
-    if not file.exists():
-        return ()
-    with file.open(encoding="utf-8") as stream:
-        return tuple(stream.readline().rstrip("\n").split("\t"))
 
 
 def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = ()) -> list[dict[str, str]]:

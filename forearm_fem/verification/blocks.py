@@ -32,8 +32,14 @@ def block_mesh(
     unit, tetrahedra = _lattice(axes)
     region = np.minimum((unit[tetrahedra].mean(axis=1)[:, 0] * len(regions)).astype(int), len(regions) - 1)
     faces, _ = boundary_faces(oriented(unit, tetrahedra))
-    named = {name: _chosen(unit, faces, sides) for name, sides in {"skin": ("z1",), **facets}.items()}
-    points = _bent(unit, bend) * np.asarray(size)
+    named, corner = {}, unit[faces]
+    for name, sides in {"skin": ("z1",), **facets}.items():
+        chosen = np.zeros(len(faces), dtype=bool)
+        for side in sides:
+            chosen |= (corner[:, :, "xyz".index(side[0])] == float(side[1])).all(axis=1)
+        named[name] = faces[chosen]
+    bump = bend * np.prod(np.sin(np.pi * unit), axis=1)[:, None]  # smooth, and nothing on the boundary
+    points = (unit + bump * np.array([1.0, -0.7, 0.5])) * np.asarray(size)
     return TissueMesh(points, oriented(points, tetrahedra), region, tuple(regions), named)
 
 
@@ -51,20 +57,6 @@ def _lattice(axes: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
     return points, stack_prisms(triangles, levels)[0]
 
 
-def _chosen(unit: FloatArray, faces: IntArray, sides: Sequence[str]) -> IntArray:
-    corner = unit[faces]
-    chosen = np.zeros(len(faces), dtype=bool)
-    for side in sides:
-        chosen |= (corner[:, :, "xyz".index(side[0])] == float(side[1])).all(axis=1)
-    return faces[chosen]
-
-
-def _bent(unit: FloatArray, amount: float) -> FloatArray:
-    """Unit-cube points moved by a smooth field that vanishes on the boundary."""
-    bump = amount * np.prod(np.sin(np.pi * unit), axis=1)[:, None]
-    return np.asarray(unit + bump * np.array([1.0, -0.7, 0.5]))
-
-
 def shell_mesh(radii: FloatArray, splits: int, *, curved: bool = False) -> TissueMesh:
     """Quarter (x, y > 0) of the space between spheres: "contact A1" inside, "end" outside, symmetry planes.
 
@@ -73,7 +65,8 @@ def shell_mesh(radii: FloatArray, splits: int, *, curved: bool = False) -> Tissu
     volume.
     """
     directions, triangles = _quarter_sphere(splits)
-    unit = directions * (1.0 if curved else _volume_factor(directions, triangles))
+    volume = np.abs(np.linalg.det(directions[triangles])).sum() / 6  # pi / 3 of a quarter ball
+    unit = directions * (1.0 if curved else float((np.pi / 3 / volume) ** (1 / 3)))
     levels = np.arange(len(unit)) + len(unit) * np.arange(len(radii))[:, None]
     points = (np.asarray(radii)[:, None, None] * unit).reshape(-1, 3)
     tetrahedra = oriented(points, stack_prisms(triangles, levels)[0])
@@ -110,9 +103,3 @@ def _quarter_sphere(splits: int) -> tuple[FloatArray, IntArray]:
                     triangles.append([points.setdefault(k, len(points)) for k in keys])
     lattice = np.array(list(points), dtype=float)
     return lattice / np.linalg.norm(lattice, axis=1)[:, None], np.array(triangles)
-
-
-def _volume_factor(directions: FloatArray, triangles: IntArray) -> float:
-    """Radial stretch that gives the quarter polyhedron the volume pi / 3 of a quarter ball."""
-    volume = np.abs(np.linalg.det(directions[triangles])).sum() / 6
-    return float((np.pi / 3 / volume) ** (1 / 3))

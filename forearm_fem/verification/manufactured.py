@@ -126,7 +126,26 @@ def _tissue(name: str, factor: float, bulk: float) -> Tissue:
 
 def strong_load(space: MixedSpace, exact: ExactWaves, tissue: Tissue) -> ComplexArray:
     """Load vector (n_u,) of the body force and of the tractions on the facets "rest"."""
-    return _volume_load(space, exact, tissue) + _traction_load(space, exact, tissue)
+    points, weights = get_quadrature(RefTet, _QUADRATURE)
+    values, _ = tabulate(space.pair.displacement, points)
+    force = exact.body_force(_points(space, points), tissue)
+    volume = np.abs(np.linalg.det(space.jacobians))
+    part = np.einsum("ieq,bq,q,e->ieb", force, values, weights, volume, optimize=True)
+    inside = _scatter_vector(space, space.nodes, part)
+    points, weights = get_quadrature(RefTri, _QUADRATURE)
+    facets = space.mesh.facets["rest"]
+    tets, local = space.owners(facets)
+    normals, areas = facet_normals(space.mesh.points, facets)
+    load = np.zeros(space.n_displacements, dtype=complex)
+    for f in range(4):
+        mine = local == f
+        place = facet_points(f, points)
+        values, _ = tabulate(space.pair.displacement, place)
+        stress = exact.stress(_points(space, place)[:, tets[mine]], tissue)
+        traction = np.einsum("ijeq,ej->ieq", stress, normals[mine])
+        part = np.einsum("ieq,bq,q,e->ieb", traction, values, weights, 2 * areas[mine], optimize=True)
+        load += _scatter_vector(space, space.nodes[tets[mine]], part)
+    return inside + load
 
 
 def _points(space: MixedSpace, reference: FloatArray) -> FloatArray:
@@ -141,32 +160,6 @@ def _scatter_vector(space: MixedSpace, nodes: IntArray, part: ComplexArray) -> C
     for i in range(3):
         np.add.at(out[:, i], nodes, part[i])
     return out.ravel()
-
-
-def _volume_load(space: MixedSpace, exact: ExactWaves, tissue: Tissue) -> ComplexArray:
-    points, weights = get_quadrature(RefTet, _QUADRATURE)
-    values, _ = tabulate(space.pair.displacement, points)
-    force = exact.body_force(_points(space, points), tissue)
-    volume = np.abs(np.linalg.det(space.jacobians))
-    part = np.einsum("ieq,bq,q,e->ieb", force, values, weights, volume, optimize=True)
-    return _scatter_vector(space, space.nodes, part)
-
-
-def _traction_load(space: MixedSpace, exact: ExactWaves, tissue: Tissue) -> ComplexArray:
-    points, weights = get_quadrature(RefTri, _QUADRATURE)
-    facets = space.mesh.facets["rest"]
-    tets, local = space.owners(facets)
-    normals, areas = facet_normals(space.mesh.points, facets)
-    load = np.zeros(space.n_displacements, dtype=complex)
-    for f in range(4):
-        mine = local == f
-        place = facet_points(f, points)
-        values, _ = tabulate(space.pair.displacement, place)
-        stress = exact.stress(_points(space, place)[:, tets[mine]], tissue)
-        traction = np.einsum("ijeq,ej->ieq", stress, normals[mine])
-        part = np.einsum("ieq,bq,q,e->ieb", traction, values, weights, 2 * areas[mine], optimize=True)
-        load += _scatter_vector(space, space.nodes[tets[mine]], part)
-    return load
 
 
 def weak_load(space: MixedSpace, exact: ExactWaves, tissues: list[Tissue]) -> ComplexArray:
