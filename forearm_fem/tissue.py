@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
@@ -195,7 +195,7 @@ class TissueRecord:
 
     def tissue(self, values: Mapping[str, float] | None = None) -> Tissue:
         """The tissue, with ``values`` (drawn or chosen) in place of the recorded ones."""
-        return _Spec(self.name, self.model, {**self.values, **(values or {})}).tissue()
+        return _tissue(self.name, self.model, {**self.values, **(values or {})})
 
 
 def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
@@ -239,29 +239,20 @@ _NEEDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 
 
-@dataclass(frozen=True)
-class _Spec:
-    """A tissue as named numbers, before it becomes a :class:`Tissue`."""
-
-    name: str
-    model: str
-    values: Mapping[str, float] = field(default_factory=dict)
-
-    def tissue(self) -> Tissue:
-        """The tissue these numbers (SI) describe; they must be complete for the model."""
-        return Tissue(self.name, self.values["density"], self._modulus(), self.values["bulk"])
-
-    def _modulus(self) -> Modulus:
-        v = self.values
-        match self.model:
-            case "kelvin-voigt":
-                return KelvinVoigt(v["mu"], v["eta"])
-            case "springpot":
-                return SpringPot(v["mu"], v["exponent"], v.get("eta", 1.0))
-            case "zener":
-                return Zener(v["mu"], v["mu_infinity"], v["eta"])
-            case _:
-                return Hysteretic(v["mu"], v["loss"])
+def _tissue(name: str, model: str, values: Mapping[str, float]) -> Tissue:
+    """The tissue that these numbers (SI) describe; they must be complete for the model."""
+    v = values
+    modulus: Modulus
+    match model:
+        case "kelvin-voigt":
+            modulus = KelvinVoigt(v["mu"], v["eta"])
+        case "springpot":
+            modulus = SpringPot(v["mu"], v["exponent"], v.get("eta", 1.0))
+        case "zener":
+            modulus = Zener(v["mu"], v["mu_infinity"], v["eta"])
+        case _:
+            modulus = Hysteretic(v["mu"], v["loss"])
+    return Tissue(name, v["density"], modulus, v["bulk"])
 
 
 def _overridden(name: str, record: TissueRecord | None, override: TissueOverride) -> Tissue:
@@ -277,16 +268,14 @@ def _overridden(name: str, record: TissueRecord | None, override: TissueOverride
     for key in given:
         if key not in used:
             raise ScenarioError(f"{path}.{key}: has no effect with the {model} model; remove it or set {path}.model")
-    spec = _Spec(name, model, {**kept, **given})
-    missing = [key for key in ("density", "bulk", *_NEEDS[spec.model]) if key not in spec.values]
-    if missing:
-        raise ScenarioError(f"{path}: a {spec.model} tissue stated anew also needs {', '.join(missing)}")
-    v = spec.values
-    if spec.model == "springpot" and v.get("eta") == 0:
+    v = {**kept, **given}
+    if missing := [key for key in ("density", "bulk", *_NEEDS[model]) if key not in v]:
+        raise ScenarioError(f"{path}: a {model} tissue stated anew also needs {', '.join(missing)}")
+    if model == "springpot" and v.get("eta") == 0:
         raise ScenarioError(f"{path}.eta: a springpot without viscosity has no stiffness either; set eta > 0 Pa s")
-    if spec.model == "zener" and v["mu_infinity"] <= v["mu"]:
+    if model == "zener" and v["mu_infinity"] <= v["mu"]:
         raise ScenarioError(f"{path}.mu_infinity: must exceed mu = {v['mu']:g} Pa, is {v['mu_infinity']:g}")
-    return spec.tissue()
+    return _tissue(name, model, v)
 
 
 def _density(value: float, low: float, high: float, spread: float) -> Sourced:

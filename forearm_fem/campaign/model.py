@@ -32,7 +32,7 @@ from ..errors import ScenarioError, first_problem
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Name, Part
 from ..scenario.toml import read_toml
-from ..tissue import PRESETS, Sourced
+from ..tissue import PRESETS
 
 Values = dict[str, Any]
 
@@ -97,12 +97,15 @@ def load_campaign(path: str | Path) -> Campaign:
     names = [name for name, _ in variants]
     if twice := sorted({n for n in names if names.count(n) > 1}):
         raise ScenarioError(f"{file}: members are called {', '.join(twice)} twice; give each its own name")
-    return Campaign(
-        asked.name,
-        asked.stage,
-        source.parent,
-        tuple(_member(source, asked, *variant) for variant in variants),
-    )
+    members = []
+    for name, values in variants:
+        merged = {**asked.set, **values, "name": name}
+        try:
+            scenario = load_scenario(source, overrides=[_override(*item) for item in merged.items()])
+        except ScenarioError as problem:
+            raise ScenarioError(f"member {name}: {problem}") from None
+        members.append(Member(name, values, scenario))
+    return Campaign(asked.name, asked.stage, source.parent, tuple(members))
 
 
 def _variants(asked: CampaignFile, preset: Scenario) -> Iterator[tuple[str, Values]]:
@@ -129,14 +132,6 @@ def grid_name(values: Mapping[str, Any]) -> str:
 
 def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:
     """Overrides of each draw; draw k is the same however many are asked for (one generator, row by row)."""
-    spread = _drawn(scenario, table)
-    random = np.random.default_rng(table.seed)
-    for _ in range(table.count):
-        z = random.standard_normal(len(spread))
-        yield {f"tissues.override.{key}": s.draw(float(v)) for (key, s), v in zip(spread.items(), z, strict=True)}
-
-
-def _drawn(scenario: Scenario, table: DrawTable) -> dict[str, Sourced]:
     known = {
         f"{tissue}.{key}": sourced
         for tissue, record in PRESETS[scenario.tissues.preset].items()
@@ -146,15 +141,11 @@ def _drawn(scenario: Scenario, table: DrawTable) -> dict[str, Sourced]:
     wanted = table.parameters or tuple(k for k in known if k.endswith((".mu", ".eta")))
     if bad := [k for k in wanted if k not in known]:
         raise ScenarioError(f"draw.parameters: no spread is known of '{bad[0]}'; known are {', '.join(known)}")
-    return {key: known[key] for key in wanted}
-
-
-def _member(source: Path, asked: CampaignFile, name: str, values: Values) -> Member:
-    merged = {**asked.set, **values, "name": name}
-    try:
-        return Member(name, values, load_scenario(source, overrides=[_override(*item) for item in merged.items()]))
-    except ScenarioError as problem:
-        raise ScenarioError(f"member {name}: {problem}") from None
+    spread = {key: known[key] for key in wanted}
+    random = np.random.default_rng(table.seed)
+    for _ in range(table.count):
+        z = random.standard_normal(len(spread))
+        yield {f"tissues.override.{key}": s.draw(float(v)) for (key, s), v in zip(spread.items(), z, strict=True)}
 
 
 def _override(key: str, value: Any) -> str:

@@ -182,7 +182,12 @@ class Design:
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Low and high ends (n,) of the search's coordinates, and which of them are whole numbers (n,)."""
-        rows = [_span(v) for v in self.asked.variables]
+        rows = list[tuple[float, float, bool]]()
+        for v in self.asked.variables:
+            if (levels := v.levels) is not None:
+                rows.append((0.0, float(len(levels) - 1), True))
+            elif v.low is not None and v.high is not None:  # as every range has
+                rows.append((v.low, v.high, False))
         if (p := self.asked.positions) is not None:
             most = p.count[1] // p.each
             rows += [(p.count[0] / p.each, most, True)]
@@ -237,14 +242,6 @@ def _weighed(scenario: Scenario, own: Scenario, limits: Constraints) -> Scenario
         )
     housing = scenario.device.housing.model_copy(update={"mass": round(shell + count * each, 9)})
     return scenario.model_copy(update={"device": scenario.device.model_copy(update={"housing": housing})})
-
-
-def _span(variable: Variable) -> tuple[float, float, bool]:
-    if (levels := variable.levels) is not None:
-        return 0.0, float(len(levels) - 1), True
-    assert variable.low is not None
-    assert variable.high is not None
-    return variable.low, variable.high, False
 
 
 def _with(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:

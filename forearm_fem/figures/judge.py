@@ -118,7 +118,11 @@ def table_one_rows(data: Strengths) -> list[list[str]]:
         for m, method in enumerate(ours.methods):
             whole = _cell(record.mean[g, m], record.std[g, m]) if np.isfinite(record.mean[g, m]) else "–"
             here = _cell(ours.mean[g, m], ours.std[g, m]) + spreads(data, method, group)
-            row += [here, whole, _thesis_cell(theirs, group, method)]
+            thesis = "–"
+            if group in theirs.groups and method in theirs.methods:
+                at = theirs.groups.index(group), theirs.methods.index(method)
+                thesis = _cell(theirs.mean[at], theirs.std[at])
+            row += [here, whole, thesis]
         rows.append(row)
     return rows
 
@@ -134,13 +138,6 @@ def spreads(data: Strengths, method: str, place: str) -> str:
     low, high = (each[data.methods.index(method), columns].mean() for each in (data.low, data.high))
     numerics = f"{low:.2f}-{high:.2f}" if np.isfinite(low) and np.isfinite(high) else "unknown"
     return f" (numerics {numerics}, arms {known['arms'][0]:.2f}-{known['arms'][-1]:.2f})"
-
-
-def _thesis_cell(theirs: StrengthTable, group: str, method: str) -> str:
-    if group not in theirs.groups or method not in theirs.methods:
-        return "–"
-    g, m = theirs.groups.index(group), theirs.methods.index(method)
-    return _cell(theirs.mean[g, m], theirs.std[g, m])
 
 
 def _cell(mean: float, std: float) -> str:

@@ -218,21 +218,15 @@ def plot_resolution(data: ResolutionMap, *, ax: Axes | None = None) -> FigureBas
     bar = figure.colorbar(cells, ax=above, shrink=0.9, pad=0.01, fraction=0.04)
     bar.set_ticks(bounds)
     bar.set_label("nodes per shear wavelength")
-    _by_tissue(figure.add_subplot(grid[1, 1]), data)
-    for panel, text in zip((above, section), "ab", strict=True):
+    tissues, place = figure.add_subplot(grid[1, 1]), np.arange(len(data.names))
+    least, low, median = data.quantiles.T
+    tissues.vlines(place, least, median, color=GREY, lw=1)
+    for values, mark, label in ((least, "v", "least"), (low, "o", "5 %"), (median, "_", "median")):
+        tissues.plot(place, values, mark, color=INK, label=label)
+    tissues.axhline(6, color=GREY, ls="--", lw=0.8)
+    tissues.set_xticks(place, data.names)
+    tissues.set(ylabel="nodes per wavelength", ylim=(0, None), xlim=(-0.6, len(place) - 0.4))
+    tissues.legend(fontsize=6)
+    for panel, text in zip((above, section, tissues), "abc", strict=True):
         letter(panel, text)
     return figure
-
-
-def _by_tissue(ax: Axes, data: ResolutionMap) -> None:
-    """A line from the least to the median of each tissue, a dot at 5 %."""
-    place = np.arange(len(data.names))
-    least, low, median = data.quantiles.T
-    ax.vlines(place, least, median, color=GREY, lw=1)
-    for values, mark, label in ((least, "v", "least"), (low, "o", "5 %"), (median, "_", "median")):
-        ax.plot(place, values, mark, color=INK, label=label)
-    ax.axhline(6, color=GREY, ls="--", lw=0.8)
-    ax.set_xticks(place, data.names)
-    ax.set(ylabel="nodes per wavelength", ylim=(0, None), xlim=(-0.6, len(place) - 0.4))
-    ax.legend(fontsize=6)
-    letter(ax, "c")

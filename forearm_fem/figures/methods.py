@@ -133,7 +133,16 @@ def plot_method(data: Method, *, ax: Axes | None = None) -> FigureBase:
 def _entry(figure: FigureBase, data: Method) -> None:
     m = data.measured
     where, drive, response, entry = figure.subplots(1, 4, width_ratios=(0.9, 1, 1, 1.1))
-    _layout(where, data.outputs, data.inputs, m)
+    for ports, mark, colour in ((data.outputs, "o", "#D55E00"), (data.inputs, "s", "#CC79A7")):
+        at = 1e3 * positions(ports)
+        filled = [colour if p in (m.point, m.actuator) else "w" for p in ports]
+        where.scatter(at[:, 0], at[:, 1], c=filled, marker=mark, s=70, edgecolors=colour)
+        for spot, port in zip(at, ports, strict=True):
+            ink = "w" if port in (m.point, m.actuator) else INK
+            where.annotate(port.name, spot[:2], ha="center", va="center", fontsize=5, color=ink)
+    where.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="device")
+    where.margins(0.15)
+    widen(where)
     drive.plot(m.time, m.drive, color="#CC79A7", lw=0.3, rasterized=True)
     drive.set(xlabel="time [s]", ylabel=f"[{m.drive_unit}]", title=f"sweep to {m.actuator.name}")
     response.plot(m.time, MICRO * m.response, color="#D55E00", lw=0.3, rasterized=True)
@@ -149,20 +158,6 @@ def _entry(figure: FigureBase, data: Method) -> None:
     phase.spines["right"].set_visible(True)
     for panel, text in zip((where, drive, response, entry), "abcd", strict=True):
         panel.text(-0.05, 1.06, text, transform=panel.transAxes, fontweight="bold", ha="right")
-
-
-def _layout(ax: Axes, outputs: tuple[Port, ...], inputs: tuple[Port, ...], m: SweptEntry) -> None:
-    """Grid points and actuators seen from above, with their names."""
-    for ports, mark, colour in ((outputs, "o", "#D55E00"), (inputs, "s", "#CC79A7")):
-        at = 1e3 * positions(ports)
-        filled = [colour if p in (m.point, m.actuator) else "w" for p in ports]
-        ax.scatter(at[:, 0], at[:, 1], c=filled, marker=mark, s=70, edgecolors=colour)
-        for place_, port in zip(at, ports, strict=True):
-            ink = "w" if port in (m.point, m.actuator) else INK
-            ax.annotate(port.name, place_[:2], ha="center", va="center", fontsize=5, color=ink)
-    ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="device")
-    ax.margins(0.15)
-    widen(ax)
 
 
 def _filter(figure: FigureBase, data: Method) -> None:
@@ -283,8 +278,22 @@ def plot_workflow(data: Workflow, *, ax: Axes | None = None) -> FigureBase:
     """How each renderer gets its drives, and the motion that follows: one column per method, top to bottom."""
     figure = panels(ax, (7.4, 5.4))
     grid = figure.subplots(3, len(data.methods), squeeze=False, gridspec_kw={"hspace": 0.32})
+    ms = 1e3 * data.time
     for k, name in enumerate(data.methods):
-        _column(grid[:, k], data, k)
+        metres = data.asked_unit[k] == "m"
+        grid[0, k].plot(ms, (MICRO if metres else 1) * data.asked[k], color=METHODS[name])
+        grid[0, k].set_ylabel("[µm]" if metres else f"[{data.asked_unit[k]}]")
+        for q, (actuator, drive) in enumerate(zip(data.names, data.drives[k], strict=True)):
+            grid[1, k].plot(ms, drive, color=ACTUATORS[q % 6], ls=LINES[q % 4], label=actuator)
+        grid[1, k].set_ylabel(f"[{data.drive_unit}]")
+        for row, trace in enumerate(data.moved[k]):
+            if row != data.row:
+                grid[2, k].plot(ms, MICRO * trace, color=FAINT, lw=0.7)
+        grid[2, k].plot([], [], color=FAINT, lw=0.7, label="the others")
+        grid[2, k].plot(ms, MICRO * data.moved[k][data.row], color=INK, label=f"target {data.target}")
+        grid[2, k].set_ylabel("[µm]")
+        for panel in grid[:, k]:
+            panel.set_xlim(ms[0], ms[-1])
         grid[0, k].set_title(f"{name}\n", color=METHODS[name], fontweight="bold", fontsize=9)
         start = grid[0, k].text(0.5, 1.05, _START[name], transform=grid[0, k].transAxes, ha="center", fontsize=6.5)
         start.set_in_layout(False)
@@ -296,24 +305,6 @@ def plot_workflow(data: Workflow, *, ax: Axes | None = None) -> FigureBase:
     named = [panel.get_legend_handles_labels() for panel in grid[1:, 0]]
     figure.legend(*(named[0][k] + named[1][k] for k in (0, 1)), loc="outside lower right", ncols=8)
     return figure
-
-
-def _column(axes: FloatArray, data: Workflow, k: int) -> None:
-    ms = 1e3 * data.time
-    metres = data.asked_unit[k] == "m"
-    axes[0].plot(ms, (MICRO if metres else 1) * data.asked[k], color=METHODS[data.methods[k]])
-    axes[0].set_ylabel("[µm]" if metres else f"[{data.asked_unit[k]}]")
-    for q, (name, drive) in enumerate(zip(data.names, data.drives[k], strict=True)):
-        axes[1].plot(ms, drive, color=ACTUATORS[q % 6], ls=LINES[q % 4], label=name)
-    axes[1].set_ylabel(f"[{data.drive_unit}]")
-    for row, trace in enumerate(data.moved[k]):
-        if row != data.row:
-            axes[2].plot(ms, MICRO * trace, color=FAINT, lw=0.7)
-    axes[2].plot([], [], color=FAINT, lw=0.7, label="the others")
-    axes[2].plot(ms, MICRO * data.moved[k][data.row], color=INK, label=f"target {data.target}")
-    axes[2].set_ylabel("[µm]")
-    for panel in axes:
-        panel.set_xlim(ms[0], ms[-1])
 
 
 def _arrow(figure: FigureBase, upper: Axes, lower: Axes, text: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,7 @@ from ..typing import FloatArray, IntArray
 from .style import INK, TISSUES
 
 MM = 1e3
-_TETRA, _TRIANGLE = 10, 5
+_TETRA = 10  # VTK's number of the cell
 _ACTUATOR_HEIGHT, _ACTUATOR_RADIUS = 9.85e-3, 7e-3  # TEAX14C02-8, physics_data.md 4
 _CONE_HEIGHT = 6e-3  # for the drawing only
 
@@ -140,29 +140,22 @@ def plotter_for(size: tuple[int, int], *, off_screen: bool = True) -> Iterator[A
 
     VTK's note that there is no X server is kept off the terminal: it then draws with EGL or OSMesa.
     """
-    before = vtkLogger.GetCurrentVerbosityCutoff()
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-    try:
-        plotter = _opened(size, off_screen)
-        try:
-            yield plotter
-        finally:
-            plotter.close()
-    finally:
-        vtkLogger.SetStderrVerbosity(before)
-
-
-def _opened(size: tuple[int, int], off_screen: bool) -> Any:
     if not off_screen and not has_display():
         raise ForearmError(
             "there is no display for a window; set DISPLAY, or keep a picture: `forearm-fem show RESULTS --save a.png`"
         )
+    before = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:
-        plotter: Any = pv.Plotter(off_screen=off_screen, window_size=list(size))
-    except (RuntimeError, OSError, ImportError) as problem:
-        raise ForearmError(
-            f"VTK cannot draw here ({problem}); on Debian install the packages libegl1, libgl1 and libxrender1"
-        ) from problem
-    plotter.set_background("white")
-    plotter.enable_anti_aliasing("ssaa")
-    return plotter
+        try:
+            plotter: Any = pv.Plotter(off_screen=off_screen, window_size=list(size))
+        except (RuntimeError, OSError, ImportError) as problem:
+            raise ForearmError(
+                f"VTK cannot draw here ({problem}); on Debian install the packages libegl1, libgl1 and libxrender1"
+            ) from problem
+        plotter.set_background("white")
+        plotter.enable_anti_aliasing("ssaa")
+        with closing(plotter):
+            yield plotter
+    finally:
+        vtkLogger.SetStderrVerbosity(before)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -274,7 +274,11 @@ def animate(
     and MissingExtra for an .mp4 without imageio.
     """
     target = Path(path)
-    save = _writer(target)
+    if target.suffix == ".mp4":
+        for package in ("imageio", "imageio_ffmpeg"):
+            optional(package, "movie", "an .mp4 film")
+    elif target.suffix != ".gif":
+        raise DataError(f"{target}: films are .gif or .mp4, not '{target.suffix}'")
     found, view, look = _given(results, view, look)
     moved = motion(found, view, steps)
     with plotter_for(look.size) as plotter:
@@ -285,34 +289,18 @@ def animate(
             tell(progress, "frames", k + 1, len(moved.steps))
             pictures.append(np.array(plotter.screenshot(None, return_img=True)))
     with atomic_path(target) as beside:
-        save(beside, pictures, frames_per_second)
+        if target.suffix == ".gif":  # one palette for all frames, so that colours do not flicker
+            sample = Image.fromarray(np.concatenate([p[::2, ::2] for p in pictures[:: max(1, len(pictures) // 12)]]))
+            palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)
+            frames = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
+            frames[0].save(beside, save_all=True, append_images=frames[1:], duration=round(1000 / frames_per_second),
+                           loop=0, optimize=False)  # fmt: skip
+        else:
+            writer = import_module("imageio").get_writer(beside, fps=frames_per_second, macro_block_size=2, quality=8)
+            with writer as film:
+                for picture in pictures:
+                    film.append_data(picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2])
     return target
-
-
-def _writer(target: Path) -> Callable[[Path, list[Any], float], None]:
-    if target.suffix == ".gif":
-        return _write_gif
-    if target.suffix != ".mp4":
-        raise DataError(f"{target}: films are .gif or .mp4, not '{target.suffix}'")
-    for package in ("imageio", "imageio_ffmpeg"):
-        optional(package, "movie", "an .mp4 film")
-    return _write_mp4
-
-
-def _write_gif(path: Path, pictures: list[Any], rate: float) -> None:
-    """One palette for all frames, so that colours do not flicker."""
-    sample = Image.fromarray(np.concatenate([p[::2, ::2] for p in pictures[:: max(1, len(pictures) // 12)]]))
-    palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)
-    frames = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=round(1000 / rate), loop=0, optimize=False)
-
-
-def _write_mp4(path: Path, pictures: list[Any], rate: float) -> None:
-    imageio = import_module("imageio")
-    even = [p[: p.shape[0] // 2 * 2, : p.shape[1] // 2 * 2] for p in pictures]
-    with imageio.get_writer(path, fps=rate, macro_block_size=2, quality=8) as film:
-        for picture in even:
-            film.append_data(picture)
 
 
 def _given(results: Results | str | Path, view: View | None, look: Look | None) -> tuple[Results, View, Look]:

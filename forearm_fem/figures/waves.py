@@ -114,7 +114,12 @@ class Travel:
 def travel(results: Results) -> Travel:
     """The inverse filter aims the wavelet at the last place of the line; funneling sends the wavelet itself."""
     along = line(results, _LOCATIONS)
-    g = _as_transfer(along)
+    cone = () if along.cone is None else (along.cone[:, None],)
+    values = np.concatenate([*cone, along.values], axis=1)[:, :, None]
+    labels = ["cone"] * len(cone) + [f"{1e3 * d:.0f} mm" for d in along.distance]
+    outputs = tuple(Port(f"{k}: {n}", "point", (float(k), 0.0, 0.0)) for k, n in enumerate(labels))
+    source = Port(along.actuator, "contact", (0.0, 0.0, 0.0))
+    g = TransferMatrix(along.frequency, values, outputs, (source,), along.unit, valid=np.isfinite(values))
     far = g.outputs[-1].name
     aimed = drives(InverseFilter(zeros=(), peak=1e-6), g, far, results.wavelet)
     plain = _plain(g, results.wavelet, far)
@@ -134,15 +139,6 @@ def travel(results: Results) -> Travel:
         spectra=spectra,
         origin=along.origin,
     )
-
-
-def _as_transfer(along: Line) -> TransferMatrix:
-    cone = () if along.cone is None else (along.cone[:, None],)
-    values = np.concatenate([*cone, along.values], axis=1)[:, :, None]
-    labels = ["cone"] * len(cone) + [f"{1e3 * d:.0f} mm" for d in along.distance]
-    outputs = tuple(Port(f"{k}: {n}", "point", (float(k), 0.0, 0.0)) for k, n in enumerate(labels))
-    source = Port(along.actuator, "contact", (0.0, 0.0, 0.0))
-    return TransferMatrix(along.frequency, values, outputs, (source,), along.unit, valid=np.isfinite(values))
 
 
 def _plain(g: TransferMatrix, wavelet: Wavelet, target: str) -> Drives:
@@ -189,32 +185,28 @@ def plot_travel(data: Travel, *, ax: Axes | None = None) -> FigureBase:
     figure = panels(ax, (7.2, 1.1 + 0.62 * (len(data.distance) + 3)))
     halves: Any = figure.subfigures(1, len(data.methods))
     for m, half in enumerate(halves):
-        _half(half, data, m)
+        n = len(data.distance)
+        axes = half.subplots(n + 2, 1, height_ratios=[1] * (n + 1) + [2.6])
+        colours = [colormaps["viridis_r"]((k + 0.6) / n) for k in range(n)]
+        ms = 1e3 * data.time
+        where = "wavelet asked for at the last place" if m == 0 else "wavelet sent as it is"
+        half.suptitle(f"{'ab'[m]}   {data.methods[m]}: {where}", fontsize=8, fontweight="bold")
+        axes[0].plot(ms, data.drive[m], color=GREY)
+        axes[0].set_ylabel(f"drive\n[{data.drive_unit}]", rotation=0, ha="right", va="center")
+        for k, (trace, panel) in enumerate(zip(data.moved[m], axes[1:-1], strict=True)):
+            panel.plot(ms, MICRO * trace, color=colours[k])
+            label = "cone" if k == 0 and data.has_cone else f"{1e3 * data.distance[k]:.0f} mm"
+            panel.set_ylabel(f"{label}\n[µm]", rotation=0, ha="right", va="center")
+        for panel in axes[:-1]:
+            panel.set_xlim(ms[0], ms[-1])
+            panel.locator_params(axis="y", nbins=3)
+            panel.axvline(0, color=GREY, lw=0.5, ls=":")
+            panel.tick_params(labelbottom=panel is axes[-2])
+        axes[-2].set_xlabel("time [ms]")
+        for spectrum, colour in zip(data.spectra[m], colours, strict=True):
+            axes[-1].plot(data.frequency, 1e9 * spectrum, color=colour)
+        axes[-1].set(xlabel="frequency [Hz]", ylabel="|U| [nm/Hz]", yscale="log")
     return figure
-
-
-def _half(figure: FigureBase, data: Travel, m: int) -> None:
-    n = len(data.distance)
-    axes = figure.subplots(n + 2, 1, height_ratios=[1] * (n + 1) + [2.6])
-    colours = [colormaps["viridis_r"]((k + 0.6) / n) for k in range(n)]
-    ms = 1e3 * data.time
-    where = "wavelet asked for at the last place" if m == 0 else "wavelet sent as it is"
-    figure.suptitle(f"{'ab'[m]}   {data.methods[m]}: {where}", fontsize=8, fontweight="bold")
-    axes[0].plot(ms, data.drive[m], color=GREY)
-    axes[0].set_ylabel(f"drive\n[{data.drive_unit}]", rotation=0, ha="right", va="center")
-    for k, (trace, panel) in enumerate(zip(data.moved[m], axes[1:-1], strict=True)):
-        panel.plot(ms, MICRO * trace, color=colours[k])
-        label = "cone" if k == 0 and data.has_cone else f"{1e3 * data.distance[k]:.0f} mm"
-        panel.set_ylabel(f"{label}\n[µm]", rotation=0, ha="right", va="center")
-    for panel in axes[:-1]:
-        panel.set_xlim(ms[0], ms[-1])
-        panel.locator_params(axis="y", nbins=3)
-        panel.axvline(0, color=GREY, lw=0.5, ls=":")
-        panel.tick_params(labelbottom=panel is axes[-2])
-    axes[-2].set_xlabel("time [ms]")
-    for spectrum, colour in zip(data.spectra[m], colours, strict=True):
-        axes[-1].plot(data.frequency, 1e9 * spectrum, color=colour)
-    axes[-1].set(xlabel="frequency [Hz]", ylabel="|U| [nm/Hz]", yscale="log")
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,26 +74,22 @@ def read_csv(path: str | Path) -> RawMatrix:
     """
     file = Path(path)
     try:
-        return _read(file)
+        head, header, lines, offset = _split(file)
+        table = _table(file, header, lines, offset)
+        frequency = np.unique(table["frequency_Hz"])
+        names = [_in_order(head.get(k), table[k[:-1]]) for k in ("outputs", "inputs")]
+        place = (
+            np.searchsorted(frequency, table["frequency_Hz"]),
+            np.array([names[0].index(n) for n in table["output"]]),
+            np.array([names[1].index(n) for n in table["input"]]),
+        )
+        shape = (len(frequency), len(names[0]), len(names[1]))
+        if len(np.unique(np.ravel_multi_index(place, shape))) != len(lines):
+            raise DataError(f"{file}: some frequency, output and input occurs on two lines; keep one of them")
+        raw = _raw(file, head, frequency, table, place, shape)
+        return raw if head else replace(raw, names=(tuple(names[0]), tuple(names[1])))
     except (KeyError, TypeError, ValueError, AttributeError) as problem:
         raise DataError(f"{file}: its first line does not fit the rest or is damaged; export it again") from problem
-
-
-def _read(file: Path) -> RawMatrix:
-    head, header, lines, offset = _split(file)
-    table = _table(file, header, lines, offset)
-    frequency = np.unique(table["frequency_Hz"])
-    names = [_in_order(head.get(k), table[k[:-1]]) for k in ("outputs", "inputs")]
-    place = (
-        np.searchsorted(frequency, table["frequency_Hz"]),
-        np.array([names[0].index(n) for n in table["output"]]),
-        np.array([names[1].index(n) for n in table["input"]]),
-    )
-    shape = (len(frequency), len(names[0]), len(names[1]))
-    if len(np.unique(np.ravel_multi_index(place, shape))) != len(lines):
-        raise DataError(f"{file}: some frequency, output and input occurs on two lines; keep one of them")
-    raw = _raw(file, head, frequency, table, place, shape)
-    return raw if head else replace(raw, names=(tuple(names[0]), tuple(names[1])))
 
 
 def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]:

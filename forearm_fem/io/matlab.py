@@ -14,7 +14,7 @@ from scipy.io import loadmat, savemat
 from ..errors import DataError
 from ..ports import Port, positions
 from ..transfer import TransferMatrix
-from ..typing import ComplexArray, FloatArray, IntArray
+from ..typing import ComplexArray, IntArray
 from .atomic import write_bytes
 from .dataset import TIME_CONVENTION, labels, provenance_json
 from .reading import reading
@@ -38,7 +38,16 @@ def write_thesis_mat(
     Raises DataError where a frequency lies on no bin of 1 / duration, or is not within 0 to sample_rate / 2.
     """
     n = round(sample_rate * duration)
-    bins = _bins(transfer.frequency, n, duration)
+    exact = transfer.frequency * duration
+    bins = np.round(exact).astype(int)
+    if np.abs(exact - bins).max() > 1e-6:
+        raise DataError(
+            f"MATLAB export: {transfer.frequency[np.argmax(np.abs(exact - bins))]:g} Hz is no multiple of 1/duration "
+            f"= {1 / duration:g} Hz; sweep on these bins or choose another duration"
+        )
+    if bins.min() < 1 or 2 * bins.max() >= n:
+        nyquist = n / duration / 2
+        raise DataError(f"MATLAB export: frequencies must lie between 0 and {nyquist:g} Hz, both excluded")
     valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
     content = {
         "G": two_sided(np.where(valid, transfer.values, 0), bins, n),
@@ -95,20 +104,6 @@ def two_sided(values: ComplexArray, bins: IntArray, n: int) -> ComplexArray:
     spectrum[:, :, bins] = np.moveaxis(values, 0, 2)
     spectrum[:, :, n - bins] = np.moveaxis(values, 0, 2).conj()
     return spectrum
-
-
-def _bins(frequency: FloatArray, n: int, duration: float) -> IntArray:
-    exact = frequency * duration
-    bins = np.round(exact).astype(int)
-    if np.abs(exact - bins).max() > 1e-6:
-        raise DataError(
-            f"MATLAB export: {frequency[np.argmax(np.abs(exact - bins))]:g} Hz is no multiple of 1/duration "
-            f"= {1 / duration:g} Hz; sweep on these bins or choose another duration"
-        )
-    if bins.min() < 1 or 2 * bins.max() >= n:
-        nyquist = n / duration / 2
-        raise DataError(f"MATLAB export: frequencies must lie between 0 and {nyquist:g} Hz, both excluded")
-    return bins
 
 
 def _axes(prefix: str, ports: tuple[Port, ...]) -> dict[str, Any]:

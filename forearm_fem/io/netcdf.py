@@ -27,7 +27,21 @@ def write_transfer(path: str | Path, transfer: TransferMatrix, compliance: Compl
     """Write ``transfer``, and ``compliance`` on the same frequencies if given; see the module's heading."""
     if compliance is not None and not np.array_equal(compliance.frequency, transfer.frequency):
         raise DataError(f"{path}: G and the compliance have different frequencies; write them to two files")
-    variables = {**_transfer_variables(transfer), **(_compliance_variables(compliance) if compliance else {})}
+    dims, units = ("frequency", "output", "input"), {"units": transfer.unit}
+    optional = {
+        "G_contacts": (("frequency", "cone", "input"), transfer.contacts, units),
+        "G_valid": (dims, transfer.valid, {"long_name": "entries that may be used"}),
+        "G_deviation": (dims, transfer.deviation, {**units, "long_name": "standard deviation"}),
+    }
+    variables: Variables = {
+        "frequency": _frequency(transfer.frequency),
+        **port_variables("output", transfer.outputs),
+        **port_variables("input", transfer.inputs),
+        "G": (dims, transfer.values, {**units, "long_name": "displacement per unit drive"}),
+        **{name: parts for name, parts in optional.items() if parts[1] is not None},
+        **_error_variables("G", transfer.errors, dims[1:]),
+        **(_compliance_variables(compliance) if compliance else {}),
+    }
     provenance = {"G_provenance": provenance_json(transfer.provenance)}
     save(path, variables, {**_compliance_attributes(compliance), **provenance, "content": _CONTENT})
 
@@ -61,24 +75,6 @@ def read_compliance(path: str | Path) -> Compliance:
     return load(path, _CONTENT, _unpack_compliance)
 
 
-def _transfer_variables(transfer: TransferMatrix) -> Variables:
-    dims = ("frequency", "output", "input")
-    units = {"units": transfer.unit}
-    optional = {
-        "G_contacts": (("frequency", "cone", "input"), transfer.contacts, units),
-        "G_valid": (dims, transfer.valid, {"long_name": "entries that may be used"}),
-        "G_deviation": (dims, transfer.deviation, {**units, "long_name": "standard deviation"}),
-    }
-    return {
-        "frequency": _frequency(transfer.frequency),
-        **port_variables("output", transfer.outputs),
-        **port_variables("input", transfer.inputs),
-        "G": (dims, transfer.values, {**units, "long_name": "displacement per unit drive"}),
-        **{name: parts for name, parts in optional.items() if parts[1] is not None},
-        **_error_variables("G", transfer.errors, dims[1:]),
-    }
-
-
 def _compliance_variables(compliance: Compliance) -> Variables:
     note = {"units": "m/N", "long_name": "displacement per unit force; NaN for a point force under itself"}
     return {
@@ -105,7 +101,7 @@ def _error_variables(of: str, errors: tuple[ErrorEstimate, ...], pair: tuple[str
     if not errors:
         return {}
     row, bins = f"{of}_error", (f"{of}_error", f"{of}_error_bin")
-    return {
+    variables = {
         f"{of}_error_source": ((row,), labels(tuple(e.source for e in errors)), {}),
         f"{of}_error_method": ((row,), labels(tuple(e.method for e in errors)), {}),
         f"{of}_error_band": ((row,), np.array([e.band for e in errors]), {"units": "1"}),
@@ -115,19 +111,15 @@ def _error_variables(of: str, errors: tuple[ErrorEstimate, ...], pair: tuple[str
             _padded([e.per_frequency for e in errors]),
             {"units": "1", "long_name": "e(f)"},
         ),
-        **_of_pairs(of, errors, (*bins, *pair)),
     }
-
-
-def _of_pairs(of: str, errors: tuple[ErrorEstimate, ...], dims: tuple[str, ...]) -> Variables:
-    known = [e.per_pair for e in errors if e.per_pair is not None]
-    if not known:
-        return {}
-    values = np.full((len(errors), max(len(e.frequency) for e in errors), *known[0].shape[1:]), np.nan, np.float32)
-    for row, e in zip(values, errors, strict=True):
-        if e.per_pair is not None:
-            row[: len(e.per_pair)] = e.per_pair
-    return {f"{of}_error_per_pair": (dims, values, {"units": "1", "long_name": "|dG_ij| over the largest |G_ij|"})}
+    if known := [e.per_pair for e in errors if e.per_pair is not None]:
+        values = np.full((len(errors), max(len(e.frequency) for e in errors), *known[0].shape[1:]), np.nan, np.float32)
+        for row_of, e in zip(values, errors, strict=True):
+            if e.per_pair is not None:
+                row_of[: len(e.per_pair)] = e.per_pair
+        note = {"units": "1", "long_name": "|dG_ij| over the largest |G_ij|"}
+        variables[f"{of}_error_per_pair"] = ((*bins, *pair), values, note)
+    return variables
 
 
 def _padded(rows: list[tuple[float, ...]]) -> FloatArray:

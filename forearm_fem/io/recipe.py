@@ -14,7 +14,7 @@ from ..errors import DataError, first_problem
 from ..scenario.base import Part, Positive
 from ..scenario.toml import read_toml
 from ..transfer import TransferMatrix
-from ..typing import ComplexArray, FloatArray
+from ..typing import FloatArray
 from .declaration import Declaration, RawMatrix, declared_by, understand
 
 AxisName = Annotated[str, Field(pattern=r"^[a-z_]+$")]
@@ -101,7 +101,13 @@ def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix
             "one index along every other axis"
         )
     ordered = np.transpose(array, [axes.index(a) for a in (domain, "output", "input")])
-    values, frequency = (ordered.astype(complex), None) if recipe.time is None else _spectrum(ordered, recipe.time)
+    values, frequency = ordered.astype(complex), None
+    if (time := recipe.time) is not None:  # one-sided, phases referred to the sample ``zero``
+        if time.zero >= len(ordered):
+            raise DataError(f"time.zero = {time.zero} lies outside the {len(ordered)} samples of the responses")
+        values = rfft(np.roll(ordered, -time.zero, axis=0), axis=0)
+        values = values if time.per_sample else values / time.sample_rate
+        frequency = rfftfreq(len(ordered), 1 / time.sample_rate)
     raw = RawMatrix(
         recipe.name,
         values,
@@ -149,15 +155,3 @@ def _selected(recipe: ImportRecipe, array: FloatArray, axes: list[str]) -> tuple
         array = np.take(array, np.array(wanted) - 1, axis=at)
     extra = [k for k, a in enumerate(axes) if a not in ("time", "frequency", "output", "input") and array.shape[k] == 1]
     return np.squeeze(array, axis=tuple(extra)), [a for k, a in enumerate(axes) if k not in extra]
-
-
-def _spectrum(response: FloatArray, time: TimeRecipe) -> tuple[ComplexArray, FloatArray]:
-    """One-sided spectrum (n // 2 + 1, n_out, n_in), phase referred to sample ``zero``, and its frequencies
-    [Hz].
-    """
-    n = len(response)
-    if time.zero >= n:
-        raise DataError(f"time.zero = {time.zero} lies outside the {n} samples of the responses")
-    spectrum = rfft(np.roll(response, -time.zero, axis=0), axis=0)
-    values = spectrum if time.per_sample else spectrum / time.sample_rate
-    return np.asarray(values), np.asarray(rfftfreq(n, 1 / time.sample_rate))

@@ -53,12 +53,12 @@ def write_reduced(path: str | Path, content: ReducedFile) -> None:
 
 def read_reduced(path: str | Path) -> ReducedFile:
     """What :func:`write_reduced` wrote; DataError if the file is missing, damaged or something else."""
-    return load(path, _CONTENT, _unpack)
 
+    def unpack(dataset: xr.Dataset) -> ReducedFile:
+        poles = {name: np.asarray(dataset[name].values, dtype=complex) for name in POLES if name in dataset}
+        return ReducedFile(*read_terms(dataset), poles)
 
-def _unpack(dataset: xr.Dataset) -> ReducedFile:
-    poles = {name: np.asarray(dataset[name].values, dtype=complex) for name in POLES if name in dataset}
-    return ReducedFile(*read_terms(dataset), poles)
+    return load(path, _CONTENT, unpack)
 
 
 def term_variables(content: ReducedTerms) -> dict[str, Any]:

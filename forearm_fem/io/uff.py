@@ -71,7 +71,12 @@ def read_uff(path: str | Path) -> RawMatrix:
     """
     file = Path(path)
     with reading(file, "damaged or not a universal file ({why})"):
-        sets = _sets(file)
+        if file.read_bytes().count(b"    -1") % 2:
+            raise DataError(f"{file}: a dataset has no end mark; the file is cut short")
+        content = _pyuff().UFF(str(file))
+        functions = [k for k, kind in enumerate(content.get_set_types()) if kind == 58]
+        read = content.read_sets(functions) if functions else []
+        sets: list[dict[str, Any]] = read if isinstance(read, list) else [read]
         responses = [s for s in sets if s.get("type") == 58 and s.get("func_type") == 4]
         if not responses:
             raise DataError(
@@ -117,15 +122,6 @@ def _dataset58(title: str, kind: int, place: tuple[int, int], x: FloatArray, dat
         row.format(0, 0, 0, 0, "NONE", "NONE"),
     ]
     return "\n".join([*lines, ""]).encode("ascii") + body + f"{_END}\n".encode("ascii")
-
-
-def _sets(file: Path) -> list[dict[str, Any]]:
-    if file.read_bytes().count(b"    -1") % 2:
-        raise DataError(f"{file}: a dataset has no end mark; the file is cut short")
-    content = _pyuff().UFF(str(file))
-    functions = [k for k, kind in enumerate(content.get_set_types()) if kind == 58]
-    read = content.read_sets(functions) if functions else []
-    return read if isinstance(read, list) else [read]
 
 
 def _check_count(file: Path, s: dict[str, Any]) -> None:
@@ -187,7 +183,12 @@ def _raw(
 ) -> RawMatrix:
     responses = [s for s in sets if s.get("func_type") == 4]
     unit, quantity = _units(file, responses)
-    first = responses[0]
+    first, deviation = responses[0], None
+    for s in (s for s in sets if s.get("type") == 58 and str(s.get("id1", "")).strip() == _DEVIATION):
+        if deviation is None:
+            deviation = np.full(values.shape, np.nan)
+        place = nodes[0].index(int(s["rsp_node"])), nodes[1].index(int(s["ref_node"]))
+        deviation[np.searchsorted(x, s["x"]), place[0], place[1]] = s["data"]
     return RawMatrix(
         name=str(file),
         values=values,
@@ -200,22 +201,11 @@ def _raw(
         outputs=None if own is None else tuple(port_from(p) for p in own["outputs"]),
         inputs=None if own is None else tuple(port_from(p) for p in own["inputs"]),
         valid=valid,
-        deviation=_deviation(sets, x, nodes),
+        deviation=deviation,
         provenance={"format": "UFF 58", **arbitrary_gain(own or {})},
         names=None if own is not None else (tuple(map(str, nodes[0])), tuple(f"A{n}" for n in nodes[1])),
         numbered=True,
     )
-
-
-def _deviation(sets: Sequence[dict[str, Any]], x: FloatArray, nodes: list[list[int]]) -> FloatArray | None:
-    ours = [s for s in sets if s.get("type") == 58 and str(s.get("id1", "")).strip() == _DEVIATION]
-    if not ours:
-        return None
-    out = np.full((len(x), len(nodes[0]), len(nodes[1])), np.nan)
-    for s in ours:
-        place = nodes[0].index(int(s["rsp_node"])), nodes[1].index(int(s["ref_node"]))
-        out[np.searchsorted(x, s["x"]), place[0], place[1]] = s["data"]
-    return out
 
 
 def _own_ports(file: Path) -> dict[str, Any] | None:

@@ -148,16 +148,12 @@ def _copies(entries: Sequence[Entry]) -> tuple[Finding, ...]:
     found = []
     for e in entries:
         key, label = e.value.tobytes(), f"{e.output} <- {e.input}"
-        if key in seen and _noisy(e):
+        known = np.isfinite(e.value) & np.isfinite(e.deviation) & (e.value != 0)
+        if key in seen and known.any() and np.median(e.deviation[known] / np.abs(e.value[known])) > 1e-6:
             sentence = f"{label} is identical to {seen[key]}: one of them was saved under a wrong name"
             found.append(Finding("copy", sentence))
         seen.setdefault(key, label)
     return tuple(found)
-
-
-def _noisy(e: Entry) -> bool:
-    known = np.isfinite(e.value) & np.isfinite(e.deviation) & (e.value != 0)
-    return bool(known.any() and np.median(e.deviation[known] / np.abs(e.value[known])) > 1e-6)
 
 
 def noise_estimate(

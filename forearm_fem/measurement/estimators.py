@@ -82,19 +82,16 @@ def spectra(drive: FloatArray, response: FloatArray, band: BoolArray) -> Spectra
 
     xx, yy = average(drive, drive).real, average(response, response).real
     xy = average(drive, response)
-    return Spectra(xx, yy, xy, repeats, _noise(xx, yy, xy, repeats, band))
-
-
-def _noise(xx: FloatArray, yy: FloatArray, xy: ComplexArray, repeats: int, band: BoolArray) -> FloatArray:
-    out = np.full(len(xx), np.nan)
+    noise = np.full(len(xx), np.nan)
     if repeats > 1 and band.any():
         rest = yy[band] - np.divide(np.abs(xy[band]) ** 2, xx[band])
         even = uniform_filter1d(np.maximum(rest, 0), _SMOOTH, mode="nearest")
-        out[band] = np.maximum(even, 0) * repeats / (repeats - 1)
-        return out
-    above = np.nonzero(band)[0][-1] + 1 if band.any() else 0
-    quiet = yy[int(1.2 * above) : -1]
-    return np.where(band, np.mean(quiet) if quiet.size >= 10 else np.nan, np.nan)
+        noise[band] = np.maximum(even, 0) * repeats / (repeats - 1)
+    else:
+        above = np.nonzero(band)[0][-1] + 1 if band.any() else 0
+        quiet = yy[int(1.2 * above) : -1]
+        noise[band] = np.mean(quiet) if quiet.size >= 10 else np.nan
+    return Spectra(xx, yy, xy, repeats, noise)
 
 
 def estimate(kind: Estimator, s: Spectra, band: BoolArray, options: MeasurementOptions, rate: float) -> Estimate:

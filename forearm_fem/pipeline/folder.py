@@ -56,7 +56,7 @@ from .resources import Ledger
 from .simulation import AnswersForArm, Simulation, account_of, render_transfer, simulate, with_device
 from .skin_model import save_skin_model
 from .solved import solve
-from .strengths import StrengthAccount, finer_than_known
+from .strengths import finer_than_known
 from .unread import unread_notes
 from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
@@ -214,8 +214,16 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
             run.notes.append(_WITHOUT_SHARE)
     if simulation.solved is not None and simulation.solved.skin is not None:
         save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
-    facts = simulation.solved.facts if simulation.solved else SolutionRecord()
-    parts = {"facts": facts, "mesh": _mesh_record(run, simulation.mesh)}
+    facts, record = simulation.solved.facts if simulation.solved else SolutionRecord(), MeshRecord()
+    if (mesh := simulation.mesh) is not None:
+        quality = mesh_quality(mesh, expected_volume=limb_volume(scenario))
+        resolution = forecast(scenario, base=run.base, mesh=mesh).resolution
+        record = MeshRecord(
+            sha256=mesh.digest,
+            quality=QualityRecord(**{**asdict(replace(quality, volumes={})), "volumes": dict(quality.volumes)}),
+            resolution=tuple(ResolutionRecord(**asdict(r)) for r in resolution),
+        )
+    parts = {"facts": facts, "mesh": record}
     write_json(out / "solution.json", {name: part.model_dump(mode="json") for name, part in parts.items()})
 
 
@@ -250,7 +258,21 @@ def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
     with run.stage("render"):
         rendering = render_transfer(run.scenario, transfer, base=run.base, progress=run.progress)
         account = account_of(run.scenario, transfer, rendering, base=run.base)
-        _write_rendering(run, rendering, transfer, account)
+        time = next(iter(rendering.values())).drives.time
+        signals = {key: r.drives.signals for key, r in rendering.items()}
+        moves = {key: r.displacements.values for key, r in rendering.items()}
+        sent = stack(signals, tuple(p.name for p in transfer.inputs), time, transfer.unit.partition("/")[2])
+        write_drives(run.out / "drives.nc", sent)
+        moved = stack(moves, tuple(p.name for p in transfer.outputs), time, "m")
+        write_displacements(run.out / "displacements.nc", moved)
+        rows = strength_rows(
+            account.methods, account.targets, account.value, (account.low, account.high), account.record,
+            account.window, grouped=is_thesis_grid(transfer.outputs),
+        )  # fmt: skip
+        write_signal_strength_csv(run.out / "signal_strength.csv", rows)
+        if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
+            with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:
+                beside.write_bytes((run.base / file).read_bytes())
         said = (
             *unknown_strengths(rendering), *rendering.exceeded, rendering.bridged.sentence, account.unknown,
             finer_than_known(account, transfer.errors),
@@ -258,24 +280,6 @@ def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
         run.notes += [s for s in said if s]
     write_json(run.out / "signal_strength.json", account.as_json())
     return rendering
-
-
-def _write_rendering(run: Run, rendering: Rendering, transfer: TransferMatrix, account: StrengthAccount) -> None:
-    first = next(iter(rendering.values()))
-    time = first.drives.time
-    signals = {key: r.drives.signals for key, r in rendering.items()}
-    moves = {key: r.displacements.values for key, r in rendering.items()}
-    volts = transfer.unit.partition("/")[2]
-    write_drives(run.out / "drives.nc", stack(signals, tuple(p.name for p in transfer.inputs), time, volts))
-    write_displacements(run.out / "displacements.nc", stack(moves, tuple(p.name for p in transfer.outputs), time, "m"))
-    rows = strength_rows(
-        account.methods, account.targets, account.value, (account.low, account.high), account.record, account.window,
-        grouped=is_thesis_grid(transfer.outputs),
-    )  # fmt: skip
-    write_signal_strength_csv(run.out / "signal_strength.csv", rows)
-    if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
-        with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:
-            beside.write_bytes((run.base / file).read_bytes())
 
 
 def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
@@ -288,18 +292,6 @@ def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
         f"S of {method} is unknown at {', '.join(targets)}: nothing moves there, or nothing else does"
         for method, targets in missing.items()
         if targets
-    )
-
-
-def _mesh_record(run: Run, mesh: TissueMesh | None) -> MeshRecord:
-    if mesh is None:
-        return MeshRecord()
-    quality = mesh_quality(mesh, expected_volume=limb_volume(run.scenario))
-    expected = forecast(run.scenario, base=run.base, mesh=mesh)
-    return MeshRecord(
-        sha256=mesh.digest,
-        quality=QualityRecord(**{**asdict(replace(quality, volumes={})), "volumes": dict(quality.volumes)}),
-        resolution=tuple(ResolutionRecord(**asdict(r)) for r in expected.resolution),
     )
 
 

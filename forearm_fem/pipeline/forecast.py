@@ -110,11 +110,14 @@ def doubts_of(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
             f"limb: is {size[long]:.0f} mm long in {'xyz'[long]}, but {size[0]:.0f} mm in x, which is taken for the "
             "way to the elbow (+z for the volar side); turn the files unless that is meant"
         )
-    elif uncut := _uncut(mesh):
-        found.append(
-            f"limb: no plane cut end across x was found at its {' and its '.join(uncut)} x, which is free skin where "
-            "waves turn back; cut it across x, flat to a thousandth of its length, unless that is meant"
-        )
+    else:
+        x = mesh.points[:, 0]
+        at, middle = x[mesh.facets.get("end", np.zeros((0, 3), dtype=np.int64))[:, 0]], (x.min() + x.max()) / 2
+        if uncut := [side for side, cut in (("smallest", at < middle), ("largest", at > middle)) if not cut.any()]:
+            found.append(
+                f"limb: no plane cut end across x was found at its {' and its '.join(uncut)} x, which is free skin "
+                "where waves turn back; cut it across x, flat to a thousandth of its length, unless that is meant"
+            )
     if isinstance(limb, SurfacesLimb):
         written = [name for name in limb.surfaces if name in mesh.region_names]
         found += [
@@ -124,14 +127,6 @@ def doubts_of(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
             if first != outer
         ][:1]
     return tuple(found)
-
-
-def _uncut(mesh: TissueMesh) -> list[str]:
-    """Which of the "smallest" and the "largest" x have no cut end."""
-    x = mesh.points[:, 0]
-    at = x[mesh.facets.get("end", np.zeros((0, 3), dtype=np.int64))[:, 0]]
-    middle = (x.min() + x.max()) / 2
-    return [side for side, found in (("smallest", at < middle), ("largest", at > middle)) if not found.any()]
 
 
 def _factor_bytes(scenario: Scenario, unknowns: int, *, rate: bool) -> float:

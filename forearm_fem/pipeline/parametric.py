@@ -6,6 +6,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -331,8 +332,8 @@ def parametric_model(
     mesh, band = mesh or cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
     key = _key(solve_key(own, mesh, band), given, growth)
     file = default_cache_dir() / "parametric" / f"{key}.nc"
-    if (kept := _kept(file)) is not None:
-        return kept
+    with suppress(DataError, ScenarioError):
+        return load_parametric(file)
     tell(progress, "matrices", 0, 0)
     model = fem_model(own, mesh)
     names = tuple(t.name for t in model.operator.terms)
@@ -387,13 +388,6 @@ def load_parametric(path: str | Path) -> ParametricModel:
     centres = tuple((x, y) for x, y in content.around.tolist())
     around = GridPlaces(centres, content.reach, content.count) if content.count else None
     return ParametricModel(scenario, content.ports, pieces, trials, checks, content.solves, around)
-
-
-def _kept(file: Path) -> ParametricModel | None:
-    try:
-        return load_parametric(file)
-    except (DataError, ScenarioError):
-        return None
 
 
 def _key(solve: str, draws: Sequence[Scenario], growth: Growth) -> str:

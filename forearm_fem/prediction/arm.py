@@ -190,7 +190,10 @@ class ReducedArm:
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
         any phase at each."""
-        own = self._on_mesh(scenario)
+        own = on_mesh_of(self.scenario, scenario)  # but with its own grid where both meshes can read it
+        laid = own.model_copy(update={"grid": scenario.grid})
+        models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
+        own = laid if all(m.follows(laid) for m in models) else own
         found, missed = self.model.answer(own, frequency)
         off: list[ComplexArray | FloatArray] = [missed.of(found)]
         if self.meshes is not None:
@@ -219,13 +222,6 @@ class ReducedArm:
         )  # fmt: skip
         changed = replace(found, values=found.values + change, errors=(*found.errors, estimate))
         return changed, _MISSED * change, error
-
-    def _on_mesh(self, scenario: Scenario) -> Scenario:
-        """The draw as the elements can answer it: with its grid where both meshes can read it."""
-        own = on_mesh_of(self.scenario, scenario)
-        laid = own.model_copy(update={"grid": scenario.grid})
-        models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
-        return laid if all(m.follows(laid) for m in models) else own
 
     def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """What the draw's geometry changes on the twin, and the twin's errors in it, both (n, n_port, n_port) [m/N].

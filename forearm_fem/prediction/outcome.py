@@ -25,8 +25,7 @@ from ..tissue import resolve_tissues
 from ..transfer import TransferMatrix, finite, total_error
 from ..typing import ComplexArray, FloatArray
 from .arm import ArmModel
-from .draws import Draw, scenario_of
-from .tissues import REFERENCE, SOFT
+from .draws import REFERENCE, SOFT, Draw, scenario_of
 
 NOISE = "signal to noise"  # name of the draw's input
 KEPT = 16  # draws whose G is kept: 5 MB of the thesis' scene

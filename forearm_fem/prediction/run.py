@@ -8,6 +8,7 @@ import os
 import time
 import warnings
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -126,9 +127,13 @@ def predict(
     _, setup, arm = _prepared(*_plain(question), progress)  # an arm that cannot be is said before minutes of solving
     tell(progress, "the scene itself", 0, 1)
     nominal = _nominal(question, progress)
-    kept = _kept(out / FILE, question.digest, draws) if resume else {}
-    if not kept:
-        _set_aside(out / FILE)
+    file, kept = out / FILE, dict[int, Outcome]()
+    if resume:
+        with suppress(DataError):
+            kept = {o.number: o for o in read_outcomes(file, question.digest) if o.number < draws}
+    if not kept and file.is_file():  # draws of another question cost minutes, too: they are kept beside
+        older = file.replace(file.with_name(OLDER))
+        warnings.warn(f"{file}: its draws answer another question and were moved to {older.name}", stacklevel=2)
     reused = len(kept)
     todo = [n for n in range(draws) if n not in kept]
     tell(progress, "draws", reused, draws)
@@ -200,21 +205,6 @@ def _nominal(question: Question, progress: Progress | None) -> StrengthAccount:
         account = account_of(scenario, transfer, rendering, base=base)
     tell(progress, "the scene itself", 1, 1)
     return account
-
-
-def _kept(file: Path, digest: str, draws: int) -> dict[int, Outcome]:
-    try:
-        return {o.number: o for o in read_outcomes(file, digest) if o.number < draws}
-    except DataError:
-        return {}
-
-
-def _set_aside(file: Path) -> None:
-    """Draws of another question cost minutes, too: they are kept beside, and a warning says where."""
-    if file.is_file():
-        older = file.with_name(OLDER)
-        file.replace(older)
-        warnings.warn(f"{file}: its draws answer another question and were moved to {older.name}", stacklevel=3)
 
 
 def _write(out: Path, kept: Mapping[int, Outcome], setup: Setup, question: Question) -> None:

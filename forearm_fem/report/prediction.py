@@ -31,10 +31,15 @@ def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path,
     for name, table in (("bands", bands_table), ("drivers", drivers_table)):
         write_text(out / "figures" / f"{name}.csv", table(data).as_csv(stamp))
     title, lead = f"Prediction for scene {data['scenario']['name']}", lead_of(data)
+    wins = [
+        [group, *(f"{data['by_group'][m][group]['wins']:.0%}" for m in data["methods"])] for group in data["groups"]
+    ]
+    note = "Share of arms in which the method's mean S there is the largest."
+    won = Block(["place", *data["methods"]], wins, note)
     sections = [
         Section("strength", "S at each target", _targets(data), pictures=[pictures["bands"]]),
         Section("groups", "Middle, edges and corners" if "All" not in data["groups"] else "Mean S", _groups(data)),
-        Section("methods", "Which method wins", _wins(data), pictures=[pictures["methods"]]),
+        Section("methods", "Which method wins", won, pictures=[pictures["methods"]]),
         Section("drivers", "What drives S", _drivers(data), pictures=[pictures["drivers"]]),
         Section("numerics", "How wrong the numerics may be", paragraphs=[_numerics(data)]),
         Section("scope", "What is in the band, and what is not", bullets=_scope(data)),
@@ -100,13 +105,6 @@ def _groups(data: Mapping[str, Any]) -> Block:
             "drives on the true G, without its noise. Over the record: as the thesis sums it, noise over two seconds "
             "included.")  # fmt: skip
     return Block(header, rows, note)
-
-
-def _wins(data: Mapping[str, Any]) -> Block:
-    rows = [
-        [group, *(f"{data['by_group'][m][group]['wins']:.0%}" for m in data["methods"])] for group in data["groups"]
-    ]
-    return Block(["place", *data["methods"]], rows, "Share of arms in which the method's mean S there is the largest.")
 
 
 def _drivers(data: Mapping[str, Any]) -> Block:
