@@ -44,7 +44,11 @@ def agreement(g: CommonGround) -> Agreement:
     ratio_db, phase = 20 * np.log10(np.abs(ratio)), np.where(both, np.angle(ratio), np.nan)
     off, largest = np.abs(b - a).max(axis=(1, 2)), np.abs(a).max(axis=(1, 2))
     entry = (0,)
-    misfit = _squared_misfit(g)
+    variance = np.zeros(g.valid.shape)
+    for deviation in (g.deviation_a, g.deviation_b):
+        variance = variance + (0 if deviation is None else np.nan_to_num(deviation, nan=0.0) ** 2)
+    known = g.valid & (variance > 0)  # where something is known about either
+    misfit = np.asarray(np.divide(_power(g.b - g.a), variance, out=np.full(g.valid.shape, np.nan), where=known))
     return Agreement(
         magnitude_db=np.sqrt(_mean(ratio_db**2, entry)),
         bias_db=_mean(ratio_db, entry),
@@ -110,12 +114,3 @@ def _delay(omega: FloatArray, a: ComplexArray, b: ComplexArray) -> FloatArray:
     if len(omega) < 2:
         return np.full(a.shape[1:], np.nan)
     return np.where(total != 0, -np.angle(total) / np.median(width), np.nan)
-
-
-def _squared_misfit(g: CommonGround) -> FloatArray:
-    """|B - A|^2 / (sigma_A^2 + sigma_B^2); NaN where nothing is known about either."""
-    variance = np.zeros(g.valid.shape)
-    for deviation in (g.deviation_a, g.deviation_b):
-        variance = variance + (0 if deviation is None else np.nan_to_num(deviation, nan=0.0) ** 2)
-    known = g.valid & (variance > 0)
-    return np.asarray(np.divide(_power(g.b - g.a), variance, out=np.full(g.valid.shape, np.nan), where=known))

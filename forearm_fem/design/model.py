@@ -215,9 +215,18 @@ class Design:
         """
         aims = {"rendering.methods": [self.asked.objective.method]}
         given = {**self.asked.set, **values}
-        found = tuple(parse_scenario(_with(data, {**given, **aims})) for data in self.data)
+        found = list[Scenario]()
+        for data in self.data:
+            out = apply_overrides(data, [])
+            for key, value in {**given, **aims}.items():
+                *tables, last = key.split(".")
+                place = out
+                for name in tables:
+                    place = place.setdefault(name, {})
+                place[last] = value
+            found.append(parse_scenario(out))
         if _HOUSING in given:
-            return found
+            return tuple(found)
         return tuple(_weighed(s, own, self.asked.constraints) for s, own in zip(found, self._own, strict=True))
 
     @cached_property
@@ -242,17 +251,6 @@ def _weighed(scenario: Scenario, own: Scenario, limits: Constraints) -> Scenario
         )
     housing = scenario.device.housing.model_copy(update={"mass": round(shell + count * each, 9)})
     return scenario.model_copy(update={"device": scenario.device.model_copy(update={"housing": housing})})
-
-
-def _with(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    out = apply_overrides(data, [])
-    for key, value in values.items():
-        *tables, last = key.split(".")
-        place = out
-        for name in tables:
-            place = place.setdefault(name, {})
-        place[last] = value
-    return out
 
 
 def load_design(path: str | Path) -> Design:

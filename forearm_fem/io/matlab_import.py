@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from scipy.io import loadmat
 
 from ..errors import DataError
 from ..transfer import TransferMatrix
-from ..typing import FloatArray
 from .atomic import atomic_path, write_bytes
 from .declaration import Axis, Declaration, RawMatrix, asked, declare, left_open
 from .matlab import mat5, stamped
@@ -34,9 +32,27 @@ def read_mat(path: str | Path, declaration: Declaration) -> RawMatrix:
     """
     file = Path(path)
     variables = read_variables(file)
-    name = _matrix(file, variables, declaration)
+    if (wanted := declaration.variable) is not None and wanted not in variables:
+        raise DataError(f"{file}: has no array '{wanted}'; it has {', '.join(sorted(variables))[:120]}")
+    cubes = [wanted] if wanted is not None else [k for k, v in variables.items() if v.ndim == 3]
+    if len(cubes) != 1:
+        described = ", ".join(f"{k} {v.shape}" for k, v in variables.items())
+        open_ends = {"variable": declare("variable", f"'{(cubes or ['G'])[0]}'"), **left_open(None, declaration)}
+        raise DataError(f"{file}: {len(cubes)} arrays have three axes ({described[:80]}); it {asked(open_ends)}")
+    name = cubes[0]
+    if wanted is None:
+        warnings.warn(RecognitionWarning(str(file), "G", f"variable '{name}'"), stacklevel=3)
     values = np.asarray(variables[name], dtype=complex)
-    frequency = _frequency(file, variables, name, values.shape, declaration)
+    if (axis := declaration.frequency_variable) is not None:
+        if axis not in variables:
+            raise DataError(f"{file}: has no frequency vector '{axis}'; it has {', '.join(sorted(variables))[:120]}")
+    elif declaration.sample_rate is None:
+        lines = [k for k, v in variables.items() if k != name and v.size == max(v.shape, default=0)]
+        named = [k for k in lines if variables[k].size in values.shape and k in _NAMES]
+        if len(named) == 1:
+            axis = named[0]
+            warnings.warn(RecognitionWarning(str(file), "frequency", f"variable '{axis}' in Hz"), stacklevel=3)
+    frequency = None if axis is None else np.asarray(variables[axis], dtype=float).ravel()
     provenance = {"format": "MATLAB", "variable": name}
     valid = None
     if (mask := declaration.valid_variable) is not None:
@@ -69,37 +85,6 @@ def read_variables(file: Path) -> dict[str, Any]:
     if not found:
         raise DataError(f"{file}: holds no numeric arrays; save G as a plain array, not inside a structure or object")
     return found
-
-
-def _matrix(file: Path, variables: Mapping[str, Any], declaration: Declaration) -> str:
-    if (wanted := declaration.variable) is not None:
-        if wanted not in variables:
-            raise DataError(f"{file}: has no array '{wanted}'; it has {', '.join(sorted(variables))[:120]}")
-        return wanted
-    cubes = [k for k, v in variables.items() if v.ndim == 3]
-    if len(cubes) != 1:
-        described = ", ".join(f"{k} {v.shape}" for k, v in variables.items())
-        open_ends = {"variable": declare("variable", f"'{(cubes or ['G'])[0]}'"), **left_open(None, declaration)}
-        raise DataError(f"{file}: {len(cubes)} arrays have three axes ({described[:80]}); it {asked(open_ends)}")
-    warnings.warn(RecognitionWarning(str(file), "G", f"variable '{cubes[0]}'"), stacklevel=4)
-    return cubes[0]
-
-
-def _frequency(
-    file: Path, variables: Mapping[str, Any], matrix: str, shape: tuple[int, ...], declaration: Declaration
-) -> FloatArray | None:
-    if (name := declaration.frequency_variable) is not None:
-        if name not in variables:
-            raise DataError(f"{file}: has no frequency vector '{name}'; it has {', '.join(sorted(variables))[:120]}")
-        return np.asarray(variables[name], dtype=float).ravel()
-    if declaration.sample_rate is not None:
-        return None
-    fitting = [k for k, v in variables.items() if k != matrix and v.size == max(v.shape, default=0) and v.size in shape]
-    named = [k for k in fitting if k in _NAMES]
-    if len(named) != 1:
-        return None
-    warnings.warn(RecognitionWarning(str(file), "frequency", f"variable '{named[0]}' in Hz"), stacklevel=4)
-    return np.asarray(variables[named[0]], dtype=float).ravel()
 
 
 def write_mat73(

@@ -156,21 +156,16 @@ def joint_words(data: Mapping[str, Any]) -> list[str]:
         lines.append(f"Table I, S {words}: {out} of 9 entries lie outside. {jointly}")
     if (found := data["measured"]) is not None:
         lines.append(f"The measured G of `{found['name']}`: {9 - found['inside']} of 9 entries lie outside.")
-    never, laws = _never(data), any(len(found) > 1 for found in data["table_one"].values())
+    hit: dict[str, bool] = {}  # whether some law and reading has an entry in its band
+    for of_law in (f for reading in data["table_one"].values() for f in reading.values()):
+        for e in of_law["entries"]:
+            key = f"{e['method']} at {_short(e['group'])}"
+            hit[key] = hit.get(key, False) or e["inside"]
+    never, laws = [key for key, ever in hit.items() if not ever], any(len(f) > 1 for f in data["table_one"].values())
     whose = "In no law's band, whichever the reading" if laws else "In the band of all arms in neither reading"
     lines.append(f"{whose}: {', '.join(never)}." if never else
                  f"Every entry of Table I lies in the band of some {'law and ' if laws else ''}reading.")  # fmt: skip
     return lines
-
-
-def _never(data: Mapping[str, Any]) -> list[str]:
-    """Entries of Table I that no law and no reading has in its band."""
-    hit: dict[str, bool] = {}
-    for found in (f for reading in data["table_one"].values() for f in reading.values()):
-        for e in found["entries"]:
-            key = f"{e['method']} at {_short(e['group'])}"
-            hit[key] = hit.get(key, False) or e["inside"]
-    return [key for key, ever in hit.items() if not ever]
 
 
 def coverage(data: Mapping[str, Any]) -> list[tuple[str, str]]:

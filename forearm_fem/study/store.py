@@ -93,7 +93,12 @@ class StudyStore:
         """
         store, text = cls(Path(folder), study), study.model_dump_json(indent=2)
         kept = store.folder / "study.json"
-        same = _study_in(kept) == study
+        try:
+            same = kept.exists() and Study.model_validate_json(kept.read_text(encoding="utf-8")) == study
+        except (OSError, ValueError):  # pydantic's and the decoder's are among the second
+            raise DataError(
+                f"{kept}: damaged; delete this one file, the same study writes it again and the answers stay"
+            ) from None
         if not same and store.people():
             raise DataError(
                 f"{store.folder}: the study file was changed after data were taken; put it back, or give the new one "
@@ -184,18 +189,6 @@ class StudyStore:
     def devices(self) -> list[dict[str, str]]:
         """Rows of ``devices.tsv``; none for studies of 0.14.0."""
         return read_table(self.folder / "devices.tsv", tuple(DEVICES))
-
-
-def _study_in(file: Path) -> Study | None:
-    """The study kept in ``file``; None where there is none, DataError where it cannot be read."""
-    if not file.exists():
-        return None
-    try:
-        return Study.model_validate_json(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # pydantic's and the decoder's are among the second
-        raise DataError(
-            f"{file}: damaged; delete this one file, the same study writes it again and the answers stay"
-        ) from None
 
 
 def _dictionary(columns: Mapping[str, str], facts: Mapping[str, str] | None = None) -> str:

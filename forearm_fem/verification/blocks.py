@@ -28,8 +28,15 @@ def block_mesh(
     box into equal slices along x. ``bend`` moves inner nodes smoothly (0.1 = a tenth of the box), so that
     tetrahedra are not all alike.
     """
-    axes = [np.linspace(0, 1, n + 1) for n in counts]
-    unit, tetrahedra = _lattice(axes)
+    x, y, z = (np.linspace(0, 1, n + 1) for n in counts)
+    xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    low = np.arange((len(x) - 1) * len(y)).reshape(len(x) - 1, len(y))[:, :-1].ravel()
+    triangles = np.vstack(
+        [np.column_stack([low, low + 1, low + len(y) + 1]), np.column_stack([low, low + len(y), low + len(y) + 1])]
+    )
+    levels = np.arange(len(xy)) + len(xy) * np.arange(len(z))[:, None]
+    unit = np.column_stack([np.tile(xy, (len(z), 1)), np.repeat(z, len(xy))])
+    tetrahedra = stack_prisms(triangles, levels)[0]  # not yet oriented
     region = np.minimum((unit[tetrahedra].mean(axis=1)[:, 0] * len(regions)).astype(int), len(regions) - 1)
     faces, _ = boundary_faces(oriented(unit, tetrahedra))
     named, corner = {}, unit[faces]
@@ -41,20 +48,6 @@ def block_mesh(
     bump = bend * np.prod(np.sin(np.pi * unit), axis=1)[:, None]  # smooth, and nothing on the boundary
     points = (unit + bump * np.array([1.0, -0.7, 0.5])) * np.asarray(size)
     return TissueMesh(points, oriented(points, tetrahedra), region, tuple(regions), named)
-
-
-def _lattice(axes: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
-    """Points (n, 3) of a tensor grid and its tetrahedra (not yet oriented)."""
-    x, y, z = axes
-    xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    corner = np.arange((len(x) - 1) * len(y)).reshape(len(x) - 1, len(y))[:, :-1].ravel()
-    triangles = np.vstack(
-        [np.column_stack([corner, corner + 1, corner + len(y) + 1]),
-         np.column_stack([corner, corner + len(y), corner + len(y) + 1])]
-    )  # fmt: skip
-    levels = np.arange(len(xy)) + len(xy) * np.arange(len(z))[:, None]
-    points = np.column_stack([np.tile(xy, (len(z), 1)), np.repeat(z, len(xy))])
-    return points, stack_prisms(triangles, levels)[0]
 
 
 def shell_mesh(radii: FloatArray, splits: int, *, curved: bool = False) -> TissueMesh:
