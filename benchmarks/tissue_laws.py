@@ -24,8 +24,8 @@ from scipy.optimize import least_squares
 
 from forearm_fem.layered import Disc, Layer, Surface, layered_compliance
 from forearm_fem.metrics import fit_waves
+from forearm_fem.prediction.draws import SOFT, law_parameters
 from forearm_fem.prediction.priors import Prior, wide_priors
-from forearm_fem.prediction.tissues import SOFT, law_parameters
 from forearm_fem.tissue import KelvinVoigt, Modulus, SpringPot, Zener
 from forearm_fem.typing import FloatArray
 

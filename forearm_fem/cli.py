@@ -68,10 +68,14 @@ def main() -> None:
     except Exception as problem:
         if _was_interrupted(problem):
             _interrupted()
-        if not _is_usage(problem):
+        if not type(problem).__module__.startswith(("click", "typer")):  # a wrong option, as the parser says it
             raise
-        if message := _usage(problem):
-            print_error(message)
+        if getattr(problem, "message", "") or str(problem):  # else the help was the answer
+            wrong: Any = problem
+            said = wrong.format_message() if hasattr(wrong, "format_message") else str(wrong)
+            context = getattr(wrong, "ctx", None)
+            more = f"; `{context.command_path} --help` says more" if context is not None else ""
+            print_error(said.replace("Value error, ", "").rstrip(".") + more)
         sys.exit(2)
     sys.exit(code if isinstance(code, int) else 0)
 
@@ -86,21 +90,6 @@ def _was_interrupted(problem: BaseException | None) -> bool:
     while problem is not None and not isinstance(problem, KeyboardInterrupt):
         problem = problem.__cause__ or problem.__context__
     return problem is not None
-
-
-def _is_usage(problem: Exception) -> bool:
-    """A wrong option or argument, as the parser says it."""
-    return type(problem).__module__.startswith(("click", "typer"))
-
-
-def _usage(problem: Any) -> str:
-    """What was wrong, with the option's name, and where to look; empty where the help was the answer."""
-    if not (getattr(problem, "message", "") or str(problem)):
-        return ""
-    said = problem.format_message() if hasattr(problem, "format_message") else str(problem)
-    context = getattr(problem, "ctx", None)
-    said = said.replace("Value error, ", "").rstrip(".")
-    return said + (f"; `{context.command_path} --help` says more" if context is not None else "")
 
 
 @app.callback(invoke_without_command=True)

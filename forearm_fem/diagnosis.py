@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from pathlib import Path
+from contextlib import suppress
 
 import psutil
 
@@ -42,16 +42,11 @@ def _cache() -> str:
     above = next(path for path in (folder, *folder.parents) if path.exists())
     if not above.is_dir() or not os.access(above, os.W_OK):
         return f"{folder}: nothing can be kept there ({above} is no folder that can be written); set FOREARM_FEM_CACHE"
-    sizes = [_size(path) for path in folder.rglob("*") if path.is_file()]
-    return f"{folder}: {sum(sizes) / 1e6:.1f} MB in {len(sizes)} files"
-
-
-def _size(path: Path) -> int:
-    """Bytes of a file; 0 where another command has just removed it."""
-    try:
-        return path.stat().st_size
-    except OSError:
-        return 0
+    files, size = [path for path in folder.rglob("*") if path.is_file()], 0
+    for path in files:
+        with suppress(OSError):  # another command has just removed it
+            size += path.stat().st_size
+    return f"{folder}: {size / 1e6:.1f} MB in {len(files)} files"
 
 
 def rendering_backend() -> str:

@@ -101,7 +101,8 @@ def first_problem(problem: Any, whole: str) -> str:
     said = in_tomls_words(said)
     of_table = first["type"] == "value_error" and isinstance(first["input"], Mapping)  # what its values are together
     silent = first["type"] in ("extra_forbidden", "missing") or of_table or "got" in said
-    came = "" if silent else f", got {_short(first['input'])}"
+    given = "a table" if isinstance(first["input"], Mapping) else repr(first["input"])
+    came = "" if silent else f", got {given if len(given) <= 60 else f'{given[:40]} ...'}"
     return f"{'.'.join(map(str, first['loc'])) or whole}: {said[0].lower()}{said[1:]}{came}"
 
 
@@ -112,11 +113,6 @@ def in_tomls_words(message: str) -> str:
         .replace("valid tuple", "list")
         .replace("valid list", "list")
     )
-
-
-def _short(value: Any) -> str:
-    text = "a table" if isinstance(value, Mapping) else repr(value)
-    return text if len(text) <= 60 else f"{text[:40]} ..."
 
 
 def optional(module: str, extra: str, purpose: str, *, package: str = "") -> Any:

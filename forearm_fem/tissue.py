@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
@@ -195,7 +195,7 @@ class TissueRecord:
 
     def tissue(self, values: Mapping[str, float] | None = None) -> Tissue:
         """The tissue, with ``values`` (drawn or chosen) in place of the recorded ones."""
-        return _Spec(self.name, self.model, {**self.values, **(values or {})}).tissue()
+        return _tissue(self.name, self.model, {**self.values, **(values or {})})
 
 
 def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
@@ -210,7 +210,12 @@ def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
         name: _overridden(name, records.get(name), override) for name, override in scenario.tissues.override.items()
     }
     result = {**tissues, **changed}
-    _check_limb(scenario.limb, result)
+    for path, name in limb_tissue_keys(scenario.limb).items():
+        if name not in result:
+            raise ScenarioError(
+                f"{path}: no tissue is called '{name}'; known are {', '.join(sorted(result))}, "
+                f"or define it under [tissues.override.{name}]"
+            )
     return result
 
 
@@ -221,15 +226,6 @@ def limb_tissue_keys(limb: object) -> dict[str, str]:
     surfaces = {f"limb.surfaces.{name}": name for name in getattr(limb, "surfaces", ())}
     regions = {f"limb.regions.{key}": name for key, name in getattr(limb, "regions", {}).items()}
     return {**layers, **core, **surfaces, **regions}
-
-
-def _check_limb(limb: object, tissues: Mapping[str, Tissue]) -> None:
-    for path, name in limb_tissue_keys(limb).items():
-        if name not in tissues:
-            raise ScenarioError(
-                f"{path}: no tissue is called '{name}'; known are {', '.join(sorted(tissues))}, "
-                f"or define it under [tissues.override.{name}]"
-            )
 
 
 # model -> parameters it must have; a springpot's eta may be left out (1 Pa s)
@@ -243,29 +239,20 @@ _NEEDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 
 
-@dataclass(frozen=True)
-class _Spec:
-    """A tissue as named numbers, before it becomes a :class:`Tissue`."""
-
-    name: str
-    model: str
-    values: Mapping[str, float] = field(default_factory=dict)
-
-    def tissue(self) -> Tissue:
-        """The tissue these numbers (SI) describe; they must be complete for the model."""
-        return Tissue(self.name, self.values["density"], self._modulus(), self.values["bulk"])
-
-    def _modulus(self) -> Modulus:
-        v = self.values
-        match self.model:
-            case "kelvin-voigt":
-                return KelvinVoigt(v["mu"], v["eta"])
-            case "springpot":
-                return SpringPot(v["mu"], v["exponent"], v.get("eta", 1.0))
-            case "zener":
-                return Zener(v["mu"], v["mu_infinity"], v["eta"])
-            case _:
-                return Hysteretic(v["mu"], v["loss"])
+def _tissue(name: str, model: str, values: Mapping[str, float]) -> Tissue:
+    """The tissue that these numbers (SI) describe; they must be complete for the model."""
+    v = values
+    modulus: Modulus
+    match model:
+        case "kelvin-voigt":
+            modulus = KelvinVoigt(v["mu"], v["eta"])
+        case "springpot":
+            modulus = SpringPot(v["mu"], v["exponent"], v.get("eta", 1.0))
+        case "zener":
+            modulus = Zener(v["mu"], v["mu_infinity"], v["eta"])
+        case _:
+            modulus = Hysteretic(v["mu"], v["loss"])
+    return Tissue(name, v["density"], modulus, v["bulk"])
 
 
 def _overridden(name: str, record: TissueRecord | None, override: TissueOverride) -> Tissue:
@@ -277,28 +264,18 @@ def _overridden(name: str, record: TissueRecord | None, override: TissueOverride
     kept = dict(record.values) if record else {}
     if record and model != record.model:
         kept = {key: kept[key] for key in ("density", "bulk")}
-    _check_used(path, model, given)
-    spec = _Spec(name, model, {**kept, **given})
-    _check_complete(path, spec)
-    return spec.tissue()
-
-
-def _check_used(path: str, model: str, given: Mapping[str, float]) -> None:
     used = {"density", "bulk", *_NEEDS[model], *(("eta",) if model == "springpot" else ())}
     for key in given:
         if key not in used:
             raise ScenarioError(f"{path}.{key}: has no effect with the {model} model; remove it or set {path}.model")
-
-
-def _check_complete(path: str, spec: _Spec) -> None:
-    missing = [key for key in ("density", "bulk", *_NEEDS[spec.model]) if key not in spec.values]
-    if missing:
-        raise ScenarioError(f"{path}: a {spec.model} tissue stated anew also needs {', '.join(missing)}")
-    v = spec.values
-    if spec.model == "springpot" and v.get("eta") == 0:
+    v = {**kept, **given}
+    if missing := [key for key in ("density", "bulk", *_NEEDS[model]) if key not in v]:
+        raise ScenarioError(f"{path}: a {model} tissue stated anew also needs {', '.join(missing)}")
+    if model == "springpot" and v.get("eta") == 0:
         raise ScenarioError(f"{path}.eta: a springpot without viscosity has no stiffness either; set eta > 0 Pa s")
-    if spec.model == "zener" and v["mu_infinity"] <= v["mu"]:
+    if model == "zener" and v["mu_infinity"] <= v["mu"]:
         raise ScenarioError(f"{path}.mu_infinity: must exceed mu = {v['mu']:g} Pa, is {v['mu_infinity']:g}")
+    return _tissue(name, model, v)
 
 
 def _density(value: float, low: float, high: float, spread: float) -> Sourced:

@@ -127,7 +127,18 @@ class TransferMatrix:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._check_shapes()
+        n, outputs, inputs = len(self.frequency), len(self.outputs), len(self.inputs)
+        for name, shape in (
+            ("frequency", (n,)), ("values", (n, outputs, inputs)), ("contacts", (n, inputs, inputs)),
+            ("valid", (n, outputs, inputs)), ("deviation", (n, outputs, inputs)),
+        ):  # fmt: skip
+            given = getattr(self, name)
+            if given is not None and (not isinstance(given, np.ndarray) or given.shape != shape):
+                came = given.shape if isinstance(given, np.ndarray) else type(given).__name__
+                raise DataError(
+                    f"G's {name}: expected {shape}, a numpy array, as there are {n} frequencies, {outputs} outputs "
+                    f"and {inputs} inputs, got {came}"
+                )
         for what, ports in (("outputs", self.outputs), ("inputs", self.inputs)):
             if len({p.name for p in ports}) < len(ports):
                 raise DataError(f"two of G's {what} have the same name; give each its own")
@@ -139,20 +150,6 @@ class TransferMatrix:
                 raise DataError(
                     f"the error by {e.source} is of pairs {e.per_pair.shape}, G's are {wanted}; take the same pairs of "
                     "its per_pair, or None"
-                )
-
-    def _check_shapes(self) -> None:
-        n, outputs, inputs = len(self.frequency), len(self.outputs), len(self.inputs)
-        for name, wanted in (
-            ("frequency", (n,)), ("values", (n, outputs, inputs)), ("contacts", (n, inputs, inputs)),
-            ("valid", (n, outputs, inputs)), ("deviation", (n, outputs, inputs)),
-        ):  # fmt: skip
-            given = getattr(self, name)
-            if given is not None and (not isinstance(given, np.ndarray) or given.shape != wanted):
-                came = given.shape if isinstance(given, np.ndarray) else type(given).__name__
-                raise DataError(
-                    f"G's {name}: expected {wanted}, a numpy array, as there are {n} frequencies, {outputs} outputs "
-                    f"and {inputs} inputs, got {came}"
                 )
 
     @property

@@ -27,8 +27,8 @@ from forearm_fem.io.csvfiles import write_csv
 from forearm_fem.io.declaration import Declaration
 from forearm_fem.io.jsonfiles import read_json, write_json
 from forearm_fem.io.matlab_import import write_mat5, write_mat73
+from forearm_fem.io.reading import RecognitionWarning
 from forearm_fem.io.recognise import read_measured
-from forearm_fem.io.recognition import RecognitionWarning
 from forearm_fem.io.recording import Recording
 from forearm_fem.io.reduced import ReducedFile, read_reduced, write_reduced
 from forearm_fem.io.seal import MARK

@@ -9,7 +9,7 @@ import pytest
 
 from forearm_fem.device import RotatingMass
 from forearm_fem.errors import DataError, ScenarioError
-from forearm_fem.pipeline.actuator_notes import actuator_notes
+from forearm_fem.pipeline.notes import actuator_notes
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.actuators import ACTUATORS, ActuatorName

@@ -11,7 +11,7 @@ from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.pipeline.dispersion import Lags, phase_error
 from forearm_fem.pipeline.folder import Run, run_solve
 from forearm_fem.pipeline.layered_engine import solve_layered
-from forearm_fem.pipeline.model_notes import near_disc_notes
+from forearm_fem.pipeline.notes import near_disc_notes
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.results import read_run
 from forearm_fem.scenario import Scenario, parse_scenario

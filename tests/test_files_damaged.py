@@ -39,8 +39,8 @@ from forearm_fem.io.csvfiles import write_csv
 from forearm_fem.io.declaration import Declaration
 from forearm_fem.io.matlab_import import write_mat73
 from forearm_fem.io.netcdf import write_transfer
+from forearm_fem.io.reading import RecognitionWarning
 from forearm_fem.io.recognise import read_measured
-from forearm_fem.io.recognition import RecognitionWarning
 from forearm_fem.io.seal import MARK
 from forearm_fem.io.tdms import read_sweep_tdms, write_tdms
 from forearm_fem.io.uff import write_uff

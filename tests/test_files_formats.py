@@ -21,9 +21,9 @@ from test_measurement_scene import INPUTS, OUTPUTS, RATE, SWEEP, device_for, par
 from forearm_fem.errors import DataError, ForearmError
 from forearm_fem.io.declaration import Declaration
 from forearm_fem.io.matlab_import import write_mat5, write_mat73
+from forearm_fem.io.reading import RecognitionWarning
 from forearm_fem.io.recipe import ImportRecipe, import_by_recipe, load_recipe
 from forearm_fem.io.recognise import read_measured, write_measured
-from forearm_fem.io.recognition import RecognitionWarning
 from forearm_fem.io.tdms import read_sweep_tdms, write_sweep_tdms
 from forearm_fem.io.uff import read_uff, write_uff
 from forearm_fem.io.units import parse_unit

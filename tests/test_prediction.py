@@ -26,8 +26,7 @@ from forearm_fem.prediction import statistics as numbers
 from forearm_fem.prediction import store
 from forearm_fem.prediction.arm import Answer, LayeredArm, arm_model
 from forearm_fem.prediction.draws import draw_inputs, moved_points, scenario_of
-from forearm_fem.prediction.measuring import noisy
-from forearm_fem.prediction.outcome import KEPT, READINGS, Outcome, outcome_of
+from forearm_fem.prediction.outcome import KEPT, READINGS, Outcome, noisy, outcome_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import Prediction, Question, check_question, predict
 from forearm_fem.prediction.store import FILE, read_outcomes

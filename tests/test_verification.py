@@ -13,10 +13,9 @@ from forearm_fem.errors import GeometryError
 from forearm_fem.geometry.mesh.curved import true_volumes
 from forearm_fem.verification import cases, hard, slabs, twin
 from forearm_fem.verification.blocks import block_mesh, shell_mesh
-from forearm_fem.verification.hard_rows import HardCase, HardResult
 from forearm_fem.verification.mutations import BUGS, mutation_table, run_mutations
 from forearm_fem.verification.report import effectivity_section, stability_page, verification_page
-from forearm_fem.verification.rows import HardRow, Row, weakest
+from forearm_fem.verification.rows import HardCase, HardResult, HardRow, Row, weakest
 from forearm_fem.verification.run import Case, run_hard_cases, run_verification
 
 GOOD = Row("a", "exact", "u", 1e-4, 1e-3, "because")

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any
 
-from ..errors import MissingExtra, SolverError
+from ..errors import SolverError, optional
 
 LIGHT = 0.6e9  # bytes of a worker that solves no finite elements
 SHARE = 0.8  # of the free memory that workers may take together
@@ -26,7 +26,7 @@ def cluster(scheduler: str | None, count: Callable[[], int], purpose: str = "a c
 
     Raises MissingExtra without Dask, SolverError where no scheduler answers.
     """
-    distributed = _distributed(purpose)
+    distributed = optional("distributed", "campaign", purpose)
     if scheduler is not None:
         try:
             client: Any = distributed.Client(scheduler, timeout=PATIENCE)
@@ -56,14 +56,6 @@ def _quiet() -> Iterator[None]:
         log.setLevel(before)
 
 
-def _distributed(purpose: str) -> Any:
-    try:
-        import distributed
-    except ImportError:
-        raise MissingExtra("distributed", "campaign", purpose) from None
-    return distributed
-
-
 def completed(
     client: Any, function: Callable[[Any], dict[str, Any]], jobs: Mapping[str, Any]
 ) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -71,7 +63,7 @@ def completed(
 
     A worker that dies three times with a job loses this job only: its result is {"problem": sentence}.
     """
-    distributed = _distributed("a campaign")
+    distributed = optional("distributed", "campaign", "a campaign")
     futures = [client.submit(function, job, key=key, pure=False) for key, job in jobs.items()]
     for future in distributed.as_completed(futures):
         if future.status == "finished":

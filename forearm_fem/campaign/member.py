@@ -51,10 +51,16 @@ def finished(job: MemberJob) -> dict[str, Any] | None:
 
 def finish_member(job: MemberJob) -> dict[str, Any]:
     """Run the member; its summary, or {"problem": sentence}. Nothing it raises leaves the worker."""
+    folder = Path(job.folder)
     try:
-        (Path(job.folder) / MARK).unlink(missing_ok=True)  # of an older question, whose files are replaced from here on
-        summary = _done(job)
-        write_json(Path(job.folder) / MARK, {"digest": job.digest, "summary": summary})
+        from ..pipeline.folder import Run, run_all, run_render, run_solve
+
+        (folder / MARK).unlink(missing_ok=True)  # of an older question, whose files are replaced from here on
+        run = Run.start(Scenario.model_validate_json(job.scenario), folder, Path(job.base))
+        with locked(folder):
+            {"solve": run_solve, "render": run_render, "run": run_all}[job.stage](run)
+            summary = member_summary(folder)
+        write_json(folder / MARK, {"digest": job.digest, "summary": summary})
         return summary
     except ForearmError as problem:
         return {"problem": str(problem)}
@@ -62,15 +68,6 @@ def finish_member(job: MemberJob) -> dict[str, Any]:
         return {"problem": "out of memory; set mesh sizes or accuracy larger, or use fewer workers"}
     except Exception as problem:
         return {"problem": f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
-
-
-def _done(job: MemberJob) -> dict[str, Any]:
-    from ..pipeline.folder import Run, run_all, run_render, run_solve
-    scenario = Scenario.model_validate_json(job.scenario)
-    run = Run.start(scenario, Path(job.folder), Path(job.base))
-    with locked(job.folder):
-        {"solve": run_solve, "render": run_render, "run": run_all}[job.stage](run)
-        return member_summary(Path(job.folder))
 
 
 def member_summary(folder: Path) -> dict[str, Any]:

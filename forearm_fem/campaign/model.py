@@ -32,7 +32,7 @@ from ..errors import ScenarioError, first_problem
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Name, Part
 from ..scenario.toml import read_toml
-from ..tissue import PRESETS, Sourced
+from ..tissue import PRESETS
 
 Values = dict[str, Any]
 
@@ -86,27 +86,26 @@ class Campaign:
 def load_campaign(path: str | Path) -> Campaign:
     """Campaign from a TOML file, every member's scenario checked; raises ScenarioError in one sentence."""
     file = Path(path)
-    asked = _parsed(file)
+    try:
+        asked = CampaignFile.model_validate(read_toml(file, "no such campaign file"))
+    except ValidationError as problem:
+        known = ", ".join(CampaignFile.model_fields)
+        raise ScenarioError(f"{file}: {first_problem(problem, 'campaign')}; known keys are {known}") from None
     source = scenario_beside(file.parent, asked.scenario)
     preset = load_scenario(source, overrides=[_override(*item) for item in asked.set.items()])
     variants = list(_variants(asked, preset))
     names = [name for name, _ in variants]
     if twice := sorted({n for n in names if names.count(n) > 1}):
         raise ScenarioError(f"{file}: members are called {', '.join(twice)} twice; give each its own name")
-    return Campaign(
-        asked.name,
-        asked.stage,
-        source.parent,
-        tuple(_member(source, asked, *variant) for variant in variants),
-    )
-
-
-def _parsed(file: Path) -> CampaignFile:
-    try:
-        return CampaignFile.model_validate(read_toml(file, "no such campaign file"))
-    except ValidationError as problem:
-        known = ", ".join(CampaignFile.model_fields)
-        raise ScenarioError(f"{file}: {first_problem(problem, 'campaign')}; known keys are {known}") from None
+    members = []
+    for name, values in variants:
+        merged = {**asked.set, **values, "name": name}
+        try:
+            scenario = load_scenario(source, overrides=[_override(*item) for item in merged.items()])
+        except ScenarioError as problem:
+            raise ScenarioError(f"member {name}: {problem}") from None
+        members.append(Member(name, values, scenario))
+    return Campaign(asked.name, asked.stage, source.parent, tuple(members))
 
 
 def _variants(asked: CampaignFile, preset: Scenario) -> Iterator[tuple[str, Values]]:
@@ -126,24 +125,13 @@ def _variants(asked: CampaignFile, preset: Scenario) -> Iterator[tuple[str, Valu
 
 def grid_name(values: Mapping[str, Any]) -> str:
     """A folder name that says what varies: last part of each key and its value."""
-    parts = [f"{key.rpartition('.')[2]}-{_plain(value)}" for key, value in values.items()]
+    plain = {key: f"{value:g}" if isinstance(value, float) else value for key, value in values.items()}
+    parts = [f"{key.rpartition('.')[2]}-{value}" for key, value in plain.items()]
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", "_".join(parts)).strip("-")
-
-
-def _plain(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:
     """Overrides of each draw; draw k is the same however many are asked for (one generator, row by row)."""
-    spread = _drawn(scenario, table)
-    random = np.random.default_rng(table.seed)
-    for _ in range(table.count):
-        z = random.standard_normal(len(spread))
-        yield {f"tissues.override.{key}": s.draw(float(v)) for (key, s), v in zip(spread.items(), z, strict=True)}
-
-
-def _drawn(scenario: Scenario, table: DrawTable) -> dict[str, Sourced]:
     known = {
         f"{tissue}.{key}": sourced
         for tissue, record in PRESETS[scenario.tissues.preset].items()
@@ -153,15 +141,11 @@ def _drawn(scenario: Scenario, table: DrawTable) -> dict[str, Sourced]:
     wanted = table.parameters or tuple(k for k in known if k.endswith((".mu", ".eta")))
     if bad := [k for k in wanted if k not in known]:
         raise ScenarioError(f"draw.parameters: no spread is known of '{bad[0]}'; known are {', '.join(known)}")
-    return {key: known[key] for key in wanted}
-
-
-def _member(source: Path, asked: CampaignFile, name: str, values: Values) -> Member:
-    merged = {**asked.set, **values, "name": name}
-    try:
-        return Member(name, values, load_scenario(source, overrides=[_override(*item) for item in merged.items()]))
-    except ScenarioError as problem:
-        raise ScenarioError(f"member {name}: {problem}") from None
+    spread = {key: known[key] for key in wanted}
+    random = np.random.default_rng(table.seed)
+    for _ in range(table.count):
+        z = random.standard_normal(len(spread))
+        yield {f"tissues.override.{key}": s.draw(float(v)) for (key, s), v in zip(spread.items(), z, strict=True)}
 
 
 def _override(key: str, value: Any) -> str:

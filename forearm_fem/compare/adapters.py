@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +14,13 @@ from ..device.loop import close_loop
 from ..errors import ScenarioError
 from ..geometry.device.layout import layers_of
 from ..layered import Layer, layered_compliance
-from ..pipeline.layered_engine import flat_disc, flat_surface
+from ..pipeline.layered_engine import flat_disc, flat_layers, flat_surface
 from ..pipeline.parametric import ParametricModel, parametric_model
 from ..ports import Port
 from ..prediction.two_meshes import ArmMeshes, arm_meshes
 from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
-from ..tissue import Tissue, limb_tissue_keys, resolve_tissues
+from ..tissue import limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
 from .parameters import Parameter
@@ -165,18 +164,11 @@ def _never(scenario: Scenario) -> Compliance:
 
 def layers_from(scenario: Scenario) -> tuple[Layer, ...]:
     """The scenario's layers on a half-space of its core tissue; ScenarioError for a limb without layers."""
-    layers = layers_of(scenario.limb)
-    core = getattr(scenario.limb, "core", None)
-    if not layers or not isinstance(core, str):
+    if not layers_of(scenario.limb) or not isinstance(getattr(scenario.limb, "core", None), str):
         raise ScenarioError(
             "limb: the layered twin needs a parametric limb with layers and a core; fit on finite elements with --fem"
         )
-    tissues = resolve_tissues(scenario)
-    return (*(_layer(tissues[x.tissue], x.thickness) for x in layers), _layer(tissues[core], math.inf))
-
-
-def _layer(tissue: Tissue, thickness: float) -> Layer:
-    return Layer(thickness, tissue.density, tissue.modulus.at, tissue.bulk)
+    return tuple(flat_layers(scenario))
 
 
 def common_parameters(scenario: Scenario, names: Sequence[str]) -> tuple[Parameter, ...]:

@@ -39,9 +39,16 @@ class Agreement:
 def agreement(g: CommonGround) -> Agreement:
     """All of :class:`Agreement` from the valid entries of ``g``."""
     a, b = np.where(g.valid, g.a, 0), np.where(g.valid, g.b, 0)
-    ratio_db, phase = _ratio(a, b)
+    both = (a != 0) & (b != 0)
+    ratio = np.divide(b, a, out=np.full(a.shape, np.nan + 0j), where=both)
+    ratio_db, phase = 20 * np.log10(np.abs(ratio)), np.where(both, np.angle(ratio), np.nan)
+    off, largest = np.abs(b - a).max(axis=(1, 2)), np.abs(a).max(axis=(1, 2))
     entry = (0,)
-    misfit = _squared_misfit(g)
+    variance = np.zeros(g.valid.shape)
+    for deviation in (g.deviation_a, g.deviation_b):
+        variance = variance + (0 if deviation is None else np.nan_to_num(deviation, nan=0.0) ** 2)
+    known = g.valid & (variance > 0)  # where something is known about either
+    misfit = np.asarray(np.divide(_power(g.b - g.a), variance, out=np.full(g.valid.shape, np.nan), where=known))
     return Agreement(
         magnitude_db=np.sqrt(_mean(ratio_db**2, entry)),
         bias_db=_mean(ratio_db, entry),
@@ -49,7 +56,7 @@ def agreement(g: CommonGround) -> Agreement:
         delay=_delay(g.omega, a, b),
         error=np.sqrt(_share(_power(b - a), _power(a), entry)),
         frac=assurance(a, b, entry),
-        per_frequency=_peak_ratio(a, b),
+        per_frequency=np.divide(off, largest, out=np.full(len(a), np.nan), where=largest > 0),
         fdac=assurance(a, b, (1, 2)),
         band=float(np.sqrt(_share(_power(b - a), _power(a), (0, 1, 2)))),
         overall_frac=float(assurance(a, b, (0, 1, 2))),
@@ -81,13 +88,6 @@ def _power(x: ComplexArray) -> FloatArray:
     return np.asarray(x.real**2 + x.imag**2)
 
 
-def _ratio(a: ComplexArray, b: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """20 log10 |b/a| and the phase of b/a; NaN where either is zero."""
-    both = (a != 0) & (b != 0)
-    ratio = np.divide(b, a, out=np.full(a.shape, np.nan + 0j), where=both)
-    return 20 * np.log10(np.abs(ratio)), np.where(both, np.angle(ratio), np.nan)
-
-
 def _mean(x: FloatArray, axes: tuple[int, ...]) -> FloatArray:
     """Mean of the finite values, NaN if there are none."""
     known = np.isfinite(x)
@@ -103,12 +103,6 @@ def _share(x: FloatArray, weight: FloatArray, axes: tuple[int, ...]) -> FloatArr
     return np.asarray(np.divide(above, below, out=np.full(np.shape(below), np.nan), where=below > 0))
 
 
-def _peak_ratio(a: ComplexArray, b: ComplexArray) -> FloatArray:
-    """e(f) = max |b - a| / max |a| over the valid entries."""
-    below = np.abs(a).max(axis=(1, 2))
-    return np.asarray(np.divide(np.abs(b - a).max(axis=(1, 2)), below, out=np.full(len(a), np.nan), where=below > 0))
-
-
 def _delay(omega: FloatArray, a: ComplexArray, b: ComplexArray) -> FloatArray:
     """Delay (n_out, n_in) [s] of b behind a from the phase steps of the cross spectrum between neighbouring
     frequencies, weighted with its size: no unwrapping. NaN with fewer than two frequencies."""
@@ -120,12 +114,3 @@ def _delay(omega: FloatArray, a: ComplexArray, b: ComplexArray) -> FloatArray:
     if len(omega) < 2:
         return np.full(a.shape[1:], np.nan)
     return np.where(total != 0, -np.angle(total) / np.median(width), np.nan)
-
-
-def _squared_misfit(g: CommonGround) -> FloatArray:
-    """|B - A|^2 / (sigma_A^2 + sigma_B^2); NaN where nothing is known about either."""
-    variance = np.zeros(g.valid.shape)
-    for deviation in (g.deviation_a, g.deviation_b):
-        variance = variance + (0 if deviation is None else np.nan_to_num(deviation, nan=0.0) ** 2)
-    known = g.valid & (variance > 0)
-    return np.asarray(np.divide(_power(g.b - g.a), variance, out=np.full(g.valid.shape, np.nan), where=known))

@@ -58,6 +58,12 @@ def compare(
     """
     ground = common_ground(a, b)
     crossed, why = try_cross_play(ground, folders) if render else (None, "not asked for")
+    of_scale = [
+        f"the gain of {side} is arbitrary, as was declared: FRAC, phases, delays, condition numbers and S hold, "
+        "e_band, e, dB and the misfit mean nothing"
+        for side, provenance in zip("AB", ground.provenance, strict=True)
+        if arbitrary_gain(provenance)
+    ]
     return Comparison(
         names,
         ground,
@@ -68,17 +74,7 @@ def compare(
         _condition(ground, ground.b),
         crossed,
         why,
-        tuple(note for note in (*_of_scale(ground), *ground.notes, explained(ground)) if note),
-    )
-
-
-def _of_scale(ground: CommonGround) -> tuple[str, ...]:
-    """A sentence for each side whose scale is unknown."""
-    return tuple(
-        f"the gain of {side} is arbitrary, as was declared: FRAC, phases, delays, condition numbers and S hold, "
-        "e_band, e, dB and the misfit mean nothing"
-        for side, provenance in zip("AB", ground.provenance, strict=True)
-        if arbitrary_gain(provenance)
+        tuple(note for note in (*of_scale, *ground.notes, explained(ground)) if note),
     )
 
 
@@ -88,23 +84,23 @@ def _condition(ground: CommonGround, values: ComplexArray) -> FloatArray:
 
 
 def _waves(ground: CommonGround, values: ComplexArray) -> tuple[WaveFit | None, ...]:
-    masked = np.where(ground.valid, values, np.nan)
-    apart = distances(ground.outputs, ground.inputs)
-    return tuple(_wave(ground.frequency, apart[:, i], masked[:, :, i]) for i in range(len(ground.inputs)))
-
-
-def _wave(frequency: FloatArray, distance: FloatArray, response: ComplexArray) -> WaveFit | None:
-    """The thesis' fit over increasing distance; points equally far are averaged, as in an isotropic skin."""
-    order = np.argsort(distance, kind="stable")
-    group = np.concatenate([[0], np.cumsum(np.diff(distance[order]) > _TOGETHER)])
-    x = np.bincount(group, distance[order]) / np.bincount(group)
-    if len(x) < 3 or not np.all(np.isfinite(x)):
-        return None
-    share = (group[:, None] == np.arange(len(x))) / np.bincount(group)
-    known = np.isfinite(response).all(axis=1)
-    merged = np.full((len(frequency), len(x)), np.nan + 0j)
-    merged[known] = response[known][:, order] @ share
-    return fit_waves(frequency, x, merged)
+    """The thesis' fit over increasing distance from each input; points equally far are averaged, as in an isotropic
+    skin."""
+    masked, fits = np.where(ground.valid, values, np.nan), list[WaveFit | None]()
+    for i, distance in enumerate(distances(ground.outputs, ground.inputs).T):
+        order = np.argsort(distance, kind="stable")
+        group = np.concatenate([[0], np.cumsum(np.diff(distance[order]) > _TOGETHER)])
+        x = np.bincount(group, distance[order]) / np.bincount(group)
+        if len(x) < 3 or not np.all(np.isfinite(x)):
+            fits.append(None)
+            continue
+        share = (group[:, None] == np.arange(len(x))) / np.bincount(group)
+        response = masked[:, :, i]
+        known = np.isfinite(response).all(axis=1)
+        merged = np.full((len(response), len(x)), np.nan + 0j)
+        merged[known] = response[known][:, order] @ share
+        fits.append(fit_waves(ground.frequency, x, merged))
+    return tuple(fits)
 
 
 def comparison_record(c: Comparison) -> dict[str, Any]:

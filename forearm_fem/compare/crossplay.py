@@ -104,7 +104,13 @@ def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> _Own | N
             options = scenario.rendering
             shape = _kept_wavelet(scenario, folders)
         except ForearmError as problem:
-            _say_other_renderers(str(known.get("name", "")), problem)
+            warnings.warn(
+                f"the renderers of scenario '{known.get('name', '')}' could not be used ({problem}): unless the other "
+                "G names a scenario, S in this comparison is of the thesis' renderers and the 250 Hz Ricker wavelet, "
+                "not what its run printed",
+                AccuracyWarning,
+                stacklevel=3,
+            )
             continue
         place = ground.frequency / shape.record.df
         if not options.methods or not np.allclose(place, np.rint(place), rtol=0, atol=1e-3):
@@ -125,15 +131,6 @@ def _kept_wavelet(scenario: Scenario, folders: Sequence[Path]) -> Wavelet:
     found = next((p for p in places if p.is_file()), Path(file))
     own = scenario.rendering.wavelet.model_copy(update={"file": str(found.resolve())})
     return wavelet(scenario.rendering.model_copy(update={"wavelet": own}), scenario.sweep, Path("."))
-
-
-def _say_other_renderers(name: str, problem: ForearmError) -> None:
-    warnings.warn(
-        f"the renderers of scenario '{name}' could not be used ({problem}): unless the other G names a scenario, S in "
-        "this comparison is of the thesis' renderers and the 250 Hz Ricker wavelet, not what its run printed",
-        AccuracyWarning,
-        stacklevel=4,
-    )
 
 
 def sides(ground: CommonGround) -> tuple[TransferMatrix, TransferMatrix]:

@@ -102,7 +102,10 @@ def fit(
     kept. ``progress`` counts evaluations. Raises DataError without usable data or for fewer data than parameters.
     """
     problem = _Problem.of(model, measured, tuple(parameters), gradient, fallback_noise, progress)
-    tries = [problem.staged(place, max_evaluations, tolerance) for place in _starts(problem.parameters, starts)]
+    places = [np.array([p.to_unit(p.start) for p in problem.parameters])]
+    if starts > 1:  # always the same others, spread over the ranges
+        places += list(LatinHypercube(len(places[0]), rng=np.random.default_rng(0)).random(starts - 1))
+    tries = [problem.staged(place, max_evaluations, tolerance) for place in places]
     best = min(tries, key=lambda t: t.cost)
     return _result(problem, best.place, best.converged, best.message)
 
@@ -113,13 +116,6 @@ class _Try:
     cost: float
     converged: bool
     message: str
-
-
-def _starts(parameters: tuple[Parameter, ...], n: int) -> list[FloatArray]:
-    """The given start, then n - 1 others spread over the ranges by a Latin hypercube, always the same ones."""
-    given = np.array([p.to_unit(p.start) for p in parameters])
-    others = LatinHypercube(len(parameters), rng=np.random.default_rng(0)).random(n - 1) if n > 1 else ()
-    return [given, *others]
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,19 +192,8 @@ class _Problem:
 
     def jacobian(self, place: FloatArray, central: bool = False) -> FloatArray:
         """(n_data, k) by place: the gradient's, or differences away from the nearer bound."""
-        if self.gradient is not None:
-            return self._from_gradient(place)
-        return np.stack([self._difference(place, k, central) for k in range(len(place))], axis=1)
-
-    def _difference(self, place: FloatArray, k: int, central: bool) -> FloatArray:
-        step = np.zeros(len(place))
-        step[k] = _STEP if place[k] <= 0.5 else -_STEP
-        near = self.residual(place - step) if central and 0 <= place[k] - step[k] <= 1 else self.residual(place)
-        width = 2 * step[k] if central and 0 <= place[k] - step[k] <= 1 else step[k]
-        return np.asarray((self.residual(place + step) - near) / width)
-
-    def _from_gradient(self, place: FloatArray) -> FloatArray:
-        assert self.gradient is not None
+        if self.gradient is None:
+            return np.stack([self._difference(place, k, central) for k in range(len(place))], axis=1)
         values = self.values(place)
         inner = {n: v for n, v in values.items() if n not in (SCALE, DELAY)}
         slopes = {n: self._scaled(g, values) for n, g in self.gradient(inner).items()}
@@ -217,6 +202,13 @@ class _Problem:
         slopes[DELAY] = -1j * self.measured.omega[:, None, None] * whole
         rows = [slopes[p.name] * (p.span * (values[p.name] if p.log else 1.0)) for p in self.parameters]
         return np.stack([self._whitened(r) for r in rows], axis=1)
+
+    def _difference(self, place: FloatArray, k: int, central: bool) -> FloatArray:
+        step = np.zeros(len(place))
+        step[k] = _STEP if place[k] <= 0.5 else -_STEP
+        near = self.residual(place - step) if central and 0 <= place[k] - step[k] <= 1 else self.residual(place)
+        width = 2 * step[k] if central and 0 <= place[k] - step[k] <= 1 else step[k]
+        return np.asarray((self.residual(place + step) - near) / width)
 
     def staged(self, place: FloatArray, most: int, tolerance: float) -> _Try:
         """One stage after the other from ``place``."""

@@ -47,19 +47,14 @@ def _by_place(ours: FloatArray | None, theirs: FloatArray | None) -> list[int] |
     """The one port of ``theirs`` at each place of ``ours``; None where that is no pairing of all."""
     if ours is None or theirs is None or len(ours) != len(theirs):
         return None
+    spacing = 0.01  # m, of a single place
+    if len(ours) > 1:
+        spacing = float(np.linalg.norm(ours[:, None] - ours, axis=2)[np.triu_indices(len(ours), 1)].min())
     apart = np.linalg.norm(ours[:, None] - theirs, axis=2)
     nearest = apart.argmin(axis=1)
-    if len(set(nearest.tolist())) < len(ours) or apart.min(axis=1).max() > _NEAR * _spacing(ours):
+    if len(set(nearest.tolist())) < len(ours) or apart.min(axis=1).max() > _NEAR * spacing:
         return None
     return [int(k) for k in nearest]
-
-
-def _spacing(place: FloatArray) -> float:
-    """Smallest distance between two places [m]; 10 mm for a single one."""
-    if len(place) < 2:
-        return 0.01
-    apart = np.linalg.norm(place[:, None] - place, axis=2)
-    return float(apart[np.triu_indices(len(place), 1)].min())
 
 
 def _disagreement(

@@ -83,7 +83,8 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
         broken = _geometry(first, asked.constraints, _targets(first, asked.objective))
         found = [_one(s, arm, asked, base) for s, base in zip(scenarios, design.bases, strict=True)]
     except ForearmError as problem:
-        return _impossible(values, str(problem))
+        unknown = math.nan
+        return Candidate(values, unknown, {}, 0, unknown, unknown, unknown, unknown, unknown, {}, str(problem))
     s = np.array([f.strengths for f in found])
     scores = [score_of(row, asked.objective) for row in s]
     over = float(np.min(scores) if asked.objective.over == "least" else np.mean(scores))  # NaN where one is
@@ -91,7 +92,11 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
     voltage, power = (float(np.max([getattr(f, what) for f in found])) for what in ("voltage", "power"))
     total = float(np.mean([f.total_power for f in found]))
     mass = first.device.housing.mass
-    broken |= _beyond({"max_voltage": voltage, "max_power": power, "max_mass": mass, "max_actuators": count}, limits)
+    are = {"max_voltage": voltage, "max_power": power, "max_mass": mass, "max_actuators": count}
+    for name, value in are.items():
+        most = getattr(limits, name)
+        if most is not None and not value <= most:
+            broken[name] = float(value / most - 1) if math.isfinite(value) else 1.0
     means = dict(zip(found[0].targets, map(float, s.mean(axis=0)), strict=True))
     error = float(np.max([f.error for f in found]))
     return Candidate(values, over, means, count, voltage, power, total, mass, error, broken)
@@ -192,22 +197,9 @@ def _geometry(scenario: Scenario, limits: Constraints, targets: tuple[str, ...])
     return found
 
 
-def _beyond(are: Mapping[str, float], limits: Constraints) -> dict[str, float]:
-    found = {}
-    for name, value in are.items():
-        most = getattr(limits, name)
-        if most is not None and not value <= most:
-            found[name] = float(value / most - 1) if math.isfinite(value) else 1.0
-    return found
-
-
 def _shorter(scenario: Scenario, duration: float) -> Scenario:
     """The scenario on a shorter record; unchanged where S is taken over the whole record, or frequencies are listed."""
     window = scenario.rendering.window
     if scenario.sweep.frequencies is not None or window == "record" or scenario.sweep.duration <= duration:
         return scenario
     return scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update={"duration": duration})})
-
-
-def _impossible(values: Values, problem: str) -> Candidate:
-    return Candidate(values, math.nan, {}, 0, math.nan, math.nan, math.nan, math.nan, math.nan, {}, problem)

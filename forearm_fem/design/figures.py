@@ -5,16 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
 from ..figures.style import ACTUATORS, FAINT, GREY, INK, panels, styled, widen
-from ..scenario import Scenario
 
 if TYPE_CHECKING:
-    from .candidate import Candidate
     from .run import DesignResult
 
 MM = 1e3
@@ -88,28 +85,22 @@ def plot_devices(result: DesignResult) -> FigureBase:
     dots: Any = None
     for ax, (candidate, title) in zip(axes, pairs, strict=True):
         scenario = result.design.scenarios(candidate.values)[0]
-        dots = _device(ax, scenario, candidate, top) or dots
+        places, centres = MM * np.array(scenario.grid.places), MM * np.array(scenario.device.centres)
+        for k, (x, y) in enumerate(centres):
+            ax.add_patch(Circle((x, y), MM * scenario.device.cone.radius, fill=False, ec=GREY))
+            ax.annotate(f"A{k + 1}", (x, y), ha="center", va="center", fontsize=5, color=GREY)
+        ax.plot(places[:, 0], places[:, 1], ".", color=FAINT, ms=3)
+        reach = np.concatenate([places, centres])
+        low, high = reach.min(axis=0) - 7, reach.max(axis=0) + 7
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+        widen(ax)
+        if s := candidate.strengths:
+            at = np.array([places[int(t) - 1] for t in s])
+            dots = ax.scatter(at[:, 0], at[:, 1], c=list(s.values()), vmin=0, vmax=top, cmap="viridis", s=45)
         ax.set_title(f"{title}: {candidate.score:.3g}" if not candidate.problem else f"{title}: cannot serve")
     if dots is not None:
         figure.colorbar(dots, ax=list(axes)).set_label("S [-]")
     return figure
-
-
-def _device(ax: Axes, scenario: Scenario, candidate: Candidate, top: float) -> Any:
-    places = MM * np.array(scenario.grid.places)
-    for k, (x, y) in enumerate(scenario.device.centres):
-        ax.add_patch(Circle((MM * x, MM * y), MM * scenario.device.cone.radius, fill=False, ec=GREY))
-        ax.annotate(f"A{k + 1}", (MM * x, MM * y), ha="center", va="center", fontsize=5, color=GREY)
-    ax.plot(places[:, 0], places[:, 1], ".", color=FAINT, ms=3)
-    centres = MM * np.array(scenario.device.centres)
-    reach = np.concatenate([places, centres])
-    low, high = reach.min(axis=0) - 7, reach.max(axis=0) + 7
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-    widen(ax)
-    if not candidate.strengths:
-        return None
-    at = np.array([places[int(t) - 1] for t in candidate.strengths])
-    return ax.scatter(at[:, 0], at[:, 1], c=list(candidate.strengths.values()), vmin=0, vmax=top, cmap="viridis", s=45)
 
 
 def _score_label(result: DesignResult) -> str:

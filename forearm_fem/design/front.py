@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,20 +18,16 @@ def pareto_front(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
     feasible = [c for c in candidates if c.feasible]
     kept: list[Candidate] = []
     for unknown in (False, True):
-        kept += _unbeaten([c for c in feasible if math.isnan(c.total_power) == unknown])
+        alike = [c for c in feasible if math.isnan(c.total_power) == unknown]
+        goods = np.array([(-c.score, c.actuators, _power(c)) for c in alike]).reshape(-1, 3)
+        seen: set[tuple[float, ...]] = set()  # of equals the first is kept
+        for mine, candidate in zip(goods, alike, strict=True):
+            worse = (goods <= mine).all(axis=1) & (goods < mine).any(axis=1)
+            if not worse.any() and tuple(mine) not in seen:
+                seen.add(tuple(mine))
+                kept.append(candidate)
     return tuple(sorted(kept, key=lambda c: (c.actuators, _power(c), -c.score)))
 
 
 def _power(candidate: Candidate) -> float:
     return math.inf if math.isnan(candidate.total_power) else candidate.total_power
-
-
-def _unbeaten(alike: Sequence[Candidate]) -> Iterator[Candidate]:
-    """Those of candidates that know their power, or that all do not, which no other beats; of equals the first."""
-    goods = np.array([(-c.score, c.actuators, _power(c)) for c in alike]).reshape(-1, 3)
-    seen: set[tuple[float, ...]] = set()
-    for mine, candidate in zip(goods, alike, strict=True):
-        worse = (goods <= mine).all(axis=1) & (goods < mine).any(axis=1)
-        if not worse.any() and tuple(mine) not in seen:
-            seen.add(tuple(mine))
-            yield candidate

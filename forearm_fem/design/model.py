@@ -182,7 +182,12 @@ class Design:
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Low and high ends (n,) of the search's coordinates, and which of them are whole numbers (n,)."""
-        rows = [_span(v) for v in self.asked.variables]
+        rows = list[tuple[float, float, bool]]()
+        for v in self.asked.variables:
+            if (levels := v.levels) is not None:
+                rows.append((0.0, float(len(levels) - 1), True))
+            elif v.low is not None and v.high is not None:  # as every range has
+                rows.append((v.low, v.high, False))
         if (p := self.asked.positions) is not None:
             most = p.count[1] // p.each
             rows += [(p.count[0] / p.each, most, True)]
@@ -210,9 +215,18 @@ class Design:
         """
         aims = {"rendering.methods": [self.asked.objective.method]}
         given = {**self.asked.set, **values}
-        found = tuple(parse_scenario(_with(data, {**given, **aims})) for data in self.data)
+        found = list[Scenario]()
+        for data in self.data:
+            out = apply_overrides(data, [])
+            for key, value in {**given, **aims}.items():
+                *tables, last = key.split(".")
+                place = out
+                for name in tables:
+                    place = place.setdefault(name, {})
+                place[last] = value
+            found.append(parse_scenario(out))
         if _HOUSING in given:
-            return found
+            return tuple(found)
         return tuple(_weighed(s, own, self.asked.constraints) for s, own in zip(found, self._own, strict=True))
 
     @cached_property
@@ -223,7 +237,10 @@ class Design:
 
 def _weighed(scenario: Scenario, own: Scenario, limits: Constraints) -> Scenario:
     """``scenario`` with the mass of its housing, by that of its file's ``own`` device."""
-    (count, each), (was, other) = ((len(s.device.centres), _one_mass(s, limits)) for s in (scenario, own))
+    (count, each), (was, other) = (
+        (len(s.device.centres), limits.actuator_mass or ACTUATORS[s.device.actuator].mass or _THESIS)
+        for s in (scenario, own)
+    )
     if limits.shell_mass is None and (count, each) == (was, other):
         return scenario
     shell = own.device.housing.mass - was * other if limits.shell_mass is None else limits.shell_mass
@@ -234,30 +251,6 @@ def _weighed(scenario: Scenario, own: Scenario, limits: Constraints) -> Scenario
         )
     housing = scenario.device.housing.model_copy(update={"mass": round(shell + count * each, 9)})
     return scenario.model_copy(update={"device": scenario.device.model_copy(update={"housing": housing})})
-
-
-def _one_mass(scenario: Scenario, limits: Constraints) -> float:
-    """Of one actuator [kg]."""
-    return limits.actuator_mass or ACTUATORS[scenario.device.actuator].mass or _THESIS
-
-
-def _span(variable: Variable) -> tuple[float, float, bool]:
-    if (levels := variable.levels) is not None:
-        return 0.0, float(len(levels) - 1), True
-    assert variable.low is not None
-    assert variable.high is not None
-    return variable.low, variable.high, False
-
-
-def _with(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    out = apply_overrides(data, [])
-    for key, value in values.items():
-        *tables, last = key.split(".")
-        place = out
-        for name in tables:
-            place = place.setdefault(name, {})
-        place[last] = value
-    return out
 
 
 def load_design(path: str | Path) -> Design:
@@ -271,7 +264,9 @@ def load_design(path: str | Path) -> Design:
         raise ScenarioError(f"{file}: {twice[0]} is given twice; name each key once, in variables or in set")
     names = [asked.scenario] if isinstance(asked.scenario, str) else list(asked.scenario)
     sources = [scenario_beside(file.parent, name) for name in names]
-    data = tuple(_read(source) for source in sources)
+    for source in sources:
+        load_scenario(source)  # its own sentence for whatever is wrong with it
+    data = tuple(read_toml(source, "no such file") for source in sources)
     for variable in asked.variables:
         if variable.levels is None and variable.key.startswith(_TABLED):
             raise ScenarioError(
@@ -289,22 +284,14 @@ def _parsed(file: Path) -> DesignFile:
         first = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")[0]
         key = ".".join(map(str, first["loc"]))
         if first["type"] == "extra_forbidden":
-            known = ", ".join(_known(first["loc"]))
+            tables: Mapping[str, type[Part]] = {
+                "constraints": Constraints, "objective": Objective, "search": Search, "positions": Positions,
+                "variables": Variable,
+            }  # fmt: skip
+            table = tables.get(str(first["loc"][0]), DesignFile) if len(first["loc"]) > 1 else DesignFile
+            known = ", ".join(table.model_fields)
             raise ScenarioError(f"{file}: {key}: unknown key; known are {known}") from None
         raise ScenarioError(f"{file}: {first_problem(problem, 'design')}") from None
-
-
-def _known(where: Sequence[Any]) -> Sequence[str]:
-    tables: Mapping[str, type[Part]] = {
-        "constraints": Constraints, "objective": Objective, "search": Search, "positions": Positions,
-        "variables": Variable,
-    }  # fmt: skip
-    return list(tables.get(str(where[0]), DesignFile).model_fields) if len(where) > 1 else list(DesignFile.model_fields)
-
-
-def _read(source: Path) -> Mapping[str, Any]:
-    load_scenario(source)  # its own sentence for whatever is wrong with it
-    return read_toml(source, "no such file")
 
 
 def _check(file: Path, design: Design) -> None:

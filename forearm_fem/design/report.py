@@ -127,9 +127,11 @@ def values_words(values: Mapping[str, Any]) -> str:
 
 def page(result: DesignResult, pictures: Sequence[str]) -> str:
     """The page: outcome, Pareto front, pictures, and what was not feasible."""
-    front = [{k: _short(v) for k, v in row(c).items() if k not in ("not held", "problem", "device.contacts")}
-             for c in result.front]  # fmt: skip
-    front = [{_TITLES.get(k, k): v for k, v in r.items()} for r in front]
+    front = [
+        {_TITLES.get(k, k): f"{v:.3g}" if isinstance(v, float) else v for k, v in row(c).items()
+         if k not in ("not held", "problem", "device.contacts")}
+        for c in result.front
+    ]  # fmt: skip
     columns = list(dict.fromkeys(key for r in front for key in r))
     count, bad = len(result.candidates), [c for c in result.candidates if not c.feasible]
     reasons: dict[str, int] = {}
@@ -147,7 +149,3 @@ def page(result: DesignResult, pictures: Sequence[str]) -> str:
         *(f"![{_PICTURES[name]}]({name}.png)\n" for name in pictures),
         f"{count} candidates; {len(bad)} not feasible{': ' + told if told else ''}. All are in candidates.csv.", "",
     ])  # fmt: skip
-
-
-def _short(value: Any) -> Any:
-    return f"{value:.3g}" if isinstance(value, float) else value

@@ -26,13 +26,16 @@ def search(design: Design, ask: Ask) -> None:
     low, high, whole = design.bounds
     options = design.asked.search
     if _levels(low, high, whole) <= options.candidates:
-        ask([design.values(at) for at in _all(low, high)])
+        axes = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
+        every = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
+        ask([design.values(at) for at in every])
         return
 
     def many(points: FloatArray) -> list[float]:
         return [c.cost for c in ask([design.values(at) for at in points])]
 
-    start = _start(low, high, options.population, options.seed)
+    power = int(np.ceil(np.log2(max(options.population, 2))))
+    start = low + (high - low) * qmc.Sobol(len(low), seed=options.seed).random_base2(power)[: options.population]
     generations = max(0, options.candidates // options.population - 1)
     found = differential_evolution(
         lambda x: many(np.asarray(x).T if np.ndim(x) > 1 else np.atleast_2d(x)),
@@ -65,16 +68,3 @@ def planned(design: Design) -> int:
 def _levels(low: FloatArray, high: FloatArray, whole: BoolArray) -> float:
     """Combinations of choices; infinite where something is continuous."""
     return float(np.prod(np.where(whole, high - low + 1, np.inf)))
-
-
-def _all(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Every combination of whole numbers from ``low`` to ``high``."""
-    axes = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
-
-
-def _start(low: FloatArray, high: FloatArray, count: int, seed: int) -> FloatArray:
-    """The first ``count`` points of a scrambled Sobol sequence in the box."""
-    power = int(np.ceil(np.log2(max(count, 2))))
-    unit = qmc.Sobol(len(low), seed=seed).random_base2(power)[:count]
-    return np.asarray(low + (high - low) * unit)

@@ -26,19 +26,16 @@ class Store:
         folder.mkdir(parents=True, exist_ok=True)
         text = self._file.read_text(encoding="utf-8", errors="replace") if self._file.is_file() else ""
         for line in text.splitlines():
-            self._take(line)
+            try:
+                entry: dict[str, Any] = json.loads(line)
+                if entry["question"] == self._question:
+                    candidate = Candidate.from_json(entry["candidate"])
+                    self._known[_key(candidate.values)] = candidate
+            except (ValueError, KeyError, TypeError):  # a line cut short by an interruption
+                continue
         if text and not text.endswith("\n"):  # cut short by an interruption
             with self._file.open("a", encoding="utf-8") as stream:
                 stream.write("\n")
-
-    def _take(self, line: str) -> None:
-        try:
-            entry: dict[str, Any] = json.loads(line)
-            if entry["question"] == self._question:
-                candidate = Candidate.from_json(entry["candidate"])
-                self._known[_key(candidate.values)] = candidate
-        except (ValueError, KeyError, TypeError):  # a line cut short by an interruption
-            return
 
     def get(self, values: Values) -> Candidate | None:
         """The candidate with these values, if it was evaluated before."""

@@ -77,16 +77,12 @@ class Results:
         """The path of a file that must be there."""
         if not self.has(name):
             begun = self.has("scenario.json") or self.has("run.json")
-            remedy = self.remedy(name) if begun else self._other
+            g = self.folder / "transfer.nc"
+            page = f", or `forearm-fem workbench {g}` for its G" if g.is_file() else ""
+            other = f"no run's folder, unless one works there now; name one of `forearm-fem run SCENARIO`{page}"
+            remedy = self.remedy(name) if begun else other
             raise DataError(f"{self.folder}: unfinished, {name} is missing; {remedy}")
         return self.folder / name
-
-    @property
-    def _other(self) -> str:
-        """Half a sentence for a folder that no run has begun: what to name instead."""
-        g = self.folder / "transfer.nc"
-        page = f", or `forearm-fem workbench {g}` for its G" if g.is_file() else ""
-        return f"no run's folder, unless one works there now; name one of `forearm-fem run SCENARIO`{page}"
 
     def remedy(self, name: str) -> str:
         """Half a sentence: the command that makes the file ``name``."""
@@ -185,8 +181,7 @@ class Results:
     @cached_property
     def record(self) -> Record:
         """The record all signals live on."""
-        time = self.drives.time
-        return Record(round(1 / float(time[1] - time[0]), 6), len(time))
+        return record_of(self.drives)
 
     @cached_property
     def wavelet(self) -> Wavelet:
@@ -201,8 +196,10 @@ class Results:
     @cached_property
     def stamp(self) -> str:
         """Scene, mesh and version in one line, for the foot of each figure."""
-        parts = [f"scene {self.scenario.name}", self._mesh_words, f"forearm_fem {self.version}"]
-        return " · ".join(p for p in parts if p)
+        mesh = "layered twin, no mesh" if self.scenario.engine == "layered" else "no mesh"
+        if self.mesh_hash:
+            mesh = f"mesh {self.mesh_hash[:10]}"
+        return " · ".join((f"scene {self.scenario.name}", mesh, f"forearm_fem {self.version}"))
 
     @property
     def account(self) -> RunRecord:
@@ -222,15 +219,14 @@ class Results:
             return str(known)
         return self.mesh.digest if self.has("mesh.vtu") else ""
 
-    @property
-    def _mesh_words(self) -> str:
-        if self.mesh_hash:
-            return f"mesh {self.mesh_hash[:10]}"
-        return "layered twin, no mesh" if self.scenario.engine == "layered" else "no mesh"
-
     def _read(self, name: str, reader: Callable[[Path], T]) -> T:
         file = self.path(name)
         try:
             return reader(file)
         except DataError as problem:
             raise DataError(f"{problem}; {self.remedy(name)} anew") from None
+
+
+def record_of(signals: Signals) -> Record:
+    """The record that ``signals`` live on."""
+    return Record(round(1 / float(signals.time[1] - signals.time[0]), 6), len(signals.time))

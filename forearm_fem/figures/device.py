@@ -10,8 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
 from ..device import driving_point_impedance, respond
-from ..io import Signals
-from ..rendering import Record
 from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .style import ACTUATORS, GREY, decimal, letter, method_colour, panels, styled
@@ -196,8 +194,3 @@ def _by_target(ax: Axes, data: DriveLevels, values: FloatArray, limit: float, la
         ax.axhline(limit, color=GREY, ls="--", lw=0.8)
         ax.annotate(f"limit {limit:g}", (1, limit), xycoords=("axes fraction", "data"), ha="right", va="bottom",
                     fontsize=7, color=GREY)  # fmt: skip
-
-
-def record_of(signals: Signals) -> Record:
-    """The record that ``signals`` live on."""
-    return Record(round(1 / float(signals.time[1] - signals.time[0]), 6), len(signals.time))

@@ -41,7 +41,11 @@ class Room:
         self._rebuild()
         drives = self.results.drives
         assert self.stage is not None
-        self._slider("phase" if self.view.frequency else "instant", len(self.stage.moved.steps), 0, self._to_step)
+        if (steps := len(self.stage.moved.steps)) > 1:
+            self.plotter.add_slider_widget(
+                lambda step: self._to_step(round(step)), (0, steps - 1), value=0,
+                title="phase" if self.view.frequency else "instant", fmt="%.0f", **_place(0),
+            )  # fmt: skip
         self._choice("target", drives.targets, self.view.target, 1, self._to_target)
         self._choice("method", drives.methods, self.view.method, 2, self._to_method)
         if self.view.frequency is not None:
@@ -49,12 +53,6 @@ class Room:
             ends = (float(band[0]), float(band[-1]))
             self.plotter.add_slider_widget(self._to_frequency, ends, value=self.view.frequency,
                                            title="Hz", fmt="%.0f", **_place(3))  # fmt: skip
-
-    def _slider(self, title: str, n: int, row: int, act: Callable[[int], None]) -> None:
-        if n > 1:
-            self.plotter.add_slider_widget(
-                lambda v: act(round(v)), (0, n - 1), value=0, title=title, fmt="%.0f", **_place(row)
-            )
 
     def _choice(self, title: str, names: tuple[str, ...], now: str, row: int, act: Callable[[int], None]) -> None:
         """A slider that shows names, for their numbers are not those of points."""

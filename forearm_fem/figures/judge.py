@@ -85,32 +85,27 @@ def plot_strength_maps(data: Strengths, *, ax: Axes | None = None) -> FigureBase
     axes = np.atleast_1d(figure.subplots(1, len(data.methods), sharey=True))
     spread = max(float(np.nanmax(np.abs(np.log2(data.values)))), 0.1)
     norm = TwoSlopeNorm(0, -spread, spread)
-    for m, method in enumerate(data.methods):
-        dots = _map(axes[m], data, data.values[m], norm)
-        axes[m].set_title(method)
+    at, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
+    few = len(at) <= 16  # enough room for names
+    look: dict[str, Any] = {"cmap": "PuOr_r", "norm": norm, "s": 340 if few else 5000 / len(at), "edgecolors": INK}
+    for panel, method, values in zip(axes, data.methods, data.values, strict=True):
+        dots = panel.scatter(at[:, 0], at[:, 1], c=np.log2(values), lw=0.5, **look)
+        panel.scatter(coils[:, 0], coils[:, 1], marker="s", s=60, facecolors="none", edgecolors=GREY)
+        for place, value, name in zip(at, values, data.targets, strict=True) if few else ():
+            ink = "w" if abs(float(norm(np.log2(value))) - 0.5) > 0.36 else INK
+            panel.annotate(f"{value:.2f}", place[:2], ha="center", va="center", fontsize=6.5, color=ink)
+            panel.annotate(name, place[:2], (0, -16), textcoords="offset points", ha="center", fontsize=5.5, color=GREY)
+        for place, port in zip(coils, data.inputs, strict=True):
+            panel.annotate(port.name, place[:2], ha="center", va="center", fontsize=4.5, color=GREY)
+        panel.set(xlabel="x, towards the elbow [mm]", aspect="equal", title=method)
+        panel.margins(0.14)
+        widen(panel)
     axes[0].set_ylabel("y, across [mm]")
     bar = figure.colorbar(dots, ax=list(axes), shrink=0.9, fraction=0.04)
     ticks = [t for t in (0.125, 0.25, 0.5, 1, 2, 4, 8, 16) if abs(np.log2(t)) <= spread]
     bar.set_ticks([float(np.log2(t)) for t in ticks], labels=[f"{t:g}" for t in ticks])
     bar.set_label("signal strength S [-]")
     return figure
-
-
-def _map(ax: Axes, data: Strengths, values: FloatArray, norm: TwoSlopeNorm) -> Any:
-    at, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
-    size = 340 if len(values) <= 16 else 5000 / len(values)
-    dots = ax.scatter(at[:, 0], at[:, 1], c=np.log2(values), cmap="PuOr_r", norm=norm, s=size, edgecolors=INK, lw=0.5)
-    ax.scatter(coils[:, 0], coils[:, 1], marker="s", s=60, facecolors="none", edgecolors=GREY)
-    for place, value, name in zip(at, values, data.targets, strict=True) if len(values) <= 16 else ():
-        strong = abs(float(norm(np.log2(value))) - 0.5) > 0.36
-        ax.annotate(f"{value:.2f}", place[:2], ha="center", va="center", fontsize=6.5, color="w" if strong else INK)
-        ax.annotate(name, place[:2], (0, -16), textcoords="offset points", ha="center", fontsize=5.5, color=GREY)
-    for place, port in zip(coils, data.inputs, strict=True):
-        ax.annotate(port.name, place[:2], ha="center", va="center", fontsize=4.5, color=GREY)
-    ax.set(xlabel="x, towards the elbow [mm]", aspect="equal")
-    ax.margins(0.14)
-    widen(ax)
-    return dots
 
 
 def table_one_rows(data: Strengths) -> list[list[str]]:
@@ -123,7 +118,11 @@ def table_one_rows(data: Strengths) -> list[list[str]]:
         for m, method in enumerate(ours.methods):
             whole = _cell(record.mean[g, m], record.std[g, m]) if np.isfinite(record.mean[g, m]) else "–"
             here = _cell(ours.mean[g, m], ours.std[g, m]) + spreads(data, method, group)
-            row += [here, whole, _thesis_cell(theirs, group, method)]
+            thesis = "–"
+            if group in theirs.groups and method in theirs.methods:
+                at = theirs.groups.index(group), theirs.methods.index(method)
+                thesis = _cell(theirs.mean[at], theirs.std[at])
+            row += [here, whole, thesis]
         rows.append(row)
     return rows
 
@@ -139,13 +138,6 @@ def spreads(data: Strengths, method: str, place: str) -> str:
     low, high = (each[data.methods.index(method), columns].mean() for each in (data.low, data.high))
     numerics = f"{low:.2f}-{high:.2f}" if np.isfinite(low) and np.isfinite(high) else "unknown"
     return f" (numerics {numerics}, arms {known['arms'][0]:.2f}-{known['arms'][-1]:.2f})"
-
-
-def _thesis_cell(theirs: StrengthTable, group: str, method: str) -> str:
-    if group not in theirs.groups or method not in theirs.methods:
-        return "–"
-    g, m = theirs.groups.index(group), theirs.methods.index(method)
-    return _cell(theirs.mean[g, m], theirs.std[g, m])
 
 
 def _cell(mean: float, std: float) -> str:
@@ -183,7 +175,11 @@ def table_one_csv(data: Strengths) -> Table:
 @styled
 def plot_table_one(data: Strengths, *, ax: Axes | None = None) -> FigureBase:
     """Signal strength by place on the grid, here (filled) and in the thesis (open), and the numbers below."""
-    cells = _lines(data)
+    cells = [
+        ["" if m else place, method, *numbers[len(WHO) * m : len(WHO) * (m + 1)]]  # a place is named once
+        for place, *numbers in table_one_rows(data)
+        for m, method in enumerate(data.methods)
+    ]
     below = 0.16 * (len(cells) + 1)  # inches: lines of 7 pt
     figure = panels(ax, (7.1 if data.arms else 6.4, 2.5 + below))
     top, bottom = figure.subplots(2, 1, height_ratios=(2.5, below))
@@ -200,15 +196,6 @@ def plot_table_one(data: Strengths, *, ax: Axes | None = None) -> FigureBase:
         cell.set_linewidth(0.5)
         cell.visible_edges = "T" if row == 0 or cells[row - 1][0] else ""
     return figure
-
-
-def _lines(data: Strengths) -> list[list[str]]:
-    """Table I for a figure: a line per place and method, the place named once, with S of each of :data:`WHO`."""
-    lines = []
-    for place, *cells in table_one_rows(data):
-        for m, method in enumerate(data.methods):
-            lines.append(["" if m else place, method, *cells[len(WHO) * m : len(WHO) * (m + 1)]])
-    return lines
 
 
 def _points(ax: Axes, data: Strengths) -> None:
@@ -253,7 +240,10 @@ def errors(results: Results) -> Errors:
 
 def errors_table(data: Errors) -> Table:
     """One line per source and frequency."""
-    lines = [(e, f, v) for e in data.estimates for f, v in zip(*_curve(e), strict=True)]
+    lines = []
+    for e in data.estimates:
+        curve = zip(e.frequency, e.per_frequency, strict=True) if e.per_frequency else [(np.nan, e.band)]
+        lines += [(e, f, v) for f, v in curve]
     return Table(
         {
             "source": [e.source for e, _, _ in lines],
@@ -262,10 +252,6 @@ def errors_table(data: Errors) -> Table:
             "e_band": np.array([e.band for e, _, _ in lines]),
         }
     )
-
-
-def _curve(e: ErrorEstimate) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    return (e.frequency, e.per_frequency) if e.per_frequency else ((np.nan,), (e.band,))
 
 
 @styled

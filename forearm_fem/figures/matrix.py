@@ -13,7 +13,7 @@ from matplotlib.figure import FigureBase
 
 from ..compare.common import CommonGround, common_ground
 from ..metrics import condition_number, singular_values
-from ..ports import Port, distances
+from ..ports import distances
 from ..rendering import AutoZeros, Placed
 from ..rendering.drives import Aim
 from ..rendering.spectrum import BinValues, Record
@@ -63,7 +63,16 @@ def plot_transfer(data: TransferMatrix, *, ax: Axes | None = None) -> FigureBase
     scale = Normalize(float(gap.min()), float(gap.max()))
     values, off = shown(data), entry_errors(data)
     for i, source in enumerate(data.inputs):
-        _entries(grid[:, i], data.frequency, values[:, :, i], off[:, :, i], gap[:, i], scale)
+        foot = MICRO * np.nanmin(np.abs(values[:, :, i]), initial=np.inf)
+        for o in np.argsort(-gap[:, i]):  # far points first, so that near ones lie on top
+            entry, colour = values[:, o, i], colormaps["viridis_r"](scale(gap[o, i]))
+            size, error = MICRO * np.abs(entry), MICRO * off[:, o, i]
+            known = ~(error >= size)  # where nothing is stated, nothing is doubted
+            low, high = np.maximum(size - error, foot), size + error
+            grid[0, i].fill_between(data.frequency, low, high, where=known, color=colour, alpha=0.2, lw=0)
+            grid[0, i].plot(data.frequency, size, color=colour, alpha=0.35, lw=0.8)
+            grid[0, i].plot(data.frequency, np.where(known, size, np.nan), color=colour)
+            grid[1, i].plot(data.frequency, unwrapped(entry), color=colour)
         grid[0, i].set_title(f"actuator {source.name}")
         grid[1, i].set_xlabel("frequency [Hz]")
     grid[0, 0].set(ylabel=f"|G| [{micro(data.unit)}]", yscale="log")
@@ -71,22 +80,6 @@ def plot_transfer(data: TransferMatrix, *, ax: Axes | None = None) -> FigureBase
     bar = figure.colorbar(ScalarMappable(scale, "viridis_r"), ax=list(grid.ravel()), fraction=0.03, pad=0.01)
     bar.set_label("distance to the actuator [mm]")
     return figure
-
-
-def _entries(
-    column: FloatArray, f: FloatArray, values: ComplexArray, off: FloatArray, gap: FloatArray, scale: Normalize
-) -> None:
-    """One column's lines, far points first so that near ones lie on top: solid in the band that an entry is known to,
-    pale where it may be nothing."""
-    (top, bottom), foot = column, MICRO * np.nanmin(np.abs(values), initial=np.inf)
-    for o in np.argsort(-gap):
-        colour, size = colormaps["viridis_r"](scale(gap[o])), MICRO * np.abs(values[:, o])
-        error = MICRO * off[:, o]
-        known = ~(error >= size)  # where nothing is stated, nothing is doubted
-        top.fill_between(f, np.maximum(size - error, foot), size + error, where=known, color=colour, alpha=0.2, lw=0)
-        top.plot(f, size, color=colour, alpha=0.35, lw=0.8)
-        top.plot(f, np.where(known, size, np.nan), color=colour)
-        bottom.plot(f, unwrapped(values[:, o]), color=colour)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,16 +222,12 @@ def plot_versus(data: Versus, *, ax: Axes | None = None) -> FigureBase:
 
 def _overlay(column: FloatArray, data: Versus, i: int) -> None:
     g, error = data.ground, data.error
-    for o, colour in zip(_three(g.outputs, g.inputs[i]), ("#0072B2", "#E69F00", "#CC79A7"), strict=False):
+    order = np.argsort(distances(g.outputs, (g.inputs[i],))[:, 0], kind="stable")
+    some = [int(order[k]) for k in sorted({0, len(order) // 2, len(order) - 1})]  # nearest, middle and farthest
+    for o, colour in zip(some, ("#0072B2", "#E69F00", "#CC79A7"), strict=False):
         for values, line, label in ((g.a, "-", f"point {g.outputs[o].name}"), (g.b, ":", None)):
             entry = np.where(g.valid[:, o, i], values[:, o, i], np.nan + 0j)
             column[0].plot(g.frequency, MICRO * np.abs(entry), ls=line, color=colour, label=label)
             column[1].plot(g.frequency, unwrapped(entry), ls=line, color=colour)
         column[2].plot(g.frequency, error[:, o, i], color=colour)
     column[0].legend()
-
-
-def _three(outputs: tuple[Port, ...], source: Port) -> list[int]:
-    """Nearest, middle and farthest output of ``source``."""
-    order = np.argsort(distances(outputs, (source,))[:, 0], kind="stable")
-    return [int(order[k]) for k in sorted({0, len(order) // 2, len(order) - 1})]

@@ -21,7 +21,7 @@ from ..ports import Port, positions
 from ..tissue import resolve_tissues
 from ..typing import FloatArray
 from .data import Results
-from .scene import MM, add_bones, add_device, add_grid, add_labels, plotter_for, surface_grid, volume_grid
+from .scene import MM, add_bones, add_device, add_grid, add_labels, plotter_for, volume_grid
 from .style import ACTUATORS, GREY, INK, TISSUES, letter, panels, single, styled
 from .tables import Table
 
@@ -68,21 +68,16 @@ def cutaway_picture(mesh: TissueMesh, ports: Sequence[Port], size: tuple[int, in
         add_bones(plotter, mesh)
         add_device(plotter, ports, opacity=0.5)
         add_grid(plotter, ports)
-        _axes_marks(plotter, mesh)
+        corner = low - 3  # at the lower front: arrows along the axes
+        for direction, name in (((1, 0, 0), "x, elbow"), ((0, 1, 0), "y"), ((0, 0, 1), "z")):
+            arrow = pv.Arrow(start=corner, direction=direction, scale=14, shaft_radius=0.03, tip_radius=0.08)
+            plotter.add_mesh(arrow, color=GREY)
+            add_labels(plotter, np.array([corner + 16 * np.array(direction)]), [name], size=18)
         whole = np.array(grid.bounds).reshape(3, 2)
         plotter.camera_position = [(-1.0, -1.15, 0.85), (0, 0, 0), (0, 0, 1)]
         plotter.reset_camera(bounds=(whole + np.array([[-16, 6], [-16, 6], [-2, 12]])).ravel())
         plotter.camera.zoom(1.1)
         return np.array(plotter.screenshot(None, return_img=True))
-
-
-def _axes_marks(plotter: Any, mesh: TissueMesh) -> None:
-    """Arrows along x and y at the lower front corner."""
-    start = MM * mesh.points.min(axis=0) - 3
-    for direction, name in (((1, 0, 0), "x, elbow"), ((0, 1, 0), "y"), ((0, 0, 1), "z")):
-        arrow = pv.Arrow(start=start, direction=direction, scale=14, shaft_radius=0.03, tip_radius=0.08)
-        plotter.add_mesh(arrow, color=GREY)
-        add_labels(plotter, np.array([start + 16 * np.array(direction)]), [name], size=18)
 
 
 def cutaway_table(data: Cutaway) -> Table:
@@ -165,7 +160,6 @@ def nodes_per_wave(results: Results, frequency: float) -> FloatArray:
 
 def _from_above(mesh: TissueMesh, value: FloatArray) -> Map:
     """Skin facets that face upwards, each with its tetrahedron's value."""
-    surface = surface_grid(mesh, mesh.facets["skin"])
     facets = mesh.facets["skin"]
     faces = np.concatenate(
         [np.sort(mesh.tetrahedra[:, list(c)], axis=1) for c in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))]
@@ -180,7 +174,6 @@ def _from_above(mesh: TissueMesh, value: FloatArray) -> Map:
     up = corner[:, :, 2].mean(axis=1) > mesh.points[:, 2].mean()
     tilt = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     seen = up & (np.abs(tilt[:, 2]) > 0.1 * np.linalg.norm(tilt, axis=1))
-    assert surface.n_cells == len(facets)
     return Map([MM * c[:, :2] for c in corner[seen]], value[found[seen]])
 
 
@@ -225,21 +218,15 @@ def plot_resolution(data: ResolutionMap, *, ax: Axes | None = None) -> FigureBas
     bar = figure.colorbar(cells, ax=above, shrink=0.9, pad=0.01, fraction=0.04)
     bar.set_ticks(bounds)
     bar.set_label("nodes per shear wavelength")
-    _by_tissue(figure.add_subplot(grid[1, 1]), data)
-    for panel, text in zip((above, section), "ab", strict=True):
+    tissues, place = figure.add_subplot(grid[1, 1]), np.arange(len(data.names))
+    least, low, median = data.quantiles.T
+    tissues.vlines(place, least, median, color=GREY, lw=1)
+    for values, mark, label in ((least, "v", "least"), (low, "o", "5 %"), (median, "_", "median")):
+        tissues.plot(place, values, mark, color=INK, label=label)
+    tissues.axhline(6, color=GREY, ls="--", lw=0.8)
+    tissues.set_xticks(place, data.names)
+    tissues.set(ylabel="nodes per wavelength", ylim=(0, None), xlim=(-0.6, len(place) - 0.4))
+    tissues.legend(fontsize=6)
+    for panel, text in zip((above, section, tissues), "abc", strict=True):
         letter(panel, text)
     return figure
-
-
-def _by_tissue(ax: Axes, data: ResolutionMap) -> None:
-    """A line from the least to the median of each tissue, a dot at 5 %."""
-    place = np.arange(len(data.names))
-    least, low, median = data.quantiles.T
-    ax.vlines(place, least, median, color=GREY, lw=1)
-    for values, mark, label in ((least, "v", "least"), (low, "o", "5 %"), (median, "_", "median")):
-        ax.plot(place, values, mark, color=INK, label=label)
-    ax.axhline(6, color=GREY, ls="--", lw=0.8)
-    ax.set_xticks(place, data.names)
-    ax.set(ylabel="nodes per wavelength", ylim=(0, None), xlim=(-0.6, len(place) - 0.4))
-    ax.legend(fontsize=6)
-    letter(ax, "c")

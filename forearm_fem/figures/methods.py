@@ -64,7 +64,8 @@ def method(results: Results) -> Method:
         raise NotApplicable(f"{results.folder}: the inverse filter was not rendered; figure 4 shows it")
     target = "5" if "5" in sent.targets else sent.targets[0]
     at = (sent.methods.index("inverse filter"), sent.targets.index(target))
-    controls = (target, *_zeros(results, target))
+    on_record = results.account.signal_strength.zeros.get("inverse filter", {}).get(target)
+    controls = (target, *(on_record or zero_points(g, target)))  # in folders before 0.14 the default ones
     rows = [moved.channels.index(c) for c in controls]
     keep = busy(sent.values[at], sent.time)
     wanted = np.zeros((len(rows), len(sent.time)))
@@ -81,12 +82,6 @@ def method(results: Results) -> Method:
         reached=moved.values[at][rows][:, keep],
         drive_unit=sent.unit,
     )
-
-
-def _zeros(results: Results, target: str) -> tuple[str, ...]:
-    """Zero points on record for the inverse filter; in folders before 0.14, the default ones."""
-    found = results.account.signal_strength.zeros.get("inverse filter", {}).get(target)
-    return found or zero_points(results.transfer, target)
 
 
 def _measure(results: Results) -> SweptEntry:
@@ -138,7 +133,16 @@ def plot_method(data: Method, *, ax: Axes | None = None) -> FigureBase:
 def _entry(figure: FigureBase, data: Method) -> None:
     m = data.measured
     where, drive, response, entry = figure.subplots(1, 4, width_ratios=(0.9, 1, 1, 1.1))
-    _layout(where, data.outputs, data.inputs, m)
+    for ports, mark, colour in ((data.outputs, "o", "#D55E00"), (data.inputs, "s", "#CC79A7")):
+        at = 1e3 * positions(ports)
+        filled = [colour if p in (m.point, m.actuator) else "w" for p in ports]
+        where.scatter(at[:, 0], at[:, 1], c=filled, marker=mark, s=70, edgecolors=colour)
+        for spot, port in zip(at, ports, strict=True):
+            ink = "w" if port in (m.point, m.actuator) else INK
+            where.annotate(port.name, spot[:2], ha="center", va="center", fontsize=5, color=ink)
+    where.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="device")
+    where.margins(0.15)
+    widen(where)
     drive.plot(m.time, m.drive, color="#CC79A7", lw=0.3, rasterized=True)
     drive.set(xlabel="time [s]", ylabel=f"[{m.drive_unit}]", title=f"sweep to {m.actuator.name}")
     response.plot(m.time, MICRO * m.response, color="#D55E00", lw=0.3, rasterized=True)
@@ -156,20 +160,6 @@ def _entry(figure: FigureBase, data: Method) -> None:
         panel.text(-0.05, 1.06, text, transform=panel.transAxes, fontweight="bold", ha="right")
 
 
-def _layout(ax: Axes, outputs: tuple[Port, ...], inputs: tuple[Port, ...], m: SweptEntry) -> None:
-    """Grid points and actuators seen from above, with their names."""
-    for ports, mark, colour in ((outputs, "o", "#D55E00"), (inputs, "s", "#CC79A7")):
-        at = 1e3 * positions(ports)
-        filled = [colour if p in (m.point, m.actuator) else "w" for p in ports]
-        ax.scatter(at[:, 0], at[:, 1], c=filled, marker=mark, s=70, edgecolors=colour)
-        for place_, port in zip(at, ports, strict=True):
-            ink = "w" if port in (m.point, m.actuator) else INK
-            ax.annotate(port.name, place_[:2], ha="center", va="center", fontsize=5, color=ink)
-    ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="device")
-    ax.margins(0.15)
-    widen(ax)
-
-
 def _filter(figure: FigureBase, data: Method) -> None:
     n = max(len(data.controls), len(data.inputs))
     left, middle, right = figure.subfigures(1, 3, squeeze=False)[0]
@@ -181,25 +171,16 @@ def _filter(figure: FigureBase, data: Method) -> None:
         most = MICRO * float(np.nanmax(np.abs(rows))) or 1.0
         axes = np.atleast_1d(part.subplots(n, 1, sharex=True))
         for k, panel in enumerate(axes):
-            _control(panel, data, k, ms, rows, most)
+            if k >= len(data.controls):
+                panel.axis("off")
+                continue
+            panel.plot(ms, MICRO * rows[k], color="#D55E00" if k == 0 else INK)
+            panel.set(ylim=(-1.1 * most, 1.1 * most), xlim=(ms[0], ms[-1]))
+            kind = "target" if k == 0 else "zero"
+            panel.set_ylabel(f"{kind} {data.controls[k]}\n[µm]", rotation=0, ha="right", va="center")
         axes[-1].set_xlabel("time [ms]")
         part.suptitle(title, fontsize=8)
     axes = np.atleast_1d(middle.subplots(n, 1, sharex=True))
-    _drives(axes, data, ms)
-    middle.suptitle("drives, $S = H^{+} U$", fontsize=8)
-
-
-def _control(ax: Axes, data: Method, k: int, ms: FloatArray, rows: FloatArray, most: float) -> None:
-    if k >= len(data.controls):
-        ax.axis("off")
-        return
-    ax.plot(ms, MICRO * rows[k], color="#D55E00" if k == 0 else INK)
-    ax.set(ylim=(-1.1 * most, 1.1 * most), xlim=(ms[0], ms[-1]))
-    kind = "target" if k == 0 else "zero"
-    ax.set_ylabel(f"{kind} {data.controls[k]}\n[µm]", rotation=0, ha="right", va="center")
-
-
-def _drives(axes: FloatArray, data: Method, ms: FloatArray) -> None:
     most = 1.1 * float(np.abs(data.drives).max()) or 1.0
     last = min(len(data.inputs), len(axes)) - 1
     for k, panel in enumerate(axes):
@@ -211,6 +192,7 @@ def _drives(axes: FloatArray, data: Method, ms: FloatArray) -> None:
         panel.set_ylabel(f"{data.inputs[k].name}\n[{data.drive_unit}]", rotation=0, ha="right", va="center")
     axes[last].set_xlabel("time [ms]")
     axes[last].tick_params(labelbottom=True)
+    middle.suptitle("drives, $S = H^{+} U$", fontsize=8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,8 +278,22 @@ def plot_workflow(data: Workflow, *, ax: Axes | None = None) -> FigureBase:
     """How each renderer gets its drives, and the motion that follows: one column per method, top to bottom."""
     figure = panels(ax, (7.4, 5.4))
     grid = figure.subplots(3, len(data.methods), squeeze=False, gridspec_kw={"hspace": 0.32})
+    ms = 1e3 * data.time
     for k, name in enumerate(data.methods):
-        _column(grid[:, k], data, k)
+        metres = data.asked_unit[k] == "m"
+        grid[0, k].plot(ms, (MICRO if metres else 1) * data.asked[k], color=METHODS[name])
+        grid[0, k].set_ylabel("[µm]" if metres else f"[{data.asked_unit[k]}]")
+        for q, (actuator, drive) in enumerate(zip(data.names, data.drives[k], strict=True)):
+            grid[1, k].plot(ms, drive, color=ACTUATORS[q % 6], ls=LINES[q % 4], label=actuator)
+        grid[1, k].set_ylabel(f"[{data.drive_unit}]")
+        for row, trace in enumerate(data.moved[k]):
+            if row != data.row:
+                grid[2, k].plot(ms, MICRO * trace, color=FAINT, lw=0.7)
+        grid[2, k].plot([], [], color=FAINT, lw=0.7, label="the others")
+        grid[2, k].plot(ms, MICRO * data.moved[k][data.row], color=INK, label=f"target {data.target}")
+        grid[2, k].set_ylabel("[µm]")
+        for panel in grid[:, k]:
+            panel.set_xlim(ms[0], ms[-1])
         grid[0, k].set_title(f"{name}\n", color=METHODS[name], fontweight="bold", fontsize=9)
         start = grid[0, k].text(0.5, 1.05, _START[name], transform=grid[0, k].transAxes, ha="center", fontsize=6.5)
         start.set_in_layout(False)
@@ -309,24 +305,6 @@ def plot_workflow(data: Workflow, *, ax: Axes | None = None) -> FigureBase:
     named = [panel.get_legend_handles_labels() for panel in grid[1:, 0]]
     figure.legend(*(named[0][k] + named[1][k] for k in (0, 1)), loc="outside lower right", ncols=8)
     return figure
-
-
-def _column(axes: FloatArray, data: Workflow, k: int) -> None:
-    ms = 1e3 * data.time
-    metres = data.asked_unit[k] == "m"
-    axes[0].plot(ms, (MICRO if metres else 1) * data.asked[k], color=METHODS[data.methods[k]])
-    axes[0].set_ylabel("[µm]" if metres else f"[{data.asked_unit[k]}]")
-    for q, (name, drive) in enumerate(zip(data.names, data.drives[k], strict=True)):
-        axes[1].plot(ms, drive, color=ACTUATORS[q % 6], ls=LINES[q % 4], label=name)
-    axes[1].set_ylabel(f"[{data.drive_unit}]")
-    for row, trace in enumerate(data.moved[k]):
-        if row != data.row:
-            axes[2].plot(ms, MICRO * trace, color=FAINT, lw=0.7)
-    axes[2].plot([], [], color=FAINT, lw=0.7, label="the others")
-    axes[2].plot(ms, MICRO * data.moved[k][data.row], color=INK, label=f"target {data.target}")
-    axes[2].set_ylabel("[µm]")
-    for panel in axes:
-        panel.set_xlim(ms[0], ms[-1])
 
 
 def _arrow(figure: FigureBase, upper: Axes, lower: Axes, text: str) -> None:

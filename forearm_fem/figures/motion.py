@@ -72,8 +72,12 @@ def motion(results: Results, view: View, steps: FloatArray | None = None) -> Mot
     check_view(results, view)
     field = results.wavefield
     if view.frequency is not None:
-        view = replace(view, frequency=_nearest(field, view.frequency))
-        phasor = _phasor(results, view, field)
+        low, high = field.frequency[0], field.frequency[-1]
+        if not low - 1 <= view.frequency <= high + 1:
+            raise DataError(f"{view.frequency:g} Hz lies outside the sweep of {low:g} to {high:g} Hz")
+        nearest = int(np.argmin(np.abs(field.frequency - view.frequency)))
+        view = replace(view, frequency=float(field.frequency[nearest]))
+        phasor = np.asarray(field.amplitudes[nearest] @ _unit_drives(results, view, field, nearest))
         at = np.linspace(0, 2 * np.pi, 24, endpoint=False) if steps is None else steps
         return Motion(view, at, (np.exp(1j * at)[:, None] * phasor).real, phasor)
     at = default_times() if steps is None else steps
@@ -88,18 +92,13 @@ def default_times() -> FloatArray:
     return np.asarray(np.arange(-24, 36) * 0.5e-3, dtype=np.float64)
 
 
-def _by_a_model(results: Results) -> bool:
-    """Whether no mesh stood behind the run: the layered twin answered, or a library."""
-    twin = results.has("scenario.json") and results.scenario.engine == "layered"
-    return twin or (results.has("run.json") and results.run.solution.solver == "library")
-
-
 def check_view(results: Results, view: View) -> None:
     """Raise DataError for a view that the results cannot give."""
     if not results.has_field:
         missing = "mesh.vtu" if not results.has("mesh.vtu") else "wavefield.npz"
         remedy = results.remedy(missing)
-        if _by_a_model(results):
+        twin = results.has("scenario.json") and results.scenario.engine == "layered"
+        if twin or (results.has("run.json") and results.run.solution.solver == "library"):
             remedy = f"`forearm-fem workbench {results.folder}` shows its G"
         raise DataError(f"{results.folder}: no field between the ports is known, {missing} is missing "
                         f"(the layered twin, a library and measured G have none); {remedy}")  # fmt: skip
@@ -113,21 +112,8 @@ def check_view(results: Results, view: View) -> None:
         raise DataError("a phase belongs to a frequency; give one in Hz, or show 'normal' or 'magnitude'")
 
 
-def _nearest(field: Wavefield, frequency: float) -> float:
-    """The field's bin [Hz] that stands for ``frequency``; DataError beyond the sweep."""
-    low, high = field.frequency[0], field.frequency[-1]
-    if not low - 1 <= frequency <= high + 1:
-        raise DataError(f"{frequency:g} Hz lies outside the sweep of {low:g} to {high:g} Hz")
-    return float(field.frequency[np.argmin(np.abs(field.frequency - frequency))])
-
-
-def _phasor(results: Results, view: View, field: Wavefield) -> ComplexArray:
-    """Complex amplitudes (r,) of the modes at the view's frequency, a bin of the field."""
-    nearest = int(np.flatnonzero(field.frequency == view.frequency)[0])
-    return np.asarray(field.amplitudes[nearest] @ _unit_drives(results, view, field, nearest))
-
-
 def _unit_drives(results: Results, view: View, field: Wavefield, nearest: int) -> ComplexArray:
+    """Drives (n_input,) of a view at a bin of the field, the largest of them one unit."""
     names = [p.name for p in results.transfer.inputs]
     if view.actuator is not None:
         if view.actuator not in names:

@@ -100,14 +100,10 @@ def volar_patch(mesh: TissueMesh, ports: Sequence[Port], margin: float = 0.014) 
     chosen = up & np.all((middle > low) & (middle < high), axis=1)
     if not chosen.any():
         raise DataError("the mesh has no skin facing upwards near the ports; are its axes x along, z out of the skin?")
-    return _packed(mesh, facets[chosen], normal[chosen])
-
-
-def _packed(mesh: TissueMesh, facets: IntArray, normal: FloatArray) -> VolarPatch:
-    vertices, flat = np.unique(facets, return_inverse=True)
-    triangles = flat.reshape(facets.shape)
+    vertices, flat = np.unique(facets[chosen], return_inverse=True)
+    triangles = flat.reshape(facets[chosen].shape)
     normals = np.zeros((len(vertices), 3))
     for k in range(3):  # area-weighted mean of the facets that meet
-        np.add.at(normals, triangles[:, k], normal)
+        np.add.at(normals, triangles[:, k], normal[chosen])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return VolarPatch(vertices, mesh.points[vertices], triangles, normals)

@@ -46,8 +46,17 @@ def plot_bands(data: Mapping[str, Any], *, ax: Axes | None = None) -> FigureBase
     figure = panels(ax, (6.6, 1.0 + 1.35 * len(methods)))
     axes = np.atleast_1d(figure.subplots(len(methods), 1, sharex=True, sharey=True))
     for m, (axes_m, method) in enumerate(zip(axes, methods, strict=True)):
+        colour = method_colour(method, methods)
         for t, target in enumerate(targets):
-            _bar(axes_m, t, data["by_target"][method][target], method_colour(method, methods))
+            cell = data["by_target"][method][target]
+            q5, q25, q50, q75, q95 = cell["arms"]
+            axes_m.plot([t, t], [q5, q95], color=colour, lw=1, solid_capstyle="butt")
+            axes_m.plot([t, t], [q25, q75], color=colour, lw=5, alpha=0.55, solid_capstyle="butt")
+            axes_m.plot([t - 0.14, t + 0.14], [q50, q50], color=colour, lw=1.4)
+            if (value := cell["value"]) is not None:
+                known = cell["low"] is not None and cell["high"] is not None
+                error = [[max(value - cell["low"], 0)], [max(cell["high"] - value, 0)]] if known else None
+                axes_m.errorbar(t + 0.26, value, error, fmt="x", ms=4, color=INK, lw=0.8, capsize=1.5)
         axes_m.axhline(1, color=GREY, lw=0.8, ls="--")
         letter(axes_m, f"{'abcdef'[m % 6]}  {method}")
         axes_m.set(yscale="log", ylabel="S [-]")
@@ -60,17 +69,6 @@ def plot_bands(data: Mapping[str, Any], *, ax: Axes | None = None) -> FigureBase
     axes[-1].set_xticks(range(len(targets)), targets)
     axes[-1].set_xlabel(f"target; {data['draws']} arms, {data['model']}")
     return figure
-
-
-def _bar(ax: Axes, x: float, cell: Mapping[str, Any], colour: str) -> None:
-    q5, q25, q50, q75, q95 = cell["arms"]
-    ax.plot([x, x], [q5, q95], color=colour, lw=1, solid_capstyle="butt")
-    ax.plot([x, x], [q25, q75], color=colour, lw=5, alpha=0.55, solid_capstyle="butt")
-    ax.plot([x - 0.14, x + 0.14], [q50, q50], color=colour, lw=1.4)
-    if cell["value"] is not None:
-        known = cell["low"] is not None and cell["high"] is not None
-        error = [[max(cell["value"] - cell["low"], 0)], [max(cell["high"] - cell["value"], 0)]] if known else None
-        ax.errorbar(x + 0.26, cell["value"], error, fmt="x", ms=4, color=INK, lw=0.8, capsize=1.5)
 
 
 @styled

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,7 +16,6 @@ from ..errors import DataError, ForearmError, NotApplicable
 from ..io.atomic import atomic_path, write_text
 from ..progress import Progress, tell
 from ..rendering.lattice import is_thesis_grid
-from ..transfer import TransferMatrix
 from . import device, judge, matrix, mesh, methods, targets, waves
 from .data import Results
 from .overlay import WIDTHS, Curve, fit_width, lay_over, read_curves
@@ -44,10 +44,6 @@ class FigureKind:
     optional: tuple[str, ...] = ()
 
 
-def _transfer(results: Results) -> TransferMatrix:
-    return results.transfer
-
-
 _SIGNALS = ("transfer.nc", "drives.nc", "displacements.nc")
 _FIXED = (
     FigureKind("figure-2", "A wavelet along a line", waves.travel, waves.plot_travel, waves.travel_table,
@@ -60,7 +56,7 @@ _FIXED = (
                judge.table_one_csv, judge.table_one_extra, ("transfer.nc", "signal_strength.csv")),
     FigureKind("figure-a2", "Attenuation and dispersion", waves.dispersion, waves.plot_dispersion,
                waves.dispersion_table),
-    FigureKind("transfer", "G: size, within its error, and phase", _transfer, matrix.plot_transfer,
+    FigureKind("transfer", "G: size, within its error, and phase", attrgetter("transfer"), matrix.plot_transfer,
                matrix.transfer_table),
     FigureKind("condition", "Singular values and condition number of G", matrix.conditioning,
                matrix.plot_conditioning, matrix.conditioning_table),
@@ -84,8 +80,15 @@ _FIXED = (
 def kinds(results: Results | None = None) -> Mapping[str, FigureKind]:
     """Every figure by name: those of the thesis first; ``target-N`` for each target of ``results``."""
     names: Iterable[str] = results.displacements.targets if results and results.has("displacements.nc") else ("5", "6")
-    by_target = {f"target-{t}": _target_kind(t, results) for t in names}
-    return {**{k.name: k for k in _FIXED}, **by_target}
+    by_target = []
+    for t in names:
+        thesis = thesis_figure(t, results)
+        title = f"Waves towards target {t}{f' ({thesis})' if thesis else ''}"
+        by_target.append(
+            FigureKind(f"target-{t}", title, partial(targets.target_waves, target=t), targets.plot_target,
+                       targets.target_table, targets.target_extra, _SIGNALS)
+        )  # fmt: skip
+    return {k.name: k for k in (*_FIXED, *by_target)}
 
 
 def thesis_figure(target: str, results: Results | None) -> str:
@@ -93,19 +96,6 @@ def thesis_figure(target: str, results: Results | None) -> str:
     if results is not None and not is_thesis_grid(results.transfer.outputs):
         return ""
     return {"5": "thesis' figure 6", "6": "thesis' figure 7"}.get(target, "")
-
-
-def _target_kind(target: str, results: Results | None) -> FigureKind:
-    thesis = thesis_figure(target, results)
-    return FigureKind(
-        f"target-{target}",
-        f"Waves towards target {target}{f' ({thesis})' if thesis else ''}",
-        partial(targets.target_waves, target=target),
-        targets.plot_target,
-        targets.target_table,
-        targets.target_extra,
-        _SIGNALS,
-    )
 
 
 def applies(kind: FigureKind, results: Results) -> str:
@@ -152,7 +142,11 @@ def make_figures(
     if stray := sorted(set(curves) - {k.name for k in chosen}):
         raise DataError(f"'{stray[0]}' is not among the figures made, so nothing can be laid over it")
     folder = Path(out_dir) if out_dir is not None else results.folder / "figures"
-    _check_writable(folder)
+    try:  # fails before the work rather than after it
+        write_text(folder / ".writable", "")
+        (folder / ".writable").unlink()
+    except (ForearmError, OSError):
+        raise DataError(f"{folder}: figures cannot be written there; name another folder with --out") from None
     written: list[Path] = []
     for done, kind in enumerate(chosen):
         tell(progress, "figures", done, len(chosen))
@@ -183,16 +177,6 @@ def _chosen(results: Results, only: Sequence[str] | None) -> list[FigureKind]:
 def _never_made(name: str, results: Results) -> bool:
     """Whether a file is one of renderers', of which the run has none."""
     return name != "transfer.nc" and not results.has(name) and not results.scenario.rendering.methods
-
-
-def _check_writable(folder: Path) -> None:
-    """Fail before the work rather than after it."""
-    probe = folder / ".writable"
-    try:
-        write_text(probe, "")
-        probe.unlink()
-    except (ForearmError, OSError):
-        raise DataError(f"{folder}: figures cannot be written there; name another folder with --out") from None
 
 
 def make_figure(

@@ -21,8 +21,11 @@ def trace_root(kernel: Kernel, layers: Sequence[Layer], omega: FloatArray) -> Co
     below them is near; from there on each root starts the search of the next. NaN where the search fails or
     jumps. Other roots of a layered medium are not covered.
     """
-    path = _path(omega)
-    k = complex(_start(layers, path[:1]))
+    low, high = 0.1 * float(omega[0]), float(omega[-1])
+    steps = np.geomspace(low, high, int(np.log(high / low) / np.log1p(_FINEST / 100)) + 2)
+    path = np.unique(np.concatenate([steps[steps < high], omega]))
+    base = layers[-1]
+    k = complex(rayleigh_wavenumber(path[:1], shear_modulus(path[:1], base), base.density)[0])
     out = np.full(len(path), np.nan + 0j)
     for i, w in enumerate(path):
         guess = k * (w / path[i - 1] if i else 1.0)
@@ -31,18 +34,6 @@ def trace_root(kernel: Kernel, layers: Sequence[Layer], omega: FloatArray) -> Co
             break
         out[i], k = found, found
     return np.asarray(out[np.searchsorted(path, omega)])
-
-
-def _path(omega: FloatArray) -> FloatArray:
-    """``omega`` with steps put in: from a tenth of the first, no step above 4 %."""
-    low, high = 0.1 * float(omega[0]), float(omega[-1])
-    steps = np.geomspace(low, high, int(np.log(high / low) / np.log1p(_FINEST / 100)) + 2)
-    return np.unique(np.concatenate([steps[steps < high], omega]))
-
-
-def _start(layers: Sequence[Layer], omega: FloatArray) -> complex:
-    base = layers[-1]
-    return complex(rayleigh_wavenumber(omega, shear_modulus(omega, base), base.density)[0])
 
 
 def _newton(kernel: Kernel, k: complex, omega: float) -> complex:

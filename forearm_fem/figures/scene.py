@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,7 @@ from ..typing import FloatArray, IntArray
 from .style import INK, TISSUES
 
 MM = 1e3
-_TETRA, _TRIANGLE = 10, 5
+_TETRA = 10  # VTK's number of the cell
 _ACTUATOR_HEIGHT, _ACTUATOR_RADIUS = 9.85e-3, 7e-3  # TEAX14C02-8, physics_data.md 4
 _CONE_HEIGHT = 6e-3  # for the drawing only
 
@@ -74,16 +74,11 @@ def _tapered(low: float, high: float, height: float, foot: FloatArray, axis: Flo
     """A truncated cone of radii ``low`` and ``high`` [m], its small end at ``foot`` [mm]."""
     profile = MM * np.array([[0, 0, 0], [low, 0, 0], [high, 0, height], [0, 0, height]])
     body = pv.lines_from_points(profile).extrude_rotate(resolution=40, capping=False)
-    return body.rotate_vector(*_turn(axis), point=(0, 0, 0)).translate(foot)
-
-
-def _turn(axis: FloatArray) -> tuple[FloatArray, float]:
-    """Vector and angle [degrees] that turn z into ``axis``."""
     across = np.cross([0.0, 0.0, 1.0], axis)
     size = float(np.linalg.norm(across))
-    if size < 1e-9:
-        return np.array([1.0, 0.0, 0.0]), 0.0
-    return across / size, float(np.degrees(np.arctan2(size, axis[2])))
+    about = across / size if size >= 1e-9 else np.array([1.0, 0.0, 0.0])
+    angle = float(np.degrees(np.arctan2(size, axis[2]))) if size >= 1e-9 else 0.0  # turns z into ``axis``
+    return body.rotate_vector(about, angle, point=(0, 0, 0)).translate(foot)
 
 
 def add_device(plotter: Any, ports: Sequence[Port], *, lift: float = 0.0, opacity: float = 0.35) -> None:
@@ -145,29 +140,22 @@ def plotter_for(size: tuple[int, int], *, off_screen: bool = True) -> Iterator[A
 
     VTK's note that there is no X server is kept off the terminal: it then draws with EGL or OSMesa.
     """
-    before = vtkLogger.GetCurrentVerbosityCutoff()
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-    try:
-        plotter = _opened(size, off_screen)
-        try:
-            yield plotter
-        finally:
-            plotter.close()
-    finally:
-        vtkLogger.SetStderrVerbosity(before)
-
-
-def _opened(size: tuple[int, int], off_screen: bool) -> Any:
     if not off_screen and not has_display():
         raise ForearmError(
             "there is no display for a window; set DISPLAY, or keep a picture: `forearm-fem show RESULTS --save a.png`"
         )
+    before = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:
-        plotter: Any = pv.Plotter(off_screen=off_screen, window_size=list(size))
-    except (RuntimeError, OSError, ImportError) as problem:
-        raise ForearmError(
-            f"VTK cannot draw here ({problem}); on Debian install the packages libegl1, libgl1 and libxrender1"
-        ) from problem
-    plotter.set_background("white")
-    plotter.enable_anti_aliasing("ssaa")
-    return plotter
+        try:
+            plotter: Any = pv.Plotter(off_screen=off_screen, window_size=list(size))
+        except (RuntimeError, OSError, ImportError) as problem:
+            raise ForearmError(
+                f"VTK cannot draw here ({problem}); on Debian install the packages libegl1, libgl1 and libxrender1"
+            ) from problem
+        plotter.set_background("white")
+        plotter.enable_anti_aliasing("ssaa")
+        with closing(plotter):
+            yield plotter
+    finally:
+        vtkLogger.SetStderrVerbosity(before)

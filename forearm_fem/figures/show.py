@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -80,7 +80,21 @@ def body_of(results: Results, cut: str, target: str) -> Body:
         surface = surface_grid(results.field_mesh, results.field_mesh.facets["skin"])
         vertices: IntArray = np.asarray(surface.point_data["vertex"])
         return _body(surface, results.wavefield.modes[vertices], None)
-    return _opened(results, cut, target)
+    mesh, grid = results.mesh, volume_grid(results.mesh)
+    modes = results.wavefield.modes[: len(mesh.points)]
+    place = MM * np.array(_port(results.transfer.outputs, target).position)
+    # cut once: the modes travel through the clip as point data, so that each step is one product
+    grid.point_data["modes"] = modes.reshape(len(modes), -1).astype(np.float32)
+    if cut in ("x", "y"):
+        behind = grid.clip(normal=cut, origin=place, invert=False)
+    else:  # seen from the wrist and from negative y
+        front = grid.clip(normal="x", origin=place, invert=True).clip(normal="y", origin=place, invert=False)
+        behind = grid.clip(normal="x", origin=place, invert=False).merge(front, merge_points=True)
+    part = behind.extract_surface(algorithm="dataset_surface").triangulate()
+    part = part.compute_normals(cell_normals=False, split_vertices=True, feature_angle=40.0)  # sharp edges stay sharp
+    taken = np.asarray(part.point_data["modes"], dtype=float).reshape(part.n_points, 3, -1)
+    part.clear_data()
+    return _body(part, taken, np.tile([0.0, 0.0, 1.0], (part.n_points, 1)))
 
 
 def _body(surface: Any, modes: FloatArray, normals: FloatArray | None) -> Body:
@@ -92,28 +106,6 @@ def _body(surface: Any, modes: FloatArray, normals: FloatArray | None) -> Body:
         found = -found
     surface.point_data["Normals"] = found  # flipped faces keep their normals
     return Body(surface, np.array(surface.points, dtype=float), modes, found if normals is None else normals)
-
-
-def _opened(results: Results, cut: str, target: str) -> Body:
-    """Cut once: the modes travel through the clip as point data, so that each step is one product."""
-    mesh = results.mesh
-    modes = results.wavefield.modes[: len(mesh.points)]
-    place = MM * np.array(_port(results.transfer.outputs, target).position)
-    grid = volume_grid(mesh)
-    grid.point_data["modes"] = modes.reshape(len(modes), -1).astype(np.float32)
-    part = _behind(grid, cut, place).extract_surface(algorithm="dataset_surface").triangulate()
-    part = part.compute_normals(cell_normals=False, split_vertices=True, feature_angle=40.0)  # sharp edges stay sharp
-    taken = np.asarray(part.point_data["modes"], dtype=float).reshape(part.n_points, 3, -1)
-    part.clear_data()
-    return _body(part, taken, np.tile([0.0, 0.0, 1.0], (part.n_points, 1)))
-
-
-def _behind(grid: Any, cut: str, place: FloatArray) -> Any:
-    """What lies behind the planes through ``place`` [mm], seen from the wrist and from negative y."""
-    if cut in ("x", "y"):
-        return grid.clip(normal=cut, origin=place, invert=False)
-    front = grid.clip(normal="x", origin=place, invert=True).clip(normal="y", origin=place, invert=False)
-    return grid.clip(normal="x", origin=place, invert=False).merge(front, merge_points=True)
 
 
 def standing(ports: Sequence[Port], cut: str, place: Sequence[float]) -> tuple[Port, ...]:
@@ -161,19 +153,18 @@ class Stage:
         """Deform and colour the body as at ``step``, and say which it is."""
         u = self.moved.displacement(self.body.modes, step)
         self.body.dataset.points = self.body.rest + MM * self.factor * u
-        self.body.dataset.point_data["shown"] = self._values(u)
+        if self.moved.view.quantity == "phase":
+            assert self.moved.phasor is not None
+            normal = np.einsum("pcr,pc,r->p", self.body.modes, self.body.normals, self.moved.phasor, optimize=True)
+            shown = np.asarray(np.angle(normal, deg=True))
+        else:
+            shown = 1e6 * shown_values(u, self.body.normals, self.moved.view.quantity)
+        self.body.dataset.point_data["shown"] = shown
         del self.body.dataset.point_data["Normals"]  # VTK leaves those it finds
         self.body.dataset.compute_normals(
             cell_normals=False, split_vertices=False, consistent_normals=False, inplace=True
         )
         self.plotter.add_text(self._words(step), position="upper_left", font_size=10, color="black", name="words")
-
-    def _values(self, u: FloatArray) -> FloatArray:
-        if self.moved.view.quantity == "phase":
-            assert self.moved.phasor is not None
-            normal = np.einsum("pcr,pc,r->p", self.body.modes, self.body.normals, self.moved.phasor, optimize=True)
-            return np.asarray(np.angle(normal, deg=True))
-        return 1e6 * shown_values(u, self.body.normals, self.moved.view.quantity)
 
     def _words(self, step: int) -> str:
         lines = [self.moved.view.words, self.moved.label(step), drawn_words(self.factor), *self.without]
@@ -196,7 +187,9 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
     stage = Stage(plotter, body, moved, *scales, without)
     stage.show(0)
     ports = (*results.transfer.inputs, *results.transfer.outputs)
-    plotter.add_mesh(body.dataset, scalars="shown", cmap=_MAPS[view.quantity], clim=_range(stage), smooth_shading=True,
+    most = 1e6 * stage.limit
+    ends = {"normal": (-most, most), "magnitude": (0.0, most), "phase": (-180.0, 180.0)}[view.quantity]
+    plotter.add_mesh(body.dataset, scalars="shown", cmap=_MAPS[view.quantity], clim=ends, smooth_shading=True,
                      ambient=0.3, diffuse=0.62, specular=0.05, scalar_bar_args=_bar(view.quantity, look),
                      interpolate_before_map=view.quantity != "phase")  # fmt: skip
     left = standing(ports, look.cut, _port(results.transfer.outputs, view.target).position)
@@ -219,11 +212,6 @@ def _on_white(plotter: Any) -> None:
         bar.DrawBackgroundOn()
         bar.GetBackgroundProperty().SetColor(1.0, 1.0, 1.0)
         bar.GetBackgroundProperty().SetOpacity(0.85)
-
-
-def _range(stage: Stage) -> tuple[float, float]:
-    most = 1e6 * stage.limit
-    return {"normal": (-most, most), "magnitude": (0.0, most), "phase": (-180.0, 180.0)}[stage.moved.view.quantity]
 
 
 def _bar(quantity: str, look: Look) -> dict[str, Any]:
@@ -286,47 +274,33 @@ def animate(
     and MissingExtra for an .mp4 without imageio.
     """
     target = Path(path)
-    save = _writer(target)
+    if target.suffix == ".mp4":
+        for package in ("imageio", "imageio_ffmpeg"):
+            optional(package, "movie", "an .mp4 film")
+    elif target.suffix != ".gif":
+        raise DataError(f"{target}: films are .gif or .mp4, not '{target.suffix}'")
     found, view, look = _given(results, view, look)
     moved = motion(found, view, steps)
     with plotter_for(look.size) as plotter:
         stage = staged(found, plotter, moved, look)
-        pictures = [_picture(stage, k, progress) for k in range(len(moved.steps))]
+        pictures = []
+        for k in range(len(moved.steps)):
+            stage.show(k)
+            tell(progress, "frames", k + 1, len(moved.steps))
+            pictures.append(np.array(plotter.screenshot(None, return_img=True)))
     with atomic_path(target) as beside:
-        save(beside, pictures, frames_per_second)
+        if target.suffix == ".gif":  # one palette for all frames, so that colours do not flicker
+            sample = Image.fromarray(np.concatenate([p[::2, ::2] for p in pictures[:: max(1, len(pictures) // 12)]]))
+            palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)
+            frames = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
+            frames[0].save(beside, save_all=True, append_images=frames[1:], duration=round(1000 / frames_per_second),
+                           loop=0, optimize=False)  # fmt: skip
+        else:
+            writer = import_module("imageio").get_writer(beside, fps=frames_per_second, macro_block_size=2, quality=8)
+            with writer as film:
+                for picture in pictures:
+                    film.append_data(picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2])
     return target
-
-
-def _picture(stage: Stage, step: int, progress: Progress | None) -> Any:
-    stage.show(step)
-    tell(progress, "frames", step + 1, len(stage.moved.steps))
-    return np.array(stage.plotter.screenshot(None, return_img=True))
-
-
-def _writer(target: Path) -> Callable[[Path, list[Any], float], None]:
-    if target.suffix == ".gif":
-        return _write_gif
-    if target.suffix != ".mp4":
-        raise DataError(f"{target}: films are .gif or .mp4, not '{target.suffix}'")
-    for package in ("imageio", "imageio_ffmpeg"):
-        optional(package, "movie", "an .mp4 film")
-    return _write_mp4
-
-
-def _write_gif(path: Path, pictures: list[Any], rate: float) -> None:
-    """One palette for all frames, so that colours do not flicker."""
-    sample = Image.fromarray(np.concatenate([p[::2, ::2] for p in pictures[:: max(1, len(pictures) // 12)]]))
-    palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)
-    frames = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=round(1000 / rate), loop=0, optimize=False)
-
-
-def _write_mp4(path: Path, pictures: list[Any], rate: float) -> None:
-    imageio = import_module("imageio")
-    even = [p[: p.shape[0] // 2 * 2, : p.shape[1] // 2 * 2] for p in pictures]
-    with imageio.get_writer(path, fps=rate, macro_block_size=2, quality=8) as film:
-        for picture in even:
-            film.append_data(picture)
 
 
 def _given(results: Results | str | Path, view: View | None, look: Look | None) -> tuple[Results, View, Look]:

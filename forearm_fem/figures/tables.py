@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,15 +24,12 @@ class Table:
             stream.write(f"# {source}\n")
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(self.columns)
-        writer.writerows(zip(*(_texts(c) for c in self.columns.values()), strict=True))
+        texts = []
+        for column in map(np.asarray, self.columns.values()):
+            form = "{:.10g}".format if np.issubdtype(column.dtype, np.floating) else str
+            texts.append([form(v) for v in column.tolist()])
+        writer.writerows(zip(*texts, strict=True))
         return stream.getvalue()
-
-
-def _texts(column: Iterable[Any]) -> list[str]:
-    values = np.asarray(column)
-    if np.issubdtype(values.dtype, np.floating):
-        return [f"{v:.10g}" for v in values.tolist()]
-    return [str(v) for v in values.tolist()]
 
 
 def stacked_rows(key: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:

@@ -18,8 +18,8 @@ from ..ports import Port, positions
 from ..rendering import to_spectrum
 from ..typing import ComplexArray, FloatArray
 from ..wavefield import Wavefield
-from .data import Results
-from .device import busy, record_of
+from .data import Results, record_of
+from .device import busy
 from .patch import VolarPatch, volar_patch
 from .style import FAINT, GREY, INK, MICRO, SIGNED, figure_of, method_colour, panels, styled
 from .tables import Table, stacked_rows
@@ -27,7 +27,7 @@ from .tables import Table, stacked_rows
 _INSTANTS = 6
 _FLAT = 1e-3  # of the grid's size: points that are no further off a line span no surface
 _TIME = "time [ms]"
-_BAR = 10.0  # mm
+_BAR = 10.0  # mm: the scale below a map
 _MESH = 41  # points per side of the interpolated map
 
 
@@ -73,30 +73,21 @@ def target_waves(results: Results, target: str) -> TargetWaves:
                         f"{', '.join(moved.targets)}; `forearm-fem render` can")  # fmt: skip
     patch = volar_patch(results.field_mesh, (*g.inputs, *g.outputs)) if results.has_field else None
     places = positions(g.outputs)[:, :2]
-    x, y = (np.linspace(low, high, _MESH) for low, high in _extent(places))
-    shown = tuple(_shown(results, m, target, patch, x, y) for m in moved.methods)
-    return TargetWaves(target, g.outputs, g.inputs, shown, x, y, patch)
-
-
-def _shown(results: Results, method: str, target: str, patch: VolarPatch | None, x: FloatArray, y: FloatArray) -> Shown:
-    moved = results.displacements
-    values = _one(moved, method, target)
-    instants = moments(moved.time, values, moved.channels.index(target))
-    samples = np.searchsorted(moved.time, instants - 1e-9)
-    between = _between(positions(results.transfer.outputs)[:, :2], values[:, samples].T, x, y)
-    field = None
-    if patch is not None:
-        spectrum = drive_series(results.drives, method, target, results.wavefield)
-        field = patch.normal_field(results.wavefield).in_time(spectrum, instants)
-    keep = busy(values, moved.time)
-    return Shown(method, moved.time[keep], values[:, keep], instants, between, field)
-
-
-def _extent(places: FloatArray) -> list[tuple[float, float]]:
-    """Ends in x and y of the points' rectangle; a line of points, or one, is given a width to be seen by."""
-    span = np.ptp(places, axis=0)
+    span = np.ptp(places, axis=0)  # a line of points, or one, is given a width to be seen by
     aside = np.where(span > 0, 0.0, max(float(span.max()), 0.01) / 20)
-    return [(float(p.min() - a), float(p.max() + a)) for p, a in zip(places.T, aside, strict=True)]
+    x, y = (np.linspace(p.min() - a, p.max() + a, _MESH) for p, a in zip(places.T, aside, strict=True))
+    shown = []
+    for method in moved.methods:
+        values = _one(moved, method, target)
+        instants = moments(moved.time, values, moved.channels.index(target))
+        samples = np.searchsorted(moved.time, instants - 1e-9)
+        between, field = _between(places, values[:, samples].T, x, y), None
+        if patch is not None:
+            spectrum = drive_series(results.drives, method, target, results.wavefield)
+            field = patch.normal_field(results.wavefield).in_time(spectrum, instants)
+        keep = busy(values, moved.time)
+        shown.append(Shown(method, moved.time[keep], values[:, keep], instants, between, field))
+    return TargetWaves(target, g.outputs, g.inputs, tuple(shown), x, y, patch)
 
 
 def _one(signals: Signals, method: str, target: str) -> FloatArray:
@@ -185,6 +176,9 @@ def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int) -> Non
     grid = maps.subplots(rows, _INSTANTS, squeeze=False)
     most = MICRO * float(np.nanmax(np.abs(shown.between), initial=0.0))
     scale = Normalize(-most or -1.0, most or 1.0)
+    places, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
+    middle = places[:, :2].mean(axis=0)
+    reach = 1.3 * np.abs(np.concatenate([places, coils])[:, :2] - middle).max()
     for k, t in enumerate(shown.instants):
         grid[0, k].set_title("0 ms" if abs(t) < 5e-5 else f"{1e3 * t:+.1f} ms")
         grid[0, k].pcolormesh(1e3 * data.x, 1e3 * data.y, MICRO * shown.between[k], cmap=SIGNED, norm=scale,
@@ -193,37 +187,25 @@ def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int) -> Non
             grid[1, k].tripcolor(data.patch.triangulation, MICRO * shown.field[k], cmap=SIGNED, norm=scale,
                                  shading="gouraud", rasterized=True)  # fmt: skip
         for panel in grid[:, k]:
-            _mark(panel, data)
-    _scale_bar(grid[-1, 0])
+            panel.plot(places[:, 0], places[:, 1], ".", color=INK, ms=1.5)
+            panel.plot(*places[data.row, :2], "o", mfc="none", mec=INK, ms=7, mew=0.9)
+            panel.plot(coils[:, 0], coils[:, 1], "s", mfc="none", mec=GREY, ms=5, mew=0.6)
+            panel.set(aspect="equal", xticks=(), yticks=(), xlim=(middle[0] - reach, middle[0] + reach),
+                      ylim=(middle[1] - reach, middle[1] + reach))  # fmt: skip
+            panel.grid(False)
+            panel.spines[:].set_visible(False)
+    left, (low, high) = grid[-1, 0].get_xlim()[0], grid[-1, 0].get_ylim()
+    below = low - 0.09 * (high - low)
+    grid[-1, 0].plot([left, left + _BAR], [below, below], color=INK, lw=2, solid_capstyle="butt", clip_on=False,
+                     scalex=False, scaley=False)  # fmt: skip
+    grid[-1, 0].annotate(f"{_BAR:g} mm", (left + _BAR, below), (3, 0), textcoords="offset points", va="center",
+                         fontsize=6, annotation_clip=False)  # fmt: skip
     for panel, text in zip(grid[:, 0], ("interpolated", "field itself"), strict=False):
         panel.set_ylabel(text)
     bar = maps.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both",
                         shrink=0.9)  # fmt: skip
     bar.set_label("u [µm], cut at the grid's range", fontsize=7)
     _traces(right.subplots(), data, shown)
-
-
-def _mark(ax: Axes, data: TargetWaves) -> None:
-    places, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
-    ax.plot(places[:, 0], places[:, 1], ".", color=INK, ms=1.5)
-    ax.plot(*places[data.row, :2], "o", mfc="none", mec=INK, ms=7, mew=0.9)
-    ax.plot(coils[:, 0], coils[:, 1], "s", mfc="none", mec=GREY, ms=5, mew=0.6)
-    reach = 1.3 * np.abs(np.concatenate([places, coils])[:, :2] - places[:, :2].mean(axis=0)).max()
-    middle = places[:, :2].mean(axis=0)
-    ax.set(aspect="equal", xticks=(), yticks=(), xlim=(middle[0] - reach, middle[0] + reach),
-           ylim=(middle[1] - reach, middle[1] + reach))  # fmt: skip
-    ax.grid(False)
-    ax.spines[:].set_visible(False)
-
-
-def _scale_bar(ax: Axes) -> None:
-    """A bar of 10 mm below a map, its length beside it."""
-    left, (low, high) = ax.get_xlim()[0], ax.get_ylim()
-    below = low - 0.09 * (high - low)
-    ax.plot([left, left + _BAR], [below, below], color=INK, lw=2, solid_capstyle="butt", clip_on=False, scalex=False,
-            scaley=False)  # fmt: skip
-    ax.annotate(f"{_BAR:g} mm", (left + _BAR, below), (3, 0), textcoords="offset points", va="center", fontsize=6,
-                annotation_clip=False)  # fmt: skip
 
 
 def _traces(ax: Axes, data: TargetWaves, shown: Shown) -> None:

@@ -17,7 +17,10 @@ from ..layered import surface_kernel
 from ..metrics import WaveFit, fit_waves
 from ..pipeline.layered_engine import flat_surface
 from ..ports import Port, distances, positions
-from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives
+from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives, place
+from ..rendering.drives import Aim
+from ..rendering.funneling import known_bins
+from ..rendering.spectrum import Placed
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
@@ -54,11 +57,12 @@ def line(results: Results, places: tuple[float, ...]) -> Line:
 
     Without a wavefield: the row of grid points nearest to the actuator.
     """
-    return _field_line(results, places) if results.has_field else _grid_line(results.transfer)
-
-
-def _field_line(results: Results, places: tuple[float, ...]) -> Line:
     g = results.transfer
+    name, cone = g.inputs[0].name, None if g.contacts is None else g.contacts[:, 0, 0]
+    if not results.has_field:
+        chosen = _row(g.outputs, g.inputs[0])
+        gap = distances(g.outputs, g.inputs)[chosen, 0]
+        return Line(name, g.frequency, gap, shown(g)[:, chosen, 0], cone, g.unit, "row of grid points")
     start = positions(g.inputs)[0]
     toward = positions(g.outputs)[:, :2].mean(axis=0) - start[:2]
     along = toward / np.linalg.norm(toward)
@@ -67,25 +71,9 @@ def _field_line(results: Results, places: tuple[float, ...]) -> Line:
     gaps = np.linalg.norm(patch.lift(start[:2] + np.outer(fine, along)) - start, axis=1)
     corners, weights = patch.weights(start[:2] + np.outer(np.interp(places, gaps, fine), along))
     field = patch.normal_field(results.wavefield).between(corners, weights)
-    cone = _same_bins(results, field.frequency)
-    return Line(
-        g.inputs[0].name, field.frequency, np.array(places), field.response(0), cone, g.unit, "field between the points"
-    )
-
-
-def _same_bins(results: Results, frequency: FloatArray) -> ComplexArray | None:
-    """The first cone's own motion, if it is known on the field's bins."""
-    g = results.transfer
-    known = g.contacts is not None and np.array_equal(g.frequency, frequency)
-    return g.contacts[:, 0, 0] if known and g.contacts is not None else None
-
-
-def _grid_line(g: TransferMatrix) -> Line:
-    gap = distances(g.outputs, g.inputs)[:, 0]
-    chosen = _row(g.outputs, g.inputs[0])
-    cone = None if g.contacts is None else g.contacts[:, 0, 0]
-    values = shown(g)[:, chosen, 0]
-    return Line(g.inputs[0].name, g.frequency, gap[chosen], values, cone, g.unit, "row of grid points")
+    if not np.array_equal(g.frequency, field.frequency):
+        cone = None
+    return Line(name, field.frequency, np.array(places), field.response(0), cone, g.unit, "field between the points")
 
 
 def _row(outputs: tuple[Port, ...], source: Port) -> list[int]:
@@ -126,13 +114,18 @@ class Travel:
 def travel(results: Results) -> Travel:
     """The inverse filter aims the wavelet at the last place of the line; funneling sends the wavelet itself."""
     along = line(results, _LOCATIONS)
-    g = _as_transfer(along)
+    cone = () if along.cone is None else (along.cone[:, None],)
+    values = np.concatenate([*cone, along.values], axis=1)[:, :, None]
+    labels = ["cone"] * len(cone) + [f"{1e3 * d:.0f} mm" for d in along.distance]
+    outputs = tuple(Port(f"{k}: {n}", "point", (float(k), 0.0, 0.0)) for k, n in enumerate(labels))
+    source = Port(along.actuator, "contact", (0.0, 0.0, 0.0))
+    g = TransferMatrix(along.frequency, values, outputs, (source,), along.unit, valid=np.isfinite(values))
     far = g.outputs[-1].name
     aimed = drives(InverseFilter(zeros=(), peak=1e-6), g, far, results.wavelet)
     plain = _plain(g, results.wavelet, far)
     reached = tuple(displacements(g, d).values for d in (aimed, plain))
     keep = np.abs(results.wavelet.time) < 0.025
-    spectra = tuple(_spectra(g, d) for d in (aimed, plain))
+    spectra = tuple(np.asarray(np.abs(place(g, d.record).bins.values[:, :, 0] * d.spectrum).T) for d in (aimed, plain))
     return Travel(
         methods=("inverse filter", "funneling"),
         actuator=along.actuator,
@@ -148,20 +141,8 @@ def travel(results: Results) -> Travel:
     )
 
 
-def _as_transfer(along: Line) -> TransferMatrix:
-    cone = () if along.cone is None else (along.cone[:, None],)
-    values = np.concatenate([*cone, along.values], axis=1)[:, :, None]
-    labels = ["cone"] * len(cone) + [f"{1e3 * d:.0f} mm" for d in along.distance]
-    outputs = tuple(Port(f"{k}: {n}", "point", (float(k), 0.0, 0.0)) for k, n in enumerate(labels))
-    source = Port(along.actuator, "contact", (0.0, 0.0, 0.0))
-    return TransferMatrix(along.frequency, values, outputs, (source,), along.unit, valid=np.isfinite(values))
-
-
 def _plain(g: TransferMatrix, wavelet: Wavelet, target: str) -> Drives:
     """The wavelet itself on the only actuator, cut to the bins of G."""
-    from ..rendering.drives import Aim
-    from ..rendering.funneling import known_bins
-    from ..rendering.spectrum import Placed
 
     class Itself:
         name = "funneling"
@@ -171,13 +152,6 @@ def _plain(g: TransferMatrix, wavelet: Wavelet, target: str) -> Drives:
             return Aim(np.where(used, wavelet, 0)[:, None], used)
 
     return drives(Itself(), g, target, wavelet)
-
-
-def _spectra(g: TransferMatrix, sent: Drives) -> FloatArray:
-    from ..rendering import place
-
-    values = place(g, sent.record).bins.values[:, :, 0]
-    return np.asarray(np.abs(values * sent.spectrum).T)
 
 
 def travel_table(data: Travel) -> Table:
@@ -211,32 +185,28 @@ def plot_travel(data: Travel, *, ax: Axes | None = None) -> FigureBase:
     figure = panels(ax, (7.2, 1.1 + 0.62 * (len(data.distance) + 3)))
     halves: Any = figure.subfigures(1, len(data.methods))
     for m, half in enumerate(halves):
-        _half(half, data, m)
+        n = len(data.distance)
+        axes = half.subplots(n + 2, 1, height_ratios=[1] * (n + 1) + [2.6])
+        colours = [colormaps["viridis_r"]((k + 0.6) / n) for k in range(n)]
+        ms = 1e3 * data.time
+        where = "wavelet asked for at the last place" if m == 0 else "wavelet sent as it is"
+        half.suptitle(f"{'ab'[m]}   {data.methods[m]}: {where}", fontsize=8, fontweight="bold")
+        axes[0].plot(ms, data.drive[m], color=GREY)
+        axes[0].set_ylabel(f"drive\n[{data.drive_unit}]", rotation=0, ha="right", va="center")
+        for k, (trace, panel) in enumerate(zip(data.moved[m], axes[1:-1], strict=True)):
+            panel.plot(ms, MICRO * trace, color=colours[k])
+            label = "cone" if k == 0 and data.has_cone else f"{1e3 * data.distance[k]:.0f} mm"
+            panel.set_ylabel(f"{label}\n[µm]", rotation=0, ha="right", va="center")
+        for panel in axes[:-1]:
+            panel.set_xlim(ms[0], ms[-1])
+            panel.locator_params(axis="y", nbins=3)
+            panel.axvline(0, color=GREY, lw=0.5, ls=":")
+            panel.tick_params(labelbottom=panel is axes[-2])
+        axes[-2].set_xlabel("time [ms]")
+        for spectrum, colour in zip(data.spectra[m], colours, strict=True):
+            axes[-1].plot(data.frequency, 1e9 * spectrum, color=colour)
+        axes[-1].set(xlabel="frequency [Hz]", ylabel="|U| [nm/Hz]", yscale="log")
     return figure
-
-
-def _half(figure: FigureBase, data: Travel, m: int) -> None:
-    n = len(data.distance)
-    axes = figure.subplots(n + 2, 1, height_ratios=[1] * (n + 1) + [2.6])
-    colours = [colormaps["viridis_r"]((k + 0.6) / n) for k in range(n)]
-    ms = 1e3 * data.time
-    where = "wavelet asked for at the last place" if m == 0 else "wavelet sent as it is"
-    figure.suptitle(f"{'ab'[m]}   {data.methods[m]}: {where}", fontsize=8, fontweight="bold")
-    axes[0].plot(ms, data.drive[m], color=GREY)
-    axes[0].set_ylabel(f"drive\n[{data.drive_unit}]", rotation=0, ha="right", va="center")
-    for k, (trace, panel) in enumerate(zip(data.moved[m], axes[1:-1], strict=True)):
-        panel.plot(ms, MICRO * trace, color=colours[k])
-        label = "cone" if k == 0 and data.has_cone else f"{1e3 * data.distance[k]:.0f} mm"
-        panel.set_ylabel(f"{label}\n[µm]", rotation=0, ha="right", va="center")
-    for panel in axes[:-1]:
-        panel.set_xlim(ms[0], ms[-1])
-        panel.locator_params(axis="y", nbins=3)
-        panel.axvline(0, color=GREY, lw=0.5, ls=":")
-        panel.tick_params(labelbottom=panel is axes[-2])
-    axes[-2].set_xlabel("time [ms]")
-    for spectrum, colour in zip(data.spectra[m], colours, strict=True):
-        axes[-1].plot(data.frequency, 1e9 * spectrum, color=colour)
-    axes[-1].set(xlabel="frequency [Hz]", ylabel="|U| [nm/Hz]", yscale="log")
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,14 +275,19 @@ def plot_dispersion(data: Dispersion, *, ax: Axes | None = None) -> FigureBase:
     top, bottom = figure.subplots(2, 1, sharex=True)
     first, last = (1e3 * d for d in data.window)
     _curves(top, bottom, data.fit, f"thesis' estimator, {first:g}–{last:g} mm", "#0072B2", "-")
+    f, speed = data.fit.frequency, data.fit.speed
     if data.root is not None and data.alone is not None:
-        f = data.fit.frequency
         _curves(top, bottom, data.alone, "same estimator, surface wave alone", "#56B4E9", "-")
         top.plot(f, -data.root.imag, color="#D55E00", ls="--", label="root of the layered kernel")
         bottom.plot(f, 2 * np.pi * f / data.root.real, color="#D55E00", ls="--")
     top.set(ylabel="attenuation δ [1/m]", ylim=(0, None), xlim=(data.fit.frequency[0], data.fit.frequency[-1]))
-    _shade(bottom, data)
-    bottom.set(ylabel="phase speed c [m/s]", xlabel="frequency [Hz]", ylim=(0, _top(data)))
+    good = speed[(data.fit.phase_misfit < _STRAIGHT) & (speed > 0)]
+    fastest = float(min(1.3 * np.quantile(good, 0.95) + 1, 20)) if len(good) else 10.0  # not spoilt by wild estimates
+    drawn = (speed > 0) & (speed < fastest)
+    if not drawn.all():  # so that a curve that ends says why
+        bottom.fill_between(f, 0, 1, where=~drawn, step="mid", transform=bottom.get_xaxis_transform(), color=FAINT,
+                            alpha=0.4, lw=0, label="speed negative or beyond the axis")  # fmt: skip
+    bottom.set(ylabel="phase speed c [m/s]", xlabel="frequency [Hz]", ylim=(0, fastest))
     top.legend()
     if bottom.get_legend_handles_labels()[0]:
         bottom.legend(loc="lower right")
@@ -329,18 +304,3 @@ def _curves(top: Axes, bottom: Axes, fit: WaveFit, label: str, colour: str, ls: 
     bottom.plot(fit.frequency, np.where(straight, np.nan, fit.speed), color=colour, lw=0.6, ls=":")
     if not straight.all():
         bottom.plot([], [], color=colour, lw=0.6, ls=":", label=f"phase misfit above {_STRAIGHT:g} rad: no plane wave")
-
-
-def _shade(ax: Axes, data: Dispersion) -> None:
-    """Grey where no speed of the run's own waves is drawn, so that a curve that ends says why."""
-    f, fit = data.fit.frequency, data.fit
-    drawn = (fit.speed > 0) & (fit.speed < _top(data))
-    if not drawn.all():
-        ax.fill_between(f, 0, 1, where=~drawn, step="mid", transform=ax.get_xaxis_transform(), color=FAINT, alpha=0.4,
-                        lw=0, label="speed negative or beyond the axis")  # fmt: skip
-
-
-def _top(data: Dispersion) -> float:
-    """A speed axis that a few wild estimates cannot spoil."""
-    good = data.fit.speed[(data.fit.phase_misfit < _STRAIGHT) & (data.fit.speed > 0)]
-    return float(min(1.3 * np.quantile(good, 0.95) + 1, 20)) if len(good) else 10.0

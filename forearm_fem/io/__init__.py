@@ -4,8 +4,8 @@ from .atomic import atomic_path, write_text
 from .declaration import Declaration, PortDeclaration
 from .matlab import read_thesis_mat, write_thesis_mat
 from .netcdf import read_compliance, read_transfer, write_compliance, write_transfer
+from .reading import RecognitionWarning
 from .recognise import read_measured, write_measured
-from .recognition import RecognitionWarning
 from .signals import Signals, read_displacements, read_drives, stack, write_displacements, write_drives
 from .tables import StrengthRow, read_signal_strength_csv, strength_rows, write_signal_strength_csv
 from .tdms import read_sweep_tdms

@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import DataError
 from ..ports import Port
 from ..transfer import TransferMatrix
-from ..typing import ComplexArray, FloatArray
+from ..typing import FloatArray
 from .atomic import write_bytes
 from .declaration import RawMatrix, arbitrary_gain, port_from
 from .reading import refuse_no_file
@@ -74,26 +74,22 @@ def read_csv(path: str | Path) -> RawMatrix:
     """
     file = Path(path)
     try:
-        return _read(file)
+        head, header, lines, offset = _split(file)
+        table = _table(file, header, lines, offset)
+        frequency = np.unique(table["frequency_Hz"])
+        names = [_in_order(head.get(k), table[k[:-1]]) for k in ("outputs", "inputs")]
+        place = (
+            np.searchsorted(frequency, table["frequency_Hz"]),
+            np.array([names[0].index(n) for n in table["output"]]),
+            np.array([names[1].index(n) for n in table["input"]]),
+        )
+        shape = (len(frequency), len(names[0]), len(names[1]))
+        if len(np.unique(np.ravel_multi_index(place, shape))) != len(lines):
+            raise DataError(f"{file}: some frequency, output and input occurs on two lines; keep one of them")
+        raw = _raw(file, head, frequency, table, place, shape)
+        return raw if head else replace(raw, names=(tuple(names[0]), tuple(names[1])))
     except (KeyError, TypeError, ValueError, AttributeError) as problem:
         raise DataError(f"{file}: its first line does not fit the rest or is damaged; export it again") from problem
-
-
-def _read(file: Path) -> RawMatrix:
-    head, header, lines, offset = _split(file)
-    table = _table(file, header, lines, offset)
-    frequency = np.unique(table["frequency_Hz"])
-    names = [_in_order(head.get(k), table[k[:-1]]) for k in ("outputs", "inputs")]
-    place = (
-        np.searchsorted(frequency, table["frequency_Hz"]),
-        np.array([names[0].index(n) for n in table["output"]]),
-        np.array([names[1].index(n) for n in table["input"]]),
-    )
-    shape = (len(frequency), len(names[0]), len(names[1]))
-    if len(np.unique(np.ravel_multi_index(place, shape))) != len(lines):
-        raise DataError(f"{file}: some frequency, output and input occurs on two lines; keep one of them")
-    raw = _raw(file, head, frequency, table, place, shape)
-    return raw if head else replace(raw, names=(tuple(names[0]), tuple(names[1])))
 
 
 def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]:
@@ -109,28 +105,22 @@ def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]
         raise DataError(f"{file}: cannot be read as text in UTF-8; is it really CSV?") from None
     lines = text.splitlines()
     skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    head = _ours(file, lines[0]) if lines and lines[0].startswith(_MARK) else {}
+    head: dict[str, Any] = {}
+    if lines and lines[0].startswith(_MARK):
+        try:
+            head = json.loads(lines[0][len(_MARK) :])
+        except ValueError:
+            raise DataError(f"{file}: its first line is damaged; export it again") from None
+    # the names of columns hold neither tabs, semicolons nor commas
+    separator = next((c for c in "\t;" if any(c in line for line in lines[skipped : skipped + 1])), ",")
     try:
-        rows = list(csv.reader(lines[skipped:], delimiter=_separator(lines[skipped : skipped + 1])))
+        rows = list(csv.reader(lines[skipped:], delimiter=separator))
     except csv.Error as problem:
         raise DataError(f"{file}: is no table ({problem}); is it really CSV?") from None
     rows = [row for row in rows if row]  # a table that ends in empty lines
     if len(rows) < 2:
         raise DataError(f"{file}: has no lines of data; expected a header and one line per frequency and entry")
     return head, [c.strip() for c in rows[0]], rows[1:], skipped + 1
-
-
-def _separator(header: list[str]) -> str:
-    """What separates the header's columns: their names hold neither tabs, semicolons nor commas."""
-    return next((c for c in "\t;" if any(c in line for line in header)), ",")
-
-
-def _ours(file: Path, line: str) -> dict[str, Any]:
-    try:
-        content: dict[str, Any] = json.loads(line[len(_MARK) :])
-    except ValueError:
-        raise DataError(f"{file}: its first line is damaged; export it again") from None
-    return content
 
 
 def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -> dict[str, Any]:
@@ -171,15 +161,6 @@ def _in_order(ports: Any, names: Any) -> list[str]:
     return [p["name"] for p in ports] if ports else list(dict.fromkeys(str(n) for n in names))
 
 
-def _complex(table: dict[str, Any]) -> ComplexArray:
-    first, second = (table[c] for c in table["pair"])
-    if table["pair"][0] == "real":
-        values = np.empty(len(first), dtype=complex)
-        values.real, values.imag = first, second
-        return values
-    return np.asarray(first * np.exp(1j * (np.deg2rad(second) if table["pair"][1] == "phase_deg" else second)))
-
-
 def _raw(
     file: Path,
     head: dict[str, Any],
@@ -189,7 +170,13 @@ def _raw(
     shape: tuple[int, int, int],
 ) -> RawMatrix:
     values, valid = np.full(shape, np.nan + 0j), np.zeros(shape, dtype=bool)
-    values[place] = _complex(table)
+    first, second = (table[c] for c in table["pair"])
+    if table["pair"][0] == "real":
+        entries = np.empty(len(first), dtype=complex)
+        entries.real, entries.imag = first, second
+    else:
+        entries = first * np.exp(1j * (np.deg2rad(second) if table["pair"][1] == "phase_deg" else second))
+    values[place] = entries
     valid[place] = table["valid"] != 0 if "valid" in table else np.isfinite(values[place])
     deviation = None
     if "deviation" in table:

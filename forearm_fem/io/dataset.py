@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -60,7 +60,18 @@ def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T
         whole = check_tail(file.read_bytes())
         with h5py.File(file, "r") as probe:
             dict(probe.attrs)  # damaged, these leave h5netcdf's file half-open
-        result = unpack(_checked(xr.load_dataset(file, engine="h5netcdf"), content))
+        dataset = xr.load_dataset(file, engine="h5netcdf")
+        if "content" not in dataset.attrs:
+            raise DataError(
+                "is netCDF of another program, and only netCDF of forearm_fem is read; bring a G as .csv, .mat, .uff "
+                "or by a recipe"
+            )
+        found, version = dataset.attrs["content"], dataset.attrs["format_version"]
+        if found != content:
+            raise DataError(f"holds {found}, expected {content}")
+        if version != FORMAT_VERSION:
+            raise DataError(f"written in format {version}, this version reads {FORMAT_VERSION}")
+        result = unpack(dataset)
         if not whole:
             raise DataError("truncated: the checksum at its end is missing; copy or make it again")
         return result
@@ -70,20 +81,6 @@ def load(path: str | Path, content: str, unpack: Callable[[xr.Dataset], T]) -> T
         first = str(problem).strip().splitlines()[0] if str(problem).strip() else type(problem).__name__
         article = "an" if content[0] in "aeiou" else "a"
         raise DataError(f"{file}: damaged or not {article} {content} file of forearm_fem ({first})") from problem
-
-
-def _checked(dataset: xr.Dataset, content: str) -> xr.Dataset:
-    if "content" not in dataset.attrs:
-        raise DataError(
-            "is netCDF of another program, and only netCDF of forearm_fem is read; bring a G as .csv, .mat, .uff or by "
-            "a recipe"
-        )
-    found, version = dataset.attrs["content"], dataset.attrs["format_version"]
-    if found != content:
-        raise DataError(f"holds {found}, expected {content}")
-    if version != FORMAT_VERSION:
-        raise DataError(f"written in format {version}, this version reads {FORMAT_VERSION}")
-    return dataset
 
 
 def _encoding(variable: xr.Variable) -> dict[str, Any]:
@@ -136,12 +133,10 @@ def ports_of(dataset: xr.Dataset, dim: str) -> tuple[Port, ...]:
     names, kinds, contacts = (text(dataset[key].values) for key in (dim, f"{dim}_kind", f"{dim}_contact"))
     place, axes = dataset[f"{dim}_position"].values.tolist(), dataset[f"{dim}_axis"].values.tolist()
     radii = dataset[f"{dim}_radius"].values.tolist()
-    rows = zip(names, kinds, place, axes, radii, contacts, strict=True)
-    return tuple(_port(*row) for row in rows)
-
-
-def _port(name: str, kind: Any, position: list[float], axis: list[float], radius: float, contact: Any) -> Port:
-    if kind not in ("contact", "point") or contact not in ("pressure", "bonded", "frictionless"):
-        raise ValueError(f"port {name} has kind '{kind}' and contact '{contact}'")
-    (x, y, z), (a, b, c) = position, axis
-    return Port(name, kind, (x, y, z), (a, b, c), radius, contact)
+    ports = list[Port]()
+    rows: Iterable[Any] = zip(names, kinds, place, axes, radii, contacts, strict=True)
+    for name, kind, (x, y, z), (a, b, c), radius, contact in rows:
+        if kind not in ("contact", "point") or contact not in ("pressure", "bonded", "frictionless"):
+            raise ValueError(f"port {name} has kind '{kind}' and contact '{contact}'")
+        ports.append(Port(name, kind, (x, y, z), (a, b, c), radius, contact))
+    return tuple(ports)

@@ -19,7 +19,7 @@ from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .naming import placed_by_name, strange_names
-from .recognition import RecognitionWarning
+from .reading import RecognitionWarning
 from .units import parse_unit, to_displacement
 
 Axis = Literal["frequency", "output", "input"]
@@ -112,18 +112,27 @@ def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = N
     is then read by these names (:func:`.naming.placed_by_name`). Raises DataError for all that nobody says at once, and
     where file and declaration contradict each other.
     """
-    known = _ports(raw, declaration, ports)
+    outputs = raw.outputs or _declared(declaration.outputs, "point") or (ports[0] if ports else None)
+    inputs = raw.inputs or _declared(declaration.inputs, "contact") or (ports[1] if ports else None)
+    known = None if outputs is None or inputs is None else (outputs, inputs)
     strange = "" if known is None else strange_names(raw, *known)
     if open_ends := [s for s in (strange, unsaid(raw, declaration, known)) if s]:
         raise DataError(f"{raw.name}: {'; it '.join(open_ends)}")
-    assert known is not None
-    outputs, inputs = known
+    assert outputs is not None
+    assert inputs is not None
     named = placed_by_name(raw, outputs, inputs)
     ordered = _ordered(named, declaration, len(outputs), len(inputs))
     ordered, frequency = _united(ordered, _frequency(ordered, declaration))
     one_sided = _one_sided(ordered, frequency, _agreed(raw, declaration, "spectrum"))
     transfer = _metres(one_sided, declaration, outputs, inputs)
-    return _banded(transfer, declaration.band, raw.name)
+    low, high = declaration.band or (0.0, np.inf)
+    keep = (transfer.frequency >= low - 1e-9) & (transfer.frequency <= high + 1e-9)
+    if not keep.any():
+        raise DataError(f"{raw.name}: no frequency lies in the declared band {low:g} to {high:g} Hz")
+    cut = _rows(transfer, keep)
+    if cut["valid"] is not None and not cut["valid"].any():
+        raise DataError(f"{raw.name}: every entry is zero or not finite; the file holds no measurement")
+    return replace(transfer, frequency=transfer.frequency[keep], **cut)
 
 
 def _agreed(raw: RawMatrix, declaration: Declaration, key: str) -> Any:
@@ -197,12 +206,6 @@ def declared_by(option: str) -> Iterator[None]:
         raise DataError(str(problem).replace("--declare ", f"{option} ")) from None
 
 
-def _ports(raw: RawMatrix, declaration: Declaration, ports: Ports | None) -> Ports | None:
-    outputs = raw.outputs or _declared(declaration.outputs, "point") or (ports[0] if ports else None)
-    inputs = raw.inputs or _declared(declaration.inputs, "contact") or (ports[1] if ports else None)
-    return None if outputs is None or inputs is None else (outputs, inputs)
-
-
 def _declared(ports: tuple[PortDeclaration, ...] | None, kind: Literal["point", "contact"]) -> tuple[Port, ...] | None:
     if ports is None:
         return None
@@ -222,7 +225,10 @@ def _ordered(raw: RawMatrix, declaration: Declaration, n_out: int, n_in: int) ->
             "name frequency, output and input once each"
         )
     order = [axes.index(a) for a in ("frequency", "output", "input")]
-    turned = {k: _turned(getattr(raw, k), order) for k in ("values", "valid", "deviation")}
+    arrays: dict[str, Any] = {k: getattr(raw, k) for k in ("values", "valid", "deviation")}
+    turned: dict[str, Any] = {
+        k: a if a is None else np.ascontiguousarray(np.transpose(a, order)) for k, a in arrays.items()
+    }
     result = replace(raw, axes=("frequency", "output", "input"), **turned)
     if result.values.shape[1:] != (n_out, n_in):
         raise DataError(
@@ -230,10 +236,6 @@ def _ordered(raw: RawMatrix, declaration: Declaration, n_out: int, n_in: int) ->
             f"expected {n_out} and {n_in}; declare other axes, or name the scenario that was measured"
         )
     return result
-
-
-def _turned(array: Any, order: list[int]) -> Any:
-    return None if array is None else np.ascontiguousarray(np.transpose(array, order))
 
 
 def axes_by_length(raw: RawMatrix, n_out: int, n_in: int) -> tuple[Axis, ...] | None:
@@ -338,6 +340,9 @@ def _metres(
     finite = np.where(np.isfinite(raw.values), raw.values, np.nan)  # an infinite entry is as unmeasured as NaN
     values = (finite.conj() if sign == "-iwt" else finite) * factor
     deviation = None if raw.deviation is None else raw.deviation * np.abs(factor)
+    # entries that are not finite, and frequencies at which all of G is zero, are never usable
+    dark = ~np.isfinite(raw.values) | np.all(raw.values == 0, axis=(1, 2), keepdims=True)
+    usable = ~dark if raw.valid is None else raw.valid & ~dark
     said = declaration.model_dump(mode="json", exclude_none=True, exclude={"outputs", "inputs"})
     gain = {"gain": "arbitrary"} if declaration.arbitrary_gain else {}
     return TransferMatrix(
@@ -346,25 +351,7 @@ def _metres(
         outputs=outputs,
         inputs=inputs,
         unit=unit.si,
-        valid=_usable(raw),
+        valid=None if usable.all() and raw.valid is None else np.asarray(usable),
         deviation=deviation,
         provenance={"source": "file", "file": raw.name, "declared": said, **gain, **raw.provenance},
     )
-
-
-def _usable(raw: RawMatrix) -> BoolArray | None:
-    """The file's mask; entries that are not finite, and frequencies at which all of G is zero, are never usable."""
-    dark = ~np.isfinite(raw.values) | np.all(raw.values == 0, axis=(1, 2), keepdims=True)
-    usable = ~dark if raw.valid is None else raw.valid & ~dark
-    return None if usable.all() and raw.valid is None else np.asarray(usable)
-
-
-def _banded(transfer: TransferMatrix, band: tuple[float, float] | None, name: str) -> TransferMatrix:
-    low, high = band or (0.0, np.inf)
-    keep = (transfer.frequency >= low - 1e-9) & (transfer.frequency <= high + 1e-9)
-    if not keep.any():
-        raise DataError(f"{name}: no frequency lies in the declared band {low:g} to {high:g} Hz")
-    cut = _rows(transfer, keep)
-    if cut["valid"] is not None and not cut["valid"].any():
-        raise DataError(f"{name}: every entry is zero or not finite; the file holds no measurement")
-    return replace(transfer, frequency=transfer.frequency[keep], **cut)

@@ -33,7 +33,12 @@ def locked(folder: str | Path) -> Iterator[None]:
     try:
         yield
     finally:
-        _release(file, descriptor)
+        if sys.platform == "win32":  # removes no open file
+            os.close(descriptor)
+        with suppress(OSError):  # while its lock is held, so that nobody locks a file that is about to vanish unseen
+            file.unlink()
+        if sys.platform != "win32":
+            os.close(descriptor)
         for empty in made:
             with suppress(OSError):
                 empty.rmdir()
@@ -80,15 +85,3 @@ def _try_lock(descriptor: int) -> bool:
     except OSError:
         return True
     return True
-
-
-def _release(file: Path, descriptor: int) -> None:
-    """The file goes while its lock is held, so that nobody locks a file that is about to vanish unseen."""
-    if sys.platform != "win32":
-        with suppress(OSError):
-            file.unlink()
-        os.close(descriptor)
-        return
-    os.close(descriptor)  # Windows removes no open file
-    with suppress(OSError):
-        file.unlink()

@@ -14,7 +14,7 @@ from scipy.io import loadmat, savemat
 from ..errors import DataError
 from ..ports import Port, positions
 from ..transfer import TransferMatrix
-from ..typing import ComplexArray, FloatArray, IntArray
+from ..typing import ComplexArray, IntArray
 from .atomic import write_bytes
 from .dataset import TIME_CONVENTION, labels, provenance_json
 from .reading import reading
@@ -38,7 +38,16 @@ def write_thesis_mat(
     Raises DataError where a frequency lies on no bin of 1 / duration, or is not within 0 to sample_rate / 2.
     """
     n = round(sample_rate * duration)
-    bins = _bins(transfer.frequency, n, duration)
+    exact = transfer.frequency * duration
+    bins = np.round(exact).astype(int)
+    if np.abs(exact - bins).max() > 1e-6:
+        raise DataError(
+            f"MATLAB export: {transfer.frequency[np.argmax(np.abs(exact - bins))]:g} Hz is no multiple of 1/duration "
+            f"= {1 / duration:g} Hz; sweep on these bins or choose another duration"
+        )
+    if bins.min() < 1 or 2 * bins.max() >= n:
+        nyquist = n / duration / 2
+        raise DataError(f"MATLAB export: frequencies must lie between 0 and {nyquist:g} Hz, both excluded")
     valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
     content = {
         "G": two_sided(np.where(valid, transfer.values, 0), bins, n),
@@ -61,7 +70,19 @@ def read_thesis_mat(path: str | Path) -> TransferMatrix:
     """The positive, excited bins of a file by :func:`write_thesis_mat`; DataError if missing or damaged."""
     file = Path(path)
     with reading(file, "damaged, or not a G written by forearm_fem ({why})"):
-        return _unpack(loadmat(file, appendmat=False, chars_as_strings=True))
+        content = loadmat(file, appendmat=False, chars_as_strings=True)
+        n = content["G"].shape[2]
+        half = np.flatnonzero(content["excited"].ravel()[: (n + 1) // 2])  # of odd n the last positive bin: (n - 1) / 2
+        valid = np.moveaxis(content["valid"].astype(bool), 2, 0)
+        return TransferMatrix(
+            frequency=content["frequency_Hz"].ravel()[half],
+            values=np.ascontiguousarray(np.moveaxis(content["G"][:, :, half], 2, 0)),
+            outputs=_ports(content, "grid", "point"),
+            inputs=_ports(content, "actuator", "contact"),
+            unit=str(content["units"][0]),
+            valid=None if valid.all() else valid,
+            provenance=json.loads(str(content["provenance"][0])),
+        )
 
 
 def mat5(variables: dict[str, Any], *, compressed: bool = False) -> bytes:
@@ -85,20 +106,6 @@ def two_sided(values: ComplexArray, bins: IntArray, n: int) -> ComplexArray:
     return spectrum
 
 
-def _bins(frequency: FloatArray, n: int, duration: float) -> IntArray:
-    exact = frequency * duration
-    bins = np.round(exact).astype(int)
-    if np.abs(exact - bins).max() > 1e-6:
-        raise DataError(
-            f"MATLAB export: {frequency[np.argmax(np.abs(exact - bins))]:g} Hz is no multiple of 1/duration "
-            f"= {1 / duration:g} Hz; sweep on these bins or choose another duration"
-        )
-    if bins.min() < 1 or 2 * bins.max() >= n:
-        nyquist = n / duration / 2
-        raise DataError(f"MATLAB export: frequencies must lie between 0 and {nyquist:g} Hz, both excluded")
-    return bins
-
-
 def _axes(prefix: str, ports: tuple[Port, ...]) -> dict[str, Any]:
     return {
         f"{prefix}_names": labels(tuple(p.name for p in ports)),
@@ -107,21 +114,6 @@ def _axes(prefix: str, ports: tuple[Port, ...]) -> dict[str, Any]:
         f"{prefix}_radii_m": np.array([p.radius for p in ports], dtype=float),
         f"{prefix}_contacts": labels(tuple(p.contact for p in ports)),
     }
-
-
-def _unpack(content: dict[str, Any]) -> TransferMatrix:
-    n = content["G"].shape[2]
-    half = np.flatnonzero(content["excited"].ravel()[: (n + 1) // 2])  # of odd n the last positive bin is (n - 1) / 2
-    valid = np.moveaxis(content["valid"].astype(bool), 2, 0)
-    return TransferMatrix(
-        frequency=content["frequency_Hz"].ravel()[half],
-        values=np.ascontiguousarray(np.moveaxis(content["G"][:, :, half], 2, 0)),
-        outputs=_ports(content, "grid", "point"),
-        inputs=_ports(content, "actuator", "contact"),
-        unit=str(content["units"][0]),
-        valid=None if valid.all() else valid,
-        provenance=json.loads(str(content["provenance"][0])),
-    )
 
 
 def _ports(content: dict[str, Any], prefix: str, kind: Any) -> tuple[Port, ...]:

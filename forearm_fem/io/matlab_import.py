@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,10 @@ from scipy.io import loadmat
 
 from ..errors import DataError
 from ..transfer import TransferMatrix
-from ..typing import BoolArray, FloatArray
 from .atomic import atomic_path, write_bytes
 from .declaration import Axis, Declaration, RawMatrix, asked, declare, left_open
 from .matlab import mat5, stamped
-from .reading import reading
-from .recognition import RecognitionWarning
+from .reading import RecognitionWarning, reading
 from .seal import BLANK, sealed
 
 _VERSION_AT = 116  # where the header's text ends and what MATLAB knows the version by begins
@@ -35,20 +32,36 @@ def read_mat(path: str | Path, declaration: Declaration) -> RawMatrix:
     """
     file = Path(path)
     variables = read_variables(file)
-    name = _matrix(file, variables, declaration)
+    if (wanted := declaration.variable) is not None and wanted not in variables:
+        raise DataError(f"{file}: has no array '{wanted}'; it has {', '.join(sorted(variables))[:120]}")
+    cubes = [wanted] if wanted is not None else [k for k, v in variables.items() if v.ndim == 3]
+    if len(cubes) != 1:
+        described = ", ".join(f"{k} {v.shape}" for k, v in variables.items())
+        open_ends = {"variable": declare("variable", f"'{(cubes or ['G'])[0]}'"), **left_open(None, declaration)}
+        raise DataError(f"{file}: {len(cubes)} arrays have three axes ({described[:80]}); it {asked(open_ends)}")
+    name = cubes[0]
+    if wanted is None:
+        warnings.warn(RecognitionWarning(str(file), "G", f"variable '{name}'"), stacklevel=3)
     values = np.asarray(variables[name], dtype=complex)
-    frequency = _frequency(file, variables, name, values.shape, declaration)
+    if (axis := declaration.frequency_variable) is not None:
+        if axis not in variables:
+            raise DataError(f"{file}: has no frequency vector '{axis}'; it has {', '.join(sorted(variables))[:120]}")
+    elif declaration.sample_rate is None:
+        lines = [k for k, v in variables.items() if k != name and v.size == max(v.shape, default=0)]
+        named = [k for k in lines if variables[k].size in values.shape and k in _NAMES]
+        if len(named) == 1:
+            axis = named[0]
+            warnings.warn(RecognitionWarning(str(file), "frequency", f"variable '{axis}' in Hz"), stacklevel=3)
+    frequency = None if axis is None else np.asarray(variables[axis], dtype=float).ravel()
     provenance = {"format": "MATLAB", "variable": name}
-    valid = _mask(file, variables, declaration.valid_variable, values.shape)
+    valid = None
+    if (mask := declaration.valid_variable) is not None:
+        if mask not in variables or variables[mask].shape != values.shape:
+            raise DataError(
+                f"{file}: has no mask '{mask}' of G's shape {values.shape}; leave valid_variable out, or correct it"
+            )
+        valid = np.asarray(variables[mask] != 0)
     return RawMatrix(f"{file}:{name}", values, frequency, valid=valid, provenance=provenance)
-
-
-def _mask(file: Path, variables: Mapping[str, Any], name: str | None, shape: tuple[int, ...]) -> BoolArray | None:
-    if name is None:
-        return None
-    if name not in variables or variables[name].shape != shape:
-        raise DataError(f"{file}: has no mask '{name}' of G's shape {shape}; leave valid_variable out, or correct it")
-    return np.asarray(variables[name] != 0)
 
 
 def read_variables(file: Path) -> dict[str, Any]:
@@ -56,61 +69,22 @@ def read_variables(file: Path) -> dict[str, Any]:
     told = "damaged, cut short or not a MATLAB file; save or copy it again"
     with reading(file, told), warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = _hdf5(file) if h5py.is_hdf5(file) else _version5(file)
+        found = dict[str, Any]()
+        if h5py.is_hdf5(file):
+            with h5py.File(file, "r") as content:
+                for name, stored in content.items():
+                    if isinstance(stored, h5py.Dataset) and (
+                        stored.dtype.kind in "fciu" or stored.dtype.names == ("real", "imag")
+                    ):
+                        raw = stored[()]
+                        values = raw if raw.dtype.names is None else raw["real"] + 1j * raw["imag"]
+                        found[name] = np.asarray(values).T
+        else:
+            arrays = loadmat(file, appendmat=False).items()
+            found = {k: v for k, v in arrays if isinstance(v, np.ndarray) and v.dtype.kind in "fciub"}
     if not found:
         raise DataError(f"{file}: holds no numeric arrays; save G as a plain array, not inside a structure or object")
     return found
-
-
-def _version5(file: Path) -> dict[str, Any]:
-    content = loadmat(file, appendmat=False)
-    return {k: v for k, v in content.items() if isinstance(v, np.ndarray) and v.dtype.kind in "fciub"}
-
-
-def _hdf5(file: Path) -> dict[str, Any]:
-    with h5py.File(file, "r") as content:
-        return {
-            k: _array(v)
-            for k, v in content.items()
-            if isinstance(v, h5py.Dataset) and bool(v.dtype.kind in "fciu" or v.dtype.names == ("real", "imag"))
-        }
-
-
-def _array(dataset: Any) -> Any:
-    raw = dataset[()]
-    values = raw if raw.dtype.names is None else raw["real"] + 1j * raw["imag"]
-    return np.asarray(values).T
-
-
-def _matrix(file: Path, variables: Mapping[str, Any], declaration: Declaration) -> str:
-    if (wanted := declaration.variable) is not None:
-        if wanted not in variables:
-            raise DataError(f"{file}: has no array '{wanted}'; it has {', '.join(sorted(variables))[:120]}")
-        return wanted
-    cubes = [k for k, v in variables.items() if v.ndim == 3]
-    if len(cubes) != 1:
-        described = ", ".join(f"{k} {v.shape}" for k, v in variables.items())
-        open_ends = {"variable": declare("variable", f"'{(cubes or ['G'])[0]}'"), **left_open(None, declaration)}
-        raise DataError(f"{file}: {len(cubes)} arrays have three axes ({described[:80]}); it {asked(open_ends)}")
-    warnings.warn(RecognitionWarning(str(file), "G", f"variable '{cubes[0]}'"), stacklevel=4)
-    return cubes[0]
-
-
-def _frequency(
-    file: Path, variables: Mapping[str, Any], matrix: str, shape: tuple[int, ...], declaration: Declaration
-) -> FloatArray | None:
-    if (name := declaration.frequency_variable) is not None:
-        if name not in variables:
-            raise DataError(f"{file}: has no frequency vector '{name}'; it has {', '.join(sorted(variables))[:120]}")
-        return np.asarray(variables[name], dtype=float).ravel()
-    if declaration.sample_rate is not None:
-        return None
-    fitting = [k for k, v in variables.items() if k != matrix and v.size == max(v.shape, default=0) and v.size in shape]
-    named = [k for k in fitting if k in _NAMES]
-    if len(named) != 1:
-        return None
-    warnings.warn(RecognitionWarning(str(file), "frequency", f"variable '{named[0]}' in Hz"), stacklevel=4)
-    return np.asarray(variables[named[0]], dtype=float).ravel()
 
 
 def write_mat73(
@@ -124,7 +98,13 @@ def write_mat73(
     memory = io.BytesIO()
     with h5py.File(memory, "w", userblock_size=512) as content:
         for name, array in _named(transfer, axes).items():
-            _store(content, name, array)
+            stored = array.T
+            if np.iscomplexobj(stored):
+                pairs = np.empty(stored.shape, dtype=[("real", "<f8"), ("imag", "<f8")])
+                pairs["real"], pairs["imag"] = stored.real, stored.imag
+                stored = pairs
+            dataset = content.create_dataset(name, data=stored)
+            dataset.attrs["MATLAB_class"] = np.bytes_("uint8" if array.dtype == np.uint8 else "double")
     whole = stamped(memory.getvalue(), b"MATLAB 7.3 MAT-file, ")
     whole = whole[:_VERSION_AT] + b"\0" * 8 + b"\x00\x02IM" + whole[_VERSION_AT + 12 :]
     with atomic_path(path) as beside:
@@ -148,13 +128,3 @@ def _named(transfer: TransferMatrix, axes: tuple[Axis, ...]) -> dict[str, Any]:
         "valid": np.transpose(valid, order).astype(np.uint8),
         "frequency_Hz": transfer.frequency[:, None],
     }
-
-
-def _store(content: Any, name: str, array: Any) -> None:
-    stored = array.T
-    if np.iscomplexobj(stored):
-        pairs = np.empty(stored.shape, dtype=[("real", "<f8"), ("imag", "<f8")])
-        pairs["real"], pairs["imag"] = stored.real, stored.imag
-        stored = pairs
-    dataset = content.create_dataset(name, data=stored)
-    dataset.attrs["MATLAB_class"] = np.bytes_("uint8" if array.dtype == np.uint8 else "double")

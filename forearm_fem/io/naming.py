@@ -11,7 +11,7 @@ import numpy as np
 
 from ..ports import Port
 from ..typing import BoolArray, ComplexArray
-from .recognition import RecognitionWarning
+from .reading import RecognitionWarning
 
 if TYPE_CHECKING:
     from .declaration import RawMatrix

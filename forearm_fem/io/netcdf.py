@@ -8,6 +8,7 @@ HDF5 reader opens it; complex numbers are the compound (r, i) that h5py, xarray 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, get_args
 
@@ -26,7 +27,21 @@ def write_transfer(path: str | Path, transfer: TransferMatrix, compliance: Compl
     """Write ``transfer``, and ``compliance`` on the same frequencies if given; see the module's heading."""
     if compliance is not None and not np.array_equal(compliance.frequency, transfer.frequency):
         raise DataError(f"{path}: G and the compliance have different frequencies; write them to two files")
-    variables = {**_transfer_variables(transfer), **(_compliance_variables(compliance) if compliance else {})}
+    dims, units = ("frequency", "output", "input"), {"units": transfer.unit}
+    optional = {
+        "G_contacts": (("frequency", "cone", "input"), transfer.contacts, units),
+        "G_valid": (dims, transfer.valid, {"long_name": "entries that may be used"}),
+        "G_deviation": (dims, transfer.deviation, {**units, "long_name": "standard deviation"}),
+    }
+    variables: Variables = {
+        "frequency": _frequency(transfer.frequency),
+        **port_variables("output", transfer.outputs),
+        **port_variables("input", transfer.inputs),
+        "G": (dims, transfer.values, {**units, "long_name": "displacement per unit drive"}),
+        **{name: parts for name, parts in optional.items() if parts[1] is not None},
+        **_error_variables("G", transfer.errors, dims[1:]),
+        **(_compliance_variables(compliance) if compliance else {}),
+    }
     provenance = {"G_provenance": provenance_json(transfer.provenance)}
     save(path, variables, {**_compliance_attributes(compliance), **provenance, "content": _CONTENT})
 
@@ -60,24 +75,6 @@ def read_compliance(path: str | Path) -> Compliance:
     return load(path, _CONTENT, _unpack_compliance)
 
 
-def _transfer_variables(transfer: TransferMatrix) -> Variables:
-    dims = ("frequency", "output", "input")
-    units = {"units": transfer.unit}
-    optional = {
-        "G_contacts": (("frequency", "cone", "input"), transfer.contacts, units),
-        "G_valid": (dims, transfer.valid, {"long_name": "entries that may be used"}),
-        "G_deviation": (dims, transfer.deviation, {**units, "long_name": "standard deviation"}),
-    }
-    return {
-        "frequency": _frequency(transfer.frequency),
-        **port_variables("output", transfer.outputs),
-        **port_variables("input", transfer.inputs),
-        "G": (dims, transfer.values, {**units, "long_name": "displacement per unit drive"}),
-        **{name: parts for name, parts in optional.items() if parts[1] is not None},
-        **_error_variables("G", transfer.errors, dims[1:]),
-    }
-
-
 def _compliance_variables(compliance: Compliance) -> Variables:
     note = {"units": "m/N", "long_name": "displacement per unit force; NaN for a point force under itself"}
     return {
@@ -104,7 +101,7 @@ def _error_variables(of: str, errors: tuple[ErrorEstimate, ...], pair: tuple[str
     if not errors:
         return {}
     row, bins = f"{of}_error", (f"{of}_error", f"{of}_error_bin")
-    return {
+    variables = {
         f"{of}_error_source": ((row,), labels(tuple(e.source for e in errors)), {}),
         f"{of}_error_method": ((row,), labels(tuple(e.method for e in errors)), {}),
         f"{of}_error_band": ((row,), np.array([e.band for e in errors]), {"units": "1"}),
@@ -114,19 +111,15 @@ def _error_variables(of: str, errors: tuple[ErrorEstimate, ...], pair: tuple[str
             _padded([e.per_frequency for e in errors]),
             {"units": "1", "long_name": "e(f)"},
         ),
-        **_of_pairs(of, errors, (*bins, *pair)),
     }
-
-
-def _of_pairs(of: str, errors: tuple[ErrorEstimate, ...], dims: tuple[str, ...]) -> Variables:
-    known = [e.per_pair for e in errors if e.per_pair is not None]
-    if not known:
-        return {}
-    values = np.full((len(errors), max(len(e.frequency) for e in errors), *known[0].shape[1:]), np.nan, np.float32)
-    for row, e in zip(values, errors, strict=True):
-        if e.per_pair is not None:
-            row[: len(e.per_pair)] = e.per_pair
-    return {f"{of}_error_per_pair": (dims, values, {"units": "1", "long_name": "|dG_ij| over the largest |G_ij|"})}
+    if known := [e.per_pair for e in errors if e.per_pair is not None]:
+        values = np.full((len(errors), max(len(e.frequency) for e in errors), *known[0].shape[1:]), np.nan, np.float32)
+        for row_of, e in zip(values, errors, strict=True):
+            if e.per_pair is not None:
+                row_of[: len(e.per_pair)] = e.per_pair
+        note = {"units": "1", "long_name": "|dG_ij| over the largest |G_ij|"}
+        variables[f"{of}_error_per_pair"] = ((*bins, *pair), values, note)
+    return variables
 
 
 def _padded(rows: list[tuple[float, ...]]) -> FloatArray:
@@ -140,18 +133,17 @@ def _errors_of(dataset: xr.Dataset, of: str) -> tuple[ErrorEstimate, ...]:
     names = text(dataset[f"{of}_error_source"].values), text(dataset[f"{of}_error_method"].values)
     numbers = (dataset[f"{of}_error_{key}"].values for key in ("band", "frequency", "per_frequency"))
     pairs = dataset[f"{of}_error_per_pair"].values if f"{of}_error_per_pair" in dataset else [None] * len(names[0])
-    return tuple(_estimate(*row) for row in zip(*names, *numbers, pairs, strict=True))
-
-
-def _estimate(
-    source: Any, method: str, band: float, frequency: FloatArray, size: FloatArray, pairs: FloatArray | None
-) -> ErrorEstimate:
-    if source not in get_args(ErrorSource):
-        raise ValueError(f"unknown error source '{source}'")
-    used = ~np.isnan(frequency)
-    bins, sizes = (tuple(a[used].tolist()) for a in (frequency, size))
-    of_pairs = None if pairs is None or np.isnan(pairs[used]).all() else np.asarray(pairs[used], dtype=float)
-    return ErrorEstimate(source, float(band), method, bins, sizes, of_pairs)
+    errors = list[ErrorEstimate]()
+    rows: Iterable[Any] = zip(*names, *numbers, pairs, strict=True)
+    for source, method, band, frequency, size, per_pair in rows:
+        if source not in get_args(ErrorSource):
+            raise ValueError(f"unknown error source '{source}'")
+        used = ~np.isnan(frequency)
+        bins, sizes = (tuple(a[used].tolist()) for a in (frequency, size))
+        known = per_pair is not None and not np.isnan(per_pair[used]).all()
+        of_pairs = np.asarray(per_pair[used], dtype=float) if known else None
+        errors.append(ErrorEstimate(source, float(band), method, bins, sizes, of_pairs))
+    return tuple(errors)
 
 
 def _unpack_transfer(dataset: xr.Dataset) -> TransferMatrix:

@@ -16,24 +16,25 @@ from ..errors import DataError
 from .atomic import atomic_path
 
 _log = logging.getLogger("forearm_fem.io")
-_DAMAGED = OSError, ValueError, KeyError, EOFError, BadZipFile
+DAMAGED = OSError, ValueError, KeyError, EOFError, BadZipFile
 
 
 @dataclass(frozen=True)
 class PartFolder:
-    """Arrays by the name of their part in ``folder``.
+    """Arrays by the name of their part in ``folder``; ``what`` each is called where it cannot be kept.
 
     A damaged part counts as missing, a folder that cannot be written to only costs the reuse.
     """
 
     folder: Path
+    what: str = "a finished part"
 
     def get(self, name: str) -> Mapping[str, Any] | None:
         """The arrays of a part, or None."""
         try:
             with (self.folder / f"{name}.npz").open("rb") as stream, np.load(stream, allow_pickle=False) as data:
                 return {key: data[key] for key in data.files}
-        except _DAMAGED:
+        except DAMAGED:
             return None
 
     def put(self, name: str, parts: Mapping[str, Any]) -> None:
@@ -42,7 +43,7 @@ class PartFolder:
             with atomic_path(self.folder / f"{name}.npz", durable=False) as target, open(target, "wb") as stream:
                 np.savez(stream, **parts)
         except (DataError, OSError) as problem:
-            _log.warning("a finished part could not be kept for a later run: %s", problem)
+            _log.warning("%s could not be kept for a later run: %s", self.what, problem)
 
     def drop(self) -> None:
         """Remove all parts."""

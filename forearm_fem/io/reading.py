@@ -1,4 +1,4 @@
-"""What goes wrong while a file is read, in one sentence that names it."""
+"""What goes wrong while a file is read, or is told from its shape or names and not declared, in one sentence."""
 
 from __future__ import annotations
 
@@ -36,3 +36,11 @@ def reading(file: Path, unreadable: str, *, seals: bool = True) -> Iterator[None
     except Exception as problem:
         why = " ".join(str(problem).split())[:120] or type(problem).__name__
         raise DataError(f"{file}: {unreadable.format(why=why)}") from problem
+
+
+class RecognitionWarning(UserWarning):
+    """Something about a file was recognised, not declared; ``what`` names it and ``chosen`` is what was taken."""
+
+    def __init__(self, file: str, what: str, chosen: str) -> None:
+        super().__init__(f"{file}: {what} recognised as {chosen}; declare it to be sure")
+        self.file, self.what, self.chosen = file, what, chosen

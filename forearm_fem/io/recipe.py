@@ -14,7 +14,7 @@ from ..errors import DataError, first_problem
 from ..scenario.base import Part, Positive
 from ..scenario.toml import read_toml
 from ..transfer import TransferMatrix
-from ..typing import ComplexArray, FloatArray
+from ..typing import FloatArray
 from .declaration import Declaration, RawMatrix, declared_by, understand
 
 AxisName = Annotated[str, Field(pattern=r"^[a-z_]+$")]
@@ -89,7 +89,10 @@ def load_recipe(path: str | Path) -> ImportRecipe:
 
 def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix:
     """G from the recipe's files in ``folder``; DataError for missing, short or contradictory ones."""
-    array, axes = _stacked(recipe.array, Path(folder))
+    stack, arrays = recipe.array.stack, [_array(recipe.array, Path(folder) / name) for name in recipe.array.files]
+    array, axes = arrays[0], list(recipe.array.axes)
+    if stack is not None:
+        array, axes = np.stack(arrays, axis=-1), [*axes, stack]
     array, axes = _selected(recipe, array, axes)
     domain = "frequency" if recipe.time is None else "time"
     if sorted(axes) != sorted((domain, "output", "input")):
@@ -98,7 +101,13 @@ def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix
             "one index along every other axis"
         )
     ordered = np.transpose(array, [axes.index(a) for a in (domain, "output", "input")])
-    values, frequency = (ordered.astype(complex), None) if recipe.time is None else _spectrum(ordered, recipe.time)
+    values, frequency = ordered.astype(complex), None
+    if (time := recipe.time) is not None:  # one-sided, phases referred to the sample ``zero``
+        if time.zero >= len(ordered):
+            raise DataError(f"time.zero = {time.zero} lies outside the {len(ordered)} samples of the responses")
+        values = rfft(np.roll(ordered, -time.zero, axis=0), axis=0)
+        values = values if time.per_sample else values / time.sample_rate
+        frequency = rfftfreq(len(ordered), 1 / time.sample_rate)
     raw = RawMatrix(
         recipe.name,
         values,
@@ -111,18 +120,17 @@ def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix
         return understand(raw, recipe.declaration)
 
 
-def _stacked(recipe: ArrayRecipe, folder: Path) -> tuple[FloatArray, list[str]]:
-    arrays = [_array(recipe, folder / name) for name in recipe.files]
-    if recipe.stack is None:
-        return arrays[0], list(recipe.axes)
-    return np.stack(arrays, axis=-1), [*recipe.axes, recipe.stack]
-
-
 def _array(recipe: ArrayRecipe, file: Path) -> FloatArray:
     if not file.is_file():
         raise DataError(f"{file}: no such file; the recipe expects it here")
     try:
-        numbers = np.load(file, allow_pickle=False) if recipe.format == "npy" else _raw_numbers(recipe, file)
+        if recipe.format == "npy":
+            numbers = np.load(file, allow_pickle=False)
+        else:
+            content = file.read_bytes()[recipe.skip :]
+            if len(content) % np.dtype(recipe.dtype).itemsize:
+                raise ValueError(f"{len(content)} bytes are no whole number of items")
+            numbers = np.frombuffer(content, dtype=recipe.dtype)
     except (ValueError, TypeError, EOFError) as problem:
         raise DataError(f"{file}: cannot be read as {recipe.format} {recipe.dtype}: {problem}") from None
     expected = int(np.prod(recipe.shape))
@@ -136,13 +144,6 @@ def _array(recipe: ArrayRecipe, file: Path) -> FloatArray:
     )
 
 
-def _raw_numbers(recipe: ArrayRecipe, file: Path) -> FloatArray:
-    content = file.read_bytes()[recipe.skip :]
-    if len(content) % np.dtype(recipe.dtype).itemsize:
-        raise ValueError(f"{len(content)} bytes are no whole number of items")
-    return np.frombuffer(content, dtype=recipe.dtype)
-
-
 def _selected(recipe: ImportRecipe, array: FloatArray, axes: list[str]) -> tuple[FloatArray, list[str]]:
     """Indices taken; an axis of which one index is left, and which is no axis of G, disappears."""
     for name, wanted in recipe.array.select.items():
@@ -154,15 +155,3 @@ def _selected(recipe: ImportRecipe, array: FloatArray, axes: list[str]) -> tuple
         array = np.take(array, np.array(wanted) - 1, axis=at)
     extra = [k for k, a in enumerate(axes) if a not in ("time", "frequency", "output", "input") and array.shape[k] == 1]
     return np.squeeze(array, axis=tuple(extra)), [a for k, a in enumerate(axes) if k not in extra]
-
-
-def _spectrum(response: FloatArray, time: TimeRecipe) -> tuple[ComplexArray, FloatArray]:
-    """One-sided spectrum (n // 2 + 1, n_out, n_in), phase referred to sample ``zero``, and its frequencies
-    [Hz].
-    """
-    n = len(response)
-    if time.zero >= n:
-        raise DataError(f"time.zero = {time.zero} lies outside the {n} samples of the responses")
-    spectrum = rfft(np.roll(response, -time.zero, axis=0), axis=0)
-    values = spectrum if time.per_sample else spectrum / time.sample_rate
-    return np.asarray(values), np.asarray(rfftfreq(n, 1 / time.sample_rate))

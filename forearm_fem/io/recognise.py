@@ -66,18 +66,15 @@ def _refuse(file: Path, declaration: Declaration) -> None:
 
 
 def _mat(file: Path, declaration: Declaration, ports: Ports | None) -> TransferMatrix:
-    if declaration == Declaration() and _is_ours(file):
-        return read_thesis_mat(file)
+    if declaration == Declaration():
+        try:
+            names = {name for name, _, _ in whosmat(file, appendmat=False)}
+        except Exception:  # version 7.3 or damaged: the reader will say
+            names = set()
+        # a thesis-shaped file of forearm_fem carries its convention and ports
+        if {"G", "time_convention", "units", "excited", "grid_positions_m"} <= names:
+            return read_thesis_mat(file)
     return understand(read_mat(file, declaration), declaration, ports)
-
-
-def _is_ours(file: Path) -> bool:
-    """Whether it is a thesis-shaped file of forearm_fem, which carries its convention and ports."""
-    try:
-        names = {name for name, _, _ in whosmat(file, appendmat=False)}
-    except Exception:  # version 7.3 or damaged: the reader will say
-        return False
-    return {"G", "time_convention", "units", "excited", "grid_positions_m"} <= names
 
 
 def _recipe(file: Path, declaration: Declaration, ports: Ports | None) -> TransferMatrix:

@@ -53,12 +53,12 @@ def write_reduced(path: str | Path, content: ReducedFile) -> None:
 
 def read_reduced(path: str | Path) -> ReducedFile:
     """What :func:`write_reduced` wrote; DataError if the file is missing, damaged or something else."""
-    return load(path, _CONTENT, _unpack)
 
+    def unpack(dataset: xr.Dataset) -> ReducedFile:
+        poles = {name: np.asarray(dataset[name].values, dtype=complex) for name in POLES if name in dataset}
+        return ReducedFile(*read_terms(dataset), poles)
 
-def _unpack(dataset: xr.Dataset) -> ReducedFile:
-    poles = {name: np.asarray(dataset[name].values, dtype=complex) for name in POLES if name in dataset}
-    return ReducedFile(*read_terms(dataset), poles)
+    return load(path, _CONTENT, unpack)
 
 
 def term_variables(content: ReducedTerms) -> dict[str, Any]:
@@ -79,15 +79,11 @@ def read_terms(
     """The fields of :class:`ReducedTerms` in their order."""
     functional, share = (np.asarray(dataset[name].values, dtype=float) for name in ("functional", "share"))
     names, scenario = tuple(text(dataset["term"].values)), json.loads(dataset.attrs["scenario"])
-    return names, _matrices(dataset), functional, share, ports_of(dataset, "port"), scenario
-
-
-def _matrices(dataset: xr.Dataset) -> FloatArray:
-    """Whole matrices; files before version 0.4 held them whole."""
-    if "matrix" in dataset:
-        return np.asarray(dataset["matrix"].values, dtype=float)
-    upper, size = np.asarray(dataset["upper"].values, dtype=float), dataset.sizes["row"]
-    rows, columns = np.triu_indices(size)
-    matrices = np.empty((len(upper), size, size))
-    matrices[:, rows, columns] = matrices[:, columns, rows] = upper
-    return matrices
+    if "matrix" in dataset:  # files before version 0.4 held them whole
+        matrices = np.asarray(dataset["matrix"].values, dtype=float)
+    else:
+        upper, size = np.asarray(dataset["upper"].values, dtype=float), dataset.sizes["row"]
+        rows, columns = np.triu_indices(size)
+        matrices = np.empty((len(upper), size, size))
+        matrices[:, rows, columns] = matrices[:, columns, rows] = upper
+    return names, matrices, functional, share, ports_of(dataset, "port"), scenario

@@ -1,8 +1,13 @@
-"""CSV of the signal strength S: ``target,group,method,S,S_low,S_high,S_record,window``."""
+"""CSV of the signal strength S: ``target,group,method,S,S_low,S_high,S_record,window``.
+
+As other programs must read such tables as they are, their checksums lie beside them: ``NAME.sha256``, as sha256sum
+writes it.
+"""
 
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import math
 from collections.abc import Iterable, Sequence
@@ -14,7 +19,7 @@ import numpy as np
 from ..errors import DataError
 from ..metrics.strength import GROUPS
 from ..typing import FloatArray
-from .sidefile import read_with_side, write_with_side
+from .atomic import atomic_path, write_bytes
 
 _HEADER = ("target", "group", "method", "S", "S_low", "S_high", "S_record", "window")
 _OLDER = _HEADER[:4]  # until 0.13.1
@@ -79,22 +84,17 @@ def write_signal_strength_csv(path: str | Path, rows: Iterable[StrengthRow]) -> 
 def read_signal_strength_csv(path: str | Path) -> tuple[StrengthRow, ...]:
     """The rows as written; DataError for a missing file, another header or a line that does not fit."""
     try:
-        lines = list(csv.reader(io.StringIO(_read(path))))
+        lines = list(csv.reader(io.StringIO(read_with_side(path).decode())))
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as problem:
+        raise DataError(f"{path}: cannot be read as text ({problem})") from None
     except csv.Error as problem:
         raise DataError(f"{path}: cannot be read as a table ({problem})") from None
     header = lines[0] if lines else []
     if tuple(header) not in (_HEADER, _OLDER):
         raise DataError(f"{path}: expected the header {','.join(_HEADER)}, got '{','.join(header)}'")
     return tuple(_row(path, number, line) for number, line in enumerate(lines[1:], start=2))
-
-
-def _read(path: str | Path) -> str:
-    try:
-        return read_with_side(path).decode()
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise DataError(f"{path}: cannot be read as text ({problem})") from None
 
 
 def _row(path: str | Path, number: int, line: list[str]) -> StrengthRow:
@@ -108,3 +108,29 @@ def _row(path: str | Path, number: int, line: list[str]) -> StrengthRow:
         raise DataError(
             f"{path}, line {number}: expected {','.join(_HEADER)} with S a number, got {','.join(line)}"
         ) from None
+
+
+def write_with_side(path: str | Path, content: bytes) -> None:
+    """``content``, and its checksum beside it: both or neither."""
+    digest = hashlib.sha256(content).hexdigest()
+    with atomic_path(_side(Path(path))) as side:
+        side.write_bytes(f"{digest}  {Path(path).name}\n".encode())
+        write_bytes(path, content)
+
+
+def read_with_side(path: str | Path) -> bytes:
+    """The file's bytes; DataError where they do not match the checksum beside them, if there is one.
+
+    Raises OSError for a file that cannot be read. A copy without its checksum is taken as it is.
+    """
+    content, side = Path(path).read_bytes(), _side(Path(path))
+    if side.is_file() and side.read_bytes().split()[:1] != [hashlib.sha256(content).hexdigest().encode()]:
+        raise DataError(
+            f"{path}: its contents do not match its checksum: cut short, damaged or edited; make it again, or delete "
+            f"{side.name} if you edited it on purpose"
+        )
+    return content
+
+
+def _side(file: Path) -> Path:
+    return file.with_name(f"{file.name}.sha256")

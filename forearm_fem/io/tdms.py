@@ -49,7 +49,13 @@ def write_tdms(path: str | Path, transfer: TransferMatrix) -> None:
         _channel(tdms, "frequency", transfer.frequency, "Hz"),
     ]
     for o, i in np.ndindex(*transfer.values.shape[1:]):
-        parts += _entry(tdms, transfer, o, i)
+        name, value = f"{o + 1}<-{i + 1}", transfer.values[:, o, i]
+        parts.append(_channel(tdms, f"{name} re", value.real, transfer.unit))
+        parts.append(_channel(tdms, f"{name} im", value.imag, transfer.unit))
+        if transfer.valid is not None:
+            parts.append(_channel(tdms, f"{name} valid", transfer.valid[:, o, i].astype(np.uint8), ""))
+        if transfer.deviation is not None:
+            parts.append(_channel(tdms, f"{name} deviation", transfer.deviation[:, o, i], transfer.unit))
     content = _sealed(tdms, _GROUP, parts)
     with atomic_path(path) as beside:
         beside.write_bytes(content)
@@ -65,19 +71,6 @@ def _sealed(tdms: Any, group: str, parts: list[Any]) -> bytes:
     with tdms.TdmsWriter(memory) as writer:
         writer.write_segment([*parts, end])
     return sealed(memory.getvalue())
-
-
-def _entry(tdms: Any, transfer: TransferMatrix, o: int, i: int) -> list[Any]:
-    name, value = f"{o + 1}<-{i + 1}", transfer.values[:, o, i]
-    parts = [
-        _channel(tdms, f"{name} re", value.real, transfer.unit),
-        _channel(tdms, f"{name} im", value.imag, transfer.unit),
-    ]
-    if transfer.valid is not None:
-        parts.append(_channel(tdms, f"{name} valid", transfer.valid[:, o, i].astype(np.uint8), ""))
-    if transfer.deviation is not None:
-        parts.append(_channel(tdms, f"{name} deviation", transfer.deviation[:, o, i], transfer.unit))
-    return parts
 
 
 def _channel(tdms: Any, name: str, data: Any, unit: str) -> Any:

@@ -47,7 +47,15 @@ def write_uff(path: str | Path, transfer: TransferMatrix) -> None:
         raise DataError(f"{path}: {bad} entries of G are not finite; mark them in `valid` before writing UFF")
     blocks = [_header(transfer)]
     for o, i in np.ndindex(*transfer.values.shape[1:]):
-        blocks += _entry(transfer, valid[:, o, i], o, i)
+        some = valid[:, o, i]
+        if not some.any():
+            continue
+        x, drive = transfer.frequency[some], transfer.unit.rpartition("/")[2]
+        blocks.append(_dataset58("frequency response", 4, (o, i), x, transfer.values[some, o, i], drive))
+        if transfer.deviation is not None:
+            size = transfer.deviation[some, o, i]
+            known = np.isfinite(size)
+            blocks += [_dataset58(_DEVIATION, 0, (o, i), x[known], size[known], drive)] if known.any() else []
     with atomic_path(path) as beside:
         beside.write_bytes(sealed(b"".join([*blocks, _END_SEAL])))
         _compare(path, transfer, valid, read_uff(beside))
@@ -63,7 +71,26 @@ def read_uff(path: str | Path) -> RawMatrix:
     """
     file = Path(path)
     with reading(file, "damaged or not a universal file ({why})"):
-        return _read(file)
+        if file.read_bytes().count(b"    -1") % 2:
+            raise DataError(f"{file}: a dataset has no end mark; the file is cut short")
+        content = _pyuff().UFF(str(file))
+        functions = [k for k, kind in enumerate(content.get_set_types()) if kind == 58]
+        read = content.read_sets(functions) if functions else []
+        sets: list[dict[str, Any]] = read if isinstance(read, list) else [read]
+        responses = [s for s in sets if s.get("type") == 58 and s.get("func_type") == 4]
+        if not responses:
+            raise DataError(
+                f"{file}: holds no frequency response functions (dataset 58, type 4); export those from the analyser"
+            )
+        for s in responses:
+            _check_count(file, s)
+        own = _own_ports(file)
+        x = np.unique(np.concatenate([s["x"] for s in responses]))
+        nodes = [sorted({int(s[k]) for s in responses}) for k in ("rsp_node", "ref_node")]
+        if own is not None:
+            nodes = [list(range(1, len(p) + 1)) for p in (own["outputs"], own["inputs"])]
+        values, valid = _cube(file, responses, x, nodes)
+        return _raw(file, sets, x, values, valid, nodes, own)
 
 
 def _pyuff() -> Any:
@@ -76,19 +103,6 @@ def _header(transfer: TransferMatrix) -> bytes:
     text = json.dumps({"unit": transfer.unit, **arbitrary_gain(transfer.provenance), **ports}, ensure_ascii=True)
     lines = [BLANK.decode(), *(f"|{text[k : k + 72]}|" for k in range(0, len(text), 72))]
     return "\n".join([_END, f"{_PRIVATE:6d}", _MARK, *lines, _END, ""]).encode("ascii")
-
-
-def _entry(transfer: TransferMatrix, valid: BoolArray, o: int, i: int) -> list[bytes]:
-    """The response of one entry on its valid bins, and its deviation where that is known."""
-    if not valid.any():
-        return []
-    x, drive = transfer.frequency[valid], transfer.unit.rpartition("/")[2]
-    sets = [_dataset58("frequency response", 4, (o, i), x, transfer.values[valid, o, i], drive)]
-    if transfer.deviation is not None:
-        size = transfer.deviation[valid, o, i]
-        known = np.isfinite(size)
-        sets += [_dataset58(_DEVIATION, 0, (o, i), x[known], size[known], drive)] if known.any() else []
-    return sets
 
 
 def _dataset58(title: str, kind: int, place: tuple[int, int], x: FloatArray, data: Any, drive: str) -> bytes:
@@ -108,33 +122,6 @@ def _dataset58(title: str, kind: int, place: tuple[int, int], x: FloatArray, dat
         row.format(0, 0, 0, 0, "NONE", "NONE"),
     ]
     return "\n".join([*lines, ""]).encode("ascii") + body + f"{_END}\n".encode("ascii")
-
-
-def _read(file: Path) -> RawMatrix:
-    sets = _sets(file)
-    responses = [s for s in sets if s.get("type") == 58 and s.get("func_type") == 4]
-    if not responses:
-        raise DataError(
-            f"{file}: holds no frequency response functions (dataset 58, type 4); export those from the analyser"
-        )
-    for s in responses:
-        _check_count(file, s)
-    own = _own_ports(file)
-    x = np.unique(np.concatenate([s["x"] for s in responses]))
-    nodes = [sorted({int(s[k]) for s in responses}) for k in ("rsp_node", "ref_node")]
-    if own is not None:
-        nodes = [list(range(1, len(p) + 1)) for p in (own["outputs"], own["inputs"])]
-    values, valid = _cube(file, responses, x, nodes)
-    return _raw(file, sets, x, values, valid, nodes, own)
-
-
-def _sets(file: Path) -> list[dict[str, Any]]:
-    if file.read_bytes().count(b"    -1") % 2:
-        raise DataError(f"{file}: a dataset has no end mark; the file is cut short")
-    content = _pyuff().UFF(str(file))
-    functions = [k for k, kind in enumerate(content.get_set_types()) if kind == 58]
-    read = content.read_sets(functions) if functions else []
-    return read if isinstance(read, list) else [read]
 
 
 def _check_count(file: Path, s: dict[str, Any]) -> None:
@@ -196,7 +183,12 @@ def _raw(
 ) -> RawMatrix:
     responses = [s for s in sets if s.get("func_type") == 4]
     unit, quantity = _units(file, responses)
-    first = responses[0]
+    first, deviation = responses[0], None
+    for s in (s for s in sets if s.get("type") == 58 and str(s.get("id1", "")).strip() == _DEVIATION):
+        if deviation is None:
+            deviation = np.full(values.shape, np.nan)
+        place = nodes[0].index(int(s["rsp_node"])), nodes[1].index(int(s["ref_node"]))
+        deviation[np.searchsorted(x, s["x"]), place[0], place[1]] = s["data"]
     return RawMatrix(
         name=str(file),
         values=values,
@@ -209,22 +201,11 @@ def _raw(
         outputs=None if own is None else tuple(port_from(p) for p in own["outputs"]),
         inputs=None if own is None else tuple(port_from(p) for p in own["inputs"]),
         valid=valid,
-        deviation=_deviation(sets, x, nodes),
+        deviation=deviation,
         provenance={"format": "UFF 58", **arbitrary_gain(own or {})},
         names=None if own is not None else (tuple(map(str, nodes[0])), tuple(f"A{n}" for n in nodes[1])),
         numbered=True,
     )
-
-
-def _deviation(sets: Sequence[dict[str, Any]], x: FloatArray, nodes: list[list[int]]) -> FloatArray | None:
-    ours = [s for s in sets if s.get("type") == 58 and str(s.get("id1", "")).strip() == _DEVIATION]
-    if not ours:
-        return None
-    out = np.full((len(x), len(nodes[0]), len(nodes[1])), np.nan)
-    for s in ours:
-        place = nodes[0].index(int(s["rsp_node"])), nodes[1].index(int(s["ref_node"]))
-        out[np.searchsorted(x, s["x"]), place[0], place[1]] = s["data"]
-    return out
 
 
 def _own_ports(file: Path) -> dict[str, Any] | None:

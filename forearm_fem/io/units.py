@@ -41,7 +41,7 @@ class Unit:
 def parse_unit(text: str) -> Unit:
     """The unit ``text``; DataError, with examples, if it is not a motion over a drive."""
     plain = re.sub(r"[()\[\]\s]", "", text).replace("s²", "s^2").replace("s2", "s^2").replace("/s/s", "/s^2")
-    plain = plain.replace("um", "um").replace("*", "")
+    plain = plain.replace("*", "")
     match = _SHAPE.match(plain)
     if match is None:
         raise DataError(f"unit '{text}' is not a motion over a drive; write e.g. m/V, mm/V, (mm/s)/V, m/s^2/N or g/N")

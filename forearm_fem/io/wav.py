@@ -59,15 +59,12 @@ def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tup
         rate, samples = wavfile.read(file)
     columns = samples.reshape(len(samples), -1).T
     if not np.issubdtype(columns.dtype, np.floating):
-        columns = _scaled(file, columns, full_scale)
+        if full_scale is None:
+            raise DataError(f"{file}: has integer samples; say how many volts full scale is (full_scale)")
+        if columns.dtype == np.uint8:
+            columns = (columns.astype(float) - 128) / 128 * full_scale
+        else:
+            columns = columns.astype(float) / -float(np.iinfo(columns.dtype.name).min) * full_scale
     if not np.all(np.isfinite(columns)):
         raise DataError(f"{file}: holds samples that are not finite; it must not be played")
     return np.ascontiguousarray(columns, dtype=float), float(rate)
-
-
-def _scaled(file: Path, columns: FloatArray, full_scale: float | None) -> FloatArray:
-    if full_scale is None:
-        raise DataError(f"{file}: has integer samples; say how many volts full scale is (full_scale)")
-    if columns.dtype == np.uint8:
-        return np.asarray((columns.astype(float) - 128) / 128 * full_scale)
-    return np.asarray(columns.astype(float) / -float(np.iinfo(columns.dtype.name).min) * full_scale)

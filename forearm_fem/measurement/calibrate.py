@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,17 +56,8 @@ class Plan:
     @property
     def wiring(self) -> Wiring:
         """Channels of the device."""
-        daq = self.options.daq
-        inputs = (daq.sensor,) if daq.loopback is None else (daq.sensor, daq.loopback)
-        return Wiring(
-            self.sweep.sample_rate,
-            daq.outputs,
-            inputs,
-            daq.input_range,
-            daq.output_range,
-            daq.block,
-            daq.clock,
-        )
+        loopback = self.options.daq.loopback
+        return Wiring.of(self.options.daq, self.sweep.sample_rate, *(() if loopback is None else (loopback,)))
 
     @property
     def description(self) -> dict[str, Any]:
@@ -107,11 +98,28 @@ def calibrate(
     follows a stop, with everything taken so far saved. Calling again resumes.
     """
     store = _store(plan, folder)
-    entries: list[Entry] = []
-    for measured in _walk(plan, daq, store, operator, stop, retries):
-        entries.append(measured.entry)
+    entries, aimed = list[Entry](), None
+    for o, i in plan.entries:
+        try:
+            kept = store.get(plan.outputs[o].name, plan.inputs[i].name)
+        except DataError:  # damaged: it is measured again
+            kept = None
+        if kept is not None:
+            entries.append(_entry(plan, kept))
+        else:
+            if aimed != o:
+                port = plan.outputs[o]
+                x, y = (1e3 * c for c in port.position[:2])
+                told = f"aim the laser at point {port.name} (x = {x:.1f} mm, y = {y:.1f} mm)"
+                if operator is not None and not operator(told):
+                    raise HardwareError(
+                        f"stopped by the operator before point {port.name}; run the same command to go on"
+                    )
+                daq.aim(port.name)
+                aimed = o
+            entries.append(_measure(plan, daq, store, (o, i), stop, retries))
         if after is not None:
-            after(Step(tuple(entries), len(plan.entries), measured.reused))
+            after(Step(tuple(entries), len(plan.entries), kept is not None))
     return assembled(plan, entries, daq.name)
 
 
@@ -133,50 +141,10 @@ def collected(plan: Plan, folder: str | Path) -> Measured:
     return Measured(measured.transfer, measured.coherence, measured.missing, (*measured.findings, *damaged))
 
 
-@dataclass(frozen=True)
-class _Taken:
-    entry: Entry
-    reused: bool
-
-
 def _store(plan: Plan, folder: str | Path) -> Folder:
     store = Folder(Path(folder), digest_of(plan.description))
     store.begin({"plan": plan.description})
     return store
-
-
-def _walk(
-    plan: Plan,
-    daq: Daq,
-    store: Folder,
-    operator: Callable[[str], bool] | None,
-    stop: Callable[[], bool] | None,
-    retries: int,
-) -> Iterator[_Taken]:
-    aimed: int | None = None
-    for o, i in plan.entries:
-        recording = _kept(store, plan.outputs[o].name, plan.inputs[i].name)
-        if recording is not None:
-            yield _Taken(_entry(plan, recording), True)
-            continue
-        if aimed != o:
-            port = plan.outputs[o]
-            x, y = (1e3 * c for c in port.position[:2])
-            if operator is not None and not operator(
-                f"aim the laser at point {port.name} (x = {x:.1f} mm, y = {y:.1f} mm)"
-            ):
-                raise HardwareError(f"stopped by the operator before point {port.name}; run the same command to go on")
-            daq.aim(port.name)
-            aimed = o
-        yield _Taken(_measure(plan, daq, store, (o, i), stop, retries), False)
-
-
-def _kept(store: Folder, output: str, source: str) -> Recording | None:
-    """What is on disk, unless it is damaged: then it is measured again."""
-    try:
-        return store.get(output, source)
-    except DataError:
-        return None
 
 
 def _measure(

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..errors import HardwareError
 from ..progress import Progress, tell
+from ..scenario.measurement import DaqOptions
 from ..typing import FloatArray
 
 
@@ -33,6 +34,13 @@ class Wiring:
     output_range: float = 10.0
     block: int = 2000
     clock: str = "inputs"
+
+    @classmethod
+    def of(cls, options: DaqOptions, sample_rate: float, *beside: str) -> Self:
+        """The outputs and the sensor's input of ``options``, and the inputs ``beside`` it."""
+        inputs = (options.sensor, *beside)
+        ranges = options.input_range, options.output_range
+        return cls(sample_rate, options.outputs, inputs, *ranges, options.block, options.clock)
 
 
 class Daq(Protocol):
@@ -112,22 +120,18 @@ class OpenDevice:
         for start in range(0, queued.shape[1], size):
             block = queued[:, start : start + size]
             stopped = stop is not None and stop()
-            got.append(self._exchange(faded_out(block, fade) if stopped else block))
+            got.append(self._daq.exchange(faded_out(block, fade) if stopped else block))
+            expected = (len(self.wiring.inputs), block.shape[1])
+            if got[-1].shape != expected:
+                raise HardwareError(
+                    f"{self._daq.name}: asked for {expected[1]} samples on {expected[0]} channel(s), got shape "
+                    f"{got[-1].shape}: samples were lost; use a larger daq.block or a lower rate"
+                )
             if stopped:
                 played = min(start + min(fade, block.shape[1]), signals.shape[1])
                 return Capture(np.concatenate(got, axis=1)[:, ahead:], played, True)
             tell(progress, "samples played", min(start + size, queued.shape[1]), queued.shape[1])
         return Capture(np.concatenate(got, axis=1)[:, ahead:], signals.shape[1], False)
-
-    def _exchange(self, block: FloatArray) -> FloatArray:
-        got = self._daq.exchange(block)
-        expected = (len(self.wiring.inputs), block.shape[1])
-        if got.shape != expected:
-            raise HardwareError(
-                f"{self._daq.name}: asked for {expected[1]} samples on {expected[0]} channel(s), got shape "
-                f"{got.shape}: samples were lost; use a larger daq.block or a lower rate"
-            )
-        return got
 
 
 def check_limit(signals: FloatArray, limit: float) -> None:

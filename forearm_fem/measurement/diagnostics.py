@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -32,45 +32,32 @@ def diagnose(recording: Recording, band: BoolArray, *, max_drift: float = 0.05) 
 
     Data that are not finite or that stand still end the search: the other checks would only repeat it.
     """
-    for check in (_not_finite, _no_drive, _still):
-        if found := list(check(recording)):
-            return tuple(found)
-    checks: tuple[Callable[[], Iterator[Finding]], ...] = (
-        lambda: _hardware(recording),
-        lambda: _clipped(recording),
-        lambda: _loopback(recording, band),
-        lambda: _lost(recording),
-        lambda: _silent(recording, band),
-        lambda: _moved(recording, band, max_drift),
+    if (hopeless := _hopeless(recording)) is not None:
+        return (hopeless,)
+    return (
+        *(Finding("hardware", f"{recording.label}: {note}", "warning") for note in recording.notes),
+        *_clipped(recording),
+        *_loopback(recording, band),
+        *_lost(recording),
+        *_silent(recording, band),
+        *_moved(recording, band, max_drift),
     )
-    return tuple(finding for check in checks for finding in check())
 
 
-def _not_finite(r: Recording) -> Iterator[Finding]:
+def _hopeless(r: Recording) -> Finding | None:
     if bad := int(np.count_nonzero(~np.isfinite(r.response))):
-        yield Finding("not finite", f"{r.label}: {bad} of {r.response.size} samples are not numbers; record it again")
-
-
-def _no_drive(r: Recording) -> Iterator[Finding]:
+        return Finding("not finite", f"{r.label}: {bad} of {r.response.size} samples are not numbers; record it again")
     if not np.all(np.isfinite(r.sent)) or not np.any(r.sent):
-        yield Finding(
-            "no drive",
-            f"{r.label}: the drive is zero or not finite, so nothing can be divided by it; check the sweep",
+        return Finding(
+            "no drive", f"{r.label}: the drive is zero or not finite, so nothing can be divided by it; check the sweep"
         )
-
-
-def _still(r: Recording) -> Iterator[Finding]:
     if np.ptp(r.response) <= 1.5 * r.resolution:
-        yield Finding(
+        return Finding(
             "dead channel",
             f"{r.label}: the sensor's channel stands still at "
             f"{np.mean(r.response):.4g} V; check its cable, power and range",
         )
-
-
-def _hardware(r: Recording) -> Iterator[Finding]:
-    for note in r.notes:
-        yield Finding("hardware", f"{r.label}: {note}", "warning")
+    return None
 
 
 def _clipped(r: Recording) -> Iterator[Finding]:

@@ -13,7 +13,7 @@ from ..errors import DataError
 from ..io.recording import Recording
 from ..io.units import to_displacement
 from ..ports import Port
-from ..scenario.measurement import MeasurementOptions, Quantity
+from ..scenario.measurement import MeasurementOptions
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .diagnostics import Finding, diagnose
@@ -46,46 +46,40 @@ def entry(recording: Recording, band: tuple[float, float], options: MeasurementO
     recording, an entry is marked in ``valid``; its value is what was measured, never filled in. Raises
     DataError where the sensor's quantity or sensitivity is not declared.
     """
-    factor_at = _conversion(recording, options)
+    sensor = options.sensor
+    if sensor.quantity is None or sensor.sensitivity is None:
+        raise DataError(
+            "the sensor is not declared: set measurement.sensor.quantity to displacement, velocity or acceleration "
+            "and measurement.sensor.sensitivity in V per m, m/s or m/s^2"
+        )
     carried = excited(recording.sent, recording.sample_rate, band, options.energy_floor)
     bins = rfftfreq(recording.n, 1 / recording.sample_rate)
     inside = (bins > 0) & (bins >= band[0] - 1e-9) & (bins <= band[1] + 1e-9)
     findings = diagnose(recording, carried, max_drift=options.max_drift)
+    names, frequency = (recording.output, recording.input), bins[inside]
     if any(f.severity == "error" and f.kind in _HOPELESS for f in findings):
-        return _nothing(recording, inside, findings)
+        empty = np.full(len(frequency), np.nan)
+        return Entry(*names, frequency, empty + 0j, empty, empty, np.zeros(len(frequency), dtype=bool), findings)
     drive = np.broadcast_to(recording.sent, recording.response.shape)
     if recording.loopback is not None:
         drive = recording.loopback * options.daq.amplifier_gain
     raw = estimate(
         options.estimator, spectra(drive, recording.response, carried), carried, options, recording.sample_rate
     )
-    frequency = bins[inside]
-    factor = factor_at(frequency)
+    # metres per volt of the sensor, with the known delays taken out
+    delay = sensor.delay + (options.daq.latency if recording.loopback is None else 0.0)
+    turn, sign = np.exp(2j * np.pi * frequency * delay), -1.0 if sensor.inverted else 1.0
+    factor = sign / sensor.sensitivity * turn * to_displacement(frequency, sensor.quantity)
     value = np.where(carried[inside], raw.value[inside] * factor, np.nan)
     deviation = raw.deviation[inside] * np.abs(factor)
     spoiled = any(f.severity == "error" for f in findings)
     valid = (
         carried[inside] & raw.usable[inside] & ~_below(value, deviation, raw.coherence[inside], options) & (not spoiled)
     )
-    return Entry(
-        recording.output,
-        recording.input,
-        frequency,
-        value,
-        deviation,
-        raw.coherence[inside],
-        np.asarray(valid),
-        findings,
-    )
+    return Entry(*names, frequency, value, deviation, raw.coherence[inside], np.asarray(valid), findings)
 
 
 _HOPELESS = frozenset({"not finite", "no drive"})
-
-
-def _nothing(r: Recording, inside: BoolArray, findings: tuple[Finding, ...]) -> Entry:
-    frequency = rfftfreq(r.n, 1 / r.sample_rate)[inside]
-    empty = np.full(len(frequency), np.nan)
-    return Entry(r.output, r.input, frequency, empty + 0j, empty, empty, np.zeros(len(frequency), dtype=bool), findings)
 
 
 def _below(value: ComplexArray, deviation: FloatArray, coherence: FloatArray, options: MeasurementOptions) -> BoolArray:
@@ -93,30 +87,6 @@ def _below(value: ComplexArray, deviation: FloatArray, coherence: FloatArray, op
     with np.errstate(invalid="ignore"):
         faint = np.abs(value) < options.signal_floor * deviation
         return np.asarray(faint | (coherence < options.min_coherence))
-
-
-@dataclass(frozen=True)
-class _Conversion:
-    quantity: Quantity
-    sensitivity: float
-    sign: float
-    delay: float
-
-    def __call__(self, frequency: FloatArray) -> ComplexArray:
-        """Metres per volt of the sensor (n,), with the known delays taken out."""
-        phase = np.exp(2j * np.pi * frequency * self.delay)
-        return np.asarray(self.sign / self.sensitivity * phase * to_displacement(frequency, self.quantity))
-
-
-def _conversion(r: Recording, options: MeasurementOptions) -> _Conversion:
-    sensor = options.sensor
-    if sensor.quantity is None or sensor.sensitivity is None:
-        raise DataError(
-            "the sensor is not declared: set measurement.sensor.quantity to displacement, velocity or acceleration "
-            "and measurement.sensor.sensitivity in V per m, m/s or m/s^2"
-        )
-    latency = options.daq.latency if r.loopback is None else 0.0
-    return _Conversion(sensor.quantity, sensor.sensitivity, -1.0 if sensor.inverted else 1.0, sensor.delay + latency)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,16 +148,12 @@ def _copies(entries: Sequence[Entry]) -> tuple[Finding, ...]:
     found = []
     for e in entries:
         key, label = e.value.tobytes(), f"{e.output} <- {e.input}"
-        if key in seen and _noisy(e):
+        known = np.isfinite(e.value) & np.isfinite(e.deviation) & (e.value != 0)
+        if key in seen and known.any() and np.median(e.deviation[known] / np.abs(e.value[known])) > 1e-6:
             sentence = f"{label} is identical to {seen[key]}: one of them was saved under a wrong name"
             found.append(Finding("copy", sentence))
         seen.setdefault(key, label)
     return tuple(found)
-
-
-def _noisy(e: Entry) -> bool:
-    known = np.isfinite(e.value) & np.isfinite(e.deviation) & (e.value != 0)
-    return bool(known.any() and np.median(e.deviation[known] / np.abs(e.value[known])) > 1e-6)
 
 
 def noise_estimate(

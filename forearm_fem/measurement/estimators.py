@@ -82,25 +82,25 @@ def spectra(drive: FloatArray, response: FloatArray, band: BoolArray) -> Spectra
 
     xx, yy = average(drive, drive).real, average(response, response).real
     xy = average(drive, response)
-    return Spectra(xx, yy, xy, repeats, _noise(xx, yy, xy, repeats, band))
-
-
-def _noise(xx: FloatArray, yy: FloatArray, xy: ComplexArray, repeats: int, band: BoolArray) -> FloatArray:
-    out = np.full(len(xx), np.nan)
+    noise = np.full(len(xx), np.nan)
     if repeats > 1 and band.any():
         rest = yy[band] - np.divide(np.abs(xy[band]) ** 2, xx[band])
         even = uniform_filter1d(np.maximum(rest, 0), _SMOOTH, mode="nearest")
-        out[band] = np.maximum(even, 0) * repeats / (repeats - 1)
-        return out
-    above = np.nonzero(band)[0][-1] + 1 if band.any() else 0
-    quiet = yy[int(1.2 * above) : -1]
-    return np.where(band, np.mean(quiet) if quiet.size >= 10 else np.nan, np.nan)
+        noise[band] = np.maximum(even, 0) * repeats / (repeats - 1)
+    else:
+        above = np.nonzero(band)[0][-1] + 1 if band.any() else 0
+        quiet = yy[int(1.2 * above) : -1]
+        noise[band] = np.mean(quiet) if quiet.size >= 10 else np.nan
+    return Spectra(xx, yy, xy, repeats, noise)
 
 
 def estimate(kind: Estimator, s: Spectra, band: BoolArray, options: MeasurementOptions, rate: float) -> Estimate:
     """The estimate ``kind`` asks for, zero outside ``band``; ``rate`` is the sample rate [Hz]."""
-    if kind == "deconvolution":
-        return _deconvolution(s, band, options, rate)
+    if kind == "deconvolution":  # S_xy / (S_xx + lambda max S_xx), optionally cut to a window of the impulse response
+        below = s.xx + options.regularisation * s.xx[band].max(initial=0)
+        value = np.where(band, _ratio(s.xy, below), 0)
+        plain = Estimate(value, _deviation(s, below, band), s.coherence, band)
+        return plain if options.window is None else _windowed(plain, band, options.window, rate)
     value = np.where(band, _ESTIMATORS[kind](s), 0)
     return Estimate(value, _deviation(s, s.xx, band), s.coherence, band)
 
@@ -136,14 +136,6 @@ def _ratio(a: ComplexArray, b: FloatArray | ComplexArray) -> ComplexArray:
 _ESTIMATORS: Mapping[str, Callable[[Spectra], ComplexArray]] = MappingProxyType(
     {"fourier": _h1, "H1": _h1, "H2": _h2, "Hv": _hv}
 )
-
-
-def _deconvolution(s: Spectra, band: BoolArray, options: MeasurementOptions, rate: float) -> Estimate:
-    """S_xy / (S_xx + lambda max S_xx), optionally cut to ``options.window`` seconds of impulse response."""
-    below = s.xx + options.regularisation * s.xx[band].max(initial=0)
-    value = np.where(band, _ratio(s.xy, below), 0)
-    plain = Estimate(value, _deviation(s, below, band), s.coherence, band)
-    return plain if options.window is None else _windowed(plain, band, options.window, rate)
 
 
 def _windowed(plain: Estimate, band: BoolArray, window: float, rate: float) -> Estimate:

@@ -13,8 +13,9 @@ with an error instead of repeating old samples. Tested against nidaqmx's task in
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -29,6 +30,15 @@ _SAME = 1e-6  # relative: rates closer than this are the same
 FROM_INPUTS, FROM_TRIGGER = "inputs", "trigger"
 _OTHER_CLOCK = "try measurement.daq.clock = 'trigger' or 'inputs'"
 _NO_ROUTE = (-89120, -89136, -89137, -89138, -89139, -89140, -200368, -200369, -200370)
+_ADVICE: Mapping[int, str] = MappingProxyType({  # on the errors that are met in practice
+    -200279: "samples were lost because they were not read in time, use a larger daq.block; ",
+    -200290: "the outputs ran dry because the computer was too slow, use a larger daq.block; ",
+    -200220: "no such device, check daq.outputs and daq.sensor against NI MAX; ",
+    -200170: "no such channel, check daq.outputs and daq.sensor against NI MAX; ",
+    **dict.fromkeys(_NO_ROUTE, f"the chassis has no such route between the tasks, {_OTHER_CLOCK}; "),
+    -200077: f"the module takes no such value; if that is the clock, {_OTHER_CLOCK}; ",
+    -50103: "another program holds the channels, close it; ",
+})  # fmt: skip
 
 
 class NiDaq:
@@ -176,19 +186,5 @@ def _named(doing: str, call: Callable[[], T]) -> T:
     except Exception as problem:  # nidaqmx raises DaqError, and DaqNotFoundError without a driver
         text = " ".join(str(problem).split()) or type(problem).__name__
         raise HardwareError(
-            f"NI device, {doing}: {_advice(getattr(problem, 'error_code', None))}{text[:300]}"
+            f"NI device, {doing}: {_ADVICE.get(getattr(problem, 'error_code', 0), '')}{text[:300]}"
         ) from problem
-
-
-def _advice(code: int | None) -> str:
-    """What to do about the errors that are met in practice."""
-    known = {
-        -200279: "samples were lost because they were not read in time, use a larger daq.block; ",
-        -200290: "the outputs ran dry because the computer was too slow, use a larger daq.block; ",
-        -200220: "no such device, check daq.outputs and daq.sensor against NI MAX; ",
-        -200170: "no such channel, check daq.outputs and daq.sensor against NI MAX; ",
-        **dict.fromkeys(_NO_ROUTE, f"the chassis has no such route between the tasks, {_OTHER_CLOCK}; "),
-        -200077: f"the module takes no such value; if that is the clock, {_OTHER_CLOCK}; ",
-        -50103: "another program holds the channels, close it; ",
-    }
-    return known.get(code, "") if code is not None else ""

@@ -55,16 +55,7 @@ def play(
     fade = round(options.fade * sample_rate)
     silence = np.zeros((len(signals), round(pause * sample_rate)))
     once = np.concatenate([faded(signals, fade), silence], axis=1) / options.amplifier_gain
-    wiring = Wiring(
-        sample_rate,
-        options.outputs,
-        (options.sensor,),
-        options.input_range,
-        options.output_range,
-        options.block,
-        options.clock,
-    )
-    with OpenDevice(daq, wiring) as session:
+    with OpenDevice(daq, Wiring.of(options, sample_rate)) as session:
         limit = options.max_voltage / options.amplifier_gain
         got = session.play(np.tile(once, repeats), limit=limit, fade=fade, stop=stop, progress=progress)
     return Played(got.inputs[0], np.abs(signals).max(axis=1), got.played / sample_rate, got.stopped)

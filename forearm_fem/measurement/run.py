@@ -138,11 +138,7 @@ def run_loopback(scenario: Scenario, *, daq: Literal["ni", "sound"] | Daq, card:
         options = wired(options, len(options.outputs), daq)
     device = hardware(daq, options, card) if isinstance(daq, str) else daq
     level = min(0.1, options.max_voltage / options.amplifier_gain, options.output_range)
-    wiring = Wiring(
-        scenario.sweep.sample_rate, options.outputs, (options.sensor,), options.input_range, options.output_range,
-        options.block, options.clock,
-    )  # fmt: skip
-    return loopback(device, wiring, level=level)
+    return loopback(device, Wiring.of(options, scenario.sweep.sample_rate), level=level)
 
 
 def wired(options: DaqOptions, count: int, kind: DaqKind | Daq) -> DaqOptions:

@@ -17,7 +17,7 @@ from ..io.units import to_displacement
 from ..rendering.spectrum import Record, place
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
-from ..typing import ComplexArray, FloatArray
+from ..typing import FloatArray
 from .daq import Wiring
 
 
@@ -133,32 +133,24 @@ class VirtualDaq:
         fail = self._options.faults.fail_at
         if fail is not None and self._tick + block.shape[1] > fail:
             raise HardwareError("the device stopped answering (simulated); check its USB cable and power")
-        now = self._inputs(block)
-        self._tick += block.shape[1]
-        queue = np.concatenate([self._history, now], axis=1)
-        self._history = queue[:, block.shape[1] :]
-        return queue[:, : block.shape[1]]
+        m = block.shape[1]
+        # what a cable from the driven output brings back: as late as the sensor, by the same inputs
+        cable = np.concatenate([self._cable, block[np.argmax(np.abs(block).max(axis=1))]])
+        self._cable = cable[m:]
+        rows = [self._sensor(block), cable[:m]][: len(self._wiring.inputs)]
+        noisy = np.stack(rows) + self._options.noise * self._rng.standard_normal((len(rows), m))
+        clipped = np.clip(noisy, -self._range, self._range)
+        volts = clipped if self._options.bits == 0 else np.round(clipped / self.resolution) * self.resolution
+        if (broken := self._options.faults.nan_at) is not None:
+            volts = np.where(self._tick + np.arange(m) == broken, np.nan, volts)
+        queue = np.concatenate([self._history, self._late_by_drop(volts)], axis=1)
+        self._tick += m
+        self._history = queue[:, m:]
+        return queue[:, :m]
 
     def close(self) -> None:
         """Nothing to silence."""
         self._wiring = None
-
-    def _inputs(self, block: FloatArray) -> FloatArray:
-        assert self._wiring is not None
-        sensor = self._sensor(block)
-        rows = [sensor, self._returned(block)][: len(self._wiring.inputs)]
-        noisy = np.stack(rows) + self._options.noise * self._rng.standard_normal((len(rows), block.shape[1]))
-        clipped = np.clip(noisy, -self._range, self._range)
-        volts = clipped if self._options.bits == 0 else np.round(clipped / self.resolution) * self.resolution
-        if (broken := self._options.faults.nan_at) is not None:
-            volts = np.where(self._tick + np.arange(volts.shape[1]) == broken, np.nan, volts)
-        return self._late_by_drop(volts)
-
-    def _returned(self, block: FloatArray) -> FloatArray:
-        """What a cable from the driven output brings back (m,): as late as the sensor, by the same inputs."""
-        whole = np.concatenate([self._cable, block[np.argmax(np.abs(block).max(axis=1))]])
-        self._cable = whole[block.shape[1] :]
-        return whole[: block.shape[1]]
 
     def _sensor(self, block: FloatArray) -> FloatArray:
         """The vibrometer's volts (m,): streaming convolution by overlap and add, then drift and saturation."""
@@ -168,14 +160,11 @@ class VirtualDaq:
         whole = irfft(np.sum(rfft(block, length) * kernels, axis=0), length)[: m + n - 1]
         whole = whole + np.concatenate([self._tail, np.zeros(m)])
         self._tail = whole[m:]
-        limit = self._options.sensor.saturation
-        return np.asarray(np.clip(whole[:m] * self._gain(m), -limit, limit))
-
-    def _gain(self, m: int) -> FloatArray:
         faults, tick = self._options.faults, self._tick + np.arange(m)
         moved = np.zeros(m, dtype=bool) if faults.moved_at is None else tick >= faults.moved_at
         gain = (1 + faults.drift * tick / self._record.sample_rate) * np.where(moved, faults.moved_gain, 1.0)
-        return np.asarray(gain * (not faults.blind))
+        limit = self._options.sensor.saturation
+        return np.asarray(np.clip(whole[:m] * (gain * (not faults.blind)), -limit, limit))
 
     def _late_by_drop(self, volts: FloatArray) -> FloatArray:
         """From the lost buffer on, everything comes ``count`` samples late, with the last one repeated meanwhile."""
@@ -199,15 +188,11 @@ def _kernels(transfer: TransferMatrix, record: Record, options: VirtualOptions) 
     full = np.zeros((record.n // 2 + 1, *placed.bins.values.shape[1:]), dtype=complex)
     full[placed.bins.index] = np.where(placed.bins.valid, placed.bins.values, 0)
     full[:, :, list(options.faults.dead_inputs)] = 0
-    sensed = full * _sensitivity(record, options)[:, None, None]
-    return np.ascontiguousarray(irfft(sensed, record.n, axis=0).transpose(1, 2, 0))
-
-
-def _sensitivity(record: Record, options: VirtualOptions) -> ComplexArray:
-    """Volts per metre (n_bins,), with the latency."""
     f = np.maximum(record.frequency, record.df)
-    sensed = options.sensor.sensitivity / to_displacement(f, options.sensor.quantity)
-    return np.asarray(sensed * np.exp(-2j * np.pi * record.frequency * options.latency / record.sample_rate))
+    volts = options.sensor.sensitivity / to_displacement(f, options.sensor.quantity)  # per metre
+    volts = volts * np.exp(-2j * np.pi * record.frequency * options.latency / record.sample_rate)
+    sensed = full * volts[:, None, None]
+    return np.ascontiguousarray(irfft(sensed, record.n, axis=0).transpose(1, 2, 0))
 
 
 def noise_for(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +14,11 @@ from ..fem.reduction.expansion import Snapshots
 from ..fem.reduction.sweep import SweepResult, direct_sweep, reduced_sweep
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.supports import Supports
-from ..tissue import Tissue, resolve_tissues
+from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, refuse_non_finite
 from ..typing import ComplexArray, FloatArray
 from .second_mesh import Second
@@ -61,7 +62,7 @@ def solve_fem(
         )  # fmt: skip
     else:
         result = direct_sweep(model, frequency, scenario.solver, progress=progress)
-    compliance = Compliance(frequency, masked(result.values, model), model.ports, _errors(result))
+    compliance = Compliance(frequency, masked(result.values, model.ports), model.ports, _errors(result))
     refuse_non_finite("the compliance", frequency, compliance.values[:, :, compliance.indices("contact")])
     return FemSolution(compliance, result, model)
 
@@ -76,7 +77,7 @@ def fem_model(scenario: Scenario, mesh: TissueMesh, *, supports: Supports | None
     return build_model(
         mesh,
         place_ports(scenario, mesh),
-        fem_tissues(scenario),
+        resolve_tissues(scenario),
         supports or scenario.supports,
         scenario.tissues.membrane,
         element=scenario.element,
@@ -84,17 +85,10 @@ def fem_model(scenario: Scenario, mesh: TissueMesh, *, supports: Supports | None
     )
 
 
-def fem_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
-    """The scenario's tissues by name."""
-    return resolve_tissues(scenario)
-
-
-def masked(values: ComplexArray, model: ForearmModel) -> ComplexArray:
+def masked(values: ComplexArray, ports: Sequence[Port]) -> ComplexArray:
     """Compliance with the self terms of points (infinite for a point force) set to NaN."""
-    result = np.array(values, dtype=complex)
-    for i, port in enumerate(model.ports):
-        if port.kind == "point":
-            result[:, i, i] = np.nan
+    result, points = np.array(values, dtype=complex), [i for i, p in enumerate(ports) if p.kind == "point"]
+    result[:, points, points] = np.nan
     return result
 
 
@@ -118,7 +112,7 @@ def freed_ends(solution: FemSolution) -> Compliance | None:
         return None
     some = own.frequency[truncation_probes(len(own.frequency), FREED_PROBES)]
     values = reduced.changed(dict.fromkeys(names, Polynomial())).compliance(some)
-    return Compliance(some, masked(values, solution.model), own.ports)
+    return Compliance(some, masked(values, own.ports), own.ports)
 
 
 def other_ends(second: Second, frequency: FloatArray) -> Compliance:
@@ -131,7 +125,7 @@ def other_ends(second: Second, frequency: FloatArray) -> Compliance:
     other = scenario.supports.model_copy(update={"ends": "absorb" if scenario.supports.ends != "absorb" else "fixed"})
     model = fem_model(scenario, mesh, supports=other)
     values = direct_sweep(model, probes, scenario.solver).values
-    return Compliance(probes, masked(values, model), model.ports)
+    return Compliance(probes, masked(values, model.ports), model.ports)
 
 
 def truncation_probes(n: int, count: int = TRUNCATION_PROBES) -> list[int]:

@@ -40,7 +40,6 @@ from ..results import (
     ResolutionRecord,
     RunRecord,
     SolutionRecord,
-    StageCost,
     StrengthRecord,
     condition_of,
     read_run,
@@ -49,15 +48,15 @@ from ..results import (
 from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
-from .actuator_notes import actuator_notes
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
+from .notes import actuator_notes
 from .renderers import check_servable, wavelet
 from .resources import Ledger
 from .simulation import AnswersForArm, Simulation, account_of, render_transfer, simulate, with_device
 from .skin_model import save_skin_model
 from .solved import solve
-from .strengths import StrengthAccount, finer_than_known
+from .strengths import finer_than_known
 from .unread import unread_notes
 from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
@@ -161,28 +160,23 @@ def run_render(run: Run) -> Rendering:
 
 def _solved(run: Run) -> TransferMatrix:
     refuse_other_g(run.out / "transfer.nc", measured=False)
-    mesh = run_mesh(run)
+    scenario, mesh = run.scenario, run_mesh(run)
     with run.stage("solve"):
-        simulation = _simulated(run, mesh)
+        if mesh is None:
+            found = simulate(scenario, base=run.base, progress=run.progress, library=run.library)
+        else:
+            expected = forecast(scenario, base=run.base, mesh=mesh)
+            refuse_if_too_large(expected, scenario)
+            for sentence in expected.sentences(float(frequencies(scenario.sweep)[-1])):
+                warnings.warn(sentence, AccuracyWarning, stacklevel=2)
+            solved = solve(scenario, mesh, frequencies(scenario.sweep), base=run.base, progress=run.progress)
+            found = with_device(scenario, mesh, solved)
+        run.notes += found.notes
+        solver = found.solved.facts.solver if found.solved is not None else None
+        transfer = replace(found.transfer, provenance=provenance(scenario, mesh, solver))
     with run.stage("write"):
-        _write_solution(run, simulation)
-    return simulation.transfer
-
-
-def _simulated(run: Run, mesh: TissueMesh | None) -> Simulation:
-    scenario = run.scenario
-    if mesh is None:
-        result = simulate(scenario, base=run.base, progress=run.progress, library=run.library)
-    else:
-        expected = forecast(scenario, base=run.base, mesh=mesh)
-        refuse_if_too_large(expected, scenario)
-        for sentence in expected.sentences(float(frequencies(scenario.sweep)[-1])):
-            warnings.warn(sentence, AccuracyWarning, stacklevel=2)
-        solved = solve(scenario, mesh, frequencies(scenario.sweep), base=run.base, progress=run.progress)
-        result = with_device(scenario, mesh, solved)
-    run.notes += result.notes
-    solver = result.solved.facts.solver if result.solved is not None else None
-    return replace(result, transfer=replace(result.transfer, provenance=provenance(scenario, mesh, solver)))
+        _write_solution(run, replace(found, transfer=transfer))
+    return transfer
 
 
 def provenance(scenario: Scenario, mesh: TissueMesh | None, solver: str | None) -> dict[str, Any]:
@@ -220,8 +214,16 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
             run.notes.append(_WITHOUT_SHARE)
     if simulation.solved is not None and simulation.solved.skin is not None:
         save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
-    facts = simulation.solved.facts if simulation.solved else SolutionRecord()
-    parts = {"facts": facts, "mesh": _mesh_record(run, simulation.mesh)}
+    facts, record = simulation.solved.facts if simulation.solved else SolutionRecord(), MeshRecord()
+    if (mesh := simulation.mesh) is not None:
+        quality = mesh_quality(mesh, expected_volume=limb_volume(scenario))
+        resolution = forecast(scenario, base=run.base, mesh=mesh).resolution
+        record = MeshRecord(
+            sha256=mesh.digest,
+            quality=QualityRecord(**{**asdict(replace(quality, volumes={})), "volumes": dict(quality.volumes)}),
+            resolution=tuple(ResolutionRecord(**asdict(r)) for r in resolution),
+        )
+    parts = {"facts": facts, "mesh": record}
     write_json(out / "solution.json", {name: part.model_dump(mode="json") for name, part in parts.items()})
 
 
@@ -256,7 +258,21 @@ def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
     with run.stage("render"):
         rendering = render_transfer(run.scenario, transfer, base=run.base, progress=run.progress)
         account = account_of(run.scenario, transfer, rendering, base=run.base)
-        _write_rendering(run, rendering, transfer, account)
+        time = next(iter(rendering.values())).drives.time
+        signals = {key: r.drives.signals for key, r in rendering.items()}
+        moves = {key: r.displacements.values for key, r in rendering.items()}
+        sent = stack(signals, tuple(p.name for p in transfer.inputs), time, transfer.unit.partition("/")[2])
+        write_drives(run.out / "drives.nc", sent)
+        moved = stack(moves, tuple(p.name for p in transfer.outputs), time, "m")
+        write_displacements(run.out / "displacements.nc", moved)
+        rows = strength_rows(
+            account.methods, account.targets, account.value, (account.low, account.high), account.record,
+            account.window, grouped=is_thesis_grid(transfer.outputs),
+        )  # fmt: skip
+        write_signal_strength_csv(run.out / "signal_strength.csv", rows)
+        if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
+            with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:
+                beside.write_bytes((run.base / file).read_bytes())
         said = (
             *unknown_strengths(rendering), *rendering.exceeded, rendering.bridged.sentence, account.unknown,
             finer_than_known(account, transfer.errors),
@@ -264,24 +280,6 @@ def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
         run.notes += [s for s in said if s]
     write_json(run.out / "signal_strength.json", account.as_json())
     return rendering
-
-
-def _write_rendering(run: Run, rendering: Rendering, transfer: TransferMatrix, account: StrengthAccount) -> None:
-    first = next(iter(rendering.values()))
-    time = first.drives.time
-    signals = {key: r.drives.signals for key, r in rendering.items()}
-    moves = {key: r.displacements.values for key, r in rendering.items()}
-    volts = transfer.unit.partition("/")[2]
-    write_drives(run.out / "drives.nc", stack(signals, tuple(p.name for p in transfer.inputs), time, volts))
-    write_displacements(run.out / "displacements.nc", stack(moves, tuple(p.name for p in transfer.outputs), time, "m"))
-    rows = strength_rows(
-        account.methods, account.targets, account.value, (account.low, account.high), account.record, account.window,
-        grouped=is_thesis_grid(transfer.outputs),
-    )  # fmt: skip
-    write_signal_strength_csv(run.out / "signal_strength.csv", rows)
-    if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
-        with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:
-            beside.write_bytes((run.base / file).read_bytes())
 
 
 def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
@@ -297,22 +295,17 @@ def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
     )
 
 
-def _mesh_record(run: Run, mesh: TissueMesh | None) -> MeshRecord:
-    if mesh is None:
-        return MeshRecord()
-    quality = mesh_quality(mesh, expected_volume=limb_volume(run.scenario))
-    expected = forecast(run.scenario, base=run.base, mesh=mesh)
-    return MeshRecord(
-        sha256=mesh.digest,
-        quality=QualityRecord(**{**asdict(replace(quality, volumes={})), "volumes": dict(quality.volumes)}),
-        resolution=tuple(ResolutionRecord(**asdict(r)) for r in expected.resolution),
-    )
-
-
 def _write_run(run: Run) -> None:
     """``run.json``: the whole account; stages not run now keep their account of last time."""
     target = run.out / "run.json"
-    before = _stages_before(target)
+    try:
+        stages = dict(read_run(target).stages)
+    except DataError:
+        stages = {}
+    for name, cost in run.ledger.stages.items():
+        # what it cost when it was computed: a stage that only reused results keeps its older, larger account
+        if name not in stages or cost.seconds >= stages[name].seconds:
+            stages[name] = cost
     transfer, solution = read_transfer(run.out / "transfer.nc"), _read_json(run.out / "solution.json")
     account = RunRecord(
         scenario=run.scenario.model_dump(mode="json"),
@@ -320,7 +313,7 @@ def _write_run(run: Run) -> None:
         program=__version__,
         mesh=MeshRecord.model_validate(solution.get("mesh", {})),
         solution=SolutionRecord.model_validate(solution.get("facts", {})),
-        stages={name: _first_cost(cost, before.get(name)) for name, cost in {**before, **run.ledger.stages}.items()},
+        stages=stages,
         errors=tuple(ErrorRecord.of(e) for e in transfer.errors),
         accuracy=accuracy_verdict(run.scenario, transfer.errors),
         condition_number=condition_of(transfer),
@@ -328,18 +321,6 @@ def _write_run(run: Run) -> None:
         notes=tuple(dict.fromkeys(run.notes)),
     )
     write_run(target, account)
-
-
-def _stages_before(target: Path) -> dict[str, StageCost]:
-    try:
-        return dict(read_run(target).stages)
-    except DataError:
-        return {}
-
-
-def _first_cost(cost: StageCost, before: StageCost | None) -> StageCost:
-    """What the stage cost when it was computed: a stage that only reused results keeps its older, larger account."""
-    return before if before and before.seconds > cost.seconds else cost
 
 
 def _read_json(path: Path) -> dict[str, Any]:

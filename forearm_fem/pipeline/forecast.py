@@ -78,7 +78,10 @@ def forecast(
     ports = place_ports(scenario, mesh)
     orders = element_orders(mesh, ports, scenario.element)
     unknowns = 3 * orders.spread.shape[1] + orders.spread_pressures.shape[1]
-    rate = _starts_from_rate(scenario, mesh)
+    # as ``expansion.starts_from_rate`` finds on the assembled model
+    tissues = resolve_tissues(scenario)
+    polynomial = all(is_polynomial(tissues[name].modulus) for name in mesh.region_names)
+    rate = polynomial and scenario.solver.start != "frequencies"
     factorisations = _FROM_RATE if rate else scenario.solver.expansions + 1.0
     if scenario.solver.sweep == "direct":
         factorisations = len(frequencies(scenario.sweep))
@@ -107,11 +110,14 @@ def doubts_of(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
             f"limb: is {size[long]:.0f} mm long in {'xyz'[long]}, but {size[0]:.0f} mm in x, which is taken for the "
             "way to the elbow (+z for the volar side); turn the files unless that is meant"
         )
-    elif uncut := _uncut(mesh):
-        found.append(
-            f"limb: no plane cut end across x was found at its {' and its '.join(uncut)} x, which is free skin where "
-            "waves turn back; cut it across x, flat to a thousandth of its length, unless that is meant"
-        )
+    else:
+        x = mesh.points[:, 0]
+        at, middle = x[mesh.facets.get("end", np.zeros((0, 3), dtype=np.int64))[:, 0]], (x.min() + x.max()) / 2
+        if uncut := [side for side, cut in (("smallest", at < middle), ("largest", at > middle)) if not cut.any()]:
+            found.append(
+                f"limb: no plane cut end across x was found at its {' and its '.join(uncut)} x, which is free skin "
+                "where waves turn back; cut it across x, flat to a thousandth of its length, unless that is meant"
+            )
     if isinstance(limb, SurfacesLimb):
         written = [name for name in limb.surfaces if name in mesh.region_names]
         found += [
@@ -123,14 +129,6 @@ def doubts_of(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _uncut(mesh: TissueMesh) -> list[str]:
-    """Which of the "smallest" and the "largest" x have no cut end."""
-    x = mesh.points[:, 0]
-    at = x[mesh.facets.get("end", np.zeros((0, 3), dtype=np.int64))[:, 0]]
-    middle = (x.min() + x.max()) / 2
-    return [side for side, found in (("smallest", at < middle), ("largest", at > middle)) if not found.any()]
-
-
 def _factor_bytes(scenario: Scenario, unknowns: int, *, rate: bool) -> float:
     """Factors and what their making needs; where resonances turn out to be sharp a certificate needs twice that."""
     double = 1.5 * _power(_BYTES, unknowns)
@@ -140,13 +138,6 @@ def _factor_bytes(scenario: Scenario, unknowns: int, *, rate: bool) -> float:
         return double / 2
     passing = rate and scenario.solver.sweep == "reduced" and reduction_tolerance(scenario) >= ROUNDED
     return double / 2 * _FRONTS * (_PASSING if passing else 1.0)
-
-
-def _starts_from_rate(scenario: Scenario, mesh: TissueMesh) -> bool:
-    """Whether the sweep will, as ``expansion.starts_from_rate`` finds on the assembled model."""
-    tissues = resolve_tissues(scenario)
-    able = all(is_polynomial(tissues[name].modulus) for name in mesh.region_names)
-    return able and scenario.solver.start != "frequencies"
 
 
 def _basis_bytes(scenario: Scenario, unknowns: int, ports: Sequence[Port], *, rate: bool) -> float:

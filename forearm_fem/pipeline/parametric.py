@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,6 @@ from scipy.stats import qmc
 from .. import __version__
 from ..errors import DataError, ReductionError, ScenarioError
 from ..fem.assembly.model import readings
-from ..fem.assembly.terms import term_coefficient
 from ..fem.kernels.heap import freed_memory_kept
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.growing import TrialSolve
@@ -36,10 +36,10 @@ from ..scenario import Scenario, parse_scenario
 from ..tissue import limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
-from .fem_engine import fem_model
+from .fem_engine import fem_model, masked
 from .frequencies import frequencies
 from .missed import Missed, evened
-from .skin_model import check_followable, with_scenario
+from .skin_model import check_followable, coefficients_of, with_scenario
 from .solved import solve_key
 
 _log = logging.getLogger("forearm_fem.pipeline")
@@ -86,16 +86,12 @@ class Ranges:
             found = {"kelvin-voigt": {"mu": mu * stiff, "eta": eta * viscous}}
             low, high = self.stiffening
             found["zener"] = {**found["kelvin-voigt"], "mu_infinity": mu * stiff * low * (high / low) ** place[2]}
-            found["springpot"] = _springpot(abs(modulus) * stiff, float(np.interp(place[2], [0, 1], self.exponents)))
+            exponent = float(np.interp(place[2], [0, 1], self.exponents))
+            size = (abs(modulus) * stiff / omega**exponent) ** (1 / (1 - exponent))  # |mu*| at 100 Hz
+            found["springpot"] = {"mu": float(size), "exponent": exponent, "eta": 1.0}
             data["tissues"]["override"][name] = {**kept, "model": law, **found[law]}
         data["tissues"]["membrane"]["tension"] = float(np.interp(places[-1], [0, 1], self.tension))
         return parse_scenario(data)
-
-
-def _springpot(size: float, exponent: float) -> dict[str, float]:
-    """Parameters of |mu*| = ``size`` [Pa] at 100 Hz."""
-    mu = (size / (2 * np.pi * _TYPICAL) ** exponent) ** (1 / (1 - exponent))
-    return {"mu": float(mu), "exponent": exponent, "eta": 1.0}
 
 
 def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
@@ -157,19 +153,19 @@ class ParametricModel:
         values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
         for piece, mine in self._asked(scenario, frequency):
             values[mine] = Summed.of(self._drawn(piece, scenario)[0].whole).compliance(frequency[mine])
-        return self._known(values)
-
-    def _known(self, values: ComplexArray) -> ComplexArray:
-        """The same without what points do under themselves, in place."""
-        points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
-        values[:, points, points] = np.nan
-        return values
+        return masked(values, self.ports)
 
     def _asked(self, scenario: Scenario, frequency: FloatArray) -> list[tuple[Piece, BoolArray]]:
         """Pieces of the band with the places (n,) of the frequencies that they answer; raises as :meth:`compliance`."""
         grid = {"grid"} if self.follows(scenario) else set()
         check_followable(self.scenario, scenario, self.names, unread={*_UNREAD, *grid})
-        self._check_band(frequency)
+        band = frequencies(self.scenario.sweep)
+        beyond = frequency[(frequency < band[0] / BEYOND) | (frequency > band[-1] * BEYOND)]
+        if len(beyond):
+            raise ReductionError(
+                f"{beyond[0]:g} Hz is outside the band of this parametric model, {band[0]:g} to {band[-1]:g} Hz; make "
+                "one for a wider band (sweep.f_min, sweep.f_max)"
+            )
         places = [np.array([piece_at(self.pieces, f) is p for f in frequency], dtype=bool) for p in self.pieces]
         return [(piece, mine) for piece, mine in zip(self.pieces, places, strict=True) if mine.any()]
 
@@ -182,7 +178,7 @@ class ParametricModel:
             found.append(self._answered(*self._drawn(piece, scenario), frequency[mine]))
             values[mine] = found[-1].values
         missed = self._missed(found)
-        return Compliance(frequency, self._known(values), self.ports, (self._error(found, missed),)), missed
+        return Compliance(frequency, masked(values, self.ports), self.ports, (self._error(found, missed),)), missed
 
     def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, ReducedModel]:
         """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies, and the whole
@@ -223,30 +219,14 @@ class ParametricModel:
     def _fitted(
         self, nodes: FloatArray, values: ComplexArray, frequency: FloatArray
     ) -> tuple[ComplexArray, FloatArray]:
-        """Rational functions at ``frequency`` through ``values`` at the ``nodes``, and what they miss of these
-        (n_port, n_port), in shares of the largest entry of points under contacts.
-
-        They go through the upper triangle, which keeps them reciprocal, contacts' entries first.
-        """
-        contact = np.array([p.kind == "contact" for p in self.ports])
-        rows, columns = np.triu_indices(len(self.ports))
-        order = np.argsort(~(contact[rows] | contact[columns]), kind="stable")
-        rows, columns = rows[order], columns[order]
-        watched = int((contact[rows] | contact[columns]).sum()) or None
-        entries = (values / self._undone())[:, rows, columns]
-        fit = rational(nodes, entries, _BETWEEN, watched)
-        sizes = np.abs(values[(slice(None), *self._block)]).max(axis=(1, 2))
-        out = np.empty((len(frequency), *values.shape[1:]), dtype=complex)
-        missed = np.zeros((len(self.ports), len(self.ports)))
-        out[:, rows, columns] = out[:, columns, rows] = fit.at(frequency)
-        left = np.abs(fit.at(nodes) - entries) / sizes[:, None]
-        missed[rows, columns] = missed[columns, rows] = left.max(axis=0)
-        return np.asarray(out * self._undone()), missed
-
-    def _undone(self) -> FloatArray:
-        """Shares of force, 1 where a force has no symmetric solution."""
+        """Rational functions at ``frequency`` through ``values`` at the ``nodes`` (:func:`reciprocal`), and what they
+        miss of these (n_port, n_port), in shares of the largest entry of points under contacts."""
         shares = self.pieces[0].whole.shares
-        return np.where(np.isfinite(shares), shares, 1.0)
+        shares = np.where(np.isfinite(shares), shares, 1.0)  # 1 where a force has no symmetric solution
+        fit = reciprocal(nodes, values / shares, [p.kind == "contact" for p in self.ports], _BETWEEN)
+        sizes = np.abs(values[(slice(None), *self._block)]).max(axis=(1, 2))
+        missed = np.triu((np.abs(fit(nodes) - values / shares) / sizes[:, None, None]).max(axis=0))
+        return np.asarray(fit(frequency) * shares), missed + np.triu(missed, 1).T
 
     @property
     def _block(self) -> tuple[Any, ...]:
@@ -255,19 +235,15 @@ class ParametricModel:
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"] or contacts
         return np.ix_(points, contacts or points)
 
-    @property
-    def _blocks(self) -> list[tuple[Any, ...]]:
-        """The same, with inputs as outputs, and of contacts under contacts."""
+    def _missed(self, found: Sequence[_Answer]) -> Missed:
         points, contacts = ([i for i, p in enumerate(self.ports) if p.kind == kind] for kind in ("point", "contact"))
         pairs = [(points, contacts), (contacts, points), (contacts, contacts)]
-        return [np.ix_(*pair) for pair in pairs if all(pair)]
-
-    def _missed(self, found: Sequence[_Answer]) -> Missed:
+        blocks: list[tuple[Any, ...]] = [np.ix_(*pair) for pair in pairs if all(pair)]
         shares = []
         for answer in found:
             change = np.abs(np.nan_to_num(answer.whole - answer.core))
             change += np.abs(np.nan_to_num(answer.whole - answer.rough))
-            for block in self._blocks:
+            for block in blocks:
                 change[(slice(None), *block)] = evened(change[(slice(None), *block)])
             size = np.array([np.abs(c[self._block]).max() for c in answer.whole])
             shares.append(self.factor * change / size[:, None, None] + answer.between)
@@ -292,15 +268,6 @@ class ParametricModel:
             tuple(error.tolist()),
         )
 
-    def _check_band(self, frequency: FloatArray) -> None:
-        band = frequencies(self.scenario.sweep)
-        beyond = frequency[(frequency < band[0] / BEYOND) | (frequency > band[-1] * BEYOND)]
-        if len(beyond):
-            raise ReductionError(
-                f"{beyond[0]:g} Hz is outside the band of this parametric model, {band[0]:g} to {band[-1]:g} Hz; make "
-                "one for a wider band (sweep.f_min, sweep.f_max)"
-            )
-
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
@@ -313,6 +280,28 @@ class _Answer:
     whole: ComplexArray
     core: ComplexArray
     rough: ComplexArray
+
+
+def reciprocal(
+    nodes: FloatArray, values: ComplexArray, contact: Sequence[bool], tolerance: float
+) -> Callable[[FloatArray], ComplexArray]:
+    """A rational function of frequency [Hz] through ``values`` (n_node, n_port, n_port) at ``nodes`` (n_node,) [Hz].
+
+    It goes through the upper triangle, which keeps it reciprocal; entries of the ports that are a ``contact`` (n_port,)
+    shape it.
+    """
+    rows, columns = np.triu_indices(len(contact))
+    shaping = np.array(contact)[rows] | np.array(contact)[columns]
+    order = np.argsort(~shaping, kind="stable")
+    rows, columns = rows[order], columns[order]
+    fit = rational(nodes, values[:, rows, columns], tolerance, int(shaping.sum()) or None)
+
+    def at(frequency: FloatArray) -> ComplexArray:
+        out = np.empty((len(frequency), *values.shape[1:]), dtype=complex)
+        out[:, rows, columns] = out[:, columns, rows] = fit.at(frequency)
+        return out
+
+    return at
 
 
 def parametric_model(
@@ -343,14 +332,14 @@ def parametric_model(
     mesh, band = mesh or cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
     key = _key(solve_key(own, mesh, band), given, growth)
     file = default_cache_dir() / "parametric" / f"{key}.nc"
-    if (kept := _kept(file)) is not None:
-        return kept
+    with suppress(DataError, ScenarioError):
+        return load_parametric(file)
     tell(progress, "matrices", 0, 0)
     model = fem_model(own, mesh)
     names = tuple(t.name for t in model.operator.terms)
     for draw in given:
         check_followable(own, draw, names, unread=_UNREAD)
-    found = [_coefficients(names, draw) for draw in given]
+    found = [coefficients_of(names, draw) for draw in given]
     parts, around = PartFolder(file.with_suffix(".parts")), grid_places(own, mesh)
     read = readings(model, around[1] if around else ())
     with freed_memory_kept():
@@ -401,22 +390,10 @@ def load_parametric(path: str | Path) -> ParametricModel:
     return ParametricModel(scenario, content.ports, pieces, trials, checks, content.solves, around)
 
 
-def _kept(file: Path) -> ParametricModel | None:
-    try:
-        return load_parametric(file)
-    except (DataError, ScenarioError):
-        return None
-
-
 def _key(solve: str, draws: Sequence[Scenario], growth: Growth) -> str:
     tissues = [draw.tissues.model_dump(mode="json") for draw in draws]
     text = json.dumps([__version__, solve, tissues, astuple(growth)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
-def _coefficients(names: Sequence[str], draw: Scenario) -> tuple[Any, ...]:
-    tissues, sheets = resolve_tissues(draw), draw.tissues
-    return tuple(term_coefficient(n, tissues, draw.supports, sheets.membrane, sheets.patch) for n in names)
 
 
 def _with_all_sheets(scenario: Scenario, draws: Sequence[Scenario]) -> Scenario:

@@ -29,7 +29,7 @@ from ..rendering.inverse_filter import LEAST_ERROR
 from ..rendering.lattice import lattice_of
 from ..rendering.spectrum import place_on_bins
 from ..scenario import Scenario
-from ..scenario.rendering import Method, RenderingOptions
+from ..scenario.rendering import RenderingOptions
 from ..scenario.sweep import Sweep
 from .frequencies import frequencies
 
@@ -49,7 +49,11 @@ def renderers(
     alike, whatever each states of its own error.
     """
     options = scenario.rendering
-    zeros = _zeros(options, shape, progress)
+    zeros: AutoZeros | ThesisZeros | SearchedZeros | tuple[str, ...] = AutoZeros()
+    if options.zeros == "search":
+        zeros = SearchedZeros(window=window_of(options.window, shape), progress=progress)
+    elif options.zeros != "auto":
+        zeros = ThesisZeros() if options.zeros == "thesis" else options.zeros
     rule = None
     if options.regularisation != "auto":
         rule = Regularisation(kind=options.regularisation, value=options.regularisation_value)
@@ -67,16 +71,6 @@ def least_error(scenario: Scenario) -> float:
     return max(LEAST_ERROR, scenario.accuracy)
 
 
-def _zeros(
-    options: RenderingOptions, shape: Wavelet, progress: Progress | None
-) -> AutoZeros | ThesisZeros | SearchedZeros | tuple[str, ...]:
-    if options.zeros == "search":
-        return SearchedZeros(window=window_of(options.window, shape), progress=progress)
-    if isinstance(options.zeros, tuple):
-        return options.zeros
-    return ThesisZeros() if options.zeros == "thesis" else AutoZeros()
-
-
 def wavelet(options: RenderingOptions, sweep: Sweep, base: Path) -> Wavelet:
     """The Ricker wavelet, or the samples in the scenario's file, at the sweep's rate and duration."""
     if options.wavelet.file is not None:
@@ -92,28 +86,19 @@ def unsuited(
     found: dict[str, str] = {}
     for method in options.methods:
         try:
-            _check(method, options, outputs, inputs, [by_name[t] for t in targets if t in by_name])
+            if method != "inverse filter":
+                for target in (by_name[t] for t in targets if t in by_name):
+                    funneling_weights(inputs, target)
+            if method != "funneling" and options.zeros == "thesis":
+                lattice_of(outputs, "zero points by the corner rule, outputs")
         except GeometryError as problem:
-            found[method] = f"{method} is left out: {problem}; {_remedy(method, str(problem))}"
+            remedy = "add an actuator, or use the inverse filter"
+            if "corner rule" in str(problem):
+                remedy = "set rendering.zeros = 'auto', or name the points"
+            elif "outside" in str(problem):
+                remedy = "name rendering.targets between the actuators, or lower grid.pitch or raise device.spacing"
+            found[method] = f"{method} is left out: {problem}; {remedy}"
     return found
-
-
-def _check(
-    method: Method, options: RenderingOptions, outputs: tuple[Port, ...], inputs: tuple[Port, ...], targets: list[Port]
-) -> None:
-    if method != "inverse filter":
-        for target in targets:
-            funneling_weights(inputs, target)
-    if method != "funneling" and options.zeros == "thesis":
-        lattice_of(outputs, "zero points by the corner rule, outputs")
-
-
-def _remedy(method: str, problem: str) -> str:
-    if "corner rule" in problem:
-        return "set rendering.zeros = 'auto', or name the points"
-    if "outside" in problem:
-        return "name rendering.targets between the actuators, or lower grid.pitch or raise device.spacing"
-    return "add an actuator, or use the inverse filter"
 
 
 def check_servable(scenario: Scenario) -> dict[str, str]:

@@ -42,7 +42,14 @@ def second_mesh(scenario: Scenario, mesh: TissueMesh, *, base: Path) -> Second:
     A user's ``mesh`` is kept and its element pair changed. Raises :class:`MeshError` saying why there is none.
     """
     if isinstance(scenario.limb, MeshLimb):
-        return _other_order(scenario, mesh)
+        if scenario.element not in _OTHER_ORDER:
+            raise MeshError(
+                "a mesh of your own has one size, so that its error is estimated with another order, and of element "
+                f"pair {scenario.element} neither second nor third order is one; set mesh.element to P2 or P3"
+            )
+        element, ratio = _OTHER_ORDER[scenario.element]
+        options = scenario.mesh.model_copy(update={"element": element})
+        return Second(scenario.model_copy(update={"mesh": options}), mesh, ratio)
     first: ForearmError | None = None
     for ratio in _RATIOS:
         try:
@@ -69,14 +76,3 @@ def _rim_edge(mesh: TissueMesh, name: str) -> float:
     """Mean length [m] of the edges of a contact's rim."""
     ends = mesh.points[rim_edges(mesh, name)]
     return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean())
-
-
-def _other_order(scenario: Scenario, mesh: TissueMesh) -> Second:
-    if scenario.element not in _OTHER_ORDER:
-        raise MeshError(
-            "a mesh of your own has one size, so that its error is estimated with another order, and of element pair "
-            f"{scenario.element} neither second nor third order is one; set mesh.element to P2 or P3"
-        )
-    element, ratio = _OTHER_ORDER[scenario.element]
-    options = scenario.mesh.model_copy(update={"element": element})
-    return Second(scenario.model_copy(update={"mesh": options}), mesh, ratio)

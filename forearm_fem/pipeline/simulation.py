@@ -17,14 +17,13 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress
 from ..rendering import Limits, Rendering, render_all
 from ..scenario import Scenario
-from ..scenario.limb import MeshLimb
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error_at
 from ..typing import FloatArray
 from .dispersion import Lags
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
-from .model_notes import model_notes, near_disc_notes, resolution_notes
+from .notes import idle_size_notes, model_notes, near_disc_notes, resolution_notes
 from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
@@ -78,25 +77,21 @@ def simulate(
     """
     if not isinstance(scenario, Scenario):
         raise ScenarioError(f"expected a Scenario, got {scenario!r}; read it first: load_scenario(NAME_OR_FILE)")
-    return replace(_simulated(scenario, Path(base), progress, mesh, library), base=Path(base))
-
-
-def _simulated(
-    scenario: Scenario, base: Path, progress: Progress | None, mesh: TissueMesh | None, library: AnswersForArm | None
-) -> Simulation:
     frequency = frequencies(scenario.sweep)
     resolve_tissues(scenario)  # what they lack is said before anything is meshed
     if library is not None:
-        return with_device(scenario, None, library.solved(scenario))
-    if scenario.engine == "layered":
+        found = with_device(scenario, None, library.solved(scenario))
+    elif scenario.engine == "layered":
         compliance = solve_layered(scenario, frequency, progress=progress)
         transfer = finite(close_loop(compliance, scenario.device))
-        return Simulation(scenario, None, compliance, transfer, notes=flat_notes(compliance))
-    if mesh is None:
-        start_compiling()
-        mesh = cached_mesh(scenario, base=base)
-    result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=base, progress=progress))
-    return replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
+        found = Simulation(scenario, None, compliance, transfer, notes=flat_notes(compliance))
+    else:
+        if mesh is None:
+            start_compiling()
+            mesh = cached_mesh(scenario, base=Path(base))
+        result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
+        found = replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
+    return replace(found, base=Path(base))
 
 
 def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
@@ -116,7 +111,7 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     near = near_disc_notes(scenario) if mesh is not None else ()
-    notes = (*unknown, *model_notes(solved.facts), *near, *_idle_sizes(scenario))
+    notes = (*unknown, *model_notes(solved.facts), *near, *idle_size_notes(scenario))
     return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, notes)
 
 
@@ -247,14 +242,3 @@ def _truncation(
         tuple(other.frequency.tolist()),
         tuple((share * change_around(other.values, same, other.frequency)).tolist()),
     )
-
-
-def _idle_sizes(scenario: Scenario) -> tuple[str, ...]:
-    """A note on sizes that were given for a user's own mesh, which they do not change."""
-    if not isinstance(scenario.limb, MeshLimb):
-        return ()
-    given = sorted(scenario.mesh.model_fields_set & {"size_grid", "size_far", "sublayers", "grading"})
-    if not given:
-        return ()
-    names = ", ".join(f"mesh.{name}" for name in given)
-    return (f"{names}: your own mesh is refined under and around the contacts only, these change nothing else",)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..device import close_loop
 from ..errors import ReductionError, ScenarioError
+from ..fem.assembly.coefficients import Coefficient
 from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.poles import PoleResidue, pole_residue
@@ -21,6 +22,7 @@ from ..scenario.load import apply_overrides
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
+from .fem_engine import masked
 from .frequencies import frequencies
 
 __all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model", "with_scenario"]
@@ -50,11 +52,17 @@ class SkinModel:
         Raises ReductionError for frequencies more than 5 % beyond the band where the model has unstable poles, as it
         may for incompressible tissue, and in files of older versions.
         """
-        _check_stable(self, np.asarray(frequency, dtype=float))
+        frequency = np.asarray(frequency, dtype=float)
+        band = frequencies(self.scenario.sweep)
+        beyond = frequency[(frequency < band.min() / _BEYOND) | (frequency > band.max() * _BEYOND)]
+        if len(beyond) and (count := self.reduced.negative_directions()):
+            raise ReductionError(
+                f"{beyond[0]:g} Hz is outside the band of this reduced model, {band.min():g} to {band.max():g} Hz, and "
+                f"the model has {count} unstable poles there: solve a wider band (sweep.f_min, sweep.f_max), or anew "
+                "with solver.precision = 'double'"
+            )
         values = (self.poles or pole_residue(self.reduced, frequency) or self.reduced).compliance(frequency)
-        points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
-        values[:, points, points] = np.nan
-        return Compliance(np.asarray(frequency, dtype=float), values, self.ports)
+        return Compliance(frequency, masked(values, self.ports), self.ports)
 
     def transfer(self, frequency: FloatArray) -> TransferMatrix:
         """G of the scenario's device at ``frequency`` (n,) [Hz]."""
@@ -73,9 +81,13 @@ class SkinModel:
 
 def with_scenario(reduced: ReducedModel, scenario: Scenario) -> ReducedModel:
     """The reduced matrices with the coefficients that ``scenario`` gives their terms."""
+    return replace(reduced, coefficients=coefficients_of(reduced.names, scenario))
+
+
+def coefficients_of(names: Sequence[str], scenario: Scenario) -> tuple[Coefficient, ...]:
+    """What ``scenario`` multiplies the terms of these ``names`` with."""
     tissues, sheets = resolve_tissues(scenario), scenario.tissues
-    found = (term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch) for n in reduced.names)
-    return replace(reduced, coefficients=tuple(found))
+    return tuple(term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch) for n in names)
 
 
 def save_skin_model(path: Path, model: SkinModel) -> None:
@@ -99,18 +111,6 @@ def reduced_of(content: ReducedTerms, path: str | Path) -> tuple[Scenario, Reduc
     low = np.zeros((len(content.functionals), 0))
     bare = ReducedModel(content.names, (), content.matrices, content.functionals, content.shares, Basis(), low)
     return scenario, with_scenario(bare, scenario)
-
-
-def _check_stable(model: SkinModel, frequency: FloatArray) -> None:
-    band = frequencies(model.scenario.sweep)
-    low, high = band.min() / _BEYOND, band.max() * _BEYOND
-    beyond = frequency[(frequency < low) | (frequency > high)]
-    if len(beyond) and (count := model.reduced.negative_directions()):
-        raise ReductionError(
-            f"{beyond[0]:g} Hz is outside the band of this reduced model, {band.min():g} to {band.max():g} Hz, and "
-            f"the model has {count} unstable poles there: solve a wider band (sweep.f_min, sweep.f_max), or anew with "
-            "solver.precision = 'double'"
-        )
 
 
 def check_followable(

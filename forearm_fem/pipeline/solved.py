@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array, kron, vstack
@@ -29,6 +28,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
 from ..io.netcdf import read_compliance, write_compliance
+from ..io.parts import DAMAGED, PartFolder
 from ..progress import Progress, tell, within
 from ..results import SolutionRecord
 from ..scenario import Scenario
@@ -40,7 +40,7 @@ from .second_mesh import second_mesh
 from .skin_model import SkinModel, load_skin_model, save_skin_model
 
 _log = logging.getLogger("forearm_fem.pipeline")
-_DAMAGED = DataError, OSError, ValueError, KeyError, EOFError, BadZipFile
+_DAMAGED = DataError, *DAMAGED
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,19 +65,17 @@ class Solved:
     other_ends: Compliance | None = None
 
 
+@freed_memory_kept()
 def solve(
     scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, *, base: Path, progress: Progress | None = None
 ) -> Solved:
     """Solve what is not in the cache yet; each finished part is stored at once."""
-    with freed_memory_kept():
-        return _solve(scenario, mesh, frequency, base, progress)
-
-
-def _solve(
-    scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, base: Path, progress: Progress | None
-) -> Solved:
     store = _Store(default_cache_dir() / "solves" / solve_key(scenario, mesh, frequency))
-    main = _main_part(store, scenario, mesh, frequency, progress)
+    if (main := store.main()) is None:
+        tolerance = reduction_tolerance(scenario)
+        solution = solve_fem(scenario, mesh, frequency, progress=progress, snapshots=store, tolerance=tolerance)
+        main = _packed(scenario, solution, frequency)
+        store.keep_main(main)
     # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
     unseen = main.freed is None or isinstance(scenario.limb, SlabLimb)
     cut = unseen and len(mesh.facets.get("end", ())) > 0
@@ -120,19 +118,6 @@ def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> st
         "frequency": hashlib.sha256(frequency.tobytes()).hexdigest(),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def _main_part(
-    store: _Store, scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, progress: Progress | None
-) -> Solved:
-    if (kept := store.main()) is not None:
-        return kept
-    solution = solve_fem(
-        scenario, mesh, frequency, progress=progress, snapshots=store, tolerance=reduction_tolerance(scenario)
-    )
-    result = _packed(scenario, solution, frequency)
-    store.keep_main(result)
-    return result
 
 
 def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) -> Solved:
@@ -182,14 +167,15 @@ class _Store:
     """One folder per solve; an unreadable part is computed again, an unwritable folder only costs the reuse."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self._folder, self._expansions = folder, PartFolder(folder / "expansions", "an expansion")
 
     def get(self, frequency: float) -> Expansion | None:
         """An expansion of an interrupted sweep; see :class:`forearm_fem.fem.reduction.sweep.Snapshots`."""
+        if (data := self._expansions.get(f"{frequency:g}")) is None:
+            return None
         try:
-            with self._snapshot(f"{frequency:g}").open("rb") as stream, np.load(stream) as data:
-                series = tuple(data[f"order{k}"] for k in range(int(data["count"])))
-                return Expansion(frequency, series, float(data["residual"]), float(data["solve_error"]))
+            series = tuple(data[f"order{k}"] for k in range(int(data["count"])))
+            return Expansion(frequency, series, float(data["residual"]), float(data["solve_error"]))
         except _DAMAGED:
             return None
 
@@ -199,38 +185,22 @@ class _Store:
         parts: dict[str, Any] = {f"order{k}": x.astype(np.complex64) for k, x in enumerate(expansion.series)}
         parts |= {"order0": expansion.series[0], "count": len(expansion.series)}
         parts |= {"residual": expansion.residual, "solve_error": expansion.solve_error}
-        self._keep(f"{expansion.frequency:g}", parts)
+        self._expansions.put(f"{expansion.frequency:g}", parts)
 
     def chunks(self) -> tuple[Chunk, ...]:
         """What an interrupted sweep left of the space about a rate, up to the first part that is missing or damaged."""
         found = list[Chunk]()
-        while (chunk := self._chunk(len(found))) is not None:
-            found.append(chunk)
+        with suppress(*_DAMAGED):
+            while (data := self._expansions.get(f"rate-{len(found)}")) is not None:
+                pairs, counts = Pairs(data["upper"], data["lower"]), (int(data["last"]), int(data["derivatives"]))
+                found.append(Chunk(data["columns"], pairs, *counts, float(data["residual"])))
         return tuple(found)
 
     def put_chunk(self, number: int, chunk: Chunk) -> None:
         """Keep a part of the space about a rate until the sweep is finished."""
         parts = {"columns": chunk.columns.astype(np.float32), "upper": chunk.pairs.upper, "lower": chunk.pairs.lower}
         parts |= {name: getattr(chunk, name) for name in ("last", "derivatives", "residual")}
-        self._keep(f"rate-{number}", parts)
-
-    def _chunk(self, number: int) -> Chunk | None:
-        try:
-            with self._snapshot(f"rate-{number}").open("rb") as stream, np.load(stream) as data:
-                columns, counts = data["columns"], (int(data["last"]), int(data["derivatives"]))
-                return Chunk(columns, Pairs(data["upper"], data["lower"]), *counts, float(data["residual"]))
-        except _DAMAGED:
-            return None
-
-    def _keep(self, name: str, parts: dict[str, Any]) -> None:
-        try:
-            with atomic_path(self._snapshot(name), durable=False) as target, open(target, "wb") as stream:
-                np.savez(stream, **parts)
-        except (DataError, OSError) as problem:
-            _log.warning("an expansion could not be kept for a later run: %s", problem)
-
-    def _snapshot(self, name: str) -> Path:
-        return self._folder / "expansions" / f"{name}.npz"
+        self._expansions.put(f"rate-{number}", parts)
 
     def compliance(self, name: str, make: Callable[[], Compliance]) -> Compliance:
         """The stored compliance of a name, or a new one, stored."""
@@ -264,14 +234,11 @@ class _Store:
         except _DAMAGED:
             return None
         ends = self.read("freed") if facts.ends_by == "reduced model" else None
-        skin = self._skin() if facts.reduced_size else None
+        skin = None
+        if facts.reduced_size:
+            with suppress(ForearmError):
+                skin = load_skin_model(self._folder / "reduced.nc")
         return None if compliance is None else Solved(compliance, None, ends, modes, states, facts, skin=skin)
-
-    def _skin(self) -> SkinModel | None:
-        try:
-            return load_skin_model(self._folder / "reduced.nc")
-        except ForearmError:
-            return None
 
     def keep_main(self, solved: Solved) -> None:
         """Store the main part, then drop the expansions it came from."""
@@ -286,4 +253,4 @@ class _Store:
         if solved.skin is not None:
             save_skin_model(self._folder / "reduced.nc", solved.skin)
         self.write("compliance", solved.compliance)
-        shutil.rmtree(self._folder / "expansions", ignore_errors=True)
+        self._expansions.drop()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import MutableMapping
+from contextlib import suppress
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -44,33 +45,21 @@ def kept_tables(
     if known is not None and key in known:
         return known[key]
     file = (folder or default_cache_dir() / "twin-tables") / f"{key}.npz"
-    found = _read(file, scenario)
+    cone, layers, surface = scenario.device.cone, flat_layers(scenario), flat_surface(scenario.tissues)
+    found: Tabulated | None = None
+    with suppress(OSError, ValueError, KeyError, EOFError, BadZipFile):  # not there, or damaged
+        with np.load(file, allow_pickle=False) as kept:
+            arrays = {name: kept[name] for name in kept.files}
+        found = from_arrays(arrays, layers, surface, cone.radius, cone.contact)
     if found is None:
-        found = _made(scenario, reach, progress)
+        low, high = _band(scenario)
+        omega = 2 * np.pi * low, 2 * np.pi * high
+        found = tabulate(layers, omega, cone.radius, cone.contact, surface=surface, farthest=reach, progress=progress)
         with atomic_path(file) as beside, beside.open("wb") as stream:
             np.savez(stream, **found.arrays())  # type: ignore[arg-type]
     if known is not None:
         known[key] = found
     return found
-
-
-def _made(scenario: Scenario, reach: float, progress: Progress | None) -> Tabulated:
-    cone, (low, high) = scenario.device.cone, _band(scenario)
-    return tabulate(
-        flat_layers(scenario), (2 * np.pi * low, 2 * np.pi * high), cone.radius, cone.contact,
-        surface=flat_surface(scenario.tissues), farthest=reach, progress=progress,
-    )  # fmt: skip
-
-
-def _read(file: Path, scenario: Scenario) -> Tabulated | None:
-    """The tables in ``file``; None where it is not there, or damaged."""
-    cone = scenario.device.cone
-    try:
-        with np.load(file, allow_pickle=False) as kept:
-            arrays = {name: kept[name] for name in kept.files}
-        return from_arrays(arrays, flat_layers(scenario), flat_surface(scenario.tissues), cone.radius, cone.contact)
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        return None
 
 
 def _band(scenario: Scenario) -> tuple[float, float]:

@@ -120,7 +120,13 @@ def unread_notes(scenario: Scenario) -> tuple[str, ...]:
         keys = [k for k in keys if k != "rendering.methods"]
         told |= set(keys)
         notes += [_sentence(keys, rule.why)] if keys else []
-    return (*notes, *_strangers(scenario))
+    # tables by tissue that name one which the limb does not have
+    if unknown := [f"tissues.override.{n}" for n in scenario.tissues.override if n not in _met(scenario)]:
+        notes.append(_sentence(unknown, "no wave passes through this tissue in this limb"))
+    layers = {layer.tissue for layer in layers_of(scenario.limb)}
+    if layers and (unknown := [f"mesh.sublayers.{n}" for n in scenario.mesh.sublayers if n not in layers]):
+        notes.append(_sentence(unknown, "the limb has no such layer"))
+    return tuple(notes)
 
 
 def unread_because(scenario: Scenario, key: str) -> str | None:
@@ -139,12 +145,11 @@ def _changed(scenario: Scenario, part: BaseModel, path: str) -> Iterator[str]:
         value, key = getattr(part, name), f"{path}{name}"
         if isinstance(value, BaseModel):
             yield from _changed(scenario, value, f"{key}.")
-        elif name != "shape" and value != _default(scenario, part, name, field.get_default(call_default_factory=True)):
-            yield key
-
-
-def _default(scenario: Scenario, part: BaseModel, name: str, default: object) -> object:
-    return forearm_length(scenario.accuracy) if isinstance(part, ForearmLimb) and name == "length" else default
+        elif name != "shape":
+            follows = isinstance(part, ForearmLimb) and name == "length"  # the accuracy asked for
+            usual = forearm_length(scenario.accuracy) if follows else field.get_default(call_default_factory=True)
+            if value != usual:
+                yield key
 
 
 def _has_bone(scenario: Scenario) -> bool:
@@ -164,15 +169,6 @@ def _met(scenario: Scenario) -> set[str]:
     """Tissues that waves pass through."""
     elastic = _has_bone(scenario) and scenario.supports.bone == "elastic" and scenario.engine == "fem"
     return (set(limb_tissue_keys(scenario.limb).values()) - {"bone"}) | ({"bone"} if elastic else set())
-
-
-def _strangers(scenario: Scenario) -> Iterator[str]:
-    """Tables by tissue that name one which the limb does not have."""
-    if unknown := [f"tissues.override.{n}" for n in scenario.tissues.override if n not in _met(scenario)]:
-        yield _sentence(unknown, "no wave passes through this tissue in this limb")
-    layers = {layer.tissue for layer in layers_of(scenario.limb)}
-    if layers and (unknown := [f"mesh.sublayers.{n}" for n in scenario.mesh.sublayers if n not in layers]):
-        yield _sentence(unknown, "the limb has no such layer")
 
 
 def _sentence(keys: list[str], why: str) -> str:

@@ -33,20 +33,30 @@ def write_wave_report(
 
     Verdict on the accuracy first, ``notes`` of the run last.
     """
+    errors = ((e.source, size_words(e.band), size_words(e.worst), e.method) for e in transfer.errors)
     parts = [
         f"# Run of scene {scenario.name}\n",
         scenario.description + "\n",
         "## Estimated errors of G\n",
-        *_errors(transfer),
+        markdown_table(("source", "e_band", "worst e(f)", "how"), errors).rstrip("\n"),
         f"\nAccuracy: {accuracy_verdict(scenario, transfer.errors)}.",
     ]
     if (fit := thesis_fit(transfer)) is not None:
         write_text(out / "waves.csv", waves_csv(fit))
-        parts += ["\n## Attenuation and speed by the thesis' estimator (waves.csv)\n", *_waves(fit)]
+        some = np.unique(np.linspace(0, len(fit.frequency) - 1, min(10, len(fit.frequency))).astype(int))
+        rows = ((f"{fit.frequency[k]:g}", f"{fit.attenuation[k]:.0f}", f"{fit.speed[k]:.2f}") for k in some)
+        parts.append("\n## Attenuation and speed by the thesis' estimator (waves.csv)\n")
+        parts.append(markdown_table(("Hz", "attenuation 1/m", "speed m/s"), rows).rstrip("\n"))
     if isinstance(scenario.limb, SlabLimb) and scenario.device.drive == "force":
         parts += ["\n## Beside the semi-analytic half-space\n", *_twin(scenario, transfer)]
     parts += ["\n## Warnings\n", *(f"- {note}" for note in dict.fromkeys(notes))] if notes else []
-    return _written(out, scenario.name, parts)
+    body = "\n".join(parts) + "\n"
+    page, plain = out / "report.html", out / "report.md"
+    write_text(plain, body)
+    head = f'<head><meta charset="utf-8"><title>Run of scene {escape(scenario.name)}</title></head>'
+    shown = f'<body><pre style="white-space: pre-wrap">{escape(body)}</pre></body>'  # the same text, as it stands
+    write_text(page, f'<!doctype html><html lang="en">{head}{shown}</html>\n')
+    return plain, page
 
 
 def thesis_fit(transfer: TransferMatrix) -> WaveFit | None:
@@ -69,17 +79,6 @@ def waves_csv(fit: WaveFit) -> str:
     return stream.getvalue()
 
 
-def _errors(transfer: TransferMatrix) -> list[str]:
-    rows = ((e.source, size_words(e.band), size_words(e.worst), e.method) for e in transfer.errors)
-    return markdown_table(("source", "e_band", "worst e(f)", "how"), rows).splitlines()
-
-
-def _waves(fit: WaveFit) -> list[str]:
-    chosen = np.unique(np.linspace(0, len(fit.frequency) - 1, min(10, len(fit.frequency))).astype(int))
-    rows = ((f"{fit.frequency[k]:g}", f"{fit.attenuation[k]:.0f}", f"{fit.speed[k]:.2f}") for k in chosen)
-    return markdown_table(("Hz", "attenuation 1/m", "speed m/s"), rows).splitlines()
-
-
 def _twin(scenario: Scenario, transfer: TransferMatrix) -> list[str]:
     """Table of errors against the twin: each point relative to itself, and e(f) over all but the first."""
     try:
@@ -95,14 +94,3 @@ def _twin(scenario: Scenario, transfer: TransferMatrix) -> list[str]:
     )
     table = markdown_table(("Hz", *names, "e(f) beyond the first"), rows).splitlines()
     return ["Error of each point relative to itself; e(f) relative to the largest of them.\n", *table]
-
-
-def _written(out: Path, name: str, parts: list[str]) -> tuple[Path, Path]:
-    """The same text as Markdown and as a page that shows it as it stands."""
-    body = "\n".join(parts) + "\n"
-    page, plain = out / "report.html", out / "report.md"
-    write_text(plain, body)
-    head = f'<head><meta charset="utf-8"><title>Run of scene {escape(name)}</title></head>'
-    shown = f'<body><pre style="white-space: pre-wrap">{escape(body)}</pre></body>'
-    write_text(page, f'<!doctype html><html lang="en">{head}{shown}</html>\n')
-    return plain, page

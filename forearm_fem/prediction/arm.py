@@ -11,11 +11,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..errors import ForearmError
-from ..fem.reduction.rational import chebyshev_frequencies, rational
+from ..fem.reduction.rational import chebyshev_frequencies
 from ..layered import layered_compliance
 from ..metrics import smooth_noise
 from ..pipeline.layered_engine import flat_disc, flat_layers, flat_ports, flat_surface
-from ..pipeline.parametric import ParametricModel, parametric_model
+from ..pipeline.parametric import ParametricModel, parametric_model, reciprocal
 from ..progress import Progress, within
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate
@@ -169,17 +169,14 @@ class ReducedArm:
     @property
     def left_out(self) -> str:
         """See :class:`ArmModel`."""
+        still = self.model.around is None
+        by_twin = "thickness, contact area and the grid's place" if still else "thickness and contact area"
         geometry = (
             "thickness, contact area and the grid's place keep the scene's values, for there is tape on its skin"
             if self.held
-            else f"what {self._by_twin} change is that of flat layers without end"
+            else f"what {by_twin} change is that of flat layers without end"
         )
         return f"girth, taper, bones and the device's place on the limb are the scene's own in every arm; {geometry}"
-
-    @property
-    def _by_twin(self) -> str:
-        still = self.model.around is None
-        return "thickness, contact area and the grid's place" if still else "thickness and contact area"
 
     @property
     def unknown(self) -> str:
@@ -193,7 +190,10 @@ class ReducedArm:
     def answer(self, scenario: Scenario, frequency: FloatArray) -> Answer:
         """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
         any phase at each."""
-        own = self._on_mesh(scenario)
+        own = on_mesh_of(self.scenario, scenario)  # but with its own grid where both meshes can read it
+        laid = own.model_copy(update={"grid": scenario.grid})
+        models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
+        own = laid if all(m.follows(laid) for m in models) else own
         found, missed = self.model.answer(own, frequency)
         off: list[ComplexArray | FloatArray] = [missed.of(found)]
         if self.meshes is not None:
@@ -223,13 +223,6 @@ class ReducedArm:
         changed = replace(found, values=found.values + change, errors=(*found.errors, estimate))
         return changed, _MISSED * change, error
 
-    def _on_mesh(self, scenario: Scenario) -> Scenario:
-        """The draw as the elements can answer it: with its grid where both meshes can read it."""
-        own = on_mesh_of(self.scenario, scenario)
-        laid = own.model_copy(update={"grid": scenario.grid})
-        models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
-        return laid if all(m.follows(laid) for m in models) else own
-
     def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """What the draw's geometry changes on the twin, and the twin's errors in it, both (n, n_port, n_port) [m/N].
 
@@ -241,7 +234,10 @@ class ReducedArm:
         values = [np.nan_to_num(a.values) for a in answers]  # a point on itself stays unknown in the sum
         change = values[0] - values[1]
         points, contacts = answers[0].indices("point"), answers[0].indices("contact")
-        at_nodes, between = (change, change) if few else _between(nodes, change, frequency, contacts)
+        at_nodes, between = change, change
+        if not few:
+            fit = reciprocal(nodes, change, [p.kind == "contact" for p in answers[0].ports], _FITTED)
+            at_nodes, between = fit(nodes), fit(frequency)
         error = np.zeros(between.shape)
         for pair in ((points, contacts), (contacts, points), (contacts, contacts)):
             kind: Any = (slice(None), *np.ix_(*pair))
@@ -252,24 +248,6 @@ class ReducedArm:
             size = np.abs(between[kind]).max(axis=(1, 2))
             error[kind] = (np.interp(frequency, nodes, off) + _BETWEEN * left.max() * size)[:, None, None]
         return between, error
-
-
-def _between(
-    nodes: FloatArray, change: ComplexArray, frequency: FloatArray, contacts: Sequence[int]
-) -> tuple[ComplexArray, ComplexArray]:
-    """A rational function through ``change`` (n_node, n_port, n_port) at two thirds of the ``nodes`` [Hz], at all of
-    them and at ``frequency`` [Hz]; entries of ``contacts`` shape it."""
-    contact = np.isin(np.arange(change.shape[1]), contacts)
-    rows, columns = np.triu_indices(len(contact))
-    order = np.argsort(~(contact[rows] | contact[columns]), kind="stable")
-    rows, columns = rows[order], columns[order]
-    fit = rational(nodes, change[:, rows, columns], _FITTED, int((contact[rows] | contact[columns]).sum()))
-    found = []
-    for asked in (nodes, frequency):
-        values = np.empty((len(asked), *change.shape[1:]), dtype=complex)
-        values[:, rows, columns] = values[:, columns, rows] = fit.at(asked)
-        found.append(values)
-    return found[0], found[1]
 
 
 def _others(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
@@ -288,18 +266,17 @@ def _others(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tupl
 
 @lru_cache(maxsize=1)  # draws of a scene have the same frequencies and ports
 def _parts(frequency: tuple[float, ...], ports: int, errors: int) -> tuple[tuple[ComplexArray, ...], ...]:
-    """Shares of so many ``errors`` that each of the other answers is off by: smooth, and alike at all pairs of ports in
-    every other one. In single precision: they are random."""
-    rng, f = np.random.default_rng(0), np.array(frequency)
-    kinds = [1 if k % 2 == 0 else ports for k in range(_OTHERS)]
-    return tuple(tuple(_part(f, n, rng).astype(np.complex64) for _ in range(errors)) for n in kinds)
-
-
-def _part(frequency: FloatArray, ports: int, rng: np.random.Generator) -> ComplexArray:
-    """Shares (n, n_port, n_port) of an error, 1 at most, smooth over frequency and reciprocal."""
-    noise = smooth_noise(frequency, (ports, ports), rng, _SMOOTH)
-    noise = noise + noise.swapaxes(1, 2)
-    return np.asarray(noise / np.abs(noise).max(axis=(1, 2), keepdims=True))
+    """Shares (n, n_port, n_port) of so many ``errors``, 1 at most, that each of the other answers is off by: smooth,
+    reciprocal, and alike at all pairs of ports in every other one. In single precision: they are random."""
+    rng, found = np.random.default_rng(0), list[tuple[ComplexArray, ...]]()
+    for n in (1 if k % 2 == 0 else ports for k in range(_OTHERS)):
+        parts = list[ComplexArray]()
+        for _ in range(errors):
+            noise = smooth_noise(np.array(frequency), (n, n), rng, _SMOOTH)
+            noise = noise + noise.swapaxes(1, 2)
+            parts.append((noise / np.abs(noise).max(axis=(1, 2), keepdims=True)).astype(np.complex64))
+        found.append(tuple(parts))
+    return tuple(found)
 
 
 def on_mesh_of(scene: Scenario, draw: Scenario) -> Scenario:

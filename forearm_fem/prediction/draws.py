@@ -14,9 +14,10 @@ from ..errors import ScenarioError
 from ..scenario import Scenario
 from ..tissue import resolve_tissues
 from .priors import Prior, Priors, load_priors
-from .tissues import SOFT, law_parameters
 
 LAWS = ("kelvin-voigt", "zener", "springpot")
+SOFT = ("skin", "fat", "muscle")
+REFERENCE = 150.0  # Hz at which the size of a springpot's modulus is stated
 WRIST, ELBOW = "contact spring, wrist side", "contact spring, elbow side"
 _PLACED = {"grid x", "grid y", "grid turn"}
 
@@ -77,12 +78,15 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
     """``scenario`` on the arm and with the device of ``draw``; inputs of the names or groups ``held`` stay its own.
 
     Tissues called skin, fat and muscle get the drawn law; others, and limbs without layers, keep theirs. Noise, and the
-    places that the experimenter takes for true, are not in a scenario (:mod:`forearm_fem.prediction.measuring`).
+    places that the experimenter takes for true, are not in a scenario (:mod:`forearm_fem.prediction.outcome`).
     """
     data: dict[str, Any] = scenario.model_dump()
     values = {name: value for name, value in draw.values.items() if name not in held}
     if "tissue" not in held:
-        _set_tissues(data, draw, scenario)
+        known, override = resolve_tissues(scenario), data["tissues"]["override"]
+        for tissue, parameters in law_parameters(draw.law, draw.values).items():
+            bulk = "incompressible" if known[tissue].incompressible else known[tissue].bulk
+            override[tissue] = {"density": known[tissue].density, "bulk": bulk, **parameters}
     if "skin tension" in values:
         data["tissues"]["membrane"]["tension"] = values["skin tension"]
     for layer in data["limb"].get("layers", ()):
@@ -91,13 +95,6 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
     if _PLACED & values.keys():
         data["grid"]["points"] = moved_points(scenario, values)
     return Scenario.model_validate(data)
-
-
-def _set_tissues(data: dict[str, Any], draw: Draw, scenario: Scenario) -> None:
-    known, override = resolve_tissues(scenario), data["tissues"]["override"]
-    for tissue, parameters in law_parameters(draw.law, draw.values).items():
-        bulk = "incompressible" if known[tissue].incompressible else known[tissue].bulk
-        override[tissue] = {"density": known[tissue].density, "bulk": bulk, **parameters}
 
 
 def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
@@ -120,6 +117,27 @@ def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
     )
     device["contact_springs"] = {**device["contact_springs"], **springs}
     device["gains"] = {**device["gains"], **{who: device["gains"].get(who, 1.0) * g for who, g in gains.items()}}
+
+
+def law_parameters(law: str, values: Mapping[str, float]) -> dict[str, dict[str, float | str]]:
+    """Keys of ``[tissues.override.T]`` for T = skin, fat and muscle from inputs named "T.input".
+
+    kelvin-voigt: mu [Pa], eta [Pa s]. zener: mu, stiffening mu_infinity/mu - 1, relaxation 1/(2 pi tau) [Hz].
+    springpot: size |mu*| [Pa] at 150 Hz, and exponent; its eta is 1 Pa s.
+    """
+    return {tissue: {"model": law, **_parameters(law, tissue, values)} for tissue in SOFT}
+
+
+def _parameters(law: str, tissue: str, values: Mapping[str, float]) -> dict[str, float]:
+    if law == "kelvin-voigt":
+        return {"mu": values[f"{tissue}.mu"], "eta": values[f"{tissue}.eta"]}
+    if law == "zener":
+        mu, rise = values[f"{tissue}.mu"], values[f"{tissue}.mu"] * values[f"{tissue}.stiffening"]
+        eta = rise / (2 * math.pi * values[f"{tissue}.relaxation"])
+        return {"mu": mu, "mu_infinity": mu + rise, "eta": eta}
+    exponent = values[f"{tissue}.exponent"]
+    size = values[f"{tissue}.size"] / (2 * math.pi * REFERENCE) ** exponent
+    return {"mu": size ** (1 / (1 - exponent)), "exponent": exponent, "eta": 1.0}
 
 
 def moved_points(scenario: Scenario, values: Mapping[str, float]) -> list[tuple[float, float]]:

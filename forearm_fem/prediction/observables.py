@@ -52,43 +52,28 @@ def observables(arm: Arm) -> dict[str, float]:
     By the same estimator as the thesis for its appendix. Distances and radii that the sources do not say are named in
     the targets' notes.
     """
-    return {**_appendix(arm), **_zhang(arm), **_stiffness(arm), **_motor(arm), **_probe(arm)}
-
-
-def _appendix(arm: Arm) -> dict[str, float]:
-    line = arm.respond(_A2, _CONE, _A2_LINE)[:, 1:]
-    fit = fit_waves(_A2, _A2_LINE, line)
+    fit = fit_waves(_A2, _A2_LINE, arm.respond(_A2, _CONE, _A2_LINE)[:, 1:])
     speed, decay = (dict(zip(_A2, each, strict=True)) for each in (fit.speed, fit.attenuation))
+    at = np.array([200.0])
+    zhang = fit_waves(at, _BALL_LINE, arm.respond(at, _BALL, _BALL_LINE)[:, 1:])
+    stiffness = float((1 / arm.respond(np.array([20.0]), _PLATE, ())[0, 0]).real)
+    # relative motion along the arm; a motor that is its own source of motion keeps its amplitude
+    ratio = motor_ratios(arm, np.array([SHAH_STEPS[0][0], 200.0, SHAH_STEPS[-1][0]]))
+    near = np.array([SHAH_STEPS[0][1], 1.0, SHAH_STEPS[-1][1]]) * ratio[:, 1]
+    band = np.array([20.0, 200.0])
+    impedance = 1 / np.abs(2j * np.pi * band * arm.respond(band, _PROBE, ())[:, 0])
     return {
         "appendix A, speed": float(1 / np.mean(1 / fit.speed[:4])),
         "appendix A, speed rises": float(1 / speed[300.0] < 1 / speed[125.0]),  # a near field passes infinity
         "appendix A, decay rises": float(decay[250.0] > decay[50.0]),
         "appendix A, decay levels off": float(0.8 <= decay[500.0] / decay[250.0] <= 1.25),
-    }
-
-
-def _zhang(arm: Arm) -> dict[str, float]:
-    band = np.array([200.0])
-    line = arm.respond(band, _BALL, _BALL_LINE)[:, 1:]
-    return {"Zhang, speed": float(fit_waves(band, _BALL_LINE, line).speed[0])}
-
-
-def _stiffness(arm: Arm) -> dict[str, float]:
-    under = arm.respond(np.array([20.0]), _PLATE, ())[0, 0]
-    stiffness = float((1 / under).real)
-    return {"Sueda, relaxed": stiffness, "Sueda, tense": stiffness}
-
-
-def _motor(arm: Arm) -> dict[str, float]:
-    """Relative motion along the arm; a motor that is its own source of motion keeps its amplitude."""
-    band = np.array([SHAH_STEPS[0][0], 200.0, SHAH_STEPS[-1][0]])
-    ratio = motor_ratios(arm, band)
-    steps = np.array([SHAH_STEPS[0][1], 1.0, SHAH_STEPS[-1][1]])
-    near = steps * ratio[:, 1]
-    return {
+        "Zhang, speed": float(zhang.speed[0]),
+        "Sueda, relaxed": stiffness,
+        "Sueda, tense": stiffness,
         "Sofia, loss at 8 mm": float(1 - ratio[1, 0]),
         "Shah, 4 cm": float(near[2] > near[0]),
         "Shah, 8 cm": float((ratio[:, 2] < _MOST_LEFT).all()),
+        "Diller, impedance": float(impedance[1] > impedance[0]),
     }
 
 
@@ -96,12 +81,6 @@ def motor_ratios(arm: Arm, frequency: FloatArray) -> FloatArray:
     """|u| at 8 mm from the motor's rim, 4 and 8 cm from its centre, over that under it (n_frequency, 3) [-]."""
     found = np.abs(arm.respond(frequency, _MOTOR, _MOTOR_LINE))
     return np.asarray(found[:, 1:] / found[:, :1])
-
-
-def _probe(arm: Arm) -> dict[str, float]:
-    band = np.array([20.0, 200.0])
-    impedance = 1 / np.abs(2j * np.pi * band * arm.respond(band, _PROBE, ())[:, 0])
-    return {"Diller, impedance": float(impedance[1] > impedance[0])}
 
 
 def fat_of(sex: str, circumference: float, skin: float) -> float:

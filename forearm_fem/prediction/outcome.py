@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -17,7 +17,7 @@ from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import renderers, wavelet
 from ..pipeline.strengths import interval
 from ..ports import Port
-from ..rendering import Drives, Placed, Wavelet, displacements, drives, place, window_of
+from ..rendering import Wavelet, displacements, drives, place, window_of
 from ..rendering.drives import Renderer
 from ..rendering.sharing import prepared
 from ..scenario import Scenario
@@ -25,10 +25,9 @@ from ..tissue import resolve_tissues
 from ..transfer import TransferMatrix, finite, total_error
 from ..typing import ComplexArray, FloatArray
 from .arm import ArmModel
-from .draws import Draw, scenario_of
-from .measuring import believed, noisy
-from .tissues import REFERENCE, SOFT
+from .draws import REFERENCE, SOFT, Draw, scenario_of
 
+NOISE = "signal to noise"  # name of the draw's input
 KEPT = 16  # draws whose G is kept: 5 MB of the thesis' scene
 _MOST = 1.0  # e_band: nothing is known of a G that may be wrong by as much as it is
 _DRAWS = 6  # of an arm's errors, for the interval of its S; all targets of a method are pooled
@@ -111,6 +110,26 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
     )  # fmt: skip
 
 
+def believed(transfer: TransferMatrix, outputs: tuple[Port, ...], inputs: tuple[Port, ...]) -> TransferMatrix:
+    """The same G with the ports where the experimenter thinks they are: renderers aim by these places."""
+    return replace(transfer, outputs=outputs, inputs=inputs)
+
+
+def noisy(transfer: TransferMatrix, draw: Draw, scenario: Scenario) -> TransferMatrix:
+    """G as calibrated: white complex noise on every entry, alike over band and matrix.
+
+    Its rms is that of G over band and matrix, less the draw's signal to noise [dB] of one period, less 10 log10 of the
+    scenario's ``measurement.repeats``. A draw without noise (held) gives G itself. Not covered: noise that grows with
+    the distance of the laser, hum, drift.
+    """
+    if NOISE not in draw.values:
+        return transfer
+    size = float(np.sqrt(np.mean(np.abs(transfer.values) ** 2)))
+    rms = size * 10 ** (-draw.values[NOISE] / 20) / np.sqrt(scenario.measurement.repeats)
+    normals = draw.generator("noise").standard_normal((2, *transfer.values.shape)) / np.sqrt(2)
+    return replace(transfer, values=transfer.values + rms * (normals[0] + 1j * normals[1]))
+
+
 def strengths_of(setup: Setup, true: TransferMatrix, calibrated: TransferMatrix) -> FloatArray:
     """S (n_reading, n_method, n_target) of drives designed on ``calibrated``, there and on the ``true`` G."""
     window = window_of(setup.scenario.rendering.window, setup.shape)
@@ -121,13 +140,10 @@ def strengths_of(setup: Setup, true: TransferMatrix, calibrated: TransferMatrix)
         for t, target in enumerate(setup.targets):
             sent = drives(method, placed[0], target, setup.shape)
             for g, where in enumerate(placed):
-                out[g, m, t], out[2 + g, m, t] = _readings(where, sent, target, (window, None))
+                moved, row = displacements(where, sent), where.row(target)
+                for k, over in enumerate((window, None)):
+                    out[2 * k + g, m, t] = signal_strength(moved.values, row, time=moved.time, window=over)
     return out
-
-
-def _readings(placed: Placed, sent: Drives, target: str, windows: Sequence[tuple[float, float] | None]) -> list[float]:
-    moved = displacements(placed, sent)
-    return [signal_strength(moved.values, placed.row(target), time=moved.time, window=w) for w in windows]
 
 
 def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:

@@ -107,9 +107,8 @@ def wide_priors() -> Priors:
 
 
 def _table(rows: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Prior]:
-    return MappingProxyType({name: _prior(name, row) for name, row in rows.items()})
-
-
-def _prior(name: str, row: Mapping[str, Any]) -> Prior:
-    stated: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row.items()}
-    return Prior(name, **stated)
+    found = {}
+    for name, row in rows.items():
+        stated: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row.items()}
+        found[name] = Prior(name, **stated)
+    return MappingProxyType(found)

@@ -8,6 +8,7 @@ import os
 import time
 import warnings
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -30,7 +31,7 @@ from ..progress import Progress, tell, within
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
 from ..scenario.contents import contents, named_files
-from ..transfer import UNITS, TransferMatrix
+from ..transfer import UNITS
 from .arm import ArmModel, arm_model
 from .draws import LAWS, draw_inputs, scenario_of
 from .outcome import READINGS, Outcome, Setup, outcome_of, setup_of
@@ -126,9 +127,13 @@ def predict(
     _, setup, arm = _prepared(*_plain(question), progress)  # an arm that cannot be is said before minutes of solving
     tell(progress, "the scene itself", 0, 1)
     nominal = _nominal(question, progress)
-    kept = _kept(out / FILE, question.digest, draws) if resume else {}
-    if not kept:
-        _set_aside(out / FILE)
+    file, kept = out / FILE, dict[int, Outcome]()
+    if resume:
+        with suppress(DataError):
+            kept = {o.number: o for o in read_outcomes(file, question.digest) if o.number < draws}
+    if not kept and file.is_file():  # draws of another question cost minutes, too: they are kept beside
+        older = file.replace(file.with_name(OLDER))
+        warnings.warn(f"{file}: its draws answer another question and were moved to {older.name}", stacklevel=2)
     reused = len(kept)
     todo = [n for n in range(draws) if n not in kept]
     tell(progress, "draws", reused, draws)
@@ -202,29 +207,6 @@ def _nominal(question: Question, progress: Progress | None) -> StrengthAccount:
     return account
 
 
-def _setup(question: Question, transfer: TransferMatrix, arm: ArmModel) -> Setup:
-    options = question.scenario.rendering
-    targets = [p.name for p in transfer.outputs] if options.targets == "all" else list(options.targets)
-    left_out = unsuited(options, transfer.outputs, transfer.inputs, targets)
-    held = expanded(question.held) | expanded(arm.held)
-    return setup_of(question.scenario, transfer, question.base, left_out, held)
-
-
-def _kept(file: Path, digest: str, draws: int) -> dict[int, Outcome]:
-    try:
-        return {o.number: o for o in read_outcomes(file, digest) if o.number < draws}
-    except DataError:
-        return {}
-
-
-def _set_aside(file: Path) -> None:
-    """Draws of another question cost minutes, too: they are kept beside, and a warning says where."""
-    if file.is_file():
-        older = file.with_name(OLDER)
-        file.replace(older)
-        warnings.warn(f"{file}: its draws answer another question and were moved to {older.name}", stacklevel=3)
-
-
 def _write(out: Path, kept: Mapping[int, Outcome], setup: Setup, question: Question) -> None:
     frequency = frequencies(question.scenario.sweep)
     unit = UNITS[question.scenario.device.drive]
@@ -295,7 +277,11 @@ def _prepared(
     on_twin = question.scenario.engine == "layered" or twin
     arm = arm_model(question.scenario, base=base, draws=() if on_twin else pool(question), twin=twin, progress=progress)
     compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
-    return question, _setup(question, close_loop(compliance, question.scenario.device), arm), arm
+    transfer, options = close_loop(compliance, question.scenario.device), question.scenario.rendering
+    targets = [p.name for p in transfer.outputs] if options.targets == "all" else list(options.targets)
+    left_out = unsuited(options, transfer.outputs, transfer.inputs, targets)
+    held_by_both = expanded(question.held) | expanded(arm.held)
+    return question, setup_of(question.scenario, transfer, question.base, left_out, held_by_both), arm
 
 
 def pool(question: Question) -> list[Scenario]:

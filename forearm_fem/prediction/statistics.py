@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from scipy.stats import rankdata
@@ -178,32 +177,23 @@ def sobol_indices(drivers: FloatArray, names: Sequence[str], values: FloatArray)
     moving = np.flatnonzero(np.ptp(drivers, axis=0) > 0)
     if len(values) < _LEAST_SOBOL or not len(moving):
         return out
-    analyse = _rbd_fast()
-    x = drivers[:, moving]
-    problem = {"num_vars": len(moving), "names": [names[int(i)] for i in moving],
-               "bounds": [[float(c.min()), float(c.max())] for c in x.T]}  # fmt: skip
-    for at in np.ndindex(*values.shape[1:]):
-        y = np.log(values[(slice(None), *at)])
-        if np.ptp(y) > 0:
-            out[(moving, *at)] = analyse(problem, x, y)
-    return out
-
-
-def _rbd_fast() -> Any:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of its own imports
             from SALib.analyze import rbd_fast
     except ImportError:
         raise MissingExtra("SALib", "prediction", "Sobol' indices") from None
-
-    def analyse(problem: Mapping[str, Any], x: FloatArray, y: FloatArray) -> FloatArray:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = rbd_fast.analyze(problem, x, y, num_resamples=2, seed=0)
-        return np.asarray(np.clip(np.asarray(found["S1"], dtype=float), 0, 1))
-
-    return analyse
+    x = drivers[:, moving]
+    problem = {"num_vars": len(moving), "names": [names[int(i)] for i in moving],
+               "bounds": [[float(c.min()), float(c.max())] for c in x.T]}  # fmt: skip
+    for at in np.ndindex(*values.shape[1:]):
+        y = np.log(values[(slice(None), *at)])
+        if np.ptp(y) > 0:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                found = rbd_fast.analyze(problem, x, y, num_resamples=2, seed=0)
+            out[(moving, *at)] = np.clip(np.asarray(found["S1"], dtype=float), 0, 1)
+    return out
 
 
 def joint_distance(values: FloatArray, point: FloatArray) -> tuple[float, float]:

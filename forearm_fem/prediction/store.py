@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -74,18 +74,18 @@ def read_outcomes(path: Path, digest: str | None = None) -> list[Outcome]:
         if "spread" not in dataset:
             raise DataError("holds draws of a version before 0.16; run `forearm-fem predict` again")
         names, laws, problems = (text(dataset[k].values) for k in ("driver", "law", "problem"))
+        drivers = [
+            MappingProxyType({n: float(v) for n, v in zip(names, values, strict=True) if np.isfinite(v)})
+            for values in dataset["drivers"].values
+        ]
         rows = zip(
-            dataset["draw"].values, laws, dataset["S"].values, dataset["drivers"].values, dataset["numerics"].values,
+            dataset["draw"].values, laws, dataset["S"].values, drivers, dataset["numerics"].values,
             dataset["seconds"].values, problems, dataset["spread"].values, strict=True,
         )  # fmt: skip
         kept = dict(zip(dataset["kept"].values, dataset["G"].values, strict=True)) if "kept" in dataset else {}
         return [
-            Outcome(int(n), law, s, _drivers(names, values), float(e), float(t), problem, kept.get(n), spread)
-            for n, law, s, values, e, t, problem, spread in rows
+            Outcome(int(n), law, s, driven, float(e), float(t), problem, kept.get(n), spread)
+            for n, law, s, driven, e, t, problem, spread in rows
         ]
 
     return load(path, _CONTENT, unpack)
-
-
-def _drivers(names: Sequence[str], values: Sequence[float]) -> Mapping[str, float]:
-    return MappingProxyType({n: float(v) for n, v in zip(names, values, strict=True) if np.isfinite(v)})

@@ -12,9 +12,9 @@ from .. import __version__
 from ..io.jsonfiles import write_json
 from ..tissue import resolve_tissues
 from ..typing import FloatArray
+from .draws import REFERENCE
 from .run import Prediction
 from .statistics import LEVELS, Enclosed, quantiles, rank_correlations, sobol_indices, winners
-from .tissues import REFERENCE
 
 FOLDER, FILE = "prediction", "prediction.json"
 READING = "calibrated"  # as Table I: S on the G that was calibrated

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from ..scenario.actuators import ACTUATORS
+
 Kind = Literal["value", "trend", "not comparable"]
 
 
@@ -68,12 +70,8 @@ TARGETS = (
            "Parker and Hunter 2017, abstract seen", note="there is no thenar here"),
 )  # fmt: skip
 
-# Shah's motor: frequency [Hz] and amplitude [g] by step; six people: sex, arm length and circumference [m] at the
-# source and 4, 8, 12, 16 cm from it.
-SHAH_STEPS = (
-    (102.3, 0.45), (121.7, 0.65), (139.7, 0.85), (156.3, 1.05), (171.6, 1.20), (185.6, 1.40),
-    (198.2, 1.55), (209.5, 1.75), (219.4, 1.90), (228.0, 2.15), (235.3, 2.25), (241.2, 2.35),
-)  # fmt: skip
+SHAH_STEPS = ACTUATORS["ERM"].steps  # Shah's motor: frequency [Hz] and amplitude [g] by step
+# Six people: sex, arm length and circumference [m] at the source and 4, 8, 12, 16 cm from it.
 SHAH_ARMS = (
     ("m", 0.267, (0.279, 0.279, 0.266, 0.241, 0.203)),
     ("m", 0.279, (0.267, 0.260, 0.260, 0.232, 0.194)),

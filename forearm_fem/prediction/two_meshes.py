@@ -18,7 +18,7 @@ from ..pipeline.two_meshes import Judged, judged, spread_change
 from ..progress import Progress
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate, relative_error
-from ..typing import ComplexArray, FloatArray, IntArray
+from ..typing import ComplexArray, FloatArray
 
 _PROBED = 20  # frequencies at which the second mesh is asked
 
@@ -43,7 +43,9 @@ class ArmMeshes:
         shape is that of the change, and the largest of points under contacts is e(f), but e_band at least, as two
         meshes agree by chance.
         """
-        some = _probes(found.frequency)
+        low, high = np.sqrt(found.frequency[[0, -1]])  # probes are dense where frequencies are low
+        wanted = np.linspace(low, high, _PROBED) ** 2
+        some = np.unique(np.abs(found.frequency[:, None] - wanted).argmin(axis=0))
         frequency = found.frequency[some]
         part = replace(found, frequency=frequency, values=found.values[some])
         second = self._second(arm, frequency)
@@ -81,12 +83,6 @@ class ArmMeshes:
         """What points do under contacts (n_frequency, n_point, n_contact), judged as a scene's own is."""
         lag, coarser = (self.lags.phases(arm, frequency, scale) for scale in (1.0, self.ratio))
         return judged(other, own, frequency, self.ratio, lag, coarser)
-
-
-def _probes(frequency: FloatArray) -> IntArray:
-    """Places of at most so many frequencies, dense where they are low."""
-    wanted = np.linspace(np.sqrt(frequency[0]), np.sqrt(frequency[-1]), _PROBED) ** 2
-    return np.unique(np.abs(frequency[:, None] - wanted).argmin(axis=0))
 
 
 def arm_meshes(

@@ -15,9 +15,7 @@ from ..metrics import condition_number, condition_summary, thesis_table
 from ..metrics.strength import GROUPS, strength_text
 from ..rendering.lattice import is_thesis_grid
 from ..rendering.limits import Limits, beyond_limits
-from ..results import StrengthRecord
 from ..scenario import Scenario
-from ..scenario.device import Device
 from ..transfer import TransferMatrix, entry_band_errors, size_words
 from ..typing import FloatArray
 
@@ -37,8 +35,11 @@ def scene_block(results: Results) -> Block:
     """What was asked, in a reader's words."""
     s = results.scenario
     changed = ", ".join(s.tissues.override)
+    inside = ", ".join(f"{x.tissue} {_mm(x.thickness)}" for x in getattr(s.limb, "layers", ()))
+    core, bones = getattr(s.limb, "core", ""), ", ".join(b.name for b in getattr(s.limb, "bones", ()))
+    limb = (s.limb.shape, inside, f"on {core}" if core else "", f"bones: {bones}" if bones else "")
     rows = [
-        ["limb", _limb(s)],
+        ["limb", "; ".join(part for part in limb if part)],
         ["tissues", f"preset {s.tissues.preset}" + (f"; changed: {changed}" if changed else "")],
         ["supports", f"bone {s.supports.bone}, underside {s.supports.underside}, cut ends {s.supports.ends}"],
         ["device", _device(s)],
@@ -55,31 +56,20 @@ def _mm(length: float) -> str:
     return f"{1e3 * length:g} mm"
 
 
-def _limb(s: Scenario) -> str:
-    layers = getattr(s.limb, "layers", ())
-    inside = ", ".join(f"{x.tissue} {_mm(x.thickness)}" for x in layers)
-    core = getattr(s.limb, "core", "")
-    bones = ", ".join(b.name for b in getattr(s.limb, "bones", ()))
-    parts = [s.limb.shape, inside, f"on {core}" if core else "", f"bones: {bones}" if bones else ""]
-    return "; ".join(p for p in parts if p)
-
-
 def _device(s: Scenario) -> str:
     d = s.device
     absent = f"; out of contact: {', '.join(d.out_of_contact)}" if d.out_of_contact else ""
-    count = _counted(len(d.centres), "actuator")
-    return (f"{count} {_arranged(d)}, {d.drive} drive, cones of {_mm(2 * d.cone.radius)} diameter, "
-            f"{d.cone.contact} contact{absent}")  # fmt: skip
-
-
-def _arranged(d: Device) -> str:
     if d.contacts is not None:
-        return f"at own places{_nearest(d.contacts)}"
-    counts = d.columns if isinstance(d.columns, tuple) else (d.columns,) * d.rows
-    rows = f"in rows of {', '.join(map(str, counts))}" if len(set(counts)) > 1 else f"in {d.rows} x {counts[0]}"
-    across = d.spacing_y or d.spacing
-    aside = f", rows staggered by {_mm(d.stagger * across)}" if d.stagger else ""
-    return f"{rows}, {_mm(d.spacing)}{'' if across == d.spacing else f' x {_mm(across)}'} apart{aside}"
+        arranged = f"at own places{_nearest(d.contacts)}"
+    else:
+        counts = d.columns if isinstance(d.columns, tuple) else (d.columns,) * d.rows
+        rows = f"in rows of {', '.join(map(str, counts))}" if len(set(counts)) > 1 else f"in {d.rows} x {counts[0]}"
+        across = d.spacing_y or d.spacing
+        aside = f", rows staggered by {_mm(d.stagger * across)}" if d.stagger else ""
+        arranged = f"{rows}, {_mm(d.spacing)}{'' if across == d.spacing else f' x {_mm(across)}'} apart{aside}"
+    count = _counted(len(d.centres), "actuator")
+    return (f"{count} {arranged}, {d.drive} drive, cones of {_mm(2 * d.cone.radius)} diameter, "
+            f"{d.cone.contact} contact{absent}")  # fmt: skip
 
 
 def _counted(count: int, what: str) -> str:
@@ -171,8 +161,9 @@ def renderer_block(results: Results) -> Block:
     for m, method in enumerate(drives.methods):
         peak = np.abs(drives.values[m]).max(axis=(1, 2))
         own = [np.nanmax(np.abs(moved.values[m, t, moved.channels.index(n)])) for t, n in enumerate(moved.targets)]
-        rows.append([method, _span(peak, drives.unit), _power(drives.values[m], device.coil.resistance, drives.unit),
-                     _span(1e6 * np.array(own), "µm")])  # fmt: skip
+        mean_square = float(np.mean(drives.values[m] ** 2, axis=2).max())
+        power = f"{1e3 * mean_square / device.coil.resistance:.2g} mW" if drives.unit == "V" else "–"
+        rows.append([method, _span(peak, drives.unit), power, _span(1e6 * np.array(own), "µm")])  # fmt: skip
     header = ["method", "largest drive", "largest mean power", "target's own peak"]
     return Block(header, rows, "Ranges are over the targets. Everything is linear: scaled drives scale all alike.")
 
@@ -180,12 +171,6 @@ def renderer_block(results: Results) -> Block:
 def _span(values: FloatArray, unit: str) -> str:
     low, high = float(np.min(values)), float(np.max(values))
     return f"{low:.2g} {unit}" if np.isclose(low, high) else f"{low:.2g} to {high:.2g} {unit}"
-
-
-def _power(values: FloatArray, resistance: float, unit: str) -> str:
-    if unit != "V":
-        return "–"
-    return f"{1e3 * float(np.mean(values**2, axis=2).max()) / resistance:.2g} mW"
 
 
 def exceeded(results: Results) -> list[str]:
@@ -229,12 +214,15 @@ def by_target_block(results: Results) -> Block:
     holes = account.largest("holes")[0] > 0
     rows = []
     for t, target in enumerate(data.targets):
-        cells = [
-            f"{strength_text(data.values[m, t])}{spreads(data, method, target) or f' ({_span_of(data, m, t)})'}"
-            f"{_hole_words(account, method, target) if holes else ''}"
-            for m, method in enumerate(data.methods)
-        ]
-        rows.append([target, *cells])
+        cells = [target]
+        for m, method in enumerate(data.methods):
+            low, high = data.low[m, t], data.high[m, t]
+            known = np.isfinite(low) and np.isfinite(high)
+            span = f" ({strength_text(low)} to {strength_text(high)})" if known else " (unknown)"
+            entry = account.methods.get(method, {}).get(target) if holes else None
+            lost = f", holes ± {entry.holes:.2g}" if entry and entry.holes else ""
+            cells.append(f"{strength_text(data.values[m, t])}{spreads(data, method, target) or span}{lost}")
+        rows.append(cells)
     said = ["In brackets: S within the errors stated for G, nine in ten of them; how arms differ is not in it."]
     if data.arms is not None:
         said = [
@@ -250,17 +238,6 @@ def by_target_block(results: Results) -> Block:
         worst, at = account.largest("holes")
         said += [f"Holes of G that could not be bridged may have cost up to {worst:.0%} of S ({at}), given per S."]
     return Block(["target", *data.methods], rows, " ".join(said))
-
-
-def _span_of(data: Strengths, m: int, t: int) -> str:
-    low, high = data.low[m, t], data.high[m, t]
-    return f"{strength_text(low)} to {strength_text(high)}" if np.isfinite(low) and np.isfinite(high) else "unknown"
-
-
-def _hole_words(account: StrengthRecord, method: str, target: str) -> str:
-    entry = account.methods.get(method, {}).get(target)
-    cost = entry.holes if entry else None
-    return f", holes ± {cost:.2g}" if cost else ""
 
 
 def differences(results: Results) -> list[str]:

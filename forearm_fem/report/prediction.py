@@ -11,7 +11,7 @@ from ..figures.prediction import bands_table, drivers_table, plot_bands, plot_dr
 from ..figures.style import Drawn
 from ..io.atomic import atomic_path, write_text
 from .facts import Block
-from .write import Picture, Section, embedded, html_of, markdown_of
+from .write import Section, embedded, html_of, markdown_of
 
 _STRONG = 0.2  # rank correlation that is named
 _WIDE = 1.1  # factor of S, by errors of the arms' own G, from which on the report says what to do
@@ -24,13 +24,26 @@ def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path,
     """
     out = Path(folder)
     stamp = f"scene {data['scenario']['name']} · {data['draws']} arms, {data['model']} · forearm_fem {data['program']}"
-    pictures = {name: _picture(name, data, stamp) for name in _FIGURES}
+    pictures = {name: embedded(draw(data), title, stamp, name) for name, (title, draw) in _FIGURES.items()}
     for name, picture in pictures.items():
         with atomic_path(out / "figures" / f"{name}.png") as target:
             target.write_bytes(base64.b64decode(picture.data))
     for name, table in (("bands", bands_table), ("drivers", drivers_table)):
         write_text(out / "figures" / f"{name}.csv", table(data).as_csv(stamp))
-    title, lead, sections = f"Prediction for scene {data['scenario']['name']}", lead_of(data), _sections(data, pictures)
+    title, lead = f"Prediction for scene {data['scenario']['name']}", lead_of(data)
+    wins = [
+        [group, *(f"{data['by_group'][m][group]['wins']:.0%}" for m in data["methods"])] for group in data["groups"]
+    ]
+    note = "Share of arms in which the method's mean S there is the largest."
+    won = Block(["place", *data["methods"]], wins, note)
+    sections = [
+        Section("strength", "S at each target", _targets(data), pictures=[pictures["bands"]]),
+        Section("groups", "Middle, edges and corners" if "All" not in data["groups"] else "Mean S", _groups(data)),
+        Section("methods", "Which method wins", won, pictures=[pictures["methods"]]),
+        Section("drivers", "What drives S", _drivers(data), pictures=[pictures["drivers"]]),
+        Section("numerics", "How wrong the numerics may be", paragraphs=[_numerics(data)]),
+        Section("scope", "What is in the band, and what is not", bullets=_scope(data)),
+    ]
     page, plain = out / "prediction.html", out / "prediction.md"
     write_text(plain, markdown_of(title, lead, sections, stamp))
     write_text(page, html_of(title, lead, sections, stamp))
@@ -44,11 +57,6 @@ _FIGURES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], Drawn]]] = {
 }
 
 
-def _picture(name: str, data: Mapping[str, Any], stamp: str) -> Picture:
-    title, draw = _FIGURES[name]
-    return embedded(draw(data), title, stamp, name)
-
-
 def lead_of(data: Mapping[str, Any]) -> str:
     """The finding in words: how wide arms spread each method, and which wins."""
     group = next(iter(data["groups"]))
@@ -57,13 +65,9 @@ def lead_of(data: Mapping[str, Any]) -> str:
         low, high = data["by_group"][method][group]["arms"][0], data["by_group"][method][group]["arms"][-1]
         parts.append(f"{method} {low:.2g} to {high:.2g}")
     lost = sum(data["failed"].values())
-    missing = f" {_arms(lost)} more without S left out (see below)." if lost else ""
+    missing = f" {lost} arm{'' if lost == 1 else 's'} more without S left out (see below)." if lost else ""
     return (f"Nine in ten of {data['draws']} arms have, at {group}: {', '.join(parts)}. Errors of each arm's own G are "
             f"in these bands; those of the scene's S are stated apart.{missing}")  # fmt: skip
-
-
-def _arms(count: int) -> str:
-    return "1 arm" if count == 1 else f"{count} arms"
 
 
 def strength_words(cell: Mapping[str, Any]) -> str:
@@ -72,17 +76,6 @@ def strength_words(cell: Mapping[str, Any]) -> str:
     numerics = f"{low:.2f}-{high:.2f}" if low is not None and high is not None else "unknown"
     value = "unknown" if cell.get("value") is None else f"{cell['value']:.2f}"
     return f"{value} (numerics {numerics}, arms {cell['arms'][0]:.2f}-{cell['arms'][-1]:.2f})"
-
-
-def _sections(data: Mapping[str, Any], pictures: Mapping[str, Picture]) -> list[Section]:
-    return [
-        Section("strength", "S at each target", _targets(data), pictures=[pictures["bands"]]),
-        Section("groups", "Middle, edges and corners" if "All" not in data["groups"] else "Mean S", _groups(data)),
-        Section("methods", "Which method wins", _wins(data), pictures=[pictures["methods"]]),
-        Section("drivers", "What drives S", _drivers(data), pictures=[pictures["drivers"]]),
-        Section("numerics", "How wrong the numerics may be", paragraphs=[_numerics(data)]),
-        Section("scope", "What is in the band, and what is not", bullets=_scope(data)),
-    ]
 
 
 def _targets(data: Mapping[str, Any]) -> Block:
@@ -98,9 +91,11 @@ def _groups(data: Mapping[str, Any]) -> Block:
     for group in data["groups"]:
         for method in data["methods"]:
             cell = data["by_group"][method][group]
+            low, high = (f"{share:.0%}" for share in cell["above_one_range"])
+            above = f"{cell['above_one']:.0%}" + ("" if low == high else f" ({low[:-1]}-{high})")  # e.g. 88% (75-92%)
             rows.append([group, method, *(f"{x:.2f}" for x in cell["arms"]), f"{cell['played'][0]:.2f}-"
                          f"{cell['played'][-1]:.2f}", f"{cell['record'][0]:.2f}-{cell['record'][-1]:.2f}",
-                         f"{cell['bare'][0]:.2f}-{cell['bare'][-1]:.2f}", _share_words(cell)])  # fmt: skip
+                         f"{cell['bare'][0]:.2f}-{cell['bare'][-1]:.2f}", above])  # fmt: skip
     levels = [f"{100 * x:g} %" for x in data["levels"]]
     header = ["place", "method", *levels, "as played, 5-95 %", "over the record, 5-95 %",
               "without errors of the arms' G, 5-95 %", "S > 1"]
@@ -110,19 +105,6 @@ def _groups(data: Mapping[str, Any]) -> Block:
             "drives on the true G, without its noise. Over the record: as the thesis sums it, noise over two seconds "
             "included.")  # fmt: skip
     return Block(header, rows, note)
-
-
-def _share_words(cell: Mapping[str, Any]) -> str:
-    """E.g. ``88% (75-92%)``, or ``100%`` where the arms' numerics change nothing."""
-    low, high = (f"{share:.0%}" for share in cell["above_one_range"])
-    return f"{cell['above_one']:.0%}" + ("" if low == high else f" ({low[:-1]}-{high})")
-
-
-def _wins(data: Mapping[str, Any]) -> Block:
-    rows = [
-        [group, *(f"{data['by_group'][m][group]['wins']:.0%}" for m in data["methods"])] for group in data["groups"]
-    ]
-    return Block(["place", *data["methods"]], rows, "Share of arms in which the method's mean S there is the largest.")
 
 
 def _drivers(data: Mapping[str, Any]) -> Block:

@@ -179,17 +179,13 @@ def markdown_of(title: str, lead: str, sections: list[Section], stamp: str) -> s
     """The same as :func:`html_of` in Markdown, its pictures as files beside it."""
     parts = [f"# {title}\n", lead + "\n"]
     for section in sections:
-        body = _markdown_body(section)
+        body = [text + "\n" for text in section.paragraphs]
+        if section.block and section.block.rows:
+            body.append(markdown_table(section.block.header, section.block.rows))
+        if section.block and section.block.note:
+            body.append(section.block.note + "\n")
+        body += [f"![{picture.title}](figures/{picture.name}.png)\n" for picture in section.pictures]
+        body += [*(f"- {line}" for line in section.bullets), *([""] if section.bullets else [])]
         if body:
             parts += [f"## {section.title}\n", *body]
     return "\n".join([*parts, f"*{stamp}*\n"])
-
-
-def _markdown_body(section: Section) -> list[str]:
-    lines = [text + "\n" for text in section.paragraphs]
-    if section.block and section.block.rows:
-        lines.append(markdown_table(section.block.header, section.block.rows))
-    if section.block and section.block.note:
-        lines.append(section.block.note + "\n")
-    lines += [f"![{picture.title}](figures/{picture.name}.png)\n" for picture in section.pictures]
-    return [*lines, *(f"- {line}" for line in section.bullets), *([""] if section.bullets else [])]

@@ -10,7 +10,6 @@ from pydantic import Field, model_validator
 
 from .actuators import ACTUATORS, ActuatorName, beneath
 from .base import Length, Mass, Part, Voltage, Within
-from .rows import places_in_rows
 
 MOST_ACTUATORS = 100
 NEAREST = 2e-4  # [m] between two grid points: closer ones are one place, and no mesh is that fine
@@ -193,3 +192,18 @@ def _closest(points: Sequence[tuple[float, float]]) -> tuple[int, int, float] | 
                 return j, i, gap
         cells.setdefault((column, row), []).append(i)
     return None
+
+
+def places_in_rows(
+    counts: Sequence[int], along: float, across: float, stagger: float = 0.0
+) -> tuple[tuple[float, float], ...]:
+    """Places (x, y) [m] of rows ``along`` [m] apart in x, with ``counts`` places each, ``across`` [m] apart in y.
+
+    Rows as a whole are centred on x = 0, each row on y = 0; then the first, third, ... move by -``stagger``/2 of
+    ``across`` along y, the others by as much the other way.
+    """
+    first, places = (len(counts) - 1) / 2, list[tuple[float, float]]()
+    for r, count in enumerate(counts):
+        aside = (stagger if r % 2 else -stagger) / 2
+        places += (((r - first) * along, (c - (count - 1) / 2 + aside) * across) for c in range(count))
+    return tuple(places)

@@ -64,7 +64,14 @@ def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str], option: s
         path = key.strip().split(".")
         if len(path) > DEEPEST:
             raise ScenarioError(f"{option} {item}: the key has {len(path)} parts, expected at most {DEEPEST}")
-        _put(result, path, _copied(_toml_value(text.strip())), f"{option} {item}")
+        table = result
+        for name in path[:-1]:
+            table = table.setdefault(name, {})
+            if not isinstance(table, dict):
+                raise ScenarioError(
+                    f"{option} {item}: '{name}' is a value, not a table, so nothing can be set below it"
+                )
+        table[path[-1]] = _copied(_toml_value(text.strip()))
     return result
 
 
@@ -74,14 +81,6 @@ def _copied(value: Any, depth: int = 0) -> Any:
     if isinstance(value, Mapping):
         return {key: _copied(inside, depth + 1) for key, inside in value.items()}
     return [_copied(inside, depth + 1) for inside in value] if isinstance(value, list) else value
-
-
-def _put(data: dict[str, Any], path: list[str], value: Any, item: str) -> None:
-    for key in path[:-1]:
-        data = data.setdefault(key, {})
-        if not isinstance(data, dict):
-            raise ScenarioError(f"{item}: '{key}' is a value, not a table, so nothing can be set below it")
-    data[path[-1]] = value
 
 
 def _toml_value(text: str) -> Any:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import date, time
+from difflib import get_close_matches
 from typing import Any
 
 from pydantic import ValidationError
 
 from ..errors import in_tomls_words
-from .meant import key_meant
 
+_ALIKE = 0.8  # of difflib's ratio: one or two letters of ten
 _KIND = re.compile(r"(literal|tuple|list|dict|function-[a-z]+|constrained-[a-z]+)\[")  # of a union's members
 
 
@@ -31,22 +32,16 @@ def first_problem_of(problem: ValidationError, schema: dict[str, Any]) -> str:
         advice = f"did you mean {meant}?" if meant else "`forearm-fem schema` lists the known ones"
         return f"{where}: unknown key; {advice}{more}"
     came = first["input"]
-    shown = "" if isinstance(came, Mapping) else f", got {_shown(came)}"
+    as_toml = str(came) if isinstance(came, date | time) else repr(came)
+    shown = "" if isinstance(came, Mapping) else f", got {_shortened(as_toml)}"
     if isinstance(came, str) and {e["type"] for e in same} <= {"tuple_type", "list_type"}:
-        shown += f"; write {_as_list(came)}, in a shell between single quotes"
-    said = dict.fromkeys(_sentence(e["msg"]) for e in same)
+        # what was meant: a list of a single text, or one whose quotes a shell ate
+        listed = json.dumps([item.strip() for item in came.strip("[] ").split(",")])
+        shown += f"; write {_shortened(listed)}, in a shell between single quotes"
+    words = (in_tomls_words(e["msg"].removeprefix("Value error, ")) for e in same)
+    said = dict.fromkeys(w[0].lower() + w[1:] for w in words)
     message = ", or ".join(m if k == 0 else m.removeprefix("input should be ") for k, m in enumerate(said))
     return f"{where}{': ' if where else ''}{message}{shown}{more}"
-
-
-def _sentence(message: str) -> str:
-    said = in_tomls_words(message.removeprefix("Value error, "))
-    return said[0].lower() + said[1:]
-
-
-def _as_list(text: str) -> str:
-    """What was meant by a ``text`` where a list belongs: one of a single text, or one whose quotes a shell ate."""
-    return _shown_text(json.dumps([item.strip() for item in text.strip("[] ").split(",")]))
 
 
 def _key(place: tuple[int | str, ...]) -> str:
@@ -56,10 +51,29 @@ def _key(place: tuple[int | str, ...]) -> str:
     return ".".join(str(part) for part in place if not _KIND.match(str(part)))
 
 
-def _shown(value: Any) -> str:
-    """What came, as TOML would have it, at most 60 characters of it."""
-    return _shown_text(str(value) if isinstance(value, date | time) else repr(value))
-
-
-def _shown_text(text: str) -> str:
+def _shortened(text: str) -> str:
     return text if len(text) <= 60 else f"{text[:40]} ... {text[-15:]}"
+
+
+def key_meant(key: str, schema: dict[str, Any]) -> str | None:
+    """The dotted key of the JSON ``schema`` that ``key`` was most likely to be; None where none is like it."""
+    known = dict.fromkeys(_keys(schema, schema.get("$defs", {})))
+    table, _, name = key.rpartition(".")
+    namesakes = [k for k in known if k.rpartition(".")[2] == name]
+    if namesakes:
+        return (get_close_matches(key, namesakes, 1, 0.0) or namesakes)[0]
+    beside = {k.rpartition(".")[2]: k for k in known if k.rpartition(".")[0] == table}
+    alike = get_close_matches(name, beside, 1, _ALIKE)
+    return beside[alike[0]] if alike else None
+
+
+def _keys(part: dict[str, Any], tables: dict[str, Any], path: str = "") -> Iterator[str]:
+    """Dotted keys below ``part``, of all shapes that it may have; names in mappings are the user's own."""
+    if "$ref" in part:
+        yield from _keys(tables[part["$ref"].rpartition("/")[2]], tables, path)
+    for one in (*part.get("oneOf", ()), *part.get("anyOf", ())):
+        yield from _keys(one, tables, path)
+    for name, entry in part.get("properties", {}).items():
+        where = f"{path}.{name}" if path else name
+        yield where
+        yield from _keys(entry, tables, where)

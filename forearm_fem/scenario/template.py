@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 from .model import Scenario
 
@@ -41,19 +40,15 @@ def _table(part: BaseModel, path: str, left_out: tuple[str, ...] = ()) -> Iterat
             continue
         if isinstance(value, BaseModel):
             deeper.append((f"{path}.{key}".lstrip("."), value))
+            continue
+        meaning = field.description or ""
+        line = f"# {key} =" if value is None or value == {} else f"# {key} = {_toml(value)}"
+        if len(line) + len(meaning) < _WIDE:
+            yield f"{line}  # {meaning}"
         else:
-            yield from _key(key, field, value)
+            yield from (f"## {meaning}", line)
     for name, below in deeper:
         yield from ("", f"[{name}]", *_table(below, name))
-
-
-def _key(key: str, field: FieldInfo, value: Any) -> Iterator[str]:
-    meaning = field.description or ""
-    line = f"# {key} =" if value is None or value == {} else f"# {key} = {_toml(value)}"
-    if len(line) + len(meaning) < _WIDE:
-        yield f"{line}  # {meaning}"
-    else:
-        yield from (f"## {meaning}", line)
 
 
 def _toml(value: Any) -> str:

@@ -156,37 +156,31 @@ def analyse(table: pd.DataFrame, measure: str, *, correction: Correction = "bonf
     per_method = whole.mean(axis=1)
     many = len(methods) > 2
     normality = residual_normality(whole)
+    each = table[["participant", "target", "method", measure]].rename(columns={"target": "location"})
     return Tests(
         measure,
         tuple(p for p, ok in zip(people, complete, strict=True) if ok),
         left_out,
         effects,
         pairwise(per_method, methods, correction),
-        _simple(whole, targets, 1, correction),
-        _simple(whole.swapaxes(1, 2), methods, 1, correction),
+        _simple(whole, targets, correction),
+        _simple(whole.swapaxes(1, 2), methods, correction),
         normality,
         friedman(per_method) if many else None,
-        mixed_model(_plain(table, measure), measure, FACTORS, "participant") if mixed else None,
+        mixed_model(each.dropna().reset_index(drop=True), measure, FACTORS, "participant") if mixed else None,
         _notes(effects, normality, left_out),
     )
 
 
-def _simple(
-    values: FloatArray, names: Sequence[str], axis: int, correction: Correction
-) -> tuple[tuple[str, Effect, float], ...]:
+def _simple(values: FloatArray, names: Sequence[str], correction: Correction) -> tuple[tuple[str, Effect, float], ...]:
     """One-way analyses of ``values`` (n, k, levels) at each of k ``names``; equal answers throughout are left out."""
     found = []
     for k, name in enumerate(names):
-        part = np.take(values, k, axis=axis)
+        part = values[:, k]
         if part.shape[1] > 1 and np.ptp(part) > 0:
             found.append((name, repeated_measures(part, ("level",))[0]))
     p = corrected_p(np.array([effect.p_gg for _, effect in found]), correction) if found else np.zeros(0)
     return tuple((name, effect, float(q)) for (name, effect), q in zip(found, p, strict=True))
-
-
-def _plain(table: pd.DataFrame, measure: str) -> pd.DataFrame:
-    kept = table[["participant", "target", "method", measure]].rename(columns={"target": "location"})
-    return kept.dropna().reset_index(drop=True)
 
 
 def _notes(effects: Sequence[Effect], normality: Normality, left_out: Sequence[str]) -> tuple[str, ...]:

@@ -57,10 +57,19 @@ def repeated_measures(values: FloatArray, factors: Sequence[str]) -> tuple[Effec
     missing values, fewer than two subjects, a factor with one level, or no variation at all.
     """
     cells = np.asarray(values, dtype=float)
-    _check(cells, factors)
+    if cells.ndim != len(factors) + 1 or min(cells.shape[1:], default=0) < 2 or len(cells) < 2:
+        raise DataError(
+            f"an analysis of variance over {', '.join(factors)} needs two or more subjects and levels of each factor, "
+            f"got values of shape {cells.shape}"
+        )
+    if missing := int(np.count_nonzero(~np.isfinite(cells))):
+        raise DataError(f"{missing} of {cells.size} cells are missing; leave their subjects out or use a mixed model")
+    if np.ptp(cells) == 0:
+        raise DataError("all values are equal, so there is nothing to analyse")
     flat = cells.reshape(len(cells), -1)
-    found = [_parts(flat, _contrasts(cells.shape[1:], chosen)) for chosen in _subsets(len(factors))]
-    names = [" x ".join(factors[i] for i in chosen) for chosen in _subsets(len(factors))]
+    subsets = [some for size in range(1, len(factors) + 1) for some in combinations(range(len(factors)), size)]
+    found = [_parts(flat, _contrasts(cells.shape[1:], some)) for some in subsets]
+    names = [" x ".join(factors[i] for i in some) for some in subsets]
     between = flat.shape[1] * float(np.sum((flat.mean(axis=1) - flat.mean()) ** 2))
     errors = between + sum(part.error for part in found)
     return tuple(_effect(name, part, errors) for name, part in zip(names, found, strict=True))
@@ -74,22 +83,6 @@ class _Parts:
     error: float
     covariance: FloatArray
     subjects: int
-
-
-def _check(cells: FloatArray, factors: Sequence[str]) -> None:
-    if cells.ndim != len(factors) + 1 or min(cells.shape[1:], default=0) < 2 or len(cells) < 2:
-        raise DataError(
-            f"an analysis of variance over {', '.join(factors)} needs two or more subjects and levels of each factor, "
-            f"got values of shape {cells.shape}"
-        )
-    if missing := int(np.count_nonzero(~np.isfinite(cells))):
-        raise DataError(f"{missing} of {cells.size} cells are missing; leave their subjects out or use a mixed model")
-    if np.ptp(cells) == 0:
-        raise DataError("all values are equal, so there is nothing to analyse")
-
-
-def _subsets(count: int) -> list[tuple[int, ...]]:
-    return [chosen for size in range(1, count + 1) for chosen in combinations(range(count), size)]
 
 
 def _contrasts(levels: tuple[int, ...], chosen: tuple[int, ...]) -> FloatArray:

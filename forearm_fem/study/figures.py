@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse as Patch
 from matplotlib.path import Path
@@ -34,12 +33,22 @@ def plot_ellipses(found: Sequence[Ellipse], grid: Sequence[Port]) -> Figure:
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     places = {p.name: _MM * np.array([p.position[1], p.position[0]]) for p in grid}
     reach = 0.75 * _pitch(list(places.values()))
+    xy = np.array(list(places.values()))
     for ax, target in zip(axes, targets, strict=False):
-        _panel(ax, [e for e in found if e.target == target], methods, places)
+        ax.plot(xy[:, 0], xy[:, 1], ".", color=FAINT, ms=4)
+        for e in (e for e in found if e.target == target):
+            colour = method_colour(e.method, methods)
+            values, vectors = np.linalg.eigh(np.nan_to_num(e.covariance[::-1, ::-1]))
+            width, height = 2 * _MM * np.sqrt(np.maximum(values[::-1], 0))
+            angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+            at = _MM * e.mean[::-1]
+            ax.add_patch(Patch(tuple(at), width, height, angle=angle, facecolor=colour, alpha=0.18, edgecolor=colour))
+            ax.plot(*at, "o", color=colour, ms=4)
+        ax.plot(*places[target], "*", color="#B3261E", ms=9, zorder=5)
+        ax.set_aspect("equal")
         letter(ax, target)
     for ax in axes[len(targets) :]:
         ax.set_visible(False)
-    xy = np.array(list(places.values()))
     axes[0].set_xlim(xy[:, 0].min() - reach, xy[:, 0].max() + reach)
     axes[0].set_ylim(xy[:, 1].max() + reach, xy[:, 1].min() - reach)
     figure.supxlabel("across the limb [mm]")
@@ -47,21 +56,6 @@ def plot_ellipses(found: Sequence[Ellipse], grid: Sequence[Port]) -> Figure:
     handles = [Patch((0, 0), 1, 1, facecolor=method_colour(m, methods), alpha=0.6) for m in methods]
     figure.legend(handles, methods, loc="outside upper center", ncols=len(methods))
     return figure
-
-
-def _panel(ax: Axes, found: Sequence[Ellipse], methods: Sequence[str], places: dict[str, FloatArray]) -> None:
-    xy = np.array(list(places.values()))
-    ax.plot(xy[:, 0], xy[:, 1], ".", color=FAINT, ms=4)
-    for e in found:
-        colour = method_colour(e.method, methods)
-        values, vectors = np.linalg.eigh(np.nan_to_num(e.covariance[::-1, ::-1]))
-        width, height = 2 * _MM * np.sqrt(np.maximum(values[::-1], 0))
-        angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
-        centre = _MM * e.mean[::-1]
-        ax.add_patch(Patch(tuple(centre), width, height, angle=angle, facecolor=colour, alpha=0.18, edgecolor=colour))
-        ax.plot(*centre, "o", color=colour, ms=4)
-    ax.plot(*places[found[0].target], "*", color="#B3261E", ms=9, zorder=5)
-    ax.set_aspect("equal")
 
 
 def _pitch(places: Sequence[FloatArray]) -> float:
@@ -114,11 +108,14 @@ def plot_outlines(table: pd.DataFrame, grid: Sequence[Port]) -> Figure:
     reach = 1.2 * _pitch(list(xy))
     u = np.linspace(xy[:, 0].min() - reach, xy[:, 0].max() + reach, 61)
     v = np.linspace(xy[:, 1].min() - reach, xy[:, 1].max() + reach, 61)
+    every = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     for row, target in zip(axes, targets, strict=True):
         letter(row[0], target)
         for ax, method in zip(row, methods, strict=True):
             drawn = table[(table["target"] == target) & (table["method"] == method)]["response_outline"].dropna()
-            image = ax.pcolormesh(u, v, _share_inside(drawn, u, v), vmin=0, vmax=1, cmap="cividis", rasterized=True)
+            held = [Path(outline(text)[:, ::-1]).contains_points(every) for text in drawn]
+            share = (np.mean(held, axis=0) if held else np.full(len(every), np.nan)).reshape(len(v), len(u))
+            image = ax.pcolormesh(u, v, share, vmin=0, vmax=1, cmap="cividis", rasterized=True)
             ax.plot(xy[:, 0], xy[:, 1], ".", color=FAINT, ms=3)
             ax.plot(*places[target], "*", color="#B3261E", ms=8)
             ax.set_aspect("equal")
@@ -129,13 +126,6 @@ def plot_outlines(table: pd.DataFrame, grid: Sequence[Port]) -> Figure:
     figure.supylabel("along the limb [mm]")
     figure.colorbar(image, ax=axes, label="share of outlines", shrink=0.6)
     return figure
-
-
-def _share_inside(drawn: Iterable[str], u: FloatArray, v: FloatArray) -> FloatArray:
-    """Share (len(v), len(u)) of outlines "x,y x,y ..." [mm] that hold each place."""
-    places = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    held = [Path(outline(text)[:, ::-1]).contains_points(places) for text in drawn]
-    return np.asarray(np.mean(held, axis=0) if held else np.full(len(places), np.nan)).reshape(len(v), len(u))
 
 
 @styled

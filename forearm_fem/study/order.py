@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import Literal
@@ -58,11 +57,15 @@ def trials(study: Study, task: Task, participant: str) -> tuple[Trial, ...]:
 def _shuffled(study: Study, participant: str, rng: np.random.Generator, last: str | None) -> list[tuple[str, str]]:
     """Every method at every target once, in an order that the study allows after target ``last``."""
     stimuli, rule = study.stimuli, study.order
-    pairs = list(product(stimuli.methods, stimuli.targets))
+    pairs, methods = list(product(stimuli.methods, stimuli.targets)), stimuli.methods
+    # balanced: participants 1, 2, 3 ... start with another method each, every second round reversed
+    digits = "".join(c for c in participant if c.isdigit())
+    index = int(digits) - 1 if digits else int(hashlib.sha256(participant.encode()).hexdigest(), 16)
+    turned = [methods[(index + k) % len(methods)] for k in range(len(methods))]
+    rank = {m: k for k, m in enumerate(turned[::-1] if (index // len(methods)) % 2 else turned)}
     for _ in range(_TRIES):
         order = [pairs[i] for i in rng.permutation(len(pairs))]
         if rule.methods == "one after the other":
-            rank = {m: k for k, m in enumerate(_latin(stimuli.methods, participant))}
             order.sort(key=lambda pair: rank[pair[0]])
         if not rule.no_target_twice or all(a != b for a, b in pairwise([last, *(t for _, t in order)])):
             return order
@@ -70,15 +73,6 @@ def _shuffled(study: Study, participant: str, rng: np.random.Generator, last: st
         f"order.no_target_twice cannot be met with {len(stimuli.targets)} target(s) and {len(stimuli.methods)} "
         "method(s); add targets or set it to false"
     )
-
-
-def _latin(methods: Sequence[str], participant: str) -> list[str]:
-    """A balanced order: participants 1, 2, 3 ... start with another method each, every second round reversed."""
-    number = int(hashlib.sha256(participant.encode()).hexdigest(), 16)
-    digits = "".join(c for c in participant if c.isdigit())
-    index = int(digits) - 1 if digits else number
-    turned = [methods[(index + k) % len(methods)] for k in range(len(methods))]
-    return turned[::-1] if (index // len(methods)) % 2 else turned
 
 
 def _adaptive_trials(study: Study, task: Task, participant: str) -> tuple[Trial, ...]:

@@ -58,8 +58,12 @@ def power_curve(
     """
     found = []
     for done, count in enumerate(participants):
-        rng = np.random.default_rng([seed, count])
-        hits = sum(_significant(_study(supposed, count, repetitions, rng), test, alpha) for _ in range(studies))
+        rng, hits = np.random.default_rng([seed, count]), 0
+        for _ in range(studies):  # the cell means (n_participant, n_target, n_method) of each
+            own = supposed.between * rng.standard_normal((count, 1, 1))
+            scatter = np.hypot(supposed.cell, supposed.within / np.sqrt(repetitions))
+            noise = scatter * rng.standard_normal((count, *supposed.means.shape))
+            hits += _significant(np.asarray(supposed.means + own + noise), test, alpha)
         low, high = stats.binomtest(hits, studies).proportion_ci(method="wilson")
         found.append(Power(count, repetitions, hits / studies, float(low), float(high)))
         tell(progress, "power", done + 1, len(participants))
@@ -125,14 +129,6 @@ def _without_chance(means: FloatArray, variance: float) -> FloatArray:
         square = float(np.sum(np.broadcast_to(part, means.shape) ** 2))
         out += part * np.sqrt(max(1 - df * variance / square, 0.0) if square > 0 else 0.0)
     return out
-
-
-def _study(supposed: Supposed, count: int, repetitions: int, rng: np.random.Generator) -> FloatArray:
-    """Cell means (n_participant, n_target, n_method) of one study drawn."""
-    shape = (count, *supposed.means.shape)
-    own = supposed.between * rng.standard_normal((count, 1, 1))
-    noise = np.hypot(supposed.cell, supposed.within / np.sqrt(repetitions)) * rng.standard_normal(shape)
-    return np.asarray(supposed.means + own + noise)
 
 
 def _significant(values: FloatArray, test: str, alpha: float) -> bool:

@@ -93,7 +93,8 @@ def _device_section(devices: Sequence[Mapping[str, str]], answers: Mapping[str, 
     kinds: dict[tuple[str, ...], int] = {}
     for d in devices:
         gain = "unknown" if d["gain"] == "n/a" else d["gain"]
-        key = (d["device"], _milliseconds(d["latency"]), d["latency_basis"], gain, d["level_basis"])
+        late = "unknown" if d["latency"] == "n/a" else f"{1e3 * float(d['latency']):.3g} ms"
+        key = (d["device"], late, d["latency_basis"], gain, d["level_basis"])
         kinds[key] = kinds.get(key, 0) + 1
     if lost := len(sittings - told):
         kinds[("unknown",) * 5] = lost
@@ -101,10 +102,6 @@ def _device_section(devices: Sequence[Mapping[str, str]], answers: Mapping[str, 
     head = ["device", "sittings", "latency, out and in", "how", "gain of a cable [V/V]", "level"]
     note = "Response times run from the end of the stimulus as it was sent; a latency that is unknown is in them."
     return Section("devices", "What played", Block(head, rows, note))
-
-
-def _milliseconds(text: str) -> str:
-    return "unknown" if text == "n/a" else f"{1e3 * float(text):.3g} ms"
 
 
 def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Correction, answer: Answer) -> Analysed:
@@ -128,7 +125,12 @@ def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Co
         measures["response_area"], said = "area drawn [m²]", [_SELECTION]
     kept = [embedded(figure, title, _SOURCE, f"{name}-{what}") for figure, what, title in pictures]
     sections = [Section(name, f"Task {name}", _counts(main), pictures=kept, paragraphs=said)]
-    tables = {f"{name}-trials": main, f"{name}-ellipses": _ellipse_table(found)}
+    drawn = [
+        {"target": e.target, "method": e.method, "mean_x_m": e.mean[0], "mean_y_m": e.mean[1],
+         "var_x_m2": e.covariance[0, 0], "var_y_m2": e.covariance[1, 1], "cov_xy_m2": e.covariance[0, 1],
+         "trials": e.count} for e in found
+    ]  # fmt: skip
+    tables = {f"{name}-trials": main, f"{name}-ellipses": pd.DataFrame(drawn)}
     for measure, words in measures.items():
         try:
             tests = analyse(main, measure, correction=correction)
@@ -148,16 +150,6 @@ def _counts(main: pd.DataFrame) -> Block:
                      f"{part['response_time'].median():.1f} s", str(int(part["late"].sum()))])  # fmt: skip
     head = ["method", "trials", "mean error", "target among the answer", "points chosen", "median time", "late"]
     return Block(head, rows, "Main trials; training is left out.")
-
-
-def _ellipse_table(found: Sequence[object]) -> pd.DataFrame:
-    rows = []
-    for e in found:
-        d = asdict(e)  # type: ignore[call-overload]
-        rows.append({"target": d["target"], "method": d["method"], "mean_x_m": d["mean"][0], "mean_y_m": d["mean"][1],
-                     "var_x_m2": d["covariance"][0, 0], "var_y_m2": d["covariance"][1, 1],
-                     "cov_xy_m2": d["covariance"][0, 1], "trials": d["count"]})  # fmt: skip
-    return pd.DataFrame(rows)
 
 
 def _test_sections(name: str, words: str, tests: Tests, correction: Correction) -> list[Section]:

@@ -22,7 +22,6 @@ from ..ports import Port
 from ..progress import Progress, tell
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario, load_scenario, scenario_beside
-from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix
 from .devices import SIMULATED, BackEnd, back_end
 from .field import SkinField, grid_field
@@ -93,30 +92,18 @@ def device_player(
     """A player through the virtual device, NI hardware, a sound card, or a device of one's own; what is known of it."""
     options = prepared.scenario.measurement.daq
     rate = prepared.wavelet.record.sample_rate
-    if isinstance(daq, str):
-        options = _channels(options, transfer, daq)
-        daq = _device(daq, options, transfer, prepared.wavelet, card)
+    if daq == "virtual":  # has channels of its own
+        options = options.model_copy(update={"outputs": tuple(f"virtual/ao{i}" for i in range(len(transfer.inputs)))})
+        daq = VirtualDaq(transfer, rate, prepared.wavelet.record.n / rate, VirtualOptions())
+        daq.aim(transfer.outputs[0].name)
+    elif isinstance(daq, str):
+        options = wired(options, len(transfer.inputs), daq)
+        daq = hardware(daq, options, card)
     if cable is not None:
         check_belongs(cable, daq, rate)
     loudest = max((t.adaptive.high for t in prepared.study.tasks if t.adaptive), default=0.0)
     player = DevicePlayer(daq, stimuli, rate, options, prepared.study.stimuli, loudest=max(loudest, 0.0))
     return player, back_end(daq, options, rate, cable)
-
-
-def _channels(options: DaqOptions, transfer: TransferMatrix, daq: DaqKind) -> DaqOptions:
-    """The scenario's channels; a virtual device has its own."""
-    if daq == "virtual":
-        return options.model_copy(update={"outputs": tuple(f"virtual/ao{i}" for i in range(len(transfer.inputs)))})
-    return wired(options, len(transfer.inputs), daq)
-
-
-def _device(kind: DaqKind, options: DaqOptions, transfer: TransferMatrix, wave: Wavelet, card: str | None) -> Daq:
-    if kind != "virtual":
-        return hardware(kind, options, card)
-    record = wave.record
-    device = VirtualDaq(transfer, record.sample_rate, record.n / record.sample_rate, VirtualOptions())
-    device.aim(transfer.outputs[0].name)
-    return device
 
 
 def answers_of(store: StudyStore, task: str) -> pd.DataFrame:
@@ -167,8 +154,14 @@ def rehearse(
     """
     store, stimuli = prepared.store(begin=True), prepared.stimuli(transfer)
     store.refuse_others(simulated=True)
+    silence = Presented(prepared.study.stimuli.lead + prepared.study.stimuli.tail, float("nan"))
+
+    def silent(method: str, target: str, level: float) -> Presented:
+        """Without a device nothing sounds and no time passes."""
+        return silence
+
     player: Player
-    player, plays = _silent(prepared), SIMULATED
+    player, plays = silent, SIMULATED
     if through_device:
         player, plays = device_player(prepared, transfer, stimuli, "virtual")
     record = prepared.wavelet.record
@@ -205,16 +198,6 @@ def answer_of(person: SimulatedParticipant, task: Task, trial: Trial, level: flo
     if kind == "several points":
         return Given(points=person.several_points(method, target))
     return Given(strokes=person.outline(method, target))
-
-
-def _silent(prepared: Prepared) -> Player:
-    """A player for rehearsals without a device: nothing sounds and no time passes."""
-    seconds = prepared.study.stimuli.lead + prepared.study.stimuli.tail
-
-    def play(method: str, target: str, level: float) -> Presented:
-        return Presented(seconds, float("nan"))
-
-    return play
 
 
 class _Clock:

@@ -14,7 +14,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from ..errors import DataError, ForearmError, MissingExtra, ScenarioError
+from ..errors import DataError, ForearmError, MissingExtra, ScenarioError, optional
 from ..ports import Port
 from .session import Given, Session
 
@@ -201,10 +201,7 @@ def serve(
     import asyncio
     import socket
 
-    try:
-        import uvicorn
-    except ImportError:
-        raise MissingExtra("uvicorn", "study", "the participant's page") from None
+    uvicorn = optional("uvicorn", "study", "the participant's page")
     keys, listening = Secrets(), socket.socket()
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

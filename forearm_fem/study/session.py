@@ -23,6 +23,7 @@ from .order import Trial, trials
 from .plan import Task
 from .store import StudyStore
 
+_MOST_DRAWN = 200  # points of a line that are kept, evenly chosen
 Waiting = Literal["start", "stimulus", "playing", "answer", "break", "pause", "done"]
 
 
@@ -200,16 +201,13 @@ class Session:
                 yes = given.interval == trial.comparison if trial.comparison else bool(given.yes)
                 self._track.update(trial, self._level, yes)
             self._answered, self._presented = self._answered + 1, 0
-            self._waiting = self._after(trial)
-
-    def _after(self, trial: Trial) -> Waiting:
-        following = self.current
-        if following is None:
-            return "done"
-        if following.block == trial.block:
-            return "stimulus"
-        self._break_until = self._clock() + self.task.break_seconds
-        return "break"
+            following = self.current
+            if following is None:
+                self._waiting = "done"
+            elif following.block == trial.block:
+                self._waiting = "stimulus"
+            else:
+                self._waiting, self._break_until = "break", self._clock() + self.task.break_seconds
 
     def _response(self, given: Given) -> dict[str, Any]:
         kind = self.task.answer
@@ -223,7 +221,9 @@ class Session:
             return {"response": given.interval}
         if kind == "drawing":
             centre, area = _outline(given.strokes)
-            drawn = " ".join(f"{1e3 * x:.2f},{1e3 * y:.2f}" for x, y in _thinned(given.strokes))
+            points = np.asarray(given.strokes, dtype=float)
+            some = np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_DRAWN)).round().astype(int))
+            drawn = " ".join(f"{1e3 * x:.2f},{1e3 * y:.2f}" for x, y in points[some])
             return {"response_x": float(centre[0]), "response_y": float(centre[1]), "response_area": area,
                     "response_outline": drawn}  # fmt: skip
         names = tuple(dict.fromkeys(given.points))
@@ -233,13 +233,6 @@ class Session:
             raise DataError(f"'{unknown[0][:20]}' is no grid point; choose among {', '.join(self._places)}")
         x, y = np.mean([self._places[n] for n in names], axis=0)
         return {"response": " ".join(names), "response_x": float(x), "response_y": float(y)}
-
-
-def _thinned(strokes: FloatArray | None, most: int = 200) -> FloatArray:
-    """At most so many points of a line (n, 2), evenly chosen."""
-    points = np.asarray(strokes, dtype=float)
-    kept = np.unique(np.linspace(0, len(points) - 1, min(len(points), most)).round().astype(int))
-    return np.asarray(points[kept])
 
 
 def _outline(strokes: FloatArray | None) -> tuple[FloatArray, float]:

@@ -16,9 +16,9 @@ from ..measurement.daq import Daq
 from ..measurement.play import play
 from ..pipeline.renderers import renderers
 from ..rendering.bridging import bridged
-from ..rendering.drives import Drives, drives, scale_to
 from ..rendering.drives import displacements as reached
-from ..rendering.spectrum import Placed, place
+from ..rendering.drives import drives, scale_to
+from ..rendering.spectrum import place
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions
@@ -85,19 +85,13 @@ def stimuli_for(
     result: dict[tuple[str, str], Stimulus] = {}
     for method in options.methods:
         for target in options.targets:
-            made_drives = _levelled(drives(chosen[method], placed, target, wavelet), placed, options)
-            moved = reached(placed, made_drives).values
-            result[method, target] = Stimulus(made_drives.signals[:, kept], moved[:, kept])
+            sent, peak = drives(chosen[method], placed, target, wavelet), options.level.value
+            if options.level.rule == "drive peak" and peak is not None:
+                sent = scale_to(sent, drive_peak=peak)
+            elif options.level.rule == "target peak" and peak is not None:
+                sent = scale_to(sent, placed, target_peak=peak * _MICROMETRE)
+            result[method, target] = Stimulus(sent.signals[:, kept], reached(placed, sent).values[:, kept])
     return result
-
-
-def _levelled(made: Drives, placed: Placed, options: Stimuli) -> Drives:
-    level = options.level
-    if level.rule == "as rendered" or level.value is None:
-        return made
-    if level.rule == "drive peak":
-        return scale_to(made, drive_peak=level.value)
-    return scale_to(made, placed, target_peak=level.value * _MICROMETRE)
 
 
 class DevicePlayer:
@@ -108,7 +102,14 @@ class DevicePlayer:
         *, loudest: float = 0.0,
     ) -> None:  # fmt: skip
         self._daq, self._stimuli, self._rate, self._options, self._how = daq, stimuli, rate, options, how
-        self._refuse_loud(loudest)
+        # at the highest level that a task may ask for, before a session and not in the middle of it
+        peaks = {key: 10 ** (loudest / 20) * float(np.abs(s.signals).max()) for key, s in stimuli.items()}
+        method, target = max(peaks, key=peaks.__getitem__)
+        if peaks[method, target] > options.max_voltage:
+            raise HardwareError(
+                f"{method} towards {target} needs {peaks[method, target]:.3g} V, the limit is "
+                f"{options.max_voltage:g} V; lower stimuli.level, adaptive.high or rendering.amplitude"
+            )
 
     def __call__(self, method: str, target: str, level: float) -> Presented:
         """Play ``how.repeats`` wavelets at ``level`` [dB]; HardwareError where the device fails."""
@@ -117,13 +118,3 @@ class DevicePlayer:
         if done.stopped:
             raise HardwareError("the stimulus was cut short; press start to present it again")
         return Presented(done.seconds, float(done.peak.max()))
-
-    def _refuse_loud(self, level: float) -> None:
-        """At the highest ``level`` [dB] that a task may ask for, before a session and not in the middle of it."""
-        peaks = {key: 10 ** (level / 20) * float(np.abs(s.signals).max()) for key, s in self._stimuli.items()}
-        loudest = max(peaks, key=peaks.__getitem__)
-        if peaks[loudest] > self._options.max_voltage:
-            raise HardwareError(
-                f"{loudest[0]} towards {loudest[1]} needs {peaks[loudest]:.3g} V, the limit is "
-                f"{self._options.max_voltage:g} V; lower stimuli.level, adaptive.high or rendering.amplitude"
-            )

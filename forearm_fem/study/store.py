@@ -93,7 +93,12 @@ class StudyStore:
         """
         store, text = cls(Path(folder), study), study.model_dump_json(indent=2)
         kept = store.folder / "study.json"
-        same = _study_in(kept) == study
+        try:
+            same = kept.exists() and Study.model_validate_json(kept.read_text(encoding="utf-8")) == study
+        except (OSError, ValueError):  # pydantic's and the decoder's are among the second
+            raise DataError(
+                f"{kept}: damaged; delete this one file, the same study writes it again and the answers stay"
+            ) from None
         if not same and store.people():
             raise DataError(
                 f"{store.folder}: the study file was changed after data were taken; put it back, or give the new one "
@@ -167,9 +172,12 @@ class StudyStore:
     def add(self, participant: str, task: str, row: Mapping[str, Any]) -> None:
         """Append one answer; on the disk when this returns. DataError where it cannot be written."""
         file = self.events_file(participant, task)
-        if not file.exists():
+        columns = tuple(EVENTS)
+        if file.exists():  # one begun by an earlier version keeps its columns
+            with file.open(encoding="utf-8") as stream:
+                columns = tuple(stream.readline().rstrip("\n").split("\t"))
+        else:
             write_text(file.with_suffix(".json"), _dictionary(EVENTS, {"TaskName": task}))
-        columns = _columns_of(file) or tuple(EVENTS)
         _append(file, columns, {k: v for k, v in row.items() if k in columns or k not in EVENTS})
 
     def add_device(self, row: Mapping[str, Any]) -> None:
@@ -183,18 +191,6 @@ class StudyStore:
         return read_table(self.folder / "devices.tsv", tuple(DEVICES))
 
 
-def _study_in(file: Path) -> Study | None:
-    """The study kept in ``file``; None where there is none, DataError where it cannot be read."""
-    if not file.exists():
-        return None
-    try:
-        return Study.model_validate_json(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # pydantic's and the decoder's are among the second
-        raise DataError(
-            f"{file}: damaged; delete this one file, the same study writes it again and the answers stay"
-        ) from None
-
-
 def _dictionary(columns: Mapping[str, str], facts: Mapping[str, str] | None = None) -> str:
     """A data dictionary in the manner of BIDS: ``facts``, and description and unit of each column."""
     told: dict[str, Any] = dict(facts or {})
@@ -203,14 +199,6 @@ def _dictionary(columns: Mapping[str, str], facts: Mapping[str, str] | None = No
         told[name] = {"Description": text} | ({"Units": unit} if unit else {})
         told[name] |= {"Format": "number"} if name in _NUMBERS else {}
     return json.dumps(told, indent=2, ensure_ascii=False)
-
-
-def _columns_of(file: Path) -> tuple[str, ...]:
-    """Header of a table that is there already: one begun by an earlier version keeps its columns."""
-    if not file.exists():
-        return ()
-    with file.open(encoding="utf-8") as stream:
-        return tuple(stream.readline().rstrip("\n").split("\t"))
 
 
 def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = ()) -> list[dict[str, str]]:

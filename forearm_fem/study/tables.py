@@ -39,16 +39,13 @@ def foreign_table(file: Path, columns: Sequence[str], grid: Sequence[Port]) -> p
     for name, value in defaults.items():
         if name not in table:
             table[name] = value
-    return typed(table if placed else _with_places(table, grid, file))
-
-
-def _with_places(table: pd.DataFrame, grid: Sequence[Port], file: Path) -> pd.DataFrame:
-    places = {p.name: np.array(p.position[:2]) for p in grid}
-    centres = []
+    if placed:
+        return typed(table)
+    places, centres = {p.name: np.array(p.position[:2]) for p in grid}, []
     for line, response in enumerate(table["response"], start=2):
         chosen = str(response).split()
         if unknown := [c for c in chosen if c not in places]:
             raise DataError(f"{file}, line {line}: '{unknown[0][:20]}' is no grid point ({', '.join(places)})"[:300])
         centres.append(np.mean([places[c] for c in chosen], axis=0) if chosen else np.full(2, np.nan))
-    xy = np.array(centres)
-    return table.assign(response_x=xy[:, 0].astype(str), response_y=xy[:, 1].astype(str)).replace("nan", "n/a")
+    x, y = np.array(centres).T.astype(str)
+    return typed(table.assign(response_x=x, response_y=y).replace("nan", "n/a"))

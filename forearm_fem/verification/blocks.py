@@ -28,41 +28,26 @@ def block_mesh(
     box into equal slices along x. ``bend`` moves inner nodes smoothly (0.1 = a tenth of the box), so that
     tetrahedra are not all alike.
     """
-    axes = [np.linspace(0, 1, n + 1) for n in counts]
-    unit, tetrahedra = _lattice(axes)
+    x, y, z = (np.linspace(0, 1, n + 1) for n in counts)
+    xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    low = np.arange((len(x) - 1) * len(y)).reshape(len(x) - 1, len(y))[:, :-1].ravel()
+    triangles = np.vstack(
+        [np.column_stack([low, low + 1, low + len(y) + 1]), np.column_stack([low, low + len(y), low + len(y) + 1])]
+    )
+    levels = np.arange(len(xy)) + len(xy) * np.arange(len(z))[:, None]
+    unit = np.column_stack([np.tile(xy, (len(z), 1)), np.repeat(z, len(xy))])
+    tetrahedra = stack_prisms(triangles, levels)[0]  # not yet oriented
     region = np.minimum((unit[tetrahedra].mean(axis=1)[:, 0] * len(regions)).astype(int), len(regions) - 1)
     faces, _ = boundary_faces(oriented(unit, tetrahedra))
-    named = {name: _chosen(unit, faces, sides) for name, sides in {"skin": ("z1",), **facets}.items()}
-    points = _bent(unit, bend) * np.asarray(size)
+    named, corner = {}, unit[faces]
+    for name, sides in {"skin": ("z1",), **facets}.items():
+        chosen = np.zeros(len(faces), dtype=bool)
+        for side in sides:
+            chosen |= (corner[:, :, "xyz".index(side[0])] == float(side[1])).all(axis=1)
+        named[name] = faces[chosen]
+    bump = bend * np.prod(np.sin(np.pi * unit), axis=1)[:, None]  # smooth, and nothing on the boundary
+    points = (unit + bump * np.array([1.0, -0.7, 0.5])) * np.asarray(size)
     return TissueMesh(points, oriented(points, tetrahedra), region, tuple(regions), named)
-
-
-def _lattice(axes: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
-    """Points (n, 3) of a tensor grid and its tetrahedra (not yet oriented)."""
-    x, y, z = axes
-    xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    corner = np.arange((len(x) - 1) * len(y)).reshape(len(x) - 1, len(y))[:, :-1].ravel()
-    triangles = np.vstack(
-        [np.column_stack([corner, corner + 1, corner + len(y) + 1]),
-         np.column_stack([corner, corner + len(y), corner + len(y) + 1])]
-    )  # fmt: skip
-    levels = np.arange(len(xy)) + len(xy) * np.arange(len(z))[:, None]
-    points = np.column_stack([np.tile(xy, (len(z), 1)), np.repeat(z, len(xy))])
-    return points, stack_prisms(triangles, levels)[0]
-
-
-def _chosen(unit: FloatArray, faces: IntArray, sides: Sequence[str]) -> IntArray:
-    corner = unit[faces]
-    chosen = np.zeros(len(faces), dtype=bool)
-    for side in sides:
-        chosen |= (corner[:, :, "xyz".index(side[0])] == float(side[1])).all(axis=1)
-    return faces[chosen]
-
-
-def _bent(unit: FloatArray, amount: float) -> FloatArray:
-    """Unit-cube points moved by a smooth field that vanishes on the boundary."""
-    bump = amount * np.prod(np.sin(np.pi * unit), axis=1)[:, None]
-    return np.asarray(unit + bump * np.array([1.0, -0.7, 0.5]))
 
 
 def shell_mesh(radii: FloatArray, splits: int, *, curved: bool = False) -> TissueMesh:
@@ -73,7 +58,8 @@ def shell_mesh(radii: FloatArray, splits: int, *, curved: bool = False) -> Tissu
     volume.
     """
     directions, triangles = _quarter_sphere(splits)
-    unit = directions * (1.0 if curved else _volume_factor(directions, triangles))
+    volume = np.abs(np.linalg.det(directions[triangles])).sum() / 6  # pi / 3 of a quarter ball
+    unit = directions * (1.0 if curved else float((np.pi / 3 / volume) ** (1 / 3)))
     levels = np.arange(len(unit)) + len(unit) * np.arange(len(radii))[:, None]
     points = (np.asarray(radii)[:, None, None] * unit).reshape(-1, 3)
     tetrahedra = oriented(points, stack_prisms(triangles, levels)[0])
@@ -110,9 +96,3 @@ def _quarter_sphere(splits: int) -> tuple[FloatArray, IntArray]:
                     triangles.append([points.setdefault(k, len(points)) for k in keys])
     lattice = np.array(list(points), dtype=float)
     return lattice / np.linalg.norm(lattice, axis=1)[:, None], np.array(triangles)
-
-
-def _volume_factor(directions: FloatArray, triangles: IntArray) -> float:
-    """Radial stretch that gives the quarter polyhedron the volume pi / 3 of a quarter ball."""
-    volume = np.abs(np.linalg.det(directions[triangles])).sum() / 6
-    return float((np.pi / 3 / volume) ** (1 / 3))

@@ -25,9 +25,8 @@ from ..transfer import relative_error
 from ..typing import ComplexArray, FloatArray
 from .blocks import block_mesh
 from .hard_drives import DRIVES
-from .hard_rows import HardCase, HardResult
 from .hard_solvers import SOLVERS
-from .rows import HardRow
+from .rows import HardCase, HardResult, HardRow
 from .scenes import (
     DIRECT,
     MOVED_HZ,
@@ -50,18 +49,16 @@ def hard_rows(case: HardCase) -> list[HardRow]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)
-            rows.extend(_row(case, outcome) for outcome in case.run())
+            for found in case.run():
+                error = f"{found.error:.1e} of {found.allowed:.0e} allowed"
+                right = np.isfinite(found.error) and found.error <= found.allowed
+                what = found.what or case.what
+                rows.append(HardRow(case.name, what, found.result, error, "right" if right else "WRONG"))
     except ForearmError as problem:
         rows.append(HardRow(case.name, case.what, f"{type(problem).__name__}: {problem}", "-", "named error"))
     except Exception as problem:
         rows.append(HardRow(case.name, case.what, f"{type(problem).__name__}: {problem}", "-", "WRONG"))
     return rows
-
-
-def _row(case: HardCase, outcome: HardResult) -> HardRow:
-    error = f"{outcome.error:.1e} of {outcome.allowed:.0e} allowed"
-    right = np.isfinite(outcome.error) and outcome.error <= outcome.allowed
-    return HardRow(case.name, outcome.what or case.what, outcome.result, error, "right" if right else "WRONG")
 
 
 def _gap(found: ComplexArray, truth: ComplexArray) -> float:

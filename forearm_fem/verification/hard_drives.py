@@ -14,7 +14,7 @@ from ..rendering import InverseFilter, displacements, drives, ricker
 from ..rendering.inversion import Regularisation
 from ..scenario import Scenario, parse_scenario
 from ..transfer import TransferMatrix
-from .hard_rows import HardCase, HardResult
+from .rows import HardCase, HardResult
 
 _BAND = np.arange(10.0, 500.1, 5.0)
 

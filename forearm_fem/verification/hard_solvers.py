@@ -12,7 +12,7 @@ from ..fem.reduction.sweep import direct_sweep, reduced_sweep
 from ..scenario.sweep import SolverOptions
 from ..transfer import relative_error
 from ..typing import FloatArray
-from .hard_rows import HardCase, HardResult
+from .rows import HardCase, HardResult
 from .scenes import DIRECT, flesh, held_block
 
 

@@ -114,7 +114,21 @@ def manufactured_errors(element: str, n: int, bulk: float, *, jump: float = 1.0,
     factor.release()
     u = model.displacements(x)
     p = x[model.operator.n_displacements :] * model.operator.pressure_scale
-    return _errors(space, exact, parts, u, p)
+    points, weights = get_quadrature(RefTet, _QUADRATURE)
+    values, slopes = tabulate(space.pair.displacement, points)
+    pressures, _ = tabulate(space.pair.pressure, points)
+    places, inverse = _points(space, points), np.linalg.inv(space.jacobians)
+    local = u[space.nodes]
+    measure = np.abs(np.linalg.det(space.jacobians))[:, None] * weights
+    found = np.einsum("ebi,bq->ieq", local, values, optimize=True)
+    slope = np.einsum("ebi,ekj,bkq->ijeq", local, inverse, slopes, optimize=True)
+    squeeze = np.einsum("eb,bq->eq", p[space.pressures], pressures)
+    return MmsErrors(
+        _relative(found, exact.displacement(places, bulk), measure),
+        _relative(slope, exact.gradient(places, bulk), measure),
+        _relative(squeeze, exact.pressure(places), measure),
+        u.size + p.size,
+    )
 
 
 _LOADED = ("x1", "y0", "y1", "z0", "z1")
@@ -126,7 +140,26 @@ def _tissue(name: str, factor: float, bulk: float) -> Tissue:
 
 def strong_load(space: MixedSpace, exact: ExactWaves, tissue: Tissue) -> ComplexArray:
     """Load vector (n_u,) of the body force and of the tractions on the facets "rest"."""
-    return _volume_load(space, exact, tissue) + _traction_load(space, exact, tissue)
+    points, weights = get_quadrature(RefTet, _QUADRATURE)
+    values, _ = tabulate(space.pair.displacement, points)
+    force = exact.body_force(_points(space, points), tissue)
+    volume = np.abs(np.linalg.det(space.jacobians))
+    part = np.einsum("ieq,bq,q,e->ieb", force, values, weights, volume, optimize=True)
+    inside = _scatter_vector(space, space.nodes, part)
+    points, weights = get_quadrature(RefTri, _QUADRATURE)
+    facets = space.mesh.facets["rest"]
+    tets, local = space.owners(facets)
+    normals, areas = facet_normals(space.mesh.points, facets)
+    load = np.zeros(space.n_displacements, dtype=complex)
+    for f in range(4):
+        mine = local == f
+        place = facet_points(f, points)
+        values, _ = tabulate(space.pair.displacement, place)
+        stress = exact.stress(_points(space, place)[:, tets[mine]], tissue)
+        traction = np.einsum("ijeq,ej->ieq", stress, normals[mine])
+        part = np.einsum("ieq,bq,q,e->ieb", traction, values, weights, 2 * areas[mine], optimize=True)
+        load += _scatter_vector(space, space.nodes[tets[mine]], part)
+    return inside + load
 
 
 def _points(space: MixedSpace, reference: FloatArray) -> FloatArray:
@@ -141,32 +174,6 @@ def _scatter_vector(space: MixedSpace, nodes: IntArray, part: ComplexArray) -> C
     for i in range(3):
         np.add.at(out[:, i], nodes, part[i])
     return out.ravel()
-
-
-def _volume_load(space: MixedSpace, exact: ExactWaves, tissue: Tissue) -> ComplexArray:
-    points, weights = get_quadrature(RefTet, _QUADRATURE)
-    values, _ = tabulate(space.pair.displacement, points)
-    force = exact.body_force(_points(space, points), tissue)
-    volume = np.abs(np.linalg.det(space.jacobians))
-    part = np.einsum("ieq,bq,q,e->ieb", force, values, weights, volume, optimize=True)
-    return _scatter_vector(space, space.nodes, part)
-
-
-def _traction_load(space: MixedSpace, exact: ExactWaves, tissue: Tissue) -> ComplexArray:
-    points, weights = get_quadrature(RefTri, _QUADRATURE)
-    facets = space.mesh.facets["rest"]
-    tets, local = space.owners(facets)
-    normals, areas = facet_normals(space.mesh.points, facets)
-    load = np.zeros(space.n_displacements, dtype=complex)
-    for f in range(4):
-        mine = local == f
-        place = facet_points(f, points)
-        values, _ = tabulate(space.pair.displacement, place)
-        stress = exact.stress(_points(space, place)[:, tets[mine]], tissue)
-        traction = np.einsum("ijeq,ej->ieq", stress, normals[mine])
-        part = np.einsum("ieq,bq,q,e->ieb", traction, values, weights, 2 * areas[mine], optimize=True)
-        load += _scatter_vector(space, space.nodes[tets[mine]], part)
-    return load
 
 
 def weak_load(space: MixedSpace, exact: ExactWaves, tissues: list[Tissue]) -> ComplexArray:
@@ -189,24 +196,6 @@ def weak_load(space: MixedSpace, exact: ExactWaves, tissues: list[Tissue]) -> Co
         part += np.einsum("ieq,bq,q,e->ieb", inertia, values, weights, v, optimize=True)
         load += _scatter_vector(space, space.nodes[mine], part)
     return load
-
-
-def _errors(space: MixedSpace, exact: ExactWaves, tissues: list[Tissue], u: ComplexArray, p: ComplexArray) -> MmsErrors:
-    points, weights = get_quadrature(RefTet, _QUADRATURE)
-    values, slopes = tabulate(space.pair.displacement, points)
-    pressures, _ = tabulate(space.pair.pressure, points)
-    x, inverse = _points(space, points), np.linalg.inv(space.jacobians)
-    bulk, local = tissues[0].bulk, u[space.nodes]
-    measure = np.abs(np.linalg.det(space.jacobians))[:, None] * weights
-    found = np.einsum("ebi,bq->ieq", local, values, optimize=True)
-    slope = np.einsum("ebi,ekj,bkq->ijeq", local, inverse, slopes, optimize=True)
-    squeeze = np.einsum("eb,bq->eq", p[space.pressures], pressures)
-    return MmsErrors(
-        _relative(found, exact.displacement(x, bulk), measure),
-        _relative(slope, exact.gradient(x, bulk), measure),
-        _relative(squeeze, exact.pressure(x), measure),
-        u.size + p.size,
-    )
 
 
 def _relative(found: ComplexArray, truth: ComplexArray, measure: FloatArray) -> float:

@@ -9,7 +9,7 @@ import csv
 import os
 import platform
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..io.markdown import markdown_table
@@ -77,12 +77,11 @@ def effectivity_section(file: Path) -> str:
         f"![estimated against true error](../{file.parent.parent.name}/{file.parent.name}/effectivity.png)\n\n"
     )
     header = ("scene", "size", "unknowns", "e_band estimated", "true", "ratio", "e(f) estimated", "true", "ratio")
-    return head + markdown_table(header, map(_effectivity_row, points))
-
-
-def _effectivity_row(p: Mapping[str, str]) -> list[str]:
-    names = ("estimated_band", "true_band", "effectivity_band", "estimated_single", "true_single", "effectivity_single")
-    return [p["scene"], f"x{float(p['scale']):g}", p["unknowns"], *(f"{float(p[n]):.2g}" for n in names)]
+    names = [f"{what}_{over}" for over in ("band", "single") for what in ("estimated", "true", "effectivity")]
+    cells = (
+        [p["scene"], f"x{float(p['scale']):g}", p["unknowns"], *(f"{float(p[n]):.2g}" for n in names)] for p in points
+    )
+    return head + markdown_table(header, cells)
 
 
 def broken_section() -> str:

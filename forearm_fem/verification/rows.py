@@ -1,9 +1,9 @@
-"""What a verification case reports, and the tables made of it."""
+"""What a case of verification is, and what it reports."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -29,6 +29,25 @@ class Row:
     def met(self) -> bool:
         """Whether the error is a number and within its tolerance."""
         return math.isfinite(self.error) and self.error <= self.tolerance
+
+
+@dataclass(frozen=True)
+class HardResult:
+    """One result with its true ``error`` and what is ``allowed``; an empty ``what`` takes the case's."""
+
+    what: str
+    result: str
+    error: float
+    allowed: float
+
+
+@dataclass(frozen=True)
+class HardCase:
+    """A named generator of outcomes; raising a :class:`ForearmError` is an answer, too."""
+
+    name: str
+    what: str
+    run: Callable[[], Iterator[HardResult]]
 
 
 @dataclass(frozen=True)

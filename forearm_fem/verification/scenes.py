@@ -44,23 +44,16 @@ def held_block(
     """A 24 x 16 x 8 mm block held at x = 0 with a 4 mm square contact and three points on its top."""
     size = (0.024, 0.016, 0.008)
     mesh = block_mesh((3 * n, 4 * ((n + 1) // 2), n), size, facets={"end": ("x0",)}, bend=0.05)
-    mesh = _with_patch(mesh, (0.008, 0.004), (0.016, 0.012))
+    corner, tiny = mesh.points[mesh.facets["skin"]][:, :, :2], 1e-9
+    low, high = np.array((0.008, 0.004)) - tiny, np.array((0.016, 0.012)) + tiny
+    under = mesh.facets["skin"][((corner >= low) & (corner <= high)).all(axis=(1, 2))]
+    mesh = replace(mesh, facets={**mesh.facets, "contact A1": under})
     ports = (
         Port("A1", "contact", (0.012, 0.008, 0.008), radius=0.004, contact=contact),  # type: ignore[arg-type]
         *(Port(str(i), "point", (x, y, 0.008)) for i, (x, y) in enumerate(_POINTS)),
     )
     supports = Supports(ends=ends)
     return build_model(mesh, ports, {"block": tissue or flesh()}, supports, Membrane(), element=element)
-
-
-def _with_patch(mesh: TissueMesh, low: tuple[float, float], high: tuple[float, float]) -> TissueMesh:
-    """Skin facets whose corners lie in a rectangle, named as contact A1."""
-    skin = mesh.facets["skin"]
-    corner = mesh.points[skin][:, :, :2]
-    tiny = 1e-9
-    inside = ((corner >= np.array(low) - tiny) & (corner <= np.array(high) + tiny)).all(axis=(1, 2))
-    facets = {**mesh.facets, "contact A1": skin[inside]}
-    return TissueMesh(mesh.points, mesh.tetrahedra, mesh.region, mesh.region_names, facets)
 
 
 MOVED_HZ = np.array([1.0, 40.0, 500.0])

@@ -10,15 +10,13 @@ from typing import Literal
 
 import numpy as np
 
-from ..fem.assembly.model import ForearmModel
 from ..geometry.cache import cached_mesh
-from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..pipeline.dispersion import Lags
 from ..pipeline.second_mesh import second_mesh
 from ..pipeline.two_meshes import COARSER, judged, remaining_error
 from ..scenario import Scenario
 from ..transfer import band_error
-from ..typing import ComplexArray, FloatArray
+from ..typing import ComplexArray
 from .rows import Row
 from .scenes import quarter_slab, slab_model, slab_response, twin_response
 from .twin import PRESET_O, disc_means, miller_pursey
@@ -127,17 +125,12 @@ def reference_rows(slabs: Sequence[Slab] = REFERENCE) -> Iterator[Row]:
         level, truth = solve_level(slab), exact(slab)
         disc, points = errors_of(level.values, truth)
         case = f"FE, {_name(slab)}, {slab.frequency:g} Hz, {level.unknowns} unknowns"
-        reference = _reference(slab)
+        reference = "layered twin" if slab.epidermis == "none" else "layered twin, epidermis 80 um"
+        reference = "Miller-Pursey 1954" if slab.preset == "zhang" else reference
         reason = "asked for; rim polygon 0.5 %"
         row = Row(case, reference, "mean under the disc", disc, 0.01, reason, level.seconds)
         yield row
         yield replace(row, quantity="e(f), r = 10-31.8 mm", error=points, tolerance=0.02, reason="asked for")
-
-
-def _reference(slab: Slab) -> str:
-    if slab.preset == "zhang":
-        return "Miller-Pursey 1954"
-    return "layered twin" if slab.epidermis == "none" else "layered twin, epidermis 80 um"
 
 
 def _name(slab: Slab) -> str:
@@ -231,25 +224,12 @@ def effectivities(slabs: Sequence[Slab] = SCENES, scales: Sequence[float] = (1.5
             scenario = replace(slab, **sizes).scenario
             mesh = cached_mesh(scenario)
             second = second_mesh(scenario, mesh, base=Path())
-            (model, fine), (_, coarse) = (_band_solve(scenario, m, band) for m in (mesh, second.mesh))
-            lags = _lags(scenario, model, band, second.ratio)
+            model = slab_model(scenario, mesh=mesh)
+            fine = slab_response(model, band.tolist())[:, 1:]
+            coarse = slab_response(slab_model(scenario, mesh=second.mesh), band.tolist())[:, 1:]
+            points, contacts = (tuple(p for p in model.ports if p.kind == kind) for kind in ("point", "contact"))
+            waves = Lags.of(scenario, model.space.mesh, points, contacts)
+            lags = (waves.phases(scenario, band, scale) for scale in (1.0, max(second.ratio, 1.0)))
             rule = judged(coarse[:, :, None], fine[:, :, None], band, second.ratio, *lags)
-            true, middle = band_error(fine, truth), _middle(fine, truth)
+            true, middle = band_error(fine, truth), float(np.abs(fine[1] - truth[1]).max() / np.abs(truth[1]).max())
             yield Effectivity(scene_name(slab), scale, model.operator.n, rule.band, true, float(rule.error[1]), middle)
-
-
-def _band_solve(scenario: Scenario, mesh: TissueMesh, band: FloatArray) -> tuple[ForearmModel, ComplexArray]:
-    """The mesh's model and the points' values (n_frequency, n_point) [m/N]."""
-    model = slab_model(scenario, mesh=mesh)
-    return model, slab_response(model, band.tolist())[:, 1:]
-
-
-def _lags(scenario: Scenario, model: ForearmModel, band: FloatArray, ratio: float) -> Iterator[FloatArray]:
-    """Those of waves on the mesh itself and on the coarser of two [rad] (n_frequency, n_point, 1)."""
-    points, contacts = (tuple(p for p in model.ports if p.kind == kind) for kind in ("point", "contact"))
-    lags = Lags.of(scenario, model.space.mesh, points, contacts)
-    return (lags.phases(scenario, band, scale) for scale in (1.0, max(ratio, 1.0)))
-
-
-def _middle(found: ComplexArray, truth: ComplexArray) -> float:
-    return float(np.abs(found[1] - truth[1]).max() / np.abs(truth[1]).max())

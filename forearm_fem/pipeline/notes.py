@@ -1,11 +1,12 @@
-"""What a reader of the results should know of the finite-element model behind them."""
+"""What a reader of the results should know of the model and of the actuator behind them."""
 
 from __future__ import annotations
 
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..results import SolutionRecord
 from ..scenario import Scenario
-from ..scenario.limb import SlabLimb
+from ..scenario.actuators import ACTUATORS
+from ..scenario.limb import MeshLimb, SlabLimb
 from .forecast import forecast
 from .frequencies import frequencies
 
@@ -39,3 +40,29 @@ def near_disc_notes(scenario: Scenario) -> tuple[str, ...]:
         f"{lie} within 8 mm of the rim of a disc of pressure on second-order elements, where as little as "
         "a tenth of the error was stated; mesh.element = 'P2/P3' errs a tenth there, at two to four times the unknowns",
     )
+
+
+def idle_size_notes(scenario: Scenario) -> tuple[str, ...]:
+    """A note on sizes that were given for a user's own mesh, which they do not change."""
+    given = sorted(scenario.mesh.model_fields_set & {"size_grid", "size_far", "sublayers", "grading"})
+    if not isinstance(scenario.limb, MeshLimb) or not given:
+        return ()
+    names = ", ".join(f"mesh.{name}" for name in given)
+    return (f"{names}: your own mesh is refined under and around the contacts only, these change nothing else",)
+
+
+def actuator_notes(scenario: Scenario) -> tuple[str, ...]:
+    """What a preset other than the thesis' can be used for, what its source does not say, and a band beyond its own."""
+    device, sweep = scenario.device, scenario.sweep
+    known = ACTUATORS[device.actuator]
+    if not known.keys:
+        return ()
+    notes = [f"device.actuator = '{known.name}' ({known.kind}): {known.use}; not seen: {known.unseen}"]
+    asked = sweep.frequencies or (sweep.f_min, sweep.f_max)
+    low, high = min(asked), max(asked)
+    if known.band is not None and not known.band[0] <= low <= high <= known.band[1]:
+        notes.append(
+            f"sweep: {low:g} to {high:g} Hz reaches beyond the {known.band[0]:g} to {known.band[1]:g} Hz of "
+            f"{known.name}; set sweep.f_min and sweep.f_max within, or take what is rendered there as its wish"
+        )
+    return tuple(notes)
