@@ -72,6 +72,9 @@ def test_new_writes_the_arm_into_the_scenario(tmp_path: Path) -> None:
         (("--tape", tape), "--tape needs --length"),
         (("--tape", "0.2,0.3", "--length", 0.2), "expected DISTANCE:CIRCUMFERENCE pairs"),
         (("--skinfold", 0.01), "go with --tape or --arm"),
+        (("--arm", "small", "--skinfold=-0.01"), "skinfold: expected a caliper's reading above 0 m, got -0.01"),
+        (("--arm", "small", "--skinfold", 0), "skinfold: expected a caliper's reading above 0 m, got 0"),
+        (("--arm", "small", "--skinfold", "nan"), "skinfold: expected a caliper's reading above 0 m, got nan"),
     ):
         answer = cli("new", "bad", *options, cwd=tmp_path)
         assert answer.code == 2

@@ -268,3 +268,12 @@ def test_fits_without_a_result_are_refused():
         fitted(replace(measured(), values=np.nan * measured().values))
     with pytest.raises(DataError, match="name each input after its actuator"):
         fitted(replace(measured(), inputs=tuple(replace(p, name=f"B{p.name}") for p in INPUTS)))
+
+
+def test_a_part_of_the_ports_is_named_as_such():
+    """Of a G with fewer actuators the names do pair; "rename them" was no remedy."""
+    part = replace(A, values=A.values[:, :, :3], inputs=A.inputs[:3])
+    name = A.inputs[3].name
+    for pair, said in (((A, part), f"inputs: B lacks {name} of A"), ((part, A), f"inputs: A lacks {name} of B")):
+        with pytest.raises(DataError, match=said):
+            compare(*pair, render=False)

@@ -183,3 +183,34 @@ def test_netcdf_of_another_program_is_said_to_be_one(tmp_path):
     for declared in (Declaration(), SAID):
         with pytest.raises(DataError, match="netCDF of another program"):
             read_measured(tmp_path / "lab.nc", declared, ports=PORTS)
+
+
+def test_blanks_and_columns_of_the_labs_own_are_left_out(tmp_path):
+    head, *rest = lines(separator=" , ")
+    rows = [f"{head} , remark", *(f"{r} , moved" for r in rest)]
+    assert np.array_equal(read(tmp_path, rows).values, G.values)
+
+
+def test_names_of_ours_keep_their_blanks(tmp_path):
+    named = replace(G, inputs=tuple(replace(p, name=f" {p.name} ") for p in G.inputs))
+    write_measured(tmp_path / "ours.csv", named)
+    assert read_measured(tmp_path / "ours.csv").inputs == named.inputs
+
+
+@pytest.mark.parametrize(
+    ("columns", "cells", "said"),
+    [
+        ("magnitude,phase_deg", "-96.2,10", "line 2: magnitude is -96.2, expected 0 or more in G's unit, not decibels"),
+        ("magnitude,phase_deg,real,imag", "1,0,1,0", "has the columns real and imag and magnitude and phase_deg"),
+        ("magnitude,phase_deg,phase_rad", "1,0,0", "has the columns magnitude and phase_rad and phase_deg"),
+        ("real,imag,imag", "1,0,2", "has the columns imag twice"),
+        ("real,imag,deviation", "1,0,-0.1", "line 2: deviation is -0.1, expected 0 or more"),
+        ("real,imag,valid", "1,0,2", "line 2: valid is 2, expected 1 or 0"),
+        ("real,imag,valid", "1,0,nan", "line 2: valid is nan, expected 1 or 0"),
+    ],
+)
+def test_a_table_that_contradicts_itself_is_refused(tmp_path, columns, cells, said):
+    """Decibels in `magnitude` were read as negative sizes, one of two pairs of columns was taken, a validity of 2 or
+    NaN counted as valid."""
+    with pytest.raises(DataError, match=said):
+        read(tmp_path, [f"frequency_Hz,output,input,{columns}", f"20,{POINTS[0]},{ACTUATORS[0]},{cells}"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import hankel2
 
-from forearm_fem.errors import GeometryError, ScenarioError
-from forearm_fem.metrics import signal_strength
+from forearm_fem.errors import DataError, GeometryError, ScenarioError
+from forearm_fem.metrics import signal_strength, signal_strength_table
 from forearm_fem.ports import Port, distances
 from forearm_fem.rendering import (
     Combination,
@@ -376,3 +377,12 @@ def test_settled_renderers_aim_as_they_did(short, zeros):
             one, two = (drives(m, other, target, short) for m in (before, after))
             assert one.zeros == two.zeros
             assert np.array_equal(one.spectrum, two.spectrum)
+
+
+def test_the_thesis_groups_are_of_its_grid_only():
+    """Two points were called edges and corners, and S without a bound was printed with all digits."""
+    g = waves()
+    two = replace(g, values=g.values[:, :2], outputs=g.outputs[:2])
+    with pytest.raises(DataError, match="3 x 3 grid only"):
+        render_all(two).table()
+    assert signal_strength_table(["inverse filter"], ["5"], np.array([[6.2e14]])).as_text().endswith("6.2e+14")

@@ -180,3 +180,20 @@ def test_an_unknown_s_is_named() -> None:
 
     made = SimpleNamespace(methods=("funneling",), targets=("1", "2"), strengths=np.array([[np.nan, 1.0]]))
     assert unknown_strengths(made)[0].startswith("S of funneling is unknown at 1:")
+
+
+def test_nothing_of_another_scenario_stays_beside_a_run(tmp_path: Path) -> None:
+    """Figures of the drives before stayed in `figures`, and the checksum of an S that was gone. What others put there
+    stays."""
+    (tmp_path / "flat.toml").write_text(
+        'name = "flat"\nengine = "layered"\nsweep = { duration = 0.1 }\ndevice.cone.contact = "pressure"\n'
+    )
+    assert cli("run", "flat.toml", "--out", "one", cwd=tmp_path).code == 0
+    figures = tmp_path / "one/figures"
+    (figures / "mine.png").touch()
+    (figures / "target-7.csv").touch()
+    assert {"transfer.png", "target-5.png"} <= {p.name for p in figures.iterdir()}
+    again = cli("solve", "flat.toml", "--set", "device.spacing=0.05", "--out", "one", cwd=tmp_path)
+    assert {p.name for p in figures.iterdir()} == {"mine.png"}
+    assert not list((tmp_path / "one").glob("*.sha256"))
+    assert "figures/target-5.png" in again.out + again.err

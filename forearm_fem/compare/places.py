@@ -27,6 +27,8 @@ def matched(ours: tuple[Port, ...], theirs: tuple[Port, ...], what: str) -> tupl
     if len(set(names)) == len(names) and sorted(names) == sorted(p.name for p in ours):
         order = [names.index(p.name) for p in ours]
         return order, _disagreement(ours, theirs, order, by_place, what)
+    if by_place is None and (lacking := _lacking(ours, theirs)):
+        raise DataError(f"{what}: {lacking}; compare needs the same {what} in both: leave the others out of one")
     if by_place is None:
         raise DataError(
             f"the {what} of A ({_listed(ours)}) and B ({_listed(theirs)}) pair neither by name nor by place; "
@@ -34,6 +36,15 @@ def matched(ours: tuple[Port, ...], theirs: tuple[Port, ...], what: str) -> tupl
         )
     pairs = ", ".join(f"{p.name} = {names[k]}" for p, k in zip(ours, by_place, strict=True) if p.name != names[k])
     return by_place, f"the {what} have different names and are matched by place, A = B: {_short(pairs, 180)}"
+
+
+def _lacking(ours: tuple[Port, ...], theirs: tuple[Port, ...]) -> str:
+    """Which ports one side has beyond those of the other, by name; "" where neither holds all of the other's."""
+    a, b = ({p.name for p in side} for side in (ours, theirs))
+    if not a < b and not b < a:
+        return ""
+    more = tuple(p for p in (*ours, *theirs) if p.name in a ^ b)
+    return f"{'A lacks' if a < b else 'B lacks'} {_listed(more)} of {'B' if a < b else 'A'}"
 
 
 def _plane(ports: tuple[Port, ...]) -> FloatArray | None:

@@ -69,8 +69,8 @@ def read_csv(path: str | Path) -> RawMatrix:
     phase_deg). Checksums are verified where there are any; who edits a file by hand deletes their lines.
 
     Lines may come in any order, columns separated by commas, semicolons or tabs; entries that are absent at a frequency
-    are marked. Columns ``valid`` and ``deviation`` are read where present, others ignored. Raises DataError with the
-    number of the line that is wrong.
+    are marked. Columns ``valid`` and ``deviation`` are read where present, others ignored, and so are blanks around
+    what others wrote. Raises DataError with the number of the line that is wrong.
     """
     file = Path(path)
     try:
@@ -120,7 +120,8 @@ def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]
     rows = [row for row in rows if row]  # a table that ends in empty lines
     if len(rows) < 2:
         raise DataError(f"{file}: has no lines of data; expected a header and one line per frequency and entry")
-    return head, [c.strip() for c in rows[0]], rows[1:], skipped + 1
+    body = rows[1:] if head else [[c.strip() for c in row] for row in rows[1:]]  # names of ours keep their blanks
+    return head, [c.strip() for c in rows[0]], body, skipped + 1
 
 
 def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -> dict[str, Any]:
@@ -132,7 +133,9 @@ def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -
             f"{file}: expected the columns frequency_Hz, output, input and real, imag (or magnitude, phase_rad), got "
             f"{', '.join(header)[:120]}"
         )
-    table: dict[str, Any] = {c: [] for c in header}
+    read = ("frequency_Hz", "output", "input", "valid", "deviation", *pair)
+    _refuse_twice(file, header)
+    table: dict[str, Any] = {c: [] for c in header if c in read}
     for number, line in enumerate(lines, start=offset + 1):
         if len(line) != len(header):
             raise DataError(
@@ -140,20 +143,36 @@ def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -
                 f"{len(header)}; the file is cut short or damaged"
             )
         for column, cell in zip(header, line, strict=True):
-            table[column].append(cell if column in ("output", "input") else _number(file, number, column, cell))
+            if column in table:
+                table[column].append(cell if column in _NAMES else _number(file, number, column, cell))
     return {**{c: np.array(v) for c, v in table.items()}, "pair": pair}
 
 
+_NAMES = ("output", "input")
 _PAIRS = (("real", "imag"), ("magnitude", "phase_rad"), ("magnitude", "phase_deg"))
+
+
+def _refuse_twice(file: Path, header: list[str]) -> None:
+    """DataError where the header says a thing twice: whichever were read, the other might be meant."""
+    pairs = [p for p in _PAIRS if all(c in header for c in p)]
+    twice = [" and ".join(dict.fromkeys(c for p in pairs for c in p))] if len(pairs) > 1 else []
+    twice += [f"{c} twice" for c in dict.fromkeys(header) if header.count(c) > 1 and c]
+    if twice:
+        raise DataError(f"{file}: has the columns {twice[0]}; keep those that are meant")
 
 
 def _number(file: Path, line: int, column: str, cell: str) -> float:
     try:
-        return float(cell)
+        value = float(cell)
     except ValueError:
         raise DataError(
             f"{file}, line {line}: '{cell}' in column {column} is no number (decimal commas are not read)"
         ) from None
+    if column in ("magnitude", "deviation") and value < 0:
+        raise DataError(f"{file}, line {line}: {column} is {cell}, expected 0 or more in G's unit, not decibels")
+    if column == "valid" and value not in (0, 1):
+        raise DataError(f"{file}, line {line}: valid is {cell}, expected 1 or 0")
+    return value
 
 
 def _in_order(ports: Any, names: Any) -> list[str]:

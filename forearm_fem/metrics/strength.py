@@ -92,7 +92,10 @@ class StrengthTable:
     def as_text(self) -> str:
         """The table in lines of text, mean or mean ± std, laid out as the thesis' Table I."""
         cells = [
-            [f"{m:.2f}" if np.isnan(s) else f"{m:.2f} ± {s:.2f}" for m, s in zip(ms, ss, strict=True)]
+            [
+                strength_text(m) if np.isnan(s) else f"{strength_text(m)} ± {strength_text(s)}"
+                for m, s in zip(ms, ss, strict=True)
+            ]
             for ms, ss in zip(self.mean, self.std, strict=True)
         ]
         rows = [["", *self.methods], *([g, *row] for g, row in zip(self.groups, cells, strict=True))]

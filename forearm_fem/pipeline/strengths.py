@@ -201,12 +201,14 @@ def at_least_band(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
 def _shorter(
     transfer: TransferMatrix, wavelet: Wavelet, window: tuple[float, float] | None
 ) -> tuple[TransferMatrix, Wavelet]:
-    """G on the bins of a shorter record that still holds four windows, and the wavelet in it.
+    """G on the bins of a shorter record that still holds four windows about t = 0, and the wavelet in it.
 
-    S over a window hardly depends on the record, and a draw on a quarter of the bins costs a quarter.
+    S over a window hardly depends on the record, and a draw on a quarter of the bins costs a quarter. A window that
+    lies aside, or is shorter than the wavelet's own, needs a record that reaches to it and in which waves die away.
     """
     record = wavelet.record
-    span = window[1] - window[0] if window is not None else record.n / record.sample_rate
+    ends = (*window, *wavelet.window) if window is not None else (record.n / record.sample_rate / 2,)
+    span = 2 * max(abs(end) for end in ends)
     most = int(record.n / record.sample_rate / (_LEAST_SPAN * span))
     place = np.rint(transfer.frequency / record.df)
     on_bins = np.allclose(place * record.df, transfer.frequency, rtol=0, atol=1e-3 * record.df)

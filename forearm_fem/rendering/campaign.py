@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import AccuracyWarning, ScenarioError
+from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..metrics.strength import StrengthTable, signal_strength, signal_strength_table
 from ..progress import Progress, tell
 from ..transfer import TransferMatrix
@@ -18,6 +18,7 @@ from .combination import Combination
 from .drives import Displacements, Drives, Renderer, displacements, drives
 from .funneling import Funneling
 from .inverse_filter import InverseFilter
+from .lattice import is_thesis_grid
 from .limits import DriveReport, Limits, beyond_limits, check
 from .sharing import prepared
 from .spectrum import place
@@ -80,7 +81,10 @@ class Rendering(Mapping[tuple[str, str], Rendered]):
         return beyond_limits(self.methods, self.targets, channels, peak, power, self.limits)
 
     def table(self) -> StrengthTable:
-        """S in the layout of the thesis' Table I; needs targets "1".."9"."""
+        """S in the layout of the thesis' Table I; DataError for any other grid than 3 x 3 points "1" to "9"."""
+        outputs = next(iter(self.results.values())).displacements.outputs
+        if not is_thesis_grid(outputs):
+            raise DataError("Table I (middle, edges, corners) is for the thesis' 3 x 3 grid only; see strengths")
         return signal_strength_table(self.methods, self.targets, self.strengths)
 
 

@@ -36,8 +36,13 @@ class Tape:
     def limb(self) -> dict[str, Any]:
         """Keys of ``[limb]``: circumferences about the device, layers, and bones drawn to the scale of the muscle.
 
-        ScenarioError for places that do not increase or that the device lies beyond, and for more fat than arm.
+        ScenarioError for places that do not increase or that the device lies beyond, for more fat than arm, and for a
+        fold that is none.
         """
+        if self.skinfold is not None and not 0 < self.skinfold < math.inf:
+            raise ScenarioError(
+                f"skinfold: expected a caliper's reading above 0 m, got {self.skinfold:g}; or leave it out"
+            )
         at = self.length / 2 if self.device is None else self.device
         places = [d for d, _ in self.circumference]
         if len(places) < 2 or sorted(set(places)) != places:

@@ -104,6 +104,10 @@ class Scenario(Part):
         window, half = self.rendering.window, self.sweep.duration / 2
         if not isinstance(window, str) and not (-half <= window[0] and window[1] <= half):
             raise ValueError(f"rendering.window {list(window)} s reaches beyond the record of {-half:g} to {half:g} s")
+        if not isinstance(window, str) and not _holds_a_sample(window, self.sweep):
+            raise ValueError(
+                f"rendering.window {list(window)} s holds no sample of {self.sweep.sample_rate:g} Hz; widen it"
+            )
         return self
 
     @model_validator(mode="after")
@@ -111,3 +115,11 @@ class Scenario(Part):
         if len(set(self.device.out_of_contact)) == len(self.device.centres):
             raise ValueError("device.out_of_contact names every actuator: nothing would move; leave one in contact")
         return self
+
+
+def _holds_a_sample(window: tuple[float, float], sweep: Sweep) -> bool:
+    """Whether a sample k / sample_rate of the record, whose t = 0 is its middle, lies in ``window`` [s]."""
+    last = math.ceil(round(sweep.duration * sweep.sample_rate) / 2) - 1
+    return min(math.floor(window[1] * sweep.sample_rate + 1e-9), last) >= math.ceil(
+        window[0] * sweep.sample_rate - 1e-9
+    )

@@ -14,6 +14,7 @@ import { unpack, zeros } from "./arrays.js";
 import { toSpectrum, toTime } from "./fft.js";
 import { aim, respond } from "./renderers.js";
 import { area, strengthOf } from "./strength.js";
+import { windowOf } from "./wavelet.js";
 
 const DRAWS = 12, CORRELATION = 50, WAVES = 64; // [Hz] over which errors are smooth
 const HALF_WIDTH = 1.5, LEAST_SPAN = 4; // rms changes of log S (decision on the interval of S); windows that the record holds
@@ -79,11 +80,11 @@ function strengthIn(experiment, short, method, target, aimed, played, known) {
   }
 }
 
-/** The shortest record that holds four windows, a divisor of the page's: a draw on a quarter of the bins costs a quarter.
+/** The shortest record that holds four windows about t = 0, the wavelet's too, a divisor of the page's: a draw on a quarter of the bins costs a quarter.
  * @param {Experiment} experiment @returns {Short} */
 export function shorter(experiment) {
   const { record, index, settings } = experiment, { samples } = settings.wavelet, window = experiment.window(), whole = record.n / record.rate;
-  const span = window ? window[1] - window[0] : whole, most = Math.floor(whole / (LEAST_SPAN * span));
+  const span = window ? 2 * Math.max(...[...window, ...windowOf(samples, record)].map(Math.abs)) : whole, most = Math.floor(whole / (LEAST_SPAN * span));
   let step = 1;
   for (let m = 2; m <= most; m++) if (record.n % (2 * m) === 0) step = m;
   const rows = Array.from(index.keys()).filter((b) => index[b] % step === 0), n = record.n / step, from = Math.floor(record.n / 2) - Math.floor(n / 2);
