@@ -9,7 +9,7 @@ from forearm_fem.errors import SolverError
 from forearm_fem.fem.assembly.coefficients import rate_weights
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.linear.direct import ENOUGH, DirectSolver, make_solver, watched
-from forearm_fem.fem.reduction.expansion import expansion_rate
+from forearm_fem.fem.reduction.expansion import ROUNDED, expansion_rate
 from forearm_fem.fem.reduction.many_loads import LoadSpace
 from forearm_fem.fem.reduction.rate_space import Chunk, RateSpace
 from forearm_fem.fem.reduction.reduced_model import empty_model, with_last_columns
@@ -195,11 +195,12 @@ def test_more_derivatives_leave_less(model, truth):
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-6])
 def test_the_sweep_is_certified_and_right(model, truth, tolerance):
-    """Two factorisations, at the rate and for the certificate, and the error stated holds over the band."""
+    """One factorisation, at the rate, another for a certificate of what single precision does not see, and the error
+    stated holds over the band."""
     swept = reduced_sweep(model, BAND, AUTO, tolerance=tolerance)
     assert swept.rate == pytest.approx(RATE)
     assert swept.expansions == ()
-    assert swept.factorisations == 2
+    assert swept.factorisations == (1 if tolerance >= ROUNDED else 2)
     assert swept.reduction_error < tolerance
     error = relative_error(of_contacts(model, swept.values[np.searchsorted(BAND, CHECK)]), truth)
     assert error.max() < 3 * max(swept.reduction_error, 1e-9)  # one certificate speaks for the band
