@@ -53,6 +53,16 @@ def test_calibration_recovers_g(lab: Path) -> None:
     assert band_error(found.values[both[1]], truth.values[both[0]]) < 0.03
 
 
+def test_a_g_of_another_device_is_measured_with_a_word(lab: Path) -> None:
+    """Its points and actuators are what a virtual device has; the scenario's own are not measured."""
+    aside = ("--set", "device.contacts=[[-0.02, 0.0], [0.03, 0.0]]", "--out", "other")
+    answer = cli("calibrate", "small.toml", "--through", "results/small", *aside, cwd=lab)
+    assert answer.code == 0
+    assert "or they lie elsewhere: those of G are measured" in answer.out + answer.err
+    same = cli("calibrate", "small.toml", "--through", "results/small", "--out", "same", cwd=lab)
+    assert "those of G are measured" not in same.out + same.err
+
+
 def test_calibration_resumes_without_measuring_again(lab: Path) -> None:
     folder = lab / "results/small/calibration"
     before = {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")}

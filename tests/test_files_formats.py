@@ -366,6 +366,8 @@ def test_thesis_file_of_ours_needs_no_declaration(tmp_path):
     write_thesis_mat(tmp_path / "G.mat", g)
     assert loadmat(tmp_path / "G.mat")["G"].shape == (9, 4, 20000)
     np.testing.assert_array_equal(read_measured(tmp_path / "G.mat").values, g.values)
+    with pytest.raises(DataError, match="describes itself"):
+        read_measured(tmp_path / "G.mat", Declaration(quantity="velocity"))
 
 
 @pytest.mark.skipif(not SKINSOURCE.is_dir(), reason="the SkinSource files are not shared with this project")

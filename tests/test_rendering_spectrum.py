@@ -148,7 +148,7 @@ def test_samples_keep_their_size_when_asked(tmp_path):
         ("a.csv", "\n".join(["1"] * 2000), "do not fit"),
         ("a.wav", "no wave", "cannot be read as WAV"),
         ("a.npy", "no array", "cannot be read as NPY"),
-        ("a.mp3", "x", "expected one of"),
+        ("a.mp3", "x", "expected a wavelet's file that ends in .csv"),
     ],
 )
 def test_bad_sample_files_are_named(tmp_path, name, content, message):

@@ -31,7 +31,10 @@ def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
     first line, checksums in the next two.
 
     NaN stands as ``nan``. Error estimates, ``contacts`` and provenance are not carried: transfer.nc has them.
+    DataError for a name of several lines, which could not be read back.
     """
+    if broken := [p.name for p in (*transfer.outputs, *transfer.inputs) if len(p.name.splitlines()) > 1]:
+        raise DataError(f"{path}: the name {broken[0]!r} has a line break, and a line of CSV has none; rename it")
     stream = io.StringIO()
     head = {
         "unit": transfer.unit,

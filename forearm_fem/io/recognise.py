@@ -66,13 +66,14 @@ def _refuse(file: Path, declaration: Declaration) -> None:
 
 
 def _mat(file: Path, declaration: Declaration, ports: Ports | None) -> TransferMatrix:
-    if declaration == Declaration():
+    if declaration.variable is None:
         try:
             names = {name for name, _, _ in whosmat(file, appendmat=False)}
         except Exception:  # version 7.3 or damaged: the reader will say
             names = set()
         # a thesis-shaped file of forearm_fem carries its convention and ports
         if {"G", "time_convention", "units", "excited", "grid_positions_m"} <= names:
+            _refuse(file, declaration)
             return read_thesis_mat(file)
     return understand(read_mat(file, declaration), declaration, ports)
 

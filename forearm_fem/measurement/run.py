@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..errors import DataError, HardwareError, ScenarioError
+from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
 from ..geometry.device.layout import planform_ports
 from ..io.netcdf import refuse_other_g, write_transfer
 from ..io.owner import refuse_folder_of_another
@@ -34,6 +35,7 @@ from .virtual import VirtualDaq, VirtualOptions, VirtualSensor, noise_for
 __all__ = ["CalibrationResult", "VirtualSetup", "hardware", "run_calibration", "run_loopback", "run_play", "wired"]
 
 DaqKind = Literal["virtual", "ni", "sound"]
+_APART = 1e-3  # [m] between places of one name from which they are two
 _MOST_SNR = 300  # dB: double precision holds no more
 
 
@@ -87,6 +89,8 @@ def run_calibration(
     HardwareError in one sentence.
     """
     plan = calibration_plan(scenario, virtual if daq == "virtual" else None, kind=daq)
+    if virtual is not None and daq == "virtual":
+        _warn_of_other_ports(scenario, virtual.transfer)
     device = daq if not isinstance(daq, str) else _device(daq, plan, virtual, card)
     plan = _timed(plan, daq, device, cable)
     target = Path(folder)
@@ -104,6 +108,19 @@ def run_calibration(
     measured = calibrate(plan, device, target, operator=operator, after=after, stop=stop)
     write_transfer(target / "transfer.nc", measured.transfer)
     return CalibrationResult(measured, target / "transfer.nc", target / "live.png")
+
+
+def _warn_of_other_ports(scenario: Scenario, g: TransferMatrix) -> None:
+    """A warning (AccuracyWarning) where the G to play through has other points or actuators than the scenario."""
+    asked, given = planform_ports(scenario), (g.outputs, g.inputs)
+    along = [[{p.name: p.position[0] for p in ports} for ports in pair] for pair in (asked, given)]  # x bends nowhere
+    if any(a.keys() != b.keys() or max(abs(a[n] - b[n]) for n in a) > _APART for a, b in zip(*along, strict=True)):
+        counts = [f"{len(outputs)} points and {len(inputs)} actuators" for outputs, inputs in (given, asked)]
+        warnings.warn(
+            f"the G to play through has {counts[0]}, the scenario {counts[1]}, or they lie elsewhere: those of G are "
+            "measured",
+            AccuracyWarning, stacklevel=3,
+        )  # fmt: skip
 
 
 def _timed(plan: Plan, kind: DaqKind | Daq, device: Daq, cable: Loopback | None) -> Plan:

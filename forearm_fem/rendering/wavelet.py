@@ -140,7 +140,7 @@ def _read(path: Path) -> tuple[FloatArray, float | None]:
         ".npy": _read_npy,
     }
     if path.suffix.lower() not in readers:
-        raise DataError(f"{path.name}: expected one of {', '.join(readers)}")
+        raise DataError(f"{path}: expected a wavelet's file that ends in {', '.join(readers)}")
     if not path.is_file():
         raise DataError(f"{path}: no such file")
     try:
