@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...typing import ComplexArray, FloatArray
+from ..assembly.model import ForearmModel
 from ..assembly.operator import WeightedSum
 from ..linear.direct import watched
 from .bounds import ResidualBound, energy_norms
@@ -44,32 +45,44 @@ def dual_estimate(
     On damped scenes it is 0.7 to 2.3 times the true error (docs/decisions/0045). Not covered: resonances that the
     space lacks, which only the bound sees.
     """
-    model, basis = bound.solver.model, reduced.basis
+    model, states = bound.solver.model, reduced.states(np.array([frequency]))[0]
     rows, columns = watched(model)
-    states = reduced.states(np.array([frequency]))[0]
     stiffness = model.operator.at(2 * np.pi * frequency)
-    solutions = _complex(basis.combination(_real(states)))
-    rest = model.functionals - stiffness.product(solutions)
-    directions = solve(_real(rest))
-    eta = energy_norms(_real(rest), directions, model.operator.n_displacements)
-    left = solutions.T @ rest
+    rest, left = _rest(model, reduced, stiffness, states)
+    directions = solve(rest)
+    eta = energy_norms(rest, directions, model.operator.n_displacements)
     off = left + _found_in(reduced, frequency, stiffness, rest, directions)
-    largest = np.abs((reduced.functionals.T @ states) * model.shares)[np.ix_(rows, columns)].max()
-    error, rounding = (np.abs(x * model.shares)[np.ix_(rows, columns)].max() for x in (off, left))
-    most = eta[rows].max() * (eta * model.shares)[columns].max() / bound.stability(reduced, np.array([frequency]))[0]
-    return DualEstimate(float(error / largest), float(rounding / largest), float(most / largest))
+    sizes = (np.abs(x * model.shares)[np.ix_(rows, columns)] for x in (reduced.functionals.T @ states, off, left))
+    largest, error, rounding = (float(np.nanmax(size)) for size in sizes)  # NaN: no symmetric solution
+    most = eta[rows].max() * np.nanmax((eta * model.shares)[columns])
+    stable = float(bound.stability(reduced, np.array([frequency]))[0])
+    return DualEstimate(error / largest, rounding / largest, float(most) / (stable * largest))
+
+
+def _rest(
+    model: ForearmModel, reduced: ReducedModel, stiffness: WeightedSum, states: ComplexArray
+) -> tuple[FloatArray, ComplexArray]:
+    """Residuals r (n, 2 n_port), real parts, then imaginary ones, and x_i . r_j (n_port, n_port)."""
+    solutions = _complex(reduced.basis.combination(_real(states)))
+    rest = model.functionals - stiffness.product(solutions)
+    return _real(rest), solutions.T @ rest
 
 
 def _found_in(
-    reduced: ReducedModel, frequency: float, stiffness: WeightedSum, rest: ComplexArray, directions: FloatArray
+    reduced: ReducedModel, frequency: float, stiffness: WeightedSum, rest: FloatArray, directions: FloatArray
 ) -> ComplexArray:
     """r_i . z_j (n_port, n_port); z_j solves for r_j, the ``rest``, in the space and the ``directions`` (n, k)."""
-    basis, unit = reduced.basis, directions / np.linalg.norm(directions, axis=0)
-    moved = stiffness.product(unit.astype(complex))
-    coupled, seen = (_complex(basis.inner(_real(x))) for x in (moved, rest))
+    basis, lengths = reduced.basis, np.linalg.norm(directions, axis=0)
+    coupled, own = np.zeros((reduced.size, len(lengths)), complex), np.zeros((len(lengths),) * 2, complex)
+    for part, turn in ((stiffness.weights.real, 1), (stiffness.weights.imag, 1j)):  # complex columns take more room
+        moved = stiffness.matrices.real_sum(part[None], (directions,))
+        coupled, own = coupled + turn * basis.inner(moved), own + turn * (directions.T @ moved)
     theta = np.array([complex(c.at(np.array(2 * np.pi * frequency))) for c in reduced.coefficients])
-    matrix = np.block([[np.tensordot(theta, reduced.matrices, 1), coupled], [coupled.T, unit.T @ moved]])
-    right = np.vstack([seen, unit.T @ rest])
+    right = np.vstack([_complex(basis.inner(rest)), _complex(directions.T @ rest)])
+    kept = np.concatenate([np.ones(reduced.size, bool), lengths > 0])
+    unit = np.concatenate([np.ones(reduced.size), lengths])[kept]
+    matrix = np.block([[np.tensordot(theta, reduced.matrices, 1), coupled], [coupled.T, own]])[np.ix_(kept, kept)]
+    matrix, right = matrix / np.outer(unit, unit), right[kept] / unit[:, None]
     return np.asarray(right.T @ np.linalg.solve(matrix, right))
 
 
