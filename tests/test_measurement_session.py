@@ -27,7 +27,7 @@ from test_measurement_scene import (
     wave_matrix,
 )
 
-from forearm_fem.errors import DataError, HardwareError, ScenarioError
+from forearm_fem.errors import AccuracyWarning, DataError, HardwareError, ScenarioError
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.wav import write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected
@@ -159,7 +159,8 @@ def scenario(**extra):
 def test_run_calibration_writes_transfer_and_live_figure(tmp_path):
     seen = []
     setup = VirtualSetup(SCENE, latency=3)
-    result = run_calibration(scenario(), tmp_path, virtual=setup, progress=lambda *step: seen.append(step))
+    with pytest.warns(AccuracyWarning, match="3 points and 2 actuators, the scenario 9 points and 4 actuators"):
+        result = run_calibration(scenario(), tmp_path, virtual=setup, progress=lambda *step: seen.append(step))
     assert [step[1:] for step in seen] == [(k, 6) for k in range(1, 7)]
     back = read_transfer(result.transfer_file)
     assert np.nanmax(np.abs(back.values - SCENE.values)) < 0.02 * np.abs(SCENE.values).max()

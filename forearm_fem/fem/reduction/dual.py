@@ -74,7 +74,8 @@ def _found_in(
     """r_i . z_j (n_port, n_port); z_j solves for r_j, the ``rest``, in the space and the ``directions`` (n, k)."""
     basis, lengths = reduced.basis, np.linalg.norm(directions, axis=0)
     coupled, own = np.zeros((reduced.size, len(lengths)), complex), np.zeros((len(lengths),) * 2, complex)
-    for part, turn in ((stiffness.weights.real, 1), (stiffness.weights.imag, 1j)):  # complex columns take more room
+    weights = np.array([stiffness.weights.real, stiffness.weights.imag])
+    for part, turn in zip(weights, (1, 1j), strict=True):  # complex columns would take more room
         moved = stiffness.matrices.real_sum(part[None], (directions,))
         coupled, own = coupled + turn * basis.inner(moved), own + turn * (directions.T @ moved)
     theta = np.array([complex(c.at(np.array(2 * np.pi * frequency))) for c in reduced.coefficients])
