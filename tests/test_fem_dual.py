@@ -109,6 +109,24 @@ def test_an_unknown_resonance_that_could_do_much_is_not_passed_over(model, monke
     assert "residual" not in {c.by for c in result.certificates}
 
 
+def test_beside_a_mode_without_loss_the_bound_is_infinite(model, monkeypatch):
+    monkeypatch.setattr(ResidualBound, "stability", lambda self, reduced, frequency: np.zeros(len(frequency)))
+    result = reduced_sweep(model, BAND, OPTIONS, tolerance=1e-3)
+    assert "residual" not in {c.by for c in result.certificates}
+
+
+def test_a_richer_space_that_is_none_leaves_the_model_to_a_solve(model, monkeypatch):
+    """Directions that are alike to the last digit say nothing of the model: it was refused for them."""
+
+    def alike(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("forearm_fem.fem.reduction.expansion.dual_estimate", alike)
+    result = reduced_sweep(model, BAND, OPTIONS, tolerance=1e-3)
+    assert result.certificates[-1].bound <= 1e-3
+    assert "residual" not in {c.by for c in result.certificates}
+
+
 def test_a_sweep_that_goes_on_from_its_store_is_certified_alike(model):
     """Its factors are made again for it, as no derivative asks for them."""
     store = Kept()

@@ -43,7 +43,8 @@ def dual_estimate(
     rate of the ``bound``.
 
     On damped scenes it is 0.7 to 2.3 times the true error (docs/decisions/0045). Not covered: resonances that the
-    space lacks, which only the bound sees.
+    space lacks, which only the bound sees; it is infinite beside a mode that loses nothing. LinAlgError where the
+    residuals of two ports are alike to the last digit.
     """
     model, states = bound.solver.model, reduced.states(np.array([frequency]))[0]
     rows, columns = watched(model)
@@ -56,7 +57,7 @@ def dual_estimate(
     largest, error, rounding = (float(np.nanmax(size)) for size in sizes)  # NaN: no symmetric solution
     most = eta[rows].max() * np.nanmax((eta * model.shares)[columns])
     stable = float(bound.stability(reduced, np.array([frequency]))[0])
-    return DualEstimate(error / largest, rounding / largest, float(most) / (stable * largest))
+    return DualEstimate(error / largest, rounding / largest, float(most) / (stable * largest) if stable else np.inf)
 
 
 def _rest(

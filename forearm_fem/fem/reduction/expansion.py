@@ -121,7 +121,10 @@ class Expander:
         if self._space is None or at.wary or tolerance < ROUNDED:
             return None
         bound = ResidualBound(self._ready(at.frequency), made.rate)
-        found = dual_estimate(bound, made.reduced, at.frequency, self._space.solved)
+        try:
+            found = dual_estimate(bound, made.reduced, at.frequency, self._space.solved)
+        except np.linalg.LinAlgError:  # the richer space is no space: that says nothing of the model
+            return None
         certificate = Certificate(at.frequency, _TWICE * found.error, at.change, rounding=found.rounding, by="residual")
         return certificate if certificate.bound <= tolerance and found.bound <= DOUBTFUL else None
 
