@@ -139,7 +139,7 @@ def main() -> None:
     parser.add_argument("scenario", type=Path)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--set", nargs="*", default=[])
+    parser.add_argument("--set", action="extend", nargs="*", default=[])
     asked = parser.parse_args()
     asked.folder.mkdir(parents=True, exist_ok=True)
     scenario = load_scenario(asked.scenario, overrides=asked.set)

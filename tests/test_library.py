@@ -14,11 +14,12 @@ from forearm_fem.errors import AccuracyWarning, DataError, ForearmError, Geometr
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import parametric_skin
-from forearm_fem.layered import Surface, surface_kernel
+from forearm_fem.layered import Layer, Surface, surface_kernel
 from forearm_fem.layered.integrals import Medium
 from forearm_fem.layered.rigid import Disc
+from forearm_fem.layered.tabulating import tabulate
 from forearm_fem.library import is_library, load_library, make, make_library, save_library, side, store
-from forearm_fem.library.arm import library_skin
+from forearm_fem.library.arm import _Asked, _Part, library_skin
 from forearm_fem.library.between import Lattice, Prior, Shape, shape_of
 from forearm_fem.library.flat_bells import between_flat_bells, flat_compliance, pair_distances
 from forearm_fem.library.hold import deviation_held, held
@@ -26,7 +27,6 @@ from forearm_fem.library.kept import Side
 from forearm_fem.library.loads import Bells, bell_functionals
 from forearm_fem.library.make import loaded_skin, meshed_scenario
 from forearm_fem.library.skin import flat_skin
-from forearm_fem.library.stated import tilt_error
 from forearm_fem.pipeline import simulate
 from forearm_fem.pipeline.fem_engine import fem_model
 from forearm_fem.pipeline.layered_engine import flat_layers
@@ -179,7 +179,10 @@ def test_between_its_loads_it_states_what_interpolation_costs(slab, library):
     twin = flat_compliance(integrals, apart, places, places)
     found = limb - weights.T @ library._flat_bells[-1, node] @ weights + twin
     off = np.abs(found - truth)
-    stated = library._deviation(len(library.bands.edges) - 2, places, [0, 1], np.hstack([z, t]))
+    part = _Part(len(library.bands.edges) - 2, np.ones(1, dtype=bool), weights, twin[None], np.hstack([z, t, t]))
+    ports = library.ports(slab)[:2]
+    asked = _Asked(ports, np.array([at]), places, np.array([0, 1] * 3), np.array([0, 0, 1, 1, 1, 1]), None, (part,))
+    stated = library._deviation(part, asked)
     assert (off < 3 * stated + 0.02 * np.abs(truth).max()).all()
     assert off.max() < 0.05 * np.abs(truth).max()
     held_truth, hold = held(truth[None], 2)  # both held sideways, as bonded discs are
@@ -205,12 +208,14 @@ def test_discs_that_are_held_again_are_those_that_were_never_let_go(slab, librar
     discs = [Disc(x, y, 0.002, "bonded") for x, y in places[:2].tolist()] + [Disc(x, y) for x, y in places[2:].tolist()]
     free = library.twin.compliance(2 * np.pi * frequency, discs, free=True).values
     direct = library.twin.compliance(2 * np.pi * frequency, discs).values
-    assert free.shape == (2, 8, 8)
+    assert free.shape == (2, 12, 12)  # four ports, two discs along u and v, and their tilts
     found, hold = held(free, len(ports))
     assert found[:, :, :2] == pytest.approx(direct[:, :, :2], rel=1e-10, abs=1e-12 * np.abs(direct[:, 0, 0]).max())
     # silent discs move nowhere: what is left of the free ones' motion under the forces that hold them
     forced = np.concatenate([np.tile(np.eye(4), (2, 1, 1)), hold.swapaxes(1, 2)], axis=1)[:, :, :2]
-    assert np.abs(free[:, 4:] @ np.nan_to_num(forced)).max() < 1e-12 * np.abs(direct[:, 0, 0]).max()
+    left, scale = np.abs(free[:, 4:] @ np.nan_to_num(forced)), np.abs(direct[:, 0, 0]).max()
+    assert left[:, :4].max() < 1e-12 * scale
+    assert left[:, 4:].max() < 1e-12 * scale / 0.002  # tilts, over the radius
     between = flat_compliance(
         between_flat_bells(medium(slab), frequency, 1e-3, pair_distances(places[:2]), sideways=True),
         pair_distances(places[:2]), places[:2], places[:2],
@@ -233,19 +238,25 @@ def test_a_slab_answers_nearly_as_its_twin(slab, library):
     assert [e.source for e in found.errors] == ["interpolation", "quadrature", "contact", "reduction"]
 
 
-def test_what_discs_held_against_tilt_may_take_is_stated(slab, library):
-    """By hand: C_rr is 3/2 of T over a^2, and each disc takes D_zr D_rz/C_rr and twice T_zr D_rz/C_rr."""
-    found = library.compliance(slab)
-    contact = {e.source: e for e in found.errors}["contact"]
-    assert 1e-6 < contact.band < 0.05  # never nothing; waves of 20 mm, discs of 2 mm
-    flat, slope, a = np.zeros((1, 4, 4), dtype=complex), np.zeros((1, 4, 4), dtype=complex), 2e-3
-    flat[0, [0, 1], [0, 1]], flat[0, 0, 1], flat[0, 1, 0] = 2.0, 0.5j, 0.5j
-    slope[0, :, 0], slope[0, :, 2] = 30.0, -40j  # at the first disc, along u and along v
-    made = np.ones((1, 4, 4), dtype=complex)
-    one = replace(found, frequency=found.frequency[:1], values=made, errors=())
-    stated = tilt_error(one, flat, slope, np.array([100.0]), a)
-    # from the points, where the twin's T is nothing here, to the second disc, where it is .5, with k = 100/m
-    assert stated == pytest.approx([(30 * (30 + 50) + 40 * (40 + 50)) * a**2 / (1.5 * 2)], rel=1e-12)
+@pytest.mark.parametrize("contact", ["bonded", "frictionless"])
+def test_moments_of_discs_are_derivatives_of_their_forces(contact):
+    """Far from a small disc a moment's field is the derivative of a force's with the place; and Mindlin's own tilt."""
+    mu, a, at = 5e3, 1e-3, np.array([2 * np.pi * 20.0])
+    layer = Layer(np.inf, 1000.0, lambda omega: mu + 1j * omega)
+    table = tabulate((layer,), (90.0, 150.0), a, contact, farthest=0.03, step=2e-3)
+    point, h, t = Disc(0.021, -0.013), 1e-4, 4 if contact == "frictionless" else 6
+
+    def free(x, y):
+        return table.compliance(at, [Disc(x, y, a, contact), point], free=True).values[0]
+
+    here = free(0.0, 0.0)
+    assert here.shape == (t, t)
+    for k, way in enumerate(np.eye(2) * h):
+        slope = (free(*way)[1, 0] - free(*-way)[1, 0]) / (2 * h)
+        # they differ by the square of the radius over the distance, and by what tables lack, over h
+        assert here[1, t - 2 + k] == pytest.approx(slope, rel=0.02)
+    # 3/16 mu a^3 of bonded discs and of smooth ones on incompressible tissue (Mindlin 1949), waves being long
+    assert here[t - 2, t - 2].real == pytest.approx(3 / (16 * mu * a**3), rel=0.01)
 
 
 def test_what_the_space_misses_is_the_largest_of_as_far_or_farther():

@@ -27,9 +27,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
-from .hankel import HankelTable
+from .hankel import HankelTable, Radial
 from .kernel import Surface
 from .rigid import Disc, Traction, inner_tractions, port_traction
 
@@ -52,7 +53,9 @@ class Galerkin:
 
     The first ``ports`` tractions are the ports', ``points`` those of points; ``last`` marks the last of ``terms``,
     ``order`` is the azimuthal order; ``rings`` (2, n) are ring tractions with a net force, and the ball that takes it
-    over; ``grips`` (2, r) the tractions + and - of each bonded disc that hold it sideways, with a net force.
+    over; ``grips`` (2, r) the tractions + and - of each bonded disc that hold it sideways, with a net force; ``tilts``
+    (2, t) those along z of orders 1 and -1 that hold each rigid disc of ``radii`` (t,) against tilt, with a moment, and
+    ``moments`` (2, n) rings with one, and the ball that takes it over.
 
     What the series lack: leaving out the last terms changes the compliance by much more than they lack where they
     converge exponentially, and by 2/terms of it where the rim's singularity makes it a power of -2. Of azimuthal orders
@@ -68,21 +71,29 @@ class Galerkin:
     terms: int
     last: BoolArray
     order: IntArray
+    radii: FloatArray
     rings: IntArray
     grips: IntArray
+    tilts: IntArray
+    moments: IntArray
 
     def matrix(self, integrals: ComplexArray) -> ComplexArray:
-        """A (n_freq, n, n) [m/N] from the integrals (n_freq, n_columns); ring tractions freed of their net force."""
+        """A (n_freq, n, n) [m/N] from the integrals (n_freq, n_columns); rings freed of their net force and moment."""
         n, (i, j) = self.last.size, self.place
         entry = np.full((n, n), self.column.size)
         entry[i, j] = entry[j, i] = np.arange(self.column.size)
         values = np.zeros((integrals.shape[0], self.column.size + 1), dtype=complex)  # the last stands for none
         np.multiply(self.factor, np.take(integrals, self.column, axis=1), out=values[:, :-1])
         out = np.take(values, entry.ravel(), axis=1).reshape(-1, n, n)
-        for ring, ball in self.rings.T:
-            out[:, ring] -= out[:, ball]
-            out[:, :, ring] -= out[:, :, ball]
+        for (ring, ball), share in ((pair, share) for pairs, share in self._moved for pair in pairs.T):
+            out[:, ring] -= share * out[:, ball]
+            out[:, :, ring] -= share * out[:, :, ball]
         return out
+
+    @property
+    def _moved(self) -> tuple[tuple[IntArray, float], ...]:
+        """Pairs of rings and balls, and by how much a ring's force or moment is larger: J_1(x) is x/2, j_1(x) x/3."""
+        return (self.rings, 1.0), (self.moments, 1.5)
 
     def compliance(self, integrals: ComplexArray) -> tuple[ComplexArray, FloatArray]:
         """Ports' displacement per force (n_freq, ports, ports) [m/N], and over the largest of them what the series
@@ -92,12 +103,13 @@ class Galerkin:
         return by_order[-1], self.lacking(a, by_order)
 
     def by_order(self, a: ComplexArray) -> tuple[ComplexArray, list[ComplexArray]]:
-        """From A what ports, and then grips, show (n_freq, ports + 2 r, ports + 2 r), discs let go; and C of held ones
-        (n_freq, ports, ports) with azimuthal orders up to 0, 1, ..., symmetric to the last bit; 0 of a point on itself.
+        """From A what ports, then grips and tilts, show (n_freq, m, m), m = ports + 2 r + 2 t, discs let go; and C of
+        held ones (n_freq, ports, ports) with azimuthal orders up to 0, 1, ..., symmetric to the last bit; 0 of a point
+        on itself.
 
         Orders are eliminated one after another, so that all of this costs no more than the last.
         """
-        n, grips, found = self.ports, np.concatenate(self.grips), list[ComplexArray]()
+        n, grips, found = self.ports, np.concatenate([*self.grips, *self.tilts]), list[ComplexArray]()
         free = np.setdiff1d(np.arange(n, self.order.size), grips)
         last_first = free[np.argsort(-self.order[free], kind="stable")]
         a = a[:, (places := np.concatenate([np.arange(n), grips, last_first]))[:, None], places]
@@ -129,16 +141,17 @@ class Galerkin:
         return np.asarray(lacking + step * ratio / (1 - ratio))
 
     def free_compliance(self, shown: ComplexArray) -> ComplexArray:
-        r"""C of bonded discs let go sideways, from the first of :meth:`by_order`: after the ports, their net forces
-        along x, then those along y.
+        r"""C of rigid discs let go, from the first of :meth:`by_order`: after the ports, the net forces of bonded ones
+        along x, then those along y, then moments of all: of forces along z times x, then times y.
 
         A force along x is :math:`t_+=t_-=-1`, along y :math:`t_\pm=\mp i`: tractions have z into the body, where ports
-        are positive outward, so that x and y turn round instead. Holding them again by
-        :math:`C_{zz}-C_{zt}C_{tt}^{-1}C_{tz}` gives the last of :meth:`by_order`.
+        are positive outward, so that x and y turn round instead. A moment along x is :math:`t_z=3/2a` of both orders,
+        along y :math:`\mp 3i/2a`. Holding them again by :math:`C_{zz}-C_{zt}C_{tt}^{-1}C_{tz}` gives the last of
+        :meth:`by_order`.
         """
-        n, r = self.ports, self.grips.shape[1]
-        one, turned = np.eye(r), np.eye(n + 2 * r, dtype=complex)
-        turned[n:, n:] = -np.block([[one, 1j * one], [one, -1j * one]])
+        one, tilt = np.eye(self.grips.shape[1]), np.diag(1.5 / self.radii)
+        sideways = -np.block([[one, 1j * one], [one, -1j * one]])
+        turned = block_diag(np.eye(self.ports), sideways, np.block([[tilt, -1j * tilt], [tilt, 1j * tilt]]))
         return np.asarray(turned.T @ shown @ turned)
 
     def kinds(self) -> tuple[BoolArray, ...]:
@@ -191,11 +204,17 @@ def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -
     rings = [(i, carrying[owner[i], t.component]) for i, t in enumerate(tractions)
              if t.radial.kind == "ring" and t.m == 0]  # fmt: skip
     grips = [[carrying[i, sign] for sign in ("+", "-")] for i in range(len(discs)) if (i, "+") in carrying]
+    tilting = {(owner[i], t.m): i for i, t in enumerate(tractions)
+               if t.component == "z" and abs(t.m) == 1 and t.radial == Radial("ball", t.radial.radius, 1)}  # fmt: skip
+    tilts = [[tilting[i, m] for m in (1, -1)] for i in range(len(discs)) if (i, 1) in tilting]
+    moments = [(i, tilting[owner[i], t.m]) for i, t in enumerate(tractions)
+               if t.radial.kind == "ring" and t.component == "z" and abs(t.m) == 1]  # fmt: skip
     table, place, column, factor = _pairs(tractions, where)
     last, order = np.array([(t.last, t.order) for t in tractions], dtype=int).T
     points = np.flatnonzero([disc.radius == 0 for disc in discs])
-    net, held = (np.array(pairs, dtype=int).reshape(-1, 2).T for pairs in (rings, grips))
-    return Galerkin(table, place, column, factor, len(discs), points, terms, last.astype(bool), order, net, held)
+    radii = np.array([discs[owner[i]].radius for i, _ in tilts])
+    pairs = (np.array(found, dtype=int).reshape(-1, 2).T for found in (rings, grips, tilts, moments))
+    return Galerkin(table, place, column, factor, len(discs), points, terms, last.astype(bool), order, radii, *pairs)
 
 
 def _pairs(tractions: Sequence[Traction], where: FloatArray) -> tuple[HankelTable, IntArray, IntArray, ComplexArray]:

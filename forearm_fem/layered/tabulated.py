@@ -70,8 +70,9 @@ class Tabulated:
         Entries between two points are NaN. Errors are over the largest of their kind, between discs or from discs to
         points, whichever is more: G divides the small ones by the large. ``interpolation`` is the table's error and
         that between its frequencies.
-        With ``free`` bonded discs are let go sideways, and rows and columns for their net forces along x, then along
-        y, follow (:meth:`~forearm_fem.layered.scattering.Galerkin.free_compliance`); errors are those of held ones.
+        With ``free`` rigid discs are let go, and rows and columns follow for the net forces of bonded ones along x,
+        then along y, and for the moments of all against tilt along x, then along y
+        (:meth:`~forearm_fem.layered.scattering.Galerkin.free_compliance`); errors are those of held ones.
         Raises GeometryError for discs further apart than the table reaches, and for a point within 0.2 mm of a rim.
         """
         kinds, rows, _ = distinct(discs, discs)
@@ -92,8 +93,9 @@ class Tabulated:
         table = np.interp(x, np.sqrt(self.omega)[::-1], self.checked[::-1])
         sampled[:, system.points[:, None], system.points] = np.nan
         held = [number for number, disc in zip(rows, discs, strict=True) if free and disc.radius > 0]
+        each, blocks = len(system.radii), (whole.shape[1] - n) // max(1, len(system.radii))
         grip = n + np.cumsum([disc.radius > 0 for disc in kinds])[held] - 1
-        at_ports = np.concatenate([rows, grip, grip + system.grips.shape[1]]).astype(int)
+        at_ports = np.concatenate([rows, *(grip + each * block for block in range(blocks))]).astype(int)
         values = sampled[:, at_ports][:, :, at_ports]
         return LayeredResult(values, np.zeros(omega.size), truncation, table + np.max(tails, axis=0), 0)
 

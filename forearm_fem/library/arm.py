@@ -25,17 +25,16 @@ from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
 from ..transfer import Compliance, ErrorEstimate
-from ..typing import BoolArray, ComplexArray, FloatArray
+from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 from .bands import Bands
 from .between import Lattice, Prior, Shape, shape_of
 from .flat_bells import flat_compliance
 from .hold import deviation_held, held
 from .limb import Limb, real_product
 from .skin import FlatSkin, flat_skin
-from .stated import stated_errors, tilt_error
+from .stated import stated_errors
 
 MARGIN = 0.02  # [m] of skin around the patch that bells reach
-_TILT = 5e-4  # [m] either way, for slopes of what is interpolated
 WIDTH = 0.4  # of a bell, in steps of the lattice
 _SPREAD, _LEAST, _NOISE = 0.7, 60.0, 1e-6  # kappa in shortest wavenumbers, and [1/m]; docs/decisions/0037-library.md
 _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its library
@@ -43,24 +42,28 @@ _SAME = ("limb", "tissues", "supports")  # what a scenario shares with its libra
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One part of the band: its ``number``, which frequencies are ``mine``, the ``weights`` (n + 2 s, q) of bells, the
-    ``flat`` twin (n_node, q, q) between these, the variance that is ``known``."""
+    """One part of the band: its ``number``, which frequencies are ``mine``, the ``weights`` (n + 2 s, m) of bells for
+    ports, then for what discs are held against, the ``flat`` twin (n_node, m, m) between these, the ``variance`` (2, m)
+    of what is interpolated, before and known."""
 
     number: int
     mine: BoolArray
     weights: FloatArray
     flat: ComplexArray
-    known: FloatArray
+    variance: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What a scenario asks of any limb: ports at flat ``places``, those ``gripped``, their flat ``twin``."""
+    """What a scenario asks of any limb: p ports at flat ``places``, then what rigid discs are held against: bonded ones
+    along u, along v, and all against tilt along u, along v. ``owner`` (m,) is the port of each, ``way`` (m,) 0 along
+    the normal, 1 along the skin, 2 of tilts, and ``twin`` the flat twin of all m."""
 
     ports: tuple[Port, ...]
     frequency: FloatArray
     places: FloatArray
-    gripped: list[int]
+    owner: IntArray
+    way: IntArray
     twin: LayeredResult
     parts: tuple[_Part, ...]
 
@@ -127,58 +130,36 @@ class ArmLibrary:
     def _asked(self, scenario: Scenario) -> _Asked:
         ports, frequency = self.ports(scenario), frequencies(scenario.sweep)
         places = self.skin.flat(positions(ports))
-        gripped = [i for i, port in enumerate(ports) if port.kind == "contact" and len(self.sideways)]
+        rigid = [i for i, port in enumerate(ports) if port.kind == "contact" and self.twin.contact != "pressure"]
+        ways = (1, 1, 2, 2) if len(self.sideways) else (2, 2)
+        owner = np.concatenate([np.arange(len(ports)), np.tile(rigid, len(ways))]).astype(int)
+        way = np.concatenate([np.zeros(len(ports)), np.repeat(ways, len(rigid))]).astype(int)
         twin, number, parts = self._flat_discs(ports, places, frequency), self.bands.number(frequency), []
         for b in np.unique(number):
-            weights, known = self._weights(int(b), ports, places, gripped)
-            if gripped:
-                weights = np.hstack([weights, self._slopes(int(b), places[gripped])])
+            weights, variance = self._weights(int(b), ports, places, rigid)
             seen = real_product(weights.T, self._flat_bells[b]) @ weights
-            parts.append(_Part(int(b), number == b, weights, seen, known))
-        return _Asked(ports, frequency, places, gripped, twin, tuple(parts))
+            parts.append(_Part(int(b), number == b, weights, seen, variance))
+        return _Asked(ports, frequency, places, owner, way, twin, tuple(parts))
 
-    def _answer(
-        self, asked: _Asked, limb: Limb, *, slopes: bool = False
-    ) -> tuple[Compliance, ComplexArray, ComplexArray]:
-        """C through ``limb``; what holding the discs takes, B; and with ``slopes`` those of the difference."""
-        p, m = len(asked.ports), asked.twin.values.shape[1]
+    def _answer(self, asked: _Asked, limb: Limb) -> tuple[Compliance, ComplexArray]:
+        """C through ``limb``, and what holding the discs takes, B."""
         free, carry = asked.twin.values.copy(), self.bands.between(asked.frequency)
-        slope = np.zeros((len(free), p, 2 * len(asked.gripped) if slopes else 0), dtype=complex)
-        wanted = _wanted(asked.ports, m, slope.shape[2])
+        point = np.array([port.kind == "point" for port in asked.ports])[asked.owner]
         for part in asked.parts:
-            mine, q = part.mine, len(wanted)
-            apart = limb.between(asked.frequency[mine], part.weights[:, :q], wanted)
-            apart -= np.einsum("fn,nij->fij", carry[mine], part.flat[:, :q, :q])
-            free[mine] += apart[:, :m, :m]
-            slope[mine] = apart[:, :p, m:]
-        values, hold = held(0.5 * (free + free.swapaxes(1, 2)), p)
-        return Compliance(asked.frequency, values, asked.ports), hold, slope
+            apart = limb.between(asked.frequency[part.mine], part.weights, ~(point[:, None] & point))
+            free[part.mine] += apart - np.einsum("fn,nij->fij", carry[part.mine], part.flat)
+        values, hold = held(0.5 * (free + free.swapaxes(1, 2)), len(asked.ports))
+        return Compliance(asked.frequency, values, asked.ports), hold
 
     def _stated(self, asked: _Asked) -> Compliance:
         """C of the finer mesh with what is stated of interpolation, twin, contacts and reduction."""
-        found, hold, slope = self._answer(asked, self.fine, slopes=True)
+        found, hold = self._answer(asked, self.fine)
         deviation, missed = np.zeros(asked.twin.values.shape), self._missed(asked)
         for part in asked.parts:
-            deviation[part.mine] = self._deviation(part.number, asked.places, asked.gripped, part.known)
-        beside = 0.25 * (self.twin.radius * self.skin.curvature) ** 2 + self._tilt(found, asked.twin.values, slope)
+            deviation[part.mine] = self._deviation(part, asked)
         spread, missed = deviation_held(deviation, hold), deviation_held(missed, hold)
-        stated = stated_errors(found, spread, missed, asked.twin.error, beside, self.twin.contact)
-        return replace(found, errors=stated)
-
-    def _slopes(self, part: int, places: FloatArray) -> FloatArray:
-        """Weights (n + 2 s, 2 c) [1/m] of bells for the slopes, along u, then v, of what discs at ``places`` see."""
-        shape, columns = Shape("rigid", self.twin.radius), []
-        for way in np.eye(2) * _TILT:
-            ahead, behind = (self.lattices[0][part].weights(shape, places + sign * way)[0] for sign in (1, -1))
-            columns.append((ahead - behind) / (2 * _TILT))
-        return np.pad(np.hstack(columns), ((0, 2 * len(self.sideways)), (0, 0)))
-
-    def _tilt(self, found: Compliance, flat: ComplexArray, slope: ComplexArray) -> FloatArray:
-        """e(f) (n_frequency,) of discs held against tilt; none of pressed ones, NaN, unknown, of frictionless ones."""
-        if self.twin.contact != "bonded":
-            return np.full(len(found.frequency), 0.0 if self.twin.contact == "pressure" else np.nan)
-        waves = shortest_wavenumber(self.scenario, found.frequency)
-        return tilt_error(found, held(flat, len(found.ports))[0], slope, waves, self.twin.radius)
+        bent = 0.25 * (self.twin.radius * self.skin.curvature) ** 2
+        return replace(found, errors=stated_errors(found, spread, missed, asked.twin.error, bent))
 
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
         """Ports of ``scenario`` on the library's skin, after all that may be refused was."""
@@ -217,19 +198,23 @@ class ArmLibrary:
         return made[0], made[1]
 
     def _weights(
-        self, part: int, ports: tuple[Port, ...], places: FloatArray, gripped: list[int]
+        self, part: int, ports: tuple[Port, ...], places: FloatArray, rigid: list[int]
     ) -> tuple[FloatArray, FloatArray]:
-        """Weights (n + 2 s, p + 2 c) of bells for the ports, and for those ``gripped`` (c,) along u, then along v;
-        variances (2, p + c), before and known."""
+        """Weights (n + 2 s, m) of bells for the ports, and for what ``rigid`` discs are held against; variances (2, m),
+        before and known."""
+        normal, sideways = self.lattices[0][part], self.lattices[1][part] if len(self.sideways) else None
         shapes = [shape_of(port) for port in ports]
         weights, variance = np.empty((len(self.centres), len(ports))), np.empty((2, len(ports)))
         for shape in set(shapes):
             mine = [i for i, s in enumerate(shapes) if s == shape]
-            weights[:, mine], variance[:, mine] = self.lattices[0][part].weights(shape, places[mine])
-        if not gripped:
-            return np.pad(weights, ((0, 2 * len(self.sideways)), (0, 0))), variance
-        along, more = self.lattices[1][part].weights(shapes[gripped[0]], places[gripped])
-        return scipy.linalg.block_diag(weights, along, along), np.hstack([variance, more])
+            weights[:, mine], variance[:, mine] = normal.weights(shape, places[mine])
+        slopes, of_slopes = normal.slopes(Shape("tilt", self.twin.radius), places[rigid])
+        if sideways is None:
+            return np.hstack([weights, slopes]), np.hstack([variance, of_slopes])
+        along, more = sideways.weights(Shape("rigid", self.twin.radius), places[rigid])
+        whole = scipy.linalg.block_diag(weights, along, along)
+        below = np.pad(slopes, ((0, 2 * len(self.sideways)), (0, 0)))
+        return np.hstack([whole, below]), np.hstack([variance, more, more, of_slopes])
 
     @cached_property
     def _flat_bells(self) -> ComplexArray:
@@ -237,34 +222,33 @@ class ArmLibrary:
         return flat_compliance(self.flat, self.distances, self.centres, self.sideways)
 
     def _flat_discs(self, ports: tuple[Port, ...], places: FloatArray, frequency: FloatArray) -> LayeredResult:
-        """The flat twin of the ports, with bonded discs let go sideways."""
+        """The flat twin of the ports, with rigid discs let go."""
         discs = [Disc(u, v) if port.kind == "point" else Disc(u, v, port.radius, port.contact)
                  for port, (u, v) in zip(ports, places.tolist(), strict=True)]  # fmt: skip
-        return self.twin.compliance(2 * np.pi * frequency, discs, free=len(self.sideways) > 0)
+        return self.twin.compliance(2 * np.pi * frequency, discs, free=self.twin.contact != "pressure")
 
-    def _deviation(self, part: int, places: FloatArray, gripped: list[int], variance: FloatArray) -> FloatArray:
-        """Standard deviation (p + 2 c, p + 2 c) [m/N] of what is interpolated between the ports, and the ``gripped``
-        ones along the skin, of which both directions are alike."""
-        before, known = variance
+    def _deviation(self, part: _Part, asked: _Asked) -> FloatArray:
+        """Standard deviation (m, m) [m/N] of what is interpolated between all that discs move or are held against, of
+        tilts [1/N]."""
+        before, known = part.variance
         left = np.sqrt(np.maximum(np.outer(before, before) - np.outer(known, known), 0.0))
-        twice = np.concatenate([np.arange(len(left)), np.arange(len(places), len(left))])
-        return np.asarray(left[twice[:, None], twice] * self._by_distance(self.spread[part], places, gripped))
+        return np.asarray(left * self._by_distance(self.spread[part.number], asked))
 
     def _missed(self, asked: _Asked) -> FloatArray:
-        """What the reduced model is off by (n_frequency, p + 2 c, p + 2 c) [m/N], by distance and direction; its
-        logarithm is linear between the frequencies checked."""
+        """What the reduced model is off by (n_frequency, m, m) [m/N], by distance and direction; its logarithm is
+        linear between the frequencies checked. The slope of that is no more than the shortest wave has."""
         least, checked = np.finfo(float).tiny, self.reduction[0]
         share = np.array([np.interp(asked.frequency, checked, one) for one in np.eye(len(checked))])
-        each = np.array([self._by_distance(of, asked.places, asked.gripped) for of in self.missed])
-        return np.asarray(np.exp(np.einsum("kf,kij->fij", share, np.log(each + least))))
+        each = np.array([self._by_distance(of, asked) for of in self.missed])
+        waves = shortest_wavenumber(self.scenario, asked.frequency)
+        scale = np.where(asked.way == 2, waves[:, None], 1.0)
+        off = np.exp(np.einsum("kf,kij->fij", share, np.log(each + least)))
+        return np.asarray(off * scale[:, None] * scale[..., None])
 
-    def _by_distance(self, of: FloatArray, places: FloatArray, gripped: list[int]) -> FloatArray:
-        """Entries (p + 2 c, p + 2 c) of what is known ``of`` (3, n_bin) directions and distances: of the ports at
-        ``places`` along the normal, and of those ``gripped`` along u and along v, which are alike."""
-        every = np.concatenate([np.arange(len(places)), gripped, gripped]).astype(int)
-        along = (np.arange(len(every)) >= len(places)).astype(int)
-        away = np.linalg.norm(places[every][:, None] - places[every][None], axis=2)
-        values = np.array([np.interp(away, self.bins, one) for one in of])
+    def _by_distance(self, of: FloatArray, asked: _Asked) -> FloatArray:
+        """Entries (m, m) of what is known ``of`` (3, n_bin) directions and distances; tilts are as along the normal."""
+        at, along = asked.places[asked.owner], (asked.way == 1).astype(int)
+        values = np.array([np.interp(np.linalg.norm(at[:, None] - at, axis=2), self.bins, one) for one in of])
         return np.asarray(np.take_along_axis(values, (along[:, None] + along)[None], axis=0)[0])
 
     def _check_same(self, scenario: Scenario) -> None:
@@ -307,16 +291,6 @@ class ArmLibrary:
                         f"grid point {port.name} lies under the pressed disc {disc.name}, which a library does not "
                         "answer for; move one of them, or make the library with device.cone.contact = 'bonded'"
                     )
-
-
-def _wanted(ports: tuple[Port, ...], m: int, slopes: int) -> BoolArray:
-    """Pairs (m + slopes, m + slopes) that an answer reads: discs, let go or not, with each other and with points; their
-    ``slopes`` with what ports see."""
-    along, q, p = np.arange(m + slopes), m + slopes, len(ports)
-    point = np.array([port.kind == "point" for port in ports] + [False] * (q - p))
-    wanted = (along < m)[:, None] & (along < m) & ~(point[:, None] & point)
-    wanted[:p, m:] = True
-    return np.asarray(wanted)
 
 
 def library_band(scenario: Scenario) -> tuple[float, float]:

@@ -3,8 +3,9 @@ r"""From loads on a lattice to any disc or point: Gaussian-process regression wi
 What the limb's response differs from its flat twin's is smooth: waves no shorter than the tissues' carry it. Its prior
 is :math:`E|\hat d(k)|^2\propto(1+k^2/\kappa^2)^{-p}` with kappa a multiple of the shortest wavenumber, for the place of
 the source and that of the receiver alike. Bells on the lattice have the transform :math:`e^{-k^2w^2/2}`, rigid discs
-:math:`\sin ka/ka`, pressure :math:`2J_1(ka)/ka`, points 1: covariances between any two are one-dimensional integrals,
-and the regression both moves a load between lattice places and changes its shape.
+:math:`\sin ka/ka`, the tilt of these ik times :math:`3j_1(ka)/ka`, pressure :math:`2J_1(ka)/ka`, points 1: covariances
+between any two are one-dimensional integrals, and the regression both moves a load between lattice places and changes
+its shape.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 from scipy.interpolate import CubicSpline
-from scipy.special import j0, j1
+from scipy.special import j0, j1, spherical_jn
 
 from ..ports import Port
 from ..typing import ComplexArray, FloatArray
@@ -24,6 +25,7 @@ _POWER = 4.0  # p of the prior
 _NODES = 400  # of the rule over wavenumbers
 _LONGEST = 6.0  # kappa: wavenumbers up to which the prior is integrated
 _STEP, _FARTHEST = 1e-4, 0.05  # [m] between tabulated distances; of which tables are as long as multiples
+_ASIDE = 5e-4  # [m] either way, for slopes: a two hundredth of a wave
 _X, _W = np.polynomial.legendre.leggauss(_NODES)
 
 
@@ -42,6 +44,8 @@ class Shape:
                 return np.asarray(np.exp(-0.5 * x**2))
             case "rigid":
                 return np.asarray(np.sinc(x / np.pi))
+            case "tilt":
+                return np.asarray(np.where(x > 0.05, 3 * spherical_jn(1, x) / np.where(x > 0, x, 1.0), 1 - x**2 / 10))
             case "pressure":
                 return np.asarray(np.where(x > 0, 2 * j1(x) / np.where(x > 0, x, 1.0), 1.0))
             case _:
@@ -103,6 +107,19 @@ class Lattice:
         own = self.prior.covariance(shape, shape, np.zeros(1))[0]
         known = np.einsum("nk,nk->k", seen, found)
         return found, np.stack([np.full(len(places), own), np.minimum(known, own)])
+
+    def slopes(self, shape: Shape, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Bells (n, 2 k) [1/m] that stand for the slopes, along u, then along v, of what a ``shape`` sees at ``places``
+        (k, 2); the variance there (2, 2 k) [1/m^2], before and known."""
+        seen = np.hstack([
+            self.prior.covariance(shape, self.shape, _distances(self.centres, places + way))
+            - self.prior.covariance(shape, self.shape, _distances(self.centres, places - way))
+            for way in np.eye(2) * _ASIDE
+        ]) / (2 * _ASIDE)  # fmt: skip
+        found = self.inverse @ seen
+        here, beside = self.prior.covariance(shape, shape, np.array([0.0, 2 * _ASIDE]))
+        own = (here - beside) / (2 * _ASIDE**2)
+        return found, np.stack([np.full(seen.shape[1], own), np.minimum(np.einsum("nk,nk->k", seen, found), own)])
 
     def left_out(self, values: ComplexArray) -> ComplexArray:
         """What each row of ``values`` (n, n) is off when it is found from the others, in units of its prior spread."""

@@ -15,6 +15,7 @@ from ..typing import BoolArray, FloatArray
 _STEP = 2.5e-4  # [m] between samples of the skin across the limb; ten times that along it
 _FACING = 0.1  # smallest n_z of skin that is laid flat: 84 degrees to the side
 _SHORT = 5e-4  # [m] between places whose difference is a tangent
+_ROUNDS = 5  # from flat places to those on the limb: each leaves a hundredth or less
 _NEAR = 5e-3  # [m] from the volar skin: points of the mesh further away are the limb's other side
 
 
@@ -22,9 +23,10 @@ _NEAR = 5e-3  # [m] from the volar skin: points of the mesh further away are the
 class FlatSkin:
     """Flat coordinates (u, v) [m] of the volar skin: u along the line y = 0, v along the section, both from the origin.
 
-    ``x`` (n,), ``y`` (m,) are samples, ``along`` (n,) the length u at each x, ``across`` (n, m) the length v, NaN off
-    the skin, ``height`` (n, m) its z. Distances in (u, v) are those on a cylinder exactly, on a slowly tapering limb
-    nearly. ``skin`` lands places on the limb itself.
+    ``x`` (n,), ``y`` (m,) are samples, ``along`` (n, m) u, ``across`` (n, m) v, NaN off the skin, ``height`` (n, m) its
+    z. Distances in (u, v) are those on a cylinder exactly and on a cone nearly: its sections are bent where it is laid
+    flat (:func:`_flattened`). What no plane has, a profile that bends along the limb, stretches u: by 6 % at most on
+    the default forearm 30 mm off its middle line. ``skin`` lands places on the limb itself.
     """
 
     x: FloatArray
@@ -36,9 +38,7 @@ class FlatSkin:
 
     def flat(self, points: FloatArray) -> FloatArray:
         """(u, v) (n, 2) of ``points`` (n, 3) on or near the skin; NaN where the volar skin is not."""
-        axes = (self.x, self.y)
-        v, z = (RegularGridInterpolator(axes, a, bounds_error=False)(points[:, :2]) for a in (self.across, self.height))
-        u = np.interp(points[:, 0], self.x, self.along, left=np.nan, right=np.nan)
+        u, v, z = (self._at(a, points[:, :2]) for a in (self.along, self.across, self.height))
         result = np.column_stack([u, v])
         result[~(np.abs(points[:, 2] - z) < _NEAR)] = np.nan
         return result
@@ -53,18 +53,21 @@ class FlatSkin:
 
     def places(self, flat: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (n, 3) and outward normals (n, 3) at ``flat`` (n, 2); NaN off the skin."""
-        x = np.interp(flat[:, 0], self.along, self.x, left=np.nan, right=np.nan)
-        after = np.clip(np.searchsorted(self.x, x), 1, len(self.x) - 1)
-        share = (x - self.x[after - 1]) / (self.x[after] - self.x[after - 1])
-        rows = self.across[after - 1] * (1 - share)[:, None] + self.across[after] * share[:, None]
-        y = np.array([_inverse(v, row, self.y) for v, row in zip(flat[:, 1], rows, strict=True)])
+        middle, bent = self.along[:, len(self.y) // 2], np.zeros(len(flat))
+        for _ in range(_ROUNDS):
+            x = np.interp(flat[:, 0] - bent, middle, self.x, left=np.nan, right=np.nan)
+            after = np.clip(np.searchsorted(self.x, x), 1, len(self.x) - 1)
+            share = (x - self.x[after - 1]) / (self.x[after] - self.x[after - 1])
+            rows = self.across[after - 1] * (1 - share)[:, None] + self.across[after] * share[:, None]
+            y = np.array([_inverse(v, row, self.y) for v, row in zip(flat[:, 1], rows, strict=True)])
+            bent = self._at(self.along - middle[:, None], np.column_stack([x, y]))
         return self.skin(np.column_stack([x, y]))
 
     def tangents(self, flat: FloatArray) -> FloatArray:
         """Unit vectors (2, n, 3) along u and along v at ``flat`` (n, 2), at right angles to the normal and each other.
 
-        Differences over a short way towards the middle, where there is skin. On a tapering limb lines of u and of v
-        meet at no quite right angle; that of u is kept.
+        Differences over a short way towards the middle, where there is skin. What is left of an angle between lines of
+        u and of v on a limb that is no cone is taken from that of v.
         """
         here, normals = self.places(flat)
         inward = np.where(flat > 0, -_SHORT, _SHORT)
@@ -72,6 +75,10 @@ class FlatSkin:
                 for way, sign in zip(np.eye(2), np.sign(inward).T, strict=True))  # fmt: skip
         along = _unit(_across(u, normals))
         return np.stack([along, _unit(_across(_across(v, normals), along))])
+
+    def _at(self, values: FloatArray, places: FloatArray) -> FloatArray:
+        """``values`` (n, m) of the samples at ``places`` (k, 2) in x and y; NaN off them."""
+        return np.asarray(RegularGridInterpolator((self.x, self.y), values, bounds_error=False)(places))
 
 
 def flat_skin(skin: Skin, length: float, width: float, margin: float = 0.0) -> FlatSkin:
@@ -85,9 +92,7 @@ def flat_skin(skin: Skin, length: float, width: float, margin: float = 0.0) -> F
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     points, normals = skin(grid)
     z = np.where(normals[:, 2] > _FACING, points[:, 2], np.nan).reshape(len(x), len(y))
-    along = _lengths(x, z[:, len(y) // 2])
-    across = np.array([_lengths(y, row) for row in z])
-    made = FlatSkin(x, y, along, across, z, skin)
+    made = FlatSkin(x, y, *_flattened(x, y, z), z, skin)
     _check_covers(made, length, width)
     return made
 
@@ -97,6 +102,27 @@ def _lengths(t: FloatArray, z: FloatArray) -> FloatArray:
     middle, step = len(t) // 2, np.hypot(np.diff(t), np.diff(z))
     after, before = np.cumsum(step[middle:]), np.cumsum(step[:middle][::-1])[::-1]
     return np.concatenate([-before, [0.0], after])
+
+
+def _flattened(x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """u and v (n, m) of the skin of height ``z`` (n, m), NaN off it.
+
+    With s the length along a section from its middle, places of equal s run on at an angle of sine F = r_x . t, the
+    derivative of the place with x at constant s times the section's unit tangent t. So that lengths and angles are kept
+    once flat, u grows by F and v by sqrt(1 - F^2) along a section. F s' is z_x z_y - s_x s' with s' = ds/dy.
+    """
+    length = np.array([_lengths(y, row) for row in z])
+    slope_x, slope_y, per_y = np.gradient(z, x, axis=0), np.gradient(z, y, axis=1), np.gradient(length, y, axis=1)
+    shift = slope_x * slope_y - np.gradient(length, x, axis=0) * per_y
+    along = _lengths(x, z[:, len(y) // 2])[:, None] + _summed(shift, y)
+    return along, length - _summed(per_y - np.sqrt(np.maximum(per_y**2 - shift**2, 0.0)), y)
+
+
+def _summed(rate: FloatArray, y: FloatArray) -> FloatArray:
+    """Integral (n, m) of ``rate`` (n, m) over y from each row's middle; NaN beyond the first gap on either side."""
+    middle, steps = len(y) // 2, 0.5 * (rate[:, 1:] + rate[:, :-1]) * np.diff(y)
+    after, before = np.cumsum(steps[:, middle:], axis=1), np.cumsum(steps[:, :middle][:, ::-1], axis=1)[:, ::-1]
+    return np.hstack([-before, np.zeros((len(rate), 1)), after])
 
 
 def _check_covers(made: FlatSkin, length: float, width: float) -> None:

@@ -18,7 +18,7 @@ from .arm import ArmLibrary
 from .limb import Limb
 
 _CONTENT = "arm's library"
-_MADE = 3  # raise when what a library holds is another
+_MADE = 4  # raise when what a library holds is another
 _LIMBS = ("fine", "coarse", "freed")
 _TABLES = "twin_"
 _NUMBERS = ("width", "ratio")

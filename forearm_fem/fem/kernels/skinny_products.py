@@ -1,7 +1,7 @@
 """Products of long columns with few others in compiled code, which BLAS would pack the long ones for.
 
-Columns may be in single or double precision. Sums and the few others are in double precision; the ``rough`` kernels, for
-columns in single precision, have both in it too, which takes half the time.
+Columns may be in single or double precision. Sums and the few others are in double precision; ``rough`` kernels, for
+columns in single precision, have both in it too and take half the time.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def add_combination(block: FloatArray, known: FloatArray, total: FloatArray) -> 
 
 
 @njit(cache=True, nogil=True)
-def _copy(source: FloatArray, to: FloatArray) -> None:
+def _copy(source: FloatArray, to: NDArray[np.floating[Any]]) -> None:
     """Put ``source`` into the corner of ``to``; written out, as slices of arrays take numba seconds more to compile."""
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
@@ -104,7 +104,8 @@ def _add_to(place: int, one: Any, two: Any) -> None:
 @njit(cache=True, nogil=True)
 def add_rough_inner(block: Floats, columns: FloatArray, total: FloatArray) -> None:
     """As :func:`add_inner`; sums over some hundred rows are in single precision."""
-    part, sums = np.zeros((_ROWS, total.shape[1]), np.float32), np.zeros(total.shape, np.float32)
+    part = np.zeros((_ROWS, total.shape[1]), np.float32)
+    sums = np.zeros(total.shape, np.float32)
     for begin in range(0, len(block), _ROWS):
         count = min(_ROWS, len(block) - begin)
         _copy(columns[begin : begin + count], part)
