@@ -145,7 +145,7 @@ def test_single_precision_solves_keep_columns_in_single_precision(model, truth, 
     assert chunks[0].columns.dtype == np.float32
     columns = whole(chunks[0], model).astype(float)
     assert np.abs(columns.T @ columns - np.eye(columns.shape[1])).max() < 1e-6
-    monkeypatch.setattr(RateSpace, "_rough", False)
+    monkeypatch.setattr(RateSpace, "_number", np.float64)
     chunks.append(single_space(model).more(20))
     models = [with_last_columns(empty_model(model), model, chunk.columns) for chunk in chunks]
     errors = [relative_error(of_contacts(model, reduced.compliance(CHECK)), truth).max() for reduced in models]

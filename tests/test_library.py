@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cli_runner import cli
 from scipy.sparse.linalg import lsqr
-from scipy.special import j1
+from scipy.special import j1, spherical_jn
 
 from forearm_fem.device import close_loop
 from forearm_fem.errors import AccuracyWarning, DataError, ForearmError, GeometryError, ScenarioError
@@ -72,6 +72,22 @@ def test_a_cylinders_skin_is_laid_flat_by_its_arc():
     assert flat == pytest.approx(np.column_stack([points[:, 0], radius * angle]), abs=1e-6)
     assert skin.places(flat)[0] == pytest.approx(points, abs=1e-6)
     assert np.isnan(skin.flat(points * [1, 1, -1])).any(axis=1).all()  # the other side is not on it
+
+
+def test_a_cones_skin_is_laid_flat_with_its_lengths_and_angles():
+    """Chords of 4 mm in all directions; sections laid straight, as on a cylinder, left 5 % of some."""
+    rings = [[x, 2 * np.pi * (0.034 - 0.1 * x)] for x in np.linspace(-0.06, 0.06, 7).tolist()]
+    limb = {"shape": "forearm", "length": 0.12, "circumference": rings, "bones": []}
+    skin = flat_skin(parametric_skin(parse_scenario({"limb": limb})), 0.06, 0.05, margin=0.01)
+    rng, length = np.random.default_rng(0), 4e-3
+    flat, angle = rng.uniform(-1, 1, (200, 2)) * [0.027, 0.022], rng.uniform(0, 2 * np.pi, 200)
+    along = length * np.column_stack([np.cos(angle), np.sin(angle)])
+    chord = np.linalg.norm(skin.places(flat + along)[0] - skin.places(flat)[0], axis=1)
+    # arcs are longer than chords by (l/R)^2/24, 6e-4; samples 2.5 mm apart along the limb add as much
+    assert np.abs(chord / length - 1).max() < 3e-3
+    assert skin.flat(skin.places(flat)[0]) == pytest.approx(flat, abs=1e-6)
+    u, v = skin.tangents(flat)
+    assert np.abs((u * v).sum(axis=1)).max() < 1e-12
 
 
 def test_bells_between_each_other_are_a_plain_integral_of_the_kernel():
@@ -242,7 +258,7 @@ def test_a_slab_answers_nearly_as_its_twin(slab, library):
 def test_moments_of_discs_are_derivatives_of_their_forces(contact):
     """Far from a small disc a moment's field is the derivative of a force's with the place; and Mindlin's own tilt."""
     mu, a, at = 5e3, 1e-3, np.array([2 * np.pi * 20.0])
-    layer = Layer(np.inf, 1000.0, lambda omega: mu + 1j * omega)
+    layer = Layer(np.inf, 1000.0, lambda omega: np.asarray(mu + 1j * omega, dtype=complex))
     table = tabulate((layer,), (90.0, 150.0), a, contact, farthest=0.03, step=2e-3)
     point, h, t = Disc(0.021, -0.013), 1e-4, 4 if contact == "frictionless" else 6
 
@@ -257,6 +273,33 @@ def test_moments_of_discs_are_derivatives_of_their_forces(contact):
         assert here[1, t - 2 + k] == pytest.approx(slope, rel=0.02)
     # 3/16 mu a^3 of bonded discs and of smooth ones on incompressible tissue (Mindlin 1949), waves being long
     assert here[t - 2, t - 2].real == pytest.approx(3 / (16 * mu * a**3), rel=0.01)
+
+
+def test_discs_are_held_against_the_slope_of_what_the_limb_adds(slab, library):
+    """The limb adds a standing wave, of the place that pushes as of that which reads; held by hand, of closed forms."""
+    asked, s = library._asked(slab), len(library.sideways)
+    k, b, a = np.array([100.0, -75.0]), int(library.bands.number(asked.frequency)[0]), library.twin.radius
+    assert (library.bands.number(asked.frequency) == b).all()
+    size, x = 0.5 * np.abs(asked.twin.values[:, 0, 0]).max(), np.linalg.norm(k)
+    bells = np.concatenate([np.sin(library.centres @ k) * np.exp(-((x * library.width) ** 2) / 2), np.zeros(2 * s)])
+
+    class Wave:
+        def between(self, frequency, weights, wanted):
+            twin = weights.T @ library._flat_bells[b] @ weights
+            added = np.outer(weights.T @ bells, weights.T @ bells)
+            return np.einsum("fn,nij->fij", library.bands.between(frequency), twin) + size * added
+
+    found, _ = library._answer(asked, Wave())
+    discs, points = asked.places[:2] @ k, asked.places[2:] @ k
+    seen = [np.sin(discs) * np.sin(x * a) / (x * a), np.sin(points), np.zeros(4)]
+    slope = 3 * spherical_jn(1, x * a) / (x * a) * np.outer(k, np.cos(discs)).ravel()
+    truth, flat = (
+        held(asked.twin.values + size * np.outer(moved, moved), len(asked.ports))[0][:, :, :2]
+        for moved in (np.concatenate([*seen, of]) for of in (slope, 0 * slope))
+    )
+    off = np.abs(found.values[:, :, :2] - truth).max() / np.abs(truth).max()
+    assert off < 2e-3  # 20 loads on a patch of a third of a wave: slopes are found to a tenth, and enter squared
+    assert np.abs(flat - truth).max() > 3 * off * np.abs(truth).max()  # so tilts count
 
 
 def test_what_the_space_misses_is_the_largest_of_as_far_or_farther():
@@ -285,7 +328,7 @@ def test_bells_that_were_no_witness_miss_what_is_told_for_their_distance(slab, l
 
 def test_what_the_space_misses_reaches_g_entry_by_entry(slab, library):
     """A miss of one size at all places is a share of G that grows as entries fall. Between the frequencies checked its
-    logarithm is linear: by hand, of one disc and one point, with nothing missed along the skin."""
+    logarithm is linear: by hand, of one disc and one point, with nothing missed along the skin and little by tilts."""
     levels = 1e-7 * 10.0 ** np.arange(len(library.missed))
     along_z, along_skin = np.zeros_like(library.missed), np.zeros_like(library.missed)
     along_z[:, 0], along_skin[:, 1:] = levels[:, None], 1e-6
@@ -297,7 +340,8 @@ def test_what_the_space_misses_reaches_g_entry_by_entry(slab, library):
             found = replace(library, missed=missed).compliance(asked)
             stated.append(np.array({e.source: e for e in found.errors}["reduction"].per_frequency))
         between = np.exp(np.interp(found.frequency, library.reduction[0], np.log(levels)))
-        assert stated[0] == pytest.approx(between / np.abs(found.values[:, 1, 0]), rel=1e-9)
+        alone = stated[0] / (between / np.abs(found.values[:, 1, 0]))
+        assert ((alone >= 1 - 1e-9) & (alone < 1.02)).all()  # tilts see it too, on a disc a tenth of a wave wide
         assert (stated[1] > 0).all()  # discs are held sideways, with forces that see what is missed there
     assert not np.isin(found.frequency, library.reduction[0]).all()  # so one lies between
 

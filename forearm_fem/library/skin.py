@@ -16,6 +16,7 @@ _STEP = 2.5e-4  # [m] between samples of the skin across the limb; ten times tha
 _FACING = 0.1  # smallest n_z of skin that is laid flat: 84 degrees to the side
 _SHORT = 5e-4  # [m] between places whose difference is a tangent
 _ROUNDS = 5  # from flat places to those on the limb: each leaves a hundredth or less
+_ROUNDING = 1e-9  # [m] beyond the last sample that is none
 _NEAR = 5e-3  # [m] from the volar skin: points of the mesh further away are the limb's other side
 
 
@@ -55,7 +56,9 @@ class FlatSkin:
         """Points (n, 3) and outward normals (n, 3) at ``flat`` (n, 2); NaN off the skin."""
         middle, bent = self.along[:, len(self.y) // 2], np.zeros(len(flat))
         for _ in range(_ROUNDS):
-            x = np.interp(flat[:, 0] - bent, middle, self.x, left=np.nan, right=np.nan)
+            u = flat[:, 0] - bent
+            there = np.clip(u, *middle[[0, -1]])
+            x = np.where(np.abs(u - there) < _ROUNDING, np.interp(there, middle, self.x), np.nan)
             after = np.clip(np.searchsorted(self.x, x), 1, len(self.x) - 1)
             share = (x - self.x[after - 1]) / (self.x[after] - self.x[after - 1])
             rows = self.across[after - 1] * (1 - share)[:, None] + self.across[after] * share[:, None]

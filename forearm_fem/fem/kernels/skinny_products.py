@@ -1,7 +1,6 @@
 """Products of long columns with few others in compiled code, which BLAS would pack the long ones for.
 
-Columns may be in single or double precision. Sums and the few others are in double precision; ``rough`` kernels, for
-columns in single precision, have both in it too and take half the time.
+Columns may be in single or double precision; sums and the few others are in double precision.
 """
 
 from __future__ import annotations
@@ -10,14 +9,12 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ...typing import FloatArray
 from . import simd as _lanes
 
 lanes: Any = _lanes  # intrinsics, which type checkers do not follow
-Floats = NDArray[np.float32]
-PAIR = 16  # doubles in two vectors, floats in one
+PAIR = 16  # doubles in two vectors
 _ROWS = 64  # at a time: with as many columns of a block they stay in the nearest cache
 _VECTOR = 64  # bytes
 
@@ -44,7 +41,7 @@ def add_combination(block: FloatArray, known: FloatArray, total: FloatArray) -> 
 
 
 @njit(cache=True, nogil=True)
-def _copy(source: FloatArray, to: NDArray[np.floating[Any]]) -> None:
+def _copy(source: FloatArray, to: FloatArray) -> None:
     """Put ``source`` into the corner of ``to``; written out, as slices of arrays take numba seconds more to compile."""
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
@@ -99,77 +96,3 @@ def _add_one(left: FloatArray, right: int, to: int, row: int) -> None:
 def _add_to(place: int, one: Any, two: Any) -> None:
     lanes.store(place, lanes.plus(lanes.doubles_at(place), one))
     lanes.store(place + _VECTOR, lanes.plus(lanes.doubles_at(place + _VECTOR), two))
-
-
-@njit(cache=True, nogil=True)
-def add_rough_inner(block: Floats, columns: FloatArray, total: FloatArray) -> None:
-    """As :func:`add_inner`; sums over some hundred rows are in single precision."""
-    part = np.zeros((_ROWS, total.shape[1]), np.float32)
-    sums = np.zeros(total.shape, np.float32)
-    for begin in range(0, len(block), _ROWS):
-        count = min(_ROWS, len(block) - begin)
-        _copy(columns[begin : begin + count], part)
-        _add_rough_product(block[begin : begin + count].T, part, sums)
-    for i in range(total.shape[0]):
-        for j in range(total.shape[1]):
-            total[i, j] += sums[i, j]
-
-
-@njit(cache=True, nogil=True)
-def add_rough_combination(block: Floats, known: Floats, total: FloatArray) -> None:
-    """As :func:`add_combination`; what a block adds is summed in single precision."""
-    part = np.zeros((_ROWS, known.shape[1]), np.float32)
-    for begin in range(0, len(block), _ROWS):
-        count = min(_ROWS, len(block) - begin)
-        part[:] = 0.0
-        _add_rough_product(block[begin : begin + count], known, part)
-        for i in range(count):
-            for j in range(total.shape[1]):
-                total[begin + i, j] += part[i, j]
-
-
-@njit(cache=True, nogil=True)
-def _add_rough_product(left: Floats, right: Floats, total: Floats) -> None:
-    """As :func:`_add_product`, all in single precision; ``left`` may be a transposed block."""
-    row, (down, across) = 4 * total.shape[1], left.strides
-    for at in range(0, row, _VECTOR):
-        source, to = right.ctypes.data + at, total.ctypes.data + at
-        for i in range(0, len(left) - 7, 8):
-            _add_eight_rough(left.ctypes.data + down * i, down, across, left.shape[1], source, to + row * i, row)
-        for i in range(len(left) // 8 * 8, len(left)):
-            _add_one_rough(left.ctypes.data + down * i, across, left.shape[1], source, to + row * i, row)
-
-
-@njit(cache=True, nogil=True)
-def _add_eight_rough(left: int, down: int, across: int, count: int, right: int, to: int, row: int) -> None:
-    none = lanes.no_floats()
-    a, b, c, d, e, f, g, h = none, none, none, none, none, none, none, none
-    for _ in range(count):
-        one = lanes.floats_at(right)
-        a, b = lanes.plus_scaled_by(a, one, left), lanes.plus_scaled_by(b, one, left + down)
-        c, d = lanes.plus_scaled_by(c, one, left + 2 * down), lanes.plus_scaled_by(d, one, left + 3 * down)
-        e, f = lanes.plus_scaled_by(e, one, left + 4 * down), lanes.plus_scaled_by(f, one, left + 5 * down)
-        g, h = lanes.plus_scaled_by(g, one, left + 6 * down), lanes.plus_scaled_by(h, one, left + 7 * down)
-        right, left = right + row, left + across
-    _add_rough(to, a)
-    _add_rough(to + row, b)
-    _add_rough(to + 2 * row, c)
-    _add_rough(to + 3 * row, d)
-    _add_rough(to + 4 * row, e)
-    _add_rough(to + 5 * row, f)
-    _add_rough(to + 6 * row, g)
-    _add_rough(to + 7 * row, h)
-
-
-@njit(cache=True, nogil=True)
-def _add_one_rough(left: int, across: int, count: int, right: int, to: int, row: int) -> None:
-    a = lanes.no_floats()
-    for _ in range(count):
-        a = lanes.plus_scaled_by(a, lanes.floats_at(right), left)
-        right, left = right + row, left + across
-    _add_rough(to, a)
-
-
-@njit(cache=True, nogil=True)
-def _add_rough(place: int, vector: Any) -> None:
-    lanes.store(place, lanes.plus(lanes.floats_at(place), vector))

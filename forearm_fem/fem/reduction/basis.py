@@ -1,8 +1,8 @@
 """Orthonormal columns of a reduced space, kept in blocks as they came, and how new ones are made orthonormal to them.
 
 Columns are long: fresh memory for them costs as much time as the arithmetic. So old blocks are never copied, and new
-columns are changed where they lie, piece by piece (docs/decisions/0012). Blocks may be kept in single precision; what
-is worked out with them is in double, but for what is called rough.
+columns are changed where they lie, piece by piece (docs/decisions/0012). Blocks may be kept in single precision; all
+that is worked out with them is in double.
 """
 
 from __future__ import annotations
@@ -47,18 +47,13 @@ class Basis:
         whole = np.hstack([matrix @ block[: matrix.shape[1]] for block in self.blocks])
         return whole if self.directions is None else np.asarray(whole @ self.directions)
 
-    def inner(self, columns: FloatArray, *, rough: bool = False) -> FloatArray:
-        """Products (r, k) of the blocks' first m rows with ``columns`` (m, k); ``rough`` ones to 1e-6 or so, of blocks
-        in single precision."""
-        shape = len(columns), 1, columns.shape[1]
-        return np.asarray(self.inner_of(lambda rows: [(0, columns[rows])], shape, rough=rough)[0])
+    def inner(self, columns: FloatArray) -> FloatArray:
+        """Products (r, k) of the blocks' first m rows with ``columns`` (m, k)."""
+        products = self.inner_of(lambda rows: [(0, columns[rows])], (len(columns), 1, columns.shape[1]))
+        return np.asarray(products[0])
 
     def inner_of(
-        self,
-        given: Callable[[slice], Iterable[tuple[int, FloatArray]]],
-        shape: tuple[int, int, int],
-        *,
-        rough: bool = False,
+        self, given: Callable[[slice], Iterable[tuple[int, FloatArray]]], shape: tuple[int, int, int]
     ) -> FloatArray:
         """Products (t, r, k) of the blocks' first m rows with t times columns (m, k) that are ``given`` by rows.
 
@@ -72,27 +67,27 @@ class Basis:
             for rows in pieces:
                 found = list(given(rows))
                 for block, (start, end) in zip(self.blocks, pairwise(self._starts), strict=True):
-                    _add_inner(block[rows], found, totals[:, start:end], rough)
+                    _add_inner(block[rows], found, totals[:, start:end])
             return totals
 
         totals = in_threads(work, _shared(count))
         return np.asarray(sum(totals[1:], totals[0])[:, :, :width])
 
-    def subtract_in_place(self, columns: FloatArray, known: FloatArray, *, rough: bool = False) -> None:
-        """``columns`` (n, k) less the combination ``known`` (r, k) of the blocks, ``rough`` as in :meth:`inner`."""
+    def subtract_in_place(self, columns: FloatArray, known: FloatArray) -> None:
+        """``columns`` (n, k) less the combination ``known`` (r, k) of the blocks."""
         factors = -np.pad(known, ((0, 0), (0, _padded(known.shape[1]) - known.shape[1])))
 
         def work(pieces: Sequence[slice]) -> None:
             for rows in pieces:
                 for block, (start, end) in zip(self.blocks, pairwise(self._starts), strict=True):
-                    _add_combination(block[rows], factors[start:end], columns[rows], rough)
+                    _add_combination(block[rows], factors[start:end], columns[rows])
 
         in_threads(work, _shared(len(columns)))
 
-    def combination(self, known: FloatArray, *, rough: bool = False) -> FloatArray:
-        """The combination ``known`` (r, k) of the blocks' columns, (n, k), ``rough`` as in :meth:`inner`."""
+    def combination(self, known: FloatArray) -> FloatArray:
+        """The combination ``known`` (r, k) of the blocks' columns, (n, k)."""
         total = np.zeros((len(self.blocks[0]), known.shape[1]))
-        self.subtract_in_place(total, -known, rough=rough)
+        self.subtract_in_place(total, -known)
         return total
 
     def subtracted_in_place(self, columns: NDArray[np.float32], n_u: int) -> FloatArray:
@@ -123,29 +118,24 @@ def _padded(width: int) -> int:
     return width if kernels is None or width > _FEW else -(-width // kernels.PAIR) * kernels.PAIR
 
 
-def _add_inner(block: Columns, found: Sequence[tuple[int, FloatArray]], totals: FloatArray, rough: bool) -> None:
+def _add_inner(block: Columns, found: Sequence[tuple[int, FloatArray]], totals: FloatArray) -> None:
     """Add block^T y to ``totals[t]`` for each (t, y) that was ``found``."""
     kernels = compiled("kernels.skinny_products") if totals.shape[2] <= _FEW else None
-    rough = rough and block.dtype == np.float32
-    if kernels is not None:
-        add = kernels.add_rough_inner if rough else kernels.add_inner
-        for t, y in found:
-            add(block, y, totals[t])
-        return
-    whole = block if rough else block.astype(float, copy=False)
+    whole = block if kernels is not None else block.astype(float, copy=False)
     for t, y in found:
-        totals[t] += whole.T @ y.astype(whole.dtype, copy=False)
+        if kernels is not None:
+            kernels.add_inner(whole, y, totals[t])
+        else:
+            totals[t] += whole.T @ y
 
 
-def _add_combination(block: Columns, factors: FloatArray, total: FloatArray, rough: bool) -> None:
+def _add_combination(block: Columns, factors: FloatArray, total: FloatArray) -> None:
     """Add block factors to ``total`` (m, k); ``factors`` may have more columns, which are zero."""
     kernels = compiled("kernels.skinny_products") if factors.shape[1] <= _FEW else None
-    rough = rough and block.dtype == np.float32
-    given = factors.astype(np.float32 if rough else float, copy=False)
     if kernels is not None:
-        (kernels.add_rough_combination if rough else kernels.add_combination)(block, given, total)
+        kernels.add_combination(block, factors, total)
     else:
-        total += block.astype(given.dtype, copy=False) @ given
+        total += block.astype(float, copy=False) @ factors
 
 
 def _pieces(count: int) -> Iterator[slice]:

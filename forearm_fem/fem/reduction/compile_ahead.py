@@ -75,8 +75,7 @@ def _project(upper: csr_array, loads: FloatArray) -> None:
     matrices.products(single)(0, slice(0, _UNKNOWNS))
     for block in (single, single[:, :-1]):  # a basis has whole blocks and parts of some
         basis = Basis().with_block(block)
-        for rough in (True, False):
-            basis.subtract_in_place(loads.copy(), basis.inner(loads, rough=rough), rough=rough)
+        basis.subtract_in_place(loads.copy(), basis.inner(loads))
 
 
 if __name__ == "__main__":

@@ -101,8 +101,7 @@ class RateSpace:
         operator = solver.model.operator
         self._weights = rate_weights([t.coefficient for t in operator.terms], rate)
         self._nothing = _NOTHING if compressible(operator) else _NOTHING_FREE
-        kept = tuple(c.columns.astype(np.float32, copy=False) if self._rough else c.columns for c in chunks)
-        self._basis, self._pairs = Basis(kept), Pairs(np.zeros((0, 0)), np.zeros((0, 0)))
+        self._basis, self._pairs = Basis(tuple(c.columns for c in chunks)), Pairs(np.zeros((0, 0)), np.zeros((0, 0)))
         self._last, self.derivatives, self.residual = 0, 0, 0.0
         for chunk in chunks:
             self._pairs = self._pairs.and_then(chunk.pairs)
@@ -113,8 +112,7 @@ class RateSpace:
     def more(self, count: int) -> Chunk:
         """The next ``count`` derivatives; fewer columns, or none, once what the forces can reach is exhausted."""
         start, known, old = self._begun(), self._basis, self._pairs
-        number = np.float32 if self._rough else np.float64
-        columns, end = np.empty((len(self._forces), count * self._forces.shape[1]), number), 0
+        columns, end = np.empty((len(self._forces), count * self._forces.shape[1]), self._number), 0
         for _ in range(count):
             if self.derivatives and not self._last:
                 break
@@ -138,15 +136,15 @@ class RateSpace:
         return self._start
 
     @property
-    def _rough(self) -> bool:
-        """Whether columns are kept, and made orthonormal, in single precision: rounding to it is a tenth of what
-        single-precision solves leave."""
-        return self._solver.factor.single and self._solver.tolerance >= ENOUGH
+    def _number(self) -> type[np.float32] | type[np.float64]:
+        """What columns are kept in: rounding to single precision is a tenth of what single-precision solves leave."""
+        rough = self._solver.factor.single and self._solver.tolerance >= ENOUGH
+        return np.float32 if rough else np.float64
 
     def _derivative(self) -> FloatArray:
         """The next derivative (n, last) of the solutions that the last pairs stand for."""
         latest, one, two = self._pairs.last(self._last), self._weights[1], self._weights[2]
-        both = self._basis.combination(np.hstack([latest.upper, 2 * latest.upper + latest.lower]), rough=self._rough)
+        both = self._basis.combination(np.hstack([latest.upper, 2 * latest.upper + latest.lower]))
         # A_1 x_(k-1) + A_2 x_(k-2) so that masses, whose part of A_1 is twice that of A_2, take one product and not two
         matrices, solve = self._solver.model.operator.matrices, self._solver.factor.solve
         right = -matrices.real_sum(np.array([one - 2 * two, two]), (both[:, : self._last], both[:, self._last :]))
@@ -165,8 +163,8 @@ class RateSpace:
         n_u, rest = self._solver.model.operator.n_displacements, x.copy()
         lengths, coordinates = np.linalg.norm(x[:n_u], axis=0), np.zeros((len(self._pairs.upper), x.shape[1]))
         for _ in range(2):
-            known = self._basis.inner(rest[:n_u], rough=self._rough)
-            self._basis.subtract_in_place(rest, known, rough=self._rough)
+            known = self._basis.inner(rest[:n_u])
+            self._basis.subtract_in_place(rest, known)
             coordinates += known
             gram = rest[:n_u].T @ rest[:n_u]
             if (np.sqrt(gram.diagonal()) >= _AGAIN * lengths).all():
