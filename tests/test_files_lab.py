@@ -195,9 +195,10 @@ def test_names_of_ours_keep_their_blanks(tmp_path):
     named = replace(G, inputs=tuple(replace(p, name=f" {p.name} ") for p in G.inputs))
     write_measured(tmp_path / "ours.csv", named)
     assert read_measured(tmp_path / "ours.csv").inputs == named.inputs
-    broken = replace(G, inputs=tuple(replace(p, name=f"{p.name}\nA") for p in G.inputs))
-    with pytest.raises(DataError, match="has a line break"):
-        write_measured(tmp_path / "broken.csv", broken)
+    for end in ("\nA", "\n", "\r"):
+        broken = replace(G, inputs=tuple(replace(p, name=f"{p.name}{end}") for p in G.inputs))
+        with pytest.raises(DataError, match="has a line break"):
+            write_measured(tmp_path / "broken.csv", broken)
     assert not (tmp_path / "broken.csv").exists()
 
 
