@@ -68,7 +68,7 @@ class SkinModel:
         if len(beyond):
             warnings.warn(
                 f"{len(beyond)} frequencies lie outside the band of this reduced model, {band.min():g} to "
-                f"{band.max():g} Hz: nothing is known of the error there; solve a wider band (sweep.f_min, sweep.f_max)",
+                f"{band.max():g} Hz: nothing is known of the error there; solve a wider band",
                 AccuracyWarning,
                 stacklevel=2,
             )
