@@ -13,6 +13,7 @@ from . import __version__
 from .commands import about, design, library, measured, new, pictures, predict, simulate, studies, study, workbench
 from .commands.common import console, print_error
 from .errors import DataError, ForearmError
+from .interrupts import interrupts_heard
 
 
 class _NoEmptyValues(TyperGroup):
@@ -51,7 +52,8 @@ def main() -> None:
     """Entry point: a known failure is one sentence and exit code 2, an interruption exit code 130."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     try:
-        code = app(standalone_mode=False)
+        with interrupts_heard() as pressed:
+            code = app(standalone_mode=False)
         if code == 130:  # what typer makes of Ctrl-C
             raise KeyboardInterrupt
     except ForearmError as problem:
@@ -66,7 +68,7 @@ def main() -> None:
         print_error(f"{problem.filename or 'the output'}: {problem.strerror or problem}")
         sys.exit(2)
     except Exception as problem:
-        if _was_interrupted(problem):
+        if pressed or _was_interrupted(problem):
             _interrupted()
         if not type(problem).__module__.startswith(("click", "typer")):  # a wrong option, as the parser says it
             raise

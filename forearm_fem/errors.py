@@ -108,6 +108,8 @@ def first_problem(problem: Any, whole: str) -> str:
 
 def in_tomls_words(message: str) -> str:
     """``message`` of pydantic with lists and tables called what TOML calls them."""
+    length = r"(?i:tuple|list) should have at (\w+) (\d+ items?) after validation, not .*"
+    message = re.sub(length, r"expected a list of at \1 \2", message)
     return (
         re.sub(r"valid dictionary( or (object|instance of \w+)( to extract fields from)?)?", "table", message)
         .replace("valid tuple", "list")

@@ -249,6 +249,8 @@ def test_a_dead_channel_is_said_when_two_matrices_are_compared(dead: Any, says: 
         (lambda: Scenario(limb={"length": "l"}), "Scenario: limb.length: input should be a valid number, got 'l'"),
         (lambda: Device(spacing=-1), "Device: spacing: expected 0.0002 to 0.3 m, got -1"),
         (lambda: Device(**{"spacng": 0.04}), "Device: spacng: unknown key; did you mean spacing?"),
+        (lambda: Scenario(limb={"shape": "mesh", "depth": 0.02, "file": "a.vtu", "regions": {"1": "fat"}}),
+         "Scenario: limb.depth: has no meaning where limb.shape is 'mesh'; leave it out"),
     ],
 )  # fmt: skip
 def test_a_scenario_built_in_python_is_told_what_a_file_is_told(built: Any, says: str) -> None:

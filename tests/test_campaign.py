@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -235,6 +236,35 @@ def test_no_scheduler_at_the_address_is_one_sentence(tmp_path: Path, monkeypatch
     file = made(tmp_path, "")
     with pytest.raises(SolverError, match="no Dask scheduler"):
         run_campaign(load_campaign(file), tmp_path / "out", scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.parametrize("moment", ["starts", "ends"])
+def test_ctrl_c_waits_for_processes_that_start_or_end(moment: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is cut off half way cannot be closed any more: Dask then prints tracebacks at the exit."""
+    distributed = pytest.importorskip("distributed")
+    seen: list[str] = []
+
+    class StandIn:
+        def __init__(self, *_: object, **__: object) -> None:
+            if moment == "starts":
+                signal.raise_signal(signal.SIGINT)
+            if hasattr(signal, "pthread_sigmask"):  # what starts now does not hear the terminal
+                assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+            seen.append("started")
+
+        def __enter__(self) -> StandIn:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            if moment == "ends":
+                signal.raise_signal(signal.SIGINT)
+            seen.append("ended")
+
+    monkeypatch.setattr(distributed, "LocalCluster", StandIn)
+    monkeypatch.setattr(distributed, "Client", StandIn)
+    with pytest.raises(KeyboardInterrupt), executor.cluster(None, lambda: 1):
+        assert moment == "ends", "the work is not begun"
+    assert seen == ["started", "started", "ended", "ended"]
 
 
 @pytest.mark.filterwarnings("ignore")  # Dask's own

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -137,6 +139,22 @@ def test_ctrl_c_in_compiled_code_is_an_interruption(scene: Path, monkeypatch: py
     monkeypatch.setattr("forearm_fem.pipeline.folder.run_solve", compiled)
     answer = cli("solve", "small.toml", cwd=scene)
     assert (answer.code, "interrupted; what was finished is kept" in answer.err) == (130, True), answer.err
+
+
+def test_ctrl_c_that_ends_in_another_errors_name_is_an_interruption(
+    scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a module that is imported then: the interrupt is gone, and what it left half done fails."""
+
+    def importing(*_: object) -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise NameError("name '_ndimage_api' is not defined")
+
+    monkeypatch.setattr("forearm_fem.pipeline.folder.run_solve", importing)
+    answer = cli("solve", "small.toml", cwd=scene)
+    assert (answer.code, "interrupted; what was finished is kept" in answer.err) == (130, True), answer.err
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_overrides_reach_the_scenario(scene: Path) -> None:

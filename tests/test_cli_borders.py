@@ -172,6 +172,19 @@ def test_answers_are_not_looked_for_in_a_folder_that_is_not_there(lab: Path, lin
     assert leftovers(lab) == before
 
 
+def test_a_language_that_is_not_there_is_said_before_anybody_is_enrolled(lab: Path) -> None:
+    """Who is enrolled binds the study file, and the language could not be put right any more."""
+    assert cli("run", "small.toml", "--out", "out", cwd=lab).code == 0
+    text = (
+        'name = "pilot"\nscenario = "small.toml"\ntransfer = "out"\nlanguage = "xx"\n[stimuli]\ntargets = ["5", "6"]\n'
+    )
+    (lab / "pilot.toml").write_text(text)
+    words = ("--participant", "01", "--task", "identification", "--consent", "2026-11-24", "--terminal")
+    answer = cli("study", "run", "pilot.toml", *words, cwd=lab)
+    assert answer.sentence == "language: 'xx' is neither en, de, nl nor a readable TOML file of texts"
+    assert not (lab / "pilot").exists()
+
+
 def test_a_lost_wavelet_is_said_before_a_run_solves(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("forearm_fem.pipeline.simulation.solve_layered", lambda *_, **__: pytest.fail("solved"))
     (lab / "lost.toml").write_text(f"{SMALL}[rendering.wavelet]\nfile = 'lost.csv'\n")

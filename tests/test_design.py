@@ -343,6 +343,7 @@ def test_s_of_a_candidate_is_that_of_a_full_run_and_tables_are_read_back(tmp_pat
         ('[[variables]]\nkey = "device.cone.radius"\nlow = 0.002\nhigh = 0.005\n', "give step or values"),
         (SPACING + '[positions]\ncount = [5, 3]\nx = [0.0, 0.1]\ny = [0.0, 0.1]\n', "least, most"),
         (SPACING + SPACING, r"device\.spacing is given twice"),
+        ('[[variables]]\nkey = "device.columns"\nvalues = []\n', r"expected a list of at least 1 item, got \[\]"),
         (SPACING.replace("[[variables]]", "[variables]"), r"variables: input should be a list, got a table"),
         (SPACING + "[search]\ncandidates = 0\n", r"search\.candidates: expected 1 to 1e\+06, got 0"),
     ],

@@ -191,13 +191,23 @@ def test_blanks_and_columns_of_the_labs_own_are_left_out(tmp_path):
     assert np.array_equal(read(tmp_path, rows).values, G.values)
 
 
+def test_a_results_folder_stands_for_its_g(tmp_path):
+    """As with every command that takes a G, also where a study file or a line of Python names it."""
+    write_measured(tmp_path / "transfer.nc", G)
+    assert np.array_equal(read_measured(tmp_path).values, G.values)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match=r"empty.transfer\.nc: no such file"):
+        read_measured(tmp_path / "empty")
+
+
 def test_names_of_ours_keep_their_blanks(tmp_path):
     named = replace(G, inputs=tuple(replace(p, name=f" {p.name} ") for p in G.inputs))
     write_measured(tmp_path / "ours.csv", named)
     assert read_measured(tmp_path / "ours.csv").inputs == named.inputs
-    broken = replace(G, inputs=tuple(replace(p, name=f"{p.name}\nA") for p in G.inputs))
-    with pytest.raises(DataError, match="has a line break"):
-        write_measured(tmp_path / "broken.csv", broken)
+    for end in ("\nA", "\n", "\r"):
+        broken = replace(G, inputs=tuple(replace(p, name=f"{p.name}{end}") for p in G.inputs))
+        with pytest.raises(DataError, match="has a line break"):
+            write_measured(tmp_path / "broken.csv", broken)
     assert not (tmp_path / "broken.csv").exists()
 
 

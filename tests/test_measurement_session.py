@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,7 @@ from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.wav import write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected
 from forearm_fem.measurement.play import play
-from forearm_fem.measurement.run import VirtualSetup, run_calibration, run_play
+from forearm_fem.measurement.run import VirtualSetup, calibration_plan, run_calibration, run_play
 from forearm_fem.measurement.store import read_recording
 from forearm_fem.measurement.virtual import Faults, VirtualDaq, VirtualOptions
 from forearm_fem.scenario import parse_scenario
@@ -228,3 +229,28 @@ def test_a_folder_serves_one_calibration(tmp_path):
         calibrate(plan_for(SCENE, amplifier_gain=3.0), device_for(SCENE), tmp_path)
     assert len(OUTPUTS) == 9
     assert len(INPUTS) == 4
+
+
+@pytest.mark.filterwarnings("ignore::forearm_fem.errors.AccuracyWarning")  # three points of the scenario's nine
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"snr_db": 30.0},
+        {"bits": 12},
+        {"latency": 7},
+        {"seed": 1},
+        {"transfer": replace(SCENE, values=SCENE.values.conj())},
+        {"transfer": replace(SCENE, values=1.001 * SCENE.values)},
+    ],
+    ids=lambda other: next(iter(other)),
+)
+def test_a_folder_serves_one_virtual_device(tmp_path, other):
+    """Recordings through two G, or read with another latency than they were taken with, are no measurement."""
+    setup = VirtualSetup(SCENE)
+    plan = calibration_plan(scenario(), setup)
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(plan, Dying(2 * PERIODS + 10), tmp_path)
+    with pytest.raises(DataError, match="another virtual device"):
+        run_calibration(scenario(), tmp_path, virtual=replace(setup, **other), figure=False)
+    again = VirtualSetup(replace(SCENE, values=(1 + 1e-9) * SCENE.values))  # another machine's rounding
+    assert run_calibration(scenario(), tmp_path, virtual=again, figure=False).measured.missing == ()

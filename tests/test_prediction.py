@@ -517,6 +517,7 @@ def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
         "bands.png", "methods.png", "drivers.png", "bands.csv", "drivers.csv",
     }  # fmt: skip
     text = (folder / "prediction.md").read_text()
+    assert "two seconds" not in text  # the thesis' record; this scene's is shorter
     content = read_json(folder / "prediction.json")
     cell = content["by_target"]["combination"]["1"]
     assert strength_words(cell) in text

@@ -263,3 +263,5 @@ def test_masks_and_frequencies_of_another_shape_are_refused():
         place_on_bins(f, delayed(f), 10000.0, 2.0, valid=np.ones(2, dtype=bool))
     with pytest.raises(DataError, match="matrices for frequencies"):
         place_on_bins(f[:1], delayed(f), 10000.0, 2.0)
+    with pytest.raises(DataError, match="holds no valid entry at any frequency"):
+        place_on_bins(f, delayed(f), 10000.0, 2.0, valid=np.zeros(delayed(f).shape, dtype=bool))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forearm_fem.errors import DataError, ReductionError, ScenarioError
+from forearm_fem.errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from forearm_fem.io import reduced as reduced_io
 from forearm_fem.pipeline.folder import Run, run_solve
 from forearm_fem.pipeline.skin_model import load_skin_model, save_skin_model
@@ -105,7 +105,8 @@ def test_unstable_model_is_refused_outside_its_band(solved, tmp_path):
     folder, _ = solved
     model = load_skin_model(folder / "reduced.nc")
     assert model.reduced.negative_directions() == 0
-    assert np.isfinite(model.transfer(np.array([5.0, 900.0])).values).all()  # stable: whoever asks is told elsewhere
+    with pytest.warns(AccuracyWarning, match=r"2 frequencies lie outside the band of this reduced model, 40 to 400 Hz"):
+        assert np.isfinite(model.transfer(np.array([5.0, 100.0, 900.0])).values).all()  # stable
     matrices = model.reduced.matrices.copy()
     matrices[model.reduced.names.index("compression")][-1, -1] -= 10 * np.abs(matrices).max()
     save_skin_model(tmp_path / "bad.nc", replace(model, reduced=replace(model.reduced, matrices=matrices)))
@@ -116,6 +117,12 @@ def test_unstable_model_is_refused_outside_its_band(solved, tmp_path):
             bad.compliance(np.array([200.0, f]))
         with pytest.raises(ReductionError):
             bad.changed(["tissues.override.muscle.mu=12000.0"]).transfer(np.array([f]))
+
+
+@pytest.mark.parametrize("frequency", [[], [100.0, np.nan], [-50.0], [[100.0]]])
+def test_what_is_no_frequency_is_refused(solved, frequency):
+    with pytest.raises(DataError, match="expected a row of one or more, finite and not negative"):
+        load_skin_model(solved[0] / "reduced.nc").transfer(np.array(frequency))
 
 
 def test_damaged_file_is_refused(solved, tmp_path):

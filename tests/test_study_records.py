@@ -176,6 +176,15 @@ def test_withdrawal_takes_the_devices_too(answered):
     assert not (answered.folder / "sub-01").exists()
 
 
+def test_withdrawal_takes_what_an_analysis_made_of_the_answers(answered):
+    """Its tables hold every trial of every participant."""
+    write_analysis(answered.study, {"places": answers_of(answered, "places")}, GRID, answered.folder)
+    assert list((answered.folder / "analysis").glob("*-trials.csv"))
+    (answered.folder / "analysis" / "notes.txt").write_text("of the experimenter's own")
+    answered.withdraw("01")
+    assert [f.name for f in (answered.folder / "analysis").iterdir()] == ["notes.txt"]
+
+
 def test_answers_of_0_14_0_are_read_and_go_on(tmp_path):
     """Its tables lay in the participant's folder and had two columns less."""
     session = opened(tmp_path, small())

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from typing import Any
 
 from ..errors import SolverError, optional
+from ..interrupts import interrupts_wait
 
 LIGHT = 0.6e9  # bytes of a worker that solves no finite elements
 SHARE = 0.8  # of the free memory that workers may take together
@@ -36,12 +37,15 @@ def cluster(scheduler: str | None, count: Callable[[], int], purpose: str = "a c
             yield client
         return
     settings = {"n_workers": count(), "threads_per_worker": 1, "processes": True, "dashboard_address": None}
-    with (
-        _quiet(),
-        distributed.LocalCluster(**settings, memory_limit=0, silence_logs=50) as own,
-        distributed.Client(own) as client,
-    ):
-        yield client
+    with _quiet(), ExitStack() as stack:
+        try:
+            with interrupts_wait():
+                own = stack.enter_context(distributed.LocalCluster(**settings, memory_limit=0, silence_logs=50))
+                client = stack.enter_context(distributed.Client(own))
+            yield client
+        finally:
+            with interrupts_wait():
+                stack.close()
 
 
 @contextmanager

@@ -293,4 +293,4 @@ def withdraw(
     if not yes and not typer.confirm(f"delete all answers of {participant}?"):
         raise typer.Abort()
     store.withdraw(participant)
-    typer.echo(f"sub-{participant}: answers deleted")
+    typer.echo(f"sub-{participant}: answers deleted, and any analysis that held them; `study analyse` makes it anew")

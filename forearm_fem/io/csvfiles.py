@@ -33,7 +33,7 @@ def write_csv(path: str | Path, transfer: TransferMatrix) -> None:
     NaN stands as ``nan``. Error estimates, ``contacts`` and provenance are not carried: transfer.nc has them.
     DataError for a name of several lines, which could not be read back.
     """
-    if broken := [p.name for p in (*transfer.outputs, *transfer.inputs) if len(p.name.splitlines()) > 1]:
+    if broken := [p.name for p in (*transfer.outputs, *transfer.inputs) if len(f"{p.name}.".splitlines()) > 1]:
         raise DataError(f"{path}: the name {broken[0]!r} has a line break, and a line of CSV has none; rename it")
     stream = io.StringIO()
     head = {

@@ -23,13 +23,15 @@ from .uff import read_uff, write_uff
 def read_measured(
     path: str | Path, declaration: Declaration | None = None, *, ports: Ports | None = None
 ) -> TransferMatrix:
-    """G from netCDF, MATLAB 5 or 7.3, UFF 58, TDMS, CSV, or an import recipe (.toml, files beside it).
+    """G in netCDF, MATLAB 5 or 7.3, UFF 58, TDMS, CSV, an import recipe (.toml, files beside it) or a results folder.
 
     ``declaration`` says what the file leaves open (quantity, unit, sides, sign, axes); ``ports`` (outputs, inputs) are
     those of the scenario measured, for files that name none. Files written by forearm_fem need neither. Axes and
     variable names may be recognised, each with a RecognitionWarning. DataError asks for anything else that is missing.
     """
     file = Path(path)
+    if file.is_dir():
+        file = file / "transfer.nc"
     kind = file.suffix.lower()
     if kind not in _READERS:
         raise DataError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,8 @@ class Step:
 @dataclass(frozen=True)
 class Plan:
     """What is to be measured: ports, sweep and options; ``inputs`` are the actuators in the order of the
-    outputs' wiring. ``latency_basis`` says how the device's latency is known.
+    outputs' wiring. ``latency_basis`` says how the device's latency is known; ``simulated`` what a virtual device is
+    made of, which no hardware could say of itself.
     """
 
     outputs: tuple[Port, ...]
@@ -45,6 +46,7 @@ class Plan:
     sweep: ExponentialSweep
     options: MeasurementOptions
     latency_basis: str = "unknown"
+    simulated: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         wired = self.options.daq.outputs
@@ -63,7 +65,8 @@ class Plan:
     def description(self) -> dict[str, Any]:
         """Everything that a recording depends on; what only changes its evaluation is left out."""
         daq, how = self.options.daq, self.options
-        return {
+        simulated = {} if self.simulated is None else {"simulated": self.simulated}
+        return simulated | {
             "sweep": vars(self.sweep),
             "repeats": how.repeats,
             "lead_in": how.lead_in,

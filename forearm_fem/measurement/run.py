@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -57,6 +57,13 @@ class VirtualSetup:
             raise ScenarioError(f"--snr: expected at most {_MOST_SNR} dB either way, or inf, got {self.snr_db}")
         if self.seed < 0:
             raise ScenarioError(f"--seed: expected 0 or more, got {self.seed}")
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What recordings through it depend on; of G a size per entry, whose digits hold between machines."""
+        parts = np.nan_to_num(self.transfer.values.real + self.transfer.values.imag)  # not of its conjugate
+        sizes = [f"{size:.4e}" for size in np.linalg.norm(parts, axis=0).ravel()]
+        return {"snr": str(self.snr_db), "bits": self.bits, "latency": self.latency, "seed": self.seed, "g": sizes}
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +214,7 @@ def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None, *,
         virtual.transfer.inputs,
         ExponentialSweep.of(scenario),
         options.model_copy(update={"daq": daq, "sensor": sensor}),
+        simulated=virtual.description,
     )
 
 

@@ -101,7 +101,8 @@ class Folder:
             ) from None
         if found != self.setup:
             raise DataError(
-                f"{session}: belongs to a calibration with another sweep, grid or wiring; choose an empty folder"
+                f"{session}: belongs to a calibration with another sweep, grid or wiring, or through another virtual "
+                "device (its G, --snr, --bits, --latency or --seed); choose an empty folder"
             )
 
     def file(self, output: str, source: str) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..device import close_loop
-from ..errors import ReductionError, ScenarioError
+from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from ..fem.assembly.coefficients import Coefficient
 from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
@@ -49,10 +50,13 @@ class SkinModel:
     def compliance(self, frequency: FloatArray) -> Compliance:
         """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself.
 
-        Raises ReductionError for frequencies more than 5 % beyond the band where the model has unstable poles, as it
-        may for incompressible tissue, and in files of older versions.
+        Frequencies more than 5 % beyond the band are answered with an AccuracyWarning. Raises ReductionError for them
+        where the model has unstable poles, as it may for incompressible tissue, and in files of older versions;
+        DataError for none, or what is no frequency.
         """
         frequency = np.asarray(frequency, dtype=float)
+        if frequency.ndim != 1 or not len(frequency) or not np.all(np.isfinite(frequency) & (frequency >= 0)):
+            raise DataError("frequency: expected a row of one or more, finite and not negative [Hz]; correct it")
         band = frequencies(self.scenario.sweep)
         beyond = frequency[(frequency < band.min() / _BEYOND) | (frequency > band.max() * _BEYOND)]
         if len(beyond) and (count := self.reduced.negative_directions()):
@@ -60,6 +64,13 @@ class SkinModel:
                 f"{beyond[0]:g} Hz is outside the band of this reduced model, {band.min():g} to {band.max():g} Hz, and "
                 f"the model has {count} unstable poles there: solve a wider band (sweep.f_min, sweep.f_max), or anew "
                 "with solver.precision = 'double'"
+            )
+        if len(beyond):
+            warnings.warn(
+                f"{len(beyond)} frequencies lie outside the band of this reduced model, {band.min():g} to "
+                f"{band.max():g} Hz: nothing is known of the error there; solve a wider band",
+                AccuracyWarning,
+                stacklevel=2,
             )
         values = (self.poles or pole_residue(self.reduced, frequency) or self.reduced).compliance(frequency)
         return Compliance(frequency, masked(values, self.ports), self.ports)
@@ -113,9 +124,7 @@ def reduced_of(content: ReducedTerms, path: str | Path) -> tuple[Scenario, Reduc
     return scenario, with_scenario(bare, scenario)
 
 
-def check_followable(
-    before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()
-) -> None:
+def check_followable(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> None:
     """Raise ScenarioError where a reduced model of ``terms``, made for one scenario, cannot answer for the other.
 
     Keys that are ``unread`` by the caller may differ, too.

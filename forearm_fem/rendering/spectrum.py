@@ -129,6 +129,10 @@ def place_on_bins(
     if len(index):
         out, on = filled_in(place, np.where(known, flat, 0), known, index, record.df, interpolation or Interpolation())
     kept = on.any(axis=1)
+    if not known.any():
+        raise DataError(
+            "G holds no valid entry at any frequency, so that there is nothing to render; measure or solve it"
+        )
     if not kept.any():
         raise DataError(
             f"no bin of the record (every {record.df:g} Hz) lies on or between samples of G "

@@ -102,7 +102,7 @@ def _groups(data: Mapping[str, Any]) -> Block:
     note = ("Quantiles over arms of the group's mean S on the calibrated G: below the median of the low ends, above it "
             "of the high ends that errors of each arm's own G leave its S, so that they widen a band and never narrow "
             "it. S > 1, in brackets: of how many arms that is sure, and of how many possible. As played: the same "
-            "drives on the true G, without its noise. Over the record: as the thesis sums it, noise over two seconds "
+            "drives on the true G, without its noise. Over the record: as the thesis sums it, all of the noise "
             "included.")  # fmt: skip
     return Block(header, rows, note)
 

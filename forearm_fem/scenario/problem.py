@@ -29,6 +29,8 @@ def first_problem_of(problem: ValidationError, schema: dict[str, Any]) -> str:
     more = f" (and {len(errors) - len(same)} more)" if len(errors) > len(same) else ""
     if first["type"] == "extra_forbidden":
         meant = key_meant(where, schema)
+        if meant == where:  # known, and yet not here: of another shape, as when --set changes the shape alone
+            return f"{where}: has no meaning where limb.shape is '{first['loc'][1]}'; leave it out{more}"
         advice = f"did you mean {meant}?" if meant else "`forearm-fem schema` lists the known ones"
         return f"{where}: unknown key; {advice}{more}"
     came = first["input"]

@@ -22,6 +22,7 @@ from .analysis import Tests, analyse, confusion, ellipses, in_order, with_errors
 from .comparisons import Correction
 from .figures import plot_areas, plot_confusion, plot_ellipses, plot_outlines, plot_points
 from .plan import Answer, Study
+from .store import ANALYSIS
 from .thesis import verdicts
 
 _SELECTION = (
@@ -66,7 +67,7 @@ def write_analysis(
     if compare_with_thesis:
         lines = [v.sentence for v in verdicts()]
         sections.append(Section("thesis", "Do the thesis' own degrees of freedom add up?", bullets=lines))
-    out = folder / "analysis"
+    out = folder / ANALYSIS
     for name, table in tables.items():
         write_text(out / f"{name}.csv", table.to_csv(index=False))
     for picture in (p for s in sections for p in s.pictures):

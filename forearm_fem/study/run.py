@@ -28,6 +28,7 @@ from .field import SkinField, grid_field
 from .order import Trial, trials
 from .percept import Felt, Percept, SimulatedParticipant
 from .plan import Study, Task, load_study
+from .server import texts
 from .session import Given, Player, Presented, Session
 from .stimuli import DevicePlayer, Stimulus, stimuli_for, transfer_of
 from .store import SIMULATION, StudyStore
@@ -79,6 +80,7 @@ def session_for(
     transfer = transfer_of(prepared.study, prepared.base, participant, planform_ports(prepared.scenario), declaration)
     stimuli = prepared.stimuli(transfer)
     player, plays = device_player(prepared, transfer, stimuli, daq, card=card, cable=cable)
+    texts(prepared.study.language, prepared.base)  # refused now: who is enrolled binds the study file
     store = prepared.store(begin=True)
     store.refuse_others(simulated=False)
     store.enrol(participant, consent=consent, added=datetime.now(UTC).date().isoformat())

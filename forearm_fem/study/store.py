@@ -68,9 +68,10 @@ DEVICES: Mapping[str, str] = {
     "level_basis": "known, declared (the scenario's full scale) or declared and checked by a cable",
 }
 SIMULATION = "simulated"  # the note of one who is
+ANALYSIS = "analysis"  # the folder of what is made of the answers
 _LATER = ("comparison", "response_outline")  # columns that 0.14.0 did not write
 _NUMBERS = ("onset", "duration", "response_time")  # BIDS itself says that they are numbers
-_IGNORED = ("study.json", "devices.tsv", "devices.json", "analysis/", "*.png")
+_IGNORED = ("study.json", "devices.tsv", "devices.json", f"{ANALYSIS}/", "*.png")
 _README = """Study "{name}", run with forearm_fem {version}.
 
 participants.tsv holds pseudonyms, sub-*/beh the answers of each task with their dictionaries, devices.tsv what played
@@ -146,12 +147,16 @@ class StudyStore:
                             "another folder with --data")  # fmt: skip
 
     def withdraw(self, participant: str) -> None:
-        """Delete a participant's answers and mark the pseudonym; nothing of what was answered is kept."""
+        """Delete a participant's answers and mark the pseudonym; nothing of what was answered is kept, nor what an
+        analysis made of it."""
         rows, name = self.people(), f"sub-{participant}"
         if name not in {r["participant_id"] for r in rows}:
             raise DataError(f"{name} is no participant of {self.folder}")
         if (self.folder / name).exists():
             shutil.rmtree(self.folder / name)
+        for made in (self.folder / ANALYSIS).glob("*"):
+            if made.suffix in (".csv", ".png", ".html"):
+                made.unlink()
         if kept := [r for r in self.devices() if r["participant_id"] != name]:
             write_text(self.folder / "devices.tsv", _table(tuple(DEVICES), kept))
         else:
