@@ -328,6 +328,57 @@ def test_truncation_decays_between_the_few_frequencies_of_clamped_ends():
     assert (stated <= 3.3 * exact * 10 ** (0.25 * many / 50)).all()
 
 
+def test_truncation_is_relative_to_what_lies_between_where_ends_make_most_of_g():
+    """Ends as good as free ones, a G of nearly twice the endless one's: clamped, a tenth of it is left."""
+    scenario = parse_scenario(SLAB)
+    ports = simulate(scenario.model_copy(update={"engine": "layered"})).compliance.ports
+    frequency = np.array([3.0, 5.0])
+    own, clamped = (Compliance(frequency, size * np.ones((2, 2, 2), complex), ports) for size in (1.9, 0.1))
+    coarse = replace(own, provenance={"ratio": 2.0})
+    modes, states = np.zeros((0, 3, 0)), np.zeros((2, 0, 0), dtype=complex)
+    solved = Solved(own, coarse, None, modes, states, SolutionRecord(ends_by="direct solves"), other_ends=clamped)
+    found = with_device(scenario, block_mesh((1, 1, 1), (1.0, 1.0, 1.0), facets={}, bend=0.0), solved).transfer.errors
+    (error,) = [e for e in found if e.source == "truncation"]
+    assert error.band == pytest.approx(0.9, rel=0.02)  # half of the change is 0.47 of G itself
+    assert error.per_frequency == pytest.approx((0.9, 0.9), rel=0.02)
+
+
+@pytest.mark.parametrize(("ends", "depth"), [("free", 0.012), ("fixed", 0.02)])
+def test_ends_that_do_not_absorb_err_by_half_of_what_the_opposite_ones_change(cold, ends, depth):
+    """Against the endless twin at 100 Hz, where this slab is shorter than the waves. Half the change to absorbing ends
+    stated a third of it: these reflect themselves."""
+    slab = {**SLAB, "limb": {**SLAB["limb"], "depth": depth}, "supports": {"ends": ends}}
+    transfer = simulate(parse_scenario(slab)).transfer
+    exact = simulate(parse_scenario({**slab, "engine": "layered"})).transfer
+    stated = {e.source: e.per_frequency[0] for e in transfer.errors if e.per_frequency}
+    true = float(relative_error(transfer.values, exact.values)[0])
+    assert true > 0.35  # ends are most of it
+    assert np.hypot(stated["truncation"], stated["discretisation"]) > 0.7 * true
+
+
+def test_elements_beside_a_disc_of_third_order_are_larger_on_the_second_mesh(cold):
+    """Against the twin at 600 Hz, 3 mm from the rim: as large on both meshes, they stated a sixth of their error."""
+    law = {"skin": (21420.0, 24.07, 1175.0), "fat": (8096.0, 9.098, 974.4), "muscle": (13170.0, 14.8, 903.6)}
+    slab = {
+        "accuracy": 0.3,
+        "limb": {
+            "shape": "slab", "length": 0.0989, "width": 0.0989, "depth": 0.0471, "symmetry": ["x", "y"],
+            "layers": [{"tissue": "skin", "thickness": 0.00129}, {"tissue": "fat", "thickness": 0.00288}],
+        },
+        "tissues": {"override": {name: dict(zip(("mu", "eta", "density"), v, strict=True)) for name, v in law.items()}},
+        "device": {"contacts": [[0, 0]], "drive": "force", "cone": {"contact": "pressure", "radius": 0.003}},
+        "grid": {
+            "points": [[0.01673, 0.0], [0.00701, 0.00239], [0.00443, 0.00429], [0.00645, 0.00808], [0.00251, 0.01277]],
+        },
+        "sweep": {"frequencies": [600.0]},
+        "rendering": {"methods": []},
+    }  # fmt: skip
+    transfer = simulate(parse_scenario(slab)).transfer
+    exact = simulate(parse_scenario({**slab, "engine": "layered"})).transfer
+    (stated,) = [e for e in transfer.errors if e.source == "discretisation"]
+    assert stated.per_frequency[0] > 0.5 * relative_error(transfer.values, exact.values)[0] > 0.003
+
+
 def test_supports_are_part_of_a_solves_key(cold):
     scenario = parse_scenario(SLAB)
     mesh = cached_mesh(scenario)

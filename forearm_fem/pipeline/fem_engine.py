@@ -25,6 +25,7 @@ from .second_mesh import Second
 
 REDUCTION = 1e-4  # e(f) asked of a reduced model where no accuracy is given
 TRUNCATION_PROBES, FREED_PROBES = 4, 80  # by direct solves, by the reduced model
+_OTHER_ENDS = {"absorb": "fixed", "fixed": "free", "free": "fixed"}
 _ROUGHER = {"rate_derivatives": 25}  # not certified: e_band 0.2 % of the forearm's points, 0.6 % at a bin
 _ROUGHER |= {"expansions": 3, "derivatives": 8, "point_derivatives": 1}  # the same where moduli are not Kelvin-Voigt
 
@@ -116,14 +117,18 @@ def freed_ends(solution: FemSolution) -> Compliance | None:
 
 
 def other_ends(second: Second, frequency: FloatArray) -> Compliance:
-    """Compliance on the second mesh with another kind of ends, at a few of the frequencies, by direct solves.
+    """Compliance on the second mesh with another kind of ends at some of the frequencies, where the mesh has cut ends.
 
-    For what :func:`freed_ends` cannot do, where the mesh has cut ends.
+    Absorbing ends are clamped, for what :func:`freed_ends` cannot do: direct solves at a few. Clamped ends are freed
+    and free ones clamped, as these err by as much the other way: all but certain, at as many as freed ends are.
     """
-    scenario, mesh = second.scenario, second.mesh
-    probes = frequency[truncation_probes(len(frequency))]
-    other = scenario.supports.model_copy(update={"ends": "absorb" if scenario.supports.ends != "absorb" else "fixed"})
-    model = fem_model(scenario, mesh, supports=other)
+    supports = second.scenario.supports.model_copy(update={"ends": _OTHER_ENDS[second.scenario.supports.ends]})
+    scenario, n = second.scenario.model_copy(update={"supports": supports}), len(frequency)
+    if second.scenario.supports.ends != "absorb":
+        some = frequency[truncation_probes(n, FREED_PROBES)]
+        return second_compliance(Second(scenario, second.mesh, second.ratio), some)
+    probes = frequency[truncation_probes(n)]
+    model = fem_model(scenario, second.mesh)
     values = direct_sweep(model, probes, scenario.solver).values
     return Compliance(probes, masked(values, model.ports), model.ports)
 

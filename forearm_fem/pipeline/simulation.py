@@ -30,7 +30,7 @@ from .strengths import StrengthAccount, strength_account
 from .two_meshes import change_around, judged, over_pairs
 
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
-OTHER_ENDS, _OTHER = 0.5, "absorbing ends are clamped (or the reverse), on the coarser mesh"
+OTHER_ENDS, _OTHER = 0.5, "the ends are clamped (where they are clamped: freed), on the coarser mesh"
 FREED_ENDS, _FREED = 0.5, "the absorbing ends are freed (by the reduced model)"
 
 
@@ -229,16 +229,21 @@ def _truncation(
     """A ``share`` of the change of G when the ends are changed, tested against longer limbs and the endless twin.
 
     Waves from the ends cancel at some frequencies by chance, so e(f) listens to its neighbours as two meshes' does.
-    Waves that reach the ends are long, so all pairs err about alike and are not told apart.
+    Waves that reach the ends are long, so all pairs err about alike and are not told apart. The truth lies between
+    two G that err by as much either way, and what is stated is relative to it: where ends make most of G, clamped ones
+    leave nothing of it, and half of that change would be half of G at most.
     """
     same = own.values[np.searchsorted(own.frequency, other.frequency)]
-    change = np.linalg.norm(other.values - same, axis=(1, 2)) / np.linalg.norm(same, axis=(1, 2))
+    size = np.linalg.norm(same, axis=(1, 2))
+    between = np.clip(np.linalg.norm(same + other.values, axis=(1, 2)) / 2, size / 2, size)
+    shares = share * size / between
+    change = np.linalg.norm(other.values - same, axis=(1, 2)) / size
     weight = np.linalg.norm(transfer.values, axis=(1, 2)) ** 2
-    spread = np.interp(np.sqrt(transfer.frequency), np.sqrt(other.frequency), share * change)
+    spread = np.interp(np.sqrt(transfer.frequency), np.sqrt(other.frequency), shares * change)
     return ErrorEstimate(
         "truncation",
         float(np.sqrt(np.sum(weight * spread**2) / np.sum(weight))),
-        f"{share:g} of the change of G when {method}",
+        f"{share:g} of the change of G when {method}, over what lies between the two where that is less",
         tuple(other.frequency.tolist()),
-        tuple((share * change_around(other.values, same, other.frequency)).tolist()),
+        tuple((shares * change_around(other.values, same, other.frequency)).tolist()),
     )

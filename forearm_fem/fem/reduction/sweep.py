@@ -64,9 +64,10 @@ class SweepResult:
     def reduction_error(self) -> float:
         """Error stated for the reduced model by its last certificate.
 
-        Where resonances are sharp that is a bound at every bin, and ``least``, the tolerance, is stated at least:
-        poles and residues, and the solves, have errors of their own. Certificates are of the whole space; what the
-        second stage changes (``compression``) comes on top.
+        ``least``, the tolerance, is stated at least where resonances are sharp, with a bound at every bin, as poles and
+        residues, and the solves, have errors of their own; and where the model was compared at a frequency: that it
+        keeps the tolerance there tells of others, but not that it errs as little as there. Certificates are of the
+        whole space; what the second stage changes (``compression``) comes on top.
         """
         return max(self.certificates[-1].bound, self.least) + self.compression
 
@@ -203,7 +204,7 @@ def _swept(model: ForearmModel, made: Made, frequency: FloatArray, tolerance: fl
         made.certificates,
         fast,
         change,
-        (tolerance or 0.0) if wary else 0.0,
+        (tolerance or 0.0) if wary or any(c.by != "residual" for c in made.certificates[-1:]) else 0.0,
         rate=made.rate,
         derivatives=made.derivatives,
     )
