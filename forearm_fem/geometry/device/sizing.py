@@ -96,15 +96,12 @@ def element_sizes(scenario: Scenario, *, scale: float = 1.0) -> Sizes:
 
 
 def size_growth(scenario: Scenario, *, scale: float = 1.0) -> float:
-    """Growth of sizes per metre away from ports [m/m]; on slabs under rigid cones, and with points close beside discs
-    of pressure in elements of third order at accuracies above 0.05, it follows ``scale`` as sizes do.
+    """Growth of sizes per metre away from ports [m/m]; on slabs under rigid cones it follows ``scale`` as sizes do.
 
     Elements that grow alike away from a small contact are as large on both meshes, and their error shows in no change.
     Meshes of other limbs and contacts keep the growth that the estimate was judged with.
     """
-    third = isinstance(scenario.limb, SlabLimb) and scenario.element == "P2/P3"
-    beside = third and scenario.accuracy > _AT and bool(scenario.beside_discs)
-    return scenario.mesh.grading * (scale if beside or _cone_on_slab(scenario) else 1.0)
+    return scenario.mesh.grading * (scale if _cone_on_slab(scenario) else 1.0)
 
 
 def _cone_on_slab(scenario: Scenario) -> bool:
