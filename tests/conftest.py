@@ -7,6 +7,7 @@ import base64
 import gc
 import os
 import pickle
+import signal
 from collections.abc import Generator, Iterator
 from copy import deepcopy
 from pathlib import Path
@@ -105,3 +106,11 @@ def blank_pictures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", dot)
         yield
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Ctrl-C as it is in a terminal: what a shell starts in the background inherits that it is ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

@@ -238,6 +238,7 @@ def test_no_scheduler_at_the_address_is_one_sentence(tmp_path: Path, monkeypatch
         run_campaign(load_campaign(file), tmp_path / "out", scheduler="tcp://127.0.0.1:1")
 
 
+@pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.parametrize("moment", ["starts", "ends"])
 def test_ctrl_c_waits_for_processes_that_start_or_end(moment: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is cut off half way cannot be closed any more: Dask then prints tracebacks at the exit."""

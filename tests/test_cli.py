@@ -141,6 +141,7 @@ def test_ctrl_c_in_compiled_code_is_an_interruption(scene: Path, monkeypatch: py
     assert (answer.code, "interrupted; what was finished is kept" in answer.err) == (130, True), answer.err
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_that_ends_in_another_errors_name_is_an_interruption(
     scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
