@@ -25,7 +25,7 @@ _POWER = 4.0  # p of the prior
 _NODES = 400  # of the rule over wavenumbers
 _LONGEST = 6.0  # kappa: wavenumbers up to which the prior is integrated
 _STEP, _FARTHEST = 1e-4, 0.05  # [m] between tabulated distances; of which tables are as long as multiples
-_ASIDE = 5e-4  # [m] either way, for slopes: a two hundredth of a wave
+_ASIDE = 1e-4  # [m] either way, for slopes: these err by (k times this)^2/6, .002 of the shortest waves' at 500 Hz
 _X, _W = np.polynomial.legendre.leggauss(_NODES)
 
 

@@ -100,11 +100,13 @@ def flat_skin(skin: Skin, length: float, width: float, margin: float = 0.0) -> F
     return made
 
 
-def _lengths(t: FloatArray, z: FloatArray) -> FloatArray:
-    """Signed length (n,) of the line (t, z) from its middle; NaN beyond the first gap on either side."""
-    middle, step = len(t) // 2, np.hypot(np.diff(t), np.diff(z))
-    after, before = np.cumsum(step[middle:]), np.cumsum(step[:middle][::-1])[::-1]
-    return np.concatenate([-before, [0.0], after])
+def _from_middle(steps: FloatArray) -> FloatArray:
+    """Sums (..., n + 1) of ``steps`` (..., n) from the middle, against it with their sign; NaN beyond the first gap on
+    either side."""
+    middle = steps.shape[-1] // 2
+    after = np.cumsum(steps[..., middle:], axis=-1)
+    before = np.cumsum(steps[..., :middle][..., ::-1], axis=-1)[..., ::-1]
+    return np.concatenate([-before, np.zeros((*steps.shape[:-1], 1)), after], axis=-1)
 
 
 def _flattened(x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -114,18 +116,13 @@ def _flattened(x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray,
     derivative of the place with x at constant s times the section's unit tangent t. So that lengths and angles are kept
     once flat, u grows by F and v by sqrt(1 - F^2) along a section. F s' is z_x z_y - s_x s' with s' = ds/dy.
     """
-    length = np.array([_lengths(y, row) for row in z])
+    length = _from_middle(np.hypot(np.diff(y), np.diff(z, axis=1)))
     slope_x, slope_y, per_y = np.gradient(z, x, axis=0), np.gradient(z, y, axis=1), np.gradient(length, y, axis=1)
     shift = slope_x * slope_y - np.gradient(length, x, axis=0) * per_y
-    along = _lengths(x, z[:, len(y) // 2])[:, None] + _summed(shift, y)
-    return along, length - _summed(per_y - np.sqrt(np.maximum(per_y**2 - shift**2, 0.0)), y)
-
-
-def _summed(rate: FloatArray, y: FloatArray) -> FloatArray:
-    """Integral (n, m) of ``rate`` (n, m) over y from each row's middle; NaN beyond the first gap on either side."""
-    middle, steps = len(y) // 2, 0.5 * (rate[:, 1:] + rate[:, :-1]) * np.diff(y)
-    after, before = np.cumsum(steps[:, middle:], axis=1), np.cumsum(steps[:, :middle][:, ::-1], axis=1)[:, ::-1]
-    return np.hstack([-before, np.zeros((len(rate), 1)), after])
+    less = per_y - np.sqrt(np.maximum(per_y**2 - shift**2, 0.0))
+    bent, short = (_from_middle(0.5 * (rate[:, 1:] + rate[:, :-1]) * np.diff(y)) for rate in (shift, less))
+    along = _from_middle(np.hypot(np.diff(x), np.diff(z[:, len(y) // 2])))
+    return along[:, None] + bent, length - short
 
 
 def _check_covers(made: FlatSkin, length: float, width: float) -> None:
