@@ -26,7 +26,8 @@ from forearm_fem.library.hold import deviation_held, held
 from forearm_fem.library.kept import Side
 from forearm_fem.library.loads import Bells, bell_functionals
 from forearm_fem.library.make import loaded_skin, meshed_scenario
-from forearm_fem.library.skin import flat_skin
+from forearm_fem.library.skin import FlatSkin, flat_skin
+from forearm_fem.library.stated import moved_by_stretch
 from forearm_fem.pipeline import simulate
 from forearm_fem.pipeline.fem_engine import fem_model
 from forearm_fem.pipeline.layered_engine import flat_layers
@@ -352,6 +353,68 @@ def test_what_the_space_misses_reaches_g_entry_by_entry(slab, library):
 def test_a_cylinders_curvature_is_one_over_its_radius():
     scenario = parse_scenario({"limb": {"shape": "cylinder", "diameter": 0.06}})
     assert flat_skin(parametric_skin(scenario), 0.04, 0.04).curvature == pytest.approx(1 / 0.03, rel=1e-3)  # chords
+
+
+def test_skin_stretches_where_no_plane_has_it():
+    """Over chords of 4 mm a profile that bends along the limb; not at all on a cone or between a place and itself."""
+    rings = {
+        "cone": [[x, 2 * np.pi * (0.034 - 0.1 * x)] for x in np.linspace(-0.06, 0.06, 7).tolist()],
+        "barrel": [[x, 2 * np.pi * (0.034 - 6 * x**2)] for x in np.linspace(-0.06, 0.06, 13).tolist()],
+    }
+    rng, most = np.random.default_rng(1), {}
+    flat = rng.uniform(-1, 1, (12, 2)) * [0.027, 0.022]
+    angle = rng.uniform(0, 2 * np.pi, 12)
+    near = flat + 4e-3 * np.column_stack([np.cos(angle), np.sin(angle)])
+    for name, circumference in rings.items():
+        limb = {"shape": "forearm", "length": 0.12, "circumference": circumference, "bones": []}
+        skin = flat_skin(parametric_skin(parse_scenario({"limb": limb})), 0.06, 0.05, margin=0.01)
+        found = skin.stretch(np.vstack([flat, near]))
+        chord = np.linalg.norm(skin.places(near)[0] - skin.places(flat)[0], axis=1) / 4e-3 - 1
+        off = np.abs(np.diagonal(found[:12, 12:]) - chord)
+        assert (off < 3e-3 + 0.1 * np.abs(chord)).all()  # as cones' chords above; a tenth, as it changes on the way
+        assert (np.diagonal(found) == 0).all()
+        most[name] = np.abs(chord).max()
+    assert most["cone"] < 3e-3 < 0.01 < most["barrel"]
+
+
+def test_what_stretched_skin_is_off_by_is_what_the_twin_changes():
+    """A rigid disc on thick skin at 5 Hz: points 1 to 4 mm off its rim, 1 and 3 % nearer than they lie flat."""
+    radius, layer = 3.5e-3, Layer(np.inf, 1050.0, lambda omega: 1e4 + 5j * omega)
+    ports = (Port("A1", "contact", (0.0,) * 3, (0.0, 0.0, 1.0), radius, "bonded"),
+             *(Port(f"P{k}", "point", (0.0,) * 3, (0.0, 0.0, 1.0)) for k in range(3)))  # fmt: skip
+    at = np.array([0.0, 4.5e-3, 5.5e-3, 7.5e-3])
+    table = tabulate((layer,), (25.0, 40.0), radius, "bonded", farthest=0.03, step=2e-3)
+    omega = np.array([2 * np.pi * 5.0])
+    disc = Disc(0.0, 0.0, radius, "bonded")
+    for share in (0.01, 0.03):
+        fields = [
+            table.compliance(omega, [disc, *(Disc(r, 0.0) for r in at[1:] * factor)]).values[0, 1:, 0]
+            for factor in (1.0, 1 - share)
+        ]
+        change = np.abs(fields[1] - fields[0]) / np.abs(fields[0])
+        stretch = share * (at[:, None] != at)
+        stated = moved_by_stretch(ports, np.abs(at[:, None] - at), stretch, 5e-3)
+        # a twentieth: waves of two metres, and a disc that is held, not pushed, along the skin
+        assert stated[1:, 0] == pytest.approx(change, rel=0.05)
+        assert (stated == stated.T).all()
+        assert (stated[1:, 1:] == 0).all()  # points do not drive
+        assert moved_by_stretch(ports, np.abs(at[:, None] - at), stretch, 2.5e-3)[3, 0] == 0  # interpolated
+
+
+def test_a_library_states_what_stretched_skin_is_off_by(library, monkeypatch):
+    """A point a millimetre off a rim: as a share of its own entry, which is not the largest where another is nearer."""
+    device = {**SLAB["device"], "contacts": [[-0.008, 0.0]]}
+    asked = parse_scenario({**SLAB, "device": device, "grid": {"points": [[-0.005, 0.0], [0.006, 0.002]]}})
+    flat, *stretched = (
+        (monkeypatch.setattr(FlatSkin, "stretch", lambda self, places, by=by: np.full((len(places),) * 2, by)),
+         {e.source: e for e in library.compliance(asked).errors}["contact"])[1]
+        for by in (0.0, 0.02)
+    )  # fmt: skip
+    (more,) = stretched
+    added = np.array(more.per_frequency) - flat.per_frequency
+    share = np.arcsin(2 / 3 / 0.98) / np.arcsin(2 / 3) - 1
+    assert added == pytest.approx(np.full(len(added), share), rel=1e-6)
+    assert more.band == pytest.approx(flat.band + share, rel=1e-6)
 
 
 def test_a_library_that_was_ended_goes_on_to_the_same_to_the_bit(slab, library, tmp_path, monkeypatch):

@@ -32,7 +32,7 @@ from .flat_bells import flat_compliance
 from .hold import deviation_held, held
 from .limb import Limb, real_product
 from .skin import FlatSkin, flat_skin
-from .stated import stated_errors
+from .stated import moved_by_stretch, stated_errors
 
 MARGIN = 0.02  # [m] of skin around the patch that bells reach
 WIDTH = 0.4  # of a bell, in steps of the lattice
@@ -159,7 +159,9 @@ class ArmLibrary:
             deviation[part.mine] = self._deviation(part, asked)
         spread, missed = deviation_held(deviation, hold), deviation_held(missed, hold)
         bent = 0.25 * (self.twin.radius * self.skin.curvature) ** 2
-        return replace(found, errors=stated_errors(found, spread, missed, asked.twin.error, bent))
+        distance = np.linalg.norm(asked.places[:, None] - asked.places, axis=2)
+        moved = moved_by_stretch(asked.ports, distance, self.skin.stretch(asked.places), self.scenario.library.step)
+        return replace(found, errors=stated_errors(found, spread, missed, asked.twin.error, bent, moved))
 
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
         """Ports of ``scenario`` on the library's skin, after all that may be refused was."""

@@ -79,6 +79,19 @@ class FlatSkin:
         along = _unit(_across(u, normals))
         return np.stack([along, _unit(_across(_across(v, normals), along))])
 
+    def stretch(self, places: FloatArray) -> FloatArray:
+        """By which share (n, n) lengths on the limb are longer than flat ones between any two ``places`` (n, 2).
+
+        It is that of the skin halfway, along the line between; zero between a place and itself.
+        """
+        i, j = np.indices((len(places), len(places))).reshape(2, -1)
+        way, middle = places[i] - places[j], 0.5 * (places[i] + places[j])
+        length = np.linalg.norm(way, axis=1)
+        step = _SHORT * way / np.where(length > 0, length, 1.0)[:, None]
+        ends = [self.places(middle + side * step)[0] for side in (-0.5, 0.5)]
+        longer = np.linalg.norm(ends[1] - ends[0], axis=1) / _SHORT - 1
+        return np.asarray(np.where(length > 0, longer, 0.0).reshape(len(places), -1))
+
     def _at(self, values: FloatArray, places: FloatArray) -> FloatArray:
         """``values`` (n, m) of the samples at ``places`` (k, 2) in x and y; NaN off them."""
         return np.asarray(RegularGridInterpolator((self.x, self.y), values, bounds_error=False)(places))
