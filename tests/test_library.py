@@ -379,7 +379,8 @@ def test_skin_stretches_where_no_plane_has_it():
 
 def test_what_stretched_skin_is_off_by_is_what_the_twin_changes():
     """A rigid disc on thick skin at 5 Hz: points 1 to 4 mm off its rim, 1 and 3 % nearer than they lie flat."""
-    radius, layer = 3.5e-3, Layer(np.inf, 1050.0, lambda omega: 1e4 + 5j * omega)
+    radius = 3.5e-3
+    layer = Layer(np.inf, 1050.0, lambda omega: np.asarray(1e4 + 5j * omega, dtype=complex))
     ports = (Port("A1", "contact", (0.0,) * 3, (0.0, 0.0, 1.0), radius, "bonded"),
              *(Port(f"P{k}", "point", (0.0,) * 3, (0.0, 0.0, 1.0)) for k in range(3)))  # fmt: skip
     at = np.array([0.0, 4.5e-3, 5.5e-3, 7.5e-3])
