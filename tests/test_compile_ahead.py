@@ -35,23 +35,33 @@ for module, name, signature in sorted(known() - before):
 
 @pytest.fixture
 def started(monkeypatch):
-    """Commands of the processes that would have been started; the answer of an earlier test is forgotten."""
-    commands = []
+    """Parts of the processes that would have been started, which end at the third look; earlier ones are forgotten."""
+    parts = []
 
     class Process:
         def __init__(self, command, **_):
-            commands.append(command)
+            assert command[:-1] == [sys.executable, "-m", "forearm_fem.fem.reduction.compile_ahead"]
+            parts.append(command[-1])
+            self.looks = 0
 
-        def wait(self):
-            pass
+        def poll(self):
+            self.looks += 1
+            return None if self.looks < 3 else 0
+
+        def wait(self, timeout=None):
+            if timeout is not None:
+                raise subprocess.TimeoutExpired("compiling", timeout)
 
         def terminate(self):
             pass
 
-    compile_ahead.start_compiling.cache_clear()
+    remembered = compile_ahead.start_compiling, compile_ahead._start_last
+    for one in remembered:
+        one.cache_clear()
     monkeypatch.setattr(compile_ahead.subprocess, "Popen", Process)
-    yield commands
-    compile_ahead.start_compiling.cache_clear()
+    yield parts
+    for one in remembered:
+        one.cache_clear()
 
 
 def test_a_run_compiles_nothing_that_the_process_beside_left_out(tmp_path):
@@ -71,11 +81,17 @@ def test_a_run_compiles_nothing_that_the_process_beside_left_out(tmp_path):
     assert not missing
 
 
-def test_it_is_started_where_nothing_is_kept_and_once(started, monkeypatch):
+def test_two_are_started_where_nothing_is_kept_and_the_last_when_these_have_ended(started, monkeypatch):
     monkeypatch.setattr(compile_ahead, "are_kept", lambda folder, source: False)
-    compile_ahead.start_compiling()
-    compile_ahead.start_compiling()
-    assert started == [[sys.executable, "-m", "forearm_fem.fem.reduction.compile_ahead"]]
+    told = []
+    compile_ahead.finish_compiling()
+    assert not started  # none was, so there is nothing to wait for
+    for _ in range(2):
+        compile_ahead.start_compiling()
+        assert started[:2] == ["factors", "products"]
+        compile_ahead.finish_compiling(lambda stage, done, total: told.append((done, total)))
+    assert tuple(started) == compile_ahead.PARTS
+    assert told == [(0, 2), (0, 2), (1, 2), (1, 2)]
 
 
 def test_it_is_not_started_where_kernels_are_kept_or_cannot_be_compiled(started, monkeypatch):
@@ -84,6 +100,7 @@ def test_it_is_not_started_where_kernels_are_kept_or_cannot_be_compiled(started,
     compile_ahead.start_compiling.cache_clear()
     monkeypatch.setattr(compile_ahead, "compiled", lambda module: None)
     compile_ahead.start_compiling()
+    compile_ahead.finish_compiling()
     assert not started
 
 

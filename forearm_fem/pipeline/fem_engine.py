@@ -10,6 +10,7 @@ import numpy as np
 from ..fem.assembly.coefficients import Polynomial
 from ..fem.assembly.model import ForearmModel, build_model
 from ..fem.kernels.heap import give_back
+from ..fem.reduction.compile_ahead import finish_compiling
 from ..fem.reduction.expansion import Snapshots
 from ..fem.reduction.sweep import SweepResult, direct_sweep, reduced_sweep
 from ..geometry.device.place import place_ports
@@ -55,6 +56,7 @@ def solve_fem(
     tell(progress, "assembly", 0, 1)
     model = fem_model(scenario, mesh)
     tell(progress, "assembly", 1, 1)
+    finish_compiling(progress)
     give_back()  # element matrices and matrices before constraints are gone: more than the operator itself
     if scenario.solver.sweep == "reduced" and len(frequency) > scenario.solver.expansions:
         result = reduced_sweep(

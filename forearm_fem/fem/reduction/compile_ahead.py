@@ -1,7 +1,8 @@
-"""A first run compiles kernels: most of them in a process beside, while the mesh is made and matrices are assembled.
+"""A first run compiles kernels: those of factors and of products in two processes beside, while the mesh is made and
+matrices are assembled, complex ones in a third while derivatives are.
 
-numba keeps what it compiled on disk, so that what the process has finished is only read when the run gets there, and
-what it has not is compiled as it always was. The assembly's kernels are needed first and are left to the run.
+numba keeps what it compiled on disk, so that a run that waits for such a process only reads it there. The assembly's
+kernels are needed first and are left to the run.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import atexit
 import gc
 import subprocess
 import sys
+from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from threading import Thread
@@ -17,29 +20,58 @@ from threading import Thread
 import numpy as np
 from scipy.sparse import csr_array, diags_array, triu
 
+from ...progress import Progress, tell
 from ...typing import FloatArray
 from ..kernels.compiled import compiled
 from ..kernels.matrices import SymmetricMatrices
 from .basis import Basis
 
+PARTS = ("factors", "products", "complex factors")
 _UNKNOWNS, _PRESSURES, _LOADS = 40, 4, 4
+_PATIENCE = 1.0  # s between two signs of life
 
 
 @lru_cache  # once a process
-def start_compiling() -> None:
-    """Start that process where kernels have not been compiled since they were installed, else do nothing.
+def start_compiling() -> tuple[subprocess.Popen[bytes], ...]:
+    """Start the first two of these processes where kernels have not been compiled since they were installed.
 
-    It ends with this one. Without numba, or a place for what it compiles, there is nothing to start.
+    They end with this one. Without numba, or a place for what it compiles, there is nothing to start.
     """
     factor = compiled("linear.multifrontal.factor")
     if factor is None or not sys.executable:
-        return
+        return ()
     if are_kept(Path(factor.backward.stats.cache_path), Path(str(factor.__file__))):
-        return
+        return ()
+    return _process("factors"), _process("products")
+
+
+def finish_compiling(progress: Progress | None = None) -> None:
+    """Wait for what :func:`start_compiling` started, then start the last process; nothing where none was started.
+
+    Compiling the same here would take as long, and a core from the others. What a process did not get done the run
+    compiles as it meets it.
+    """
+    processes = start_compiling() if start_compiling.cache_info().currsize else ()
+    for done, process in enumerate(processes):
+        while process.poll() is None:
+            tell(progress, "compiling, once", done, len(processes))
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_PATIENCE)
+    if processes:
+        _start_last()
+
+
+@lru_cache
+def _start_last() -> None:
+    _process("complex factors")
+
+
+def _process(part: str) -> subprocess.Popen[bytes]:
     quiet = subprocess.DEVNULL
-    process = subprocess.Popen([sys.executable, "-m", __name__], stdin=quiet, stdout=quiet, stderr=quiet)
+    process = subprocess.Popen([sys.executable, "-m", __name__, part], stdin=quiet, stdout=quiet, stderr=quiet)
     atexit.register(process.terminate)  # whole files are put into place: none is left half-written
     Thread(target=process.wait, daemon=True).start()
+    return process
 
 
 def are_kept(folder: Path, source: Path) -> bool:
@@ -47,8 +79,8 @@ def are_kept(folder: Path, source: Path) -> bool:
     return any(index.stat().st_mtime >= source.stat().st_mtime for index in folder.glob("*.backward-*.nbi"))
 
 
-def compile_kernels() -> None:
-    """Factorise and solve once in real numbers and in complex ones, and project, on a chain of springs.
+def compile_kernels(parts: Sequence[str] = PARTS) -> None:
+    """Factorise and solve once in real numbers or in complex ones, and project, on a chain of springs.
 
     Arrays are of the types that a run has: numba compiles for types.
     """
@@ -57,14 +89,14 @@ def compile_kernels() -> None:
         return
     chain = triu(diags_array([[4.0] * _UNKNOWNS, [-1.0] * (_UNKNOWNS - 1)], offsets=[0, 1]), format="csr")
     starts, columns = chain.indptr.astype(np.int64), chain.indices.astype(np.int64)
-    upper = csr_array((chain.data, columns, starts), shape=chain.shape)
-    solver = factor.MultifrontalFactor(upper, _UNKNOWNS - _PRESSURES, np.arange(_UNKNOWNS))
-    loads = np.ones((_UNKNOWNS, _LOADS))
-    solver.factorise(upper.data)
-    solver.solve(loads)
-    _project(upper, loads)
-    solver.factorise(upper.data.astype(complex))  # for ends that are held otherwise; certificates take no factors
-    solver.solve(loads.astype(complex))
+    upper, loads = csr_array((chain.data, columns, starts), shape=chain.shape), np.ones((_UNKNOWNS, _LOADS))
+    if "products" in parts:
+        _project(upper, loads)
+    for part, number in (("factors", float), ("complex factors", complex)):  # the latter for ends held otherwise
+        if part in parts:
+            solver = factor.MultifrontalFactor(upper, _UNKNOWNS - _PRESSURES, np.arange(_UNKNOWNS))
+            solver.factorise(upper.data.astype(number))
+            solver.solve(loads.astype(number))
 
 
 def _project(upper: csr_array, loads: FloatArray) -> None:
@@ -80,4 +112,4 @@ def _project(upper: csr_array, loads: FloatArray) -> None:
 
 if __name__ == "__main__":
     gc.disable()  # what compiling makes is kept to the end: going through it again and again took an eighth of the time
-    compile_kernels()
+    compile_kernels(sys.argv[1:])
