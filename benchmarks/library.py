@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from forearm_fem.library import ArmLibrary, load_library, make_library, save_library
+from forearm_fem.library.arm import library_skin
 from forearm_fem.pipeline import simulate
 from forearm_fem.pipeline.simulation import account_of, render_transfer
 from forearm_fem.ports import positions
@@ -41,11 +42,13 @@ _COLUMNS = (
 
 def arrangement(scenario: Scenario, number: int) -> tuple[str, Scenario]:
     """The ``number``-th arrangement on the patch whose rims keep off grid points: its kind and its scenario."""
-    points = np.array(scenario.grid.places)
+    points, skin, radius = np.array(scenario.grid.places), library_skin(scenario), scenario.device.cone.radius
+    half = 0.5 * np.array([scenario.library.length, scenario.library.width])
     for attempt in range(100):
         kind, contacts = drawn(scenario, number, attempt)
-        gap = np.linalg.norm(points[:, None] - contacts, axis=2) - scenario.device.cone.radius
-        if not ((gap > -_CLEAR) & (gap < _CLEAR)).any():
+        gap = np.linalg.norm(points[:, None] - contacts, axis=2) - radius
+        on_patch = np.abs(skin.flat(skin.skin(contacts)[0])) + radius <= half
+        if on_patch.all() and not ((gap > -_CLEAR) & (gap < _CLEAR)).any():
             break
     data = scenario.model_dump(mode="json")
     return kind, parse_scenario({**data, "device": {**data["device"], "contacts": contacts.round(6).tolist()}})
