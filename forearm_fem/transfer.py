@@ -112,7 +112,8 @@ class TransferMatrix:
     prescribed displacement). ``contacts`` (n_frequency, n_in, n_in) is the displacement of the cones
     themselves in the same unit, where known (driving points on its diagonal). ``valid`` marks entries that may be used
     (None = all); ``deviation`` is a standard deviation per entry (None = unknown). Names of outputs and of inputs are
-    unique. DataError for arrays of other shapes and for a unit that is none of m/V, m/N and m/m.
+    unique, ``frequency`` [Hz] is positive and increasing. DataError for arrays of other shapes and for a unit that is
+    none of m/V, m/N and m/m.
     """
 
     frequency: FloatArray
@@ -139,6 +140,12 @@ class TransferMatrix:
                     f"G's {name}: expected {shape}, a numpy array, as there are {n} frequencies, {outputs} outputs "
                     f"and {inputs} inputs, got {came}"
                 )
+        rising = np.isfinite(self.frequency) & (np.diff(self.frequency, prepend=0.0) > 0)
+        if not rising.all():
+            raise DataError(
+                f"G's frequency: expected positive and increasing ones, got {self.frequency[~rising][0]:g} Hz as "
+                f"number {int(np.argmin(rising)) + 1} of {n}; sort them with their matrices"
+            )
         for what, ports in (("outputs", self.outputs), ("inputs", self.inputs)):
             if len({p.name for p in ports}) < len(ports):
                 raise DataError(f"two of G's {what} have the same name; give each its own")

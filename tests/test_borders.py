@@ -29,6 +29,8 @@ from forearm_fem.measurement.run import VirtualSetup
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions
 from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.pipeline.verdict import accuracy_verdict
+from forearm_fem.pipeline.wave_report import _twin, thesis_fit
+from forearm_fem.ports import Port, distances
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction.run import Question, predict
 from forearm_fem.rendering import ricker
@@ -36,6 +38,7 @@ from forearm_fem.scenario import Scenario, apply_overrides, load_scenario, parse
 from forearm_fem.scenario.device import Device
 from forearm_fem.scenario.measurement import DaqOptions
 from forearm_fem.study.plan import load_study
+from forearm_fem.transfer import TransferMatrix
 
 
 def test_what_the_system_refuses_is_a_sentence_wherever_it_comes_up(tmp_path: Path) -> None:
@@ -196,6 +199,28 @@ def test_points_abreast_of_each_other_are_no_line_to_fit_waves_on(tmp_path: Path
     assert (tmp_path / "line" / "waves.csv").is_file()
 
 
+def test_a_point_under_the_cone_is_in_no_wave_fit_of_a_report() -> None:
+    """A line that starts under the cone, as scenarios/line.toml has one."""
+    source = Port("A1", "contact", (0.0, 0.0, 0.0), radius=3.5e-3, contact="bonded")
+    outputs = tuple(Port(str(k), "point", (2.5e-3 * (k + 1), 0.0, 0.0)) for k in range(8))
+    frequency = np.array([60.0, 120.0])
+    k = (2 * np.pi * frequency / 3.0 - 50j)[:, None, None]
+    values = 1e-5 * np.exp(-1j * k * distances(outputs, (source,)))
+    values[:, 0] = 1e-4
+    fit = thesis_fit(TransferMatrix(frequency, values, outputs, (source,)))
+    assert fit is not None
+    assert fit.speed == pytest.approx(3.0)
+    assert fit.attenuation == pytest.approx(50.0)
+
+
+def test_the_twin_beside_a_report_has_the_same_gains() -> None:
+    scene = {"engine": "layered", "limb": {"shape": "slab"}, "sweep": {"frequencies": [100.0]},
+             "device": {"contacts": [[0.0, 0.0]], "drive": "force", "gains": {"A1": 0.5}},
+             "grid": {"points": [[0.015, 0.0], [0.02, 0.0]]}, "rendering": {"methods": []}}  # fmt: skip
+    scenario = parse_scenario(scene)
+    assert " 0.0000 " in _twin(scenario, simulate(scenario).transfer)[-1]
+
+
 def test_an_error_that_nobody_asked_for_is_unknown_not_zero() -> None:
     slab = {"shape": "slab", "length": 0.06, "width": 0.06, "depth": 0.02}
     coarse = {"size_contact": 0.006, "size_grid": 0.01, "size_far": 0.02, "sublayers": {"skin": 1, "fat": 1}}
@@ -272,3 +297,29 @@ def test_a_wavelets_file_is_seen_from_where_simulate_was_told(tmp_path: Path) ->
     assert render(simulate(scene, base=tmp_path))["funneling", "5"].strength > 0
     with pytest.raises(ForearmError, match=r"here\.csv: no such file"):
         render(simulate(scene))
+
+
+def test_a_notebooks_slips_are_sentences() -> None:
+    small = {"engine": "layered", "limb": {"shape": "slab"}, "sweep": {"frequencies": [100.0]}}
+    g = simulate(parse_scenario(small)).transfer
+    slips: Mapping[str, Any] = {
+        r"put it into brackets": lambda: load_scenario("quick", overrides="accuracy=.3"),
+        r"a scenario's file or name, got a dict": lambda: load_scenario({"accuracy": 0.3}),  # type: ignore[arg-type]
+        r"what simulate\(\) gives, got a TransferMatrix": lambda: render(g),  # type: ignore[arg-type]
+        r"positive and increasing ones, got nan Hz as number 1": lambda: replace(g, frequency=np.array([np.nan])),
+        r"finite size": lambda: ricker(float("nan")),
+    }
+    for says, slip in slips.items():
+        with pytest.raises(ForearmError, match=says):
+            slip()
+
+
+def test_g_of_a_simulation_says_its_scenario_so_that_it_is_compared_with_its_own_renderers() -> None:
+    scenario = parse_scenario(
+        {"engine": "layered", "limb": {"shape": "slab"}, "rendering": {"wavelet": {"peak": 100.0}},
+         "device": {"cone": {"contact": "pressure"}}, "sweep": {"f_min": 20, "f_max": 200, "duration": 0.2}}
+    )  # fmt: skip
+    own = simulate(scenario)
+    crossed = compare(own.transfer, own.transfer).crossed
+    assert crossed is not None
+    assert np.array_equal(crossed.a_on_a, render(own).strengths)

@@ -92,6 +92,27 @@ def test_all_soft_tissues_are_drawn_by_default() -> None:
     assert set(first) == {f"tissues.override.{t}.{k}" for t in ("skin", "fat", "muscle") for k in ("mu", "eta")}
 
 
+def test_draws_lie_about_the_scenarios_own_value() -> None:
+    own = parse_scenario({"tissues": {"override": {"muscle": {"mu": 25e3}}}})
+    table = DrawTable(count=2, parameters=("muscle.mu", "skin.mu"))
+    preset, moved = list(draws(Scenario(), table)), list(draws(own, table))
+    ratio = [[b[k] / a[k] for k in a] for a, b in zip(preset, moved, strict=True)]
+    assert np.array(ratio) == pytest.approx(np.array([[2.5, 1.0]] * 2))
+
+
+@pytest.mark.parametrize(
+    "tissues",
+    [
+        {"preset": "zener"}, {"preset": "springpot"},
+        {"override": {"fat": {"model": "springpot", "mu": 4e3, "exponent": 0.2}}},
+    ],
+)  # fmt: skip
+def test_laws_whose_parameters_go_together_are_not_drawn_one_by_one(tissues: dict[str, Any]) -> None:
+    """They gave members that were all alike."""
+    with pytest.raises(ScenarioError, match=r"go together.*predict"):
+        next(draws(parse_scenario({"tissues": tissues}), DrawTable(count=2)))
+
+
 def test_one_failed_member_does_not_lose_the_rest(tmp_path: Path, here: Here) -> None:
     mesh = '{ limb = { shape = "mesh", file = "x.vtu", regions = { 1 = "fat" } } }'
     members = f'[[members]]\nname = "fine"\n[[members]]\nname = "no-layers"\nset = {mesh}\n'

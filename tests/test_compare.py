@@ -20,6 +20,8 @@ from forearm_fem.io.recognise import write_measured
 from forearm_fem.measurement.calibrate import calibrate
 from forearm_fem.measurement.virtual import noise_for
 from forearm_fem.metrics import condition_number
+from forearm_fem.ports import Port, distances
+from forearm_fem.transfer import TransferMatrix
 
 A = wave_matrix()
 
@@ -172,6 +174,21 @@ def test_waves_by_the_thesis_estimator_on_both():
     assert c.waves_b[0].speed[at] == pytest.approx(4.0, rel=1e-6)
     assert c.waves_a[0].attenuation[at] == pytest.approx(40 + 2 * np.pi * 100 / 20, rel=1e-6)
     np.testing.assert_allclose(c.condition_a, condition_number(A.values))
+
+
+def test_points_under_a_cone_are_in_no_wave_fit():
+    """They move with the cone; the figure of the same G left them out, and this table did not."""
+    source = replace(A.inputs[0], radius=3.5e-3)
+    x, y, z = source.position
+    places = [(x + d, y, z) for d in (2e-3, 6e-3, 9e-3, 13e-3, 18e-3)]
+    outputs = tuple(Port(str(k), "point", p) for k, p in enumerate(places))
+    frequency = np.arange(20.0, 200.0, 10.0)
+    k = (2 * np.pi * frequency / 3.0 - 40j)[:, None, None]
+    values = 1e-5 * np.exp(-1j * k * distances(outputs, (source,)))
+    values[:, 0] = 1e-4
+    c = compare(*[TransferMatrix(frequency, values, outputs, (source,))] * 2, render=False)
+    assert c.waves_a[0].speed == pytest.approx(3.0)
+    assert c.waves_a[0].attenuation == pytest.approx(40.0)
 
 
 def test_where_a_matrix_is_singular_is_counted_apart_from_its_condition_numbers():

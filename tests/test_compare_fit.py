@@ -14,8 +14,9 @@ from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
 from forearm_fem.compare.adapters import ScenarioModel, common_parameters, layered_compliance_of
 from forearm_fem.compare.fit import fit
 from forearm_fem.compare.parameters import Parameter
-from forearm_fem.compare.run import fit_text, run_fit
+from forearm_fem.compare.run import _unmeasured, all_inputs, fit_text, run_fit
 from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.ports import distances
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import TransferMatrix
@@ -250,3 +251,12 @@ def test_scenario_keys_are_checked():
     with pytest.raises(ScenarioError, match="unknown key"):
         ScenarioModel(SCENARIO, lambda s: pytest.fail("not reached"))({"device.coil.colour": 1.0})
     assert wave_matrix().unit == "m/V"
+
+
+def test_actuators_and_points_that_were_not_measured_turn_with_the_device():
+    """They stood where a device that is not turned has them, beside those measured."""
+    scenario = parse_scenario({"engine": "layered", "device": {"rotation": 0.4}})
+    outputs, inputs = planform_ports(scenario)
+    data = TransferMatrix(F, np.ones((len(F), 1, 1), dtype=complex), outputs[:1], inputs[:1])
+    assert all_inputs(scenario, data) == inputs
+    assert _unmeasured(scenario, data) == outputs[1:]

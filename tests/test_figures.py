@@ -44,6 +44,7 @@ from forearm_fem.figures.style import SHEET, arrange
 from forearm_fem.figures.targets import moments
 from forearm_fem.figures.waves import _row, kernel_root, travel
 from forearm_fem.io import write_transfer
+from forearm_fem.io.jsonfiles import write_json
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
 from forearm_fem.ports import Port
@@ -228,6 +229,17 @@ def test_conditioning_holds_control_rows_of_each_target(run: Results) -> None:
     data = conditioning(run)
     assert data.control.shape == (9, len(run.transfer.frequency))
     np.testing.assert_allclose(data.condition, data.singular[:, 0] / data.singular[:, -1])
+
+
+def test_conditioning_is_of_the_rows_that_the_run_held(run: Results, folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    """It showed the default zero points, whichever the scenario named."""
+    account = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    account["signal_strength"] = {"zeros": {"funneling": {"5": []}, "combination": {"5": ["2", "6"], "4": ["9"]}}}
+    (tmp_path / "transfer.nc").write_bytes((folder / "transfer.nc").read_bytes())
+    write_json(tmp_path / "run.json", {k: v for k, v in account.items() if k != "sha256"})
+    data = conditioning(Results.open(tmp_path))
+    assert data.targets == ("5", "4")
+    np.testing.assert_allclose(data.control[0], np.linalg.cond(run.transfer.values[:, [4, 1, 5]]))
 
 
 def test_simulated_against_measured_needs_a_measured_matrix(run: Results, folder: Path, tmp_path: Path) -> None:  # noqa: F811

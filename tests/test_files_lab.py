@@ -91,8 +91,9 @@ def test_a_page_under_the_name_of_a_table_is_one_sentence(tmp_path):
         read_measured(tmp_path / "page.csv", SAID, ports=PORTS)
 
 
-def uff(path, *, sense=lambda o, i: (3, 3), unit=lambda o, i: "m", nodes=None):
-    """G as an analyser exports it: a node per point, one per actuator, directions and units as given for each."""
+def uff(path, *, sense=lambda o, i: (3, 3), unit=lambda o, i: "m", nodes=None, axis=(18, "Hz")):
+    """G as an analyser exports it: a node per point, one per actuator, directions and units as given for each, and the
+    kind and unit of the abscissa."""
     nodes = nodes or (range(1, len(POINTS) + 1), range(1, len(ACTUATORS) + 1))
     for (o, node), (i, drive) in itertools.product(enumerate(nodes[0]), enumerate(nodes[1])):
         response, reference = sense(o, i)
@@ -100,9 +101,9 @@ def uff(path, *, sense=lambda o, i: (3, 3), unit=lambda o, i: "m", nodes=None):
         block = pyuff.prepare_58(
             binary=0, func_type=4, rsp_node=node, rsp_dir=response, ref_node=drive, ref_dir=reference,
             data=sign * G.values[:, o, i], x=G.frequency, num_pts=len(G.frequency), ord_data_type=6,
-            abscissa_spacing=0, abscissa_min=0.0, abscissa_inc=0.0, abscissa_spec_data_type=18,
-            ordinate_spec_data_type=8, ordinate_axis_units_lab=unit(o, i), orddenom_spec_data_type=0,
-            orddenom_axis_units_lab="V",
+            abscissa_spacing=0, abscissa_min=0.0, abscissa_inc=0.0, abscissa_spec_data_type=axis[0],
+            abscissa_axis_units_lab=axis[1], ordinate_spec_data_type=8, ordinate_axis_units_lab=unit(o, i),
+            orddenom_spec_data_type=0, orddenom_axis_units_lab="V",
         )  # fmt: skip
         pyuff.UFF(str(path)).write_sets(block, mode="add")
 
@@ -116,6 +117,14 @@ def test_uff_of_a_sensor_that_points_the_other_way_is_turned(tmp_path, direction
     uff(tmp_path / "lab.uff", sense=lambda o, i: directions if o == 1 else (3, 3))
     back = read_measured(tmp_path / "lab.uff", Declaration(sign="+iwt"), ports=PORTS)
     assert np.abs(back.values - G.values).max() < DIGITS * np.abs(G.values).max()
+
+
+@pytest.mark.parametrize("axis", [(18, "kHz"), (18, "rad/s"), (17, "s"), (16, "rpm")])
+def test_uff_over_anything_but_hertz_is_refused(tmp_path, axis):
+    """Kilohertz, seconds and revolutions were read as Hz."""
+    uff(tmp_path / "lab.uff", axis=axis)
+    with pytest.raises(DataError, match=rf"is of kind {axis[0]} in '{axis[1]}', expected frequencies \(18\) in Hz"):
+        read_measured(tmp_path / "lab.uff", Declaration(sign="+iwt"), ports=PORTS)
 
 
 def test_uff_of_functions_in_two_units_is_refused(tmp_path):

@@ -212,3 +212,11 @@ def test_the_side_of_the_wrist_touches_less() -> None:
     assert medians[2] / medians[0] == pytest.approx(10, rel=0.5)
     one = parse_scenario({"device": {"contacts": [[0.01, 0.0]]}})
     assert [n for n in draw_inputs(priors, one, 0, 0).values if n.startswith("contact spring")] == ["contact spring A1"]
+
+
+def test_which_actuators_are_on_the_wrists_side_follows_the_devices_turn() -> None:
+    """The limb's x decides, not the device's own: half a turn exchanged light and firm contact."""
+    priors, turned = load_priors(), parse_scenario({"engine": "layered", "device": {"rotation": math.pi}})
+    drawn = [draw_inputs(priors, turned, 0, n).values for n in range(60)]
+    medians = [np.median([v[f"contact spring A{k}"] for v in drawn]) for k in (1, 2, 3, 4)]
+    assert min(medians[:2]) > 3 * max(medians[2:])

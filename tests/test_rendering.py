@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 
@@ -260,8 +261,12 @@ def test_scale_to_reaches_the_peak_of_target_or_drive(coarse, short):
 
 
 @pytest.mark.parametrize(
-    "peaks", [{}, {"target_peak": 1e-6, "drive_peak": 1.0}, {"drive_peak": -1.0}, {"target_peak": 1.0}]
-)
+    "peaks",
+    [
+        {}, {"target_peak": 1e-6, "drive_peak": 1.0}, {"drive_peak": -1.0}, {"target_peak": 1.0},
+        {"drive_peak": math.nan}, {"drive_peak": math.inf},
+    ],
+)  # fmt: skip
 def test_scale_to_refuses_unclear_wishes(coarse, short, peaks):
     with pytest.raises(ScenarioError, match="scale_to"):
         scale_to(drives(Funneling(), coarse, "2", short), **peaks)
@@ -295,6 +300,16 @@ def test_render_all_refuses_two_results_of_one_name(coarse, short):
         render_all(coarse, ["5"], [Funneling(), Funneling(2.0)], short)
     with pytest.raises(ScenarioError, match="target is given twice"):
         render_all(coarse, ["5", "5"], None, short)
+
+
+def test_one_target_and_one_renderer_are_taken_for_a_list_of_it(coarse, short):
+    """The digits of "12" were two targets."""
+    names = tuple(replace(p, name=f"1{p.name}") for p in coarse.outputs)
+    found = render_all(replace(coarse, outputs=names), "12", Funneling(), short)
+    assert list(found) == [("funneling", "12")]
+    for strange in ("funneling", ["funneling"]):
+        with pytest.raises(ScenarioError, match=r"expected renderers such as Funneling\(\), got 'funneling'"):
+            render_all(coarse, "5", strange, short)
 
 
 def test_symmetric_arm_gives_equal_strengths_at_symmetric_targets():

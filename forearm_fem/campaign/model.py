@@ -21,7 +21,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,7 +32,7 @@ from ..errors import ScenarioError, first_problem
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Name, Part
 from ..scenario.toml import read_toml
-from ..tissue import PRESETS
+from ..tissue import PRESETS, KelvinVoigt, Sourced, limb_tissue_keys, resolve_tissues
 
 Values = dict[str, Any]
 
@@ -45,7 +45,8 @@ class MemberTable(Part):
 
 
 class DrawTable(Part):
-    """Random tissues: each parameter is its preset's value times spread^z, z standard normal, all independent."""
+    """Random tissues: each parameter is the scenario's value times spread^z, z standard normal, all independent, with
+    the spreads of its preset."""
 
     count: Annotated[int, Field(ge=1, le=100_000)]
     seed: int = 0
@@ -131,21 +132,49 @@ def grid_name(values: Mapping[str, Any]) -> str:
 
 
 def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:
-    """Overrides of each draw; draw k is the same however many are asked for (one generator, row by row)."""
-    known = {
-        f"{tissue}.{key}": sourced
-        for tissue, record in PRESETS[scenario.tissues.preset].items()
-        for key, sourced in record.parameters.items()
-        if sourced.spread > 1 and record.model == "kelvin-voigt"
-    }
+    """Overrides of each draw; draw k is the same however many are asked for (one generator, row by row).
+
+    Raises :class:`ScenarioError` for what no spread is known of, such as the laws of bounded damping, whose parameters
+    go together.
+    """
+    known = _drawable(scenario)
     wanted = table.parameters or tuple(k for k in known if k.endswith((".mu", ".eta")))
     if bad := [k for k in wanted if k not in known]:
-        raise ScenarioError(f"draw.parameters: no spread is known of '{bad[0]}'; known are {', '.join(known)}")
+        raise ScenarioError(
+            f"draw.parameters: no spread is known of '{bad[0]}'; known are {', '.join(known) or 'none'}"
+        )
+    if not table.parameters and (joint := _drawn_jointly(scenario)):
+        raise ScenarioError(
+            f"draw: {joint[0]} has a law whose parameters go together, so that they are not drawn one by one; take "
+            "`forearm-fem predict`, which draws them jointly, or name draw.parameters of other tissues"
+        )
     spread = {key: known[key] for key in wanted}
     random = np.random.default_rng(table.seed)
     for _ in range(table.count):
         z = random.standard_normal(len(spread))
         yield {f"tissues.override.{key}": s.draw(float(v)) for (key, s), v in zip(spread.items(), z, strict=True)}
+
+
+def _drawable(scenario: Scenario) -> dict[str, Sourced]:
+    """What may be drawn, about the scenario's own value, by "tissue.key": of tissues with Kelvin-Voigt's law that the
+    preset has a spread of."""
+    tissues, found = resolve_tissues(scenario), dict[str, Sourced]()
+    for name, record in PRESETS[scenario.tissues.preset].items():
+        modulus = tissues[name].modulus
+        if record.model != "kelvin-voigt" or not isinstance(modulus, KelvinVoigt):
+            continue
+        own = {"density": tissues[name].density, "mu": modulus.mu, "eta": modulus.eta}
+        for key, sourced in record.parameters.items():
+            if sourced.spread > 1:
+                found[f"{name}.{key}"] = replace(sourced, value=own[key])
+    return found
+
+
+def _drawn_jointly(scenario: Scenario) -> list[str]:
+    """Soft tissues of the limb with another law than Kelvin-Voigt's."""
+    tissues = resolve_tissues(scenario)
+    met = dict.fromkeys(limb_tissue_keys(scenario.limb).values())
+    return [n for n in met if n != "bone" and not isinstance(tissues[n].modulus, KelvinVoigt)]
 
 
 def _override(key: str, value: Any) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..io.declaration import arbitrary_gain
 from ..metrics import WaveFit, condition_number, condition_summary, fit_waves
+from ..metrics.waves import beside
 from ..ports import distances
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
@@ -84,21 +85,26 @@ def _condition(ground: CommonGround, values: ComplexArray) -> FloatArray:
 
 
 def _waves(ground: CommonGround, values: ComplexArray) -> tuple[WaveFit | None, ...]:
-    """The thesis' fit over increasing distance from each input; points equally far are averaged, as in an isotropic
-    skin."""
+    """The thesis' fit over increasing distance from each input, beside its cone; points equally far are averaged, as in
+    an isotropic skin."""
     masked, fits = np.where(ground.valid, values, np.nan), list[WaveFit | None]()
-    for i, distance in enumerate(distances(ground.outputs, ground.inputs).T):
-        order = np.argsort(distance, kind="stable")
-        group = np.concatenate([[0], np.cumsum(np.diff(distance[order]) > _TOGETHER)])
-        x = np.bincount(group, distance[order]) / np.bincount(group)
-        if len(x) < 3 or not np.all(np.isfinite(x)):
+    for i, every in enumerate(distances(ground.outputs, ground.inputs).T):
+        outside = np.flatnonzero(beside(every, ground.inputs[i].radius))
+        order = outside[np.argsort(every[outside], kind="stable")]
+        if len(order) < 3:
+            fits.append(None)
+            continue
+        distance = every[order]
+        group = np.concatenate([[0], np.cumsum(np.diff(distance) > _TOGETHER)])
+        x = np.bincount(group, distance) / np.bincount(group)
+        if len(x) < 3:
             fits.append(None)
             continue
         share = (group[:, None] == np.arange(len(x))) / np.bincount(group)
-        response = masked[:, :, i]
+        response = masked[:, order, i]
         known = np.isfinite(response).all(axis=1)
         merged = np.full((len(response), len(x)), np.nan + 0j)
-        merged[known] = response[known][:, order] @ share
+        merged[known] = response[known] @ share
         fits.append(fit_waves(ground.frequency, x, merged))
     return tuple(fits)
 

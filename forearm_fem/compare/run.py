@@ -233,8 +233,7 @@ def _scenario_values(result: FitResult) -> dict[str, float]:
 def _unmeasured(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:
     """The scenario's grid points that the data have not: what could be measured next."""
     known = {p.name for p in data.outputs}
-    own = enumerate(scenario.grid.places, start=1)
-    return tuple(Port(str(k), "point", (float(x), float(y), 0.0)) for k, (x, y) in own if str(k) not in known)
+    return tuple(p for p in planform_ports(scenario)[0] if p.name not in known)
 
 
 def _with_outputs(data: TransferMatrix, outputs: tuple[Port, ...]) -> TransferMatrix:
@@ -293,10 +292,7 @@ def all_inputs(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:
 
     DataError for inputs that the device does not have.
     """
-    own = {
-        f"A{k + 1}": Port(f"A{k + 1}", "contact", (float(x), float(y), 0.0), radius=scenario.device.cone.radius)
-        for k, (x, y) in enumerate(scenario.device.centres)
-    }
+    own = {p.name: p for p in planform_ports(scenario)[1]}
     if strange := [p.name for p in data.inputs if p.name not in own]:
         raise DataError(
             f"the measured G has the inputs {', '.join(strange)[:80]}, the scenario's device {', '.join(own)[:80]}; "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,15 +97,20 @@ class Conditioning:
 
 
 def conditioning(results: Results) -> Conditioning:
-    """Singular values and condition numbers of a run's G, with the thesis' zero points."""
-    return conditioning_of(results.transfer)
+    """Singular values and condition numbers of a run's G, and of the rows that its renderers inverted; where no zero
+    points are on record (folders before 0.14, nothing rendered) of the default ones."""
+    on_record = results.account.signal_strength.zeros
+    held = next((found for m in ("inverse filter", "combination") if (found := on_record.get(m))), None)
+    return conditioning_of(results.transfer, held)
 
 
-def conditioning_of(transfer: TransferMatrix) -> Conditioning:
-    """The same for any G; control rows are left out where the grid is no rectangle."""
+def conditioning_of(transfer: TransferMatrix, zeros: Mapping[str, Sequence[str]] | None = None) -> Conditioning:
+    """The same for any G, with the zero points ``zeros`` of each target; None: every output with its default ones,
+    none where the grid is no rectangle."""
     values = shown(transfer)
     names = [p.name for p in transfer.outputs]
-    rows = {t: [names.index(n) for n in (t, *zero_points(transfer, t))] for t in names}
+    held = {t: zero_points(transfer, t) for t in names} if zeros is None else zeros
+    rows = {t: [names.index(n) for n in (t, *others)] for t, others in held.items()}
     rows = {t: r for t, r in rows.items() if len(r) > 1}
     control = np.array([condition_number(values[:, r]) for r in rows.values()]).reshape(len(rows), len(values))
     return Conditioning(

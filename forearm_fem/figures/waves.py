@@ -15,6 +15,7 @@ from ..compare.adapters import layers_from
 from ..errors import NotApplicable, ScenarioError
 from ..layered import surface_kernel
 from ..metrics import WaveFit, fit_waves
+from ..metrics.waves import beside
 from ..pipeline.layered_engine import flat_surface
 from ..ports import Port, distances, positions
 from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives, place
@@ -232,7 +233,7 @@ def dispersion(results: Results) -> Dispersion:
     keep = (along.frequency >= 50) & (along.frequency <= 500)
     step = max(1, int(keep.sum()) // 180)
     f = along.frequency[keep][::step]
-    outside = along.distance > 1.05 * results.scenario.device.cone.radius
+    outside = beside(along.distance, results.scenario.device.cone.radius)
     if outside.sum() < 3:
         raise NotApplicable("a wave fit needs 3 points in a row beside the cone; this grid has fewer")
     values, gap = along.values[keep][::step][:, outside], along.distance[outside]

@@ -332,8 +332,9 @@ def _metres(
     unit = parse_unit(_agreed(raw, declaration, "unit"))
     quantity = _agreed(raw, declaration, "quantity") or unit.quantity
     if quantity != unit.quantity:
+        what = f"{'an' if quantity == 'acceleration' else 'a'} {quantity}"
         raise DataError(
-            f"{raw.name}: a {quantity} cannot have the unit '{raw.unit or declaration.unit}'; correct one of them"
+            f"{raw.name}: {what} cannot have the unit '{raw.unit or declaration.unit}'; correct one of them"
         )
     sign = _agreed(raw, declaration, "sign")
     factor = unit.factor * to_displacement(raw.frequency, quantity)[:, None, None]

@@ -31,6 +31,7 @@ _PRIVATE = 9158  # dataset number of our ports
 _END = f"{-1:6d}"
 _END_SEAL = "\n".join([_END, f"{_PRIVATE:6d}", BLANK.decode(), _END, ""]).encode("ascii")
 _DENOMINATOR: Mapping[str, int] = MappingProxyType({"V": 0, "N": 13, "m": 8})
+_FREQUENCY = (0, 18)  # kinds of an abscissa: not said, and frequency
 _NUMERATOR: Mapping[int, Quantity] = MappingProxyType({8: "displacement", 11: "velocity", 12: "acceleration"})
 
 
@@ -125,11 +126,18 @@ def _dataset58(title: str, kind: int, place: tuple[int, int], x: FloatArray, dat
 
 
 def _check_count(file: Path, s: dict[str, Any]) -> None:
+    """DataError for values that are cut short, and for what is no frequency in Hz."""
     found, told = len(s["data"]), int(s["num_pts"])
     if found != told or len(s["x"]) != told:
         raise DataError(
             f"{file}: the function {s['rsp_node']} <- {s['ref_node']} has {found} values, its header says {told}; the "
             "file is cut short, or its binary abscissa is in single precision"
+        )
+    axis, unit = int(s["abscissa_spec_data_type"]), str(s["abscissa_axis_units_lab"]).strip()
+    if axis not in _FREQUENCY or unit.lower() not in ("", "none", "hz"):
+        raise DataError(
+            f"{file}: the abscissa of {s['rsp_node']} <- {s['ref_node']} is of kind {axis} in '{unit}', expected "
+            "frequencies (18) in Hz; export them so"
         )
     if not np.all(np.isfinite(s["x"])) or np.any(np.diff(s["x"]) <= 0):
         raise DataError(

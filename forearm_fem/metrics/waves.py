@@ -9,9 +9,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..errors import DataError
-from ..typing import ComplexArray, FloatArray
+from ..typing import BoolArray, ComplexArray, FloatArray
 
 DecayFit = Literal["nonlinear", "log", "normalised"]
+_RIM, _MIDDLE = 1.05, 1e-3  # of the radius, m: nearer points belong to the source
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,12 @@ def fit_waves(
     k = columns[2]
     columns[5] = np.divide(2 * np.pi * frequency, k, out=np.full(len(k), np.nan), where=np.isfinite(k) & (k != 0))
     return WaveFit(np.asarray(frequency), columns[0], k, columns[5], columns[1], columns[3], columns[4])
+
+
+def beside(distance: FloatArray, radius: float) -> BoolArray:
+    """Which points at ``distance`` (m,) [m] from the middle of a cone of ``radius`` [m] lie beside it: those under it
+    move with it, not with its wave, and belong into no wave fit."""
+    return np.asarray(distance > max(_RIM * radius, _MIDDLE))
 
 
 def _phase(x: FloatArray, response: ComplexArray) -> FloatArray:

@@ -91,7 +91,8 @@ def simulate(
             mesh = cached_mesh(scenario, base=Path(base))
         result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
         found = replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
-    return replace(found, base=Path(base))
+    said = {**found.transfer.provenance, "scenario": scenario.model_dump(mode="json")}
+    return replace(found, transfer=replace(found.transfer, provenance=said), base=Path(base))
 
 
 def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
@@ -120,6 +121,11 @@ def render(simulation: Simulation, *, progress: Progress | None = None) -> Rende
 
     Errors as of :func:`render_transfer`.
     """
+    if not isinstance(simulation, Simulation):
+        raise ScenarioError(
+            f"expected what simulate() gives, got a {type(simulation).__name__}; of a G alone: "
+            "render_transfer(SCENARIO, G), or forearm_fem.rendering.render_all(G)"
+        )
     return render_transfer(simulation.scenario, simulation.transfer, base=simulation.base, progress=progress)
 
 

@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ..device import close_loop
 from ..errors import ForearmError
 from ..io.atomic import write_text
 from ..io.markdown import markdown_table
 from ..metrics import fit_waves
-from ..metrics.waves import WaveFit
+from ..metrics.waves import WaveFit, beside
 from ..ports import distances
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
@@ -60,10 +61,9 @@ def write_wave_report(
 
 
 def thesis_fit(transfer: TransferMatrix) -> WaveFit | None:
-    """Appendix A's estimator over the points outside the first contact; None where they are fewer than four or no line.
-    """
+    """Appendix A's estimator over the points beside the first contact; None for fewer than four, or no line."""
     distance = distances(transfer.outputs, transfer.inputs)[:, 0]
-    outside = np.flatnonzero(distance > 1e-3 if len(distance) else distance)
+    outside = np.flatnonzero(beside(distance, transfer.inputs[0].radius))
     order = outside[np.argsort(distance[outside])]
     if len(order) < 4 or np.diff(distance[order]).min() < _SAME:  # points abreast of each other are no line
         return None
@@ -82,7 +82,7 @@ def waves_csv(fit: WaveFit) -> str:
 def _twin(scenario: Scenario, transfer: TransferMatrix) -> list[str]:
     """Table of errors against the twin: each point relative to itself, and e(f) over all but the first."""
     try:
-        truth = solve_layered(scenario, transfer.frequency).block("point", "contact")
+        truth = close_loop(solve_layered(scenario, transfer.frequency), scenario.device).values
     except ForearmError as problem:
         return [f"The twin cannot do this scene: {problem}"]
     own: FloatArray = np.abs(transfer.values - truth)[:, :, 0] / np.abs(truth[:, :, 0])

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ScenarioError
+from ..geometry.device.layout import turned
 from ..scenario import Scenario
 from ..tissue import resolve_tissues
 from .priors import Prior, Priors, load_priors
@@ -66,7 +67,7 @@ def _each(prior: Prior, scenario: Scenario, normal: Any) -> dict[str, float]:
     common, own = math.sqrt(prior.each) * normal(prior.name), math.sqrt(1 - prior.each)
     name = prior.name.partition(",")[0]
     found = {}
-    for k, (x, _) in enumerate(scenario.device.centres):
+    for k, (x, _) in enumerate(turned(scenario, scenario.device.centres)):  # on the limb: the device may be turned
         if (prior.name == WRIST and x >= 0) or (prior.name == ELBOW and x < 0):
             continue
         key = f"{name} A{k + 1}"

@@ -96,7 +96,7 @@ def thesis_renderers() -> tuple[Renderer, ...]:
 def render_all(
     transfer: TransferMatrix,
     targets: Sequence[str] | None = None,
-    methods: Sequence[Renderer] | None = None,
+    methods: Sequence[Renderer] | Renderer | None = None,
     wavelet: Wavelet | None = None,
     limits: Limits | None = None,
     *,
@@ -108,11 +108,14 @@ def render_all(
     ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet`` the 250
     Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window), or "record",
     the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first. ``progress`` is
-    called after each. Warns (AccuracyWarning) when more than 10 % of the wavelet's energy falls on bins where G is
-    unknown. Raises ScenarioError for two methods of one name or a target given twice, and as :func:`drives`.
+    called after each. One name or one renderer is taken for a list of it. Warns (AccuracyWarning) when more than 10 %
+    of the wavelet's energy falls on bins where G is unknown. Raises ScenarioError for two methods of one name or a
+    target given twice, and as :func:`drives`.
     """
-    targets = tuple(targets) if targets is not None else tuple(p.name for p in transfer.outputs)
-    methods = tuple(methods) if methods is not None else thesis_renderers()
+    known = tuple(p.name for p in transfer.outputs)
+    one = isinstance(targets, str) and targets in known  # not the digits of "12"
+    targets = (str(targets),) if one else tuple(targets) if targets is not None else known
+    methods = _as_renderers(methods)
     wavelet = wavelet or ricker()
     names = tuple(m.name for m in methods)
     for what, given in (("method", names), ("target", targets)):
@@ -137,6 +140,17 @@ def render_all(
             stacklevel=2,
         )
     return Rendering(names, targets, results, seconds, holes, limits or Limits())
+
+
+def _as_renderers(methods: Sequence[Renderer] | Renderer | None) -> tuple[Renderer, ...]:
+    if methods is None:
+        return thesis_renderers()
+    found = methods if isinstance(methods, list | tuple) else (methods,)
+    if strange := [m for m in found if not hasattr(m, "aim")]:
+        raise ScenarioError(
+            f"methods: expected renderers such as Funneling(), got {strange[0]!r}; of a scenario: render(SIMULATION)"
+        )
+    return tuple(found)
 
 
 def strengths(

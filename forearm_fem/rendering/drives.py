@@ -190,7 +190,7 @@ def scale_to(
     positive, and for drives that are zero.
     """
     wanted = target_peak if drive_peak is None else drive_peak
-    if wanted is None or wanted <= 0 or (target_peak is not None and drive_peak is not None):
+    if wanted is None or not 0 < wanted < np.inf or (target_peak is not None and drive_peak is not None):
         raise ScenarioError("scale_to needs one positive peak: target_peak [m] or drive_peak")
     if drive_peak is None:
         if transfer is None:

@@ -86,8 +86,10 @@ def ricker(
     ``samples`` (n_t,) [-] with t = 0 in the middle of the record of ``duration`` [s] at ``sample_rate`` [Hz].
     Raises ScenarioError if the wavelet does not fit below the Nyquist frequency or into the record.
     """
-    if peak_hz <= 0:
-        raise ScenarioError(f"a Ricker wavelet needs a positive peak frequency, got {peak_hz:g} Hz")
+    if not 0 < peak_hz < np.inf or not np.isfinite(amplitude):
+        raise ScenarioError(
+            f"a Ricker wavelet needs a positive peak frequency and a finite size, got {peak_hz:g} Hz and {amplitude:g}"
+        )
     record = Record.of(sample_rate, duration)
     if 3 * peak_hz > sample_rate / 2:
         raise ScenarioError(

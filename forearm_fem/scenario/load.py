@@ -27,6 +27,10 @@ def load_scenario(path: str | Path, *, overrides: Sequence[str] = ()) -> Scenari
     :func:`scenario_file`. Raises :class:`ScenarioError` for a missing or malformed file and for unknown or impossible
     keys.
     """
+    if not isinstance(path, str | Path):
+        raise ScenarioError(
+            f"expected a scenario's file or name, got a {type(path).__name__}; parse_scenario takes tables"
+        )
     file = scenario_file(path)
     table = read_toml(file, f"no such file; by name there are {', '.join(shipped_scenarios())}")
     if "scenario" in table:
@@ -55,6 +59,8 @@ def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str], option: s
 
     ScenarioError about the ``option`` where one is none.
     """
+    if isinstance(overrides, str):  # whose letters would be taken for overrides
+        raise ScenarioError(f"overrides: expected a list of texts, got the text '{overrides}'; put it into brackets")
     result: dict[str, Any] = _copied(data)
     for item in overrides:
         key, separator, text = item.partition("=")
