@@ -174,6 +174,12 @@ class Study(Part):
         if len(set(names)) != len(names):
             raise ValueError(f"tasks has one name twice: {', '.join(names)}")
         for task in self.tasks:
+            many = len(self.stimuli.methods) * (task.repetitions + task.training) > 1
+            if task.adaptive is None and many and self.order.no_target_twice and len(self.stimuli.targets) == 1:
+                raise ValueError(
+                    f"order.no_target_twice cannot be met in task {task.name} with one target; add targets or set it "
+                    "to false"
+                )
             if task.adaptive and task.adaptive.reference not in (None, *self.stimuli.methods):
                 raise ValueError(f"adaptive.reference '{task.adaptive.reference}' is not among stimuli.methods")
         return self

@@ -46,6 +46,7 @@ export class App {
     try {
       this.experiment.set(change);
       this.refresh();
+      this.say(""); // what was said of an earlier change is no longer so
     } catch (problem) {
       this.experiment.set(before);
       this.refresh();
