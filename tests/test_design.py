@@ -150,6 +150,16 @@ def test_a_search_that_was_interrupted_goes_on_to_the_same_front(tmp_path):
         assert (tmp_path / "whole" / name).is_file()
 
 
+def test_a_variable_that_changes_nothing_is_named(tmp_path):
+    """Waves do not hear of the accuracy asked for; a variable that matters is not named beside it."""
+    idle = '[[variables]]\nkey = "accuracy"\nvalues = [0.1, 0.2]\n'
+    found = run_design(design(tmp_path, SPACING + idle + QUICK), tmp_path / "out", arm=Waves(), confirm=False)
+    assert found.idle == ("accuracy",)
+    assert "Nothing hangs on accuracy: " in (tmp_path / "out/report.md").read_text()
+    both = design(tmp_path, SPACING + '[[variables]]\nkey = "device.cone.mass"\nvalues = [0.1e-3, 0.3e-3]\n' + QUICK)
+    assert run_design(both, tmp_path / "both", arm=Waves(), confirm=False).idle == ()
+
+
 def test_another_constraint_is_another_question(tmp_path):
     asked = design(tmp_path, SPACING + QUICK)
     Store(tmp_path, asked).add(scored({"device.spacing": 0.04}, 1.5))

@@ -252,6 +252,14 @@ def test_simulated_against_measured_needs_a_measured_matrix(run: Results, folder
     _, lines = rows(tmp_path / "measured.csv")
     assert max(float(x["difference_1_A1"]) for x in lines) == 0.0
     assert versus_of(run.transfer, run.transfer).error.max() == 0
+    valid = np.ones(run.transfer.values.shape, dtype=bool)
+    valid[3, 0, 0] = False  # a hole is no motion of nothing
+    write_transfer(whole / "measured.nc", replace(run.transfer, valid=valid))
+    make_figures(whole, tmp_path, only=["measured"])
+    _, lines = rows(tmp_path / "measured.csv")
+    unit = run.transfer.unit
+    assert [k for k, x in enumerate(lines) if x[f"abs_measured_1_A1_{unit}"] == "nan"] == [3]
+    assert float(lines[3][f"abs_simulated_1_A1_{unit}"]) == pytest.approx(abs(run.transfer.values[3, 0, 0]))
 
 
 def test_a_figure_draws_into_a_notebooks_axes_and_leaves_its_style_alone(run: Results) -> None:

@@ -16,7 +16,9 @@ from forearm_fem.ports import Port  # noqa: E402
 from forearm_fem.study.analysis import analyse, cell_means, confusion, ellipses, with_errors  # noqa: E402
 from forearm_fem.study.field import SkinField, grid_field  # noqa: E402
 from forearm_fem.study.percept import Felt, Percept, SimulatedParticipant, pooled, sensitivity  # noqa: E402
+from forearm_fem.study.plan import Study, Task  # noqa: E402
 from forearm_fem.study.power import Supposed, needed, power_curve, supposed_from, untold  # noqa: E402
+from forearm_fem.study.report import write_analysis  # noqa: E402
 from forearm_fem.study.session import _outline  # noqa: E402
 from forearm_fem.study.tables import foreign_table  # noqa: E402
 from forearm_fem.study.thesis import verdicts  # noqa: E402
@@ -290,6 +292,52 @@ def test_other_peoples_tables_are_read_by_a_declared_mapping(tmp_path):
         foreign_table(file, mapping, GRID)
 
 
+def test_trials_without_an_answer_are_no_answers_of_no_points(tmp_path):
+    """Four trials are silent; of these, and of answers that tell a place alone, no points are known."""
+    table = answers(people=3, repetitions=1).assign(late=0, response_time=1.0)
+    target = table["target"].to_numpy()
+    table["response"] = [f"{t} {u}" for t, u in zip(target, np.roll(target, 1), strict=True)]
+    silent = table.index[table["target"].eq("4") & table["participant"].ne("02")]
+    table.loc[silent, ["response", "response_x", "response_y"]] = np.nan
+    main = with_errors(table, GRID)
+    assert main["points"].dropna().eq(2).all()
+    assert main["inside"].dropna().all()
+    assert main["points"].isna().sum() == main["inside"].isna().sum() == len(silent) == 4
+    plan = Study(name="s", scenario="x", tasks=(Task(name="t", answer="several points"),))
+    page = write_analysis(plan, {"t": table}, GRID, tmp_path).read_text()
+    assert "<td>100 %</td>" in page
+    assert "<td>2.00</td>" in page
+    assert "Of these, 4 have no answer and are in no mean." in page
+    assert (tmp_path / "analysis/t-confusion.png").exists()
+    placed = table.assign(response=np.nan).dropna(subset=["response_x"])
+    page = write_analysis(plan, {"t": placed}, GRID, tmp_path).read_text()
+    assert page.count("<td>unknown</td>") >= 4
+    assert "<td>0 %</td>" not in page
+    assert not list(tmp_path.glob("analysis/*confusion*"))  # nor the one of the answers before
+    gone = main.assign(response_x=np.nan, response_y=np.nan)
+    assert all(np.isnan(e.mean).all() and e.count == 0 for e in ellipses(gone))
+
+
+@pytest.mark.parametrize("kept", [{"method": "funneling"}, {"target": "5"}, {"method": "funneling", "target": "5"}])
+def test_a_study_of_one_method_or_one_target_is_analysed_as_far_as_it_goes(tmp_path, kept):
+    table = answers(people=4, repetitions=3).assign(late=0, response_time=1.0)
+    for column, value in kept.items():
+        table = table[table[column] == value]
+    tests = analyse(with_errors(table, GRID), "error")
+    assert tests.effects == ()
+    assert len(tests.methods) == ("method" not in kept)
+    assert (tests.mixed is None) == (len(kept) == 2)
+    page = write_analysis(Study(name="s", scenario="x", tasks=(Task(name="t"),)), {"t": table}, GRID, tmp_path)
+    assert "there is no two-way analysis" in page.read_text()
+    assert all(len(f.read_text()) > 1 for f in page.parent.glob("*.csv"))
+    assert not list(page.parent.glob("*-anova.csv"))
+
+
+def test_a_table_without_main_trials_is_a_sentence():
+    with pytest.raises(DataError, match="phase is 'main' in none of them, but test"):
+        with_errors(answers().assign(phase="test"), GRID)
+
+
 def test_cell_means_put_ten_after_nine():
     table = pd.DataFrame({"participant": ["10", "9"], "target": ["1", "1"], "method": ["a", "a"], "error": [1.0, 2.0]})
     values, people, *_ = cell_means(table, "error")
@@ -313,6 +361,14 @@ def test_a_new_study_of_no_scenario_leaves_no_file(tmp_path):
     assert isinstance(made.exception, ScenarioError)
     assert "nosuch: no such file" in str(made.exception)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["a/b", "../x", "a b", "con", "größe", "-a", "a" * 33, 'a"b'])
+def test_a_name_that_names_no_file_is_refused_before_anything_is_written(tmp_path, name):
+    made = CliRunner().invoke(app, ["study", "new", "--folder", str(tmp_path), "--", name])
+    assert isinstance(made.exception, ScenarioError)
+    assert "expected at most 32 letters, digits and hyphens" in str(made.exception)
+    assert not list(tmp_path.rglob("*"))
 
 
 def test_a_rehearsed_study_is_analysed_from_the_command_line(tmp_path):

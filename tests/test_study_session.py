@@ -77,7 +77,9 @@ def test_methods_one_after_the_other_are_balanced_over_participants():
 
 
 def test_an_order_that_cannot_be_is_named():
-    plan = study(stimuli=Stimuli(targets=("5",)))
+    with pytest.raises(ScenarioError, match="cannot be met in task identification with one target"):
+        study(stimuli=Stimuli(targets=("5",)))  # before anybody is enrolled, whichever task comes first
+    plan = study().model_copy(update={"stimuli": Stimuli(targets=("5",))})
     with pytest.raises(ScenarioError, match="no_target_twice cannot be met with 1 target"):
         trials(plan, plan.tasks[0], "01")
 

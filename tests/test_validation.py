@@ -23,8 +23,9 @@ from forearm_fem.prediction.statistics import Draws
 from forearm_fem.prediction.targets import SHAH_ARMS, TARGETS, Target
 from forearm_fem.prediction.validate import validate
 from forearm_fem.report.validation import coverage, failures, joint_words, validation_page
-from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.tissue import KelvinVoigt
+from forearm_fem.transfer import TransferMatrix
 
 SMALL: dict[str, Any] = {
     "engine": "layered",
@@ -215,6 +216,10 @@ def test_observables_resume_and_other_questions_start_anew(
     assert found["draws"] == 21
 
 
+def against_arms(g: TransferMatrix, scene: Scenario, prediction: Any) -> dict[str, Any]:
+    return module._measured(*module._strengths_of(g, Question(scene, Path())), prediction)
+
+
 def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
     from forearm_fem.pipeline import simulate
     from forearm_fem.pipeline.simulation import render_transfer
@@ -226,7 +231,7 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     write_transfer(tmp_path / "g.nc", g)
     draws = table_of(np.exp(0.2 * np.random.default_rng(0).standard_normal(60)))
     prediction = type("P", (), {"draws": draws})()
-    told = module._measured(g, Question(scene, Path()), prediction)
+    told = against_arms(g, scene, prediction)
     assert len(told["entries"]) == 9
     page = validation_page({**found, "measured": {"name": "g.nc", **told}})
     assert "G of `g.nc`, at the places" in page.partition("## A measured G through the same comparison")[2]
@@ -234,36 +239,54 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     assert out in page.partition("## What it is for")[0]
     slow = parse_scenario({**SMALL, "rendering": {"wavelet": {"peak": 120.0}}})
     own = render_transfer(slow, g).strengths  # the wavelet is the scene's, not 250 Hz whatever it says
-    again = module._measured(g, Question(slow, Path()), prediction)
+    again = against_arms(g, slow, prediction)
     middle = [e["measured"] for e in again["entries"] if e["group"] == "Middle (5)"]
     assert middle == pytest.approx(own[:, 4], rel=5e-3)  # samples of another rate fill the window
     assert middle != pytest.approx([e["measured"] for e in told["entries"] if e["group"] == "Middle (5)"], rel=0.05)
     valid = np.ones(g.values.shape, dtype=bool)
     valid[g.frequency > 400] = False
-    holed = module._measured(replace(g, valid=valid), Question(scene, Path()), prediction)
+    holed = against_arms(replace(g, valid=valid), scene, prediction)
     assert "at the ends of its band, which are not bridged and not driven" in holed["note"]
     assert "of the wavelet's energy lies where it is unknown and is not driven" in holed["note"]
     assert holed["note"] in validation_page({**found, "measured": {"name": "g.nc", **holed}})
     assert told["note"] == ""
     assert all(e["interval"][0] <= e["measured"] <= e["interval"][1] for e in told["entries"])
     noisy = replace(g, errors=(), deviation=0.3 * np.abs(g.values))
-    scattered = module._measured(noisy, Question(scene, Path()), prediction)
+    scattered = against_arms(noisy, scene, prediction)
     for calm, entry in zip(told["entries"], scattered["entries"], strict=True):
         assert entry["interval"][1] / entry["interval"][0] > calm["interval"][1] / calm["interval"][0]
         ends = [entry["low"] <= x <= entry["high"] for x in entry["interval"]]
         assert entry["sure"] == (calm["sure"] and ends == [entry["inside"]] * 2)
     assert any(a["sure"] > b["sure"] for a, b in zip(told["entries"], scattered["entries"], strict=True))
     assert "random error of G (its deviation) alone" in scattered["note"]
-    silent = module._measured(replace(g, errors=()), Question(scene, Path()), prediction)
+    silent = against_arms(replace(g, errors=()), scene, prediction)
     assert all(e["interval"] == [] for e in silent["entries"])
     assert "so the interval of S is unknown" in silent["note"]
     valid[:, 6] = g.frequency[:, None] < 20
     unknown = pytest.warns(AccuracyWarning, match="unknown")
     with unknown, pytest.raises(DataError, match="the measured G gives no S: 100% of the wavelet"):
-        module._measured(replace(g, valid=valid), Question(scene, Path()), prediction)
+        against_arms(replace(g, valid=valid), scene, prediction)
     short = replace(g, outputs=g.outputs[:3], values=g.values[:, :3])
     with pytest.raises(DataError, match="no output called '4'"):
-        module._measured(short, Question(scene, Path()), prediction)
+        against_arms(short, scene, prediction)
+
+
+def test_a_measured_g_without_s_and_targets_are_refused_before_the_draws(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from forearm_fem.pipeline import simulate
+
+    scene = parse_scenario(SMALL)
+    g = simulate(scene).transfer
+    monkeypatch.setattr(module, "predict", lambda *a, **k: pytest.fail("arms were drawn first"))
+    one = replace(g, frequency=g.frequency[:1], values=g.values[:1], errors=(), contacts=None)
+    short = replace(g, outputs=g.outputs[:3], values=g.values[:, :3])
+    for bad, why in ((one, "at least two frequencies"), (short, "no output called '4'")):
+        with pytest.raises(DataError, match=why):
+            validate(Question(scene, Path()), tmp_path, draws=60, measured=bad)
+    aimed = parse_scenario({**SMALL, "rendering": {"targets": ["1", "2", "3"]}})
+    with pytest.raises(ScenarioError, match="aim at the targets 1 to 9"):
+        validate(Question(aimed, Path()), tmp_path, draws=60)
 
 
 def test_scenes_that_cannot_be_judged_are_one_sentence(tmp_path: Path) -> None:

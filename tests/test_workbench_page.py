@@ -223,6 +223,7 @@ def test_controls_change_what_they_say(tab: Any) -> None:
     now = strength(tab, "funneling")
     tab.locator("#moving_mass").fill("1.2")
     tab.locator("#moving_mass").press("Enter")
+    assert tab.locator("#say").inner_text() == ""  # the refusal was of another value
     assert tab.evaluate("workbench.experiment.settings.device.coil.moving_mass") == pytest.approx(1.2e-3)
     assert strength(tab, "funneling") != now
     tab.get_by_label("contact of A1").select_option("lifted off")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -24,7 +25,7 @@ Answers = Annotated[
 
 _TEMPLATE = """# A study: every key is optional but name and scenario. `forearm-fem study run {name}.toml` runs it.
 name = "{name}"
-scenario = "{scenario}"                                # device, wavelet, limits
+scenario = {scenario}                                # device, wavelet, limits
 transfer = "calibration/{{participant}}/transfer.nc"     # each participant's calibrated G
 participants = 20
 language = "en"                                         # en, de, nl, or a TOML file of texts
@@ -68,18 +69,14 @@ def new(
     """Write a commented study file: the thesis' two studies, to be changed."""
     from ..io.atomic import write_text
     from ..scenario import load_scenario, scenario_beside
-    from ..study.plan import load_study
+    from ..study.plan import Study
 
+    Study(name=name, scenario=scenario)  # before anything is written
     file = folder / f"{name}.toml"
     if file.exists():
         raise ScenarioError(f"{file} exists already; take another name or remove it")
-    load_scenario(scenario_beside(folder, scenario))  # before anything is written
-    write_text(file, _TEMPLATE.format(name=name, scenario=scenario))
-    try:
-        load_study(file)
-    except ScenarioError:
-        file.unlink()
-        raise
+    load_scenario(scenario_beside(folder, scenario))
+    write_text(file, _TEMPLATE.format(name=name, scenario=json.dumps(scenario, ensure_ascii=False)))
     typer.echo(str(file))
 
 
@@ -143,12 +140,13 @@ def status(file: StudyFile, data: Answers = None) -> None:
     """Who has answered how much."""
     from ..study.run import Prepared, statuses
 
-    prepared = Prepared.of(file, data)
-    rows = statuses(prepared.store())
-    if not rows:
+    store = Prepared.of(file, data).store()
+    if not store.people():
         typer.echo("nobody is enrolled yet")
-    for participant, task, answered, total in rows:
+    for participant, task, answered, total in statuses(store):
         typer.echo(f"{participant}  {task}: {answered} of {total}")
+    for gone in (p for p in store.people() if p["status"] == "withdrawn"):
+        typer.echo(f"{gone['participant_id'].removeprefix('sub-')}  withdrawn")
 
 
 @app.command()

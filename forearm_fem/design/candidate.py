@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import warnings
 from collections.abc import Mapping
@@ -63,6 +64,11 @@ class Candidate:
             return 1000.0
         return -self.score + (100.0 + 100.0 * sum(self.violations.values()) if self.violations else 0.0)
 
+    @property
+    def outcome(self) -> str:
+        """All that became of the values, to nine digits."""
+        return json.dumps({k: v for k, v in _rounded(self.as_json()).items() if k != "values"}, sort_keys=True)
+
     def as_json(self) -> dict[str, Any]:
         """Plain data; NaN as None."""
         return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(self).items()}
@@ -72,6 +78,12 @@ class Candidate:
         """The same back."""
         numbers = ("score", "voltage", "power", "total_power", "mass", "error")
         return cls(**{**data, **{k: math.nan for k in numbers if data[k] is None}})
+
+
+def _rounded(data: Any) -> Any:
+    if isinstance(data, Mapping):
+        return {k: _rounded(v) for k, v in data.items()}
+    return float(f"{data:.9g}") if isinstance(data, float) else data
 
 
 def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:

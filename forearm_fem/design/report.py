@@ -105,6 +105,11 @@ def outcome_words(result: DesignResult) -> list[str]:
         if not reference.problem
         else f"The scenario's own device cannot serve: {reference.problem}.",
     ]
+    if result.idle:
+        lines.append(
+            f"Nothing hangs on {', '.join(result.idle)}: with the winner's other values all of its choices give the "
+            "same numbers."
+        )
     if (c := result.confirmation) is not None:
         lines.append(
             f"Confirmed by a full run ({c.folders[0].name}/): {c.score:.3g}, {c.difference:+.1%} off the model."

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,8 @@ class Confirmation:
 @dataclass(frozen=True)
 class DesignResult:
     """All candidates, the Pareto ``front``, the ``best`` with its ``interval`` of the score by the model's own errors
-    and its ``confirmation`` (None where not asked), and the ``reference``: the scenario's own device."""
+    and its ``confirmation`` (None where not asked), the ``reference``: the scenario's own device, and the keys of
+    ``idle`` variables, at whose other values the best has the same numbers."""
 
     design: Design
     folder: Path
@@ -58,6 +60,7 @@ class DesignResult:
     interval: tuple[float, float]
     reference: Candidate
     confirmation: Confirmation | None
+    idle: tuple[str, ...] = ()
 
 
 def run_design(
@@ -94,9 +97,10 @@ def run_design(
         search(design, ask)
     best = _best(store.all)
     reference = evaluate(design, {}, model)
-    interval = s_interval(design, best, model)
+    interval, idle = s_interval(design, best, model), _idle(design, best, store.all, model)
     confirmation = _confirmed(design, best, out, progress) if confirm else None
-    found = DesignResult(design, out, store.all, pareto_front(store.all), best, interval, reference, confirmation)
+    front = pareto_front(store.all)
+    found = DesignResult(design, out, store.all, front, best, interval, reference, confirmation, idle)
     from .report import write_design_report
 
     write_design_report(found)
@@ -151,6 +155,19 @@ def _best(candidates: Sequence[Candidate]) -> Candidate:
     if len(set(problems)) == 1 and all(c.problem for c in candidates):  # what all have is not of the variables
         raise ScenarioError(f"none of {len(candidates)} candidates can be evaluated: {common}")
     raise ScenarioError(f"none of {len(candidates)} candidates is feasible, mostly: {common}; widen variables")
+
+
+def _idle(design: Design, best: Candidate, known: Sequence[Candidate], arm: ArmModel) -> tuple[str, ...]:
+    """Keys of variables that change nothing of ``best``: not among the ``known`` candidates that differ from it by that
+    key alone, nor at the ends and in the middle of its choices."""
+    found = list[str]()
+    for variable in design.asked.variables:
+        key, levels = variable.key, variable.levels or (variable.low, variable.high)
+        beside = [c for c in known if {**c.values, key: best.values[key]} == best.values]
+        tried = ({**best.values, key: value} for value in (levels[0], levels[-1], levels[len(levels) // 2]))
+        if all(c.outcome == best.outcome for c in chain(beside, (evaluate(design, v, arm) for v in tried))):
+            found.append(key)
+    return tuple(found)
 
 
 def _confirmed(design: Design, best: Candidate, out: Path, progress: Progress | None) -> Confirmation:

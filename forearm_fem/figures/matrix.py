@@ -192,15 +192,16 @@ def versus_of(a: TransferMatrix, b: TransferMatrix, names: tuple[str, str] = ("A
 
 
 def versus_table(data: Versus) -> Table:
-    """|G| of both and their relative difference, entry by entry."""
+    """|G| of both and their relative difference, entry by entry; NaN where one is unknown."""
     g = data.ground
+    first, second = (np.where(g.valid | (each != 0), np.abs(each), np.nan) for each in (g.a, g.b))
     columns: dict[str, FloatArray] = {"frequency_Hz": g.frequency}
     error = data.error
     for o, out in enumerate(g.outputs):
         for i, source in enumerate(g.inputs):
             tag = f"{out.name}_{source.name}"
-            columns[f"abs_{data.names[0]}_{tag}_{g.unit}"] = np.abs(g.a[:, o, i])
-            columns[f"abs_{data.names[1]}_{tag}_{g.unit}"] = np.abs(g.b[:, o, i])
+            columns[f"abs_{data.names[0]}_{tag}_{g.unit}"] = first[:, o, i]
+            columns[f"abs_{data.names[1]}_{tag}_{g.unit}"] = second[:, o, i]
             columns[f"difference_{tag}"] = error[:, o, i]
     return Table(columns)
 

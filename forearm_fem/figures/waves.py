@@ -275,7 +275,7 @@ def plot_dispersion(data: Dispersion, *, ax: Axes | None = None) -> FigureBase:
     figure = panels(ax, (4.2, 4.4))
     top, bottom = figure.subplots(2, 1, sharex=True)
     first, last = (1e3 * d for d in data.window)
-    _curves(top, bottom, data.fit, f"thesis' estimator, {first:g}–{last:g} mm", "#0072B2", "-")
+    _curves(top, bottom, data.fit, f"thesis' estimator, {first:.3g}–{last:.3g} mm", "#0072B2", "-")
     f, speed = data.fit.frequency, data.fit.speed
     if data.root is not None and data.alone is not None:
         _curves(top, bottom, data.alone, "same estimator, surface wave alone", "#56B4E9", "-")
@@ -303,5 +303,6 @@ def _curves(top: Axes, bottom: Axes, fit: WaveFit, label: str, colour: str, ls: 
     top.plot(fit.frequency, fit.attenuation, color=colour, ls=ls, label=label)
     bottom.plot(fit.frequency, np.where(straight, fit.speed, np.nan), color=colour, ls=ls)
     bottom.plot(fit.frequency, np.where(straight, np.nan, fit.speed), color=colour, lw=0.6, ls=":")
-    if not straight.all():
-        bottom.plot([], [], color=colour, lw=0.6, ls=":", label=f"phase misfit above {_STRAIGHT:g} rad: no plane wave")
+    label = f"phase misfit above {_STRAIGHT:g} rad: no plane wave"
+    if not straight.all() and label not in bottom.get_legend_handles_labels()[1]:  # said once, whichever curve it is
+        bottom.plot([], [], color=GREY, lw=0.6, ls=":", label=label)

@@ -96,9 +96,10 @@ def _loopback(r: Recording, band: BoolArray) -> Iterator[Finding]:
 
 
 def _lost(r: Recording) -> Iterator[Finding]:
-    """Parts of a period that lag those of the first one (of the drive, with a loopback) by whole samples."""
+    """Parts of a period that lag those of the first one by whole samples; with a loopback those of the drive, taken as
+    late as it comes back."""
     signals = r.response if r.loopback is None else r.loopback
-    reference = signals[0] if r.loopback is None else r.sent
+    reference = signals[0] if r.loopback is None else np.roll(r.sent, _late(r.sent, r.loopback))
     shifts = lags(reference, signals)
     common = int(np.bincount((shifts - shifts.min()).ravel()).argmax() + shifts.min())
     slipped = np.argwhere(shifts != common)
@@ -110,6 +111,12 @@ def _lost(r: Recording) -> Iterator[Finding]:
             f"{r.label}: {by} sample(s) are missing or doubled in part {part + 1} of {_PARTS} of repeat {repeat + 1}; "
             "record it again with a larger daq.block",
         )
+
+
+def _late(sent: FloatArray, back: FloatArray) -> int:
+    """Lag [samples] of most of the periods ``back`` (n_repeat, n) behind ``sent`` (n,): the device's latency."""
+    each = irfft(rfft(sent).conj() * rfft(back), len(sent)).argmax(axis=1)
+    return int(np.bincount(each).argmax())
 
 
 def lags(reference: FloatArray, signals: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:

@@ -63,9 +63,8 @@ def entry(recording: Recording, band: tuple[float, float], options: MeasurementO
     drive = np.broadcast_to(recording.sent, recording.response.shape)
     if recording.loopback is not None:
         drive = recording.loopback * options.daq.amplifier_gain
-    raw = estimate(
-        options.estimator, spectra(drive, recording.response, carried), carried, options, recording.sample_rate
-    )
+    averages = spectra(drive, recording.response, carried, recording.resolution)
+    raw = estimate(options.estimator, averages, carried, options, recording.sample_rate)
     # metres per volt of the sensor, with the known delays taken out
     delay = sensor.delay + (options.daq.latency if recording.loopback is None else 0.0)
     turn, sign = np.exp(2j * np.pi * frequency * delay), -1.0 if sensor.inverted else 1.0

@@ -6,18 +6,22 @@ the response, R periods and a drive X known exactly, every estimator that divide
 
     E|H - H_true|^2 = s^2 / (R |X|^2)                                        (Bendat & Piersol 2010, 9.2.3)
 
-and s^2 is measured by the scatter between the repeats, R - 1 complex degrees of freedom per bin.
+and s^2 is measured by the scatter between the repeats, R - 1 complex degrees of freedom per bin. What a converter
+rounds off alike in each repeat, and what a window cuts off a response, do not scatter: both are added.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
 from scipy.fft import irfft, rfft
 from scipy.ndimage import uniform_filter1d
+from scipy.optimize import brentq
 from scipy.signal import csd
 
 from ..scenario.measurement import Estimator, MeasurementOptions
@@ -29,7 +33,8 @@ _SMOOTH = 15  # bins over which the noise is taken as even
 @dataclass(frozen=True, eq=False)
 class Spectra:
     """One-sided averages over the repeats, each (n_bins,): ``xx``, ``yy`` [V^2], ``xy`` = <X* Y>, of ``repeats``
-    periods; ``noise`` (n_bins,) [V^2] is the variance of Y about H1 X of one period, NaN if it is unknown."""
+    periods; ``noise`` (n_bins,) [V^2] is the variance of Y about H1 X of one period, as if all of it fell with the
+    repeats; NaN if it is unknown."""
 
     xx: FloatArray
     yy: FloatArray
@@ -59,11 +64,12 @@ class Estimate:
     usable: BoolArray
 
 
-def spectra(drive: FloatArray, response: FloatArray, band: BoolArray) -> Spectra:
+def spectra(drive: FloatArray, response: FloatArray, band: BoolArray, step: float = 0.0) -> Spectra:
     """Averages over the periods of ``drive`` and ``response`` (n_repeat, n) [V]; ``band`` (n_bins,) carries the drive.
 
-    The noise is the scatter between the repeats, smoothed over 15 bins of the band. With one period it is
-    taken from the bins above the band, which presumes a floor as even as a vibrometer's.
+    The noise is the scatter between the repeats, smoothed over 15 bins of the band, and what a converter of that
+    ``step`` [V] rounds alike in each. With one period it is taken from the bins above the band, which presumes a floor
+    as even as a vibrometer's.
     """
     repeats, n = response.shape
 
@@ -86,12 +92,31 @@ def spectra(drive: FloatArray, response: FloatArray, band: BoolArray) -> Spectra
     if repeats > 1 and band.any():
         rest = yy[band] - np.divide(np.abs(xy[band]) ** 2, xx[band])
         even = uniform_filter1d(np.maximum(rest, 0), _SMOOTH, mode="nearest")
-        noise[band] = np.maximum(even, 0) * repeats / (repeats - 1)
+        noise[band] = np.maximum(even, 0) * repeats / (repeats - 1) + repeats * n * _rounded_alike(response, step)
     else:
         above = np.nonzero(band)[0][-1] + 1 if band.any() else 0
         quiet = yy[int(1.2 * above) : -1]
         noise[band] = np.mean(quiet) if quiet.size >= 10 else np.nan
     return Spectra(xx, yy, xy, repeats, noise)
+
+
+def _rounded_alike(response: FloatArray, step: float) -> float:
+    """Variance [V^2] of what a converter of that ``step`` [V] rounds off the same in each period (n_repeat, n).
+
+    All of step^2 / 12 without noise; noise of deviation s leaves exp(-(2 pi s / step)^2) of it and makes the rest
+    differ between periods, in whose scatter it is beside the noise (Widrow and Kollar, Quantization Noise, 2008).
+    """
+    if step <= 0:
+        return 0.0
+    scatter = float(response.var(axis=0, ddof=1).mean()) / step**2
+
+    def left(noise: float) -> float:
+        return math.exp(-((2 * math.pi) ** 2) * noise) / 12
+
+    def too_much(noise: float) -> float:
+        return noise + 1 / 12 - left(noise) - scatter
+
+    return step**2 * left(brentq(too_much, 0.0, scatter) if scatter > 0 else 0.0)
 
 
 def estimate(kind: Estimator, s: Spectra, band: BoolArray, options: MeasurementOptions, rate: float) -> Estimate:
@@ -139,7 +164,11 @@ _ESTIMATORS: Mapping[str, Callable[[Spectra], ComplexArray]] = MappingProxyType(
 
 
 def _windowed(plain: Estimate, band: BoolArray, window: float, rate: float) -> Estimate:
-    """Noise falls by sqrt(kept / record); bins closer than 2 / window to the band's edges are smeared: not usable."""
+    """Noise falls by sqrt(kept / record); bins closer than 2 / window to the band's edges are smeared: not usable.
+
+    What is cut off holds noise and the response's own end. Of the latter, which is missing then, is what the noise does
+    not explain: it is in the deviation.
+    """
     n = 2 * (len(band) - 1)
     keep = min(int(window * rate), n)
     before = min(keep // 4, n - keep)
@@ -154,6 +183,10 @@ def _windowed(plain: Estimate, band: BoolArray, window: float, rate: float) -> E
     edge = int(np.ceil(2 * n / (window * rate)))
     index = np.nonzero(band)[0]
     usable = band & (np.arange(len(band)) >= index[0] + edge) & (np.arange(len(band)) <= index[-1] - edge)
-    power = uniform_filter1d(np.where(band, plain.deviation, 0) ** 2, 2 * edge + 1)
-    rms = np.sqrt(np.maximum(power, 0))  # the filter's running sum may round below zero
-    return replace(plain, value=value, deviation=np.where(band, share * rms, np.nan), usable=usable)
+    smooth = partial(uniform_filter1d, size=2 * edge + 1)
+    power = np.maximum(smooth(np.where(band, plain.deviation, 0) ** 2), 0)  # the running sum may round below zero
+    inner = np.maximum(smooth(usable.astype(float)), 1e-9)  # bins at the edges miss what lies beyond them
+    cut = np.maximum(smooth(np.where(usable, np.abs(value - plain.value) ** 2, 0)), 0) / inner
+    missing = np.maximum(cut - (1 - share**2) * power, 0)
+    deviation = np.sqrt(share**2 * power + missing)
+    return replace(plain, value=value, deviation=np.where(band, deviation, np.nan), usable=usable)

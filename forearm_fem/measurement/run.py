@@ -19,7 +19,7 @@ from ..io.signals import read_drives
 from ..io.wav import read_wav_drives
 from ..progress import Progress, tell
 from ..scenario import Scenario
-from ..scenario.measurement import DaqOptions, SensorOptions
+from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .calibrate import Plan, Step, assembled, calibrate
@@ -208,13 +208,13 @@ def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None, *,
     daq = options.daq.model_copy(update={"outputs": names, "latency": latency})
     sensor, built_in = options.sensor, VirtualSensor()
     if sensor.quantity is None or sensor.sensitivity is None:
-        sensor = SensorOptions(quantity=built_in.quantity, sensitivity=built_in.sensitivity)
+        sensor = sensor.model_copy(update={"quantity": built_in.quantity, "sensitivity": built_in.sensitivity})
     return Plan(
         virtual.transfer.outputs,
         virtual.transfer.inputs,
         ExponentialSweep.of(scenario),
         options.model_copy(update={"daq": daq, "sensor": sensor}),
-        simulated=virtual.description,
+        simulated={**virtual.description, "sensor": sensor.model_dump(mode="json")},
     )
 
 
@@ -227,12 +227,17 @@ def _device(kind: DaqKind, plan: Plan, virtual: VirtualSetup | None, card: str |
 
 
 def virtual_device(plan: Plan, virtual: VirtualSetup) -> VirtualDaq:
-    """A virtual device behind the plan's sweep and sensor; the SNR and the strongest response give the noise."""
-    assert plan.options.sensor.quantity is not None
-    assert plan.options.sensor.sensitivity is not None
-    sweep, sensor = plan.sweep, VirtualSensor(plan.options.sensor.quantity, plan.options.sensor.sensitivity)
+    """A virtual device behind the plan's sweep, amplifier and sensor, which are what the plan takes them for; the SNR
+    and the strongest response give the noise."""
+    sweep, how = plan.sweep, plan.options.sensor
+    assert how.quantity is not None
+    assert how.sensitivity is not None
+    sensor = VirtualSensor(how.quantity, how.sensitivity, delay=how.delay, inverted=how.inverted)
     noise = noise_for(virtual.snr_db, virtual.transfer, sweep.samples(), sweep.sample_rate, sensor)
-    options = VirtualOptions(noise, virtual.bits, virtual.latency, seed=virtual.seed, sensor=sensor)
+    gain = plan.options.daq.amplifier_gain
+    options = VirtualOptions(
+        noise, virtual.bits, virtual.latency, seed=virtual.seed, amplifier_gain=gain, sensor=sensor
+    )
     return VirtualDaq(virtual.transfer, sweep.sample_rate, sweep.duration, options)
 
 

@@ -23,11 +23,16 @@ from .daq import Wiring
 
 @dataclass(frozen=True)
 class VirtualSensor:
-    """A vibrometer: ``sensitivity`` V per m, m/s or m/s^2 of ``quantity``, clipping at ``saturation`` [V]."""
+    """A vibrometer: ``sensitivity`` V per m, m/s or m/s^2 of ``quantity``, clipping at ``saturation`` [V].
+
+    It comes ``delay`` [s] late, and with the other sign where it is ``inverted``.
+    """
 
     quantity: Quantity = "velocity"
     sensitivity: float = 200.0
     saturation: float = float("inf")
+    delay: float = 0.0
+    inverted: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,10 +54,11 @@ class Faults:
 
 @dataclass(frozen=True)
 class VirtualOptions:
-    """Noise, converter and latency of a virtual device.
+    """Noise, converter, amplifier and latency of a virtual device.
 
     ``noise`` [V rms] is white and added before the converter; :func:`noise_for` finds it for a signal-to-noise ratio.
     ``bits`` 0 = no quantisation. ``latency`` [samples] delays the inputs, ``ahead`` is the driver's queue.
+    ``amplifier_gain`` lies between the outputs and the actuators.
     """
 
     noise: float = 0.0
@@ -60,6 +66,7 @@ class VirtualOptions:
     latency: int = 0
     ahead: int = 0
     seed: int = 0
+    amplifier_gain: float = 1.0
     sensor: VirtualSensor = VirtualSensor()
     faults: Faults = Faults()
 
@@ -156,7 +163,7 @@ class VirtualDaq:
         """The vibrometer's volts (m,): streaming convolution by overlap and add, then drift and saturation."""
         m, n = block.shape[1], self._record.n
         length = next_fast_len(m + n - 1, real=True)
-        kernels = rfft(self._kernel[self._point], length)
+        kernels = self._options.amplifier_gain * rfft(self._kernel[self._point], length)
         whole = irfft(np.sum(rfft(block, length) * kernels, axis=0), length)[: m + n - 1]
         whole = whole + np.concatenate([self._tail, np.zeros(m)])
         self._tail = whole[m:]
@@ -189,8 +196,9 @@ def _kernels(transfer: TransferMatrix, record: Record, options: VirtualOptions) 
     full[placed.bins.index] = np.where(placed.bins.valid, placed.bins.values, 0)
     full[:, :, list(options.faults.dead_inputs)] = 0
     f = np.maximum(record.frequency, record.df)
-    volts = options.sensor.sensitivity / to_displacement(f, options.sensor.quantity)  # per metre
-    volts = volts * np.exp(-2j * np.pi * record.frequency * options.latency / record.sample_rate)
+    sensor, late = options.sensor, options.latency / record.sample_rate + options.sensor.delay
+    volts = (-1 if sensor.inverted else 1) * sensor.sensitivity / to_displacement(f, sensor.quantity)  # per metre
+    volts = volts * np.exp(-2j * np.pi * record.frequency * late)
     sensed = full * volts[:, None, None]
     return np.ascontiguousarray(irfft(sensed, record.n, axis=0).transpose(1, 2, 0))
 

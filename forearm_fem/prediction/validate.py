@@ -19,7 +19,7 @@ from ..errors import DataError, ForearmError, ScenarioError
 from ..geometry.device.layout import planform_ports
 from ..io.jsonfiles import read_json, write_json
 from ..metrics.strength import thesis_table
-from ..pipeline.renderers import renderers, wavelet
+from ..pipeline.renderers import renderers, unsuited, wavelet
 from ..pipeline.strengths import StrengthAccount, strength_account
 from ..progress import Progress, tell
 from ..rendering import render_all
@@ -30,7 +30,7 @@ from .arm import without_bones
 from .draws import LAWS, Draw, draw_inputs, scenario_of
 from .observables import TOLERANCE, Arm, fat_of, motor_ratios, observables
 from .priors import load_priors
-from .run import Prediction, Question, expanded, predict
+from .run import Prediction, Question, check_question, expanded, predict
 from .statistics import LEVELS, Draws, Enclosed, group_means, joint_distance, quantiles, winners
 from .targets import SHAH_ARMS, SHAH_STEPS, TARGETS, Target
 
@@ -64,14 +64,19 @@ def validate(
     """
     if question.scenario.engine != "layered":
         raise ScenarioError("validate draws arms on the twin; set engine=layered (what it leaves out is said)")
-    if not is_thesis_grid(planform_ports(question.scenario)[0]):
+    outputs = planform_ports(question.scenario)[0]
+    if not is_thesis_grid(outputs):
         raise ScenarioError("validate compares with Table I, which is of 3 x 3 points; leave grid as in the thesis")
+    aims = question.scenario.rendering.targets
+    if aims != "all" and set(aims) != {p.name for p in outputs}:
+        raise ScenarioError("validate compares with Table I: the scene must aim at the targets 1 to 9")
+    check_question(question)
+    # a G that gives no S is said before minutes of draws
+    given = None if measured is None else _strengths_of(measured, question)
     out = Path(folder)
     prediction = predict(
         question, out, draws=draws, resume=resume, workers=workers, scheduler=scheduler, progress=progress
     )
-    if set(prediction.draws.targets) != {str(k) for k in range(1, 10)}:
-        raise ScenarioError("validate compares with Table I: the scene must aim at the targets 1 to 9")
     rows = _observed(question, out, draws, resume, progress)
     content = {
         "program": __version__,
@@ -90,8 +95,8 @@ def validate(
         "targets": [_judged(t, rows) for t in TARGETS],
         "table_one": {name: _table_one(prediction.draws, reading) for name, reading in TABLE.items()},
         "shah": _shah(question, progress),
-        "measured": None if measured is None else {
-            "name": measured.provenance.get("cite") or measured_name, **_measured(measured, question, prediction)
+        "measured": None if measured is None or given is None else {
+            "name": measured.provenance.get("cite") or measured_name, **_measured(*given, prediction)
         },
     }
     write_json(out / FILE, content)
@@ -233,19 +238,21 @@ def _shah(question: Question, progress: Progress | None) -> list[dict[str, Any]]
     return found
 
 
-def _strengths_of(transfer: TransferMatrix, question: Question, draws: Draws) -> tuple[StrengthAccount, str]:
-    """S of a measured G by the scene's methods and wavelet, and what of it is not known; DataError where S is not."""
-    names = {p.name for p in transfer.outputs}
-    if missing := [t for t in draws.targets if t not in names]:
+def _strengths_of(transfer: TransferMatrix, question: Question) -> tuple[StrengthAccount, str]:
+    """S of a measured G by the scene's methods and wavelet at its targets, and what of it is not known; DataError where
+    S is not."""
+    names, scenario = {p.name for p in transfer.outputs}, question.scenario
+    options, (outputs, inputs) = scenario.rendering, planform_ports(scenario)
+    targets = [p.name for p in outputs] if options.targets == "all" else list(options.targets)
+    if missing := [t for t in targets if t not in names]:
         raise DataError(f"the measured G has no output called '{missing[0]}'; it needs the scene's targets 1 to 9")
-    options = question.scenario.rendering
     shape = (
         wavelet_for(transfer.frequency, options.wavelet.peak)  # a record on whose bins this G lies
         if options.wavelet.file is None
-        else wavelet(options, question.scenario.sweep, question.base)
+        else wavelet(options, scenario.sweep, question.base)
     )
-    methods = [m for m in renderers(question.scenario, shape) if m.name in draws.methods]
-    found = render_all(transfer, draws.targets, methods, shape, window=options.window)
+    methods = renderers(scenario, shape, frozenset(unsuited(options, outputs, inputs, targets)))
+    found = render_all(transfer, targets, methods, shape, window=options.window)
     lost = max(r.drives.lost for r in found.values())
     if lost > _MOST_LOST or not np.isfinite(found.strengths).all():
         raise DataError(
@@ -256,11 +263,10 @@ def _strengths_of(transfer: TransferMatrix, question: Question, draws: Draws) ->
     return account, "; ".join(s for s in (found.bridged.sentence, silent, account.unknown) if s)
 
 
-def _measured(transfer: TransferMatrix, question: Question, prediction: Prediction) -> dict[str, Any]:
-    """S of a measured G by the scene's methods and wavelet, against the arms, and the ``interval`` [low, high] that the
-    scatter of G and its bridged holes leave of each; a verdict that would be another one at an end of it is not sure.
+def _measured(found: StrengthAccount, note: str, prediction: Prediction) -> dict[str, Any]:
+    """S of a measured G against the arms, and the ``interval`` [low, high] that the scatter of G and its bridged holes
+    leave of each; a verdict that would be another one at an end of it is not sure.
     """
-    found, note = _strengths_of(transfer, question, prediction.draws)
     rows = [found.methods.index(m) for m in prediction.draws.methods]
     point, *ends = group_means(np.stack([found.value, found.low, found.high])[:, rows], prediction.draws.groups)
     judged = _entries(prediction.draws, "calibrated", point)

@@ -65,8 +65,13 @@ _FOLDER = r"^[A-Za-z0-9_]([A-Za-z0-9_.-]{0,98}[A-Za-z0-9_-])?$"
 _DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("com", "lpt") for n in range(10))})
 
 
+def is_folder_name(name: str) -> bool:
+    """Whether a folder may be called ``name`` on every system."""
+    return bool(re.fullmatch(_FOLDER, name)) and name.partition(".")[0].lower() not in _DEVICES
+
+
 def _folder_name(name: str) -> str:
-    if re.fullmatch(_FOLDER, name) and name.partition(".")[0].lower() not in _DEVICES:
+    if is_folder_name(name):
         return name
     raise ValueError("expected a folder's name: at most 100 letters, digits, _ - and inner dots; no device of Windows")
 

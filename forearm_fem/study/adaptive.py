@@ -19,6 +19,7 @@ from .plan import Adaptive, Task
 
 _SETTLING = 2  # reversals of a staircase that are left out of its mean
 _FEWEST = 4  # reversals kept, for a mean with a deviation
+_HELD = 10  # trials in a row at an end of the levels: it holds the track, though nothing reversed
 _SIMULATED = 200  # tracks: what they scatter by is known to 5 %
 
 
@@ -136,13 +137,14 @@ class _Staircase:
     def __init__(self, options: Adaptive) -> None:
         self._options, self._level, self._run = options, options.high, 0
         self._turns: list[float] = []
-        self._last, self._count = 0, 0
+        self._last, self._count, self._held = 0, 0, 0
 
     def next(self) -> float:
         return self._level
 
     def update(self, level: float, yes: bool) -> None:
         self._count += 1
+        self._held = self._held + 1 if level in (self._options.low, self._options.high) else 0
         self._run = self._run + 1 if yes else 0
         step = -1 if self._run == self._options.down else 0 if yes else 1
         if step == 0:
@@ -159,8 +161,11 @@ class _Staircase:
 
     @property
     def beyond(self) -> Literal["", "below", "above"]:
-        """At which end of the levels half of the reversals are: it holds the track, and not the participant."""
+        """At which end of the levels half of the reversals are, or the track stays without any: that end holds it, and
+        not the participant."""
         kept = np.array(self.kept)
+        if self._held >= _HELD:
+            return "above" if self._level == self._options.high else "below"
         at_end = [len(kept) > 0 and 2 * np.count_nonzero(kept == end) >= len(kept)
                   for end in (self._options.low, self._options.high)]  # fmt: skip
         return "below" if at_end[0] else "above" if at_end[1] else ""

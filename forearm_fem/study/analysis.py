@@ -73,10 +73,14 @@ def with_errors(table: pd.DataFrame, grid: Sequence[Port]) -> pd.DataFrame:
     """The main trials with ``target_x``, ``target_y`` [m], ``error`` [m] (eq. 10), ``points`` chosen and ``inside``.
 
     ``table`` has the columns of an events file and ``participant``. ``inside`` tells whether the target is among the
-    points chosen, or inside the outline drawn. DataError for a target that is no grid point.
+    points chosen, or inside the outline drawn. Without an answer, or with its place alone, both are missing, not 0.
+    DataError for a target that is no grid point, and without main trials.
     """
     places = {p.name: p.position[:2] for p in grid}
     main = table[table["phase"] == "main"].copy()
+    if main.empty:
+        seen = ", ".join(sorted({str(p)[:20] for p in table["phase"]}))
+        raise DataError(f"there are no trials to analyse: phase is 'main' in none of them, but {seen}"[:300])
     targets = main["target"].astype(str)
     if unknown := sorted(set(targets) - set(places)):
         raise DataError(f"target '{unknown[0]}' is no point of the grid; it has {', '.join(places)}")
@@ -84,9 +88,10 @@ def with_errors(table: pd.DataFrame, grid: Sequence[Port]) -> pd.DataFrame:
     main["target_x"] = [places[t][0] for t in targets]
     main["target_y"] = [places[t][1] for t in targets]
     main["error"] = np.hypot(main["response_x"] - main["target_x"], main["response_y"] - main["target_y"])
-    chosen = main["response"].fillna("").astype(str).str.split()
-    main["points"] = chosen.str.len()
-    main["inside"] = [t in c for t, c in zip(targets, chosen, strict=True)]
+    chosen = main["response"].astype(object).fillna("").astype(str).str.split()
+    main["points"] = chosen.str.len().where(chosen.str.len() > 0)
+    held = [t in c if c else pd.NA for t, c in zip(targets, chosen, strict=True)]
+    main["inside"] = pd.Series(held, index=main.index, dtype="boolean")
     if "response_outline" in main:
         for index, text in main["response_outline"].dropna().items():
             shape = Path(outline(str(text)) / 1e3)
@@ -106,13 +111,15 @@ def outline(text: str) -> FloatArray:
 
 
 def ellipses(table: pd.DataFrame) -> tuple[Ellipse, ...]:
-    """Mean and covariance of the answers to each target by each method; the covariance is NaN for one trial."""
+    """Mean and covariance of the answers to each target by each method; the covariance is NaN for one trial, and both
+    without any."""
     found = []
     for (target, method), rows in table.groupby(["target", "method"], sort=True):
         xy = rows[["response_x", "response_y"]].to_numpy(float)
         xy = xy[np.isfinite(xy).all(axis=1)]
         spread = np.cov(xy.T) if len(xy) > 1 else np.full((2, 2), np.nan)
-        found.append(Ellipse(str(target), str(method), xy.mean(axis=0), spread, len(xy)))
+        middle = xy.mean(axis=0) if len(xy) else np.full(2, np.nan)
+        found.append(Ellipse(str(target), str(method), middle, spread, len(xy)))
     return tuple(found)
 
 
@@ -144,7 +151,8 @@ def cell_means(table: pd.DataFrame, measure: str) -> tuple[FloatArray, list[str]
 def analyse(table: pd.DataFrame, measure: str, *, correction: Correction = "bonferroni", mixed: bool = True) -> Tests:
     """Location x method analysis of ``measure``, complete participants only, with comparisons and checks.
 
-    Raises DataError where fewer than two participants are complete or a factor has one level.
+    A factor of one level leaves the simple effects of the other. Raises DataError where fewer than two participants are
+    complete.
     """
     values, people, targets, methods = cell_means(table, measure)
     complete = [bool(np.isfinite(cells).all()) for cells in values]
@@ -157,17 +165,18 @@ def analyse(table: pd.DataFrame, measure: str, *, correction: Correction = "bonf
     many = len(methods) > 2
     normality = residual_normality(whole)
     each = table[["participant", "target", "method", measure]].rename(columns={"target": "location"})
+    varied = [factor for factor in FACTORS if each[factor].nunique() > 1]
     return Tests(
         measure,
         tuple(p for p, ok in zip(people, complete, strict=True) if ok),
         left_out,
         effects,
-        pairwise(per_method, methods, correction),
+        pairwise(per_method, methods, correction) if len(methods) > 1 else (),
         _simple(whole, targets, correction),
         _simple(whole.swapaxes(1, 2), methods, correction),
         normality,
         friedman(per_method) if many else None,
-        mixed_model(each.dropna().reset_index(drop=True), measure, FACTORS, "participant") if mixed else None,
+        mixed_model(each.dropna().reset_index(drop=True), measure, varied, "participant") if mixed and varied else None,
         _notes(effects, normality, left_out),
     )
 

@@ -41,11 +41,11 @@ class Pair:
 def pairwise(values: FloatArray, levels: Sequence[str], correction: Correction = "bonferroni") -> tuple[Pair, ...]:
     """All pairs of the columns of ``values`` (n_subject, n_level), one mean per subject and level.
 
-    Raises DataError for missing values or fewer than two subjects.
+    Raises DataError for missing values or fewer than two subjects or levels.
     """
     cells = np.asarray(values, dtype=float)
-    if cells.ndim != 2 or len(cells) < 2 or not np.all(np.isfinite(cells)):
-        raise DataError(f"paired tests need a value per subject and level of two subjects or more, got {cells.shape}")
+    if cells.ndim != 2 or min(cells.shape) < 2 or not np.all(np.isfinite(cells)):
+        raise DataError(f"paired tests need a value of two subjects and levels or more each, got {cells.shape}")
     pairs = list(combinations(range(cells.shape[1]), 2))
     cells = _without_rounding(cells)
     apart = _without_rounding(np.array([cells[:, i] - cells[:, j] for i, j in pairs]), np.abs(cells).max())
@@ -103,7 +103,7 @@ def friedman(values: FloatArray) -> Friedman:
 
 @dataclass(frozen=True)
 class Normality:
-    """Shapiro and Wilk's test of the residuals of the cell means (subject and cell effects removed)."""
+    """Shapiro and Wilk's test of the residuals of the cell means, subject and cell effects removed; NaN without any."""
 
     w: float
     p: float
@@ -113,6 +113,8 @@ def residual_normality(values: FloatArray) -> Normality:
     """Are residuals of ``values`` (n_subject, ...cells) about subjects and cells normal?"""
     flat = values.reshape(len(values), -1)
     residual = flat - flat.mean(axis=1, keepdims=True) - flat.mean(axis=0) + flat.mean()
+    if residual.size < 3 or np.ptp(residual) <= ROUNDING * np.abs(flat).max():
+        return Normality(float("nan"), float("nan"))
     found = stats.shapiro(residual.ravel()[:5000])  # its probability is tabulated for no more
     return Normality(float(found.statistic), float(found.pvalue))
 

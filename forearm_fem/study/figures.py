@@ -36,7 +36,7 @@ def plot_ellipses(found: Sequence[Ellipse], grid: Sequence[Port]) -> Figure:
     xy = np.array(list(places.values()))
     for ax, target in zip(axes, targets, strict=False):
         ax.plot(xy[:, 0], xy[:, 1], ".", color=FAINT, ms=4)
-        for e in (e for e in found if e.target == target):
+        for e in (e for e in found if e.target == target and e.count):
             colour = method_colour(e.method, methods)
             values, vectors = np.linalg.eigh(np.nan_to_num(e.covariance[::-1, ::-1]))
             width, height = 2 * _MM * np.sqrt(np.maximum(values[::-1], 0))
@@ -81,7 +81,8 @@ def plot_areas(table: pd.DataFrame) -> Figure:
 def _extents(table: pd.DataFrame, measure: str, unit: float, label: str, inside: str) -> Figure:
     methods = in_order(table, "method")
     figure = Figure(figsize=(7.1, 3.0), layout="constrained")
-    parts = {"all trials": table, inside: table[table["inside"]], "the other trials": table[~table["inside"]]}
+    held = table["inside"]
+    parts = {"all trials": table, inside: table[held.fillna(False)], "the other trials": table[~held.fillna(True)]}
     for ax, (title, part), sign in zip(figure.subplots(1, 3, sharey=True), parts.items(), "abc", strict=True):
         means = [unit * part[part["method"] == m].groupby("participant")[measure].mean().to_numpy() for m in methods]
         boxes = ax.boxplot([m if len(m) else [np.nan] for m in means], widths=0.5, patch_artist=True, showmeans=True)

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from ..errors import ScenarioError, first_problem
-from ..scenario.base import NonNegative, Part, Positive
+from ..scenario.base import NonNegative, Part, Positive, is_folder_name
 from ..scenario.toml import read_toml
 
 Answer = Literal["one point", "several points", "drawing", "yes or no", "first or second"]
 Method = Literal["inverse filter", "funneling", "combination"]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9-]{0,31}$")]
 _METHODS: tuple[Method, ...] = ("inverse filter", "funneling", "combination")
+_LABEL = r"^[A-Za-z0-9][A-Za-z0-9-]{0,31}$"
+
+
+def _label(name: str) -> str:
+    if re.fullmatch(_LABEL, name) and is_folder_name(name):
+        return name
+    raise ValueError("expected at most 32 letters, digits and hyphens, the first no hyphen, and no device of Windows")
+
+
+Name = Annotated[str, AfterValidator(_label), Field(json_schema_extra={"pattern": _LABEL})]
 
 
 class Level(Part):
@@ -164,6 +174,12 @@ class Study(Part):
         if len(set(names)) != len(names):
             raise ValueError(f"tasks has one name twice: {', '.join(names)}")
         for task in self.tasks:
+            many = len(self.stimuli.methods) * (task.repetitions + task.training) > 1
+            if task.adaptive is None and many and self.order.no_target_twice and len(self.stimuli.targets) == 1:
+                raise ValueError(
+                    f"order.no_target_twice cannot be met in task {task.name} with one target; add targets or set it "
+                    "to false"
+                )
             if task.adaptive and task.adaptive.reference not in (None, *self.stimuli.methods):
                 raise ValueError(f"adaptive.reference '{task.adaptive.reference}' is not among stimuli.methods")
         return self

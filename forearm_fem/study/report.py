@@ -68,6 +68,9 @@ def write_analysis(
         lines = [v.sentence for v in verdicts()]
         sections.append(Section("thesis", "Do the thesis' own degrees of freedom add up?", bullets=lines))
     out = folder / ANALYSIS
+    earlier = (file for t in study.tasks for kind in ("csv", "png") for file in out.glob(f"{t.name}-*.{kind}"))
+    for file in (out / "report.html", *earlier):  # of other answers, as far as these have no such table or picture
+        file.unlink(missing_ok=True)
     for name, table in tables.items():
         write_text(out / f"{name}.csv", table.to_csv(index=False))
     for picture in (p for s in sections for p in s.pictures):
@@ -115,9 +118,10 @@ def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Co
          "over all trials, the target a star (figure 8 of the thesis)"),
     ]  # fmt: skip
     measures, said = {"error": "error of place (eq. 10) [m]"}, list[str]()
-    if answer != "drawing":
+    named = answer != "drawing" and bool(main["points"].notna().any())
+    if named:
         pictures.append((plot_confusion(shares, names), "confusion", "Which points were answered to which target"))
-    if answer == "several points":
+    if answer == "several points" and named:
         pictures.append((plot_points(main), "points", "Points chosen (figure 9 of the thesis)"))
         measures["points"], said = "points chosen", [_SELECTION]
     if answer == "drawing":
@@ -146,11 +150,17 @@ def _places(table: pd.DataFrame, name: str, grid: Sequence[Port], correction: Co
 def _counts(main: pd.DataFrame) -> Block:
     rows = []
     for method, part in main.groupby("method", sort=False):
-        rows.append([str(method), str(len(part)), f"{1e3 * part['error'].mean():.1f} mm",
-                     f"{100 * part['inside'].mean():.0f} %", f"{part['points'].mean():.2f}",
-                     f"{part['response_time'].median():.1f} s", str(int(part["late"].sum()))])  # fmt: skip
+        rows.append([str(method), str(len(part)), _told(1e3 * part["error"].mean(), "{:.1f} mm"),
+                     _told(100 * part["inside"].mean(), "{:.0f} %"), _told(part["points"].mean(), "{:.2f}"),
+                     _told(part["response_time"].median(), "{:.1f} s"), str(int(part["late"].sum()))])  # fmt: skip
     head = ["method", "trials", "mean error", "target among the answer", "points chosen", "median time", "late"]
-    return Block(head, rows, "Main trials; training is left out.")
+    silent = int((main["inside"].isna() & main["error"].isna()).sum())
+    note = f" Of these, {silent} have no answer and are in no mean." if silent else ""
+    return Block(head, rows, f"Main trials; training is left out.{note}")
+
+
+def _told(value: float, words: str) -> str:
+    return "unknown" if pd.isna(value) else words.format(value)
 
 
 def _test_sections(name: str, words: str, tests: Tests, correction: Correction) -> list[Section]:
@@ -166,13 +176,15 @@ def _test_sections(name: str, words: str, tests: Tests, correction: Correction) 
              for p in tests.methods]  # fmt: skip
     simple = [["methods at target " + n, f"{e.f:.2f}", _p(p)] for n, e, p in tests.simple_methods]
     simple += [["targets by " + n, f"{e.f:.2f}", _p(p)] for n, e, p in tests.simple_locations]
-    sections = [
-        Section(f"{name}-anova-{tests.measure}", f"{name}: {words}, repeated measures", anova),
-        Section(f"{name}-pairs-{tests.measure}", f"{name}: {words}, pairs of methods",
-                Block(["pair", "difference", "paired test", f"p ({correction})", "d_z"], pairs)),
-        Section(f"{name}-simple-{tests.measure}", f"{name}: {words}, simple effects (Table II)",
-                Block(["effect", "F", f"p ({correction}, GG)"], simple)),
-    ]  # fmt: skip
+    sections = [Section(f"{name}-anova-{tests.measure}", f"{name}: {words}, repeated measures", anova)]
+    if not effects:
+        sections[0].paragraphs.append("With one method or one target alone there is no two-way analysis.")
+    if pairs:
+        block = Block(["pair", "difference", "paired test", f"p ({correction})", "d_z"], pairs)
+        sections.append(Section(f"{name}-pairs-{tests.measure}", f"{name}: {words}, pairs of methods", block))
+    if simple:
+        block = Block(["effect", "F", f"p ({correction}, GG)"], simple)
+        sections.append(Section(f"{name}-simple-{tests.measure}", f"{name}: {words}, simple effects (Table II)", block))
     if tests.friedman is not None:
         f = tests.friedman
         said = f"Friedman's rank test of the methods: chi²({f.df}) = {f.statistic:.2f}, p {_p(f.p)}, "
@@ -203,7 +215,7 @@ def _test_tables(name: str, tests: Tests) -> dict[str, pd.DataFrame]:
     }
     if tests.mixed is not None:
         tables[f"{name}-mixed"] = pd.DataFrame(tests.mixed.terms, columns=["term", "estimate", "se", "z", "p"])
-    return tables
+    return {name: table for name, table in tables.items() if not table.empty}
 
 
 def _detection(table: pd.DataFrame, name: str, study: Study) -> Analysed:
@@ -217,8 +229,8 @@ def _detection(table: pd.DataFrame, name: str, study: Study) -> Analysed:
     lines = []
     for m, part in found.groupby("method"):
         level, beyond = part["level"], part["beyond"] != ""
-        lines.append([str(m), _decibels(level.mean()), _decibels(level.std(ddof=1)), str(int(beyond.sum())),
-                      str(int((level.isna() & ~beyond).sum()))])  # fmt: skip
+        mean, spread = (_told(value, "{:.1f} dB") for value in (level.mean(), level.std(ddof=1)))
+        lines.append([str(m), mean, spread, str(int(beyond.sum())), str(int((level.isna() & ~beyond).sum()))])
     what = "threshold" if asked.reference is None else "level of equal strength"
     head = ["method", f"mean {what}", "standard deviation over tracks", "tracks beyond the levels played",
             "tracks too short to tell"]  # fmt: skip
@@ -226,10 +238,6 @@ def _detection(table: pd.DataFrame, name: str, study: Study) -> Analysed:
     note = f"Levels are re the stimulus' own; by {asked.rule}.{against} Only tracks that tell are in the mean."
     block = Block(head, lines, note)
     return Analysed([Section(name, f"Task {name}: {what}", block)], {f"{name}-thresholds": found})
-
-
-def _decibels(value: float) -> str:
-    return f"{value:.1f} dB" if value == value else "unknown"
 
 
 def _p(value: float) -> str:

@@ -214,8 +214,9 @@ class _Clock:
 
 
 def statuses(store: StudyStore, participants: Sequence[str] | None = None) -> list[tuple[str, str, int, int]]:
-    """(participant, task, answered, planned) of all enrolled participants."""
-    names = participants or [p["participant_id"].removeprefix("sub-") for p in store.people()]
+    """(participant, task, answered, planned) of ``participants``, by default all who have not withdrawn."""
+    active = (p["participant_id"] for p in store.people() if p["status"] == "active")
+    names = participants or [name.removeprefix("sub-") for name in active]
     return [
         (name, task.name, len(store.answers(name, task.name)), len(trials(store.study, task, name)))
         for name in names

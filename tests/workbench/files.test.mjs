@@ -42,9 +42,11 @@ test("G goes out and comes back, as CSV and as JSON, unknown entries too", () =>
     assert.deepEqual(Array.from(back.frequency), [10, 20]);
     assert.deepEqual(Array.from(back.values.re), Array.from(G.re));
     assert.deepEqual(Array.from(back.values.im), Array.from(G.im));
+    assert.ok(back.told);
   }
   const polar = readTransfer("p.csv", "frequency_Hz,output,input,magnitude,phase_rad\n10,1,A1,2,1.5707963267948966\n", OUT, IN, "m/V");
   assert.ok(Math.abs(polar.values.im[0] - 2) < 1e-12 && Number.isNaN(polar.values.re[1]));
+  assert.ok(!polar.told); // a lab's table says no unit
 });
 
 test("a damaged or foreign G is refused in a sentence", () => {
@@ -55,6 +57,10 @@ test("a damaged or foreign G is refused in a sentence", () => {
   sentence(() => readTransfer("a.csv", `${csv}10,1,A1,x,0\n`, OUT, IN, "m/V"), /line 2 is damaged/);
   sentence(() => readTransfer("a.csv", `${csv}-1,1,A1,1,0\n`, OUT, IN, "m/V"), /line 2 is damaged/);
   sentence(() => readTransfer("a.csv", `${csv}10,1,A1,1,0\n10,1,A1,1,0\n`, OUT, IN, "m/V"), /occurs twice/);
+  sentence(() => readTransfer("a.csv", "frequency_Hz,output,input,magnitude,phase_rad\n10,1,A1,-96,0\n", OUT, IN, "m/V"), /line 2: magnitude is -96, expected 0 or more in m\/V, not decibels/);
+  for (const mark of ["2", "", "yes"]) sentence(() => readTransfer("a.csv", `frequency_Hz,output,input,real,imag,valid\n10,1,A1,1,0,${mark}\n`, OUT, IN, "m/V"), /line 2: valid is .*, expected 1 or 0/);
+  sentence(() => readTransfer("a.csv", "frequency_Hz,output,input,real,imag,real\n10,1,A1,1,0,2\n", OUT, IN, "m/V"), /two columns \(real\)/);
+  sentence(() => readTransfer("a.csv", "frequency_Hz,output,input,real,imag,magnitude,phase_rad\n10,1,A1,1,0,2,0\n", OUT, IN, "m/V"), /two columns \(real and magnitude\)/);
   sentence(() => readTransfer("a.csv", `${csv}10,7,B,1,0\n`, OUT, IN, "m/V"), /none of its outputs/);
   sentence(() => readTransfer("a.csv", `# forearm_fem {"unit":"m/N"}\n${csv}10,1,A1,1,0\n`, OUT, IN, "m/V"), /is in m\/N/);
   sentence(() => readTransfer("a.json", "{", OUT, IN, "m/V"), /is damaged/);

@@ -4,7 +4,7 @@
  * @typedef {import("./experiment.js").Settings} Settings
  * @typedef {import("./experiment.js").Method} Method
  * @typedef {import("./experiment.js").Outcome} Outcome
- * @typedef {{name: string, frequency: Float64Array, values: import("./arrays.js").Complex}} Overlay a measured G
+ * @typedef {{name: string, frequency: Float64Array, values: import("./arrays.js").Complex, told: boolean}} Overlay a measured G
  */
 import { Arms } from "./arms.js";
 import { METHODS } from "./experiment.js";
@@ -46,6 +46,7 @@ export class App {
     try {
       this.experiment.set(change);
       this.refresh();
+      this.say(""); // what was said of an earlier change is no longer so
     } catch (problem) {
       this.experiment.set(before);
       this.refresh();

@@ -306,7 +306,8 @@ function lay(app, name, text) {
   app.overlay = readTransfer(name, text, points.map((p) => p.name), inputs.map((p) => p.name), content.unit);
   app.version++;
   app.rescale();
-  app.say(`${name}: ${app.overlay.frequency.length} frequencies laid over, dashed`);
+  const taken = app.overlay.told ? "" : `; it does not say what it is, and is taken for displacement in ${content.unit} with e^{+iωt}`;
+  app.say(inOneLine(`${name}: ${app.overlay.frequency.length} frequencies laid over, dashed${taken}`), !app.overlay.told);
 }
 
 /** @param {App} app @param {ReturnType<typeof transport>} bar @param {() => void} theme */

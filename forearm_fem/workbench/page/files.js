@@ -92,7 +92,8 @@ export function fitting(name, { samples, rate }, record) {
  *
  * Entries that are absent or not valid are NaN. Only points and actuators of the page are kept, by name.
  * @param {string} name @param {string} text @param {string[]} outputs @param {string[]} inputs @param {string} unit
- * @returns {{name: string, frequency: Float64Array, values: Complex}} (frequency x outputs x inputs)
+ * @returns {{name: string, frequency: Float64Array, values: Complex, told: boolean}} (frequency x outputs x inputs), and
+ * whether the file says in which unit it is
  */
 export function readTransfer(name, text, outputs, inputs, unit) {
   const rows = /\.json$/i.test(name) || text.trimStart().startsWith("{") ? rowsOfJson(name, text, unit) : rowsOfCsv(name, text, unit);
@@ -111,7 +112,7 @@ export function readTransfer(name, text, outputs, inputs, unit) {
   }
   if (!kept) throw new FileProblem(`${name}: none of its outputs and inputs are called as here (${outputs.slice(0, 3).join(", ")}...; ${inputs.slice(0, 3).join(", ")}...)`);
   if (!known) throw new FileProblem(`${name}: says of none of its ${kept} entries what it is; export it again, with numbers`);
-  return { name, frequency, values };
+  return { name, frequency, values, told: /^(# forearm_fem )?\{/.test(text.trimStart()) };
 }
 
 /** @typedef {{f: number, output: string, input: string, re: number, im: number, valid: boolean}} Entry */
@@ -126,12 +127,16 @@ function rowsOfCsv(name, text, unit) {
   if (["frequency_Hz", "output", "input"].some((c) => at(c) < 0) || (!polar && !plain)) {
     throw new FileProblem(`${name}: expected the columns frequency_Hz, output, input and real, imag (or magnitude, phase_rad), got ${columns.join(", ").slice(0, 80)}`);
   }
+  const twice = ["frequency_Hz", "output", "input", "valid", "real", "imag", "magnitude", "phase_rad"].find((c) => at(c) !== columns.lastIndexOf(c)) ?? (polar && plain ? "real and magnitude" : "");
+  if (twice) throw new FileProblem(`${name}: says the same in two columns (${twice}); keep those that are meant`);
   if (!lines.length) throw new FileProblem(`${name}: has a header and no lines of data`);
   return lines.map(({ l, k }) => {
     const cells = l.split(","), number = (/** @type {string} */ c) => (cells[at(c)]?.trim() === "nan" ? NaN : Number(cells[at(c)] || "x"));
-    const f = number("frequency_Hz"), valid = at("valid") < 0 || Number(cells[at("valid")]) !== 0;
+    const f = number("frequency_Hz"), mark = at("valid") < 0 ? "1" : (cells[at("valid")] ?? "").trim(), valid = Number(mark || "x") !== 0;
+    if (mark === "" || ![0, 1].includes(Number(mark))) throw new FileProblem(`${name}, line ${k + 1}: valid is ${mark.slice(0, 20) || "blank"}, expected 1 or 0`);
     const [a, b] = plain ? [number("real"), number("imag")] : [number("magnitude"), number("phase_rad")];
     if (cells.length !== columns.length || !isFrequency(f) || (valid && !(Number.isFinite(a) && Number.isFinite(b)))) throw new FileProblem(`${name}: line ${k + 1} is damaged (${l.slice(0, 40)})`);
+    if (polar && a < 0) throw new FileProblem(`${name}, line ${k + 1}: magnitude is ${a}, expected 0 or more in ${unit}, not decibels`);
     return { f, output: cells[at("output")].trim(), input: cells[at("input")].trim(), re: plain ? a : a * Math.cos(b), im: plain ? b : a * Math.sin(b), valid };
   });
 }
