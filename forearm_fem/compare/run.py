@@ -148,9 +148,7 @@ def run_fit(
     if folder is not None:
         check_earlier(Path(folder), FIT_FILES, asked)
     data = thinned(_load(measured, declaration, planform_ports(scenario)), frequencies)
-    _check_drive(scenario, data)
-    if arbitrary_gain(data.provenance) and SCALE not in parameters:
-        raise DataError("the measured G has an arbitrary gain, as was declared: name `scale` among the parameters")
+    _check_data(scenario, data, parameters)
     chosen = common_parameters(scenario, parameters)
     inputs, outputs = all_inputs(scenario, data), data.outputs
     if fem:
@@ -167,32 +165,29 @@ def run_fit(
     def model(values: Mapping[str, float]) -> TransferMatrix:
         return answering(whole(values), data)
 
-    if arbitrary_gain(data.provenance):
-        chosen = _rescaled(chosen, data, model({p.name: p.start for p in chosen if p.name not in (SCALE, DELAY)}))
+    begun = model({p.name: p.start for p in chosen if p.name not in (SCALE, DELAY)})
+    chosen = _rescaled(chosen, data, begun)
     result, numerics = fit(model, data, chosen, progress=progress), ""
     if fem:
-        rough = fem_compliance_of(reduced.coarser, data.frequency)
-        moved = _refitted(rough, scenario, data, result, within(progress, "reduction"))
-        result = with_model_error(result, moved, reduced.factor)
-        result, numerics = _with_mesh_error(result, reduced, scenario, data, base, progress)
-    free = _scenario_values(result)
+        result, numerics = _with_model_errors(result, reduced, scenario, data, base, progress)
+    free, wide = _scenario_values(result), _with_outputs(data, outputs)
     best = model(free)
-    start = model({p.name: p.start for p in chosen if p.name not in ("scale", "delay")})
-    wide = _with_outputs(data, outputs)
     following = next_best(
         result, lambda values: answering(whole(values), wide).values, data.frequency, [p.name for p in outputs],
         _noise_of(data),
     )  # fmt: skip
     reduction = float(whole(free).errors[0].band) if fem else float("nan")
-    said = (*_reduction_note(reduction, result), *((numerics,) if numerics else ()))
-    notes = (*_explained(data, (start, best)), *said, following.sentence)
+    numerical = (*_reduction_note(reduction, result), *((numerics,) if numerics else ()))
+    notes = (*_explained(data, (begun, best)), *numerical, following.sentence)
     text = fit_text(result, notes)
     files = () if folder is None else _save_fit(Path(folder), asked, result, best, text, notes)
     return FitCommandResult(result, best, following, reduction, numerics, text, files)
 
 
 def _rescaled(chosen: Sequence[Parameter], data: TransferMatrix, start: TransferMatrix) -> tuple[Parameter, ...]:
-    """The parameters with ``scale`` about the ratio of ``data`` of arbitrary gain to the model at its ``start``."""
+    """The parameters, ``scale`` about the ratio of ``data`` of arbitrary gain to the model at its ``start``."""
+    if not arbitrary_gain(data.provenance):
+        return tuple(chosen)
     used = np.isfinite(data.values) if data.valid is None else data.valid & np.isfinite(data.values)
     ratio = float(np.linalg.norm(data.values[used]) / np.linalg.norm(start.values[used]))
     low, high = ratio / _ANY, ratio * _ANY
@@ -208,11 +203,15 @@ def _refitted(
     return dict(fit(lambda values: answering(other(values), data), data, again, progress=progress).values)
 
 
-def _with_mesh_error(
+def _with_model_errors(
     result: FitResult, reduced: ParametricModel, scenario: Scenario, data: TransferMatrix, base: str | Path,
     progress: Progress | None,
 ) -> tuple[FitResult, str]:  # fmt: skip
-    """The fit with intervals that hold what the elements err by, and a sentence; or the sentence that says why not."""
+    """The fit with intervals that hold what the reduction and the elements err by, and a sentence on the latter; or the
+    sentence that says why they do not."""
+    rough = fem_compliance_of(reduced.coarser, data.frequency)
+    moved = _refitted(rough, scenario, data, result, within(progress, "reduction"))
+    result = with_model_error(result, moved, reduced.factor)
     try:
         meshes = fem_meshes_for(scenario, result.parameters, base=base, progress=within(progress, "coarser mesh"))
     except ForearmError as problem:
@@ -277,14 +276,16 @@ def _check_reach(scenario: Scenario, data: TransferMatrix) -> None:
         )
 
 
-def _check_drive(scenario: Scenario, data: TransferMatrix) -> None:
-    """DataError where the scenario's drive gives another unit than the data have."""
+def _check_data(scenario: Scenario, data: TransferMatrix, parameters: Sequence[str]) -> None:
+    """DataError where the scenario's drive gives another unit than the data have, or nothing finds their gain."""
     if (unit := UNITS[scenario.device.drive]) != data.unit:
         drive = next((d for d, u in UNITS.items() if u == data.unit), None)
         remedy = f"set device.drive = '{drive}', or correct the unit declared" if drive else "correct the unit declared"
         raise DataError(
             f"the measured G is in {data.unit}, but device.drive = '{scenario.device.drive}' gives {unit}; {remedy}"
         )
+    if arbitrary_gain(data.provenance) and SCALE not in parameters:
+        raise DataError("the measured G has an arbitrary gain, as was declared: name `scale` among the parameters")
 
 
 def all_inputs(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:
