@@ -15,7 +15,7 @@ from cli_runner import SMALL, cli, leftovers
 
 from forearm_fem import __version__
 from forearm_fem.io.netcdf import read_transfer
-from forearm_fem.io.signals import read_drives
+from forearm_fem.io.signals import read_displacements, read_drives
 from forearm_fem.io.tables import read_signal_strength_csv
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
@@ -123,6 +123,9 @@ def test_render_prints_the_strengths_it_wrote_to_the_digits_that_can_be_trusted(
     assert "signal_strength.csv" in said.splitlines()[-1]
     assert not re.search(r"\d\.\d{5}", said)
     assert read_drives(folder / "drives.nc").targets == ("5", "6")
+    for signals in (read_drives(folder / "drives.nc"), read_displacements(folder / "displacements.nc")):
+        assert signals.provenance["scenario"]["name"] == "small"
+        assert signals.positions is not None
 
 
 def test_a_scenario_with_the_mark_that_windows_editors_write_is_read(tmp_path: Path) -> None:

@@ -42,13 +42,13 @@ from forearm_fem.figures.judge import errors
 from forearm_fem.figures.registry import _chosen
 from forearm_fem.figures.style import SHEET, arrange
 from forearm_fem.figures.targets import moments
-from forearm_fem.figures.waves import _row, kernel_root, travel
+from forearm_fem.figures.waves import _row, kernel_root, line, travel
 from forearm_fem.io import write_transfer
 from forearm_fem.io.jsonfiles import write_json
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
 from forearm_fem.ports import Port
-from forearm_fem.scenario import Scenario
+from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.tissue import KelvinVoigt, resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, entry_errors
 
@@ -240,6 +240,17 @@ def test_conditioning_is_of_the_rows_that_the_run_held(run: Results, folder: Pat
     data = conditioning(Results.open(tmp_path))
     assert data.targets == ("5", "4")
     np.testing.assert_allclose(data.control[0], np.linalg.cond(run.transfer.values[:, [4, 1, 5]]))
+
+
+def test_waves_are_looked_at_from_an_actuator_that_touches(folder: Path) -> None:  # noqa: F811
+    """From one that does not there are none: the curves were empty, or those of the shell's motion."""
+    results = Results.open(folder)
+    out = {"device": {"out_of_contact": ["A1"]}}
+    results.__dict__["scenario"] = parse_scenario({**results.scenario.model_dump(), **out})
+    found = line(results, (4e-3, 8e-3, 12e-3))
+    assert found.actuator == "A2"
+    assert np.array_equal(found.cone, results.transfer.contacts[:, 1, 1])
+    assert not np.allclose(found.values, line(Results.open(folder), (4e-3, 8e-3, 12e-3)).values, rtol=1e-3)
 
 
 def test_simulated_against_measured_needs_a_measured_matrix(run: Results, folder: Path, tmp_path: Path) -> None:  # noqa: F811

@@ -128,6 +128,12 @@ def test_samples_from_a_file_peak_at_time_zero(tmp_path, kind):
     assert np.count_nonzero(wavelet.samples) == 4
 
 
+def test_a_byte_order_mark_takes_no_sample_away(tmp_path):
+    """Spreadsheets write one: the first sample was taken for a heading."""
+    (tmp_path / "b.csv").write_text("\n".join(map(str, (4.0, -2.0, 1.0))), encoding="utf-8-sig")
+    assert np.count_nonzero(from_samples_file(tmp_path / "b.csv").samples) == 3
+
+
 def test_samples_keep_their_size_when_asked(tmp_path):
     write(tmp_path / "b.npy", "npy")
     assert np.abs(from_samples_file(tmp_path / "b.npy", normalise=False).samples).max() == 4

@@ -17,7 +17,8 @@ from test_figures_scene import folder  # noqa: F401
 from forearm_fem.errors import DataError
 from forearm_fem.figures import Results, kinds
 from forearm_fem.report import write, write_report
-from forearm_fem.report.facts import condition_words, differences, exceeded
+from forearm_fem.report.facts import condition_words, differences, exceeded, scene_block
+from forearm_fem.scenario import parse_scenario
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +65,15 @@ def test_limits_exceeded_are_named(folder: Path, tmp_path: Path) -> None:  # noq
     said = r"funneling: \d+ of 36 drives exceed 0\.1 V peak, most of all \S+ V at A\d towards \d; rendering\.amplitude"
     assert re.match(said, lines[1])
     assert exceeded(Results.open(folder)) == []
+
+
+def test_a_report_names_every_key_that_was_set(folder: Path) -> None:  # noqa: F811
+    """Membrane, gains and springs were in none of its lines."""
+    results = Results.open(folder)
+    table = {"tissues": {"membrane": {"tension": 40.0}}, "device": {"gains": {"A1": 0.9}}}
+    results.__dict__["scenario"] = parse_scenario({**results.scenario.model_dump(), **table})
+    (row,) = (row for row in scene_block(results).rows if row[0].startswith("keys"))
+    assert {"tissues.membrane.tension", "device.gains"} <= set(row[1].split(", "))
 
 
 def test_one_limit_is_told_in_the_singular(folder: Path) -> None:  # noqa: F811

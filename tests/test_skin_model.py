@@ -91,6 +91,7 @@ def test_other_moduli_follow_without_a_mesh(solved, tmp_path):
     [
         ("limb.depth=0.02", "limb"),
         ("device.cone.radius=0.004", "device"),
+        ("device.actuator='ERM'", "device.actuator"),
         ("tissues.override.muscle.bulk=1e8", "tissues.override.muscle"),
         ("tissues.membrane.tension=5.0", "tissues.membrane"),
     ],

@@ -505,10 +505,21 @@ def test_limits_are_said_once_a_method_with_the_remedy():
     assert said[0].startswith("funneling: 2 of 4 drives exceed 2.5 V peak, most of all 9 V at A2 towards 5")
     assert "rendering.amplitude times 0.27 is within" in said[0]  # 2.5 / 9
     assert "regularisation" not in said[0]
-    assert "rendering.regularisation = 'auto'" in said[1]
+    assert "rendering.regularisation = 'tikhonov' with regularisation_value = 0.05" in said[1]
     power = np.full((1, 1, 1), 3.2)
     (said_of_power,) = beyond_limits(("x",), ("5",), ("A1",), 0 * power, power, Limits())
     assert "amplitude times 0.5" in said_of_power  # 0.8 W is a quarter
+
+
+def test_the_remedy_for_drives_far_beyond_a_limit_is_one():
+    """With up to four actuators 'auto', which was advised, is the pseudo-inverse that they came from."""
+    g, shape = waves(np.arange(10.0, 500.1, 10.0), None), ricker(duration=0.1)
+    weak = replace(g, values=g.values * np.array([1e-4, 1.0, 1.0, 1.0]))
+    found = render_all(weak, None, InverseFilter(peak=1e-4), shape)
+    assert "'tikhonov' with regularisation_value = 0.05 damps" in found.exceeded[0]
+    damped = InverseFilter(peak=1e-4, regularisation=Regularisation("tikhonov", 0.05))
+    peaks = [max(r.report.peak.max() for r in each.values()) for each in (found, render_all(weak, None, damped, shape))]
+    assert peaks[1] < 0.02 * peaks[0]
 
 
 THREE = {"contacts": [[-0.02, -0.02], [-0.02, 0.02], [0.02, -0.02]]}

@@ -54,17 +54,17 @@ class Line:
 
 
 def line(results: Results, places: tuple[float, ...]) -> Line:
-    """From the first actuator towards the grid's middle at ``places`` [m], from the wavefield.
+    """From the first actuator in contact towards the grid's middle at ``places`` [m], from the wavefield.
 
     Without a wavefield: the row of grid points nearest to the actuator.
     """
-    g = results.transfer
-    name, cone = g.inputs[0].name, None if g.contacts is None else g.contacts[:, 0, 0]
+    g, first = results.transfer, results.scenario.device.first_in_contact
+    name, cone = g.inputs[first].name, None if g.contacts is None else g.contacts[:, first, first]
     if not results.has_field:
-        chosen = _row(g.outputs, g.inputs[0])
-        gap = distances(g.outputs, g.inputs)[chosen, 0]
-        return Line(name, g.frequency, gap, shown(g)[:, chosen, 0], cone, g.unit, "row of grid points")
-    start = positions(g.inputs)[0]
+        chosen = _row(g.outputs, g.inputs[first])
+        gap = distances(g.outputs, g.inputs)[chosen, first]
+        return Line(name, g.frequency, gap, shown(g)[:, chosen, first], cone, g.unit, "row of grid points")
+    start = positions(g.inputs)[first]
     toward = positions(g.outputs)[:, :2].mean(axis=0) - start[:2]
     along = toward / np.linalg.norm(toward)
     patch = volar_patch(results.field_mesh, (*g.inputs, *g.outputs))
@@ -74,7 +74,9 @@ def line(results: Results, places: tuple[float, ...]) -> Line:
     field = patch.normal_field(results.wavefield).between(corners, weights)
     if not np.array_equal(g.frequency, field.frequency):
         cone = None
-    return Line(name, field.frequency, np.array(places), field.response(0), cone, g.unit, "field between the points")
+    return Line(
+        name, field.frequency, np.array(places), field.response(first), cone, g.unit, "field between the points"
+    )
 
 
 def _row(outputs: tuple[Port, ...], source: Port) -> list[int]:

@@ -30,6 +30,7 @@ from ..io.netcdf import read_transfer, refuse_other_g, write_transfer
 from ..io.owner import refuse_folder_of_another
 from ..io.signals import stack, write_displacements, write_drives
 from ..io.tables import strength_rows, write_signal_strength_csv
+from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
 from ..rendering.lattice import is_thesis_grid
@@ -272,8 +273,12 @@ def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
         signals = {key: r.drives.signals for key, r in rendering.items()}
         moves = {key: r.displacements.values for key, r in rendering.items()}
         sent = stack(signals, tuple(p.name for p in transfer.inputs), time, transfer.unit.partition("/")[2])
-        write_drives(run.out / "drives.nc", sent)
         moved = stack(moves, tuple(p.name for p in transfer.outputs), time, "m")
+        sent, moved = (
+            replace(made, positions=positions(ports), provenance=transfer.provenance)
+            for made, ports in ((sent, transfer.inputs), (moved, transfer.outputs))
+        )
+        write_drives(run.out / "drives.nc", sent)
         write_displacements(run.out / "displacements.nc", moved)
         rows = strength_rows(
             account.methods, account.targets, account.value, (account.low, account.high), account.record,

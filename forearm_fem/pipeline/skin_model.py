@@ -134,6 +134,11 @@ def check_followable(before: Scenario, after: Scenario, terms: Sequence[str], *,
             raise ScenarioError(f"{key}: the reduced model holds for the old value only; solve the scenario anew")
     if _places(before) != _places(after):
         raise ScenarioError("device: contacts and cones are part of the reduced model; solve the scenario anew")
+    if before.device.actuator != after.device.actuator:  # a preset fills in keys left out; in a run none is left
+        raise ScenarioError(
+            "device.actuator: the run has settled all keys that a preset sets; change these themselves, or solve the "
+            "scenario anew"
+        )
     old, new = resolve_tissues(before), resolve_tissues(after)
     for name, tissue in old.items():
         if name in new and new[name].bulk != tissue.bulk:

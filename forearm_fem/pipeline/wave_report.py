@@ -42,7 +42,7 @@ def write_wave_report(
         markdown_table(("source", "e_band", "worst e(f)", "how"), errors).rstrip("\n"),
         f"\nAccuracy: {accuracy_verdict(scenario, transfer.errors)}.",
     ]
-    if (fit := thesis_fit(transfer)) is not None:
+    if (fit := thesis_fit(transfer, scenario.device.first_in_contact)) is not None:
         write_text(out / "waves.csv", waves_csv(fit))
         some = np.unique(np.linspace(0, len(fit.frequency) - 1, min(10, len(fit.frequency))).astype(int))
         rows = ((f"{fit.frequency[k]:g}", f"{fit.attenuation[k]:.0f}", f"{fit.speed[k]:.2f}") for k in some)
@@ -60,14 +60,14 @@ def write_wave_report(
     return plain, page
 
 
-def thesis_fit(transfer: TransferMatrix) -> WaveFit | None:
-    """Appendix A's estimator over the points beside the first contact; None for fewer than four, or no line."""
-    distance = distances(transfer.outputs, transfer.inputs)[:, 0]
-    outside = np.flatnonzero(beside(distance, transfer.inputs[0].radius))
+def thesis_fit(transfer: TransferMatrix, source: int = 0) -> WaveFit | None:
+    """Appendix A's estimator over the points beside the contact ``source``; None for fewer than four, or no line."""
+    distance = distances(transfer.outputs, transfer.inputs)[:, source]
+    outside = np.flatnonzero(beside(distance, transfer.inputs[source].radius))
     order = outside[np.argsort(distance[outside])]
     if len(order) < 4 or np.diff(distance[order]).min() < _SAME:  # points abreast of each other are no line
         return None
-    return fit_waves(transfer.frequency, distance[order], transfer.values[:, order, 0])
+    return fit_waves(transfer.frequency, distance[order], transfer.values[:, order, source])
 
 
 def waves_csv(fit: WaveFit) -> str:
@@ -85,8 +85,9 @@ def _twin(scenario: Scenario, transfer: TransferMatrix) -> list[str]:
         truth = close_loop(solve_layered(scenario, transfer.frequency), scenario.device).values
     except ForearmError as problem:
         return [f"The twin cannot do this scene: {problem}"]
-    own: FloatArray = np.abs(transfer.values - truth)[:, :, 0] / np.abs(truth[:, :, 0])
-    names = [f"{d * 1e3:.1f} mm" for d in distances(transfer.outputs, transfer.inputs)[:, 0]]
+    k = scenario.device.first_in_contact
+    own: FloatArray = np.abs(transfer.values - truth)[:, :, k] / np.abs(truth[:, :, k])
+    names = [f"{d * 1e3:.1f} mm" for d in distances(transfer.outputs, transfer.inputs)[:, k]]
     overall = relative_error(transfer.values[:, 1:], truth[:, 1:]) if len(names) > 1 else np.zeros(len(own))
     rows = (
         [f"{f:g}", *(f"{v:.4f}" for v in row), f"{e:.4f}"]

@@ -13,6 +13,7 @@ from ..typing import FloatArray
 from .drives import Drives
 
 _ILL = 10.0  # times a limit: no amplitude is that far off
+_DAMPED = "rendering.regularisation = 'tikhonov' with regularisation_value = 0.05"  # 'auto' damps no thesis' device
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def beyond_limits(
             share = 1 / (excess if what == "peak" else np.sqrt(excess))
             remedy = f"rendering.amplitude times {np.floor(100 * share) / 100 or share:.2g} is within, and S stays"
             if excess > _ILL and method != "funneling":
-                remedy += ", or rendering.regularisation = 'auto' damps what G hardly knows"
+                remedy += f", or {_DAMPED} damps what G hardly knows"
             found.append(
                 f"{method}: {np.count_nonzero(values > most)} of {values.size} drives exceed {most:g} {unit} {what}, "
                 f"most of all {values[t, k]:.3g} {unit} at {channels[k]} towards {targets[t]}; {remedy}"

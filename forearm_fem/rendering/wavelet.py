@@ -152,7 +152,7 @@ def _read(path: Path) -> tuple[FloatArray, float | None]:
 
 
 def _read_csv(path: Path) -> tuple[FloatArray, float | None]:
-    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"]
+    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
     try:
         float(lines[0].split(",")[0])
     except (ValueError, IndexError):  # names of the columns, or nothing

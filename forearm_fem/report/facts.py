@@ -13,6 +13,7 @@ from ..figures.data import Results
 from ..figures.judge import WHO, Strengths, spreads, strengths, table_one_rows
 from ..metrics import condition_number, condition_summary, thesis_table
 from ..metrics.strength import GROUPS, strength_text
+from ..pipeline.unread import changed_keys
 from ..rendering.lattice import is_thesis_grid
 from ..rendering.limits import Limits, beyond_limits
 from ..scenario import Scenario
@@ -48,8 +49,13 @@ def scene_block(results: Results) -> Block:
                   f"{results.transfer.frequency[-1]:g} Hz"],
         ["engine", "finite elements" if s.engine == "fem" else "semi-analytic layered half-space (flat, no bone)"],
         ["accuracy asked", f"e_band ≤ {s.accuracy:g}"],
+        ["keys that differ from their defaults", ", ".join(_changed(s)) or "none"],
     ]  # fmt: skip
     return Block(["", ""], rows, s.description)
+
+
+def _changed(s: Scenario) -> list[str]:
+    return [key for key in changed_keys(s) if key not in ("name", "description")]
 
 
 def _mm(length: float) -> str:

@@ -137,6 +137,11 @@ class Device(Part):
         return self
 
     @property
+    def first_in_contact(self) -> int:
+        """Number, from 0, of the first actuator that touches: the source of waves where one is looked at."""
+        return next(k for k in range(len(self.centres)) if f"A{k + 1}" not in self.out_of_contact)
+
+    @property
     def centres(self) -> tuple[tuple[float, float], ...]:
         """Contact centres in the device's own frame (x, y) [m]."""
         if self.contacts is not None:
