@@ -155,7 +155,7 @@ def test_a_variable_that_changes_nothing_is_named(tmp_path):
     idle = '[[variables]]\nkey = "accuracy"\nvalues = [0.1, 0.2]\n'
     found = run_design(design(tmp_path, SPACING + idle + QUICK), tmp_path / "out", arm=Waves(), confirm=False)
     assert found.idle == ("accuracy",)
-    assert "Nothing hangs on accuracy: " in (tmp_path / "out/report.md").read_text()
+    assert "Without effect: accuracy. " in (tmp_path / "out/report.md").read_text()
     both = design(tmp_path, SPACING + '[[variables]]\nkey = "device.cone.mass"\nvalues = [0.1e-3, 0.3e-3]\n' + QUICK)
     assert run_design(both, tmp_path / "both", arm=Waves(), confirm=False).idle == ()
 

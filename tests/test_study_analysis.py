@@ -292,6 +292,36 @@ def test_other_peoples_tables_are_read_by_a_declared_mapping(tmp_path):
         foreign_table(file, mapping, GRID)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "holds no answers"),
+        ("participant,method,target,response\n", "holds no answers"),
+        ("participant,method,target,response\nanna,a,1,1,5\n", "line 2: 5 cells, the header has 4"),
+        ("participant,method,target,response\nanna,a,1\n", "line 2: 3 cells, the header has 4"),
+        ("participant,method,target,response\n,a,1,1\n", "line 2: participant is blank"),
+        ("participant,method,target,response,response\nanna,a,1,1,2\n", "two columns are called 'response'"),
+        ("participant,method,target,response_x,response_y\nanna,a,1,13.3,0\n", "reach 13.3 m; are they millimetres"),
+    ],
+)
+def test_tables_that_are_none_or_say_something_else_are_one_sentence(tmp_path, text, said):
+    """pandas took a cell too many for the rows' names, and moved all columns by one."""
+    file = tmp_path / "theirs.csv"
+    file.write_text(text)
+    with pytest.raises(DataError, match=said):
+        foreign_table(file, [], GRID)
+
+
+def test_blanks_and_commas_at_the_ends_of_lines_are_none_of_an_answer(tmp_path):
+    file = tmp_path / "theirs.csv"
+    file.write_text("participant, method ,target,response\nanna , a,1,1 2,\n\n", encoding="utf-8-sig")
+    table = foreign_table(file, [], GRID)
+    assert table[["participant", "method", "response"]].to_numpy().tolist() == [["anna", "a", "1 2"]]
+    file.write_text("participant,method,target,goal,response\nanna,a,1,2,1\n")
+    with pytest.raises(DataError, match="two columns are called 'target'"):
+        foreign_table(file, ["target=goal"], GRID)
+
+
 def test_trials_without_an_answer_are_no_answers_of_no_points(tmp_path):
     """Four trials are silent; of these, and of answers that tell a place alone, no points are known."""
     table = answers(people=3, repetitions=1).assign(late=0, response_time=1.0)

@@ -11,11 +11,13 @@ import urllib.request
 
 import pytest
 from test_study_records import strength
-from test_study_session import GRID, opened, small
+from test_study_session import GRID, opened, silent, small
 
 from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.ports import Port
 from forearm_fem.study.server import Secrets, application, serve, texts
-from forearm_fem.study.session import Presented
+from forearm_fem.study.session import Presented, Session
+from forearm_fem.study.store import StudyStore
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
@@ -113,7 +115,7 @@ def test_languages_and_own_texts(tmp_path):
 
 
 @contextlib.contextmanager
-def served(session, **options):
+def served(session, grid=GRID, **options):
     """The pages' addresses while they are served in a thread."""
     pytest.importorskip("uvicorn")
     addresses, stop = [], threading.Event()
@@ -121,7 +123,7 @@ def served(session, **options):
 
     def run():
         serve(
-            session, GRID, texts("en", None), announce=lambda *both: addresses.append(both), stop=stop.is_set, **options
+            session, grid, texts("en", None), announce=lambda *both: addresses.append(both), stop=stop.is_set, **options
         )
 
     thread = threading.Thread(target=run, daemon=True)
@@ -251,6 +253,27 @@ def test_a_wrong_key_does_nothing(browser, session):
         page.locator("body[data-answered='1']").wait_for()
         assert problems == []
         page.close()
+
+
+def test_a_digit_that_begins_other_names_is_no_answer(browser, tmp_path):
+    """Of twelve points, 1 would be the answer of who types 12; 5 begins no other name."""
+    twelve = (*GRID, *(Port(str(n), "point", (0.02, 0.01 * (n - 11), 0.0)) for n in (10, 11, 12)))
+    store = StudyStore.open(tmp_path, plan := small())
+    store.enrol("01", consent="2026-11-24", added="2026-11-24")
+    session = Session(store, "01", plan.tasks[0], twelve, silent)
+    with served(session, twelve) as (theirs, _):
+        page, problems = _page(browser, theirs)
+        page.keyboard.press("Space")
+        page.locator("#arm").wait_for(state="visible")
+        page.keyboard.press("1")
+        page.keyboard.press("5")
+        page.locator("body[data-answered='1']").wait_for()
+        page.locator("#arm").wait_for(state="visible")
+        page.locator("#arm g[data-name='12']").click()
+        page.locator("body[data-answered='2']").wait_for()
+        assert problems == []
+        page.close()
+    assert [r["response"] for r in store.answers("01", "places")] == ["5", "12"]
 
 
 def test_a_key_while_the_stimulus_plays_does_nothing(browser, tmp_path):

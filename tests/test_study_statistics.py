@@ -70,6 +70,46 @@ def test_mixed_model_agrees_with_lme4():
     assert fit.subject_sd == pytest.approx(expected["mixed_subject_sd"], rel=1e-3)
 
 
+def test_the_mixed_model_where_nothing_varies_between_subjects_is_plain_least_squares():
+    """Half of 40 studies without differences between people end there; statsmodels told an intercept of 0 for 20 and no
+    error, or failed."""
+    pd = pytest.importorskip("pandas")
+    ols = pytest.importorskip("statsmodels.formula.api").ols
+    rows = [(s, t, m) for s in "abc" for t in "1234" for m in "xy" for _ in range(2)]
+    table, alike = pd.DataFrame(rows, columns=["subject", "location", "method"]), 0
+    for seed in range(40):
+        table["error"] = 20 + np.random.default_rng(seed).normal(size=len(table))
+        fit = mixed_model(table, "error", ("location", "method"), "subject")
+        plain = ols("error ~ C(location) * C(method)", table).fit()
+        terms = {name: (estimate, error) for name, estimate, error, *_ in fit.terms}
+        assert fit.converged
+        # every subject has every cell as often: estimates do not depend on the variances
+        assert {n: e for n, (e, _) in terms.items()} == pytest.approx(dict(plain.params), abs=1e-9)
+        if fit.subject_sd == 0:
+            alike += 1
+            assert {n: e for n, (_, e) in terms.items()} == pytest.approx(dict(plain.bse), rel=1e-9)
+    assert 10 < alike < 35
+
+
+def test_a_mixed_model_is_that_of_statsmodels_where_subjects_differ():
+    pd = pytest.importorskip("pandas")
+    mixedlm = pytest.importorskip("statsmodels.formula.api").mixedlm
+    rng = np.random.default_rng(8)
+    rows = [(s, t, m, k) for k, s in enumerate("abcdef") for t in "123" for m in "xy" for _ in range(3)]
+    table = pd.DataFrame(rows, columns=["subject", "location", "method", "number"])
+    table["error"] = 20 + rng.normal(size=len(table)) + 3 * rng.normal(size=6)[table["number"]]
+    table = table.drop(index=[0, 7, 8, 9, 40])
+    fit = mixed_model(table, "error", ("location", "method"), "subject")
+    theirs = mixedlm("error ~ C(location) * C(method)", table, groups=table["subject"]).fit(reml=True)
+    for name, estimate, error, *_ in fit.terms:
+        assert estimate == pytest.approx(theirs.fe_params[name], rel=1e-4)
+        assert error == pytest.approx(theirs.bse_fe[name], rel=1e-3)
+    assert fit.subject_sd**2 == pytest.approx(float(theirs.cov_re.iloc[0, 0]), rel=1e-3)
+    gone = table[~((table["location"] == "2") & (table["method"] == "x"))]
+    with pytest.raises(DataError, match="some of its cells have no answer at all"):
+        mixed_model(gone, "error", ("location", "method"), "subject")
+
+
 def test_a_factor_of_two_levels_is_a_paired_t_test():
     """F = t^2 exactly, and epsilon 1, as there is one contrast."""
     values = np.random.default_rng(1).normal(size=(12, 2))

@@ -106,10 +106,7 @@ def outcome_words(result: DesignResult) -> list[str]:
         else f"The scenario's own device cannot serve: {reference.problem}.",
     ]
     if result.idle:
-        lines.append(
-            f"Nothing hangs on {', '.join(result.idle)}: with the winner's other values all of its choices give the "
-            "same numbers."
-        )
+        lines.append(f"Without effect: {', '.join(result.idle)}. All of its choices give the winner the same numbers.")
     if (c := result.confirmation) is not None:
         lines.append(
             f"Confirmed by a full run ({c.folders[0].name}/): {c.score:.3g}, {c.difference:+.1%} off the model."

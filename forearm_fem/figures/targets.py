@@ -204,7 +204,7 @@ def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int) -> Non
         panel.set_ylabel(text)
     bar = maps.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both",
                         shrink=0.9)  # fmt: skip
-    bar.set_label("u [µm], cut at the grid's range", fontsize=7)
+    bar.set_label("u [µm]", fontsize=7)  # the arrows say that the skin between may move more
     _traces(right.subplots(), data, shown)
 
 

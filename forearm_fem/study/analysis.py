@@ -166,6 +166,12 @@ def analyse(table: pd.DataFrame, measure: str, *, correction: Correction = "bonf
     normality = residual_normality(whole)
     each = table[["participant", "target", "method", measure]].rename(columns={"target": "location"})
     varied = [factor for factor in FACTORS if each[factor].nunique() > 1]
+    fitted, notes = None, _notes(effects, normality, left_out)
+    try:
+        if mixed and varied:
+            fitted = mixed_model(each.dropna().reset_index(drop=True), measure, varied, "participant")
+    except DataError as problem:  # the rest holds all the same
+        notes = (*notes, f"{problem}.")
     return Tests(
         measure,
         tuple(p for p, ok in zip(people, complete, strict=True) if ok),
@@ -176,8 +182,8 @@ def analyse(table: pd.DataFrame, measure: str, *, correction: Correction = "bonf
         _simple(whole.swapaxes(1, 2), methods, correction),
         normality,
         friedman(per_method) if many else None,
-        mixed_model(each.dropna().reset_index(drop=True), measure, varied, "participant") if mixed and varied else None,
-        _notes(effects, normality, left_out),
+        fitted,
+        notes,
     )
 
 

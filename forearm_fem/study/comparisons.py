@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from ..errors import DataError, optional
 from ..typing import FloatArray
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Correction = Literal["bonferroni", "holm"]
+_RATIOS = (-25.0, 20.0)  # logarithms of variances between subjects over within that are looked at
 
 
 @dataclass(frozen=True)
@@ -136,22 +137,48 @@ class MixedModel:
 def mixed_model(table: pd.DataFrame, value: str, factors: Sequence[str], subject: str) -> MixedModel:
     """Fit all main effects and interactions of ``factors``; missing trials need no special care.
 
-    MissingExtra without statsmodels (extra "study"); DataError where the model cannot be fitted.
+    MissingExtra without statsmodels (extra "study"), which makes the contrasts; DataError where the model cannot be
+    fitted. Its own fit of a random intercept ends in a wrong intercept, or in none, where nothing varies between
+    subjects: the one ratio of variances is found here.
     """
     formula = optional("statsmodels.formula.api", "study", "the mixed-effects model", package="statsmodels")
-    text = f"{value} ~ " + " * ".join(f"C({f})" for f in factors)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # convergence is reported by what is returned
-            fit = formula.mixedlm(text, table, groups=table[subject]).fit(reml=True)
-    except (np.linalg.LinAlgError, ValueError) as problem:
-        raise DataError(f"the mixed model of {value} cannot be fitted: {problem}") from None
-    names = list(fit.fe_params.index)
-    columns = fit.fe_params, fit.bse_fe, fit.tvalues, fit.pvalues
-    terms = tuple((n, *(float(c[n]) for c in columns)) for n in names)
-    return MixedModel(
-        terms,
-        float(np.sqrt(fit.cov_re.iloc[0, 0])),
-        float(np.sqrt(fit.scale)),
-        bool(fit.converged),
+    model = formula.ols(f"{value} ~ " + " * ".join(f"C({f})" for f in factors), table)
+    design, values = np.asarray(model.exog, dtype=float), np.asarray(model.endog, dtype=float)
+    whose = table[subject].to_numpy()
+    parts = [(design[whose == s], values[whose == s]) for s in dict.fromkeys(whose)]
+    if len(values) <= design.shape[1] or np.linalg.matrix_rank(design) < design.shape[1]:
+        raise DataError(f"the mixed model of {value} cannot be fitted: some of its cells have no answer at all")
+    best = optimize.minimize_scalar(
+        lambda u: _restricted(parts, math.exp(u))[0], bounds=_RATIOS, method="bounded", options={"xatol": 1e-7}
     )
+    ratio = 0.0 if _restricted(parts, 0.0)[0] <= best.fun else math.exp(best.x)
+    _, within, estimate, inverse = _restricted(parts, ratio)
+    with np.errstate(divide="ignore", invalid="ignore"):  # without any scatter there is no error
+        error = np.sqrt(within * np.diag(inverse))
+        z = estimate / error
+    columns = estimate, error, z, 2 * stats.norm.sf(np.abs(z))
+    terms = tuple((n, *(float(c[k]) for c in columns)) for k, n in enumerate(model.exog_names))
+    ended = best.x < _RATIOS[1] - 1e-3
+    return MixedModel(terms, math.sqrt(ratio * within), math.sqrt(within), bool(best.success and ended))
+
+
+def _restricted(
+    parts: Sequence[tuple[FloatArray, FloatArray]], ratio: float
+) -> tuple[float, float, FloatArray, FloatArray]:
+    """Minus twice the restricted logarithmic likelihood of a random intercept, but for a constant, where its variance
+    is ``ratio`` times that of trials; the latter, the estimates (k,) and the inverse (k, k) of the normal equations.
+
+    ``parts`` are design (n, k) and values (n,) of each subject (Laird and Ware 1982).
+    """
+    count, k = sum(len(y) for _, y in parts), parts[0][0].shape[1]
+    normal, right, square, spread = np.zeros((k, k)), np.zeros(k), 0.0, 0.0
+    for design, values in parts:
+        share, total, whole = ratio / (1 + ratio * len(values)), design.sum(axis=0), float(values.sum())
+        normal += design.T @ design - share * np.outer(total, total)
+        right += design.T @ values - share * total * whole
+        square += float(values @ values) - share * whole**2
+        spread += math.log1p(ratio * len(values))
+    estimate = np.linalg.solve(normal, right)
+    rest = max(square - float(right @ estimate), np.finfo(float).tiny)
+    likelihood = (count - k) * math.log(rest) + spread + float(np.linalg.slogdet(normal)[1])
+    return likelihood, rest / (count - k), np.asarray(estimate), np.asarray(np.linalg.inv(normal))
