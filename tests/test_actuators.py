@@ -9,7 +9,8 @@ import pytest
 
 from forearm_fem.device import RotatingMass
 from forearm_fem.errors import DataError, ScenarioError
-from forearm_fem.pipeline.notes import actuator_notes
+from forearm_fem.pipeline.folder import Run
+from forearm_fem.pipeline.notes import actuator_notes, lifted_notes
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.actuators import ACTUATORS, ActuatorName
@@ -80,3 +81,12 @@ def test_steady_tones_are_g_times_the_force():
     valid[120:130] = False  # 170 to 179 Hz: the motor's fifth step
     masked = motor.steady(TransferMatrix(f, g.values, (POINT,), (CONTACT,), "m/N", valid=valid), 0.1, "A1")[:, 0]
     assert np.flatnonzero(np.isnan(masked)).tolist() == [4]  # what may not be used moves nothing that is known
+
+
+def test_a_run_says_that_funneling_drives_what_does_not_touch(tmp_path):
+    lifted = {"device": {"out_of_contact": ["A2"]}}
+    (note,) = lifted_notes(parse_scenario(lifted))
+    assert "no skin moves under A2, but shares of funneling and combination follow from places alone" in note
+    assert note in Run.start(parse_scenario(lifted), tmp_path, tmp_path).notes
+    assert not lifted_notes(parse_scenario({**lifted, "rendering": {"methods": ["inverse filter"]}}))
+    assert not lifted_notes(Scenario())

@@ -60,8 +60,8 @@ def test_the_interval_shrinks_as_said_once_it_is_measured():
         return np.concatenate([everything(v)[:, columns], far])
 
     first, second = measured(slice(None), ("near",)), measured(rows, ("far",), seed=2)
-    joint = TransferMatrix(
-        np.concatenate([first.frequency, second.frequency]), np.concatenate([first.values, second.values]),
+    joint = TransferMatrix(  # bins in a row: the model answers for them by number
+        np.arange(1.0, 1 + len(first.frequency) + len(second.frequency)), np.concatenate([first.values, second.values]),
         first.outputs, INPUTS, deviation=np.concatenate([first.deviation, second.deviation]),
     )  # fmt: skip
     after = fit(both, joint, PARAMETERS)

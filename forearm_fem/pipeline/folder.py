@@ -51,7 +51,7 @@ from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
-from .notes import actuator_notes
+from .notes import actuator_notes, lifted_notes
 from .renderers import check_servable, wavelet
 from .resources import Ledger
 from .simulation import AnswersForArm, Simulation, account_of, render_transfer, simulate, with_device
@@ -92,7 +92,8 @@ class Run:
 
         Keys that have no effect are its first notes; ScenarioError where a tissue is not whole.
         """
-        return cls(scenario, out, base, progress, Ledger(), [*unread_notes(scenario), *actuator_notes(scenario)])
+        notes = [*unread_notes(scenario), *actuator_notes(scenario), *lifted_notes(scenario)]
+        return cls(scenario, out, base, progress, Ledger(), notes)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

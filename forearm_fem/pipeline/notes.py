@@ -51,6 +51,18 @@ def idle_size_notes(scenario: Scenario) -> tuple[str, ...]:
     return (f"{names}: your own mesh is refined under and around the contacts only, these change nothing else",)
 
 
+def lifted_notes(scenario: Scenario) -> tuple[str, ...]:
+    """That funneling, whose shares follow from places alone, drives actuators that do not touch the skin."""
+    lifted, shared = scenario.device.out_of_contact, {"funneling", "combination"} & set(scenario.rendering.methods)
+    if not lifted or not shared:
+        return ()
+    return (
+        f"device.out_of_contact: no skin moves under {', '.join(lifted)}, but shares of "
+        f"{' and '.join(sorted(shared, reverse=True))} follow from places alone and drive there all the same; judge by "
+        "the inverse filter, or leave such actuators out of device.contacts",
+    )
+
+
 def actuator_notes(scenario: Scenario) -> tuple[str, ...]:
     """What a preset other than the thesis' can be used for, what its source does not say, and a band beyond its own."""
     device, sweep = scenario.device, scenario.sweep
