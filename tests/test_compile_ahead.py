@@ -5,9 +5,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from forearm_fem.fem.reduction import compile_ahead
+from forearm_fem.geometry.build import build_mesh
+from forearm_fem.pipeline import fem_engine
+from forearm_fem.pipeline.fem_engine import solve_fem
+from forearm_fem.scenario import parse_scenario
 
 # kernels of the assembly, needed before the process is ready; where none is kept they compile what they call
 LEFT_TO_THE_RUN = {"scatter", "triple_products", "sorting"}
@@ -92,6 +97,23 @@ def test_two_are_started_where_nothing_is_kept_and_the_last_when_these_have_ende
         compile_ahead.finish_compiling(lambda stage, done, total: told.append((done, total)))
     assert tuple(started) == compile_ahead.PARTS
     assert told == [(0, 2), (0, 2), (1, 2), (1, 2)]
+
+
+def test_a_run_waits_after_its_assembly_and_before_it_factorises(monkeypatch):
+    class Waited(Exception):
+        pass
+
+    def waiting(progress):
+        raise Waited
+
+    told = []
+    monkeypatch.setattr(fem_engine, "finish_compiling", waiting)
+    slab = {"shape": "slab", "length": 0.04, "width": 0.04, "depth": 0.02}
+    places = {"device": {"contacts": [[0, 0]]}, "grid": {"points": [[0.01, 0]]}, "rendering": {"methods": []}}
+    scene = parse_scenario({"accuracy": 0.5, "limb": slab, **places})
+    with pytest.raises(Waited):
+        solve_fem(scene, build_mesh(scene), np.array([50.0]), progress=lambda *stage: told.append(stage))
+    assert told == [("assembly", 0, 1), ("assembly", 1, 1)]
 
 
 def test_it_is_not_started_where_kernels_are_kept_or_cannot_be_compiled(started, monkeypatch):
