@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -24,6 +25,7 @@ from .two_meshes import ArmMeshes, arm_meshes
 
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)  # a third of the time of the twin's own; what it costs is stated per draw
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
+_ALONE, _FAR, _SCATTERED = (1,), 0.5, 0.06  # orders of a change, up to which nearness, and what they leave out of it
 _ENOUGH = 0.1  # e(f): where fewer orders say more (a point near a cone, little loss), more are taken
 _ASKED = 33  # frequencies asked of the twin for what geometry changes: polynomials through 49 leave .02 of it at most
 _FITTED = 1e-4  # of the largest entry: what a rational function of it may miss at those that it does not pass through
@@ -78,11 +80,16 @@ class ArmModel(Protocol):
 
 @dataclass(frozen=True)
 class LayeredArm:
-    """The semi-analytic twin with fewer terms: 981 bins in about half a second, with a true error of G below 1 %."""
+    """The semi-analytic twin with fewer terms: 981 bins in about half a second, with a true error of G below 1 %.
+
+    Azimuthal ``orders`` are taken in turn until their error is small; of a single one it is not in the errors what it
+    leaves out.
+    """
 
     solved: bool = False  # whether the scene itself is solved by finite elements
     tolerance: float = _TOLERANCE
     terms: int = _TERMS
+    orders: tuple[int, ...] = _ORDERS
 
     @property
     def name(self) -> str:
@@ -113,12 +120,13 @@ class LayeredArm:
         scenario = without_bones(scenario)
         ports = flat_ports(scenario)
         discs = [flat_disc(port) for port in ports]
-        for orders in _ORDERS:
+        for orders in self.orders:
             found = layered_compliance(
                 flat_layers(scenario), 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
                 tolerance=self.tolerance, terms=self.terms, orders=orders,
             )  # fmt: skip
-            error = np.asarray(found.error)
+            error = found.quadrature + found.interpolation
+            error = np.asarray(error if self.orders == _ALONE else error + found.truncation)
             if error.max() <= _ENOUGH:
                 break
         estimate = ErrorEstimate(
@@ -226,11 +234,14 @@ class ReducedArm:
     def _change(self, scenario: Scenario, own: Scenario, frequency: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """What the draw's geometry changes on the twin, and the twin's errors in it, both (n, n_port, n_port) [m/N].
 
-        The twin states errors over the largest entry of their kind: of contacts, or of points under contacts.
+        The twin states errors over the largest entry of their kind: of contacts, or of points under contacts. Where
+        discs are far apart, one azimuthal order says what changes to a thirtieth of it.
         """
+        far = 0 < max(_nearness(s) for s in (scenario, own)) <= _FAR
+        twin = replace(self.twin, orders=_ALONE) if far else self.twin
         few = len(frequency) <= _ASKED
         nodes = frequency if few else chebyshev_frequencies(frequency, _ASKED)
-        answers = [self.twin.compliance(s, nodes) for s in (scenario, own)]
+        answers = [twin.compliance(s, nodes) for s in (scenario, own)]
         values = [np.nan_to_num(a.values) for a in answers]  # a point on itself stays unknown in the sum
         change = values[0] - values[1]
         points, contacts = answers[0].indices("point"), answers[0].indices("contact")
@@ -246,8 +257,16 @@ class ReducedArm:
             left, largest = (np.abs(v[kind]).max(axis=(1, 2)) for v in (at_nodes - change, change))
             left = np.divide(left, largest, out=np.zeros_like(left), where=largest > 0)
             size = np.abs(between[kind]).max(axis=(1, 2))
-            error[kind] = (np.interp(frequency, nodes, off) + _BETWEEN * left.max() * size)[:, None, None]
+            share = _BETWEEN * left.max() + (_SCATTERED if far else 0.0)
+            error[kind] = (np.interp(frequency, nodes, off) + share * size)[:, None, None]
         return between, error
+
+
+def _nearness(scenario: Scenario) -> float:
+    """Largest ratio of a rigid disc's radius to its distance from another disc or point, 0 without any."""
+    discs = [flat_disc(port) for port in flat_ports(without_bones(scenario))]
+    apart = [(a.radius, math.hypot(a.x - b.x, a.y - b.y)) for a in discs if a.rigid for b in discs if a is not b]
+    return max((radius / distance if distance > 0 else math.inf for radius, distance in apart), default=0.0)
 
 
 def _others(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
