@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from forearm_fem.fem.linear import pardiso
+from forearm_fem.fem.linear.multifrontal.factor import MultifrontalFactor
 from forearm_fem.fem.reduction import compile_ahead
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.pipeline import fem_engine
@@ -99,11 +101,18 @@ def test_two_are_started_where_nothing_is_kept_and_the_last_when_these_have_ende
     assert told == [(0, 2), (0, 2), (1, 2), (1, 2)]
 
 
+def test_no_third_is_started_for_complex_numbers_that_no_one_needs(started, monkeypatch):
+    monkeypatch.setattr(compile_ahead, "are_kept", lambda folder, source: False)
+    compile_ahead.start_compiling()
+    compile_ahead.finish_compiling(complex_ones=False)
+    assert started == ["factors", "products"]
+
+
 def test_a_run_waits_after_its_assembly_and_before_it_factorises(monkeypatch):
     class Waited(Exception):
         pass
 
-    def waiting(progress):
+    def waiting(progress, *, complex_ones):
         raise Waited
 
     told = []
@@ -114,6 +123,33 @@ def test_a_run_waits_after_its_assembly_and_before_it_factorises(monkeypatch):
     with pytest.raises(Waited):
         solve_fem(scene, build_mesh(scene), np.array([50.0]), progress=lambda *stage: told.append(stage))
     assert told == [("assembly", 0, 1), ("assembly", 1, 1)]
+
+
+def test_a_small_scene_needs_no_complex_kernels(monkeypatch):
+    """Where MKL is there: ends held otherwise are solved by PARDISO, to the same numbers."""
+    if pardiso.mkl_library() is None:
+        pytest.skip("asks for MKL")
+    asked, slab = [], {"shape": "slab", "length": 0.05, "width": 0.05, "depth": 0.015}
+    places = {"device": {"contacts": [[0, 0]], "cone": {"contact": "pressure"}}, "grid": {"points": [[0.01, 0]]}}
+    sizes = {"size_grid": 0.01, "size_contact": 0.006, "size_far": 0.03}
+    scene = parse_scenario({"accuracy": 0.5, "limb": slab, **places, "mesh": sizes, "rendering": {"methods": []}})
+    second, band = fem_engine.Second(scene, build_mesh(scene), 2.0), np.linspace(60.0, 120.0, 41)
+    monkeypatch.setattr(fem_engine, "finish_compiling", lambda progress, *, complex_ones: asked.append(complex_ones))
+    solve_fem(scene, second.mesh, band)
+    assert asked == [False]
+    one = fem_engine.other_ends(second, band)
+    with monkeypatch.context() as patch:
+        patch.setattr(MultifrontalFactor, "factorise", None)  # would be a TypeError
+        other = fem_engine.other_ends(second, band)
+    assert np.array_equal(one.values, other.values, equal_nan=True)
+    monkeypatch.setattr(fem_engine, "_SMALL", 0)
+    ours = fem_engine.other_ends(second, band)
+    assert np.allclose(
+        np.nan_to_num(ours.values), np.nan_to_num(one.values), rtol=0, atol=1e-6 * np.nanmax(abs(one.values))
+    )
+    monkeypatch.setattr(fem_engine, "_LARGE", 0)
+    solve_fem(scene, second.mesh, band)
+    assert asked == [False, True]
 
 
 def test_it_is_not_started_where_kernels_are_kept_or_cannot_be_compiled(started, monkeypatch):

@@ -10,8 +10,9 @@ import numpy as np
 from ..fem.assembly.coefficients import Polynomial
 from ..fem.assembly.model import ForearmModel, build_model
 from ..fem.kernels.heap import give_back
+from ..fem.linear import pardiso
 from ..fem.reduction.compile_ahead import finish_compiling
-from ..fem.reduction.expansion import Snapshots
+from ..fem.reduction.expansion import Snapshots, starts_from_rate
 from ..fem.reduction.sweep import SweepResult, direct_sweep, reduced_sweep
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.tissue_mesh import TissueMesh
@@ -26,6 +27,7 @@ from .second_mesh import Second
 
 REDUCTION = 1e-4  # e(f) asked of a reduced model where no accuracy is given
 TRUNCATION_PROBES, FREED_PROBES = 4, 80  # by direct solves, by the reduced model
+_LARGE, _SMALL = 100_000, 30_000  # unknowns of a mesh, and of its second one, from which complex kernels pay
 _OTHER_ENDS = {"absorb": "fixed", "fixed": "free", "free": "fixed"}
 _ROUGHER = {"rate_derivatives": 25}  # not certified: e_band 0.2 % of the forearm's points, 0.6 % at a bin
 _ROUGHER |= {"expansions": 3, "derivatives": 8, "point_derivatives": 1}  # the same where moduli are not Kelvin-Voigt
@@ -56,9 +58,11 @@ def solve_fem(
     tell(progress, "assembly", 0, 1)
     model = fem_model(scenario, mesh)
     tell(progress, "assembly", 1, 1)
-    finish_compiling(progress)
+    reduced = scenario.solver.sweep == "reduced" and len(frequency) > scenario.solver.expansions
+    seldom = reduced and model.operator.n < _LARGE and starts_from_rate(model, scenario.solver)
+    finish_compiling(progress, complex_ones=not (seldom and pardiso.mkl_library() is not None))
     give_back()  # element matrices and matrices before constraints are gone: more than the operator itself
-    if scenario.solver.sweep == "reduced" and len(frequency) > scenario.solver.expansions:
+    if reduced:
         result = reduced_sweep(
             model, frequency, scenario.solver, tolerance=tolerance, progress=progress,
             snapshots=snapshots,
@@ -130,8 +134,10 @@ def other_ends(second: Second, frequency: FloatArray) -> Compliance:
         some = frequency[truncation_probes(n, FREED_PROBES)]
         return second_compliance(Second(scenario, second.mesh, second.ratio), some)
     probes = frequency[truncation_probes(n)]
-    model = fem_model(scenario, second.mesh)
-    values = direct_sweep(model, probes, scenario.solver).values
+    model, options = fem_model(scenario, second.mesh), scenario.solver
+    if model.operator.n < _SMALL and options.backend == "auto" and pardiso.mkl_library() is not None:
+        options = options.model_copy(update={"backend": "pardiso"})  # needs no kernels that a first run compiles
+    values = direct_sweep(model, probes, options).values
     return Compliance(probes, masked(values, model.ports), model.ports)
 
 

@@ -45,8 +45,9 @@ def start_compiling() -> tuple[subprocess.Popen[bytes], ...]:
     return _process("factors"), _process("products")
 
 
-def finish_compiling(progress: Progress | None = None) -> None:
-    """Wait for what :func:`start_compiling` started, then start the last process; nothing where none was started.
+def finish_compiling(progress: Progress | None = None, *, complex_ones: bool = True) -> None:
+    """Wait for what :func:`start_compiling` started, then start the last process if ``complex_ones`` will be needed;
+    nothing where none was started.
 
     Compiling the same here would take as long, and a core from the others. What a process did not get done the run
     compiles as it meets it.
@@ -57,7 +58,7 @@ def finish_compiling(progress: Progress | None = None) -> None:
             tell(progress, "compiling, once", done, len(processes))
             with suppress(subprocess.TimeoutExpired):
                 process.wait(_PATIENCE)
-    if processes:
+    if processes and complex_ones:
         _start_last()
 
 
