@@ -43,7 +43,9 @@ def _machine(row: Row | None) -> list[str]:
     """The part's own machine; parts are run one by one, and machines differ."""
     if row is None:
         return []
-    return [f"*forearm_fem {row['forearm_fem']}, {row['processor']}. Threads: {row['threads']} of {row['cores']}.*", ""]
+    threads, load = f"Threads: {row['threads']} of {row['cores']}", str(row["load_at_start"])
+    beside = f", beside other work (load {float(load):.0f})" if load != "unknown" and float(load) > 1.5 else ""
+    return [f"*forearm_fem {row['forearm_fem']}, {row['processor']}. {threads}{beside}.*", ""]
 
 
 def cheapest(rows: Sequence[Row], error: float, *, method: str | None = None) -> Row | None:
