@@ -20,6 +20,7 @@ class _NoEmptyValues(TyperGroup):
     """Refuses "" wherever a value is expected: what a shell's variable that is not set leaves would be this folder."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Click's own, once no argument is found empty, as an unset variable of the shell leaves it."""
         for before, value in zip(["", *args], args, strict=False):
             option, given, rest = value.partition("=")
             if given and not rest and option.startswith("--"):

@@ -46,6 +46,7 @@ def interrupts_heard() -> Iterator[list[int]]:
         return
 
     def press(number: int, frame: object) -> None:
+        """Note the signal, and interrupt."""
         pressed.append(number)
         raise KeyboardInterrupt
 

@@ -131,8 +131,6 @@ def _write(out: Path, members: Sequence[MemberResult]) -> CampaignResult:
 
 def rows_table(columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
     """Rows as a markdown table, numbers to four digits."""
-    return markdown_table(columns, ([_cell(row.get(c, "")) for c in columns] for row in rows))
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str("" if value is None else value)
+    values = ([row.get(c) for c in columns] for row in rows)
+    told = ([f"{v:.4g}" if isinstance(v, float) else "" if v is None else str(v) for v in row] for row in values)
+    return markdown_table(columns, told)

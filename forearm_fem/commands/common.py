@@ -41,6 +41,7 @@ def there(remedy: str, folder: bool = False) -> Callable[[Path | None], Path | N
     """A callback that refuses a path without a file (or ``folder``), with the ``remedy``, before the command begins."""
 
     def checked(what: Path | None) -> Path | None:
+        """The path, if it is there."""
         if what is not None and not (what.is_dir() if folder else what.exists()):
             raise DataError(f"{what}: {remedy}")
         return what
@@ -53,6 +54,7 @@ def ends_in(ending: str) -> Callable[[Path | None], Path | None]:
     another kind's."""
 
     def checked(what: Path | None) -> Path | None:
+        """The path, if it ends so and is no folder."""
         if what is not None and what.suffix.lower() != ending:
             raise DataError(f"{what}: choose a name that ends in {ending}; this one may be of something else")
         refuse_folder(what)
@@ -310,6 +312,7 @@ def stop_on_ctrl_c() -> Iterator[Stop]:
     stop = Stop()
 
     def press(number: int, _: object) -> None:
+        """The first Ctrl-C asks for a stop, the second, or one while a question waits, interrupts."""
         if stop.pressed or stop.waiting:
             raise KeyboardInterrupt
         stop.pressed = True

@@ -17,7 +17,6 @@ from .common import (
     OutFolder,
     Overrides,
     ScenarioFile,
-    Stop,
     console,
     declaration,
     declared,
@@ -124,32 +123,27 @@ def _calibrated(
     with Display() as display, noted(), stop_on_ctrl_c() as stop:
 
         def operator(where: str) -> bool:
-            return _ask_operator(where, stop) if ask else True
+            """Whether to measure there: waits for Enter where an operator is to be asked."""
+            if not ask:
+                return True
+            console.print(f"{where}; Enter to measure, q to stop", highlight=False)
+            stop.waiting = True
+            try:
+                return input().strip().lower() != "q"
+            except EOFError:
+                return False
+            finally:
+                stop.waiting = False
 
         try:
             return run_calibration(
                 asked, folder, daq=daq, card=card, virtual=virtual, cable=kept, operator=operator, progress=display,
                 stop=stop,
             )  # fmt: skip
-        except HardwareError:
-            _raise_if_stopped(stop)
+        except HardwareError as problem:
+            if stop.pressed:
+                raise KeyboardInterrupt from problem
             raise
-
-
-def _raise_if_stopped(stop: Stop) -> None:
-    if stop.pressed:
-        raise KeyboardInterrupt
-
-
-def _ask_operator(where: str, stop: Stop) -> bool:
-    console.print(f"{where}; Enter to measure, q to stop", highlight=False)
-    stop.waiting = True
-    try:
-        return input().strip().lower() != "q"
-    except EOFError:
-        return False
-    finally:
-        stop.waiting = False
 
 
 def _virtual(

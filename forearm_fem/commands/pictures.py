@@ -39,7 +39,7 @@ def figures(
         raise DataError("--over: names a figure twice; put all curves for it into one table, a column each")
     if "" in laid.values():
         raise DataError("--over: expected NAME=FILE.csv, a figure and a table of curves")
-    names, kinds = _listed(only), _split(formats)
+    names, kinds = [n for item in only for n in _split(item)] if only else None, _split(formats)
     for option, given, read in (("--only", only, names), ("--format", formats, kinds)):
         if given and not read:
             raise DataError(f"{option}: expected names between the commas, got none; leave it out for its default")
@@ -102,10 +102,6 @@ def _saved(folder: Path, save: Path) -> None:
         write_workbench(folder, save)
     else:
         raise DataError(f"{save}: choose a name that ends in .png, .gif, .mp4 or .html")
-
-
-def _listed(items: list[str] | None) -> list[str] | None:
-    return [name for item in items for name in _split(item)] if items else None
 
 
 def _split(text: str) -> tuple[str, ...]:

@@ -125,6 +125,7 @@ def run(
     from ..study.server import serve, texts
 
     def announce(theirs: str, ours: str) -> None:
+        """Tell the addresses of the two pages."""
         typer.echo(f"participant:  {theirs}\nexperimenter: {ours}\nCtrl-C stops; the same command goes on.")
 
     words = texts(prepared.study.language, prepared.base)

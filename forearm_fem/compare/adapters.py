@@ -90,6 +90,7 @@ def layered_compliance_of(
     """
 
     def compute(scenario: Scenario) -> Compliance:
+        """The flat twin's columns of contacts; points do not drive."""
         cone = scenario.device.cone
         ports = (*(Port(p.name, "contact", p.position, p.axis, cone.radius, cone.contact) for p in inputs), *outputs)
         discs = [flat_disc(port) for port in ports]
@@ -135,6 +136,7 @@ def fem_compliance_less_error(
     share = meshes.share(arm, model.compliance(arm, frequency))[:, None, None]
 
     def compute(scenario: Scenario) -> Compliance:
+        """The model's answer less its share of the change to the second mesh."""
         own, other = (m.compliance(scenario, frequency) for m in (model, meshes.second))
         return replace(own, values=own.values - share * (other.values - own.values))
 

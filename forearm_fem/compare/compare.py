@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..io.declaration import arbitrary_gain
+from ..io.jsonfiles import plain
 from ..metrics import WaveFit, condition_number, condition_summary, fit_waves
 from ..metrics.waves import beside
 from ..ports import distances
@@ -175,11 +176,6 @@ def _crossed(x: CrossPlay) -> dict[str, Any]:
         "targets": list(x.targets),
         **{m: {k: [plain(v) for v in s[j]] for k, s in rows.items()} for j, m in enumerate(x.methods)},
     }
-
-
-def plain(value: Any) -> float | None:
-    """A float, or None for what is not finite: JSON knows no NaN."""
-    return float(value) if np.isfinite(value) else None
 
 
 def extremes(values: FloatArray) -> dict[str, float | None]:

@@ -47,26 +47,22 @@ class CrossPlay:
 def cross_play(
     ground: CommonGround,
     *,
-    methods: Sequence[Renderer] | None = None,
     targets: Sequence[str] | None = None,
-    wavelet: Wavelet | None = None,
-    window: Window = "wavelet",
     folders: Sequence[Path] = (),
 ) -> CrossPlay:
-    """S of ``methods`` (the thesis' three) at ``targets`` (all), own and crossed, on the common frequencies.
+    """S at ``targets``, own and crossed, on the common frequencies.
 
-    Without them, the renderers, targets, wavelet and window are those of the scenario in A's provenance, else of B's,
-    so that A on A is the S that A's run printed; its wavelet's file is looked for in ``folders`` too.
+    Renderers, wavelet, window and, without ``targets``, these are of the scenario in A's provenance, else of B's, so
+    that A on A is the S that A's run printed; its wavelet's file is looked for in ``folders`` too. Without a scenario
+    they are the thesis' three, its wavelet and all targets.
     Holes of either are bridged as in a run; bins that either still lacks are driven on neither, so that only the values
     differ. Raises ForearmError where a renderer cannot work on this geometry or the frequencies lie too far apart.
     """
     a, b = (bridged(g).transfer for g in sides(ground))
-    own = None if methods or wavelet else rendering_of(ground, folders)
-    shape = own.wavelet if own else wavelet or wavelet_for(ground.frequency)
-    chosen = own.methods if own else tuple(methods) if methods is not None else thesis_renderers()
-    window = own.window if own else window
-    named = own.targets if own and targets is None else targets
-    aims = tuple(named) if named is not None else tuple(p.name for p in ground.outputs)
+    every = tuple(p.name for p in ground.outputs)
+    own = rendering_of(ground, folders) or _Own(thesis_renderers(), every, wavelet_for(ground.frequency), "wavelet")
+    shape, chosen, window = own.wavelet, own.methods, own.window
+    aims = own.targets if targets is None else tuple(targets)
     ready = [prepared(place(g, shape.record), chosen, aims) for g in (a, b)]
     for_a, for_b = ([[drives(m, p, t, shape) for t in aims] for m in methods] for p, methods in ready)
     return CrossPlay(
@@ -84,7 +80,7 @@ class _Own:
     """What a run rendered with."""
 
     methods: tuple[Renderer, ...]
-    targets: tuple[str, ...] | None
+    targets: tuple[str, ...]
     wavelet: Wavelet
     window: Window
 

@@ -224,11 +224,13 @@ class _Problem:
         """Bounded least squares over the free parameters."""
 
         def residual(x: FloatArray) -> FloatArray:
+            """Of the free parameters, and one more evaluation told."""
             r = self.residual(self.full(place, free, x))
             tell(self.progress, "evaluations of the fit", self.count[0], 0)
             return r
 
         def jacobian(x: FloatArray) -> FloatArray:
+            """By the free parameters: the model's own, or differences."""
             at = self.full(place, free, x)
             if self.gradient is not None:
                 return self.jacobian(at)[:, free]

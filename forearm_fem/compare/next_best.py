@@ -105,6 +105,7 @@ def _slopes(result: FitResult, answer: Answer, frequency: FloatArray) -> Complex
     values, omega = dict(result.values), 2 * np.pi * np.asarray(frequency)[:, None, None]
 
     def whole(changed: Mapping[str, float]) -> ComplexArray:
+        """G of the model at ``changed`` values, scale and delay included."""
         turn = np.exp(-1j * omega * changed.get(DELAY, 0.0)) * changed.get(SCALE, 1.0)
         return np.asarray(answer({n: v for n, v in changed.items() if n not in (SCALE, DELAY)}) * turn)
 

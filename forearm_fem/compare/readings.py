@@ -184,6 +184,7 @@ def _advance(ground: CommonGround, a: ComplexArray, b: ComplexArray) -> float:
     tau = np.linspace(-_LONGEST, _LONGEST, 2 * math.ceil(20 * _LONGEST * float(ground.frequency[-1])) + 1)
 
     def gain(at: FloatArray) -> FloatArray:
+        """Size (n,) of the real cross spectrum, summed over entries, after each advance ``at`` [s]."""
         return np.asarray(np.abs((np.exp(1j * np.outer(at, ground.omega)) @ cross).real).sum(axis=1))
 
     best = float(tau[np.argmax(gain(tau))])

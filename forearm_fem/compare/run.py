@@ -14,6 +14,7 @@ from ..errors import DataError, ForearmError
 from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
 from ..io.declaration import Declaration, Ports, arbitrary_gain, declared_by
+from ..io.jsonfiles import plain
 from ..io.netcdf import write_transfer
 from ..io.recognise import read_measured
 from ..pipeline.parametric import BEYOND, ParametricModel
@@ -32,7 +33,7 @@ from .adapters import (
     layered_compliance_of,
 )
 from .common import common_ground
-from .compare import Comparison, compare, plain
+from .compare import Comparison, compare
 from .earlier import check_earlier, clear_earlier
 from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, with_model_error
 from .next_best import NextBest, next_best
@@ -151,31 +152,28 @@ def run_fit(
     _check_data(scenario, data, parameters)
     chosen = common_parameters(scenario, parameters)
     inputs, outputs = all_inputs(scenario, data), data.outputs
+    reduced: ParametricModel | None = None
     if fem:
         _check_reach(scenario, data)
         reduced = fem_model_for(scenario, chosen, base=base, progress=progress)
-        skin, outputs = fem_compliance_of(reduced, data.frequency), tuple(p for p in reduced.ports if p.kind == "point")
+        compliance_of = fem_compliance_of(reduced, data.frequency)
+        outputs = tuple(p for p in reduced.ports if p.kind == "point")
     elif compliance_of is None:
         outputs = (*outputs, *_unmeasured(scenario, data))
-        skin = layered_compliance_of(data.frequency, outputs, inputs)
-    else:
-        skin = compliance_of
-    whole = ScenarioModel(scenario, skin)
+        compliance_of = layered_compliance_of(data.frequency, outputs, inputs)
+    whole = ScenarioModel(scenario, compliance_of)
 
     def model(values: Mapping[str, float]) -> TransferMatrix:
+        """G of the scenario with ``values`` in place, as the data have it."""
         return answering(whole(values), data)
 
     begun = model({p.name: p.start for p in chosen if p.name not in (SCALE, DELAY)})
     chosen = _rescaled(chosen, data, begun)
     result, numerics = fit(model, data, chosen, progress=progress), ""
-    if fem:
+    if reduced is not None:
         result, numerics = _with_model_errors(result, reduced, scenario, data, base, progress)
-    free, wide = _scenario_values(result), _with_outputs(data, outputs)
-    best = model(free)
-    following = next_best(
-        result, lambda values: answering(whole(values), wide).values, data.frequency, [p.name for p in outputs],
-        _noise_of(data),
-    )  # fmt: skip
+    free = _scenario_values(result)
+    best, following = model(free), _following(result, whole, data, outputs)
     reduction = float(whole(free).errors[0].band) if fem else float("nan")
     numerical = (*_reduction_note(reduction, result), *((numerics,) if numerics else ()))
     notes = (*_explained(data, (begun, best)), *numerical, following.sentence)
@@ -235,10 +233,12 @@ def _unmeasured(scenario: Scenario, data: TransferMatrix) -> tuple[Port, ...]:
     return tuple(p for p in planform_ports(scenario)[0] if p.name not in known)
 
 
-def _with_outputs(data: TransferMatrix, outputs: tuple[Port, ...]) -> TransferMatrix:
-    """The same frequencies and inputs with other outputs, nothing known of them."""
+def _following(result: FitResult, whole: ScenarioModel, data: TransferMatrix, outputs: tuple[Port, ...]) -> NextBest:
+    """What to measure next of ``outputs`` at the frequencies and inputs of the ``data``: nothing is known of them."""
     values = np.zeros((len(data.frequency), len(outputs), len(data.inputs)), dtype=complex)
-    return replace(data, values=values, outputs=outputs, contacts=None, valid=None, deviation=None, errors=())
+    wide = replace(data, values=values, outputs=outputs, contacts=None, valid=None, deviation=None, errors=())
+    names = [p.name for p in outputs]
+    return next_best(result, lambda v: answering(whole(v), wide).values, data.frequency, names, _noise_of(data))
 
 
 def _noise_of(data: TransferMatrix) -> float:

@@ -88,6 +88,7 @@ def run_design(
         total = planned(design)
 
         def ask(wanted: Sequence[Values]) -> list[Candidate]:
+            """Candidates of ``wanted`` values; those not in the store yet are evaluated and kept."""
             missing = [v for v in wanted if store.get(v) is None]
             for candidate in many(list({repr(v): v for v in missing}.values())):
                 store.add(candidate)
@@ -118,6 +119,7 @@ def _evaluating(
         return
 
     def count() -> int:
+        """Processes that the cores and the free memory allow."""
         each = LIGHT if own else LIGHT + psutil.Process().memory_info().rss  # an arm as here, and answers on it
         return max(1, min(workers or os.cpu_count() or 1, int(SHARE * psutil.virtual_memory().available // each)))
 
@@ -126,6 +128,7 @@ def _evaluating(
         sent = None if own else client.scatter(arm, broadcast=True, hash=False)
 
         def many(wanted: Sequence[Values]) -> Iterator[Candidate]:
+            """Candidates of ``wanted`` values as they are done."""
             if own and wanted:  # makes the tables
                 yield evaluate(design, wanted[0], arm)
             rest = wanted[1:] if own else wanted

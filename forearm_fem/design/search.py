@@ -32,6 +32,7 @@ def search(design: Design, ask: Ask) -> None:
         return
 
     def many(points: FloatArray) -> list[float]:
+        """Costs of candidates at ``points`` (n, variables)."""
         return [c.cost for c in ask([design.values(at) for at in points])]
 
     power = int(np.ceil(np.log2(max(options.population, 2))))
@@ -48,6 +49,7 @@ def search(design: Design, ask: Ask) -> None:
     span = np.where(free, high - low, 1.0)
 
     def one(part: FloatArray) -> float:
+        """Cost where the free variables stand at ``part`` (0 to 1) of their ranges."""
         at = np.array(found.x, dtype=float)
         at[free] = low[free] + span[free] * part
         return many(at[None])[0]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..io.jsonfiles import digest_of
 from ..scenario.contents import contents, named_files
 from .candidate import Candidate
 from .model import Design, Values
@@ -59,7 +59,7 @@ def question(design: Design, mark: str = "") -> str:
     arm model's."""
     asked = design.asked.model_dump(mode="json", include={"set", "objective", "constraints"})
     parts = [__version__, mark, asked, design.asked.search.duration, [dict(d) for d in design.data], _contents(design)]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:32]
+    return digest_of(parts)[:32]
 
 
 def _contents(design: Design) -> list[list[str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 import os
@@ -12,6 +11,7 @@ from typing import Any
 
 from ..errors import DataError, MeshError
 from ..io.atomic import write_text
+from ..io.jsonfiles import digest_of
 from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.contents import contents, limb_files
@@ -93,7 +93,7 @@ def mesh_key(scenario: Scenario, *, base: Path = Path("."), scale: float = 1.0) 
         depends["scale"] = scale
     if scenario.mesh.min_quality != _QUALITY:  # it may decide at which attempt a mesh is good enough
         depends["min_quality"] = scenario.mesh.min_quality
-    return hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
+    return digest_of(depends)
 
 
 def default_cache_dir() -> Path:

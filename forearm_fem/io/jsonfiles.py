@@ -1,11 +1,14 @@
-"""JSON objects as files, with a checksum under the key ``sha256``."""
+"""JSON objects as files, with a checksum under the key ``sha256``, and plain contents as text."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..errors import DataError
 from .atomic import write_bytes
@@ -41,3 +44,13 @@ def read_json(path: str | Path) -> dict[str, Any]:
     except DataError as problem:
         raise DataError(f"{path}: {problem}") from None
     return {key: value for key, value in content.items() if key != _KEY}
+
+
+def digest_of(content: Any) -> str:
+    """SHA-256 of plain data, whatever the order of keys."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def plain(value: Any) -> float | None:
+    """A float, or None for what is not finite: JSON knows no NaN."""
+    return float(value) if np.isfinite(value) else None

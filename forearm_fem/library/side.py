@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +21,7 @@ from ..fem.reduction.many_loads import LoadSpace
 from ..fem.reduction.poles import pole_residue
 from ..fem.reduction.reduced_model import ReducedModel, empty_model, with_columns
 from ..geometry.cache import cached_mesh, default_cache_dir
+from ..io.jsonfiles import digest_of
 from ..pipeline.fem_engine import fem_model
 from ..pipeline.frequencies import frequencies
 from ..progress import Progress, tell, within
@@ -102,7 +101,7 @@ def _key(meshed: Scenario, mesh: str, loaded: LoadedSkin, scale: float) -> str:
     asked = meshed.model_dump(mode="json", exclude={"name", "description", "rendering"})
     loads = [loaded.bells.width, loaded.bells.centres.tolist(), loaded.normal]
     parts = [_MAKING, asked, mesh, scale, *loads, _DROP, _SIDEWAYS_DROP, _ORDERS, _FASTER]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+    return digest_of(parts)[:32]
 
 
 def _spanned(

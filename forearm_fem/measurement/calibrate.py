@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError, HardwareError
+from ..io.jsonfiles import digest_of
 from ..io.recording import Recording
 from ..ports import Port
 from ..scenario.measurement import MeasurementOptions
 from .daq import Daq, OpenDevice, Wiring
 from .diagnostics import Finding
 from .entry import Entry, Measured, assemble, entry
-from .store import Folder, digest_of
+from .store import Folder
 from .sweep import ExponentialSweep
 
 
@@ -145,7 +146,7 @@ def collected(plan: Plan, folder: str | Path) -> Measured:
 
 
 def _store(plan: Plan, folder: str | Path) -> Folder:
-    store = Folder(Path(folder), digest_of(plan.description))
+    store = Folder(Path(folder), digest_of(plan.description)[:16])
     store.begin({"plan": plan.description})
     return store
 
@@ -200,7 +201,7 @@ def assembled(plan: Plan, entries: Sequence[Entry], device: str) -> Measured:
     provenance = {
         "source": "measured",
         "device": device,
-        "setup": digest_of(plan.description),
+        "setup": digest_of(plan.description)[:16],
         "measurement": plan.options.model_dump(mode="json"),
         "sweep": vars(plan.sweep),
         "latency_basis": plan.latency_basis,

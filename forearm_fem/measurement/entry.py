@@ -120,6 +120,7 @@ def assemble(
     shape = (len(outputs), len(inputs), len(frequency))
 
     def cube(pick: Any, empty: Any) -> Any:
+        """What is to ``pick`` of each entry, (n, n_out, n_in); ``empty`` where one was not measured."""
         blank = np.full(len(frequency), empty)
         return np.array([pick(by_name[n]) if n in by_name else blank for n in names]).reshape(shape).transpose(2, 0, 1)
 

@@ -74,6 +74,7 @@ def spectra(drive: FloatArray, response: FloatArray, band: BoolArray, step: floa
     repeats, n = response.shape
 
     def average(a: FloatArray, b: FloatArray) -> ComplexArray:
+        """Cross spectrum of two signals, averaged over the repeats."""
         _, s = csd(
             a.ravel(),
             b.ravel(),
@@ -111,9 +112,11 @@ def _rounded_alike(response: FloatArray, step: float) -> float:
     scatter = float(response.var(axis=0, ddof=1).mean()) / step**2
 
     def left(noise: float) -> float:
+        """What noise of the variance ``noise`` leaves of it, both in squared steps."""
         return math.exp(-((2 * math.pi) ** 2) * noise) / 12
 
     def too_much(noise: float) -> float:
+        """Scatter between periods with such ``noise``, less what was seen."""
         return noise + 1 / 12 - left(noise) - scatter
 
     return step**2 * left(brentq(too_much, 0.0, scatter) if scatter > 0 else 0.0)

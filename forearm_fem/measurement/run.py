@@ -105,6 +105,7 @@ def run_calibration(
     refuse_folder_of_another(target, "calibration")
 
     def after(step: Step) -> None:
+        """Draw what is known by now, and tell how far it is."""
         if figure and not step.reused:
             from .figures import save_live  # plotting is heavy, and who asks for no picture does not need it
 

@@ -124,8 +124,3 @@ class Folder:
     def put(self, recording: Recording) -> None:
         """Save; whatever stood there before is replaced in one step."""
         write_recording(self.file(recording.output, recording.input), recording, self.setup)
-
-
-def digest_of(description: Mapping[str, Any]) -> str:
-    """A short fingerprint of plain data."""
-    return hashlib.sha256(json.dumps(description, sort_keys=True, default=str).encode()).hexdigest()[:16]

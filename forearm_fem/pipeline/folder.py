@@ -239,20 +239,15 @@ def _remove_older(run: Run) -> None:
         return
     stale = [n for n in _DERIVED if (run.out / n).is_file()]
     stale += ["mesh.vtu"] if run.scenario.engine == "layered" and (run.out / "mesh.vtu").is_file() else []
-    stale += [f"figures/{p.name}" for p in _older_figures(run.out / "figures")]
+    if (figures := run.out / "figures").is_dir():
+        from ..figures import kinds  # plotting is heavy, and most folders are new
+
+        drawn = (p for p in figures.iterdir() if p.stem in kinds() or p.stem.startswith("target-"))  # nobody else's
+        stale += sorted(f"figures/{p.name}" for p in drawn)
     for name in (*stale, *(f"{n}.sha256" for n in stale)):
         (run.out / name).unlink(missing_ok=True)
     if stale:
         run.notes.append(f"{run.out}: {', '.join(stale)} belonged to another scenario and were removed")
-
-
-def _older_figures(folder: Path) -> list[Path]:
-    """Figures of the run before, by the names that we give them; none of anybody else's."""
-    if not folder.is_dir():
-        return []
-    from ..figures import kinds  # plotting is heavy, and most folders are new
-
-    return sorted(p for p in folder.iterdir() if p.stem in kinds() or p.stem.startswith("target-"))
 
 
 def wavefield_of(simulation: Simulation) -> Wavefield:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -28,6 +26,7 @@ from ..fem.reduction.united import Growth, Piece, piece_at, united_model
 from ..geometry.cache import cached_mesh, default_cache_dir
 from ..geometry.device.grid_places import GridPlaces, grid_places
 from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..io.jsonfiles import digest_of
 from ..io.parametric import ParametricFile, PieceFile, read_parametric, write_parametric
 from ..io.parts import PartFolder
 from ..ports import Port
@@ -297,6 +296,7 @@ def reciprocal(
     fit = rational(nodes, values[:, rows, columns], tolerance, int(shaping.sum()) or None)
 
     def at(frequency: FloatArray) -> ComplexArray:
+        """Both triangles at ``frequency`` (n,) [Hz]."""
         out = np.empty((len(frequency), *values.shape[1:]), dtype=complex)
         out[:, rows, columns] = out[:, columns, rows] = fit.at(frequency)
         return out
@@ -330,7 +330,8 @@ def parametric_model(
     own = _with_all_sheets(scenario, given)
     tell(progress, "mesh", 0, 0)
     mesh, band = mesh or cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
-    key = _key(solve_key(own, mesh, band), given, growth)
+    tissues = [draw.tissues.model_dump(mode="json") for draw in given]
+    key = digest_of([__version__, solve_key(own, mesh, band), tissues, astuple(growth)])[:32]
     file = default_cache_dir() / "parametric" / f"{key}.nc"
     with suppress(DataError, ScenarioError):
         return load_parametric(file)
@@ -378,6 +379,7 @@ def load_parametric(path: str | Path) -> ParametricModel:
     scenario = parse_scenario(content.scenario, origin=str(path))
 
     def model(matrices: FloatArray, functionals: FloatArray, places: FloatArray) -> ReducedModel:
+        """A reduced model from its arrays, with the scenario's coefficients."""
         low = np.zeros((len(functionals), 0))
         bare = ReducedModel(content.names, (), matrices, functionals, content.shares, Basis(), low, places=places)
         return with_scenario(bare, scenario)
@@ -388,12 +390,6 @@ def load_parametric(path: str | Path) -> ParametricModel:
     centres = tuple((x, y) for x, y in content.around.tolist())
     around = GridPlaces(centres, content.reach, content.count) if content.count else None
     return ParametricModel(scenario, content.ports, pieces, trials, checks, content.solves, around)
-
-
-def _key(solve: str, draws: Sequence[Scenario], growth: Growth) -> str:
-    tissues = [draw.tissues.model_dump(mode="json") for draw in draws]
-    text = json.dumps([__version__, solve, tissues, astuple(growth)], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def _with_all_sheets(scenario: Scenario, draws: Sequence[Scenario]) -> Scenario:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import logging
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,7 +25,7 @@ from ..geometry.device.place import place_ports
 from ..geometry.mesh.subdivision import skin_edges
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.atomic import atomic_path
-from ..io.jsonfiles import read_json, write_json
+from ..io.jsonfiles import digest_of, read_json, write_json
 from ..io.netcdf import read_compliance, write_compliance
 from ..io.parts import DAMAGED, PartFolder
 from ..progress import Progress, tell, within
@@ -117,7 +116,7 @@ def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> st
         "tolerance": reduction_tolerance(scenario),
         "frequency": hashlib.sha256(frequency.tobytes()).hexdigest(),
     }
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+    return digest_of(parts)[:32]
 
 
 def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) -> Solved:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..io.jsonfiles import plain
 from ..metrics import perturbed, signal_strength
 from ..metrics.strength import WITHOUT_BOUND
 from ..rendering import FixedZeros, Rendering, SearchedZeros, Wavelet, Window, place, strengths
@@ -51,7 +52,7 @@ class StrengthAccount:
         """By method and target, in plain numbers; None where unknown."""
         columns = ("value", "low", "high", "record", "edges", "holes")
         table = {
-            m: {t: {c: _plain(getattr(self, c)[i, j]) for c in columns} for j, t in enumerate(self.targets)}
+            m: {t: {c: plain(getattr(self, c)[i, j]) for c in columns} for j, t in enumerate(self.targets)}
             for i, m in enumerate(self.methods)
         }
         return {"window": self.window, "unknown": self.unknown, "methods": table, "zeros": self.zeros}
@@ -79,10 +80,6 @@ def finer_than_known(account: StrengthAccount, errors: Sequence[ErrorEstimate]) 
     )
 
 
-def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def strength_account(
     rendering: Rendering, methods: Sequence[Renderer], wavelet: Wavelet, measured: bool = False
 ) -> StrengthAccount:
@@ -98,6 +95,7 @@ def strength_account(
     window: Window = rendering.window if rendering.window is not None else "record"
 
     def strength(g: TransferMatrix, shape: Wavelet = wavelet) -> FloatArray:
+        """S of the same renderers on another G, or of another wavelet."""
         return strengths(g, rendering.targets, kept, shape, window=window)
 
     g, value = holes.transfer, rendering.strengths
@@ -111,9 +109,11 @@ def strength_account(
     spread = np.full(value.shape, np.nan) if unknown else interval(g, smooth, *asked, kept, wavelet, random)
     unknown = unknown or ("" if any(e.source != "measurement" for e in g.errors) else _RANDOM_ONLY)
     tapered = wavelet.tapered(float(g.frequency[0]), float(g.frequency[-1]))
+    moved = [[rendering[m, t].displacements for t in rendering.targets] for m in rendering.methods]
+    record = np.array([[signal_strength(u.values, u.target_index) for u in row] for row in moved])
     return StrengthAccount(
         rendering.methods, rendering.targets, rendering.window, value,
-        value * np.exp(-spread) - cost, value * np.exp(spread) + cost, _over_record(rendering),
+        value * np.exp(-spread) - cost, value * np.exp(spread) + cost, record,
         strength(g, tapered) - value, cost,
         {m: {t: rendering[m, t].drives.zeros for t in rendering.targets} for m in rendering.methods}, unknown,
     )  # fmt: skip
@@ -228,12 +228,3 @@ def _shorter(
         valid=None if transfer.valid is None else transfer.valid[rows], contacts=None, deviation=None,
     )  # fmt: skip
     return thin, replace(wavelet, samples=cut, record=replace(record, n=n))
-
-
-def _over_record(rendering: Rendering) -> FloatArray:
-    return np.array(
-        [
-            [signal_strength(r.displacements.values, r.displacements.target_index) for r in row]
-            for row in ([rendering[m, t] for t in rendering.targets] for m in rendering.methods)
-        ]
-    )

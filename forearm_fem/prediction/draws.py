@@ -44,6 +44,7 @@ def draw_inputs(priors: Priors, scenario: Scenario, seed: int, number: int, laws
     """
 
     def normal(name: str) -> float:
+        """This draw's normal score of an input, whatever else is drawn."""
         return float(np.random.default_rng([seed, number, zlib.crc32(name.encode())]).standard_normal())
 
     chosen = [law for law in priors.inputs["law"].choices if law in laws]

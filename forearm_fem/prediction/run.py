@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import time
 import warnings
@@ -22,6 +20,7 @@ from ..campaign.executor import LIGHT, SHARE, cluster, completed, in_turn
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ForearmError, ScenarioError
 from ..fem.kernels.heap import freed_memory_kept
+from ..io.jsonfiles import digest_of
 from ..io.owner import refuse_folder_of_another
 from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import check_servable, unsuited, wavelet
@@ -68,7 +67,7 @@ class Question:
                    sorted(self.laws), sorted(self.held), self.twin, repr(priors.inputs), repr(priors.laws),
                    {law: joint.mean.tolist() for law, joint in priors.joint.items()},
                    contents(named_files(self.scenario), self.base)]  # fmt: skip
-        return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
+        return digest_of(content)
 
 
 @dataclass(frozen=True, eq=False)

@@ -207,6 +207,7 @@ def joint_distance(values: FloatArray, point: FloatArray) -> tuple[float, float]
     inverse = np.linalg.pinv(np.cov(logs.T))
 
     def distance(rows: FloatArray) -> FloatArray:
+        """Mahalanobis' distance (n,) of ``rows`` from the centre."""
         d = rows - centre
         return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", d, inverse, d)))
 

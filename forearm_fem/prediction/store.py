@@ -69,6 +69,7 @@ def read_outcomes(path: Path, digest: str | None = None) -> list[Outcome]:
     ``digest``."""
 
     def unpack(dataset: xr.Dataset) -> list[Outcome]:
+        """Outcomes of the file; DataError where they are of another question or version."""
         if digest is not None and dataset.attrs["question"] != digest:
             raise DataError("holds draws of another question")
         if "spread" not in dataset:

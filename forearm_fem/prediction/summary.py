@@ -14,7 +14,7 @@ from ..tissue import resolve_tissues
 from ..typing import FloatArray
 from .draws import REFERENCE
 from .run import Prediction
-from .statistics import LEVELS, Enclosed, quantiles, rank_correlations, sobol_indices, winners
+from .statistics import LEVELS, Draws, Enclosed, quantiles, rank_correlations, sobol_indices, winners
 
 FOLDER, FILE = "prediction", "prediction.json"
 READING = "calibrated"  # as Table I: S on the G that was calibrated
@@ -26,24 +26,15 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
     ``failed`` says of how many arms there is no S, and why; ``numerics`` are e_band of the arms' G and what it leaves
     their S, as a factor to either side.
     """
-    draws, nominal = prediction.draws, prediction.nominal
+    draws, nominal, asked = prediction.draws, prediction.nominal, prediction.question
     calibrated, played, record = (draws.enclosed(name) for name in ("calibrated", "played", "calibrated, record"))
     groups = draws.groups
     grouped = calibrated.of_groups(groups)
-    means = grouped.value
-    drivers = {"rank": rank_correlations(draws.drivers, means)}
-    if sobol:
-        drivers["sobol"] = sobol_indices(draws.drivers, draws.names, means)
     return {
-        "program": __version__,
-        "scenario": prediction.question.scenario.model_dump(mode="json"),
-        "question": prediction.question.digest,
-        "seed": prediction.question.seed,
-        "laws": list(prediction.question.laws),
-        "held": list(prediction.held),
-        "model": prediction.model,
+        "program": __version__, "scenario": asked.scenario.model_dump(mode="json"), "question": asked.digest,
+        "seed": asked.seed, "laws": list(asked.laws), "held": list(prediction.held), "model": prediction.model,
         "left_out": prediction.left_out,
-        "draws": len(means),
+        "draws": len(grouped.value),
         "failed": dict(draws.problems),
         "numerics": {
             "median": float(np.median(draws.numerics)), "largest": float(draws.numerics.max()),
@@ -63,13 +54,9 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
         }),
         "by_group": _table(draws.methods, tuple(groups), {
             **_spread(grouped), "played": played.of_groups(groups).quantiles(),
-            "record": record.of_groups(groups).quantiles(), "wins": winners(means),
+            "record": record.of_groups(groups).quantiles(), "wins": winners(grouped.value),
         }),
-        "drivers": [
-            {"name": name, **{what: _table(draws.methods, tuple(groups), {"": found[k]}, flat=True)
-                              for what, found in drivers.items()}}
-            for k, name in enumerate(draws.names)
-        ],
+        "drivers": _drivers(draws, grouped.value, sobol),
         "seconds_per_draw": float(np.median(draws.seconds)),
     }  # fmt: skip
 
@@ -96,6 +83,18 @@ def _spread(arms: Enclosed) -> dict[str, FloatArray]:
             "above_one_range": np.stack([sure, possible])}  # fmt: skip
 
 
+def _drivers(draws: Draws, means: FloatArray, sobol: bool) -> list[dict[str, Any]]:
+    """What each input drives of the groups' ``means`` (n, n_method, n_group) of S."""
+    found = {"rank": rank_correlations(draws.drivers, means)}
+    if sobol:
+        found["sobol"] = sobol_indices(draws.drivers, draws.names, means)
+    return [
+        {"name": name, **{what: _table(draws.methods, tuple(draws.groups), {"": values[k]}, flat=True)
+                          for what, values in found.items()}}
+        for k, name in enumerate(draws.names)
+    ]  # fmt: skip
+
+
 def _aligned(values: FloatArray, prediction: Prediction) -> FloatArray:
     """The scene's own numbers in the order of the draws' methods and targets."""
     nominal, draws = prediction.nominal, prediction.draws
@@ -109,6 +108,7 @@ def _table(
     """{method: {column: {part: number or list}}}; the last two axes of each part are method and column."""
 
     def cell(m: int, c: int) -> Any:
+        """The parts of one method and column."""
         found = {name: _plain(values[..., m, c]) for name, values in parts.items()}
         return found[""] if flat else found
 

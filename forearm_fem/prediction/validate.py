@@ -6,7 +6,7 @@ import hashlib
 import inspect
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from ..rendering.lattice import is_thesis_grid
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .arm import without_bones
-from .draws import LAWS, Draw, draw_inputs, scenario_of
+from .draws import LAWS, draw_inputs, scenario_of
 from .observables import TOLERANCE, Arm, fat_of, motor_ratios, observables
 from .priors import load_priors
 from .run import Prediction, Question, check_question, expanded, predict
@@ -108,13 +108,18 @@ def _observed(
 ) -> list[dict[str, Any]]:
     """Observables of every draw with its law; kept in the folder as they are made."""
     file, mark = out / OBSERVABLES, f"{question.digest} {hash_of_targets()}"
-    rows = _kept(file, mark)[:draws] if resume else []
+    rows, priors = _kept(file, mark)[:draws] if resume else [], load_priors()
     saved = time.monotonic()
     tell(progress, "published measurements", len(rows), draws)
     try:
         for number in range(len(rows), draws):
-            draw, arm = _arm(question, number)
-            rows.append({"law": draw.law, **_or_nothing(lambda arm=arm: observables(arm))})  # type: ignore[misc]
+            draw = draw_inputs(priors, question.scenario, question.seed, number, question.laws)
+            arm = Arm.of(without_bones(scenario_of(draw, question.scenario, expanded(question.held))))
+            try:
+                seen = observables(arm)
+            except ForearmError:  # an arm that cannot be measured is missing from the band
+                seen = {}
+            rows.append({"law": draw.law, **seen})
             tell(progress, "published measurements", number + 1, draws)
             if time.monotonic() > saved + _SAVE:
                 write_json(file, {"question": mark, "rows": rows}, indent=None)
@@ -136,19 +141,6 @@ def _kept(file: Path, mark: str) -> list[dict[str, Any]]:
     except DataError:
         return []
     return list(content["rows"]) if content.get("question") == mark else []
-
-
-def _or_nothing(make: Callable[[], dict[str, float]]) -> dict[str, float]:
-    try:
-        return make()
-    except ForearmError:  # an arm that cannot be measured is missing from the band
-        return {}
-
-
-def _arm(question: Question, number: int) -> tuple[Draw, Arm]:
-    draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
-    scenario = scenario_of(draw, question.scenario, expanded(question.held))
-    return draw, Arm.of(without_bones(scenario))
 
 
 def _judged(target: Target, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

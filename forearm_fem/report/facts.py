@@ -17,7 +17,7 @@ from ..pipeline.unread import changed_keys
 from ..rendering.lattice import is_thesis_grid
 from ..rendering.limits import Limits, beyond_limits
 from ..scenario import Scenario
-from ..transfer import TransferMatrix, entry_band_errors, size_words
+from ..transfer import entry_band_errors, size_words
 from ..typing import FloatArray
 
 Rows = list[list[str]]
@@ -38,6 +38,7 @@ def scene_block(results: Results) -> Block:
     changed = ", ".join(s.tissues.override)
     inside = ", ".join(f"{x.tissue} {_mm(x.thickness)}" for x in getattr(s.limb, "layers", ()))
     core, bones = getattr(s.limb, "core", ""), ", ".join(b.name for b in getattr(s.limb, "bones", ()))
+    own = [key for key in changed_keys(s) if key not in ("name", "description")]
     limb = (s.limb.shape, inside, f"on {core}" if core else "", f"bones: {bones}" if bones else "")
     rows = [
         ["limb", "; ".join(part for part in limb if part)],
@@ -49,13 +50,9 @@ def scene_block(results: Results) -> Block:
                   f"{results.transfer.frequency[-1]:g} Hz"],
         ["engine", "finite elements" if s.engine == "fem" else "semi-analytic layered half-space (flat, no bone)"],
         ["accuracy asked", f"e_band ≤ {s.accuracy:g}"],
-        ["keys that differ from their defaults", ", ".join(_changed(s)) or "none"],
+        ["keys that differ from their defaults", ", ".join(own) or "none"],
     ]  # fmt: skip
     return Block(["", ""], rows, s.description)
-
-
-def _changed(s: Scenario) -> list[str]:
-    return [key for key in changed_keys(s) if key not in ("name", "description")]
 
 
 def _mm(length: float) -> str:
@@ -132,12 +129,16 @@ def matrix_block(results: Results) -> Block:
     condition = condition_number(values)
     size = np.abs(values)
     at = np.unravel_index(int(np.nanargmax(size)), size.shape)
+    error, ends = entry_band_errors(g), list[tuple[np.intp, ...]]()
+    if np.isfinite(error).any():  # of the best entry and of the worst
+        ends = [np.unravel_index(int(find(error)), error.shape) for find in (np.nanargmin, np.nanargmax)]
+    told = (f"{error[o, i]:.2g} ({g.outputs[o].name} ← {g.inputs[i].name})" for o, i in ends)
     rows = [
         ["entries", f"{size.shape[1]} points × {size.shape[2]} actuators × {size.shape[0]} frequencies, {g.unit}"],
         ["largest entry", f"{1e6 * size[at]:.3g} µ{g.unit} at {g.frequency[at[0]]:g} Hz, "
                           f"{g.outputs[at[1]].name} ← {g.inputs[at[2]].name}"],
         ["condition number", condition_words(condition)],
-        ["entries err by, of their own size", _of_entries(g)],
+        ["entries err by, of their own size", " to ".join(told) or "unknown"],
     ]  # fmt: skip
     return Block(["", ""], rows, "Errors of G are amplified in the drives by up to the condition number.")
 
@@ -149,15 +150,6 @@ def condition_words(condition: FloatArray) -> str:
         at = f"{found.singular} of {found.regular + found.singular} frequencies"
         return f"infinite at {at}: an actuator moves nothing there, or two move alike"
     return "unknown" if found.median is None else f"median {found.median:.1f}, largest {found.largest:.1f}"
-
-
-def _of_entries(g: TransferMatrix) -> str:
-    """What the best and the worst entry of G are stated to err by over the band."""
-    error = entry_band_errors(g)
-    if not np.isfinite(error).any():
-        return "unknown"
-    ends = (np.unravel_index(int(find(error)), error.shape) for find in (np.nanargmin, np.nanargmax))
-    return " to ".join(f"{error[at]:.2g} ({g.outputs[at[0]].name} ← {g.inputs[at[1]].name})" for at in ends)
 
 
 def renderer_block(results: Results) -> Block:

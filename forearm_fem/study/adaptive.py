@@ -41,11 +41,22 @@ class Threshold:
 
 
 class _Levels(Protocol):
-    def next(self) -> float: ...
-    def update(self, level: float, yes: bool) -> None: ...
-    def estimate(self) -> tuple[float, float, int]: ...
+    def next(self) -> float:
+        """The level [dB] to present."""
+        ...
+
+    def update(self, level: float, yes: bool) -> None:
+        """What was answered at ``level``."""
+        ...
+
+    def estimate(self) -> tuple[float, float, int]:
+        """Threshold and its standard deviation [dB], NaN while unknown, and the trials so far."""
+        ...
+
     @property
-    def beyond(self) -> Literal["", "below", "above"]: ...
+    def beyond(self) -> Literal["", "below", "above"]:
+        """Whether the threshold lies outside the levels, and on which side."""
+        ...
 
 
 class Track:
@@ -112,9 +123,11 @@ class _Quest:
         )  # fmt: skip
 
     def next(self) -> float:
+        """The level [dB] to present."""
         return float(self._quest.next_stim["intensity"])
 
     def update(self, level: float, yes: bool) -> None:
+        """What was answered at ``level``."""
         self._quest.update(stim={"intensity": level}, outcome={"response": "Yes" if yes else "No"})
 
     @property
@@ -124,6 +137,7 @@ class _Quest:
         return "below" if likeliest == 0 else "above" if likeliest == self._levels - 1 else ""
 
     def estimate(self) -> tuple[float, float, int]:
+        """Mean and standard deviation of the posterior [dB], and trials so far."""
         density = self._quest.marginal_posterior[self._name]
         levels = np.asarray(self._quest.param_domain[self._name], dtype=float)
         mean = float(np.sum(density * levels))
@@ -140,9 +154,11 @@ class _Staircase:
         self._last, self._count, self._held = 0, 0, 0
 
     def next(self) -> float:
+        """The level [dB] to present."""
         return self._level
 
     def update(self, level: float, yes: bool) -> None:
+        """What was answered at ``level``: up after a no, down after as many yes as the plan asks for."""
         self._count += 1
         self._held = self._held + 1 if level in (self._options.low, self._options.high) else 0
         self._run = self._run + 1 if yes else 0

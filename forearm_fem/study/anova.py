@@ -113,6 +113,7 @@ def _effect(name: str, part: _Parts, errors: float) -> Effect:
     w, p_w = _mauchly(part)
 
     def p(epsilon: float) -> float:
+        """Probability of F with degrees of freedom times ``epsilon``."""
         return float(stats.f.sf(f, epsilon * df, epsilon * df_error))
 
     return Effect(

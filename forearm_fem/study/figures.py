@@ -148,7 +148,7 @@ def plot_confusion(shares: dict[str, FloatArray], names: Sequence[str]) -> Figur
 
 
 @styled
-def plot_power(curve: Sequence[Power], wanted: float = 0.8) -> Figure:
+def plot_power(curve: Sequence[Power]) -> Figure:
     """Power against the number of participants, with 95 % intervals of the simulation."""
     figure = Figure(figsize=(3.5, 2.6), layout="constrained")
     ax = figure.subplots()
@@ -156,6 +156,6 @@ def plot_power(curve: Sequence[Power], wanted: float = 0.8) -> Figure:
     share = np.array([p.share for p in curve])
     span = np.abs(np.array([[p.low, p.high] for p in curve]).T - share)
     ax.errorbar(n, share, span, fmt="o-", ms=3, capsize=2)
-    ax.axhline(wanted, color=FAINT, lw=0.8)
+    ax.axhline(0.8, color=FAINT, lw=0.8)
     ax.set(xlabel="participants", ylabel="share of studies with p < 0.05", ylim=(0, 1.02))
     return figure

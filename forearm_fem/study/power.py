@@ -14,6 +14,8 @@ from ..typing import FloatArray
 from .anova import repeated_measures
 from .comparisons import pairwise
 
+_ALPHA = 0.05
+
 
 @dataclass(frozen=True)
 class Supposed:
@@ -31,7 +33,7 @@ class Supposed:
 
 @dataclass(frozen=True)
 class Power:
-    """Share of ``studies`` drawn in which an effect was significant at ``alpha``, with its 95 % interval (Wilson)."""
+    """Share of ``studies`` drawn in which an effect was significant at 5 %, with its 95 % interval (Wilson)."""
 
     participants: int
     repetitions: int
@@ -47,8 +49,6 @@ def power_curve(
     *,
     test: str = "method",
     studies: int = 1000,
-    alpha: float = 0.05,
-    seed: int = 0,
     progress: Progress | None = None,
 ) -> tuple[Power, ...]:
     """Power of ``test`` for each number of participants.
@@ -58,12 +58,12 @@ def power_curve(
     """
     found = []
     for done, count in enumerate(participants):
-        rng, hits = np.random.default_rng([seed, count]), 0
+        rng, hits = np.random.default_rng([0, count]), 0
         for _ in range(studies):  # the cell means (n_participant, n_target, n_method) of each
             own = supposed.between * rng.standard_normal((count, 1, 1))
             scatter = np.hypot(supposed.cell, supposed.within / np.sqrt(repetitions))
             noise = scatter * rng.standard_normal((count, *supposed.means.shape))
-            hits += _significant(np.asarray(supposed.means + own + noise), test, alpha)
+            hits += _significant(np.asarray(supposed.means + own + noise), test)
         low, high = stats.binomtest(hits, studies).proportion_ci(method="wilson")
         found.append(Power(count, repetitions, hits / studies, float(low), float(high)))
         tell(progress, "power", done + 1, len(participants))
@@ -99,10 +99,10 @@ def supposed_from(values: FloatArray, repetitions: int, within: float) -> Suppos
     return Supposed(means, float(np.sqrt(between)), float(np.sqrt(cell)), within)
 
 
-def untold(values: FloatArray, test: str, alpha: float = 0.05) -> str:
+def untold(values: FloatArray, test: str) -> str:
     """A sentence where a pilot's cell means do not tell the effect of ``test`` from chance, else empty."""
     whole = _complete(values)
-    if _significant(whole, test, alpha):
+    if _significant(whole, test):
         return ""
     return (
         f"the pilot's {len(whole)} participants do not tell this effect from chance: how large it is, and so how many "
@@ -131,9 +131,9 @@ def _without_chance(means: FloatArray, variance: float) -> FloatArray:
     return out
 
 
-def _significant(values: FloatArray, test: str, alpha: float) -> bool:
+def _significant(values: FloatArray, test: str) -> bool:
     if test == "pairs":
         names = [str(k) for k in range(values.shape[2])]
-        return any(pair.p < alpha for pair in pairwise(values.mean(axis=1), names))
+        return any(pair.p < _ALPHA for pair in pairwise(values.mean(axis=1), names))
     effects = {e.name: e for e in repeated_measures(values, ("location", "method"))}
-    return effects[test].p_gg < alpha
+    return effects[test].p_gg < _ALPHA

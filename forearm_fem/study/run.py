@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -213,10 +212,9 @@ class _Clock:
         return self._now
 
 
-def statuses(store: StudyStore, participants: Sequence[str] | None = None) -> list[tuple[str, str, int, int]]:
-    """(participant, task, answered, planned) of ``participants``, by default all who have not withdrawn."""
-    active = (p["participant_id"] for p in store.people() if p["status"] == "active")
-    names = participants or [name.removeprefix("sub-") for name in active]
+def statuses(store: StudyStore) -> list[tuple[str, str, int, int]]:
+    """(participant, task, answered, planned) of all who have not withdrawn."""
+    names = [p["participant_id"].removeprefix("sub-") for p in store.people() if p["status"] == "active"]
     return [
         (name, task.name, len(store.answers(name, task.name)), len(trials(store.study, task, name)))
         for name in names

@@ -122,6 +122,7 @@ def _shown(who: frozenset[str], content: Callable[[str], str | dict[str, Any]]) 
     from starlette.responses import HTMLResponse, JSONResponse, Response
 
     async def answer(request: Any) -> Any:
+        """The page or the state for whose key it is, else not found."""
         if not (key := _key(request, who)):
             return Response("not found", 404)
         found = content(key)
@@ -136,6 +137,7 @@ def _done(session: Session, who: frozenset[str], do: Act, hosts: tuple[str, ...]
     from starlette.responses import JSONResponse, Response
 
     async def answer(request: Any) -> Any:
+        """Do what is asked by whose key it is; refusals in words."""
         if not _key(request, who):
             return Response("not found", 404)
         origin = request.headers.get("origin")  # browsers name it at every POST, programs on this machine need not
@@ -219,6 +221,7 @@ def serve(
     announce(f"http://{host}:{number}/p/{keys.participant}", f"http://{host}:{number}/e/{keys.experimenter}")
 
     async def run() -> None:
+        """Serve until a stop is asked for."""
         serving = asyncio.create_task(server.serve(sockets=[listening]))
         while not serving.done():
             await asyncio.sleep(0.2)
