@@ -20,7 +20,7 @@ from forearm_fem.campaign.member import MemberJob
 from forearm_fem.campaign.model import DrawTable, draws
 from forearm_fem.errors import MissingExtra, ScenarioError, SolverError
 from forearm_fem.prediction.run import Question
-from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.tissue import PRESETS
 
 QUICK = "set = { sweep = { frequencies = [100.0, 200.0] } }\n"
@@ -72,6 +72,41 @@ def test_a_grid_is_every_combination(tmp_path: Path) -> None:
     assert members[3].scenario.device.spacing == 0.04
     assert members[3].scenario.tissues.preset == "zhang"
     assert members[3].scenario.sweep.frequencies == (100.0, 200.0)
+
+
+def test_keys_without_quotes_change_what_they_name_and_nothing_beside(tmp_path: Path) -> None:
+    """TOML makes a table of `device.spacing = 0.03`; it took the place of the file's whole table, without a word."""
+    text = "[grid]\ndevice.spacing = [0.03, 0.04]\n[[members]]\nname = 'one'\nset = { sweep.duration = 0.3 }\n"
+    members = load_campaign(made(tmp_path, text)).members
+    assert [m.name for m in members] == ["spacing-0.03", "spacing-0.04", "one"]
+    own = load_scenario(tmp_path / "small.toml")
+    assert all(m.scenario.device.cone == own.device.cone for m in members)
+    assert (members[2].scenario.sweep.frequencies, members[2].scenario.sweep.duration) == ((100.0, 200.0), 0.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[grid]\nname = ['a', 'b']\n", "name: a scenario is called by its member"),
+        ("[[members]]\nname = 'a'\nset = { name = 'b' }\n", "name: a scenario is called by its member"),
+        ("[grid]\n'sweep.frequencies' = [[100.0], [200.0]]\n", r"sweep\.frequencies is given twice, in set and"),
+    ],
+)  # fmt: skip
+def test_no_key_of_a_campaign_is_overruled_without_a_word(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ScenarioError, match=said):
+        load_campaign(made(tmp_path, text))
+
+
+def test_every_combination_of_a_grid_has_a_folder_of_its_own(tmp_path: Path) -> None:
+    """Values that six digits do not tell apart, and names longer than a folder's."""
+    near = load_campaign(made(tmp_path, "[grid]\n'device.spacing' = [0.04, 0.0400000001]\n")).members
+    assert [m.name for m in near] == ["spacing-0.04", "spacing-0.0400000001"]
+    places = [[[0.02 + 0.001 * k, 0.025], [-0.02, 0.0201], [0.021, -0.0234], [-0.0217, -0.0225]] for k in range(2)]
+    text = f"[grid]\n'device.contacts' = {places}\n'tissues.override.muscle.mu' = [9876.54321, 10000.0]\n"
+    names = [m.name for m in load_campaign(made(tmp_path, text)).members]
+    assert len(set(names)) == 4
+    assert all(len(name) <= 100 for name in names)
+    assert names == [m.name for m in load_campaign(made(tmp_path, text)).members]  # the same folder next time
 
 
 def test_draws_follow_the_sourced_spreads_and_the_seed() -> None:

@@ -356,12 +356,47 @@ def test_s_of_a_candidate_is_that_of_a_full_run_and_tables_are_read_back(tmp_pat
         ('[[variables]]\nkey = "device.columns"\nvalues = []\n', r"expected a list of at least 1 item, got \[\]"),
         (SPACING.replace("[[variables]]", "[variables]"), r"variables: input should be a list, got a table"),
         (SPACING + "[search]\ncandidates = 0\n", r"search\.candidates: expected 1 to 1e\+06, got 0"),
+        (SPACING + "[objective]\ntargets = []\n", r"expected a list of at least 1 item, got \[\]"),
+        (SPACING + '[objective]\ntargets = ["5", "5"]\n', "names a point twice: 5, 5"),
+        (SPACING.replace("device.spacing", "engine.mesh"), r"engine\.mesh: 'engine' is a value, not a table"),
+        ('set = { rendering.methods = ["funneling"] }\n' + SPACING, r"methods: objective\.method alone says"),
+        ('[[variables]]\nkey = "rendering.targets"\nvalues = [["1"], ["2"]]\n', r"targets: objective\.targets alone"),
     ],
 )  # fmt: skip
 def test_bad_designs_are_one_sentence(text, said, tmp_path):
     with pytest.raises(ScenarioError, match=said) as problem:
         design(tmp_path, text)
     assert len(str(problem.value)) <= 300
+
+
+def test_keys_without_quotes_change_what_they_name_and_nothing_beside(tmp_path):
+    """TOML makes a table of `device.rows = 3`; it took the place of all that the scenario's file says of the device."""
+    scene = SCENE.replace("[device.cone]", "[device]\nspacing_y = 0.031\n[device.cone]")
+    asked = design(tmp_path, "set = { device.rows = 3, device.cone = { radius = 0.004 } }\n" + SPACING, scene)
+    device = asked.scenarios({"device": {"columns": 4}})[0].device
+    assert (device.rows, device.columns, device.spacing_y, device.cone.radius) == (3, 4, 0.031, 0.004)
+    assert device.cone.contact == "pressure"
+    with pytest.raises(ScenarioError, match=r"device\.spacing is given twice"):
+        design(tmp_path, "set = { device.spacing = 0.03 }\n" + SPACING)
+
+
+@pytest.mark.parametrize(
+    ("other", "differs"),
+    [("[grid]\nrows = 2\n", r"grid\.rows"), ("[device.coil]\nresistance = 4.0\n", r"device\.coil\.resistance"),
+     ("[device.contact_springs]\nA1 = 300.0\n", "")],
+)  # fmt: skip
+def test_several_arms_get_one_device_and_the_same_points(tmp_path, other, differs):
+    """Numbers of the first stood for all, and grids of two sizes were a traceback."""
+    (tmp_path / "other.toml").write_text(SCENE + other)
+    file = tmp_path / "several.toml"
+    asked = f'name = "d"\nscenario = ["scene.toml", "other.toml"]\n{SPACING}'
+    (tmp_path / "scene.toml").write_text(SCENE)
+    file.write_text(asked)
+    if not differs:  # how an arm touches the device is the arm's own
+        assert len(load_design(file).scenarios({})) == 2
+        return
+    with pytest.raises(ScenarioError, match=f"{differs} is not alike in the scenarios"):
+        load_design(file)
 
 
 def test_overlaps_and_places_off_the_skin_leave_nothing_feasible(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import MagicMock
 
@@ -14,7 +15,7 @@ import pytest
 from PIL import Image
 from test_figures_scene import folder  # noqa: F401
 
-from forearm_fem.errors import DataError, MissingExtra
+from forearm_fem.errors import DataError, MissingExtra, NotApplicable
 from forearm_fem.figures import Results
 from forearm_fem.figures.interact import Room, interact
 from forearm_fem.figures.motion import View, motion, nice
@@ -52,6 +53,20 @@ def test_a_motion_through_time_is_the_wavefields_own(run: Results) -> None:
 
     whole = run.wavefield.in_time(drive_series(run.drives, "funneling", "5", run.wavefield), times)
     np.testing.assert_allclose(moved.displacement(run.wavefield.modes, 1), whole[1], atol=1e-12 * np.abs(whole).max())
+
+
+def test_a_field_on_some_of_the_drives_bins_is_not_shown_for_their_motion(run: Results) -> None:
+    """Every other bin alone is half of the motion, twice in the record; it was drawn without a word."""
+    from forearm_fem.figures.targets import drive_series
+
+    field = run.wavefield
+    some = replace(field, frequency=field.frequency[::2], amplitudes=field.amplitudes[::2])
+    for wrong in (some, replace(field, frequency=field.frequency * 1.01)):
+        with pytest.raises(NotApplicable, match=r"known at \d+ frequencies, and the drives lie on others") as problem:
+            drive_series(run.drives, "funneling", "5", wrong)
+        assert len(str(problem.value)) <= 300
+    one, other = (drive_series(run.drives, "funneling", "5", f, whole=False) for f in (field, some))
+    assert np.array_equal(one[:, ::2], other)
 
 
 def test_waves_leave_the_actuator_and_decay(run: Results) -> None:

@@ -187,9 +187,23 @@ def test_a_limb_that_lies_otherwise_than_meant_is_named(tmp_path):
     assert "no plane cut end" in uncut
     limb = {"shape": "surfaces", "surfaces": {"skin": "a.stl", "bone": "b.stl", "fat": "c.stl", "muscle": "d.stl"}}
     nested = parse_scenario({**REST, "limb": limb})
+    mesh = replace(mesh, region=0 * mesh.region)  # skin all around
     assert doubts_of(nested, replace(mesh, region_names=("skin", "fat", "muscle"))) == ()
     (exchanged,) = doubts_of(nested, replace(mesh, region_names=("skin", "muscle", "fat")))
     assert exchanged.startswith("limb.surfaces: names fat before muscle, whose surface encloses it")
+
+
+def test_a_limb_upside_down_is_named(tmp_path):
+    """Skin below and muscle under the device; a limb of one tissue, or with tissues of one's own, tells nothing."""
+    mesh, scenario = taken(MESHES[0], tmp_path), parse_scenario(MESHES[0].scenario())
+    over = replace(mesh, points=mesh.points * [1, 1, -1], tetrahedra=mesh.tetrahedra[:, [0, 2, 1, 3]])
+    up = over.region[np.argmax(over.points[over.tetrahedra].mean(axis=1)[:, 2])]
+    named = {True: ("fat", "skin"), False: ("skin", "fat")}[up == 0]  # as the file, turned over, has them
+    (said,) = doubts_of(scenario, replace(over, region_names=named))
+    assert said.startswith("limb: the device presses on fat, and skin lies on the far side")
+    assert doubts_of(scenario, replace(over, region_names=named[::-1])) == ()
+    assert doubts_of(scenario, replace(over, region_names=("skin", "gel"))) == ()
+    assert doubts_of(scenario, replace(over, region=0 * over.region, region_names=("fat",))) == ()
 
 
 def test_the_sample_arm_is_sound_and_small():

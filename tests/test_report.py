@@ -17,7 +17,7 @@ from test_figures_scene import folder  # noqa: F401
 from forearm_fem.errors import DataError
 from forearm_fem.figures import Results, kinds
 from forearm_fem.report import write, write_report
-from forearm_fem.report.facts import condition_words, differences, exceeded, scene_block
+from forearm_fem.report.facts import condition_words, differences, exceeded, mean_words, scene_block
 from forearm_fem.scenario import parse_scenario
 
 
@@ -117,3 +117,10 @@ def test_the_page_opens_in_a_browser(report: tuple[str, str, Path], tmp_path: Pa
                f"--print-to-pdf={tmp_path / 'page.pdf'}", report[2].as_uri()]  # fmt: skip
     subprocess.run(command, capture_output=True, timeout=120, check=False)
     assert (tmp_path / "page.pdf").stat().st_size > 100_000
+
+
+def test_a_mean_says_of_how_many_it_is():
+    """Targets whose S is unknown were left out of "the mean over 3 targets"."""
+    assert mean_words(np.array([1.0, 2.0, 3.0])) == "2.00"
+    assert mean_words(np.array([1.0, np.nan, np.inf])) == "1.00 (of 1)"
+    assert mean_words(np.array([np.nan, np.nan])) == "unknown"

@@ -16,10 +16,11 @@ from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import AccuracyWarning, ScenarioError
 from forearm_fem.figures import Results
 from forearm_fem.measurement.entry import noise_estimate
-from forearm_fem.metrics.strength import strength_text
+from forearm_fem.metrics.strength import strength_text, without_bound
 from forearm_fem.pipeline import strengths as account_module
-from forearm_fem.pipeline.folder import Run, run_render
+from forearm_fem.pipeline.folder import Run, run_all, run_render
 from forearm_fem.pipeline.renderers import check_servable, renderers
+from forearm_fem.pipeline.samples import check_samples, sample_notes
 from forearm_fem.pipeline.simulation import account_of, render_transfer
 from forearm_fem.pipeline.strengths import at_least_band, finer_than_known, strength_account
 from forearm_fem.pipeline.two_meshes import over_pairs
@@ -464,6 +465,15 @@ def test_silence_finer_than_g_is_known_is_said():
     assert [strength_text(s) for s in (2.904, 213216020808372.16, np.nan)] == ["2.90", "2.1e+14", "nan"]
 
 
+def test_an_s_that_is_made_of_rounding_is_said_from_python_too():
+    """As many actuators as points: 4e16 came without a word where no run told it."""
+    g, shape = waves(BINS, nested(4), five_by_four()[:4], gains=np.ones(4)), ricker(duration=0.25)
+    with pytest.warns(AccuracyWarning, match=r"S of inverse filter towards . has no bound, .* is what rounding leaves"):
+        found = render_all(g, methods=InverseFilter(zeros=("2", "3", "4")), targets="1", wavelet=shape)
+    assert without_bound(found.methods, found.targets, found.strengths)
+    assert not without_bound(("a",), ("1", "2"), np.array([[np.inf, np.nan]]))  # told as unknown
+
+
 def test_a_scenario_damps_for_the_accuracy_it_asks_for_and_four_actuators_for_none():
     shape, fine, coarse = ricker(duration=0.04), Scenario(accuracy=0.01), Scenario(accuracy=0.3)
     six, four = (waves(np.arange(100.0, 400.1, 50.0), nested(n), five_by_four(), gains=np.ones(n)) for n in (6, 4))
@@ -553,6 +563,32 @@ def test_no_method_left_is_known_before_the_solve():
     with pytest.raises(ScenarioError, match="there is one point"):
         check_question(Question(parse_scenario(alone), Path()))
     assert check_servable(parse_scenario({**alone, "rendering": {"methods": []}})) == {}
+
+
+@pytest.mark.parametrize("engine", ["layered", "fem"])
+def test_frequencies_too_far_apart_to_render_on_are_refused_before_the_solve(engine, tmp_path, monkeypatch):
+    """G was solved, and then not rendered; now it is seen on the flat twin, whatever solves the scene, tape or not."""
+    monkeypatch.setattr("forearm_fem.pipeline.folder._solved", lambda run: pytest.fail("solved first"))
+    far = {**TWIN, "engine": engine, "sweep": {"frequencies": list(range(20, 480, 40)), "duration": 0.5},
+           "tissues": {"patch": {"mass": 0.2}} if engine == "fem" else {}}  # fmt: skip
+    said = r"sweep\.frequencies: by the flat twin, .* 40 Hz apart: .*; for G alone set rendering\.methods = \[\]"
+    for asks in (lambda s: run_all(Run.start(s, tmp_path, Path())), lambda s: check_question(Question(s, Path()))):
+        with pytest.raises(ScenarioError, match=said) as problem:
+            asks(parse_scenario(far))
+        assert len(str(problem.value)) < 300
+        assert " ... " not in str(problem.value)
+    assert not list(tmp_path.iterdir())
+    check_samples(parse_scenario({**far, "rendering": {"methods": []}}))
+    bins = {"frequencies": list(range(40, 480, 40)), "duration": 0.025}  # nothing lies between
+    check_samples(parse_scenario({**far, "sweep": bins}))
+
+
+def test_frequencies_of_a_limb_without_a_twin_leave_a_note():
+    own = {"limb": {"shape": "mesh", "file": "a.vtu", "regions": {"1": "fat"}}, "sweep": {"frequencies": [50.0, 99.0]}}
+    (note,) = sample_notes(parse_scenario(own))
+    assert "after the solve only" in note
+    assert note in Run.start(parse_scenario(own), Path(), Path()).notes
+    assert not sample_notes(parse_scenario({**own, "sweep": {}}))
 
 
 def test_a_method_left_out_is_not_missed_by_the_account():

@@ -40,7 +40,7 @@ rendering = render(simulation)
 print(rendering.table().as_text())
 
 # %%
-# **How far apart should the actuators sit?** Closer than 36 mm the grid's corner points lie under the cones and S says
+# **How far apart should the actuators sit?** From 22 to 31 mm the grid's corner points lie under the cones and S says
 # nothing; far apart each actuator is alone. Every spacing is one line.
 import matplotlib.pyplot as plt
 

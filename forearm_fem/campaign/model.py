@@ -18,6 +18,7 @@ parameters = ["skin.mu", "fat.mu", "muscle.eta"]
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import re
 from collections.abc import Iterator, Mapping
@@ -31,17 +32,20 @@ from pydantic import Field, ValidationError
 from ..errors import ScenarioError, first_problem
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Name, Part
+from ..scenario.load import DOTTED, dotted
 from ..scenario.toml import read_toml
 from ..tissue import PRESETS, KelvinVoigt, Sourced, limb_tissue_keys, resolve_tissues
 
+_LONGEST_NAME = 100  # letters that a folder's name may have
 Values = dict[str, Any]
+Settings = Annotated[Values, DOTTED]
 
 
 class MemberTable(Part):
     """A single variant."""
 
     name: Name
-    set: Values = Field(default_factory=dict)
+    set: Settings = Field(default_factory=dict)
 
 
 class DrawTable(Part):
@@ -59,8 +63,8 @@ class CampaignFile(Part):
     name: Name
     scenario: str = Field(description="scenario file, relative to the campaign file")
     stage: Literal["solve", "render", "run"] = "render"
-    set: Values = Field(default_factory=dict, description="overrides for every member")
-    grid: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(default_factory=dict)
+    set: Settings = Field(default_factory=dict, description="overrides for every member")
+    grid: Annotated[dict[str, Annotated[list[Any], Field(min_length=1)]], DOTTED] = Field(default_factory=dict)
     members: tuple[MemberTable, ...] = ()
     draw: DrawTable | None = None
 
@@ -92,6 +96,10 @@ def load_campaign(path: str | Path) -> Campaign:
     except ValidationError as problem:
         known = ", ".join(CampaignFile.model_fields)
         raise ScenarioError(f"{file}: {first_problem(problem, 'campaign')}; known keys are {known}") from None
+    if "name" in {*asked.set, *asked.grid, *(key for member in asked.members for key in member.set)}:
+        raise ScenarioError(f"{file}: name: a scenario is called by its member; leave the key out of set and grid")
+    if twice := sorted(set(asked.set) & set(asked.grid)):
+        raise ScenarioError(f"{file}: {twice[0]} is given twice, in set and in grid; name each key once")
     source = scenario_beside(file.parent, asked.scenario)
     preset = load_scenario(source, overrides=[_override(*item) for item in asked.set.items()])
     variants = list(_variants(asked, preset))
@@ -100,7 +108,7 @@ def load_campaign(path: str | Path) -> Campaign:
         raise ScenarioError(f"{file}: members are called {', '.join(twice)} twice; give each its own name")
     members = []
     for name, values in variants:
-        merged = {**asked.set, **values, "name": name}
+        merged = {**asked.set, **dotted(values), "name": name}
         try:
             scenario = load_scenario(source, overrides=[_override(*item) for item in merged.items()])
         except ScenarioError as problem:
@@ -125,10 +133,14 @@ def _variants(asked: CampaignFile, preset: Scenario) -> Iterator[tuple[str, Valu
 
 
 def grid_name(values: Mapping[str, Any]) -> str:
-    """A folder name that says what varies: last part of each key and its value."""
-    plain = {key: f"{value:g}" if isinstance(value, float) else value for key, value in values.items()}
+    """A folder name that says what varies: last part of each key and its value; a long one is cut and marked."""
+    plain = {key: f"{value:.12g}" if isinstance(value, float) else value for key, value in values.items()}
     parts = [f"{key.rpartition('.')[2]}-{value}" for key, value in plain.items()]
-    return re.sub(r"[^A-Za-z0-9_.-]+", "-", "_".join(parts)).strip("-")
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", "_".join(parts)).strip("-.")
+    if len(name) <= _LONGEST_NAME:
+        return name
+    mark = hashlib.sha256("_".join(parts).encode()).hexdigest()[:8]
+    return f"{name[: _LONGEST_NAME - 9].rstrip('-.')}-{mark}"
 
 
 def draws(scenario: Scenario, table: DrawTable) -> Iterator[Values]:

@@ -25,9 +25,12 @@ def run(
     """The main job: mesh, solve, render, figures and report."""
     asked = load_scenario(scenario, overrides=overrides or ())
     if dry_run:
+        from ..pipeline.folder import check_rendering
         from ..pipeline.frequencies import frequencies
+        from ..pipeline.samples import sample_notes
         from ..pipeline.unread import unread_notes
 
+        check_rendering(asked, scenario.parent)
         if (kept := library_file(library)) is not None:
             kept.ports(asked)  # what it does not answer for is said now
             typer.echo(f"library: no mesh and no solve; {len(frequencies(asked.sweep))} frequencies in seconds")
@@ -35,7 +38,7 @@ def run(
         with Display() as display:
             expected = _expected(asked, scenario.parent, display)
         _print_forecast(asked, expected)
-        print_notes(unread_notes(asked))
+        print_notes((*unread_notes(asked), *sample_notes(asked)))
         return
     from ..pipeline.folder import run_all
 

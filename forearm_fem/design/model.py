@@ -42,11 +42,17 @@ from ..pipeline.unread import unread_because
 from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario, scenario_beside
 from ..scenario.actuators import ACTUATORS
 from ..scenario.base import Name, Part, Within
+from ..scenario.load import DOTTED, dotted, put
 from ..scenario.rendering import Method
 from ..scenario.toml import read_toml
 from ..typing import BoolArray, FloatArray
 
 _HOUSING, _THESIS = "device.housing.mass", 12.5e-3  # kg of the thesis' actuator
+_OBJECTIVE = {"rendering.methods": "objective.method", "rendering.targets": "objective.targets"}
+_OF_ARM = (
+    "device.contact_springs", "device.out_of_contact", "device.housing.strap", "device.housing.skin_share",
+    "device.housing.fixed",
+)  # fmt: skip
 _TABLED = ("device.cone.radius", "device.cone.contact", "tissues", "limb", "sweep")
 Values = dict[str, Any]
 Span = tuple[float, float]
@@ -116,7 +122,7 @@ class Objective(Part):
     of: Literal["mean", "least", "share"] = Field("mean", description="over targets; share: of those with S above 1")
     over: Literal["mean", "least"] = Field("mean", description="over the scenarios, if there are several")
     method: Method = "inverse filter"
-    targets: tuple[str, ...] | Literal["all"] = "all"
+    targets: Annotated[tuple[str, ...], Field(min_length=1)] | Literal["all"] = "all"
 
 
 class Constraints(Part):
@@ -163,7 +169,7 @@ class DesignFile(Part):
 
     name: Name
     scenario: str | Annotated[tuple[str, ...], Field(min_length=1, max_length=100)]
-    set: Values = Field(default_factory=dict)
+    set: Annotated[Values, DOTTED] = Field(default_factory=dict)
     variables: tuple[Variable, ...] = ()
     positions: Positions | None = None
     objective: Objective = Objective()
@@ -218,12 +224,8 @@ class Design:
         found = list[Scenario]()
         for data in self.data:
             out = apply_overrides(data, [])
-            for key, value in {**given, **aims}.items():
-                *tables, last = key.split(".")
-                place = out
-                for name in tables:
-                    place = place.setdefault(name, {})
-                place[last] = value
+            for key, value in {**dotted(given), **aims}.items():
+                put(out, key, value, key)
             found.append(parse_scenario(out))
         if _HOUSING in given:
             return tuple(found)
@@ -262,6 +264,8 @@ def load_design(path: str | Path) -> Design:
     keys = [v.key for v in asked.variables] + (["device.contacts"] if asked.positions else [])
     if twice := sorted({k for k in keys if keys.count(k) > 1 or k in asked.set}):
         raise ScenarioError(f"{file}: {twice[0]} is given twice; name each key once, in variables or in set")
+    for key in {*keys, *asked.set} & set(_OBJECTIVE):
+        raise ScenarioError(f"{file}: {key}: {_OBJECTIVE[key]} alone says what is rendered; leave the key out")
     names = [asked.scenario] if isinstance(asked.scenario, str) else list(asked.scenario)
     sources = [scenario_beside(file.parent, name) for name in names]
     for source in sources:
@@ -304,6 +308,7 @@ def _check(file: Path, design: Design) -> None:
             scenarios = design.scenarios(design.values(at))
         except ScenarioError as problem:
             raise ScenarioError(f"{file}: {str(problem).removeprefix('scenario: ')}") from None
+        _check_alike(file, scenarios)
         seen += scenarios
     for variable in design.asked.variables:
         if why := _idle(variable.key, seen):
@@ -312,6 +317,21 @@ def _check(file: Path, design: Design) -> None:
     targets = design.asked.objective.targets
     if targets != "all" and (unknown := sorted(set(targets) - points)):
         raise ScenarioError(f"{file}: objective.targets names point {unknown[0]}, but the grid has 1..{len(points)}")
+    if targets != "all" and len(set(targets)) < len(targets):
+        raise ScenarioError(f"{file}: objective.targets names a point twice: {', '.join(targets)}; name each once")
+
+
+def _check_alike(file: Path, scenarios: Sequence[Scenario]) -> None:
+    """ScenarioError unless all arms get one device, its limits included, and the same points; how each arm touches and
+    holds it may differ."""
+    first, *others = (dotted({"device": s.device.model_dump(), "grid": s.grid.model_dump()}) for s in scenarios)
+    for other in others:
+        differ = sorted(key for key in {*first, *other} if first.get(key) != other.get(key))
+        if differ := [key for key in differ if not key.startswith(_OF_ARM)]:
+            raise ScenarioError(
+                f"{file}: {differ[0]} is not alike in the scenarios, and one device with one grid is designed for all "
+                "of them; give the key in set, or make their files agree"
+            )
 
 
 def _idle(key: str, scenarios: Sequence[Scenario]) -> str | None:

@@ -119,7 +119,7 @@ def _unit_drives(results: Results, view: View, field: Wavefield, nearest: int) -
         if view.actuator not in names:
             raise DataError(f"no actuator is called '{view.actuator}'; known are {', '.join(names)}")
         return np.array([n == view.actuator for n in names], dtype=complex)
-    drives = drive_series(results.drives, view.method, view.target, field)[:, nearest]
+    drives = drive_series(results.drives, view.method, view.target, field, whole=False)[:, nearest]
     largest = drives[int(np.argmax(np.abs(drives)))]
     if largest == 0:
         raise DataError(f"the drives of {view.words} are zero at this frequency; choose another")

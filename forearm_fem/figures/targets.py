@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import FigureBase
 from scipy.interpolate import griddata
 
-from ..errors import DataError
+from ..errors import DataError, NotApplicable
 from ..io import Signals
 from ..ports import Port, positions
 from ..rendering import to_spectrum
@@ -27,6 +27,7 @@ from .tables import Table, stacked_rows
 _INSTANTS = 6
 _FLAT = 1e-3  # of the grid's size: points that are no further off a line span no surface
 _TIME = "time [ms]"
+_MISSED = 1e-6  # of the drives' energy: rounding leaves 1e-14 beside the bins of the field
 _BAR = 10.0  # mm: the scale below a map
 _MESH = 41  # points per side of the interpolated map
 
@@ -71,7 +72,7 @@ def target_waves(results: Results, target: str) -> TargetWaves:
     if target not in moved.targets:
         raise DataError(f"{results.folder}: nothing was rendered at target '{target}', only at "
                         f"{', '.join(moved.targets)}; `forearm-fem render` can")  # fmt: skip
-    patch = volar_patch(results.field_mesh, (*g.inputs, *g.outputs)) if results.has_field else None
+    patch = volar_patch(results.field_mesh, (*g.inputs, *g.outputs)) if _has_waves(results, target) else None
     places = positions(g.outputs)[:, :2]
     span = np.ptp(places, axis=0)  # a line of points, or one, is given a width to be seen by
     aside = np.where(span > 0, 0.0, max(float(span.max()), 0.01) / 20)
@@ -128,16 +129,37 @@ def _between(places: FloatArray, values: FloatArray, x: FloatArray, y: FloatArra
     return np.array([griddata(places, v, mesh, method=method) for v in values])
 
 
-def drive_series(drives: Signals, method: str, target: str, field: Wavefield) -> ComplexArray:
+def _has_waves(results: Results, target: str) -> bool:
+    """Whether the field between the points is known on the bins of the drives towards ``target``."""
+    if not results.has_field:
+        return False
+    try:
+        drive_series(results.drives, results.drives.methods[0], target, results.wavefield)
+    except NotApplicable:
+        return False
+    return True
+
+
+def drive_series(
+    drives: Signals, method: str, target: str, field: Wavefield, *, whole: bool = True
+) -> ComplexArray:
     """Fourier-series amplitudes (n_input, n_frequency) of the drives on the wavefield's bins.
 
-    Raises DataError unless these are bins of the drives' record.
+    Raises NotApplicable unless these are bins of the drives, with ``whole`` all that they move anything on: the motion
+    at some of them alone would be a fraction of it, and come again and again.
     """
     record = record_of(drives)
     index = np.rint(field.frequency / record.df).astype(int)
-    if np.any(np.abs(index * record.df - field.frequency) > 1e-3 * record.df):
-        raise DataError("the wavefield's frequencies are not those of the drives; run `forearm-fem render` again")
-    return np.asarray(to_spectrum(_one(drives, method, target), record)[:, index] * record.df)
+    spectrum = to_spectrum(_one(drives, method, target), record)
+    off = np.abs(index * record.df - field.frequency) > 1e-3 * record.df
+    inside = index[~off & (index < spectrum.shape[1])]
+    left = np.delete(np.abs(spectrum) ** 2, inside, axis=1).sum()
+    if off.any() or (whole and left > _MISSED * np.sum(np.abs(spectrum) ** 2)):
+        raise NotApplicable(
+            f"the field between the points is known at {len(index)} frequencies, and the drives lie on others between "
+            "them; leave out sweep.frequencies, or `forearm-fem render` again where they are of another sweep"
+        )
+    return np.asarray(spectrum[:, index] * record.df)
 
 
 def target_table(data: TargetWaves) -> Table:

@@ -68,6 +68,18 @@ def signal_strength(
 WITHOUT_BOUND = 1e6  # of S: beyond it rounding is all that moves the other points
 
 
+def without_bound(methods: Sequence[str], targets: Sequence[str], strengths: FloatArray) -> str:
+    """A sentence where some of ``strengths`` (n_method, n_target) [-] are made of rounding, else empty."""
+    finite = np.where(np.isfinite(strengths), strengths, 0.0)
+    if not finite.max(initial=0.0) > WITHOUT_BOUND:
+        return ""
+    m, t = (int(k) for k in np.unravel_index(int(finite.argmax()), finite.shape))
+    return (
+        f"S of {methods[m]} towards {targets[t]} has no bound, {finite[m, t]:.1g} is what rounding leaves: actuators "
+        "are enough to hold all other points still; lay more points (grid) to see what moves between"
+    )
+
+
 def strength_text(value: float) -> str:
     """S in words: two decimals; two digits from a thousand on, where the others hardly move."""
     return f"{value:.2f}" if not value >= 1000 else f"{value:.2g}"

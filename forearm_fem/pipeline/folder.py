@@ -54,6 +54,7 @@ from .frequencies import frequencies
 from .notes import actuator_notes, lifted_notes
 from .renderers import check_servable, wavelet
 from .resources import Ledger
+from .samples import check_samples, sample_notes
 from .simulation import AnswersForArm, Simulation, account_of, render_transfer, simulate, with_device
 from .skin_model import save_skin_model
 from .solved import solve
@@ -62,7 +63,7 @@ from .unread import unread_notes
 from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
 
-__all__ = ["Run", "run_all", "run_mesh", "run_render", "run_solve"]
+__all__ = ["Run", "check_rendering", "run_all", "run_mesh", "run_render", "run_solve"]
 
 _DERIVED = (
     "transfer.mat", "wavefield.npz", "reduced.nc", "drives.nc", "displacements.nc", "signal_strength.csv",
@@ -92,7 +93,7 @@ class Run:
 
         Keys that have no effect are its first notes; ScenarioError where a tissue is not whole.
         """
-        notes = [*unread_notes(scenario), *actuator_notes(scenario), *lifted_notes(scenario)]
+        notes = [*unread_notes(scenario), *actuator_notes(scenario), *lifted_notes(scenario), *sample_notes(scenario)]
         return cls(scenario, out, base, progress, Ledger(), notes)
 
     @contextmanager
@@ -108,7 +109,7 @@ class Run:
 
 def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
-    _check_rendering(run)
+    check_rendering(run.scenario, run.base)
     transfer = _solved(run)
     from ..report import write_report  # plotting is heavy and not needed by the other stages
 
@@ -123,11 +124,12 @@ def run_all(run: Run) -> None:
     _write_run(run)
 
 
-def _check_rendering(run: Run) -> None:
+def check_rendering(scenario: Scenario, base: Path) -> None:
     """What cannot be rendered, a missing wavelet's file among it, is said before minutes of solving."""
-    check_servable(run.scenario)
-    refuse_if_signals_too_large(run.scenario)
-    wavelet(run.scenario.rendering, run.scenario.sweep, run.base)
+    check_servable(scenario)
+    refuse_if_signals_too_large(scenario)
+    wavelet(scenario.rendering, scenario.sweep, base)
+    check_samples(scenario)
 
 
 def run_mesh(run: Run) -> TissueMesh | None:
@@ -154,7 +156,7 @@ def run_render(run: Run) -> Rendering:
     """Renderers on the folder's G (solved first where it is missing): drives, displacements and S."""
     if not run.scenario.rendering.methods:
         raise ScenarioError("rendering.methods is empty, so there is nothing to render; name a method or use `solve`")
-    _check_rendering(run)
+    check_rendering(run.scenario, run.base)
     rendering = _rendered(run, _solved(run))
     _write_run(run)
     return rendering

@@ -14,9 +14,11 @@ from ..fem.linear.factor import choose_backend
 from ..fem.reduction.expansion import ROUNDED
 from ..fem.space.orders import element_orders
 from ..geometry.cache import cached_mesh
+from ..geometry.device.layout import layout_of
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.quality import Resolution, nodes_per_wavelength
 from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..geometry.user.facing import turned_over
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
@@ -99,7 +101,8 @@ def forecast(
 
 
 def doubts_of(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
-    """What makes doubt that the user's own limb is what was meant: turned, not cut, two files exchanged."""
+    """What makes doubt that the user's own limb is what was meant: turned, not cut, upside down, two files
+    exchanged."""
     limb, found = scenario.limb, list[str]()
     if not isinstance(limb, SurfacesLimb | MeshLimb):
         return ()
@@ -118,6 +121,8 @@ def doubts_of(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
                 f"limb: no plane cut end across x was found at its {' and its '.join(uncut)} x, which is free skin "
                 "where waves turn back; cut it across x, flat to a thousandth of its length, unless that is meant"
             )
+    if over := turned_over(mesh, layout_of(scenario).contacts):
+        found.append(over)
     if isinstance(limb, SurfacesLimb):
         written = [name for name in limb.surfaces if name in mesh.region_names]
         found += [

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..io.jsonfiles import plain
 from ..metrics import perturbed, signal_strength
-from ..metrics.strength import WITHOUT_BOUND
+from ..metrics.strength import without_bound
 from ..rendering import FixedZeros, Rendering, SearchedZeros, Wavelet, Window, place, strengths
 from ..rendering.drives import Renderer
 from ..rendering.sharing import settled
@@ -64,15 +64,12 @@ def finer_than_known(account: StrengthAccount, errors: Sequence[ErrorEstimate]) 
     1/S is their mean motion over the target's: drives that were made on this G cannot keep it on one that differs by
     more. The interval of S does not say so, as it aims anew at each G.
     """
+    if endless := without_bound(account.methods, account.targets, account.value):
+        return endless
     error, best = total_error(errors), float(np.nanmax(account.value, initial=0.0))
-    if best <= WITHOUT_BOUND and (not error > 0 or not best * error > 1):
+    if not error > 0 or not best * error > 1:
         return ""
     m, t = np.unravel_index(int(np.nanargmax(account.value)), account.value.shape)
-    if best > WITHOUT_BOUND:
-        return (
-            f"S of {account.methods[m]} towards {account.targets[t]} has no bound, {best:.1g} is what rounding leaves: "
-            "actuators are enough to hold all other points still; lay more points (grid) to see what moves between"
-        )
     return (
         f"S of {account.methods[m]} towards {account.targets[t]} is {best:.3g}: the others are held stiller "
         f"({1 / best:.2g} of the target's motion) than G is known ({error:.2g}). On the arm's own G these drives keep "

@@ -24,6 +24,7 @@ from ..io.jsonfiles import digest_of
 from ..io.owner import refuse_folder_of_another
 from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import check_servable, unsuited, wavelet
+from ..pipeline.samples import check_samples
 from ..pipeline.simulation import account_of, render_transfer, simulate
 from ..pipeline.strengths import StrengthAccount
 from ..progress import Progress, tell, within
@@ -179,6 +180,7 @@ def check_question(question: Question) -> None:
     if not question.scenario.rendering.methods:
         raise ScenarioError("rendering.methods is empty, so there is no S to predict; name a method")
     check_servable(question.scenario)
+    check_samples(question.scenario)
     if question.scenario.rendering.zeros == "search":
         raise ScenarioError(
             "rendering.zeros: a search for zero points in each draw takes days; set 'auto' or name them"

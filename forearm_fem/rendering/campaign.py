@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import AccuracyWarning, DataError, ScenarioError
-from ..metrics.strength import StrengthTable, signal_strength, signal_strength_table
+from ..metrics.strength import StrengthTable, signal_strength, signal_strength_table, without_bound
 from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
@@ -109,8 +109,8 @@ def render_all(
     Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window), or "record",
     the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first. ``progress`` is
     called after each. One name or one renderer is taken for a list of it. Warns (AccuracyWarning) when more than 10 %
-    of the wavelet's energy falls on bins where G is unknown. Raises ScenarioError for two methods of one name or a
-    target given twice, and as :func:`drives`.
+    of the wavelet's energy falls on bins where G is unknown, and where an S is made of rounding. Raises ScenarioError
+    for two methods of one name or a target given twice, and as :func:`drives`.
     """
     known = tuple(p.name for p in transfer.outputs)
     one = isinstance(targets, str) and targets in known  # not the digits of "12"
@@ -139,7 +139,10 @@ def render_all(
             AccuracyWarning,
             stacklevel=2,
         )
-    return Rendering(names, targets, results, seconds, holes, limits or Limits())
+    found = Rendering(names, targets, results, seconds, holes, limits or Limits())
+    if results and (endless := without_bound(names, targets, found.strengths)):
+        warnings.warn(endless, AccuracyWarning, stacklevel=2)
+    return found
 
 
 def _as_renderers(methods: Sequence[Renderer] | Renderer | None) -> tuple[Renderer, ...]:

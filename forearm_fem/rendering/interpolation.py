@@ -92,5 +92,5 @@ def _judge(place: FloatArray, values: ComplexArray, bins: IntArray, df: float, t
         raise DataError(
             f"samples of G near {place[at] * df:.4g} Hz are {(place[at + 1] - place[at]) * df:.3g} Hz apart: "
             f"interpolating them would err by about {error[worst]:.1%}, allowed {tolerance:.1%}; "
-            "give G on more frequencies: even ones (sweep.duration) in place of chosen ones (sweep.frequencies)"
+            "give G on more frequencies, or on even ones (sweep.duration, not sweep.frequencies)"
         )

@@ -303,11 +303,19 @@ def provenance_block(results: Results) -> Block:
     return Block(["", ""], [r for r in rows if r[1]])
 
 
+def mean_words(strengths: FloatArray) -> str:
+    """Mean of S (n_target,) over the targets where it is known, and over how many where that is not all of them."""
+    known = strengths[np.isfinite(strengths)]
+    if not len(known):
+        return "unknown"
+    return f"{strength_text(float(known.mean()))}{'' if len(known) == len(strengths) else f' (of {len(known)})'}"
+
+
 def headline(results: Results) -> str:
     """The whole story in two sentences."""
     s = results.scenario
     data = strengths(results)
-    best = [f"{m} {strength_text(float(np.nanmean(v)))}" for m, v in zip(data.methods, data.values, strict=True)]
+    best = [f"{m} {mean_words(v)}" for m, v in zip(data.methods, data.values, strict=True)]
     verdict = results.account.accuracy or "the accuracy reached is not on record"
     told = f"mean signal strength over {len(data.targets)} targets is {', '.join(best)}"
     return f"Scene {s.name}: {told}. Accuracy: {verdict}."

@@ -13,7 +13,7 @@ from jinja2 import Environment
 from matplotlib import style
 from PIL import Image
 
-from ..errors import DataError, ForearmError
+from ..errors import DataError, ForearmError, NotApplicable
 from ..figures.data import Results
 from ..figures.motion import View
 from ..figures.registry import applies, kinds, thesis_figure
@@ -130,6 +130,8 @@ def _pictures(results: Results, progress: Progress | None) -> tuple[list[tuple[s
         tell(progress, "report", done, len(jobs))
         try:
             drawn.append((name, replace(make(), name=name)))
+        except NotApplicable as problem:
+            missing.append(f"{name}: {problem}")
         except DataError:
             raise
         except ForearmError as problem:  # no way to draw in space here

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BeforeValidator, ValidationError
 
 from ..errors import ScenarioError
 from .model import Scenario
@@ -17,6 +17,7 @@ from .problem import first_problem_of
 from .shipped import scenario_file, shipped_scenarios
 from .toml import read_toml
 
+DOTTED = BeforeValidator(lambda values: dotted(values) if isinstance(values, Mapping) else values)
 DEEPEST = 12  # levels of tables and lists; a scenario's own keys need 5
 
 
@@ -67,18 +68,34 @@ def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str], option: s
         if not separator or not key.strip():
             example = "device.spacing=0.040" if option == "--set" else "unit='mm/V'"
             raise ScenarioError(f"{option} expects key.path=value, got '{item}'; e.g. {option} \"{example}\"")
-        path = key.strip().split(".")
-        if len(path) > DEEPEST:
-            raise ScenarioError(f"{option} {item}: the key has {len(path)} parts, expected at most {DEEPEST}")
-        table = result
-        for name in path[:-1]:
-            table = table.setdefault(name, {})
-            if not isinstance(table, dict):
-                raise ScenarioError(
-                    f"{option} {item}: '{name}' is a value, not a table, so nothing can be set below it"
-                )
-        table[path[-1]] = _copied(_toml_value(text.strip()))
+        put(result, key.strip(), _toml_value(text.strip()), f"{option} {item}")
     return result
+
+
+def put(data: dict[str, Any], key: str, value: Any, said: str) -> None:
+    """Set the dotted ``key`` of ``data`` to ``value``; ScenarioError, about what was ``said``, where it cannot be."""
+    path = key.split(".")
+    if len(path) > DEEPEST:
+        raise ScenarioError(f"{said}: the key has {len(path)} parts, expected at most {DEEPEST}")
+    table = data
+    for name in path[:-1]:
+        table = table.setdefault(name, {})
+        if not isinstance(table, dict):
+            raise ScenarioError(f"{said}: '{name}' is a value, not a table, so nothing can be set below it")
+    table[path[-1]] = _copied(value)
+
+
+def dotted(values: Mapping[str, Any]) -> dict[str, Any]:
+    """``values`` by dotted key, where tables stand among them: TOML makes those of keys without quotes, and they are
+    meant to change what they name and to leave the rest of a scenario's table.
+
+    A table that names its ``shape`` is another limb and stays whole, as do empty ones and those of names with dots.
+    """
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        whole = not isinstance(value, Mapping) or not value or "shape" in value or any("." in name for name in value)
+        found |= {key: value} if whole else {f"{key}.{name}": v for name, v in dotted(value).items()}
+    return found
 
 
 def _copied(value: Any, depth: int = 0) -> Any:
