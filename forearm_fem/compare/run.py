@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import DataError, ForearmError
 from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
@@ -54,6 +55,7 @@ class CompareResult:
     files: tuple[Path, ...]
 
 
+@checked
 def run_compare(
     a: str | Path | TransferMatrix,
     b: str | Path | TransferMatrix,
@@ -119,6 +121,7 @@ class FitCommandResult:
     files: tuple[Path, ...]
 
 
+@checked
 def run_fit(
     scenario: Scenario,
     measured: str | Path | TransferMatrix,
