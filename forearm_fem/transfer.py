@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from .arguments import checked
 from .errors import DataError, SolverError
 from .ports import Port
 from .typing import BoolArray, ComplexArray, FloatArray
@@ -165,6 +166,7 @@ class TransferMatrix:
         return 2 * np.pi * self.frequency
 
 
+@checked
 def finite(transfer: TransferMatrix) -> TransferMatrix:
     """The same G; raises :class:`SolverError` where an entry is no finite number."""
     refuse_non_finite("G", transfer.frequency, transfer.values)
@@ -182,16 +184,29 @@ def refuse_non_finite(what: str, frequency: FloatArray, values: ComplexArray) ->
         )
 
 
+@checked
 def relative_error(estimate: ComplexArray, truth: ComplexArray) -> FloatArray:
     """e(f) = max_ij |estimate - truth| / max_ij |truth| per frequency (n_frequency,)."""
+    _refuse_unlike(estimate, truth)
     return np.asarray(np.nanmax(np.abs(estimate - truth), axis=(1, 2)) / np.nanmax(np.abs(truth), axis=(1, 2)))
 
 
+@checked
 def band_error(estimate: ComplexArray, truth: ComplexArray) -> float:
     """e_band = ||estimate - truth||_F / ||truth||_F over all frequencies and entries."""
+    _refuse_unlike(estimate, truth)
     return float(np.sqrt(np.nansum(np.abs(estimate - truth) ** 2) / np.nansum(np.abs(truth) ** 2)))
 
 
+def _refuse_unlike(estimate: ComplexArray, truth: ComplexArray) -> None:
+    """DataError for matrices of different shapes: what numpy would repeat is no comparison."""
+    if estimate.shape != truth.shape or truth.ndim != 3 or truth.size == 0:
+        raise DataError(
+            f"two G are compared on one shape (frequency, output, input), got {estimate.shape} and {truth.shape}"
+        )
+
+
+@checked
 def relative_error_at(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray:
     """e(f) (n,) [-] at ``frequency`` (n,) [Hz]: linear between the estimate's own, its ends beyond, or its band value.
 
@@ -202,6 +217,7 @@ def relative_error_at(estimate: ErrorEstimate, frequency: FloatArray) -> FloatAr
     return np.interp(frequency, estimate.frequency, estimate.per_frequency)
 
 
+@checked
 def error_of_pairs(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray | None:
     """|dG_ij| / max_ij |G_ij| (n, n_out, n_in) [-] at ``frequency`` (n,) [Hz], as :func:`relative_error_at` takes e(f);
     None where an estimate does not tell pairs apart."""
@@ -214,6 +230,7 @@ def error_of_pairs(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray
     return np.asarray((1 - share) * estimate.per_pair[below] + share * estimate.per_pair[above])
 
 
+@checked
 def entry_errors(transfer: TransferMatrix) -> FloatArray:
     """Stated error (n_frequency, n_out, n_in) of each entry of G, in G's unit.
 
@@ -229,6 +246,7 @@ def entry_errors(transfer: TransferMatrix) -> FloatArray:
     return np.asarray(np.where(np.isfinite(g) & bool(transfer.errors), np.sqrt(square), np.nan))
 
 
+@checked
 def entry_band_errors(transfer: TransferMatrix) -> FloatArray:
     """Stated error (n_out, n_in) [-] of each entry of G over the band, relative to the entry's own norm there.
 

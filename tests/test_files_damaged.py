@@ -341,6 +341,31 @@ def _(tmp):
     return read_sweep(sweep_tdms(tmp, ao=(900, 5e-4), laser=(900, 5e-4)))
 
 
+def written_sweep(tmp: Path, ao: np.ndarray, laser: np.ndarray, **of_laser: object) -> Path:
+    with TdmsWriter(str(tmp / "sweep.tdms")) as writer:
+        writer.write_segment([
+            ChannelObject("sweep", "ao", ao, properties={"wf_increment": 5e-4}),
+            ChannelObject("sweep", "laser", laser, properties={"wf_increment": 5e-4, **of_laser}),
+        ])  # fmt: skip
+    return tmp / "sweep.tdms"
+
+
+@case("TDMS sweep: channels that begin apart", "turn every phase")
+def _(tmp):
+    return read_sweep(written_sweep(tmp, np.ones(2000), np.ones(2000), wf_start_offset=2e-3))
+
+
+@case("TDMS sweep: a period that is not the drive's", "does not repeat itself every 1000 samples")
+def _(tmp):
+    drive = np.sin(2 * np.pi * np.arange(2000) / 999)
+    return read_sweep(written_sweep(tmp, drive, np.ones(2000)))
+
+
+@case("TDMS sweep: a channel in millivolts", "expected volts")
+def _(tmp):
+    return read_sweep(written_sweep(tmp, np.ones(2000), np.ones(2000), unit_string="mV"))
+
+
 @case("TDMS sweep: cut short", "cut short")
 def _(tmp):
     return read_sweep(cut(sweep_tdms(tmp, ao=(4000, 5e-4), laser=(4000, 5e-4)), 0.9))
@@ -482,6 +507,12 @@ def _(tmp):
 def _(tmp):
     daq = device_for(SMALL, bits=0, sensor=replace(SENSOR, saturation=0.3))
     return diagnose(replace(record(plan_for(SMALL), daq, (0, 0)), full_scale=np.inf), BAND)
+
+
+@case("recording: the sensor saturates within the converter's range", "touch the end of the range")
+def _(tmp):
+    daq = device_for(SMALL, noise=1e-4, sensor=replace(SENSOR, saturation=0.3))
+    return diagnose(record(plan_for(SMALL), daq, (0, 0)), BAND)
 
 
 @case("recording: samples dropped", "7 sample")

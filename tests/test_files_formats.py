@@ -4,6 +4,7 @@ input.
 
 from __future__ import annotations
 
+import struct
 import tomllib
 import warnings
 from dataclasses import replace
@@ -29,6 +30,7 @@ from forearm_fem.io.uff import read_uff, write_uff
 from forearm_fem.io.units import parse_unit
 from forearm_fem.io.wav import read_wav_drives, write_wav_drives
 from forearm_fem.measurement.calibrate import record
+from forearm_fem.rendering import from_samples_file, ricker
 from forearm_fem.transfer import TransferMatrix
 
 PORTS = (OUTPUTS, INPUTS)
@@ -106,11 +108,12 @@ def test_matlab_mask_is_read_where_it_is_declared(tmp_path):
 
 
 def test_matlab_names_are_recognised_with_a_warning_each(tmp_path):
-    savemat(tmp_path / "G.mat", {"H": np.ones((9, 4, 5)) * np.array([1, 2, 3, 4, 5]), "freq": np.arange(5.0) + 10})
+    values = np.ones((9, 4, 5)) * np.array([1, 2, 3, 4, 5]) + 0.5j
+    savemat(tmp_path / "G.mat", {"H": values, "freq": np.arange(5.0) + 10})
     with pytest.warns(RecognitionWarning) as caught:
         g = read_measured(tmp_path / "G.mat", Declaration(unit="mm/V", spectrum="one-sided", sign="+iwt"), ports=PORTS)
     assert {w.message.what for w in caught} == {"G", "frequency", "axes of shape (9, 4, 5)"}
-    assert g.values[2, 0, 0] == 3e-3
+    assert g.values[2, 0, 0] == pytest.approx(3e-3 + 0.5e-3j, rel=1e-15)
 
 
 def test_matlab73_reads_as_matlab_wrote_it(tmp_path):
@@ -273,6 +276,45 @@ def test_integer_wav_with_a_declared_full_scale(tmp_path, dtype, one):
     back, _ = read_wav_drives(tmp_path / "d.wav", full_scale=2.0)
     assert back.shape == (2, 10)
     assert np.all(back == 1.0)  # half of full scale
+
+
+@pytest.mark.parametrize(("kind", "bits"), [(1, 24), (3, 32), (3, 64)])
+def test_wav_of_other_programs_with_chunks_of_their_own(tmp_path, kind, bits):
+    """Extensible headers, and chunks of peaks and dates, which were taken for damage; one that is cut short is not."""
+    count, channels = 100, 3
+    wanted = np.random.default_rng(0).integers(-100, 100, (count, channels)) / 128
+    rate = 8000 * channels * bits // 8, channels * bits // 8
+    guid = struct.pack("<H", kind) + b"\x00\x00\x00\x00\x10\x00\x80\x00\x00\xaa\x00\x38\x9b\x71"
+    form = struct.pack("<HHIIHHHHI", 0xFFFE, channels, 8000, *rate, bits, 22, bits, 0) + guid
+    if kind == 3:
+        data = wanted.astype(f"<f{bits // 8}").tobytes()
+    else:
+        data = b"".join(int(v * 2**23).to_bytes(3, "little", signed=True) for v in wanted.ravel())
+    chunks = [(b"fmt ", form), (b"PEAK", bytes(8 + 8 * channels)), (b"bext", bytes(602)), (b"data", data)]
+    body = b"WAVE" + b"".join(name + struct.pack("<I", len(c)) + c for name, c in chunks)
+    whole = b"RIFF" + struct.pack("<I", len(body)) + body
+    (tmp_path / "d.wav").write_bytes(whole)
+    scale = {"full_scale": 1.0} if kind == 1 else {}
+    back, sampled = read_wav_drives(tmp_path / "d.wav", **scale)
+    assert sampled == 8000
+    assert np.array_equal(back, wanted.T)
+    with pytest.raises(DataError, match=r"full.scale"):
+        read_wav_drives(tmp_path / "d.wav", **({} if scale else {"full_scale": 1.0}))
+    (tmp_path / "d.wav").write_bytes(whole[:-100])
+    with pytest.raises(DataError, match="cut short"):
+        read_wav_drives(tmp_path / "d.wav", **scale)
+
+
+def test_a_wavelet_of_another_programs_wav_is_read_whole_or_not_at_all(tmp_path):
+    wavfile.write(tmp_path / "w.wav", 10000, ricker(100.0, duration=0.2).samples)
+    whole = (tmp_path / "w.wav").read_bytes()
+    at = whole.index(b"data")
+    more = whole[:at] + b"PEAK" + struct.pack("<I", 16) + bytes(16) + whole[at:]
+    (tmp_path / "w.wav").write_bytes(more)
+    assert from_samples_file(tmp_path / "w.wav").samples.max() == 1.0
+    (tmp_path / "w.wav").write_bytes(more[:-400])
+    with pytest.raises(DataError, match="cannot be read as WAV"):
+        from_samples_file(tmp_path / "w.wav")
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -12,7 +12,7 @@ import pytest
 import pyuff
 from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
 
-from forearm_fem.errors import DataError
+from forearm_fem.errors import AccuracyWarning, DataError
 from forearm_fem.io.declaration import Declaration
 from forearm_fem.io.reading import RecognitionWarning
 from forearm_fem.io.recognise import read_measured, write_measured
@@ -237,3 +237,92 @@ def test_a_table_that_contradicts_itself_is_refused(tmp_path, columns, cells, sa
     NaN counted as valid."""
     with pytest.raises(DataError, match=said):
         read(tmp_path, [f"frequency_Hz,output,input,{columns}", f"20,{POINTS[0]},{ACTUATORS[0]},{cells}"])
+
+
+def test_names_that_a_spreadsheet_made_numbers_are_the_points_all_the_same(tmp_path):
+    """1.0 is point 1; a table that has both is of two points, of which one is unknown."""
+    head, *rest = lines()
+    numbers = [",".join([f, f"{o}.0", *more]) for f, o, *more in (r.split(",") for r in rest)]
+    assert np.array_equal(read(tmp_path, [head, *numbers]).values, G.values)
+    with pytest.raises(DataError, match=r"names the outputs 1\.0, which are none of"):
+        read(tmp_path, [head, *rest, numbers[0]])
+
+
+def test_a_minus_one_among_the_fields_of_other_datasets_is_no_end_mark(tmp_path):
+    """Datasets of nodes and units beside the functions are passed over."""
+    uff(tmp_path / "lab.uff")
+    others = ["    -1", "    15", "         1         0         0        -1  0.0  0.0  0.0", "    -1"]
+    (tmp_path / "both.uff").write_text("\n".join(others) + "\n" + (tmp_path / "lab.uff").read_text())
+    back = read_measured(tmp_path / "both.uff", Declaration(sign="+iwt"), ports=PORTS)
+    assert np.abs(back.values - G.values).max() < DIGITS * np.abs(G.values).max()
+
+
+def test_a_g_without_a_phase_is_said_to_be_one(tmp_path):
+    rows = [lines()[0]]
+    for r in lines()[1:]:
+        *place, real, imag = r.split(",")
+        rows.append(",".join([*place, repr(abs(complex(float(real), float(imag)))), "0"]))
+    with pytest.warns(AccuracyWarning, match="every value is real"):
+        read(tmp_path, rows)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"variable": "G"}, "has no variables, so that variable has no effect"),
+        ({"sample_rate": 1e4}, "says that itself, so that sample_rate has no effect"),
+    ],
+)
+def test_what_is_declared_of_a_table_and_changes_nothing_is_refused(tmp_path, more, said):
+    (tmp_path / "lab.csv").write_text("\n".join(lines()) + "\n")
+    with pytest.raises(DataError, match=said):
+        read_measured(tmp_path / "lab.csv", SAID.model_copy(update=more), ports=PORTS)
+
+
+SPECTRA = """
+name = "spectra"
+[array]
+files = ["g.npy"]
+format = "npy"
+shape = [10, 9, 4]
+axes = ["frequency", "output", "input"]
+[declaration]
+unit = "m/V"
+sign = "+iwt"
+spectrum = "one-sided"
+sample_rate = 58.0
+band = [20.0, 29.0]
+"""
+IN_TIME = (
+    SPECTRA.replace('"frequency", ', '"time", ').replace("sample_rate = 58.0\n", "")
+    .replace("[declaration]", "[time]\nsample_rate = 100\n[declaration]")
+)  # fmt: skip
+
+
+def test_a_recipe_of_spectra_keeps_their_imaginary_part_and_takes_the_scenarios_places(tmp_path):
+    """The parts were cut to real ones with a warning that nobody saw."""
+    (tmp_path / "set.toml").write_text(SPECTRA.replace("[10, 9, 4]", "[30, 9, 4]"))
+    np.save(tmp_path / "g.npy", np.concatenate([np.zeros((20, 9, 4)), G.values]))
+    back = read_measured(tmp_path / "set.toml", ports=PORTS)
+    assert np.array_equal(back.values, G.values)
+    assert back.outputs == OUTPUTS
+    with pytest.raises(DataError, match="--scenario FILE"):
+        read_measured(tmp_path / "set.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "array", "said"),
+    [
+        (SPECTRA, np.moveaxis(G.values, 0, 2), r"has the shape \[9, 4, 10\], array\.shape says \[10, 9, 4\]"),
+        (SPECTRA.replace('format = "npy"', 'format = "npy"\norder = "F"'), G.values, "order has no effect"),
+        (SPECTRA.replace("[declaration]", "select = { output = [] }\n[declaration]"), G.values, r"select\.output"),
+        (SPECTRA, np.full(G.values.shape, "x"), "holds no numbers"),
+        (IN_TIME, G.values, "responses in time are complex"),
+        (IN_TIME.replace("+iwt", "-iwt"), G.values.real, r"the file says sign = \+iwt"),
+    ],
+)  # fmt: skip
+def test_recipes_that_say_something_else_than_their_files_are_one_sentence(tmp_path, text, array, said):
+    (tmp_path / "set.toml").write_text(text)
+    np.save(tmp_path / "g.npy", array)
+    with pytest.raises(DataError, match=said):
+        read_measured(tmp_path / "set.toml", ports=PORTS)

@@ -16,7 +16,7 @@ from forearm_fem.ports import Port  # noqa: E402
 from forearm_fem.study.analysis import analyse, cell_means, confusion, ellipses, with_errors  # noqa: E402
 from forearm_fem.study.field import SkinField, grid_field  # noqa: E402
 from forearm_fem.study.percept import Felt, Percept, SimulatedParticipant, pooled, sensitivity  # noqa: E402
-from forearm_fem.study.plan import Study, Task  # noqa: E402
+from forearm_fem.study.plan import Study, Task, load_study  # noqa: E402
 from forearm_fem.study.power import Supposed, needed, power_curve, supposed_from, untold  # noqa: E402
 from forearm_fem.study.report import write_analysis  # noqa: E402
 from forearm_fem.study.session import _outline  # noqa: E402
@@ -320,6 +320,46 @@ def test_blanks_and_commas_at_the_ends_of_lines_are_none_of_an_answer(tmp_path):
     file.write_text("participant,method,target,goal,response\nanna,a,1,2,1\n")
     with pytest.raises(DataError, match="two columns are called 'target'"):
         foreign_table(file, ["target=goal"], GRID)
+
+
+def test_numbers_of_a_spreadsheet_and_its_semicolons_are_read(tmp_path):
+    file = tmp_path / "theirs.csv"
+    file.write_text("participant;method;target;response\nanna;a;1.0;1.0 2\nben;a;02;\n")
+    table = foreign_table(file, [], GRID)
+    assert table["target"].tolist() == ["1", "2"]
+    assert table["response"][0] == "1 2"
+    file.write_text("participant;method;target;response\nanna;a;1.5;1\n")
+    with pytest.raises(DataError, match=r"target '1\.5' is no point"):
+        with_errors(foreign_table(file, [], GRID), GRID)
+
+
+def test_a_table_of_others_leaves_the_studys_own_analysis_alone(tmp_path):
+    """Its page and tables took the place of the study's, in the study's own folder."""
+    for package in ("questplus", "starlette", "uvicorn"):
+        pytest.importorskip(package)
+    (tmp_path / "pilot.toml").write_text('name = "pilot"\nscenario = "thesis"\n')
+    table = answers(people=3, repetitions=1).assign(late=0, response_time=1.0)
+    table["response"] = table["target"]
+    table[["participant", "method", "target", "response"]].to_csv(tmp_path / "theirs.csv", index=False)
+    own = tmp_path / "pilot" / "analysis" / "report.html"
+    own.parent.mkdir(parents=True)
+    own.write_text("ours")
+    said = ["study", "analyse", str(tmp_path / "pilot.toml"), "--table", str(tmp_path / "theirs.csv")]
+    done = CliRunner().invoke(app, said)
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "pilot-theirs" / "analysis" / "report.html").is_file()
+    assert own.read_text() == "ours"
+    (tmp_path / "pilot" / "participants.tsv").write_text(
+        "participant_id\tconsent\tstatus\tadded\tnote\nsub-01\t2026-11-24\tactive\t2026-11-24\tn/a\n"
+    )
+    study = load_study(tmp_path / "pilot.toml")
+    (tmp_path / "pilot" / "study.json").write_text(study.model_dump_json())
+    refused = CliRunner().invoke(app, [*said, "--data", str(tmp_path / "pilot")])
+    assert isinstance(refused.exception, DataError)
+    assert "holds answers of its own" in str(refused.exception)
+    assert own.read_text() == "ours"
+    idle = CliRunner().invoke(app, ["study", "analyse", str(tmp_path / "pilot.toml"), "--column", "method=a"])
+    assert "has no effect without --table" in str(idle.exception)
 
 
 def test_trials_without_an_answer_are_no_answers_of_no_points(tmp_path):

@@ -627,6 +627,30 @@ def test_a_page_replaces_only_one_of_the_same_file(flat: Results, tmp_path: Path
     assert cli("workbench", str(tmp_path / "lab.nc"), *record, "--save", str(page)).code == 0
 
 
+def test_the_folder_of_a_calibration_is_its_g_as_compare_takes_it(flat: Results, tmp_path: Path) -> None:
+    """Nor must the name of a file or folder be one of a scenario."""
+    place = tmp_path / "lab of may"
+    place.mkdir()
+    write_transfer(place / "transfer.nc", flat.transfer)
+    (place / "session.json").write_text("{}")
+    (tmp_path / "s.toml").write_text('name = "s"\n[sweep]\nduration = 0.25\nsample_rate = 4000.0\nf_max = 400.0\n')
+    said = cli("workbench", str(place), "--scenario", str(tmp_path / "s.toml"))
+    assert said.code == 0, said.err
+    by_file = place / "of file.html"
+    assert cli("workbench", str(place / "transfer.nc"), "--scenario", str(tmp_path / "s.toml"), "--save",
+               str(by_file)).code == 0  # fmt: skip
+    texts = [f.read_text(encoding="utf-8") for f in (place / "workbench.html", by_file)]
+    assert '"name":"lab-of-may"' in texts[0]
+    plain = [re.sub(r'"(name|stamp)":"[^"]*"|<title>.*?</title>|<meta name="made-of"[^>]*>', "", t) for t in texts]
+    assert plain[0] == plain[1]
+    write_csv(tmp_path / "lab of june.csv", flat.transfer)
+    said = cli("workbench", str(tmp_path / "lab of june.csv"))  # no traceback about its name
+    assert "interpolating them would err" in said.sentence
+    sweep = {"f_min": 20.0, "f_max": 400.0, "duration": 0.25, "sample_rate": 4000.0}
+    write_transfer(place / "transfer.nc", replace(flat.transfer, provenance={"source": "measured", "sweep": sweep}))
+    assert cli("workbench", str(place)).code == 0  # its own sweep's record, without a scenario
+
+
 def test_what_is_no_run_is_refused_and_nothing_written(tmp_path: Path) -> None:
     said = cli("workbench", str(tmp_path / "no"), "--save", str(tmp_path / "a.html"))
     assert said.code == 2

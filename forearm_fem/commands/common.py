@@ -271,7 +271,8 @@ def measured_g(
     from ..geometry.device.layout import planform_ports
     from ..io.recognise import read_measured
 
-    return read_measured(transfer_file(what), declaration(declare), ports=planform_ports(asked))
+    with noted():  # what was recognised, and what a file does not look like
+        return read_measured(transfer_file(what), declaration(declare), ports=planform_ports(asked))
 
 
 def scene_of(scenario: Path | None) -> Scenario | None:

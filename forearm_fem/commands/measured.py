@@ -180,6 +180,9 @@ def play(
     daq: DaqChoice = "virtual",
     through: Through = None,
     declare: Declared = None,
+    full_scale: Annotated[
+        float | None, typer.Option(help="of a WAV file with integer samples: volts at full scale")
+    ] = None,
     scale: Annotated[float, typer.Option(help="multiplies the drives")] = 1.0,
     repeats: Annotated[int, typer.Option(min=1, help="how often the drives are sent")] = 1,
     pause: Annotated[float, typer.Option(min=0.0, help="silence between repeats, in s")] = 0.0,
@@ -194,8 +197,8 @@ def play(
     virtual = _virtual(asked, scenario, through, declare, snr, 16, 0, 0, overrides) if daq == "virtual" else None
     with noted(), stop_on_ctrl_c() as stop:
         played = run_play(
-            asked, drives, daq=daq, card=card, virtual=virtual, method=method, target=target, scale=scale,
-            repeats=repeats, pause=pause, stop=stop,
+            asked, drives, daq=daq, card=card, virtual=virtual, method=method, target=target, full_scale=full_scale,
+            scale=scale, repeats=repeats, pause=pause, stop=stop,
         )  # fmt: skip
     typer.echo(f"played {played.seconds:.3g} s, peaks {', '.join(f'{v:.3g}' for v in played.peak)} V")
     if played.stopped:

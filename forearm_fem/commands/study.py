@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -153,7 +154,9 @@ def status(file: StudyFile, data: Answers = None) -> None:
 @app.command()
 def analyse(
     file: StudyFile,
-    data: Answers = None,
+    data: Annotated[
+        Path | None, typer.Option("--data", help=f"{_DATA}; of --table: where its page goes, default NAME-TABLE"),
+    ] = None,
     correction: Annotated[
         Literal["bonferroni", "holm"], typer.Option(help="of comparisons: bonferroni or holm")
     ] = "bonferroni",
@@ -173,10 +176,21 @@ def analyse(
     from ..study.tables import foreign_table
 
     require_study_extra()
+    if table is None:
+        there("no such folder of answers", folder=True)(data)
+        if columns:
+            raise DataError("--column: has no effect without --table; name the table, or leave it out")
     prepared = Prepared.of(file, data)
+    if table is not None and data is None:
+        prepared = replace(prepared, folder=prepared.base / f"{prepared.study.name}-{table.stem}")
     grid = prepared.grid()
     devices: list[dict[str, str]] | None = None
     if table is not None:
+        if prepared.store().people():
+            raise DataError(
+                f"{prepared.folder}: holds answers of its own, whose analysis a table's would replace; leave --data "
+                "out, or name another folder"
+            )
         answers = {prepared.study.tasks[0].name: foreign_table(table, columns or (), grid)}
     else:
         store, answers = prepared.store(), {}

@@ -14,7 +14,8 @@ from .common import Declared, Display, declaration, ends_in, noted, scene_of, th
 def workbench(
     what: Annotated[
         Path,
-        typer.Argument(help="results folder of a run, NAME.library.nc of an arm, or a file with a measured G",
+        typer.Argument(help="results folder of a run, NAME.library.nc of an arm, or a measured G: a file or a "
+                       "calibration's folder",
                        callback=there("no such results folder or file; `forearm-fem run SCENARIO` makes a folder")),
     ],
     save: Annotated[

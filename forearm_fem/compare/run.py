@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import DataError, ForearmError
 from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
@@ -55,6 +56,7 @@ class CompareResult:
     files: tuple[Path, ...]
 
 
+@checked
 def run_compare(
     a: str | Path | TransferMatrix,
     b: str | Path | TransferMatrix,
@@ -120,6 +122,7 @@ class FitCommandResult:
     files: tuple[Path, ...]
 
 
+@checked
 def run_fit(
     scenario: Scenario,
     measured: str | Path | TransferMatrix,

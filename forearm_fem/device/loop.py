@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..arguments import checked
 from ..scenario.device import Device
 from ..transfer import UNITS, Compliance, TransferMatrix
 from .response import contact_ports
@@ -9,6 +10,7 @@ from .sensitivity import propagate_errors
 from .state import contact_state
 
 
+@checked
 def close_loop(compliance: Compliance, device: Device) -> TransferMatrix:
     """G (n_frequency, n_point, n_actuator) of ``device`` on the skin described by ``compliance``.
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arguments import checked
+from ..errors import DataError
 from ..scenario.device import Device
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
@@ -32,9 +34,11 @@ class PowerBalance:
     strap: FloatArray
 
 
+@checked
 def power(compliance: Compliance, device: Device, drives: ComplexArray) -> PowerBalance:
     """Where the electrical power of ``drives`` (n_frequency, n_actuator) [V, peak] goes, ``device.gains`` included."""
     response = respond(compliance, device)
+    _refuse_unlike(response, drives)
     drives = drives * drive_gains(device, drives.shape[1])
     omega = 2 * np.pi * compliance.frequency
     lumped = circuit(device, omega)
@@ -51,11 +55,20 @@ def power(compliance: Compliance, device: Device, drives: ComplexArray) -> Power
     )
 
 
+@checked
 def coil_current(response: DeviceResponse, drives: ComplexArray) -> ComplexArray:
     """Currents (n_frequency, n_actuator) [A] for ``drives`` of that shape [V]."""
+    _refuse_unlike(response, drives)
     return _apply(response.current, drives)
 
 
+def _refuse_unlike(response: DeviceResponse, drives: ComplexArray) -> None:
+    """DataError for drives of other frequencies or actuators."""
+    if drives.shape != response.current.shape[:2]:
+        raise DataError(f"drives have the shape {response.current.shape[:2]} (frequency, actuator), got {drives.shape}")
+
+
+@checked
 def driving_point_impedance(compliance: Compliance) -> ComplexArray:
     """Skin impedance F / (i omega u) under each contact, the others free (n_frequency, n_contact) [N s/m]."""
     own = np.diagonal(compliance.block("contact", "contact"), axis1=1, axis2=2)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import ScenarioError
 from ..ports import Port
 from ..scenario.device import Device
@@ -54,6 +55,7 @@ class DeviceResponse:
         return np.asarray(1 / np.diagonal(self.current, axis1=1, axis2=2))
 
 
+@checked
 def respond(compliance: Compliance, device: Device) -> DeviceResponse:
     """Response of ``device`` on the skin described by ``compliance`` to 1 V at each coil in turn.
 

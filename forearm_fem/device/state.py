@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ..arguments import checked
 from ..scenario.device import Device
 from ..transfer import Compliance
 from ..typing import BoolArray, ComplexArray
@@ -36,6 +37,7 @@ class ContactState:
         return np.asarray(compliance.block("point", "contact") @ self.force + self.carried)
 
 
+@checked
 def contact_state(compliance: Compliance, device: Device) -> ContactState:
     """Forces, displacements and reactions at the contacts per unit of ``device.drive``, ``device.gains`` included."""
     state = _STATES[device.drive](compliance, device)

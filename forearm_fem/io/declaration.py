@@ -12,13 +12,13 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from ..errors import DataError
+from ..errors import AccuracyWarning, DataError
 from ..ports import Port
 from ..scenario.base import Part, Positive
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
-from .naming import placed_by_name, strange_names
+from .naming import placed_by_name, renamed, strange_names
 from .reading import RecognitionWarning
 from .units import parse_unit, to_displacement
 
@@ -112,9 +112,11 @@ def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = N
     is then read by these names (:func:`.naming.placed_by_name`). Raises DataError for all that nobody says at once, and
     where file and declaration contradict each other.
     """
+    _refuse_idle(raw, declaration)
     outputs = raw.outputs or _declared(declaration.outputs, "point") or (ports[0] if ports else None)
     inputs = raw.inputs or _declared(declaration.inputs, "contact") or (ports[1] if ports else None)
     known = None if outputs is None or inputs is None else (outputs, inputs)
+    raw = raw if known is None else renamed(raw, *known)
     strange = "" if known is None else strange_names(raw, *known)
     if open_ends := [s for s in (strange, unsaid(raw, declaration, known)) if s]:
         raise DataError(f"{raw.name}: {'; it '.join(open_ends)}")
@@ -132,7 +134,23 @@ def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = N
     cut = _rows(transfer, keep)
     if cut["valid"] is not None and not cut["valid"].any():
         raise DataError(f"{raw.name}: every entry is zero or not finite; the file holds no measurement")
+    if len(raw.values) > 1 and not np.nan_to_num(raw.values.imag).any():
+        warnings.warn(
+            f"{raw.name}: every value is real; if these are magnitudes or real parts alone, the phase is lost and "
+            "nothing that is made of this G holds: export real and imaginary part",
+            AccuracyWarning, stacklevel=3,
+        )  # fmt: skip
     return replace(transfer, frequency=transfer.frequency[keep], **cut)
+
+
+def _refuse_idle(raw: RawMatrix, declaration: Declaration) -> None:
+    """DataError for what is declared and would change nothing."""
+    named = [] if raw.provenance.get("format") == "MATLAB" else ["variable", "frequency_variable", "valid_variable"]
+    known = [k for k, own in (("outputs", raw.outputs), ("inputs", raw.inputs), ("sample_rate", raw.frequency))
+             if own is not None]  # fmt: skip
+    for keys, why in ((named, "has no variables"), (known, "says that itself")):
+        if idle := [k for k in keys if getattr(declaration, k) is not None]:
+            raise DataError(f"{raw.name}: {why}, so that {idle[0]} has no effect; leave it out of the declaration")
 
 
 def _agreed(raw: RawMatrix, declaration: Declaration, key: str) -> Any:

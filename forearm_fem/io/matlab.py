@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, savemat
 
+from ..arguments import checked
 from ..errors import DataError
 from ..ports import Port, positions
 from ..transfer import TransferMatrix
@@ -28,6 +29,7 @@ _NOTE = (
 )
 
 
+@checked
 def write_thesis_mat(
     path: str | Path, transfer: TransferMatrix, sample_rate: float = 1e4, duration: float = 2.0
 ) -> None:
@@ -66,6 +68,7 @@ def write_thesis_mat(
     write_bytes(path, mat5(content, compressed=True))
 
 
+@checked
 def read_thesis_mat(path: str | Path) -> TransferMatrix:
     """The positive, excited bins of a file by :func:`write_thesis_mat`; DataError if missing or damaged."""
     file = Path(path)

@@ -19,6 +19,27 @@ if TYPE_CHECKING:
 _SHOWN = 6  # names of a list in a sentence
 
 
+def as_named(word: str, names: Sequence[str]) -> str:
+    """``word`` as one of ``names``: a number as other programs write it ("1.0", "01") is the name that is that number,
+    where just one is; any other word stays as it is."""
+    if word in names:
+        return word
+    try:
+        alike = [n for n in names if n.isdigit() and int(n) == float(word)]
+    except ValueError:
+        return word
+    return alike[0] if len(alike) == 1 else word
+
+
+def renamed(raw: RawMatrix, outputs: Sequence[Port], inputs: Sequence[Port]) -> RawMatrix:
+    """``raw`` with the names of its columns :func:`as_named`; as it is where two would then be one."""
+    if raw.names is None:
+        return raw
+    known = [[p.name for p in ports] for ports in (outputs, inputs)]
+    found = [tuple(as_named(n, names) for n in own) for own, names in zip(raw.names, known, strict=True)]
+    return raw if any(len(set(n)) < len(n) for n in found) else replace(raw, names=(found[0], found[1]))
+
+
 def placed_by_name(raw: RawMatrix, outputs: Sequence[Port], inputs: Sequence[Port]) -> RawMatrix:
     """``raw`` (frequency, output, input) in the order of ``outputs`` and ``inputs``, by the names that the file uses.
 

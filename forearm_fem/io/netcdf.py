@@ -15,6 +15,7 @@ from typing import Any, get_args
 import numpy as np
 import xarray as xr
 
+from ..arguments import checked
 from ..errors import DataError
 from ..transfer import Compliance, ErrorEstimate, ErrorSource, TransferMatrix
 from ..typing import FloatArray
@@ -23,6 +24,7 @@ from .dataset import Variables, labels, load, port_variables, ports_of, provenan
 _CONTENT = "transfer"
 
 
+@checked
 def write_transfer(path: str | Path, transfer: TransferMatrix, compliance: Compliance | None = None) -> None:
     """Write ``transfer``, and ``compliance`` on the same frequencies if given; see the module's heading."""
     if compliance is not None and not np.array_equal(compliance.frequency, transfer.frequency):
@@ -46,11 +48,13 @@ def write_transfer(path: str | Path, transfer: TransferMatrix, compliance: Compl
     save(path, variables, {**_compliance_attributes(compliance), **provenance, "content": _CONTENT})
 
 
+@checked
 def write_compliance(path: str | Path, compliance: Compliance) -> None:
     """Write ``compliance`` alone: the expensive half, from which any device can be closed."""
     save(path, _compliance_variables(compliance), {**_compliance_attributes(compliance), "content": _CONTENT})
 
 
+@checked
 def read_transfer(path: str | Path) -> TransferMatrix:
     """G exactly as written; DataError if the file is missing, damaged or holds no G."""
     return load(path, _CONTENT, _unpack_transfer)
@@ -70,6 +74,7 @@ def refuse_other_g(file: Path, *, measured: bool) -> None:
         raise DataError(f"{file}: holds a {what}, which is not replaced; name another folder with --out")
 
 
+@checked
 def read_compliance(path: str | Path) -> Compliance:
     """The compliance exactly as written; DataError if the file is missing, damaged or holds none."""
     return load(path, _CONTENT, _unpack_compliance)

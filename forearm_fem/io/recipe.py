@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 from scipy.fft import rfft, rfftfreq
 
@@ -14,9 +15,9 @@ from ..errors import DataError, first_problem
 from ..scenario.base import Part, Positive
 from ..scenario.toml import read_toml
 from ..transfer import TransferMatrix
-from ..typing import FloatArray
-from .declaration import Declaration, RawMatrix, declared_by, understand
+from .declaration import Declaration, Ports, RawMatrix, declared_by, understand
 
+Numbers = NDArray[np.inexact[Any]]  # real or complex
 AxisName = Annotated[str, Field(pattern=r"^[a-z_]+$")]
 
 
@@ -33,7 +34,7 @@ class ArrayRecipe(Part):
         description="names of the array's axes; 'time' or 'frequency', 'output', 'input'"
     )
     stack: AxisName | None = Field(default=None, description="axis along which the files are stacked, e.g. 'input'")
-    select: dict[str, tuple[int, ...]] = Field(
+    select: dict[str, Annotated[tuple[int, ...], Field(min_length=1)]] = Field(
         default_factory=dict, description="indices to take along an axis, counted from 1, in the order wanted"
     )
 
@@ -48,6 +49,8 @@ class ArrayRecipe(Part):
             raise ValueError(f"select names {sorted(unknown)}, the axes are {names}")
         if len(set(names)) != len(names):
             raise ValueError(f"axes and stack name an axis twice: {names}")
+        if self.format == "npy" and (idle := sorted(self.model_fields_set & {"dtype", "order", "skip"})):
+            raise ValueError(f"{idle[0]} has no effect with format = 'npy': its files say it themselves; leave it out")
         return self
 
 
@@ -87,8 +90,12 @@ def load_recipe(path: str | Path) -> ImportRecipe:
         raise DataError(f"{file}: {first_problem(problem, 'recipe')}") from None
 
 
-def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix:
-    """G from the recipe's files in ``folder``; DataError for missing, short or contradictory ones."""
+def import_by_recipe(recipe: ImportRecipe, folder: str | Path, ports: Ports | None = None) -> TransferMatrix:
+    """G from the recipe's files in ``folder``; DataError for missing, short or contradictory ones.
+
+    ``ports`` (outputs, inputs) serve where the recipe declares no places. An array in time is real, and its transform
+    here is e^{+i omega t}; one in frequency keeps its imaginary part.
+    """
     stack, arrays = recipe.array.stack, [_array(recipe.array, Path(folder) / name) for name in recipe.array.files]
     array, axes = arrays[0], list(recipe.array.axes)
     if stack is not None:
@@ -103,6 +110,11 @@ def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix
     ordered = np.transpose(array, [axes.index(a) for a in (domain, "output", "input")])
     values, frequency = ordered.astype(complex), None
     if (time := recipe.time) is not None:  # one-sided, phases referred to the sample ``zero``
+        if np.iscomplexobj(ordered):
+            raise DataError(
+                f"recipe '{recipe.name}': the responses in time are complex; leave [time] out for spectra, or correct "
+                "array.dtype"
+            )
         if time.zero >= len(ordered):
             raise DataError(f"time.zero = {time.zero} lies outside the {len(ordered)} samples of the responses")
         values = rfft(np.roll(ordered, -time.zero, axis=0), axis=0)
@@ -114,13 +126,14 @@ def import_by_recipe(recipe: ImportRecipe, folder: str | Path) -> TransferMatrix
         frequency,
         ("frequency", "output", "input"),
         spectrum=None if recipe.time is None else "one-sided",
+        sign=None if recipe.time is None else "+iwt",
         provenance={"recipe": recipe.name, "cite": recipe.source},
     )
     with declared_by("[declaration]"):
-        return understand(raw, recipe.declaration)
+        return understand(raw, recipe.declaration, ports)
 
 
-def _array(recipe: ArrayRecipe, file: Path) -> FloatArray:
+def _array(recipe: ArrayRecipe, file: Path) -> Numbers:
     if not file.is_file():
         raise DataError(f"{file}: no such file; the recipe expects it here")
     try:
@@ -131,20 +144,27 @@ def _array(recipe: ArrayRecipe, file: Path) -> FloatArray:
             if len(content) % np.dtype(recipe.dtype).itemsize:
                 raise ValueError(f"{len(content)} bytes are no whole number of items")
             numbers = np.frombuffer(content, dtype=recipe.dtype)
-    except (ValueError, TypeError, EOFError) as problem:
-        raise DataError(f"{file}: cannot be read as {recipe.format} {recipe.dtype}: {problem}") from None
+        if numbers.dtype.kind not in "fciu":
+            raise ValueError(f"{numbers.dtype} holds no numbers")
+    except (ValueError, TypeError, EOFError, ZeroDivisionError) as problem:
+        kind = "npy" if recipe.format == "npy" else f"raw {recipe.dtype}"
+        raise DataError(f"{file}: cannot be read as {kind}: {problem}") from None
     expected = int(np.prod(recipe.shape))
     if numbers.size != expected:
         raise DataError(
             f"{file}: holds {numbers.size} numbers, the recipe's shape {list(recipe.shape)} needs {expected}; the file "
             "is cut short, or shape, dtype or skip are wrong"
         )
-    return np.asarray(
-        numbers.reshape(recipe.shape, order=recipe.order) if recipe.format == "raw" else numbers, dtype=float
-    )
+    if recipe.format == "npy" and numbers.shape != recipe.shape:
+        raise DataError(
+            f"{file}: has the shape {list(numbers.shape)}, array.shape says {list(recipe.shape)}; correct shape and "
+            "axes, for an npy file keeps its own"
+        )
+    plain = numbers.reshape(recipe.shape, order=recipe.order) if recipe.format == "raw" else numbers
+    return np.asarray(plain.astype(complex if np.iscomplexobj(plain) else float))
 
 
-def _selected(recipe: ImportRecipe, array: FloatArray, axes: list[str]) -> tuple[FloatArray, list[str]]:
+def _selected(recipe: ImportRecipe, array: Numbers, axes: list[str]) -> tuple[Numbers, list[str]]:
     """Indices taken; an axis of which one index is left, and which is no axis of G, disappears."""
     for name, wanted in recipe.array.select.items():
         at = axes.index(name)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 from scipy.io import whosmat
 
+from ..arguments import checked
 from ..errors import DataError
 from ..transfer import TransferMatrix
 from .csvfiles import read_csv, write_csv
@@ -20,6 +21,7 @@ from .tdms import read_tdms, write_tdms
 from .uff import read_uff, write_uff
 
 
+@checked
 def read_measured(
     path: str | Path, declaration: Declaration | None = None, *, ports: Ports | None = None
 ) -> TransferMatrix:
@@ -40,6 +42,7 @@ def read_measured(
     return _READERS[kind](file, declaration or Declaration(), ports)
 
 
+@checked
 def write_measured(path: str | Path, transfer: TransferMatrix) -> None:
     """G in the format of the path's suffix: .nc (everything), .mat (7.3), .uff, .tdms or .csv."""
     writers: Mapping[str, Callable[[str | Path, TransferMatrix], None]] = {
@@ -83,7 +86,7 @@ def _mat(file: Path, declaration: Declaration, ports: Ports | None) -> TransferM
 def _recipe(file: Path, declaration: Declaration, ports: Ports | None) -> TransferMatrix:
     recipe = load_recipe(file)
     _refuse(file, declaration)
-    return import_by_recipe(recipe, file.parent)
+    return import_by_recipe(recipe, file.parent, ports)
 
 
 def _by(read: Callable[[Path], RawMatrix]) -> Callable[[Path, Declaration, Ports | None], TransferMatrix]:

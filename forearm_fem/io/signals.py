@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from ..arguments import checked
 from ..errors import DataError
 from ..typing import FloatArray
 from .dataset import labels, load, provenance_json, save, text
@@ -44,21 +45,25 @@ def stack(
     return Signals(values, methods, targets, channels, time, unit)
 
 
+@checked
 def write_drives(path: str | Path, signals: Signals) -> None:
     """Write ``drives`` (method, target, actuator, time)."""
     _write(path, "drives", "actuator", signals)
 
 
+@checked
 def read_drives(path: str | Path) -> Signals:
     """Drives exactly as written; DataError if missing, damaged or something else."""
     return load(path, "drives", lambda dataset: _unpack(dataset, "drives", "actuator"))
 
 
+@checked
 def write_displacements(path: str | Path, signals: Signals) -> None:
     """Write ``displacements`` (method, target, point, time)."""
     _write(path, "displacements", "point", signals)
 
 
+@checked
 def read_displacements(path: str | Path) -> Signals:
     """Displacements exactly as written; DataError if missing, damaged or something else."""
     return load(path, "displacements", lambda dataset: _unpack(dataset, "displacements", "point"))

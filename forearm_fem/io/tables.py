@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import DataError
-from ..metrics.strength import GROUPS
+from ..metrics.strength import GROUPS, seconds_of
 from ..typing import FloatArray
 from .atomic import atomic_path, write_bytes
 
@@ -42,6 +43,7 @@ class StrengthRow(NamedTuple):
     window: str = ""
 
 
+@checked
 def strength_rows(
     methods: Sequence[str],
     targets: Sequence[str],
@@ -56,10 +58,15 @@ def strength_rows(
 
     ``interval`` low and high and S over the ``record`` have the same shape; ``window`` [s], None for the record.
     """
-    unknown = np.full(np.shape(strengths), np.nan)
+    unknown = np.full((len(methods), len(targets)), np.nan)
     low, high = interval or (unknown, unknown)
     whole = unknown if record is None else record
-    over = "record" if window is None else f"{window[0]:g} to {window[1]:g} s"
+    if any(np.shape(given) != unknown.shape for given in (strengths, low, high, whole)):
+        raise DataError(
+            f"S of {len(methods)} methods at {len(targets)} targets has the shape {unknown.shape}, got "
+            f"{np.shape(strengths)}; its interval and S over the record have the same"
+        )
+    over = "record" if window is None else "{:g} to {:g} s".format(*seconds_of(window))
     groups = {t: label.split()[0].lower() for label, members in GROUPS for t in members} if grouped else {}
     return tuple(
         StrengthRow(
@@ -81,6 +88,7 @@ def write_signal_strength_csv(path: str | Path, rows: Iterable[StrengthRow]) -> 
     write_with_side(path, stream.getvalue().encode())
 
 
+@checked
 def read_signal_strength_csv(path: str | Path) -> tuple[StrengthRow, ...]:
     """The rows as written; DataError for a missing file, another header or a line that does not fit."""
     try:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import DataError, optional
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
@@ -24,6 +25,8 @@ from .recording import Recording
 from .seal import BLANK, check_seals, sealed
 
 _GROUP = "G"
+_SIMULTANEOUS = 0.01  # of a sample between the beginnings of two channels of one clock
+_EXACT, _NOISY = 1e-6, 0.5  # of a drive's size: how far its periods may differ, as sent and as measured
 
 
 def write_tdms(path: str | Path, transfer: TransferMatrix) -> None:
@@ -171,6 +174,7 @@ def _cube(group: Any, shape: tuple[int, int, int], part: str) -> FloatArray:
     return out
 
 
+@checked
 def read_sweep_tdms(
     path: str | Path,
     *,
@@ -185,13 +189,19 @@ def read_sweep_tdms(
     """A raw sweep as a Recording: ``drive`` and ``response`` are "group/channel" [V], ``period`` samples long each.
 
     The first whole periods are taken as they come: leave a lead-in period out when recording, or cut it. With
-    ``drive_is_measured`` the drive channel is a loopback. Both channels must have the same increment
-    (``wf_increment``, which npTDMS keeps); DataError otherwise.
+    ``drive_is_measured`` the drive channel is a loopback. Both channels must have the same increment and beginning
+    (``wf_increment``, ``wf_start_offset`` and ``wf_start_time``, which npTDMS keeps), be in volts where they name a
+    unit, and the drive must repeat itself after ``period``; DataError otherwise.
     """
 
     def read(file: Path) -> Recording:
         content = _open(file)
-        (x, dx), (y, dy) = (_waveform(file, content, name) for name in (drive, response))
+        (x, dx, begun), (y, dy, begun_y) = (_waveform(file, content, name) for name in (drive, response))
+        if (late := abs(begun_y - begun)) > _SIMULTANEOUS * dx:
+            raise DataError(
+                f"{file}: '{response}' begins {late:.3g} s apart from '{drive}', which would turn every phase; record "
+                "them by one trigger, or cut both to the same beginning"
+            )
         if dx != dy or len(x) != len(y):
             raise DataError(
                 f"{file}: '{drive}' has {len(x)} samples every {dx:g} s, '{response}' {len(y)} every {dy:g} s; they "
@@ -201,6 +211,7 @@ def read_sweep_tdms(
         if repeats < 1:
             raise DataError(f"{file}: {len(x)} samples hold no whole period of {period}; declare the sweep's length")
         rows = [a[: repeats * period].reshape(repeats, period) for a in (x, y)]
+        _check_periodic(file, drive, rows[0], drive_is_measured)
         loopback = rows[0] if drive_is_measured else None
         return Recording(
             output,
@@ -217,7 +228,18 @@ def read_sweep_tdms(
     return recording
 
 
-def _waveform(file: Path, content: Any, name: str) -> tuple[FloatArray, float]:
+def _check_periodic(file: Path, name: str, rows: FloatArray, measured: bool) -> None:
+    """DataError for a drive (n_repeat, n) that is another in some period: of another length, or begun late."""
+    off = np.linalg.norm(rows - rows[0], axis=1).max() / max(float(np.linalg.norm(rows[0])), np.finfo(float).tiny)
+    if off > (_NOISY if measured else _EXACT):
+        raise DataError(
+            f"{file}: '{name}' does not repeat itself every {rows.shape[1]} samples (off by {off:.2g} of its size); "
+            "declare the sweep's length, cut what comes before the first whole period, or say drive_is_measured"
+        )
+
+
+def _waveform(file: Path, content: Any, name: str) -> tuple[FloatArray, float, float]:
+    """Samples [V], their spacing [s] and when they begin [s]."""
     group, _, channel = name.partition("/")
     if group not in content or channel not in content[group]:
         known = ", ".join(f"{g.name}/{c.name}" for g in content.groups() for c in g.channels())
@@ -228,7 +250,11 @@ def _waveform(file: Path, content: Any, name: str) -> tuple[FloatArray, float]:
         raise DataError(
             f"{file}: channel '{name}' does not say its sample rate (wf_increment); record it as a waveform"
         )
-    return np.asarray(found[:], dtype=float), float(step)
+    unit = str(found.properties.get("unit_string", "")).strip()
+    if unit.lower() not in ("", "v", "volt", "volts"):
+        raise DataError(f"{file}: channel '{name}' is in '{unit}', expected volts; save it unscaled, in V")
+    start = np.datetime64(found.properties.get("wf_start_time", 0), "ns").astype("int64") * 1e-9
+    return np.asarray(found[:], dtype=float), float(step), float(start + found.properties.get("wf_start_offset", 0.0))
 
 
 def write_sweep_tdms(path: str | Path, recording: Recording) -> None:

@@ -9,6 +9,7 @@ its reading one habit matters: a dataset cut short is returned without complaint
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -29,6 +30,7 @@ _MARK = "forearm_fem e^{+i omega t}"
 _DEVIATION = "standard deviation"
 _PRIVATE = 9158  # dataset number of our ports
 _END = f"{-1:6d}"
+_MARKS = re.compile(rb"    -1(?=[\r\n]|\Z| {74})")  # of datasets, as pyuff finds them: a -1 among others is a field
 _END_SEAL = "\n".join([_END, f"{_PRIVATE:6d}", BLANK.decode(), _END, ""]).encode("ascii")
 _DENOMINATOR: Mapping[str, int] = MappingProxyType({"V": 0, "N": 13, "m": 8})
 _FREQUENCY = (0, 18)  # kinds of an abscissa: not said, and frequency
@@ -72,7 +74,7 @@ def read_uff(path: str | Path) -> RawMatrix:
     """
     file = Path(path)
     with reading(file, "damaged or not a universal file ({why})"):
-        if file.read_bytes().count(b"    -1") % 2:
+        if len(_MARKS.findall(file.read_bytes())) % 2:
             raise DataError(f"{file}: a dataset has no end mark; the file is cut short")
         content = _pyuff().UFF(str(file))
         functions = [k for k, kind in enumerate(content.get_set_types()) if kind == 58]

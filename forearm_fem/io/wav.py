@@ -52,15 +52,25 @@ def _commented(content: bytes) -> bytes:
 
 
 def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tuple[FloatArray, float]:
-    """Signals (n_in, n) [V] and the sample rate [Hz]. Integer samples need ``full_scale`` [V]: it is never guessed."""
+    """Signals (n_in, n) [V] and the sample rate [Hz]. Integer samples need ``full_scale`` [V]: it is never guessed.
+
+    Floating-point ones are volts. DataError for a ``full_scale`` of these, or that is no voltage.
+    """
     file = Path(path)
     with reading(file, "damaged, cut short or not a WAV file; export it again"), warnings.catch_warnings():
         warnings.simplefilter("error")  # scipy only warns of files that are cut short
+        warnings.filterwarnings("ignore", message="Chunk .*not understood")  # peaks, cues, dates: nothing of the signal
         rate, samples = wavfile.read(file)
     columns = samples.reshape(len(samples), -1).T
-    if not np.issubdtype(columns.dtype, np.floating):
+    whole = not np.issubdtype(columns.dtype, np.floating)
+    if full_scale is not None and not (whole and 0 < full_scale < np.inf):
+        what = "has floating-point samples, which are volts: full scale has no effect; leave it out"
+        raise DataError(f"{file}: {what if not whole else f'full scale is some volts, got {full_scale:g}'}")
+    if whole:
         if full_scale is None:
-            raise DataError(f"{file}: has integer samples; say how many volts full scale is (full_scale)")
+            raise DataError(
+                f"{file}: has integer samples, which are no volts; say how many volts full scale is (--full-scale)"
+            )
         if columns.dtype == np.uint8:
             columns = (columns.astype(float) - 128) / 128 * full_scale
         else:

@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import AccuracyWarning
 from ..progress import Progress, tell
 from ..typing import ComplexArray, FloatArray, IntArray
@@ -46,6 +47,7 @@ class LayeredResult:
         return self.quadrature + self.truncation + self.interpolation
 
 
+@checked
 def layered_compliance(
     layers: Sequence[Layer],
     omega: FloatArray,

@@ -16,6 +16,8 @@ from ..typing import BoolArray, FloatArray
 Severity = Literal["error", "warning"]
 _ROUNDING = 1e-28  # of an energy: below it is rounding, not noise
 _PARTS = 4  # of a period that are searched for lost samples
+_FLAT, _STEEP = 3, 10.0  # samples, and the fall beside them in what counts as equal
+_COARSE = 8.0  # steps of the converter: a part that swings by less is too coarsely rounded to tell a lag
 
 
 @dataclass(frozen=True)
@@ -61,19 +63,46 @@ def _hopeless(r: Recording) -> Finding | None:
 
 
 def _clipped(r: Recording) -> Iterator[Finding]:
-    """Samples at the rails; without a known full scale, three equal ones in a row at the extremes."""
-    y = r.response
-    if np.isfinite(r.full_scale):
-        count = int(np.count_nonzero(np.abs(y) >= min(r.full_scale - 1.5 * r.resolution, 0.9999 * r.full_scale)))
-    else:
-        flat = (np.diff(y, n=1) == 0)[:, 1:] & (np.diff(y, n=1) == 0)[:, :-1]
-        count = int(np.count_nonzero(flat & (np.abs(y[:, 1:-1]) >= 0.999 * np.abs(y).max())))
-    if count:
-        yield Finding(
-            "clipped",
-            f"{r.label}: {count} samples touch the end of the range ({np.abs(y).max():.4g} V); "
-            "lower the sweep's amplitude or widen the sensor's range",
-        )
+    """Samples at the rails, or flat tops below them: what the sensor or its filter cut off before the converter."""
+    remedy = "lower the sweep's amplitude or widen the sensor's range"
+    channels = [("samples", r.response, remedy)]
+    if r.loopback is not None:
+        channels.append(("samples of the loopback", r.loopback, "attenuate it or widen daq.input_range"))
+    for what, y, remedy in channels:
+        count = 0
+        if np.isfinite(r.full_scale):
+            count = int(np.count_nonzero(np.abs(y) >= min(r.full_scale - 1.5 * r.resolution, 0.9999 * r.full_scale)))
+        if count := count or _flat_tops(y, _step(y, r.resolution)):
+            most = np.abs(y).max()
+            yield Finding("clipped", f"{r.label}: {count} {what} touch the end of the range ({most:.4g} V); {remedy}")
+
+
+def _step(y: FloatArray, told: float) -> float:
+    """Step [V] of the converter that ``y`` came through: as ``told``, or the least difference between two samples."""
+    levels = np.unique(y) if told <= 0 else np.zeros(0)
+    return float(np.diff(levels).min()) if len(levels) > 1 else told
+
+
+def _flat_tops(y: FloatArray, step: float) -> int:
+    """Samples of ``y`` (n_repeat, n) in flat tops at an extreme: three or more in a row as good as equal, and a fall to
+    either side that is far steeper than a round top's.
+
+    As good as equal is within a ``step`` [V] of the converter and six standard deviations of what differs between the
+    repeats. A round top that is so flat over three samples falls by four times that within the next one, and a wider
+    one by less.
+    """
+    scatter = float(np.sqrt(y.var(axis=0, ddof=1).mean())) if len(y) > 1 else 0.0
+    same, count = step + 6 * scatter, 0
+    for sign in (1.0, -1.0):
+        z = sign * (y - np.median(y, axis=1, keepdims=True))
+        top = z >= z.max() - same
+        padded = np.pad(top.astype(np.int8), ((0, 0), (1, 1)))
+        begin, end = (np.argwhere(np.diff(padded, axis=1) == d) for d in (1, -1))  # row-wise, in the same order
+        for (row, first), (_, past) in zip(begin, end, strict=True):
+            around = z[row, [first - 1, past]] if first > 0 and past < y.shape[1] else np.full(2, np.inf)
+            if past - first >= _FLAT and z.max() - around.max() > _STEEP * same:
+                count += int(past - first)
+    return count
 
 
 def _loopback(r: Recording, band: BoolArray) -> Iterator[Finding]:
@@ -100,7 +129,7 @@ def _lost(r: Recording) -> Iterator[Finding]:
     late as it comes back."""
     signals = r.response if r.loopback is None else r.loopback
     reference = signals[0] if r.loopback is None else np.roll(r.sent, _late(r.sent, r.loopback))
-    shifts = lags(reference, signals)
+    shifts = lags(reference, signals, _step(signals, r.resolution))
     common = int(np.bincount((shifts - shifts.min()).ravel()).argmax() + shifts.min())
     slipped = np.argwhere(shifts != common)
     if len(slipped):
@@ -119,21 +148,27 @@ def _late(sent: FloatArray, back: FloatArray) -> int:
     return int(np.bincount(each).argmax())
 
 
-def lags(reference: FloatArray, signals: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+def lags(
+    reference: FloatArray, signals: FloatArray, step: float = 0.0
+) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     """Lag (n_repeat, 4) [samples] of each quarter of ``signals`` (n_repeat, n) behind that of ``reference`` (n,).
 
-    Circular correlation; a lag counts only where it explains clearly more than none (1 % of the energy that
-    is alike, and six standard deviations of what noise gives), so that noise does not invent one.
+    Circular correlation of what varies; a lag counts only where it explains clearly more than none (1 % of the energy
+    that is alike, and six standard deviations of what noise gives), so that noise does not invent one. Quarters that
+    swing by less than eight times the converter's ``step`` [V] are single steps up and down, of which any two are alike
+    at some lag: they tell none.
     """
     length = len(reference) // _PARTS
     parts = signals[:, : length * _PARTS].reshape(len(signals), _PARTS, length)
     first = reference[: length * _PARTS].reshape(_PARTS, length)
+    coarse = np.minimum(np.ptp(parts, axis=2), np.ptp(first, axis=1)) < _COARSE * step
+    parts, first = (a - a.mean(axis=-1, keepdims=True) for a in (parts, first))  # an offset is alike at any lag
     likeness = irfft(rfft(first).conj()[None] * rfft(parts), length)
     best = likeness.argmax(axis=2)
     gain = likeness.max(axis=2) - likeness[:, :, 0]
     rest = np.linalg.norm(parts - first[None], axis=2)
     noise = np.linalg.norm(first, axis=1)[None] * rest / np.sqrt(length)
-    clear = (gain > 1e-2 * np.abs(likeness).max(axis=2)) & (gain > 6 * noise)
+    clear = (gain > 1e-2 * np.abs(likeness).max(axis=2)) & (gain > 6 * noise) & ~coarse
     return np.where(clear, np.where(best > length // 2, best - length, best), 0)
 
 

@@ -79,6 +79,7 @@ def entry(recording: Recording, band: tuple[float, float], options: MeasurementO
 
 
 _HOPELESS = frozenset({"not finite", "no drive"})
+_SCATTERS = 1e-12  # of an entry's power: less between the repeats is rounding of the arithmetic
 
 
 def _below(value: ComplexArray, deviation: FloatArray, coherence: FloatArray, options: MeasurementOptions) -> BoolArray:
@@ -143,15 +144,22 @@ def assemble(
 
 
 def _copies(entries: Sequence[Entry]) -> tuple[Finding, ...]:
-    """Two noisy entries equal bit for bit are one recording saved twice; without noise, symmetry can do that."""
+    """Two noisy entries equal bit for bit are one recording saved twice; without noise, symmetry can do that.
+
+    Noise is what scatters between the repeats: what a converter rounds off alike is none. Of a single one the floor
+    above the band must do, in which the two are one.
+    """
     seen: dict[bytes, str] = {}
     found = []
     for e in entries:
         key, label = e.value.tobytes(), f"{e.output} <- {e.input}"
-        known = np.isfinite(e.value) & np.isfinite(e.deviation) & (e.value != 0)
-        if key in seen and known.any() and np.median(e.deviation[known] / np.abs(e.value[known])) > 1e-6:
-            sentence = f"{label} is identical to {seen[key]}: one of them was saved under a wrong name"
-            found.append(Finding("copy", sentence))
+        known = np.isfinite(e.value) & (e.value != 0)
+        single = np.isnan(e.coherence).all()
+        noise = (e.deviation / np.maximum(np.abs(e.value), np.finfo(float).tiny)) ** 2 if single else 1 - e.coherence
+        known &= np.isfinite(noise)
+        if key in seen and known.any() and np.median(noise[known]) > _SCATTERS:
+            why = "one of them was saved under a wrong name" + (", unless neither has any noise" if single else "")
+            found.append(Finding("copy", f"{label} is identical to {seen[key]}: {why}"))
         seen.setdefault(key, label)
     return tuple(found)
 

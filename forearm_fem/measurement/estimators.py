@@ -8,6 +8,11 @@ the response, R periods and a drive X known exactly, every estimator that divide
 
 and s^2 is measured by the scatter between the repeats, R - 1 complex degrees of freedom per bin. What a converter
 rounds off alike in each repeat, and what a window cuts off a response, do not scatter: both are added.
+
+H1 is too small under noise on the drive, H2 too large under noise on the response, and no number of repeats mends it.
+Where the two noises are independent the truth lies between them (Bendat & Piersol 2010, 9.1.4), so that their distance
+bounds what H2 and Hv are biased by: it is in their deviation, and so is what regularisation takes off a deconvolution.
+What noise on a measured drive takes off H1 follows from how far the drive's own repeats scatter, and is in it too.
 """
 
 from __future__ import annotations
@@ -28,19 +33,22 @@ from ..scenario.measurement import Estimator, MeasurementOptions
 from ..typing import BoolArray, ComplexArray, FloatArray
 
 _SMOOTH = 15  # bins over which the noise is taken as even
+_LEAST = 0.01  # of the drive's power: what is left of it under its noise, where that is all there is
 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
     """One-sided averages over the repeats, each (n_bins,): ``xx``, ``yy`` [V^2], ``xy`` = <X* Y>, of ``repeats``
     periods; ``noise`` (n_bins,) [V^2] is the variance of Y about H1 X of one period, as if all of it fell with the
-    repeats; NaN if it is unknown."""
+    repeats; NaN if it is unknown. ``drive_noise`` (n_bins,) [V^2] is that of X about its mean, part of ``xx``; 0 where
+    one period cannot tell."""
 
     xx: FloatArray
     yy: FloatArray
     xy: ComplexArray
     repeats: int
     noise: FloatArray
+    drive_noise: FloatArray
 
     @property
     def coherence(self) -> FloatArray:
@@ -98,7 +106,8 @@ def spectra(drive: FloatArray, response: FloatArray, band: BoolArray, step: floa
         above = np.nonzero(band)[0][-1] + 1 if band.any() else 0
         quiet = yy[int(1.2 * above) : -1]
         noise[band] = np.mean(quiet) if quiet.size >= 10 else np.nan
-    return Spectra(xx, yy, xy, repeats, noise)
+    beside = np.maximum(xx - np.abs(rfft(drive.mean(axis=0))) ** 2, 0) * repeats / max(repeats - 1, 1)
+    return Spectra(xx, yy, xy, repeats, noise, np.asarray(uniform_filter1d(beside, _SMOOTH, mode="nearest")))
 
 
 def _rounded_alike(response: FloatArray, step: float) -> float:
@@ -128,9 +137,20 @@ def estimate(kind: Estimator, s: Spectra, band: BoolArray, options: MeasurementO
         below = s.xx + options.regularisation * s.xx[band].max(initial=0)
         value = np.where(band, _ratio(s.xy, below), 0)
         plain = Estimate(value, _deviation(s, below, band), s.coherence, band)
-        return plain if options.window is None else _windowed(plain, band, options.window, rate)
+        found = plain if options.window is None else _windowed(plain, band, options.window, rate)
+        damped = np.abs(value) * np.divide(below - s.xx, s.xx, out=np.zeros(len(s.xx)), where=band)  # too small by that
+        return replace(found, deviation=np.hypot(found.deviation, damped + _bias(kind, s, value)))
     value = np.where(band, _ESTIMATORS[kind](s), 0)
-    return Estimate(value, _deviation(s, s.xx, band), s.coherence, band)
+    return Estimate(value, np.hypot(_deviation(s, s.xx, band), _bias(kind, s, value)), s.coherence, band)
+
+
+def _bias(kind: Estimator, s: Spectra, value: ComplexArray) -> FloatArray:
+    """How far ``value`` (n_bins,) may be from the truth by bias alone: for H2 and Hv its distance from the farther of
+    H1 and H2, between which that lies; else what noise on the drive makes it too small by."""
+    if kind in ("H2", "Hv"):
+        return np.asarray(np.maximum(np.abs(value - _h1(s)), np.abs(value - _h2(s))))
+    rest = np.maximum(s.xx - s.drive_noise, _LEAST * s.xx)
+    return np.asarray(np.abs(value) * np.divide(s.drive_noise, rest, out=np.zeros(len(value)), where=rest > 0))
 
 
 def _deviation(s: Spectra, below: FloatArray, band: BoolArray) -> FloatArray:
@@ -146,7 +166,8 @@ def _h1(s: Spectra) -> ComplexArray:
 
 
 def _h2(s: Spectra) -> ComplexArray:
-    """<Y* Y> / <Y* X>: unbiased under noise on the drive, too large by 1 / coherence under noise on the response."""
+    """<Y* Y> / <Y* X>: unbiased under noise on the drive, too large by 1 / coherence under noise on the response
+    (:func:`_bias`)."""
     return _ratio(s.yy.astype(complex), s.xy.conj())
 
 

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
 from ..geometry.device.layout import planform_ports
 from ..io.netcdf import refuse_other_g, write_transfer
@@ -75,6 +76,7 @@ class CalibrationResult:
     figure_file: Path
 
 
+@checked
 def run_calibration(
     scenario: Scenario,
     folder: str | Path,
@@ -153,6 +155,7 @@ def _timed(plan: Plan, kind: DaqKind | Daq, device: Daq, cable: Loopback | None)
     return plan
 
 
+@checked
 def run_loopback(scenario: Scenario, *, daq: Literal["ni", "sound"] | Daq, card: str | None = None) -> Loopback:
     """Latency and gain of a device whose first output is wired to its first input (the sensor's).
 
@@ -242,6 +245,7 @@ def virtual_device(plan: Plan, virtual: VirtualSetup) -> VirtualDaq:
     return VirtualDaq(virtual.transfer, sweep.sample_rate, sweep.duration, options)
 
 
+@checked
 def run_play(
     scenario: Scenario,
     drives: str | Path,
@@ -251,6 +255,7 @@ def run_play(
     virtual: VirtualSetup | None = None,
     method: str | None = None,
     target: str | None = None,
+    full_scale: float | None = None,
     scale: float = 1.0,
     repeats: int = 1,
     pause: float = 0.0,
@@ -259,9 +264,10 @@ def run_play(
 ) -> Played:
     """Send the drives of ``drives.nc`` (choosing ``method`` and ``target``) or of a WAV file, times ``scale``.
 
-    Refuses what exceeds ``measurement.daq.max_voltage`` and what was sampled at another rate than the scenario's.
+    ``full_scale`` [V] is what integer samples of a WAV file count in. Refuses what exceeds
+    ``measurement.daq.max_voltage`` and what was sampled at another rate than the scenario's.
     """
-    signals, rate = read_signals(drives, method, target)
+    signals, rate = read_signals(drives, method, target, full_scale)
     if abs(rate / scenario.sweep.sample_rate - 1) > 1e-6:
         raise HardwareError(
             f"the drives are sampled at {rate:g} Hz, the scenario's device runs at {scenario.sweep.sample_rate:g} Hz; "
@@ -283,13 +289,18 @@ def run_play(
     )
 
 
-def read_signals(path: str | Path, method: str | None, target: str | None) -> tuple[FloatArray, float]:
-    """Drive signals (n_in, n) [V] and their rate [Hz] from drives.nc or WAV; DataError if method or target is open."""
+def read_signals(
+    path: str | Path, method: str | None, target: str | None, full_scale: float | None = None
+) -> tuple[FloatArray, float]:
+    """Drive signals (n_in, n) [V] and their rate [Hz] from drives.nc or WAV; DataError if method or target is open, or
+    what is given has no effect."""
     file = Path(path)
     if file.suffix.lower() == ".wav":
         if method is not None or target is not None:
             raise DataError(f"{file}: a WAV file holds drives for one target, so --method and --target have no effect")
-        return read_wav_drives(file)
+        return read_wav_drives(file, full_scale=full_scale)
+    if full_scale is not None:
+        raise DataError(f"{file}: drives.nc is in volts, so that --full-scale has no effect; leave it out")
     stored = read_drives(file)
     if stored.unit != "V":
         raise DataError(f"{file}: drives are in {stored.unit}, only volts can be played")

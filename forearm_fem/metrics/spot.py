@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import DataError
 from ..typing import FloatArray
 
 
+@checked
 def contrast(areas: FloatArray, target: int) -> float:
     """Area of |u| at ``target`` over the largest one elsewhere [-]; ``areas`` (n_out,) from :func:`area`.
 
@@ -20,6 +22,7 @@ def contrast(areas: FloatArray, target: int) -> float:
     return float(areas[target] / largest) if largest > 0 else float("inf")
 
 
+@checked
 def spot_radius(areas: FloatArray, positions: FloatArray, target: int) -> float:
     """Root mean square distance [m] of the motion from the target, weighted with ``areas`` (n_out,).
 
@@ -39,6 +42,7 @@ def _check_target(areas: FloatArray, target: int) -> None:
         raise DataError(f"a spot needs areas (n_out,) and one of the outputs as target, got {areas.shape}, {target}")
 
 
+@checked
 def fwhm(position: FloatArray, value: FloatArray) -> float:
     """Full width [m] at half of the maximum of ``value`` (n,) at increasing ``position`` (n,) [m], linear
     between points.

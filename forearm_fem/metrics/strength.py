@@ -8,10 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import AccuracyWarning, DataError
 from ..typing import FloatArray
 
 
+@checked
 def area(
     displacement: FloatArray, *, time: FloatArray | None = None, window: tuple[float, float] | None = None
 ) -> FloatArray:
@@ -20,18 +22,22 @@ def area(
     Taken over ``window`` (start, end) [s] of ``time`` (n_t,) [s], or over all samples. Raises DataError for
     an empty window.
     """
+    if displacement.ndim != 2 or displacement.shape[1] < 1:
+        raise DataError(f"S needs displacements (n_out, n_t) with at least one sample, got {displacement.shape}")
     if window is None:
         return np.asarray(np.abs(displacement).mean(axis=1))
     if time is None:
         raise DataError("a window of S needs the time of the samples")
-    if len(time) != displacement.shape[1]:
-        raise DataError(f"a window of S needs a time for each of the {displacement.shape[1]} samples, got {len(time)}")
-    inside = (time >= window[0]) & (time <= window[1])
+    if time.shape != displacement.shape[1:]:
+        raise DataError(f"a window of S needs a time for each of the {displacement.shape[1]} samples, got {time.shape}")
+    start, end = seconds_of(window)
+    inside = (time >= start) & (time <= end)
     if not inside.any():
-        raise DataError(f"no sample lies in the window {window[0]:g} to {window[1]:g} s")
+        raise DataError(f"no sample lies in the window {start:g} to {end:g} s")
     return np.asarray(np.abs(displacement[:, inside]).mean(axis=1))
 
 
+@checked
 def signal_strength(
     displacement: FloatArray,
     target: int,
@@ -63,6 +69,16 @@ def signal_strength(
     if elsewhere > 0:
         return moved / elsewhere
     return float("inf") if moved > 0 else float("nan")
+
+
+def seconds_of(window: object) -> tuple[float, float]:
+    """Start and end [s] of a ``window``; DataError for anything else than two numbers."""
+    if isinstance(window, list | tuple | np.ndarray) and len(window) == 2:
+        try:
+            return float(window[0]), float(window[1])
+        except (TypeError, ValueError):
+            pass
+    raise DataError(f"a window of S is start and end in seconds, e.g. (-0.05, 0.05), got {window!r}")
 
 
 WITHOUT_BOUND = 1e6  # of S: beyond it rounding is all that moves the other points
@@ -115,6 +131,7 @@ class StrengthTable:
         return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
 
+@checked
 def signal_strength_table(methods: Sequence[str], targets: Sequence[str], strengths: FloatArray) -> StrengthTable:
     """Middle, edges and corners of ``strengths`` (n_method, n_target) [-]: mean and standard deviation (N - 1).
 

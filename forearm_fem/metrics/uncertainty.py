@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import DataError
 from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ..typing import ComplexArray, FloatArray
@@ -30,6 +31,7 @@ class StrengthInterval:
     coverage: float
 
 
+@checked
 def signal_strength_uncertainty(
     transfer: TransferMatrix,
     strength: Callable[[TransferMatrix], FloatArray],
@@ -80,6 +82,7 @@ def perturbed(
     return replace(transfer, values=transfer.values + change)
 
 
+@checked
 def smooth_noise(
     frequency: FloatArray, shape: tuple[int, ...], rng: np.random.Generator, correlation: float
 ) -> ComplexArray:
@@ -88,6 +91,12 @@ def smooth_noise(
 
     Sum of 64 exponentials exp(i tau f) with random amplitudes and tau normal of width 1 / correlation.
     """
+    whole = isinstance(shape, list | tuple) and all(isinstance(n, int | np.integer) and n >= 0 for n in shape)
+    if frequency.ndim != 1 or not whole or not 0 < correlation < np.inf:
+        raise DataError(
+            "noise needs frequencies (n,), a shape of whole numbers and a positive correlation in Hz, got "
+            f"{frequency.shape}, {shape!r} and {correlation:g}"
+        )
     tau = rng.normal(0, 1 / correlation, _WAVES)
     amplitude = rng.normal(size=(_WAVES, *shape)) + 1j * rng.normal(size=(_WAVES, *shape))
     return np.asarray(np.tensordot(np.exp(1j * np.outer(frequency, tau)), amplitude / np.sqrt(2 * _WAVES), axes=1))

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import least_squares
 
+from ..arguments import checked
 from ..errors import DataError
 from ..typing import BoolArray, ComplexArray, FloatArray
 
@@ -33,6 +34,7 @@ class WaveFit:
     phase_step: FloatArray
 
 
+@checked
 def fit_waves(
     frequency: FloatArray, distance: FloatArray, response: ComplexArray, *, decay: DecayFit = "nonlinear"
 ) -> WaveFit:
@@ -50,8 +52,8 @@ def fit_waves(
     x = np.asarray(distance, dtype=float)
     if x.ndim != 1 or len(x) < 3 or np.any(np.diff(x) <= 0):
         raise DataError("a wave fit needs at least 3 increasing distances")
-    if response.shape != (len(frequency), len(x)):
-        raise DataError(f"responses have shape {response.shape}, expected {(len(frequency), len(x))}")
+    if frequency.ndim != 1 or response.shape != (len(frequency), len(x)):
+        raise DataError(f"responses have shape {response.shape}, expected ({frequency.size}, {len(x)})")
     usable = np.all(np.isfinite(response), axis=1) & np.all(response != 0, axis=1)
     size = np.abs(response[usable])
     columns = np.full((6, len(frequency)), np.nan)

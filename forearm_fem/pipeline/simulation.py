@@ -226,7 +226,7 @@ def _between(few: ErrorEstimate, many: ErrorEstimate, frequency: FloatArray) -> 
     if not (own * other > 0).all():
         return straight
     share = np.exp(np.interp(np.sqrt(frequency), np.sqrt(at), np.log(own / other)))
-    return np.minimum(straight, share * relative_error_at(many, frequency))
+    return np.asarray(np.minimum(straight, share * relative_error_at(many, frequency)))
 
 
 def _truncation(

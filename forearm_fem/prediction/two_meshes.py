@@ -74,7 +74,7 @@ class ArmMeshes:
         own, frequency = found.block("point", "contact"), found.frequency
         other = self._second(arm, frequency).block("point", "contact")
         error, change = self._judged(arm, frequency, other, own).error, relative_error(other, own)
-        return np.divide(error, change, out=np.zeros_like(error), where=change > 0)
+        return np.asarray(np.divide(error, change, out=np.zeros_like(error), where=change > 0))
 
     def _second(self, arm: Scenario, frequency: FloatArray) -> Compliance:
         return Compliance(frequency, self.second.bare(arm, frequency), self.second.ports)

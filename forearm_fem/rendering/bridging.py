@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from ..arguments import checked
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 
@@ -54,6 +55,7 @@ class Bridged:
         return f"{said}; {ends}" if self.ends else said
 
 
+@checked
 def bridged(transfer: TransferMatrix) -> Bridged:
     """Fill the holes of each entry of G between its first and its last known bin.
 

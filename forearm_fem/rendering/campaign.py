@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..metrics.strength import StrengthTable, signal_strength, signal_strength_table, without_bound
 from ..progress import Progress, tell
@@ -93,6 +94,7 @@ def thesis_renderers() -> tuple[Renderer, ...]:
     return (InverseFilter(), Funneling(), Combination())
 
 
+@checked
 def render_all(
     transfer: TransferMatrix,
     targets: Sequence[str] | None = None,
@@ -112,9 +114,7 @@ def render_all(
     of the wavelet's energy falls on bins where G is unknown, and where an S is made of rounding. Raises ScenarioError
     for two methods of one name or a target given twice, and as :func:`drives`.
     """
-    known = tuple(p.name for p in transfer.outputs)
-    one = isinstance(targets, str) and targets in known  # not the digits of "12"
-    targets = (str(targets),) if one else tuple(targets) if targets is not None else known
+    targets = _as_targets(targets, transfer)
     methods = _as_renderers(methods)
     wavelet = wavelet or ricker()
     names = tuple(m.name for m in methods)
@@ -145,6 +145,18 @@ def render_all(
     return found
 
 
+def _as_targets(targets: Sequence[str] | None, transfer: TransferMatrix) -> tuple[str, ...]:
+    """Names of outputs, by default all; one that is an output's is itself, not its letters: "12"."""
+    known = tuple(p.name for p in transfer.outputs)
+    if targets is None:
+        return known
+    if isinstance(targets, str):
+        return (targets,) if targets in known else tuple(targets)
+    if not isinstance(targets, list | tuple) or not all(isinstance(t, str) for t in targets):
+        raise ScenarioError(f"targets: expected names of outputs such as ['5'], got {str(targets)[:60]!r}")
+    return tuple(targets)
+
+
 def _as_renderers(methods: Sequence[Renderer] | Renderer | None) -> tuple[Renderer, ...]:
     if methods is None:
         return thesis_renderers()
@@ -156,6 +168,7 @@ def _as_renderers(methods: Sequence[Renderer] | Renderer | None) -> tuple[Render
     return tuple(found)
 
 
+@checked
 def strengths(
     transfer: TransferMatrix,
     targets: Sequence[str],
@@ -170,7 +183,7 @@ def strengths(
     ``fixed`` (n_method x n_target drives) plays these drives on ``transfer`` instead of aiming anew: what a
     device calibrated on another G would reach. Holes are not bridged. Raises as :func:`render_all`.
     """
-    seconds = window_of(window, wavelet)
+    seconds, targets, methods = window_of(window, wavelet), _as_targets(targets, transfer), _as_renderers(methods)
     placed = place(transfer, wavelet.record)
     if fixed is None:
         placed, methods = prepared(placed, methods, targets)

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import ScenarioError
 from ..ports import Port
 from ..transfer import TransferMatrix
@@ -103,6 +104,7 @@ class Displacements:
         return self.names.index(self.target)
 
 
+@checked
 def drives(renderer: Renderer, transfer: TransferMatrix | Placed, target: str, wavelet: Wavelet) -> Drives:
     """The drives with which ``renderer`` aims ``wavelet`` at output ``target``.
 
@@ -110,6 +112,8 @@ def drives(renderer: Renderer, transfer: TransferMatrix | Placed, target: str, w
     many targets). Only bins where G is known are driven; ``Drives.lost`` says what that costs. Raises ScenarioError for
     an unknown target, DataError for a G that cannot be used, GeometryError where the renderer needs a rectangle.
     """
+    if not hasattr(renderer, "aim"):
+        raise ScenarioError(f"expected a renderer such as Funneling(), got {str(renderer)[:60]!r}")
     placed = _placed(transfer, wavelet.record)
     spectrum = wavelet.spectrum
     aim = renderer.aim(placed, target, spectrum[placed.bins.index])
@@ -137,6 +141,7 @@ def _placed(transfer: TransferMatrix | Placed, record: Record) -> Placed:
     return transfer
 
 
+@checked
 def displacements(transfer: TransferMatrix | Placed, drives: Drives) -> Displacements:
     """Displacements of all outputs of ``transfer`` under ``drives``: U = G S (eq. 3), back in time.
 
@@ -171,11 +176,13 @@ def _unanswered(placed: Placed, spectrum: ComplexArray, outside: float) -> Float
     return np.asarray((energy.sum(axis=1) @ missing + max(outside, 0.0)) / total)
 
 
+@checked
 def scaled(drives: Drives, factor: float) -> Drives:
     """The drives times ``factor`` [-]; everything is linear, so displacements scale alike and S stays."""
     return replace(drives, spectrum=factor * drives.spectrum)
 
 
+@checked
 def scale_to(
     drives: Drives,
     transfer: TransferMatrix | Placed | None = None,

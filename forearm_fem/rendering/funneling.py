@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import DataError, GeometryError
 from ..ports import Port, positions
 from ..typing import BoolArray, ComplexArray, FloatArray
@@ -18,6 +19,7 @@ from .triangles import line_through, nearest_distance, triangle_weights
 Weights = Mapping[str, FloatArray]  # A_q / A (n_in,) by target
 
 
+@checked
 def funneling_weights(inputs: tuple[Port, ...], target: Port) -> FloatArray:
     """A_q / A (n_in,) [-]; they sum to 1.
 

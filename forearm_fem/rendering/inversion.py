@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from ..errors import ScenarioError
+from ..arguments import checked
+from ..errors import DataError, ScenarioError
 from ..typing import BoolArray, ComplexArray, FloatArray
 
 RegularisationKind = Literal["rcond", "tikhonov", "discrepancy", "lcurve", "noise"]
@@ -116,6 +117,7 @@ class Inversion:
         return np.asarray(residual / np.maximum(np.linalg.norm(self.wanted, axis=1), np.finfo(float).tiny))
 
 
+@checked
 def invert(
     matrix: ComplexArray,
     wanted: ComplexArray,
@@ -128,6 +130,15 @@ def invert(
 
     A zero column (dead actuator) gets no drive; equal columns share it evenly (minimum norm). Entries must be finite.
     """
+    n = matrix.shape[:1]
+    unlike = matrix.ndim != 3 or matrix.size == 0 or wanted.shape != matrix.shape[:2] or frequency.shape != n
+    if unlike or (error is not None and error.shape != n):
+        raise DataError(
+            f"an inversion needs H (n, c, q), what is wanted (n, c) and frequencies (n,), got {matrix.shape}, "
+            f"{wanted.shape} and {frequency.shape}"
+        )
+    if not (np.isfinite(matrix).all() and np.isfinite(wanted).all()):
+        raise DataError("an inversion needs finite numbers; leave out bins on which H is not known")
     return least_squares(decomposed(matrix), wanted, regularisation, frequency, error)
 
 

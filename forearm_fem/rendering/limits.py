@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from ..arguments import checked
 from ..errors import ScenarioError
 from ..typing import FloatArray
 from .drives import Drives
@@ -45,6 +46,7 @@ class DriveReport:
     checked: bool
 
 
+@checked
 def check(drives: Drives, limits: Limits | None = None) -> DriveReport:
     """Peak, rms and power of each actuator against ``limits``; raises ScenarioError for a bad averaging window."""
     limits = limits or Limits()

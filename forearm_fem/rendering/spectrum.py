@@ -16,6 +16,7 @@ from typing import Self
 import numpy as np
 from scipy.fft import irfft, rfft
 
+from ..arguments import checked
 from ..errors import DataError, ScenarioError
 from ..ports import Port
 from ..transfer import TransferMatrix, relative_error_at
@@ -71,14 +72,23 @@ class Record:
         return weights
 
 
+@checked
 def to_spectrum(signals: FloatArray, record: Record) -> ComplexArray:
     """One-sided spectra (..., n // 2 + 1) [unit/Hz] of ``signals`` (..., n) [unit]: forward DFT times dt."""
+    if signals.shape[-1:] != (record.n,):
+        raise DataError(f"signals of a record have its {record.n} samples along the last axis, got {signals.shape}")
     rolled = np.roll(signals, -record.centre, axis=-1)
     return np.asarray(rfft(rolled, axis=-1) / record.sample_rate, dtype=np.complex128)
 
 
+@checked
 def to_time(spectrum: ComplexArray, index: IntArray, record: Record) -> FloatArray:
     """Real signals (m, n) [unit] of the spectra (n_bins, m) [unit/Hz] on the bins ``index``; zero elsewhere."""
+    if spectrum.ndim != 2 or index.shape != spectrum.shape[:1] or np.any((index < 0) | (index > record.n // 2)):
+        raise DataError(
+            f"spectra (n_bins, m) need as many bins 0 to {record.n // 2} of the record, got {spectrum.shape} on "
+            f"{index.shape}"
+        )
     full = np.zeros((spectrum.shape[1], record.n // 2 + 1), dtype=complex)
     full[:, index] = spectrum.T * record.sample_rate
     signals = irfft(full, record.n, axis=-1, overwrite_x=True)
@@ -103,6 +113,7 @@ class BinValues:
         return np.asarray(self.record.df * self.index, dtype=np.float64)
 
 
+@checked
 def place_on_bins(
     frequency: FloatArray,
     values: ComplexArray,
@@ -120,7 +131,8 @@ def place_on_bins(
     entry, for samples too far apart to interpolate, and if no bin is left.
     """
     record = Record.of(sample_rate, duration)
-    values = np.asarray(values, dtype=np.complex128)
+    if values.ndim < 1:
+        raise DataError(f"values at frequencies have these as their first axis, got {values.shape}")
     valid = _checked(np.asarray(frequency, dtype=float), values, valid)
     place = np.asarray(frequency, dtype=float) / record.df
     flat, known = values.reshape(len(values), -1), valid.reshape(len(values), -1)
@@ -186,6 +198,7 @@ class Placed:
         return names.index(name)
 
 
+@checked
 def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation | None = None) -> Placed:
     """``transfer`` on the bins of ``record``; raises as :func:`place_on_bins` and DataError for a wrong shape."""
     expected = (len(transfer.frequency), len(transfer.outputs), len(transfer.inputs))
@@ -205,9 +218,12 @@ def place(transfer: TransferMatrix, record: Record, interpolation: Interpolation
     return Placed(bins, transfer.outputs, transfer.inputs, transfer.unit, np.asarray(error))
 
 
+@checked
 def respond(placed: Placed, spectrum: ComplexArray) -> FloatArray:
     """Displacements (n_out, n_t) [m] for drive spectra (n_bins, n_in) [unit/Hz]; eq. 3 of de Vlam 2022.
 
     Entries of G that are not valid count as zero.
     """
+    if spectrum.shape != (expected := (len(placed.bins.index), len(placed.inputs))):
+        raise DataError(f"spectra of drives have the shape {expected} (bin, input), got {spectrum.shape}")
     return to_time((placed.bins.values @ spectrum[:, :, None])[:, :, 0], placed.bins.index, placed.record)

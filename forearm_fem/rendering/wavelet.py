@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,7 +12,9 @@ from typing import Literal
 import numpy as np
 from scipy.io import wavfile
 
+from ..arguments import checked
 from ..errors import DataError, ScenarioError
+from ..metrics.strength import seconds_of
 from ..typing import ComplexArray, FloatArray
 from .spectrum import Record, to_spectrum, to_time
 
@@ -70,13 +73,15 @@ class Wavelet:
         return replace(self, samples=samples, name=f"{self.name}, tapered")
 
 
+@checked
 def window_of(window: Window, wavelet: Wavelet) -> tuple[float, float] | None:
     """Seconds (start, end) of a window by name or as given; None for the whole record."""
-    if window == "record":
+    if isinstance(window, str) and window == "record":
         return None
-    return wavelet.window if window == "wavelet" else (float(window[0]), float(window[1]))
+    return wavelet.window if isinstance(window, str) and window == "wavelet" else seconds_of(window)
 
 
+@checked
 def ricker(
     peak_hz: float = 250.0, amplitude: float = 1.0, sample_rate: float = 10000.0, duration: float = 2.0
 ) -> Wavelet:
@@ -104,6 +109,7 @@ def ricker(
     return Wavelet(amplitude * (1 - s**2) * np.exp(-(s**2) / 2), record, f"Ricker {peak_hz:g} Hz")
 
 
+@checked
 def from_samples_file(
     path: str | Path, sample_rate: float = 10000.0, duration: float = 2.0, *, normalise: bool = True
 ) -> Wavelet:
@@ -171,7 +177,13 @@ def _read_csv(path: Path) -> tuple[FloatArray, float | None]:
 
 
 def _read_wav(path: Path) -> tuple[FloatArray, float | None]:
-    rate, samples = wavfile.read(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", wavfile.WavFileWarning)  # scipy only warns of files that are cut short
+        warnings.filterwarnings("ignore", message="Chunk .*not understood")
+        try:
+            rate, samples = wavfile.read(path)
+        except wavfile.WavFileWarning as problem:
+            raise ValueError(str(problem)) from None
     silence = 128.0 if samples.dtype == np.uint8 else 0.0  # 8 bits have no sign
     return np.asarray(samples, dtype=float) - silence, float(rate)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from ..errors import DataError
+from ..io.naming import as_named
 from ..ports import Port
 from .run import typed
 
@@ -34,6 +35,9 @@ def foreign_table(file: Path, columns: Sequence[str], grid: Sequence[Port]) -> p
     if twice := sorted({name for name in header if name and header.count(name) > 1}):
         raise DataError(f"{file}: two columns are called '{twice[0][:40]}'; leave the one out that is not meant")
     table = pd.DataFrame(lines, columns=header, dtype=str)
+    points = [p.name for p in grid]
+    for name in (n for n in ("target", "response") if n in table):
+        table[name] = [" ".join(as_named(word, points) for word in cell.split()) for cell in table[name]]
     placed = {"response_x", "response_y"} <= set(table)
     if missing := [n for n in _NEEDED if n not in table and not (n == "response" and placed)]:
         raise DataError(f"{file}: no column is called '{missing[0]}'; name theirs with --column {missing[0]}=THEIRS")
@@ -60,10 +64,12 @@ def foreign_table(file: Path, columns: Sequence[str], grid: Sequence[Port]) -> p
 
 
 def _cells(file: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and lines of a table, without blanks around cells; DataError where a line is no line of the header's."""
-    mark = "\t" if file.suffix.lower() == ".tsv" else ","
+    """Header and lines of a table of tabs, semicolons or commas, without blanks around cells; DataError where a line is
+    no line of the header's."""
     try:
-        rows = list(csv.reader(file.read_text(encoding="utf-8-sig").splitlines(), delimiter=mark))
+        text = file.read_text(encoding="utf-8-sig").splitlines()
+        mark = next((c for c in "\t;" if any(c in line for line in text[:1])), ",")
+        rows = list(csv.reader(text, delimiter=mark))
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise DataError(f"{file}: cannot be read as a table ({type(problem).__name__})") from None
     header, *lines = [[cell.strip() for cell in row] for row in rows] or [[]]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from html import escape
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from ..arguments import checked
 from ..errors import DataError
 from ..figures import Results
 from ..geometry.device.layout import planform_ports
@@ -17,25 +19,28 @@ from ..io.declaration import Declaration
 from ..io.recognise import read_measured
 from ..library import is_library, load_library
 from ..progress import Progress
-from ..scenario import Scenario
+from ..scenario import Scenario, parse_scenario
 from .content import content_of, library_content, measured_content
 
 _IMPORT = re.compile(r"^import \{ ([^}]*) \} from \"\./(\w+)\.js\";$", re.MULTILINE)
 _EXPORT = re.compile(r"^export ((?:async )?(?:const|function\*?|class) ([\w$]+))", re.MULTILINE)
+_NO_NAME = re.compile(r"[^A-Za-z0-9_.-]+")  # what no scenario's name holds: the page keeps one that can be run
 _FIRST = "main"
 _HEAD = 4096  # characters in which a page says what it was made of
 LIBRARY = ".library.nc"
 
 
+@checked
 def write_workbench(
     what: Results | str | Path, path: str | Path, *, scenario: Scenario | None = None,
     declaration: Declaration | None = None, progress: Progress | None = None, base: str | Path = ".",
 ) -> Path:  # fmt: skip
-    """Write the page of a results folder, a ``NAME.library.nc`` or a file with a measured G, whole or not at all.
+    """Write the page of a results folder, a ``NAME.library.nc`` or a measured G, whole or not at all.
 
-    ``scenario`` gives a measured file its record, wavelet, limits and, where it names none, its points and
-    actuators (default: the thesis' own), a library its device; its wavelet's file is seen from ``base``. Raises
-    DataError for anything that is neither, and where the folder's run is unfinished.
+    A measured G is a file, or the folder of a calibration. ``scenario`` gives it its record, wavelet, limits and, where
+    it names none, its points and actuators (default: the record of a calibration's sweep, else all of the thesis), a
+    library its device; its wavelet's file is seen from ``base``. Raises DataError for anything that is neither, and
+    where the folder's run is unfinished.
     """
     made_of = Path(what).name if not isinstance(what, Results) and Path(what).is_file() else ""
     write_text(path, page_of(_content(what, scenario, declaration, progress, Path(base)), made_of))
@@ -65,7 +70,9 @@ def _content(
 ) -> dict[str, Any]:  # fmt: skip
     if isinstance(what, Results):
         return content_of(what)
-    place = Path(what)
+    place, name = Path(what), Path(what).stem
+    if _holds_g_alone(place):
+        place, name = place / "transfer.nc", place.resolve().name
     if place.is_dir():
         if scenario is not None or declaration is not None:
             raise DataError(
@@ -81,10 +88,18 @@ def _content(
         arm = load_library(place)
         asked = scenario or arm.scenario.model_copy(update={"name": place.name.removesuffix(LIBRARY)})
         return library_content(arm, asked, f"library {place.name}", progress, base)
-    asked = scenario or Scenario(name=place.stem)
+    asked = scenario or Scenario()
     transfer = read_measured(place, declaration, ports=planform_ports(asked))
-    named = asked.model_copy(update={"name": place.stem})
-    return measured_content(transfer, named, f"measured G of {place.name}", base)
+    if scenario is None and isinstance(sweep := transfer.provenance.get("sweep"), Mapping):  # of a calibration
+        asked = parse_scenario({"sweep": {k: sweep[k] for k in ("duration", "sample_rate", "f_min", "f_max")}})
+    named = asked.model_copy(update={"name": _NO_NAME.sub("-", name).strip(".-")[:100] or "measured"})
+    return measured_content(transfer, named, f"measured G of {Path(what).name}", base)
+
+
+def _holds_g_alone(folder: Path) -> bool:
+    """Whether a ``folder`` holds a G and no run, as one of ``forearm-fem calibrate`` does."""
+    there = [(folder / file).is_file() for file in ("transfer.nc", "scenario.json", "run.json")]
+    return folder.is_dir() and there == [True, False, False]
 
 
 def page_of(content: dict[str, Any], made_of: str = "") -> str:

@@ -82,6 +82,7 @@ test("WAV: what is written is read, what is not plain is refused", () => {
   const wave = writeWav([[0, 0.5, -1, 0.25]], 10000), back = readWav("a.wav", wave);
   assert.equal(back.rate, 10000);
   assert.deepEqual(Array.from(back.samples), [0, 0.5, -1, 0.25]);
+  sentence(() => writeWav([[0, 1]], 51200 / 3), /whole sample rates only/);
   sentence(() => readWav("a.wav", wave.slice(0, 50)), /cut short/);
   sentence(() => readWav("a.wav", new ArrayBuffer(60)), /no WAV file/);
   sentence(() => readWav("a.wav", writeWav([[0, 1], [1, 0]], 8000)), /2 channels/);

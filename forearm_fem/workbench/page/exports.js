@@ -157,6 +157,7 @@ export function signals(app) {
 export function drives(app) {
   const { outcome, experiment } = app;
   if (!outcome.signals.length) throw new Error(outcome.problem);
+  if (!experiment.content.unit.endsWith("/V")) throw new Error(`drives of a G in ${experiment.content.unit} are no volts, as which a WAV file is played; keep the signals as CSV`);
   return writeWav(experiment.sent(outcome), experiment.record.rate);
 }
 

@@ -198,6 +198,7 @@ export function transferCsv(frequency, values, outputs, inputs, unit) {
 
 /** A WAV file of floating point, a channel per signal. @param {ArrayLike<number>[]} signals @param {number} rate @returns {ArrayBuffer} */
 export function writeWav(signals, rate) {
+  if (!Number.isInteger(rate)) throw new FileProblem(`a WAV file holds whole sample rates only, not ${rate.toPrecision(8)} Hz; keep the signals as CSV`);
   const channels = signals.length, n = signals[0].length, size = 4 * channels * n, bytes = new ArrayBuffer(44 + size), view = new DataView(bytes);
   const text = (/** @type {number} */ at, /** @type {string} */ s) => { for (let i = 0; i < s.length; i++) view.setUint8(at + i, s.charCodeAt(i)); };
   text(0, "RIFF"); view.setUint32(4, 36 + size, true); text(8, "WAVEfmt "); view.setUint32(16, 16, true);
