@@ -92,9 +92,11 @@ def read_parametric(path: str | Path) -> ParametricFile:
 
 def _unpack(dataset: xr.Dataset) -> ParametricFile:
     def numbers(name: str) -> FloatArray:
+        """A variable as floating-point numbers."""
         return np.asarray(dataset[name].values, dtype=float)
 
     def model(k: int, name: str) -> Model:
+        """Matrices, functionals and places of model ``name`` of piece k; its file holds upper triangles."""
         upper, functionals = numbers(f"upper-{k}-{name}"), numbers(f"functional-{k}-{name}")
         rows, columns = np.triu_indices(len(functionals))
         matrices = np.empty((len(upper), len(functionals), len(functionals)))

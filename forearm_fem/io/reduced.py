@@ -55,6 +55,7 @@ def read_reduced(path: str | Path) -> ReducedFile:
     """What :func:`write_reduced` wrote; DataError if the file is missing, damaged or something else."""
 
     def unpack(dataset: xr.Dataset) -> ReducedFile:
+        """Terms, and the poles where there are any."""
         poles = {name: np.asarray(dataset[name].values, dtype=complex) for name in POLES if name in dataset}
         return ReducedFile(*read_terms(dataset), poles)
 

@@ -99,7 +99,10 @@ def _complaints() -> Iterator[list[logging.LogRecord]]:
     heard: list[logging.LogRecord] = []
 
     class Listener(logging.Filter):
+        """Keeps what is logged from the terminal."""
+
         def filter(self, record: logging.LogRecord) -> bool:
+            """Keep the ``record``, and pass it on to nobody."""
             heard.append(record)
             return False
 
@@ -195,6 +198,7 @@ def read_sweep_tdms(
     """
 
     def read(file: Path) -> Recording:
+        """The recording of one file; DataError where its two channels are not of one clock or of no whole repeat."""
         content = _open(file)
         (x, dx, begun), (y, dy, begun_y) = (_waveform(file, content, name) for name in (drive, response))
         if (late := abs(begun_y - begun)) > _SIMULTANEOUS * dx:

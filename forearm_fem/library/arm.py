@@ -134,7 +134,10 @@ class ArmLibrary:
         ways = (1, 1, 2, 2) if len(self.sideways) else (2, 2)
         owner = np.concatenate([np.arange(len(ports)), np.tile(rigid, len(ways))]).astype(int)
         way = np.concatenate([np.zeros(len(ports)), np.repeat(ways, len(rigid))]).astype(int)
-        twin, number, parts = self._flat_discs(ports, places, frequency), self.bands.number(frequency), []
+        discs = [Disc(u, v) if port.kind == "point" else Disc(u, v, port.radius, port.contact)
+                 for port, (u, v) in zip(ports, places.tolist(), strict=True)]  # fmt: skip
+        twin = self.twin.compliance(2 * np.pi * frequency, discs, free=self.twin.contact != "pressure")
+        number, parts = self.bands.number(frequency), []
         for b in np.unique(number):
             weights, variance = self._weights(int(b), ports, places, rigid)
             seen = real_product(weights.T, self._flat_bells[b]) @ weights
@@ -165,8 +168,20 @@ class ArmLibrary:
 
     def ports(self, scenario: Scenario) -> tuple[Port, ...]:
         """Ports of ``scenario`` on the library's skin, after all that may be refused was."""
-        self._check_same(scenario)
-        self._check_band(frequencies(scenario.sweep))
+        if scenario.engine != "fem":
+            raise ScenarioError("engine: a library stands for finite elements; set engine = 'fem', or leave it out")
+        for key in _SAME:
+            if getattr(scenario, key) != getattr(self.scenario, key):
+                raise ScenarioError(
+                    f"{key}: this library was made for another arm than the scenario's; make one for it "
+                    "(`forearm-fem library`), or leave --library out"
+                )
+        frequency, low, high = frequencies(scenario.sweep), self.bands.edges[0], self.bands.edges[-1]
+        if frequency[0] < low * (1 - 1e-9) or frequency[-1] > high * (1 + 1e-9):
+            raise ScenarioError(
+                f"sweep: the library holds {low:g} to {high:g} Hz, asked for {frequency[0]:g} to {frequency[-1]:g} Hz; "
+                "narrow the sweep, or make a library for it"
+            )
         cone = scenario.device.cone
         if abs(cone.radius - self.twin.radius) > 1e-9 or cone.contact != self.twin.contact:
             raise ScenarioError(
@@ -223,12 +238,6 @@ class ArmLibrary:
         """The twin (n_part, n_node, n + 2 s, n + 2 s) between bells."""
         return flat_compliance(self.flat, self.distances, self.centres, self.sideways)
 
-    def _flat_discs(self, ports: tuple[Port, ...], places: FloatArray, frequency: FloatArray) -> LayeredResult:
-        """The flat twin of the ports, with rigid discs let go."""
-        discs = [Disc(u, v) if port.kind == "point" else Disc(u, v, port.radius, port.contact)
-                 for port, (u, v) in zip(ports, places.tolist(), strict=True)]  # fmt: skip
-        return self.twin.compliance(2 * np.pi * frequency, discs, free=self.twin.contact != "pressure")
-
     def _deviation(self, part: _Part, asked: _Asked) -> FloatArray:
         """Standard deviation (m, m) [m/N] of what is interpolated between all that discs move or are held against, of
         tilts [1/N]."""
@@ -252,24 +261,6 @@ class ArmLibrary:
         at, along = asked.places[asked.owner], (asked.way == 1).astype(int)
         values = np.array([np.interp(np.linalg.norm(at[:, None] - at, axis=2), self.bins, one) for one in of])
         return np.asarray(np.take_along_axis(values, (along[:, None] + along)[None], axis=0)[0])
-
-    def _check_same(self, scenario: Scenario) -> None:
-        if scenario.engine != "fem":
-            raise ScenarioError("engine: a library stands for finite elements; set engine = 'fem', or leave it out")
-        for key in _SAME:
-            if getattr(scenario, key) != getattr(self.scenario, key):
-                raise ScenarioError(
-                    f"{key}: this library was made for another arm than the scenario's; make one for it "
-                    "(`forearm-fem library`), or leave --library out"
-                )
-
-    def _check_band(self, frequency: FloatArray) -> None:
-        low, high = self.bands.edges[0], self.bands.edges[-1]
-        if frequency[0] < low * (1 - 1e-9) or frequency[-1] > high * (1 + 1e-9):
-            raise ScenarioError(
-                f"sweep: the library holds {low:g} to {high:g} Hz, asked for {frequency[0]:g} to {frequency[-1]:g} Hz; "
-                "narrow the sweep, or make a library for it"
-            )
 
     def _check_on_patch(self, ports: tuple[Port, ...]) -> None:
         patch = self.scenario.library

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 from zipfile import BadZipFile
 
 import numpy as np
 
 from ..errors import DataError
-from ..fem.reduction.basis import Basis, Columns
+from ..fem.reduction.basis import Basis
 from ..fem.reduction.reduced_model import ReducedModel
 from ..io.atomic import atomic_path
 from ..typing import FloatArray
@@ -62,7 +62,7 @@ class Kept:
         """The part, if it was finished."""
         try:
             with np.load(self._folder / _SIDE, allow_pickle=False) as data:
-                limb, freed = (_limb(data, name) for name in _LIMBS)
+                limb, freed = (Limb.read(data, name) for name in _LIMBS)
                 facts = json.loads(str(data["facts"]))
                 return None if limb is None else Side(limb, freed, data["reduction"], data["missed"], facts)
         except _UNREADABLE:
@@ -76,7 +76,7 @@ class Kept:
             limb: Limb | None = getattr(side, name)
             if limb is not None:
                 arrays |= {f"{name}_{field.name}": getattr(limb, field.name) for field in fields(Limb)}
-        if self._written(_SIDE, arrays):
+        if self._written(self._folder / _SIDE, lambda stream: np.savez(stream, **arrays)):
             for file in (*self._folder.glob("columns-*.npy"), self._folder / _SPACE):
                 file.unlink(missing_ok=True)
 
@@ -100,43 +100,25 @@ class Kept:
     def keep(self, state: Progressed) -> None:
         """Keep how far it got; the space's last block is new."""
         blocks, reduced = state.reduced.basis.blocks, state.reduced
-        if not self._columns_written(len(blocks) - 1, blocks[-1]):
-            return
-        self._written(
-            _SPACE,
-            {
+        if self._written(self._columns(len(blocks) - 1), lambda stream: np.save(stream, blocks[-1])):
+            arrays: dict[str, Any] = {
                 "matrices": reduced.matrices, "coupling": reduced.coupling, "functionals": state.functionals,
                 "blocks": np.array(len(blocks)), "done": np.array(state.done), "solves": np.array(state.solves),
                 "seconds": np.array(state.seconds),
-            },
-        )  # fmt: skip
+            }  # fmt: skip
+            self._written(self._folder / _SPACE, lambda stream: np.savez(stream, **arrays))
 
     def _columns(self, number: int) -> Path:
         return self._folder / f"columns-{number:03d}.npy"
 
-    def _columns_written(self, number: int, block: Columns) -> bool:
+    def _written(self, file: Path, write: Callable[[BinaryIO], None]) -> bool:
         try:
-            with atomic_path(self._columns(number)) as beside:
-                np.save(beside, block)
+            with atomic_path(file) as beside, beside.open("wb") as stream:
+                write(stream)
         except (DataError, OSError) as problem:
-            return _told(self._folder, problem)
+            _log.warning(
+                "what was solved for the library could not be kept in %s (%s); ended, it starts anew",
+                self._folder, problem,
+            )  # fmt: skip
+            return False
         return True
-
-    def _written(self, name: str, arrays: Mapping[str, Any]) -> bool:
-        try:
-            with atomic_path(self._folder / name) as beside, beside.open("wb") as stream:
-                np.savez(stream, **arrays)
-        except (DataError, OSError) as problem:
-            return _told(self._folder, problem)
-        return True
-
-
-def _told(folder: Path, problem: Exception) -> bool:
-    _log.warning("what was solved for the library could not be kept in %s (%s); ended, it starts anew", folder, problem)
-    return False
-
-
-def _limb(data: Mapping[str, Any], name: str) -> Limb | None:
-    if f"{name}_poles" not in data:
-        return None
-    return Limb(*(data[f"{name}_{field.name}"] for field in fields(Limb)))

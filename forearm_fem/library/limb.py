@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,13 @@ class Limb:
     poles: ComplexArray
     left: ComplexArray
     right: ComplexArray
+
+    @classmethod
+    def read(cls, data: Mapping[Any, Any], name: str) -> Limb | None:
+        """The limb ``name`` of a file's arrays, None where it holds none."""
+        if f"{name}_poles" not in data:
+            return None
+        return cls(*(np.asarray(data[f"{name}_{field.name}"]) for field in fields(cls)))
 
     def between(self, frequency: FloatArray, weights: FloatArray, wanted: BoolArray | None = None) -> ComplexArray:
         """Compliance (n_frequency, p, p) of p combinations ``weights`` (n, p) of bells; of those ``wanted`` (p, p), or

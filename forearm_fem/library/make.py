@@ -38,7 +38,13 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     Kelvin-Voigt.
     """
     began = time.monotonic()
-    _check_tissues(scenario)
+    tissues = resolve_tissues(scenario)
+    for key, name in limb_tissue_keys(scenario.limb).items():
+        if not isinstance(tissues[name].modulus, KelvinVoigt):
+            raise ScenarioError(
+                f"{key}: a library starts from one real rate and needs Kelvin-Voigt tissue, but {name} is not; set "
+                f"tissues.override.{name}.model = 'kelvin-voigt'"
+            )
     loaded = loaded_skin(scenario)
     _check_size(scenario, len(loaded.bells.centres))
     meshed = meshed_scenario(scenario, loaded.skin)
@@ -100,16 +106,6 @@ def _count(side: float, step: float) -> int:
 
 def _grid(sides: list[FloatArray]) -> FloatArray:
     return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
-
-
-def _check_tissues(scenario: Scenario) -> None:
-    tissues = resolve_tissues(scenario)
-    for key, name in limb_tissue_keys(scenario.limb).items():
-        if not isinstance(tissues[name].modulus, KelvinVoigt):
-            raise ScenarioError(
-                f"{key}: a library starts from one real rate and needs Kelvin-Voigt tissue, but {name} is not; set "
-                f"tissues.override.{name}.model = 'kelvin-voigt'"
-            )
 
 
 def _check_size(scenario: Scenario, loads: int) -> None:

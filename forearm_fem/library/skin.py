@@ -109,7 +109,12 @@ def flat_skin(skin: Skin, length: float, width: float, margin: float = 0.0) -> F
     points, normals = skin(grid)
     z = np.where(normals[:, 2] > _FACING, points[:, 2], np.nan).reshape(len(x), len(y))
     made = FlatSkin(x, y, *_flattened(x, y, z), z, skin)
-    _check_covers(made, length, width)
+    corners = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 1)]) * 0.499 * np.array([length, width])
+    if not np.isfinite(made.places(corners)[0]).all():
+        raise GeometryError(
+            f"the library's patch of {length * 1e3:.3g} x {width * 1e3:.3g} mm reaches beyond the volar skin of this "
+            "limb; reduce library.length or library.width, or use a longer or wider limb"
+        )
     return made
 
 
@@ -136,16 +141,6 @@ def _flattened(x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray,
     bent, short = (_from_middle(0.5 * (rate[:, 1:] + rate[:, :-1]) * np.diff(y)) for rate in (shift, less))
     along = _from_middle(np.hypot(np.diff(x), np.diff(z[:, len(y) // 2])))
     return along[:, None] + bent, length - short
-
-
-def _check_covers(made: FlatSkin, length: float, width: float) -> None:
-    corners = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 1)]) * 0.499 * np.array([length, width])
-    found = made.places(corners)[0]
-    if not np.isfinite(found).all():
-        raise GeometryError(
-            f"the library's patch of {length * 1e3:.3g} x {width * 1e3:.3g} mm reaches beyond the volar skin of this "
-            "limb; reduce library.length or library.width, or use a longer or wider limb"
-        )
 
 
 def _inverse(v: float, lengths: FloatArray, y: FloatArray) -> float:

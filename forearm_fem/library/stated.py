@@ -26,6 +26,7 @@ def stated_errors(
     frequency = tuple(found.frequency.tolist())
 
     def by_entry(source: ErrorSource, off: FloatArray, method: str) -> ErrorEstimate:
+        """What each entry is ``off`` by, as an estimate: beside the largest at each frequency, and over the band."""
         off = off[:, rows][:, :, columns]
         each = tuple((off.max(axis=(1, 2)) / size).tolist())
         return ErrorEstimate(source, float(np.linalg.norm(off) / np.linalg.norm(values)), method, frequency, each)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +77,7 @@ def _unpack(dataset: xr.Dataset) -> ArmLibrary:
     arrays = {str(k)[len(_TABLES):]: v.values for k, v in dataset.data_vars.items() if str(k).startswith(_TABLES)}
     layers, surface = flat_layers(scenario), flat_surface(scenario.tissues)
     twin = from_arrays(arrays, layers, surface, float(disc["radius"]), str(disc["contact"]))
-    fine, coarse, freed = (_limb(dataset, name) for name in _LIMBS)
+    fine, coarse, freed = (Limb.read(dataset, name) for name in _LIMBS)
     if fine is None:
         raise ValueError("the limb itself is missing")
     return ArmLibrary(
@@ -87,9 +86,3 @@ def _unpack(dataset: xr.Dataset) -> ArmLibrary:
         dataset["bins"].values, dataset["spread"].values, dataset["reduction"].values,
         dataset["missed"].values, json.loads(dataset.attrs["facts"]),
     )  # fmt: skip
-
-
-def _limb(dataset: xr.Dataset, name: str) -> Limb | None:
-    if f"{name}_poles" not in dataset:
-        return None
-    return Limb(*(dataset[f"{name}_{field.name}"].values for field in fields(Limb)))
