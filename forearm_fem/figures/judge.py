@@ -55,6 +55,7 @@ def strengths(results: Results) -> Strengths:
     methods, targets = (tuple(dict.fromkeys(key[i] for key in found)) for i in (0, 1))
 
     def column(name: str) -> FloatArray:
+        """One column of the table (n_method, n_target); NaN where it has no line."""
         return np.array([[getattr(found.get((m, t)), name, np.nan) for t in targets] for m in methods], dtype=float)
 
     by_name = {p.name: p for p in results.transfer.outputs}

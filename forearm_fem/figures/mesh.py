@@ -53,12 +53,12 @@ def cutaway(results: Results) -> Cutaway:
     return Cutaway(cutaway_picture(mesh, ports), mesh.region_names, np.asarray(volume, float), count, len(mesh.points))
 
 
-def cutaway_picture(mesh: TissueMesh, ports: Sequence[Port], size: tuple[int, int] = (1500, 1000)) -> Any:
+def cutaway_picture(mesh: TissueMesh, ports: Sequence[Port]) -> Any:
     """Off-screen picture; a box on the camera's side is cut away down to the bones, past the first actuator."""
     grid, low = volume_grid(mesh), MM * mesh.points.min(axis=0)
     coil = MM * np.array(ports[0].position)
     box = (low[0] - 1, coil[0] + 1, low[1] - 1, coil[1] + 14, low[2] - 1, 1e3)
-    with plotter_for(size) as plotter:
+    with plotter_for((1500, 1000)) as plotter:
         part = grid.clip_box(box, invert=True)
         for i, colour in enumerate(tissue_colours(mesh.region_names)):
             cells = np.flatnonzero(part.cell_data["region"] == i)
@@ -102,12 +102,12 @@ def plot_cutaway(data: Cutaway, *, ax: Axes | None = None) -> Axes:
     return axes
 
 
-def trimmed(picture: Any, margin: int = 8) -> Any:
+def trimmed(picture: Any) -> Any:
     """``picture`` without its white border."""
     ink = np.any(np.asarray(picture) < 250, axis=2)
     if not ink.any():
         return picture
-    rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
+    rows, columns, margin = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0)), 8
     return picture[max(rows[0] - margin, 0) : rows[-1] + margin, max(columns[0] - margin, 0) : columns[-1] + margin]
 
 

@@ -51,13 +51,13 @@ class Cones:
     tops: FloatArray
 
 
-def cones_of(ports: Sequence[Port], lift: float = 0.0) -> Cones:
-    """One per contact, ``lift`` [mm] above the skin."""
+def cones_of(ports: Sequence[Port]) -> Cones:
+    """One per contact, on the skin."""
     bodies, tops = [], []
     for port in ports:
         foot, axis = MM * np.array(port.position), np.array(port.axis)
-        cone = _tapered(port.radius, _ACTUATOR_RADIUS, _CONE_HEIGHT, foot + lift * axis, axis)
-        top = foot + (lift + MM * _CONE_HEIGHT) * axis
+        cone = _tapered(port.radius, _ACTUATOR_RADIUS, _CONE_HEIGHT, foot, axis)
+        top = foot + MM * _CONE_HEIGHT * axis
         coil = pv.Cylinder(
             center=top + MM * _ACTUATOR_HEIGHT / 2 * axis,
             direction=axis,
@@ -81,9 +81,9 @@ def _tapered(low: float, high: float, height: float, foot: FloatArray, axis: Flo
     return body.rotate_vector(about, angle, point=(0, 0, 0)).translate(foot)
 
 
-def add_device(plotter: Any, ports: Sequence[Port], *, lift: float = 0.0, opacity: float = 0.35) -> None:
+def add_device(plotter: Any, ports: Sequence[Port], *, opacity: float) -> None:
     """Cones and coils, seen through."""
-    cones = cones_of([p for p in ports if p.kind == "contact"], lift)
+    cones = cones_of([p for p in ports if p.kind == "contact"])
     for body in cones.bodies:
         plotter.add_mesh(body, color="#6F7C8C", opacity=opacity, smooth_shading=True, split_sharp_edges=True)
     if len(cones.names):
@@ -121,11 +121,11 @@ def add_bones(plotter: Any, mesh: TissueMesh) -> None:
         plotter.add_mesh(grid.extract_surface(algorithm="dataset_surface"), color=TISSUES["bone"])
 
 
-def add_scale_bar(plotter: Any, at: FloatArray, length: float = 10.0) -> None:
-    """A bar of ``length`` [mm] along x that starts at ``at`` [mm], with its length beside it."""
-    end = at + np.array([length, 0, 0])
+def add_scale_bar(plotter: Any, at: FloatArray) -> None:
+    """A bar of 10 mm along x that starts at ``at`` [mm], with its length beside it."""
+    end = at + np.array([10.0, 0, 0])
     plotter.add_mesh(pv.Tube(pointa=at, pointb=end, radius=0.35), color=INK, lighting=False)
-    add_labels(plotter, np.array([(at + end) / 2 - np.array([0, 2.2, 0])]), [f"{length:g} mm"], size=15)
+    add_labels(plotter, np.array([(at + end) / 2 - np.array([0, 2.2, 0])]), ["10 mm"], size=15)
 
 
 def has_display() -> bool:

@@ -40,6 +40,7 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(draw)
     def inside(*args: P.args, **kwargs: P.kwargs) -> R:
+        """``draw`` within the style sheet."""
         with style.context(SHEET):
             return draw(*args, **kwargs)
 

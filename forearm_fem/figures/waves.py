@@ -148,9 +148,12 @@ def _plain(g: TransferMatrix, wavelet: Wavelet, target: str) -> Drives:
     """The wavelet itself on the only actuator, cut to the bins of G."""
 
     class Itself:
+        """A renderer that sends the wavelet."""
+
         name = "funneling"
 
         def aim(self, placed: Placed, target: str, wavelet: ComplexArray) -> Aim:
+            """The wavelet, silent where G is unknown at the target."""
             used = known_bins(placed, [placed.row(target)])
             return Aim(np.where(used, wavelet, 0)[:, None], used)
 

@@ -103,6 +103,7 @@ class Tabulated:
         """Numbers for a file; :func:`from_arrays` takes them back with the layers."""
 
         def listed(columns: Mapping[Column, object]) -> IntArray:
+            """Kinds of columns (n, 4) as numbers."""
             return np.array(list(columns), dtype=int).reshape(-1, 4)
 
         out: dict[str, Any] = {

@@ -55,6 +55,7 @@ def tabulate(
     total, done = sum(len(g) for g in grids), [0]
 
     def counted(count: int) -> None:
+        """Tell that ``count`` more distances are done."""
         done[0] += count
         tell(progress, "tables of the flat twin", done[0], total)
 
@@ -97,6 +98,7 @@ class _Builder:
     tolerance: float
 
     def system(self, near: bool, distances: Sequence[float]) -> Galerkin:
+        """A disc, and discs (points unless ``near``) at ``distances`` [m] from it."""
         discs = [Disc(0.0, 0.0, self.radius, self.contact)]  # type: ignore[arg-type]
         radius, contact = (self.radius, self.contact) if near else (0.0, "pressure")
         discs += [Disc(d, 0.0, radius, contact) for d in distances]  # type: ignore[arg-type]
@@ -105,6 +107,7 @@ class _Builder:
         return galerkin(discs, self.medium.surface, terms_of(discs, self.medium, ends), orders)
 
     def solved(self, table: HankelTable) -> ComplexArray:
+        """Integrals (n_omega, n_column) of the ``table``."""
         integrals = Integrals(self.medium, table, self.tolerance)
         out = np.zeros((self.omega.size, table.a.size), dtype=complex)
         for chunk in integrals.chunks(self.omega):
@@ -112,6 +115,7 @@ class _Builder:
         return out
 
     def own(self) -> dict[Column, ComplexArray]:
+        """Integrals (n_omega,) of a disc with itself, by kind of column."""
         table = self.system(True, [1.0]).table
         alone = _part(table, np.flatnonzero(table.distance == 0))
         values = self.solved(alone)

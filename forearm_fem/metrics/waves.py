@@ -101,9 +101,11 @@ def _nonlinear(x: FloatArray, y: FloatArray, start: FloatArray) -> tuple[float, 
     span = x[-1]
 
     def misfit(p: FloatArray) -> FloatArray:
+        """Of the exponential, at each distance."""
         return np.asarray((p[1] if len(p) > 1 else 1.0) * np.exp(-p[0] * x / span) - y)
 
     def slope(p: FloatArray) -> FloatArray:
+        """Derivatives of the misfit by the parameters."""
         shape = np.exp(-p[0] * x / span)
         by_delta = -(p[1] if len(p) > 1 else 1.0) * x / span * shape
         return np.stack([by_delta, shape][: len(p)], axis=1)

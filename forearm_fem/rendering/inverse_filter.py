@@ -65,6 +65,7 @@ def aim_at(
         rule = Regularisation() if within_thesis(placed) else Regularisation("noise", rule)
 
     def towards(names: tuple[str, ...]) -> Aim:
+        """Drives that move the target and hold the points ``names`` still."""
         control = control_of(placed, (target, *names))
         used = control.used
         wanted = np.zeros((int(used.sum()), len(control.rows)), dtype=complex)

@@ -159,6 +159,7 @@ def _exchange(trial: _Trial, size: int, names: list[str]) -> None:
     """Zero points added one at a time, then each exchanged for a better one while S rises."""
 
     def best_with(rest: tuple[str, ...]) -> tuple[str, ...]:
+        """The set of most S that adds one of the loudest points to ``rest``."""
         trial.strength(rest)
         loud = [names[i] for i in np.argsort(-trial.areas[rest]) if names[i] not in (trial.target, *rest)]
         # names in the order of the outputs, so that a set met again is known
@@ -240,6 +241,7 @@ def best_zeros(
     spectrum = wavelet.spectrum[placed.bins.index]
 
     def aim(zeros: tuple[str, ...]) -> Aim:
+        """Drives with ``zeros`` held still."""
         return renderer.with_zeros(zeros).aim(placed, target, spectrum)
 
     ranking = SearchedZeros(size, window_of(window, wavelet)).ranking(placed, target, aim)
