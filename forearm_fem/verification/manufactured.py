@@ -96,11 +96,11 @@ class MmsErrors:
     unknowns: int
 
 
-def manufactured_errors(element: str, n: int, bulk: float, *, jump: float = 1.0, bend: float = 0.08) -> MmsErrors:
+def manufactured_errors(element: str, n: int, bulk: float, *, jump: float = 1.0) -> MmsErrors:
     """Solve on an n^3 block; ``jump`` is the modulus ratio between its two halves (1 = one tissue)."""
     tissues = {"soft": _tissue("soft", 1.0, bulk), "stiff": _tissue("stiff", jump, bulk)}
     names = ("soft",) if jump == 1.0 else ("soft", "stiff")
-    mesh = block_mesh((n, n, n), (SIDE,) * 3, facets={"end": ("x0",), "rest": _LOADED}, regions=names, bend=bend)
+    mesh = block_mesh((n, n, n), (SIDE,) * 3, facets={"end": ("x0",), "rest": _LOADED}, regions=names, bend=0.08)
     model = build_model(mesh, (), tissues, Supports(ends="fixed"), Membrane(), element=element)
     exact, space = waves(), model.space
     parts = [tissues[name] for name in names]

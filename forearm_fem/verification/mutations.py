@@ -37,6 +37,7 @@ class Caught:
 
 def _wrong_inertia() -> AbstractContextManager[Any]:
     def at(self: Polynomial, omega: Any) -> Any:
+        """With the sign of inertia turned."""
         w = np.asarray(omega, dtype=float)
         return self.constant + 1j * w * self.rate + w**2 * self.inertia
 
@@ -47,6 +48,7 @@ def _heavy_pressure_mass() -> AbstractContextManager[Any]:
     right = assembly.tissue_matrices
 
     def wrong(*arguments: Any, **options: Any) -> Any:
+        """With a thousand times the pressure mass."""
         parts = right(*arguments, **options)
         return replace(parts, pressure_mass=1e3 * parts.pressure_mass)
 
@@ -55,6 +57,7 @@ def _heavy_pressure_mass() -> AbstractContextManager[Any]:
 
 def _transposed_jacobian() -> AbstractContextManager[Any]:
     def jacobians(self: MixedSpace) -> Any:
+        """By rows instead of columns."""
         corner = self.mesh.points[self.vertices]
         return corner[:, 1:] - corner[:, :1]
 
@@ -70,6 +73,7 @@ def _real_part() -> AbstractContextManager[Any]:
     combine, at = AffineOperator.combine, AffineOperator.at
 
     def real_at(self: AffineOperator, omega: float) -> WeightedSum:
+        """Without imaginary parts."""
         whole = at(self, omega)
         return replace(whole, weights=whole.weights.real.astype(complex))
 

@@ -145,14 +145,14 @@ CONVERGENCE = Slab("default", 300.0, 0.07, 0.025, 1.3e-3, 5e-3, radii=(0.010, 0.
 LEVELS = replace(CONVERGENCE, frequency=250.0)
 
 
-def convergence_rows(slab: Slab = LEVELS, scales: Sequence[float] = (COARSER, 1.4, 1.0)) -> Iterator[Row]:
+def convergence_rows() -> Iterator[Row]:
     """Three levels: the order seen between the first and the last, and the two-mesh estimate on the finest."""
-    truth = exact(slab)
-    levels = [solve_level(slab, s) for s in scales]
+    truth, scales = exact(LEVELS), (COARSER, 1.4, 1.0)
+    levels = [solve_level(LEVELS, s) for s in scales]
     found = [errors_of(level.values, truth)[1] for level in levels]
     order = float(np.log(found[0] / found[-1]) / np.log(scales[0] / scales[-1]))
     seconds = sum(level.seconds for level in levels)
-    case = f"FE, preset O, {slab.frequency:g} Hz, three levels to {levels[-1].unknowns} unknowns"
+    case = f"FE, preset O, {LEVELS.frequency:g} Hz, three levels to {levels[-1].unknowns} unknowns"
     reason = "below 3: sizes grow away from the ports and the coarsest mesh has 3 elements a wave"
     yield Row(case, "layered twin", f"3 - order seen ({order:.2f})", max(0.0, 3 - order), 1.0, reason, seconds)
     yield Row(case, "layered twin", "e(f) on the finest", found[-1], 0.02, "asked for", seconds)
@@ -214,12 +214,12 @@ def scene_name(slab: Slab) -> str:
 _SPREAD = (0.8, 1.0, 1.25)
 
 
-def effectivities(slabs: Sequence[Slab] = SCENES, scales: Sequence[float] = (1.5, 1.0)) -> Iterator[Effectivity]:
+def effectivities(slabs: Sequence[Slab]) -> Iterator[Effectivity]:
     """Estimated against true error on meshes of each scene, the estimate from the pipeline's second mesh."""
     for slab in slabs:
         band = np.array([slab.frequency * s for s in _SPREAD])
         truth = twin_response(slab.scenario, band.tolist())[:, 1:]
-        for scale in scales:
+        for scale in (1.5, 1.0):
             sizes = {name: scale * getattr(slab, name) for name in ("grid", "far", "contact")}
             scenario = replace(slab, **sizes).scenario
             mesh = cached_mesh(scenario)

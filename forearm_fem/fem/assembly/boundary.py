@@ -31,6 +31,7 @@ def under_rectangle(length: float, width: float) -> Covered:
     """The part of a surface that a rectangle about the origin covers seen from above, sides [m] along x and y."""
 
     def covered(points: FloatArray, normals: FloatArray) -> BoolArray:
+        """Which points of the volar side lie within it."""
         inside = np.abs(points[..., :2]) <= [length / 2, width / 2]
         return np.asarray(inside.all(axis=-1) & (normals[..., 2] > 0))
 

@@ -82,7 +82,10 @@ def build_model(
     names = mesh.region_names
     with ThreadPoolExecutor(_AT_A_TIME) as pool:  # sparse products and sums run without Python's lock
         parts = list(pool.map(lambda region: constrained_matrices(orders, region, kept.transform), range(len(names))))
-    displacement = _shear_and_mass(names, parts) + _boundaries(space, supports, membrane, patch, rules.transform)
+    displacement: Matrices = []
+    for name, part in zip(names, parts, strict=True):
+        displacement += [(f"shear {name}", part.shear), (f"mass {name}", part.mass)]
+    displacement += _boundaries(space, supports, membrane, patch, rules.transform)
     operator = _with_pressure(
         names, parts, tissues, displacement, lambda name: term_coefficient(name, tissues, supports, membrane, patch)
     )
@@ -107,16 +110,12 @@ def _order(space: MixedSpace, rules: LinearConstraints) -> IntArray:
     columns = csc_array(rules.transform)
     node = columns.indices[columns.indptr[:-1]] // 3  # one that moves with each unknown
     side = int(np.argmax(np.ptp(space.node_points, axis=0)))
-    return np.asarray(np.lexsort((space.node_points[node, side], _tissue(space)[node])))
-
-
-def _tissue(space: MixedSpace) -> IntArray:
-    """First plus last of the regions (n_nodes,) that each node belongs to."""
+    # of the regions that each node belongs to
     first, last = np.full(space.n_nodes, len(space.mesh.region_names)), np.zeros(space.n_nodes, dtype=np.int64)
     for region in range(len(space.mesh.region_names)):
         mine = space.nodes[space.mesh.region == region].ravel()
         first[mine], last[mine] = np.minimum(first[mine], region), region
-    return np.asarray(first + last)
+    return np.asarray(np.lexsort((space.node_points[node, side], (first + last)[node])))
 
 
 def _functional(space: MixedSpace, port: Port, rules: LinearConstraints) -> FloatArray:
@@ -128,7 +127,9 @@ def _functional(space: MixedSpace, port: Port, rules: LinearConstraints) -> Floa
 def _constraints(orders: Orders, ports: tuple[Port, ...], supports: Supports) -> LinearConstraints:
     """Rules for the kept nodes; those that no tetrahedron has are held, because nothing else does."""
     facets = orders.high.mesh.facets
-    held = [facets[name] for name in _held(supports) if name in facets and len(facets[name])]
+    fixed = (("bone", supports.bone == "rigid"), ("end", supports.ends == "fixed"),
+             ("underside", supports.underside == "fixed"))  # fmt: skip
+    held = [facets[name] for name, still in fixed if still and len(facets.get(name, ()))]
     nodes = [orders.unused(), *(orders.kept_on(f) for f in held)]
     planes = {
         axis: orders.kept_on(facets[name]) for name, axis in (("symmetry x", 0), ("symmetry y", 1)) if name in facets
@@ -137,23 +138,10 @@ def _constraints(orders: Orders, ports: tuple[Port, ...], supports: Supports) ->
     return constraints(orders.spread.shape[1], np.unique(np.concatenate(nodes)), planes, discs)
 
 
-def _held(supports: Supports) -> list[str]:
-    names = ["bone"] if supports.bone == "rigid" else []
-    names += ["end"] if supports.ends == "fixed" else []
-    return names + (["underside"] if supports.underside == "fixed" else [])
-
-
 def _disc(orders: Orders, port: Port) -> RigidDisc:
     facets = orders.high.mesh.facets.get(f"contact {port.name}", np.zeros((0, 3), dtype=np.int64))
     nodes = orders.kept_on(facets) if len(facets) else np.zeros(0, dtype=np.int64)
     return RigidDisc(port.name, nodes, np.array(port.axis), port.contact == "bonded")
-
-
-def _shear_and_mass(names: tuple[str, ...], parts: list[TissueMatrices]) -> Matrices:
-    result: Matrices = []
-    for name, part in zip(names, parts, strict=True):
-        result += [(f"shear {name}", part.shear), (f"mass {name}", part.mass)]
-    return result
 
 
 def _boundaries(

@@ -39,7 +39,8 @@ class SymmetricMatrices:
         indptr, indices = np.empty((len(uppers), n + 1), np.int64), np.empty(starts[-1], np.int32)
         data = np.empty(starts[-1])
 
-        def put(t: int) -> None:  # in its place at once, so that nothing lies there twice
+        def put(t: int) -> None:
+            """Matrix t in its place at once, so that nothing lies there twice."""
             place = slice(starts[t], starts[t + 1])
             indptr[t], indices[place], data[place] = _whole(uppers[t])
             indptr[t] += starts[t]
@@ -75,6 +76,7 @@ class SymmetricMatrices:
         wide = _wide(x)
 
         def product(t: int, rows: slice) -> FloatArray:
+            """``rows`` of A_t x."""
             y = np.empty((rows.stop - rows.start, wide.shape[1]))
             kernels.some_rows((rows.start, rows.stop), self.indptr[t], self.indices, self.data, wide, y)
             return y[:, :k]
@@ -95,6 +97,7 @@ class SymmetricMatrices:
         total, addresses = np.empty((self.n, sources[0].shape[1])), np.array([x.ctypes.data for x in sources])
 
         def work(piece: tuple[int, int]) -> None:
+            """One piece of the rows."""
             kernels.weighted_rows(piece, self.indptr, self.indices, self.data, addresses, weights, total)
 
         self._in_pieces(work, self._work)
@@ -115,6 +118,7 @@ class SymmetricMatrices:
         addresses, weights = np.array([s.ctypes.data for s in sums]), np.ascontiguousarray(weights, dtype=complex)
 
         def work(piece: tuple[int, int]) -> None:
+            """One piece of the rows."""
             kernels.add_weighted_rows(
                 piece, self.indptr, self.indices, self.data, pairs.ctypes.data, pairs.shape[1], weights, addresses
             )

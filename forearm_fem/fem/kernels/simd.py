@@ -60,6 +60,7 @@ def as_doubles(context: Any, address: Any, like: Any) -> Any:
     single = like.dtype == types.float32
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """A load, widened where it is of single precision."""
         kind = (_eight_floats if single else _doubles).lanes
         found = builder.load(builder.inttoptr(arguments[0], kind.as_pointer()), align=_ALIGNED)
         return builder.fpext(found, _doubles.lanes) if single else found
@@ -90,6 +91,7 @@ def store(context: Any, address: Any, vector: Any) -> Any:
     """Write ``vector`` to ``address``."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """A store."""
         place = builder.inttoptr(arguments[0], signature.args[1].lanes.as_pointer())
         builder.store(arguments[1], place, align=_ALIGNED)
         return context.get_dummy_value()
@@ -102,6 +104,7 @@ def plus_scaled(context: Any, total: Any, vector: Any, factor: Any) -> Any:
     """``total`` + ``factor`` times ``vector``."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """A fused multiplication and addition."""
         return _plus_scaled(builder, signature.return_type, *arguments)
 
     return total(total, total, types.float64 if total == _doubles else types.float32), build
@@ -112,6 +115,7 @@ def plus_scaled_by(context: Any, total: Any, vector: Any, address: Any) -> Any:
     """``total`` + ``vector`` times the number at ``address``."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """The same, with the factor loaded first."""
         total, vector, address = arguments
         factor = builder.load(builder.inttoptr(address, signature.return_type.lanes.element.as_pointer()))
         return _plus_scaled(builder, signature.return_type, total, vector, factor)
@@ -124,6 +128,7 @@ def plus_turned(context: Any, total: Any, vector: Any) -> Any:
     """``total`` + i ``vector``, for vectors of real and imaginary parts in turn."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """Neighbours exchanged, and added with signs in turn."""
         lanes = signature.return_type.lanes
         index = ir.VectorType(ir.IntType(32), lanes.count)
         exchanged = ir.Constant(index, [k ^ 1 for k in range(lanes.count)])
@@ -139,6 +144,7 @@ def minus(context: Any, total: Any, vector: Any) -> Any:
     """``total`` - ``vector``."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """A subtraction."""
         return builder.fsub(*arguments)
 
     return total(total, total), build
@@ -149,6 +155,7 @@ def plus(context: Any, total: Any, vector: Any) -> Any:
     """``total`` + ``vector``."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """An addition."""
         return builder.fadd(*arguments)
 
     return total(total, total), build
@@ -159,6 +166,7 @@ def pointer(context: Any, address: Any) -> Any:
     """``address`` as numba's ``carray`` takes it."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """A cast of the address."""
         return builder.inttoptr(arguments[0], cgutils.voidptr_t)
 
     return types.voidptr(types.intp), build

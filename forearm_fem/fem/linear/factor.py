@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import logging
 import platform
 import sys
 from collections.abc import Mapping
@@ -24,7 +23,6 @@ from ..kernels.threads import one_blas_thread
 from . import cudss, pardiso
 from .ordering import nested_dissection
 
-_log = logging.getLogger("forearm_fem.fem")
 Backend = Literal["auto", "multifrontal", "pardiso", "superlu", "cudss"]
 Columns = NDArray[Any]  # complex, or real where the matrix is
 

@@ -63,6 +63,7 @@ class Basis:
         count, several, width = shape
 
         def work(pieces: Sequence[slice]) -> FloatArray:
+            """One thread's sums over its pieces of rows."""
             totals = np.zeros((several, int(self._starts[-1]), _padded(width)))
             for rows in pieces:
                 found = list(given(rows))
@@ -78,6 +79,7 @@ class Basis:
         factors = -np.pad(known, ((0, 0), (0, _padded(known.shape[1]) - known.shape[1])))
 
         def work(pieces: Sequence[slice]) -> None:
+            """One thread's pieces of rows."""
             for rows in pieces:
                 for block, (start, end) in zip(self.blocks, pairwise(self._starts), strict=True):
                     _add_combination(block[rows], factors[start:end], columns[rows])

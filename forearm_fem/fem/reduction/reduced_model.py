@@ -229,6 +229,7 @@ def _projected(basis: Basis, operator: AffineOperator, added: Columns) -> FloatA
     coupling, pressures = [t.name for t in operator.terms].index(_COUPLING), len(operator.terms)
 
     def given(rows: slice) -> Iterator[tuple[int, FloatArray]]:
+        """Term and rows of its product with the added columns, where these are not zero."""
         for t in matrices.touching(rows):
             y = product(t, rows)
             if t != coupling or rows.stop <= first:

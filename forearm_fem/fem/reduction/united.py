@@ -126,13 +126,14 @@ def united_model(
     done, total = 0, 1 + growth.solves - work.steps + sum(x is None for x in (*pieces, *checks))
 
     def step() -> None:
+        """Tell that one more is done."""
         nonlocal done
         done += 1
         tell(progress, _STAGE, done, total)
 
     tell(progress, _STAGE, 0, total)  # of what is left, so that the time left is told from what was done now
     for i in range(work.steps, 1 + growth.solves):
-        _grow(work, i, len(draws), frequency, growth)
+        _grow(work, i, frequency, growth)
         step()
     whole = list[Piece]()
     for k, (part, piece) in enumerate(zip(parts, pieces, strict=True)):
@@ -148,7 +149,7 @@ def united_model(
     return United(tuple(whole), tuple(work.trials), tuple(compared), 1 + growth.solves + growth.checks)
 
 
-def _grow(work: Growing, step: int, draws: int, frequency: FloatArray, growth: Growth) -> None:
+def _grow(work: Growing, step: int, frequency: FloatArray, growth: Growth) -> None:
     """Derivatives about a rate first. Then two solves in the upper two thirds of the band in turn, where waves are
     short, and one at its low end, where the ratios of moduli shape what moves and derivatives show none of it; two
     such are enough."""

@@ -128,6 +128,7 @@ class _Weights:
         self._parts: list[tuple[IntArray, IntArray, FloatArray]] = []
 
     def put(self, rows: IntArray, columns: IntArray, weight: float) -> None:
+        """Note ``weight`` at each pair of ``rows`` and ``columns``."""
         self._parts.append((rows, columns, np.full(len(rows), weight)))
 
     def matrix(self, kept: IntArray) -> csr_array:

@@ -91,6 +91,7 @@ def _wall(tube: Tube, size: Size3, widest: float, layout: Layout) -> Place:
     """Columns' x and angle on the core's wall: sizes are those of the skin above, where the device presses."""
 
     def wanted(x: FloatArray, angle: FloatArray) -> FloatArray:
+        """Edge lengths (n,) [m] there, shorter on a narrow core and beside bones."""
         under = tube.place(x, angle, tube.thickness)
         arc = widest * np.linalg.norm(under[:, 1:], axis=1)
         gap = (_from_bones(tube, under) - _radii(tube)).min(axis=1)
@@ -118,10 +119,12 @@ def _bone_wall(tube: Tube, bone: BoneAxis, size: Size3, facet: float) -> FloatAr
     others = [k for k, each in enumerate(tube.bones) if each is not bone]
 
     def place(x: FloatArray, angle: FloatArray) -> FloatArray:
+        """Points (n, 3) of the bone's wall."""
         ring = bone.radius * np.column_stack([np.sin(angle), np.cos(angle)])
         return np.column_stack([x, tube.bone_centre(bone, x) + ring])
 
     def wanted(x: FloatArray, angle: FloatArray) -> FloatArray:
+        """Edge lengths (n,) [m] there, shorter where the wall or another bone is near."""
         at = place(x, angle)
         gaps = np.column_stack([_below(tube, at), (_from_bones(tube, at) - _radii(tube))[:, others]])
         arc = np.clip(_BONE_SHARE * size(at), narrow, wide)

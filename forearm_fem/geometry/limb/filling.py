@@ -74,6 +74,7 @@ def _graded(shell: Shell, size: Size) -> Size:
     spacing = tree.query(shell.points, 7)[0][:, 1:].mean(axis=1)
 
     def wanted(points: FloatArray) -> FloatArray:
+        """Edge lengths (n,) [m] at ``points`` (n, 3)."""
         away, nearest = tree.query(points)
         return np.asarray(np.minimum(size(points), spacing[nearest] + _GROWTH * away))
 

@@ -33,7 +33,10 @@ def limb_mesh(
         levels[k, column] = len(core.points) + (k - 1) * len(column) + np.arange(len(column))
         points.append(tube.place(core.points[column, 0], core.angle[column], depth))
     coarse = column[size(core.points[column]) > _COARSE * sizes.grid]
-    merged = _merged(levels, tissues, coarse)
+    merged = levels.copy()
+    for k in range(1, len(tissues)):
+        if tissues[k] == tissues[k - 1]:  # the level between two sublayers falls onto the layer's lower face
+            merged[k, coarse] = merged[k - 1, coarse]
     stacked, under = stack_prisms(core.lateral, merged)
     inner = ["bone" if b >= 0 else tube.core for b in core.bone]
     names = tuple(dict.fromkeys([*(each.tissue for each in tube.layers), tube.core, *inner]))
@@ -45,15 +48,6 @@ def limb_mesh(
     used, renumbered = np.unique(oriented(places, np.vstack([core.tetrahedra, stacked])), return_inverse=True)
     places, tetrahedra = places[used], renumbered.reshape(-1, 4)
     return TissueMesh(places, tetrahedra, region, names, boundaries(places, tetrahedra, on_skin[used], on_bone[used]))
-
-
-def _merged(levels: IntArray, tissues: list[str], columns: IntArray) -> IntArray:
-    """``levels`` (k + 1, n_column) with those between two sublayers of one tissue put on the layer's lower face."""
-    merged = levels.copy()
-    for k in range(1, len(tissues)):
-        if tissues[k] == tissues[k - 1]:
-            merged[k, columns] = merged[k - 1, columns]
-    return merged
 
 
 def _depths(tube: Tube, sizes: Sizes) -> tuple[FloatArray, list[str]]:

@@ -35,7 +35,7 @@ Size = Callable[[FloatArray], FloatArray]
 
 
 def triangulate(
-    box: Rectangle, size: Size, circles: FloatArray, radius: float, fixed: FloatArray, *, seed: int = 1
+    box: Rectangle, size: Size, circles: FloatArray, radius: float, fixed: FloatArray
 ) -> tuple[FloatArray, IntArray]:
     """Points (n, 2) and counter-clockwise triangles (m, 3) of edge length ``size``, the same at every call.
 
@@ -43,7 +43,7 @@ def triangulate(
     unless they fall too close to a circle or the border.
     """
     held = _held(box, size, circles, radius, fixed)
-    free = _scatter(box, size, held, circles, radius, np.random.default_rng(seed))
+    free = _scatter(box, size, held, circles, radius, np.random.default_rng(1))
     xy = _relax(box, size, held, free, circles, radius)
     return xy, _delaunay(xy)
 

@@ -93,9 +93,9 @@ def _freedom(mesh: TissueMesh) -> tuple[BoolArray, FloatArray]:
     return (inside | flat) & (low == high), total / np.where(inside, 1.0, np.maximum(length, 1e-30))[:, None]
 
 
-def _gradient(distance: Distance, points: FloatArray, step: float = 1e-6) -> FloatArray:
+def _gradient(distance: Distance, points: FloatArray) -> FloatArray:
     """Unit gradient (n, 3) of the distance by central differences."""
-    steps = step * np.eye(3)
-    slopes = [(distance(points + d) - distance(points - d)) / (2 * step) for d in steps]
+    step = 1e-6  # [m]
+    slopes = [(distance(points + d) - distance(points - d)) / (2 * step) for d in step * np.eye(3)]
     raw = np.column_stack(slopes) if len(points) else np.zeros((0, 3))
     return np.asarray(raw / np.maximum(np.linalg.norm(raw, axis=1), 1e-12)[:, None])

@@ -61,6 +61,7 @@ class MultifrontalFactor:
         fronts, entries, remainder = self.symbolic.fronts, self.symbolic.entries, self._parts.remainder
 
         def work(part: ThreadPart) -> int:
+            """Factorise a part's fronts; how many blocks of pivots were singular."""
             room = rooms[part.number]
             return int(factorise_part(part, fronts, entries, data, self._scale, store, remainder, stack, room))
 
@@ -82,15 +83,18 @@ class MultifrontalFactor:
         whole, top = (0, x.shape[1]), self._parts.top
 
         def down(part: ThreadPart) -> NDArray[Any]:
+            """Forward through a subtree; what it leaves to the rows above."""
             others = np.zeros_like(x)
             forward(part, fronts, store, owner, x, others, locals_[part.number], whole)
             return others
 
         def over_the_top(some: tuple[int, int]) -> None:
+            """Forward and backward through the top for ``some`` columns."""
             forward(top, fronts, store, owner, x, x, locals_[top.number], some)
             backward(top, fronts, store, x, locals_[top.number], some)
 
         def up(part: ThreadPart) -> None:
+            """Backward through a subtree."""
             backward(part, fronts, store, x, locals_[part.number], whole)
 
         subtrees, above = self._parts.subtrees, owner == top.number
@@ -117,6 +121,7 @@ class MultifrontalFactor:
         fronts, entries, owner = self.symbolic.fronts, self.symbolic.entries, self._parts.owner
 
         def work(part: ThreadPart, others: NDArray[Any]) -> int:
+            """Eliminate a part and its right-hand sides; how many blocks of pivots were singular."""
             scratch, local = rooms[part.number]
             whole = entries, data, scale, store, self._parts.remainder, stack
             return int(eliminate_part(part, fronts, *whole, scratch, owner, x, others, local))
