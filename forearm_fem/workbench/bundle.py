@@ -125,6 +125,7 @@ def script() -> str:
     done: dict[str, str] = {}
 
     def take(name: str) -> None:
+        """Put a module behind those that it imports, as a function that returns what it exports."""
         source = resources.files(__package__).joinpath(f"page/{name}.js").read_text(encoding="utf-8")
         for _, needed in _IMPORT.findall(source):
             if needed not in done:

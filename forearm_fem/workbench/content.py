@@ -39,10 +39,10 @@ from ..rendering import (
 from ..scenario import Scenario, parse_scenario
 from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ..typing import FloatArray
-from .field import Field, Surface, solved_field
+from .field import Field, solved_field
 from .flat import between_points, twin_field
 from .packed import amplitudes_in_half_precision, in_half_precision, packed
-from .places import LibraryOfArm, Near, Places, patch_field, places_of
+from .places import LibraryOfArm, Places, patch_field, places_of
 
 FORMAT = 1  # of the content; the page's own files carry it too
 _ARMS = 8  # drawn arms that a page holds: 1.5 MB of the thesis' scene
@@ -110,20 +110,20 @@ def library_content(
 
 
 def _packed_places(places: Places, arm: LibraryOfArm, scenario: Scenario) -> dict[str, Any]:
-    layout, patch = layout_of(scenario), arm.scenario.library
+    layout, patch, near = layout_of(scenario), arm.scenario.library, places.near
+    assert near is not None
     real = {k: packed(getattr(places, k), "f8") for k in ("xy", "flat", "position", "axis", "points", "inverse")}
     return {
-        "kind": "places", **real, "near": _packed_near(places.near),
+        "kind": "places", **real,
+        "near": {
+            "xy": packed(near.xy, "f8"), "left": packed(near.left, "c8"),
+            "alpha": packed(near.alpha, "c16"),  # large and of both signs
+            "scale": near.scale,
+        },
         **{k: packed(getattr(places, k), "c8") for k in ("twin", "left", "right")},
         "home": layout.contacts.tolist(), "half": [patch.length / 2, patch.width / 2], "radius": places.radius,
         "reach": float(places.radii[-1]), "scale": places.scale, "pressed": scenario.device.cone.contact == "pressure",
     }  # fmt: skip
-
-
-def _packed_near(near: Near | None) -> dict[str, Any]:
-    assert near is not None
-    fields = {"left": packed(near.left, "c8"), "alpha": packed(near.alpha, "c16")}  # large and of both signs
-    return {"xy": packed(near.xy, "f8"), **fields, "scale": near.scale}
 
 
 def measured_content(
@@ -316,18 +316,16 @@ def _packed_field(field: Field) -> dict[str, Any]:
         "words": field.words,
         "error": field.error,
         "amplitudes": None if field.amplitudes is None else amplitudes_in_half_precision(field.amplitudes),
-        "surfaces": [_packed_surface(s) for s in field.surfaces],
-    }
-
-
-def _packed_surface(surface: Surface) -> dict[str, Any]:
-    few = len(surface.rest) < _SHORT
-    return {
-        "name": surface.name,
-        "rest": packed(surface.rest, "f4"),
-        "normals": packed(surface.normals, "f4"),
-        "faces": packed(surface.faces, "u2" if few else "u4"),
-        "shapes": in_half_precision(surface.shapes),
-        "tissue": None if surface.tissue is None else packed(surface.tissue, "u1"),
-        "tissues": list(surface.tissues),
+        "surfaces": [
+            {
+                "name": s.name,
+                "rest": packed(s.rest, "f4"),
+                "normals": packed(s.normals, "f4"),
+                "faces": packed(s.faces, "u2" if len(s.rest) < _SHORT else "u4"),
+                "shapes": in_half_precision(s.shapes),
+                "tissue": None if s.tissue is None else packed(s.tissue, "u1"),
+                "tissues": list(s.tissues),
+            }
+            for s in field.surfaces
+        ],
     }

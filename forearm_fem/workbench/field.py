@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -122,19 +121,13 @@ def _sections(results: Results) -> tuple[Surface, ...]:
     grid.point_data["modes"] = modes.reshape(len(modes), -1).astype(np.float32)
     centre = MM * np.mean([p.position for p in results.transfer.outputs], axis=0)
     names = tuple(mesh.region_names)
-    # a plane through a layer of vertices would meet tetrahedra edge on
-    cuts = [
-        (name, grid.slice(normal=axis, origin=centre + 1e-3).triangulate())
-        for name, axis in (("along", "y"), ("across", "x"))
-    ]
-    return tuple(
-        _section(name, axis, cut, names) for (name, cut), axis in zip(cuts, (1, 0), strict=True) if cut.n_cells
-    )
-
-
-def _section(name: str, axis: int, cut: Any, names: tuple[str, ...]) -> Surface:
-    faces = np.asarray(cut.faces).reshape(-1, 4)[:, 1:]
-    rest = np.asarray(cut.points, dtype=float)
-    normals = np.tile(np.array([0.0, 0.0, 1.0]), (len(rest), 1))  # its colour is the motion towards the volar side
-    modes = np.asarray(cut.point_data["modes"], dtype=float).reshape(len(rest), 3, -1)
-    return Surface(rest, normals, faces, modes, np.asarray(cut.cell_data["region"]), names, name)
+    found = list[Surface]()
+    for name, axis in (("along", "y"), ("across", "x")):
+        # a plane through a layer of vertices would meet tetrahedra edge on
+        cut = grid.slice(normal=axis, origin=centre + 1e-3).triangulate()
+        if cut.n_cells:
+            faces, rest = np.asarray(cut.faces).reshape(-1, 4)[:, 1:], np.asarray(cut.points, dtype=float)
+            normals = np.tile(np.array([0.0, 0.0, 1.0]), (len(rest), 1))  # coloured by motion towards the volar side
+            shapes = np.asarray(cut.point_data["modes"], dtype=float).reshape(len(rest), 3, -1)
+            found.append(Surface(rest, normals, faces, shapes, np.asarray(cut.cell_data["region"]), names, name))
+    return tuple(found)

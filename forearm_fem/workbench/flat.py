@@ -46,6 +46,7 @@ def profile(scenario: Scenario, contact: Port, frequency: FloatArray, radii: Flo
     centred = Disc(0.0, 0.0, disc.radius, disc.contact)
 
     def seen(some: FloatArray) -> ComplexArray:
+        """Compliance (n_frequency, 1 + n) of the disc itself and of points at the radii ``some``."""
         found = layered_compliance(
             flat_layers(scenario), 2 * np.pi * frequency, [centred], [centred, *(Disc(float(r), 0.0) for r in some)],
             surface=flat_surface(scenario.tissues), tolerance=_TOLERANCE,
@@ -64,26 +65,21 @@ def between_points(ports: tuple[Port, ...]) -> Field:
     places = positions(ports)[:, :2]
     surface = _rectangle(places, 0.0)
     at = surface.rest[:, :2] / _MM
-    if _flat_set(places):
+    try:
+        net: Delaunay | None = Delaunay(places)
+    except (QhullError, ValueError):  # the points span no area
+        net = None
+    if net is None:
         weights = RBFInterpolator(places, np.eye(len(places)), kernel="linear", degree=0)(at)
         inside = np.ones(len(at), dtype=bool)
     else:
         weights = RBFInterpolator(places, np.eye(len(places)), kernel="thin_plate_spline")(at)
-        inside = Delaunay(places).find_simplex(at, tol=1e-6) >= 0
+        inside = net.find_simplex(at, tol=1e-6) >= 0
     faces = surface.faces[inside[surface.faces].all(axis=1)]
     words = "a surface drawn through the measured points: between them nothing was measured"
     return Field(
         (_with(Surface(surface.rest, surface.normals, faces, surface.shapes), weights[:, None, :]),), None, 0.0, words
     )
-
-
-def _flat_set(places: FloatArray) -> bool:
-    """Whether the points span no area."""
-    try:
-        Delaunay(places)
-    except (QhullError, ValueError):
-        return True
-    return False
 
 
 def _with(surface: Surface, shapes: FloatArray) -> Surface:

@@ -164,9 +164,9 @@ def places_of(arm: LibraryOfArm, scenario: Scenario, progress: Progress | None =
     layout = layout_of(scenario)
     plain = _with(scenario, layout.contacts, layout.points)
     xy = _lattice(arm, plain, _MOST)
-    a = scenario.device.cone.radius
-    ports = [arm.ports(_with(plain, place[None], _uncovered(place, a)[None]))[0] for place in xy]
-    flat, points = arm.skin.flat(positions(tuple(ports))), _points(arm, plain)
+    ports = [_alone(arm, plain, place) for place in xy]
+    given = tuple(p for p in arm.ports(plain) if p.kind == "point")
+    flat, points = arm.skin.flat(positions(tuple(ports))), np.asarray(arm.skin.flat(positions(given)))
     frequency, radius = frequencies(plain.sweep), scenario.device.cone.radius
     reach = max(_FARTHEST * float(np.linalg.norm(np.ptp(np.concatenate([flat, points]), axis=0))), 4 * radius)
     steps = np.arange(_RADII) * np.sqrt(reach - radius) / (_RADII - 1)
@@ -221,25 +221,25 @@ def _lattice(arm: LibraryOfArm, scenario: Scenario, most: int) -> FloatArray:
     counts = np.maximum(np.floor(sides / step + 1e-9).astype(int), 2)
     axes = [np.linspace(-0.5, 0.5, int(n)) * side * (1 - 1e-6) for n, side in zip(counts, sides, strict=True)]
     points, _ = arm.skin.places(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2))
-    return np.array([p for p in points[:, :2] if _taken(arm, _with(scenario, p[None], _uncovered(p, a)[None]))])
+    return np.array([place for place in points[:, :2] if _taken(arm, scenario, place)])
 
 
-def _uncovered(place: FloatArray, radius: float) -> FloatArray:
-    """The middle of the patch, or a point beside it if a disc at ``place`` covers that: some point must be asked."""
-    return np.where(place > 0, -1.5, 1.5) * radius if np.linalg.norm(place) < 1.5 * radius else np.zeros(2)
+def _alone(arm: LibraryOfArm, scenario: Scenario, place: FloatArray) -> Port:
+    """One disc at ``place`` (2,) seen from above.
+
+    Some point must be asked with it: the middle of the patch, or one beside it if the disc covers that.
+    """
+    a = scenario.device.cone.radius
+    point = np.where(place > 0, -1.5, 1.5) * a if np.linalg.norm(place) < 1.5 * a else np.zeros(2)
+    return arm.ports(_with(scenario, place[None], point[None]))[0]
 
 
-def _taken(arm: LibraryOfArm, scenario: Scenario) -> bool:
+def _taken(arm: LibraryOfArm, scenario: Scenario, place: FloatArray) -> bool:
     try:
-        arm.ports(scenario)
+        _alone(arm, scenario, place)
     except GeometryError:
         return False
     return True
-
-
-def _points(arm: LibraryOfArm, scenario: Scenario) -> FloatArray:
-    """The grid in flat coordinates."""
-    return np.asarray(arm.skin.flat(positions(tuple(p for p in arm.ports(scenario) if p.kind == "point"))))
 
 
 def _difference(arm: LibraryOfArm, scenario: Scenario, bare: Places, progress: Progress | None) -> ComplexArray:
@@ -258,7 +258,7 @@ def _near(arm: LibraryOfArm, scenario: Scenario, bare: Places, points: FloatArra
     two is the disc and which the point is exchanged; the difference to the twin hardly tells.
     """
     xy = _lattice(arm, scenario, _FINE)
-    flat = np.asarray(arm.skin.flat(_on_skin(arm, scenario, xy)))
+    flat = np.asarray(arm.skin.flat(positions(tuple(_alone(arm, scenario, place) for place in xy))))
     rows = []
     for q, place in enumerate(points):
         tell(progress, "points", q, len(points))
@@ -266,12 +266,6 @@ def _near(arm: LibraryOfArm, scenario: Scenario, bare: Places, points: FloatArra
     left, right = _few(np.stack(rows, axis=2))
     scale, inverse = _process(xy, right, left)
     return Near(xy, left, np.einsum("mn,rnq->rmq", inverse, right), scale)
-
-
-def _on_skin(arm: LibraryOfArm, scenario: Scenario, xy: FloatArray) -> FloatArray:
-    """Positions (n, 3) of places seen from above."""
-    a = scenario.device.cone.radius
-    return positions(tuple(arm.ports(_with(scenario, p[None], _uncovered(p, a)[None]))[0] for p in xy))
 
 
 def _sent(
