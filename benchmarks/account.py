@@ -52,6 +52,7 @@ def child(scenario: Path, out: Path, told: Path) -> None:
         seen: list[str] = []
 
         def progress(stage: str, done: int, total: int) -> None:
+            """Note the time at which each stage begins."""
             if not seen or seen[-1] != stage:
                 seen.append(stage)
                 stream.write(json.dumps([time.time(), stage]) + "\n")

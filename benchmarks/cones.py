@@ -193,6 +193,7 @@ def _summary(accuracy: float, found: Sequence[Line]) -> str:
 
 
 def main() -> None:
+    """Solve what was asked for and is not in the table yet, and write it."""
     ask = argparse.ArgumentParser(description=__doc__)
     ask.add_argument("folder", nargs="?", type=Path, default=Path("benchmarks/results"))
     ask.add_argument("--accuracy", nargs="*", type=float, default=ACCURACIES)

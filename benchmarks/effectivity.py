@@ -20,6 +20,7 @@ from forearm_fem.verification.slabs import SCENES, Effectivity, effectivities, s
 
 
 def write_csv(points: list[Effectivity], file: Path) -> None:
+    """Fields of each point, and its effectivities."""
     with file.open("w", newline="") as stream:
         table = csv.writer(stream)
         names = [f.name for f in fields(Effectivity)]
@@ -28,6 +29,7 @@ def write_csv(points: list[Effectivity], file: Path) -> None:
 
 
 def draw(points: list[Effectivity], file: Path) -> None:
+    """Estimated over true errors, a colour for each scene."""
     figure, axes = plt.subplots(figsize=(7.5, 5), layout="constrained")
     axes.set_prop_cycle(color=plt.colormaps["tab20"](np.linspace(0, 1, 20)))  # more scenes than the ten usual colours
     for scene in dict.fromkeys(p.scene for p in points):
@@ -64,6 +66,7 @@ def told(point: Effectivity) -> str:
 
 
 def main(folder: Path) -> None:
+    """Scenes that the table in ``folder`` lacks, then the table and its picture."""
     folder.mkdir(parents=True, exist_ok=True)
     points = read_csv(folder / "effectivity.csv")
     done = {p.scene for p in points}

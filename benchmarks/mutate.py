@@ -193,6 +193,7 @@ def run(mutations: Sequence[Mutation], jobs: int = 1, root: Path = ROOT, log: Pa
             raise RuntimeError(f"the named tests fail without any mutation, so nothing can be learned: {last}")
 
         def one(m: Mutation) -> Outcome:
+            """One mutation in a scratch copy that is free."""
             scratch = free.get()
             try:
                 outcome = attempt(m, scratch, root)

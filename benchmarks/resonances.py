@@ -60,6 +60,7 @@ def lines(setting: str) -> list[dict[str, object]]:
 
 
 def main() -> None:
+    """The table of all settings, each in a process of its own, or the lines of one."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--setting", choices=SETTINGS)
     chosen = parser.parse_args().setting

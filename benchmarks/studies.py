@@ -164,14 +164,17 @@ def _claims(prepared: Prepared, answered: dict[str, tuple[np.ndarray, np.ndarray
     columns = [answered["field"], answered["two loose actuators"]]
 
     def paired(a: np.ndarray, b: np.ndarray, unit: float, name: str) -> str:
+        """Mean difference in ``unit``, and the probability of a paired t-test."""
         p = stats.ttest_rel(a, b).pvalue if np.any(a != b) else 1.0
         return f"{unit * (a - b).mean():+.2f} {name}, p {'< 0.001' if p < 1e-3 else f'{p:.3f}'}"
 
     def best(e: np.ndarray) -> str:
+        """The four best and the three worst targets."""
         order = np.array(targets)[np.argsort(e.mean(axis=(0, 2)))]
         return "best " + " ".join(sorted(order[:4])) + ", worst " + " ".join(sorted(order[-3:]))
 
     def group(x: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+        """Each participant's mean over the targets ``names``."""
         return x[:, [targets.index(t) for t in names]].mean(axis=(1, 2))
 
     rows = [["best at 4, 5, 7 and 8", *(best(e) for e, _ in columns)]]

@@ -131,6 +131,7 @@ def fitted(law: str) -> dict[str, Any]:
     spread = np.log([d.spread for d in DATA]) * np.sqrt([sum(e.kind == d.kind for e in DATA) for d in DATA])
 
     def misfit(z: FloatArray) -> FloatArray:
+        """What is predicted less what was published, in their spreads, then the normal scores."""
         return np.concatenate([(np.log(predicted(law, inputs, z)) - target) / spread, z])
 
     best = least_squares(misfit, np.zeros(len(inputs)), diff_step=1e-3, x_scale=1.0, xtol=1e-6, ftol=1e-6)
@@ -157,6 +158,7 @@ def _presets(law: str, inputs: Mapping[str, Prior], mean: FloatArray, covariance
     z = np.random.default_rng(SEED).multivariate_normal(mean, covariance, DRAWS)
 
     def parameters(row: FloatArray) -> dict[str, dict[str, Any]]:
+        """The law's parameters by tissue from normal scores."""
         return law_parameters(law, {n: p.value(x) for (n, p), x in zip(inputs.items(), row, strict=True)})
 
     centre, drawn = parameters(mean), [parameters(row) for row in z]
