@@ -42,6 +42,7 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(function)
     def bordered(*args: P.args, **kwargs: P.kwargs) -> T:
+        """``function`` behind its rules."""
         names, rules = _rules(function)
         told = [rules[n](a) if n in rules else a for n, a in zip(names, args, strict=False)]
         named = {n: rules[n](a) if n in rules else a for n, a in kwargs.items()}
@@ -76,6 +77,7 @@ def _rule(where: str, hint: Any) -> Convert | None:
     expected = " or ".join(words) + (" or None" if optional else "")
 
     def convert(value: Any) -> Any:
+        """The ``value`` as the first of the options that it can be made; DataError where it can be none."""
         if value is None and optional:
             return None
         if classes and isinstance(value, classes) and not isinstance(value, bool):
@@ -108,6 +110,7 @@ def _list_of(where: str, element: type, optional: bool) -> Convert:
     expected = ("a list of names" if element is str else f"a list of {element.__name__}") + " or None" * optional
 
     def convert(value: Any) -> Any:
+        """The ``value`` itself; DataError where it is no such list."""
         if value is None and optional:
             return None
         listed = isinstance(value, Sequence | np.ndarray) and not isinstance(value, bytes)
