@@ -10,7 +10,7 @@ import pytest
 from forearm_fem.device import RotatingMass
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.pipeline.folder import Run
-from forearm_fem.pipeline.notes import actuator_notes, lifted_notes
+from forearm_fem.pipeline.notes import actuator_notes, covered_notes, lifted_notes, scene_notes
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.actuators import ACTUATORS, ActuatorName
@@ -90,3 +90,14 @@ def test_a_run_says_that_funneling_drives_what_does_not_touch(tmp_path):
     assert note in Run.start(parse_scenario(lifted), tmp_path, tmp_path).notes
     assert not lifted_notes(parse_scenario({**lifted, "rendering": {"methods": ["inverse filter"]}}))
     assert not lifted_notes(Scenario())
+
+
+def test_points_under_a_cone_are_named():
+    """Six around one: the seventh stands on the middle target, whose S was told without a word."""
+    six = {"rows": 3, "columns": [2, 3, 2], "spacing": 0.0217, "spacing_y": 0.025}
+    (note,) = covered_notes(parse_scenario({"device": six}))
+    assert note in scene_notes(parse_scenario({"device": six}))
+    assert note.startswith("grid: point 5 lies under a cone")
+    assert not covered_notes(parse_scenario({"device": {**six, "out_of_contact": ["A4"]}}))
+    assert not covered_notes(Scenario())
+    assert not covered_notes(parse_scenario({"device": six, "rendering": {"methods": []}}))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bad_files import CORNERS
 from bad_meshes import BROUGHT, FINE, FINE_TETRA, MESHES, REST, SURFACES, Brought
 
 from forearm_fem.errors import ForearmError, GeometryError, MeshError
@@ -21,6 +22,7 @@ from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.mesh.topology import boundary_faces
 from forearm_fem.geometry.user import crossing, surfaces, tetwild
 from forearm_fem.geometry.user.cells import joined
+from forearm_fem.geometry.user.extent import check_room
 from forearm_fem.geometry.user.meshes import user_mesh
 from forearm_fem.geometry.user.surfaces import read_surfaces
 from forearm_fem.pipeline.forecast import doubts_of
@@ -183,6 +185,8 @@ def test_a_limb_that_lies_otherwise_than_meant_is_named(tmp_path):
     assert doubts_of(scenario, mesh) == ()
     (upright,) = doubts_of(scenario, replace(mesh, points=mesh.points * [1, 1, 8]))
     assert upright.startswith("limb: is 160 mm long in z, but 80 mm in x")
+    (wide,) = doubts_of(scenario, replace(mesh, points=mesh.points * [5, 5, 5]))  # centimetres taken for their fifth
+    assert wide.startswith("limb: is 400 mm across")
     (uncut,) = doubts_of(scenario, replace(mesh, facets={k: v for k, v in mesh.facets.items() if k != "end"}))
     assert "no plane cut end" in uncut
     limb = {"shape": "surfaces", "surfaces": {"skin": "a.stl", "bone": "b.stl", "fat": "c.stl", "muscle": "d.stl"}}
@@ -191,6 +195,17 @@ def test_a_limb_that_lies_otherwise_than_meant_is_named(tmp_path):
     assert doubts_of(nested, replace(mesh, region_names=("skin", "fat", "muscle"))) == ()
     (exchanged,) = doubts_of(nested, replace(mesh, region_names=("skin", "muscle", "fat")))
     assert exchanged.startswith("limb.surfaces: names fat before muscle, whose surface encloses it")
+
+
+def test_a_limb_on_its_side_is_asked_about(tmp_path):
+    """80 x 20 x 80 mm has no room for the device across, and would have it turned."""
+    layout = layout_of(parse_scenario({**REST, "device": {"spacing": 0.03}}))
+    points = CORNERS[:, [0, 2, 1]]
+    with pytest.raises(GeometryError, match=r"or the file to be turned \(z, .* spans 80 mm\)\?") as problem:
+        check_room(tmp_path / "limb.vtu", points, layout, 1.0)
+    assert len(str(problem.value)) <= 300
+    with pytest.raises(GeometryError, match=r"is limb\.unit = 1 right\? else"):
+        check_room(tmp_path / "limb.vtu", points * [1, 1, 0.3], layout, 1.0)
 
 
 def test_a_limb_upside_down_is_named(tmp_path):

@@ -27,7 +27,7 @@ def run(
     if dry_run:
         from ..pipeline.folder import check_rendering
         from ..pipeline.frequencies import frequencies
-        from ..pipeline.samples import sample_notes
+        from ..pipeline.notes import scene_notes
         from ..pipeline.unread import unread_notes
 
         check_rendering(asked, scenario.parent)
@@ -38,7 +38,7 @@ def run(
         with Display() as display:
             expected = _expected(asked, scenario.parent, display)
         _print_forecast(asked, expected)
-        print_notes((*unread_notes(asked), *sample_notes(asked)))
+        print_notes((*unread_notes(asked), *scene_notes(asked)))
         return
     from ..pipeline.folder import run_all
 

@@ -123,8 +123,9 @@ def method_extra(data: Method) -> dict[str, str]:
 @styled
 def plot_method(data: Method, *, ax: Axes | None = None) -> FigureBase:
     """One entry of G from a sweep (top), and from controls to drives to what the points do (bottom)."""
-    figure = panels(ax, (7.4, 5.6))
-    top, bottom = figure.subfigures(2, 1, height_ratios=(1, 1.45), squeeze=False)[:, 0]
+    below = 3.3 + 0.5 * max(0, max(len(data.controls), len(data.inputs)) - 5)  # inches: labels of rows keep apart
+    figure = panels(ax, (7.4, 2.3 + below))
+    top, bottom = figure.subfigures(2, 1, height_ratios=(2.3, below), squeeze=False)[:, 0]
     _entry(top, data)
     _filter(bottom, data)
     return figure

@@ -51,10 +51,10 @@ from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
 from .frequencies import frequencies
-from .notes import actuator_notes, lifted_notes
+from .notes import scene_notes
 from .renderers import check_servable, wavelet
 from .resources import Ledger
-from .samples import check_samples, sample_notes
+from .samples import check_samples
 from .simulation import AnswersForArm, Simulation, account_of, render_transfer, simulate, with_device
 from .skin_model import save_skin_model
 from .solved import solve
@@ -93,8 +93,7 @@ class Run:
 
         Keys that have no effect are its first notes; ScenarioError where a tissue is not whole.
         """
-        notes = [*unread_notes(scenario), *actuator_notes(scenario), *lifted_notes(scenario), *sample_notes(scenario)]
-        return cls(scenario, out, base, progress, Ledger(), notes)
+        return cls(scenario, out, base, progress, Ledger(), [*unread_notes(scenario), *scene_notes(scenario)])
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -42,6 +42,7 @@ _DERIVATIVES = 45  # about a rate, where 1e-4 is asked in 10-500 Hz
 _FROM_RATE = 1.6  # a sweep from a rate costs as much as so many expansions and certificates; measured with AVX-512
 _COPIES = 3  # of all signals: themselves, their spectra, and the array that is written
 _ESTIMATE = 1.2  # with the coarser mesh's solve
+_WIDEST = 300.0  # mm across: a stout thigh
 _OBLONG = 1.5  # times as long in y or z as in x: more likely turned than cut so short
 
 
@@ -121,6 +122,8 @@ def doubts_of(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
                 f"limb: no plane cut end across x was found at its {' and its '.join(uncut)} x, which is free skin "
                 "where waves turn back; cut it across x, flat to a thousandth of its length, unless that is meant"
             )
+    if (across := max(size[1:])) > _WIDEST and size[long] <= _OBLONG * size[0]:
+        found.append(f"limb: is {across:.0f} mm across, which no limb is; correct limb.unit unless that is meant")
     if over := turned_over(mesh, layout_of(scenario).contacts):
         found.append(over)
     if isinstance(limb, SurfacesLimb):

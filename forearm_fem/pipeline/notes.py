@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..results import SolutionRecord
 from ..scenario import Scenario
@@ -9,6 +11,13 @@ from ..scenario.actuators import ACTUATORS
 from ..scenario.limb import MeshLimb, SlabLimb
 from .forecast import forecast
 from .frequencies import frequencies
+from .samples import sample_notes
+
+
+def scene_notes(scenario: Scenario) -> tuple[str, ...]:
+    """What can be said of a scenario before it is meshed or solved, but for keys that nothing reads."""
+    kinds = (actuator_notes, lifted_notes, covered_notes, sample_notes)
+    return tuple(note for notes in kinds for note in notes(scenario))
 
 
 def resolution_notes(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
@@ -60,6 +69,22 @@ def lifted_notes(scenario: Scenario) -> tuple[str, ...]:
         f"device.out_of_contact: no skin moves under {', '.join(lifted)}, but shares of "
         f"{' and '.join(sorted(shared, reverse=True))} follow from places alone and drive there all the same; judge by "
         "the inverse filter, or leave such actuators out of device.contacts",
+    )
+
+
+def covered_notes(scenario: Scenario) -> tuple[str, ...]:
+    """That points under a cone that touches move with it, so that S towards them is no focus."""
+    device = scenario.device
+    feet = [c for k, c in enumerate(device.centres, start=1) if f"A{k}" not in device.out_of_contact]
+    gaps = (min(math.dist(place, foot) for foot in feet) for place in scenario.grid.places)
+    under = [str(i) for i, gap in enumerate(gaps, start=1) if gap <= device.cone.radius]
+    if not under or not scenario.rendering.methods:
+        return ()
+    named = ", ".join(under[:6]) + (", ..." if len(under) > 6 else "")
+    lie = f"point {named} lies" if len(under) == 1 else f"points {named} lie"
+    return (
+        f"grid: {lie} under a cone, moving with it: S towards such a point is no focus on the skin, and S towards "
+        "others counts it as one of them; move it (grid.pitch, grid.points), or the cones",
     )
 
 

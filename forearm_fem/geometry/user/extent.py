@@ -52,6 +52,9 @@ def check_room(file: Path, points: FloatArray, layout: Layout, unit: float) -> N
         most = _MOST * unit / float(np.ptp(points, axis=0).max())
         larger = " or ".join(f"{u:g} ({name})" for u, name in _UNITS if room <= u <= most and u != unit)
         other = f", or should it be {larger}" if larger else ""
+        tall, lacking = float(np.ptp(points[:, 2])), (high - low < need_high - need_low)
+        if (tall >= (need_high - need_low)[lacking]).all():  # turned, it would have room
+            other += f", or the file to be turned (z, out of the volar skin, spans {tall * 1e3:.0f} mm)"
         advice = f"is limb.unit = {unit:g} right{other}? else use a smaller device"
     else:
         advice = "move the limb so that the device's middle is over x = y = 0, the elbow towards +x"
