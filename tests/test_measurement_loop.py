@@ -21,12 +21,13 @@ from test_measurement_scene import (
 
 from forearm_fem.compare.adapters import ScenarioModel, layered_compliance_of
 from forearm_fem.compare.compare import compare
+from forearm_fem.compare.run import _biased
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.io.recording import Recording
 from forearm_fem.measurement.calibrate import calibrate, collected, record
 from forearm_fem.measurement.diagnostics import _lost, diagnose
-from forearm_fem.measurement.entry import entry
+from forearm_fem.measurement.entry import bias_said, entry
 from forearm_fem.measurement.estimators import estimate, spectra
 from forearm_fem.measurement.run import (
     VirtualSetup,
@@ -104,6 +105,20 @@ def test_h2_is_biased_up_by_noise_on_the_response_and_hv_half_as_much(tmp_path):
     assert mean["H1"] == pytest.approx(1.0, abs=0.02)
     assert mean["H2"] == pytest.approx(1 / coherence, rel=0.03)  # E[H2] = H / coherence
     assert mean["Hv"] == pytest.approx(coherence**-0.5, rel=0.02)
+
+
+def test_what_an_estimator_is_biased_by_is_said_where_it_is_measured_and_fitted(tmp_path):
+    """Alike in all entries, it is no noise that a fit could average."""
+    truth = part(wave_matrix(), 1, 2)
+    noise = noise_for(20.0, truth, SWEEP.samples(), RATE, SENSOR)
+    for estimator, share in (("H1", 0.0), ("H2", 1.0), ("Hv", 0.5)):
+        daq = device_for(truth, noise=noise)
+        found = calibrate(plan_for(truth, estimator=estimator, repeats=16), daq, tmp_path / estimator)
+        said = bias_said(found)
+        assert bool(said) == bool(share) == bool(_biased(found.transfer))
+        if share:
+            size = np.median(found.coherence[found.transfer.valid] ** -share) - 1
+            assert f"{estimator} exceeds H1 by {100 * size:.2g} %" in said
 
 
 @pytest.mark.parametrize("estimator", ["H2", "Hv"])

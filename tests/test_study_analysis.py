@@ -453,7 +453,7 @@ def test_a_rehearsed_study_is_analysed_from_the_command_line(tmp_path):
     assert made.exit_code == 0, made.output
     file = tmp_path / "pilot.toml"
     text = file.read_text().replace('["1", "2", "3", "4", "5", "6", "7", "8", "9"]', '["1", "5", "9"]')
-    file.write_text(text.replace("training = 1", "training = 0"))
+    file.write_text(text.replace("training = 1", "training = 0\nanswer_seconds = 5.0"))
     done = run(app, ["study", "rehearse", str(file), "--transfer", str(tmp_path / "g"), "--participants", "4"])
     assert done.exit_code == 0, done.output
     data = tmp_path / "pilot-rehearsal"
@@ -462,6 +462,10 @@ def test_a_rehearsed_study_is_analysed_from_the_command_line(tmp_path):
     page = (data / "analysis" / "report.html").read_text()
     assert "repetitions were counted as subjects" in page
     assert "none (simulated participants)" in page
+    answered = pd.read_csv(data / "sub-01" / "beh" / "sub-01_task-confidence_events.tsv", sep="\t")
+    assert answered["response_time"].isna().all()  # an hour each, and so all of them late
+    assert not answered["late"].any()
+    assert " 3600.0 s" not in page
     for name in ("identification-ellipses", "identification-confusion", "confidence-points"):
         with Image.open(data / "analysis" / f"{name}.png") as picture:
             assert picture.size[0] > 400

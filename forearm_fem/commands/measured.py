@@ -25,6 +25,7 @@ from .common import (
     measured_g,
     noted,
     out_folder,
+    print_notes,
     scene_of,
     stage,
     stop_on_ctrl_c,
@@ -92,6 +93,7 @@ def calibrate(
 ) -> None:
     """Measure G, one actuator and one point at a time; the same command resumes after a stop."""
     from ..io.lock import locked
+    from ..measurement.entry import bias_said
 
     _refuse_idle(daq, card, through, declare, cable, snr=snr, bits=bits, latency=latency, seed=seed)
     asked = load_scenario(scenario, overrides=overrides or ())
@@ -103,6 +105,8 @@ def calibrate(
         result = _calibrated(asked, folder, daq, virtual, card, cable, ask=daq != "virtual" and not yes)
     for finding in result.measured.findings:
         typer.echo(finding.sentence)
+    if said := bias_said(result.measured):
+        print_notes([said])
     valid = result.measured.transfer.valid
     if valid is not None:
         typer.echo(f"entries that may be used: {100 * valid.mean():.0f} %")

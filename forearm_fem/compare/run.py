@@ -179,7 +179,7 @@ def run_fit(
     best, following = model(free), _following(result, whole, data, outputs)
     reduction = float(whole(free).errors[0].band) if fem else float("nan")
     numerical = (*_reduction_note(reduction, result), *((numerics,) if numerics else ()))
-    notes = (*_explained(data, (begun, best)), *numerical, following.sentence)
+    notes = (*_explained(data, (begun, best)), *_biased(data), *numerical, following.sentence)
     text = fit_text(result, notes)
     files = () if folder is None else _save_fit(Path(folder), asked, result, best, text, notes)
     return FitCommandResult(result, best, following, reduction, numerics, text, files)
@@ -251,6 +251,18 @@ def _noise_of(data: TransferMatrix) -> float:
     if (stated > 0).any():
         return float(np.median(stated[stated > 0]))
     return FALLBACK_NOISE * float(np.sqrt(np.mean(np.abs(data.values[used]) ** 2)))
+
+
+def _biased(data: TransferMatrix) -> tuple[str, ...]:
+    """What intervals do not hold of data by an estimator that noise makes too large in every entry alike."""
+    how = data.provenance.get("measurement")
+    kind = how.get("estimator") if isinstance(how, Mapping) else None
+    if kind not in ("H2", "Hv"):
+        return ()
+    return (
+        f"the data were estimated by {kind}, which noise makes too large in all entries alike: intervals take that for "
+        "noise of each and do not hold it; evaluate the recordings with measurement.estimator = 'H1'",
+    )
 
 
 def _reduction_note(reduction: float, result: FitResult) -> tuple[str, ...]:

@@ -173,7 +173,7 @@ def rehearse(
         store.enrol(name, consent=today, added=today, note=SIMULATION)
         person = SimulatedParticipant(percept.varied(rng), felt, transfer.outputs, rng)
         for task in prepared.study.tasks:
-            session = Session(store, name, task, transfer.outputs, player, _Clock(), back_end=plays)
+            session = Session(store, name, task, transfer.outputs, player, None, back_end=plays)
             while (waiting := session.view()["waiting"]) != "done":
                 if waiting != "stimulus":
                     session.start()
@@ -199,17 +199,6 @@ def answer_of(person: SimulatedParticipant, task: Task, trial: Trial, level: flo
     if kind == "several points":
         return Given(points=person.several_points(method, target))
     return Given(strokes=person.outline(method, target))
-
-
-class _Clock:
-    """Time that passes by an hour at each look, so that breaks are over at once."""
-
-    def __init__(self) -> None:
-        self._now = 0.0
-
-    def __call__(self) -> float:
-        self._now += 3600.0
-        return self._now
 
 
 def statuses(store: StudyStore) -> list[tuple[str, str, int, int]]:

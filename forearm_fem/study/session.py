@@ -59,7 +59,10 @@ class Given:
 
 
 class Session:
-    """A participant's session; safe to call from several threads."""
+    """A participant's session; safe to call from several threads.
+
+    Without a clock (None) nobody waits: breaks are over at once, and how long an answer took is unknown.
+    """
 
     def __init__(
         self,
@@ -68,11 +71,12 @@ class Session:
         task: Task,
         grid: Sequence[Port],
         player: Player,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] | None = time.monotonic,
         *,
         back_end: BackEnd | None = None,
     ) -> None:
-        self._store, self.participant, self.task, self._player, self._clock = store, participant, task, player, clock
+        self._store, self.participant, self.task, self._player = store, participant, task, player
+        self._clock, self._timed = clock or _Hours(), clock is not None
         self._places = {p.name: np.array(p.position[:2]) for p in grid}
         self._trials = trials(store.study, task, participant)
         if missing := [t for t in store.study.stimuli.targets if t not in self._places]:
@@ -90,7 +94,7 @@ class Session:
         self._track = Track.of(task, done)
         self._waiting: Waiting = "done" if self._answered == len(self._trials) else "start"
         played = max((float(r["onset"]) + float(r["duration"]) for r in done), default=0.0)
-        self._begun, self._presented, self._last = clock() - played, 0, Presented(0.0, 0.0)
+        self._begun, self._presented, self._last = self._clock() - played, 0, Presented(0.0, 0.0)
         self.back_end, self._told = back_end or BackEnd("unknown", float("nan")), False
         self._onset = self._over = self._break_until = self._level = 0.0
         self.problem = ""
@@ -182,7 +186,7 @@ class Session:
                 raise DataError("no answer is due now: the stimulus has not been played, or was answered already")
             if given.answered not in (None, self._answered):
                 raise DataError(f"that answer was to trial {given.answered + 1}, which is over; look at the page again")
-            seconds = self._clock() - self._over
+            seconds = self._clock() - self._over if self._timed else float("nan")
             limit = self.task.answer_seconds
             row = {
                 "onset": self._onset - self._begun, "duration": self._last.seconds, "trial": trial.number,
@@ -233,6 +237,17 @@ class Session:
             raise DataError(f"'{unknown[0][:20]}' is no grid point; choose among {', '.join(self._places)}")
         x, y = np.mean([self._places[n] for n in names], axis=0)
         return {"response": " ".join(names), "response_x": float(x), "response_y": float(y)}
+
+
+class _Hours:
+    """Time that passes by an hour at each look, so that breaks are over at once."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def __call__(self) -> float:
+        self._now += 3600.0
+        return self._now
 
 
 def _outline(strokes: FloatArray | None) -> tuple[FloatArray, float]:
