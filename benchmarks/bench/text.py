@@ -44,7 +44,7 @@ def _machine(row: Row | None) -> list[str]:
     if row is None:
         return []
     threads, load = f"Threads: {row['threads']} of {row['cores']}", str(row["load_at_start"])
-    beside = f", beside other work (load {float(load):.0f})" if load != "unknown" and float(load) > 1.5 else ""
+    beside = ", beside other work" if load != "unknown" and float(load) > 1.5 else ""
     return [f"*forearm_fem {row['forearm_fem']}, {row['processor']}. {threads}{beside}.*", ""]
 
 
