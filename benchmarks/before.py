@@ -6,7 +6,8 @@
 Each version runs ``forearm-fem run thesis`` as a process of its own from an empty cache, with kernels compiled by a run
 of ``quick`` that is not timed, one version after the other in one hour. The machine must be idle, and the packages
 installed must serve both. Errors are e_band of G against this version's run at the finest accuracy, whose own error is
-in ``overkill.csv``, as the root of both squares. Memory is the operating system's peak of the largest process.
+in ``overkill.csv``, as the root of the sum of both squares. Memory is what the largest process holds, looked at five
+times a second. One run each: machines vary by some per cent.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ def version_of(home: Path) -> str:
 
 
 def own_error() -> float:
-    """True e_band of the finest run, from the newest rows of ``overkill.csv``."""
+    """True e_band of the finest run: the least in ``overkill.csv``."""
     with (HERE / "results" / "overkill.csv").open(encoding="utf-8", newline="") as file:
         return min(float(r["true"]) for r in csv.DictReader(file) if r["what"] == "G over the band")
 

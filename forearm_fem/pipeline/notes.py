@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..results import SolutionRecord
@@ -43,10 +44,8 @@ def near_disc_notes(scenario: Scenario) -> tuple[str, ...]:
     near = scenario.beside_discs if isinstance(scenario.limb, SlabLimb) and scenario.element == "P2" else ()
     if not near:
         return ()
-    named = ", ".join(near[:6]) + (", ..." if len(near) > 6 else "")
-    lie = f"point {named} lies" if len(near) == 1 else f"points {named} lie"
     return (
-        f"{lie} within 8 mm of the rim of a disc of pressure on second-order elements, where as little as "
+        f"{_lie(near)} within 8 mm of the rim of a disc of pressure on second-order elements, where as little as "
         "a tenth of the error was stated; mesh.element = 'P2/P3' errs a tenth there, at two to four times the unknowns",
     )
 
@@ -80,12 +79,15 @@ def covered_notes(scenario: Scenario) -> tuple[str, ...]:
     under = [str(i) for i, gap in enumerate(gaps, start=1) if gap <= device.cone.radius]
     if not under or not scenario.rendering.methods:
         return ()
-    named = ", ".join(under[:6]) + (", ..." if len(under) > 6 else "")
-    lie = f"point {named} lies" if len(under) == 1 else f"points {named} lie"
     return (
-        f"grid: {lie} under a cone, moving with it: S towards such a point is no focus on the skin, and S towards "
-        "others counts it as one of them; move it (grid.pitch, grid.points), or the cones",
+        f"grid: {_lie(under)} under a cone, moving with it: S towards such a point is no focus on the skin, and S "
+        "towards others counts it as one of them; move it (grid.pitch, grid.points), or the cones",
     )
+
+
+def _lie(points: Sequence[str]) -> str:
+    named = ", ".join(points[:6]) + (", ..." if len(points) > 6 else "")
+    return f"point {named} lies" if len(points) == 1 else f"points {named} lie"
 
 
 def actuator_notes(scenario: Scenario) -> tuple[str, ...]:

@@ -235,7 +235,7 @@ class ReducedArm:
         """What the draw's geometry changes on the twin, and the twin's errors in it, both (n, n_port, n_port) [m/N].
 
         The twin states errors over the largest entry of their kind: of contacts, or of points under contacts. Where
-        discs are far apart, one azimuthal order says what changes to a thirtieth of it.
+        discs are far apart, one azimuthal order says what changes to some hundredths of it, which are stated.
         """
         far = 0 < max(_nearness(s) for s in (scenario, own)) <= _FAR
         twin = replace(self.twin, orders=_ALONE) if far else self.twin
