@@ -3,8 +3,9 @@
     python3 benchmarks/account.py scenarios/thesis.toml [--warm]
 
 The run is a process of its own, as a user starts it, with an empty cache for meshes (and, unless ``--warm``, for
-compiled kernels too); another process samples it ten times a second. A stage is what the run tells as its progress; what
-comes before the first is import. Writes benchmarks/results/account.csv and account.png beside it, and prints the table.
+compiled kernels too); another process samples it ten times a second. A stage is what the run tells as its progress;
+what comes before the first is import. Writes benchmarks/results/account.csv and account.png beside it, and prints the
+table.
 """
 
 from __future__ import annotations

@@ -20,14 +20,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import psutil
-from bench.tables import record_machine, write_csv
 from matplotlib.figure import Figure
 
+from bench.tables import record_machine, write_csv
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.transfer import band_error
 
@@ -75,10 +76,8 @@ def timed(home: Path, scene: str, accuracy: float | None, folder: Path) -> tuple
     )
     process = psutil.Process(running.pid)
     while running.poll() is None:
-        try:
+        with suppress(psutil.NoSuchProcess):
             most = max([most, *(p.memory_info().rss for p in (process, *process.children(recursive=True)))])
-        except psutil.NoSuchProcess:
-            pass
         time.sleep(_PAUSE)
     if running.returncode:
         raise SystemExit(f"{home}: the run ended with code {running.returncode}")

@@ -20,12 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench.isolated import isolated, threads
-from bench.scene import quarter
-from bench.tables import record_machine, write_csv
 from scipy.sparse import csc_array, csr_array, csr_matrix, triu
 from scipy.sparse.linalg import LinearOperator, minres
 
+from bench.isolated import isolated, threads
+from bench.scene import quarter
+from bench.tables import record_machine, write_csv
 from forearm_fem.fem.assembly.coefficients import rate_weights
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.assembly.operator import WeightedSum

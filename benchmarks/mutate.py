@@ -1,8 +1,8 @@
 """Mutation list: each promise broken once in a copy of the repository, and the test that has to notice.
 
 ``python benchmarks/mutate.py [--only NAME] [--list] [--jobs 2]`` reads ``tests/mutations/*.toml`` and, for each
-entry, changes one place of one file in a scratch copy, runs the named tests there and expects them to fail. Before that the named tests must pass on an unchanged copy. Exit code 1 if a mutation survives or
-an entry is out of date.
+entry, changes one place of one file in a scratch copy, runs the named tests there and expects them to fail. Before
+that the named tests must pass on an unchanged copy. Exit code 1 if a mutation survives or an entry is out of date.
 
 With ``--log FILE`` each outcome is written down as it ends, and entries caught before are left out as long as the
 entry, its file and the files of its tests are as they were then: the list can be tried in pieces. Code elsewhere may
@@ -153,7 +153,8 @@ def run_tests(tests: Sequence[str], scratch: Path, kernels: str | None = None) -
     environment = {**os.environ, **where, **({"NUMBA_CACHE_DIR": kernels} if kernels else {})}
     with tempfile.TemporaryDirectory() as cache:
         environment["FOREARM_FEM_CACHE"] = cache
-        command = [sys.executable, "-m", "pytest", "-x", "--no-header", "-n", "0", "-p", "no:cacheprovider", "-m", "", *tests]
+        options = ["-x", "--no-header", "-n", "0", "-p", "no:cacheprovider", "-m", ""]
+        command = [sys.executable, "-m", "pytest", *options, *tests]
         try:
             done = subprocess.run(
                 command, cwd=scratch, env=environment, capture_output=True, text=True, timeout=_TOO_LONG, check=False

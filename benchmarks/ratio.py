@@ -15,7 +15,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from thesis import factorisation_seconds
 
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.kernels.heap import freed_memory_kept
@@ -25,6 +24,7 @@ from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.pipeline.fem_engine import fem_model, reduction_tolerance
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.scenario import Scenario, load_scenario
+from thesis import factorisation_seconds
 
 BINS = (25.0, 60.0, 150.0, 240.0, 420.0)
 

@@ -67,8 +67,9 @@ def null_studies(count: int) -> list[str]:
     return [
         f"## False alarms\n\nShare of {count} studies without any effect in which one was found (p < 0.05). Each has "
         f"{PEOPLE} participants and {REPETITIONS} repetitions of every target and method. The right share is 0.05; "
-        "chance moves it by 0.014 to either side (two standard deviations). The chosen test is the corrected one (Greenhouse-Geisser; subjects are "
-        "participants). In the uneven studies cells scatter up to 7.5 times more at some targets than at others. "
+        "chance moves it by 0.014 to either side (two standard deviations). The chosen test is the corrected one "
+        "(Greenhouse-Geisser; subjects are participants). In the uneven studies cells scatter up to 7.5 times more at "
+        "some targets than at others. "
         "[studies-null.csv](studies-null.csv)\n",
         _table(["scatter", "test", *EFFECTS], rows),
         "",
@@ -120,10 +121,10 @@ def simulated(study: Path, results: Path) -> list[str]:
     claims = _claims(prepared, answered)
     return [
         "## Simulated participants and the thesis\n\n**They predict nobody**: nothing was fitted, and what is compared "
-        "is one scene. 20 participants answer 81 trials of each task, drawn with a fixed seed. Felt is the skin's field of the "
-        "finite elements (under and between the actuators, too), or the grid's nine points alone, or the field with "
-        "the two actuators beside the first row of points moving 0.3 times as much, as the thesis suspects of its device "
-        "(inverse filter and combination are rendered on that G, funneling does not know).\n",
+        "is one scene. 20 participants answer 81 trials of each task, drawn with a fixed seed. Felt is the skin's "
+        "field of the finite elements (under and between the actuators, too), or the grid's nine points alone, or the "
+        "field with the two actuators beside the first row of points moving 0.3 times as much, as the thesis suspects "
+        "of its device (inverse filter and combination are rendered on that G, funneling does not know).\n",
         _table(head, rows),
         "\n",
         _table(["the thesis reports of people", "simulated on the field", "with two loose actuators"], claims),

@@ -58,8 +58,9 @@ def cheapest(rows: Sequence[Row], error: float, *, method: str | None = None) ->
 def _error(rows: Sequence[Row]) -> list[str]:
     lines = ["## Speed against error", "", "![speed against error](error.png)", ""]
     lines += [
-        "From scenario to G at 161 bins on a quarter slab (skin, fat, muscle) against the exact layered solution. Error",
-        "e is the worst max|dG|/max|G| over 80-400 Hz; direct sweeps are solved at 11 frequencies, their time extrapolated.",
+        "From scenario to G at 161 bins on a quarter slab (skin, fat, muscle) against the exact layered solution.",
+        "Error e is the worst max|dG|/max|G| over 80-400 Hz; direct sweeps are solved at 11 frequencies, their time",
+        "extrapolated.",
         "Seconds are of processors; with one thread that is the wall time on an idle machine",
         f"(the wall time of this run was {_stretch(rows):.2f} times that, median).", "",
         "| asked e | cheapest | unknowns | seconds | peak GB | direct sweep, s | ratio |",
@@ -131,7 +132,8 @@ def _size(rows: Sequence[Row]) -> list[str]:
         "## Cost against size", "", "![cost against size](size.png)", "",
         "| unknowns | precision | assembly, s | analysis, s | factorisation, s | solve, s | peak GB |",
         "|---|---|---|---|---|---|---|",
-        f"| {largest['unknowns']} | {largest['precision']} | {seconds} | {float(largest['peak_bytes']) / 1e9:.2g} |", "",
+        f"| {largest['unknowns']} | {largest['precision']} | {seconds} | {float(largest['peak_bytes']) / 1e9:.2g} |",
+        "",
         "Exponents: see the legend.",
         *_precisions(rows),
         "",
@@ -183,8 +185,8 @@ def _peers(rows: Sequence[Row]) -> list[str]:
         "the default: factors in single precision, solves refined to 1e-9. One frequency is",
         "assembly, factorisation (analysis included) and solve at 400 Hz. The full G of 981 bins is what ours took;",
         "of the others it is extrapolated: the first frequency and 980 times the mean of the later ones, without",
-        "assembly. Column e is the worst error at 10 mm over the largest compliance, against the exact solution; apart is",
-        "the relative difference to our compliance there. `mumps` has a pressure that is continuous across tissues,",
+        "assembly. Column e is the worst error at 10 mm over the largest compliance, against the exact solution; apart",
+        "is the relative difference to our compliance there. `mumps` has a pressure that is continuous across tissues,",
         "another discretisation; all others have ours. CalculiX is left out (docs/decisions/0024). Made by",
         "`benchmarks/peers.py`.",
         "",
