@@ -140,6 +140,14 @@ def test_honest_pairs_are_told_nothing():
         assert explained(common_ground(limb(a), noisy(limb(b), seed))) == "", (a, b)
 
 
+def test_a_g_of_zeros_has_no_channels_to_exchange():
+    g = limb("thesis")
+    nothing = replace(g, values=np.zeros_like(g.values))
+    for pair, name in (((g, nothing), "B"), ((nothing, g), "A")):
+        assert exchanged(common_ground(*pair)) is None
+        assert explained(common_ground(*pair)).startswith(f"{name} is zero at every entry")
+
+
 def test_a_ratio_that_nothing_explains_is_said():
     found = explained(common_ground(limb("thesis"), changed(noisy(limb("thesis")), factor=77.0)))
     assert found.startswith("B is 76.9 times as large as A")
