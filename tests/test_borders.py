@@ -23,6 +23,7 @@ from forearm_fem.design import load_design
 from forearm_fem.errors import ForearmError, HardwareError, MeshError, ScenarioError
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.io.recipe import load_recipe
+from forearm_fem.measurement.daq import Wiring
 from forearm_fem.measurement.figures import save_live
 from forearm_fem.measurement.play import LONGEST, play
 from forearm_fem.measurement.run import VirtualSetup
@@ -158,6 +159,14 @@ def test_what_would_play_for_days_is_refused(repeats: int, pause: float) -> None
     daq, options = VirtualDaq(A, 2000.0, 0.25, VirtualOptions()), DaqOptions(outputs=("a", "b", "c", "d"))
     with pytest.raises(HardwareError, match=f"expected at most {LONGEST:g} s"):
         play(daq, np.zeros((4, 500)), 2000.0, options, repeats=repeats, pause=pause)
+
+
+@pytest.mark.parametrize(("rate", "outputs"), [(1000.0, ("a", "b", "c", "d")), (2000.0, ("a", "b", "c"))])
+def test_a_virtual_device_is_opened_as_its_g_was_prepared(rate: float, outputs: tuple[str, ...]) -> None:
+    daq = VirtualDaq(A, 2000.0, 0.25, VirtualOptions())
+    daq.open(Wiring(2000.0, ("a", "b", "c", "d"), ("e",)))
+    with pytest.raises(HardwareError, match=r"the virtual device has 4 outputs at 2000 Hz, asked for"):
+        daq.open(Wiring(rate, outputs, ("e",)))
 
 
 def test_pictures_of_no_difference_and_of_a_dead_channel_raise_no_warning(tmp_path: Path) -> None:

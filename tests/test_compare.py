@@ -112,6 +112,13 @@ def test_a_gap_in_one_is_a_part_of_the_band_that_only_the_other_has():
     assert common_ground(holed, fine).only_a == ()
 
 
+@pytest.mark.parametrize(("step", "gaps"), [(2.5, ()), (3.5, ((200.0, 203.5),))])
+def test_an_interval_is_a_gap_from_three_times_those_about_it(step, gaps):
+    """Samples are 1 Hz apart but for one interval."""
+    axis = np.concatenate([np.arange(10.0, 201.0), 200.0 + step + np.arange(290.0)])
+    assert common_ground(wave_matrix(np.arange(20.25, 480.0, 0.5)), wave_matrix(axis)).only_a == gaps
+
+
 def test_an_axis_that_grows_coarser_by_and_by_has_no_gaps():
     """Steps of a logarithmic axis are seven times its median at the end; all of it was left out as gaps."""
     uneven = wave_matrix(np.geomspace(10.0, 500.0, 600))
