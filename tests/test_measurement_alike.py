@@ -6,6 +6,7 @@ Recordings are made here with numpy from a resonance that is known in closed for
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,11 @@ def measured(change: Callable[[Any, float], Any], repeats: int = 4, noise: float
     rows = np.asarray(change(noisy, peak)).reshape(4, N)[:repeats]
     sensor = {"quantity": "velocity", "sensitivity": 100.0}
     return entry(Recording("1", "A1", RATE, SENT, rows), BAND, MeasurementOptions(sensor=sensor, repeats=repeats))
+
+
+def plus(extra: Any, volts: Any, peak: float) -> Any:
+    """Something ``extra``, in parts of the response's ``peak``."""
+    return volts + peak * extra
 
 
 def kinds(found: Entry) -> list[str]:
@@ -71,7 +77,8 @@ def test_hum_is_in_the_deviation_of_its_bin(frequency: float, repeats: int):
 
 def test_hum_in_the_bands_first_bins_is_in_their_deviation():
     for frequency in (10.0, 10.5, 499.5, 500.0):
-        found = measured(lambda y, a, f=frequency: y + 0.01 * a * np.sin(2 * np.pi * f * T))
+        line = 0.01 * np.sin(2 * np.pi * frequency * T)
+        found = measured(partial(plus, line))
         assert pulls(found).max() < 4, frequency
 
 
@@ -120,7 +127,7 @@ def test_an_offset_that_wanders_is_no_loss_of_samples():
 
 def test_hum_out_of_step_with_the_repeats_spoils_no_other_bins():
     """Some 0.4 bins off, it scatters in its own two bins; seven to either side were blamed, too."""
-    clean, hummed = (measured(lambda y, a, h=h: y + h * a * np.sin(2 * np.pi * 49.8 * T)) for h in (0.0, 3e-4))
+    clean, hummed = (measured(partial(plus, h * np.sin(2 * np.pi * 49.8 * T))) for h in (0.0, 3e-4))
     beside = np.isin(clean.frequency, (47.5, 52.0))
     assert beside.any()
     assert (hummed.deviation / clean.deviation)[beside].max() < 20  # 13 are its own tails; 69 when smoothed
