@@ -140,6 +140,54 @@ def gmsh_named(folder: Path) -> None:
     meshio.write(folder / "limb.msh", made, file_format="gmsh22", binary=False)
 
 
+LOWER_BLOCK, UPPER_BLOCK = ((np.flatnonzero(part) + 1, TETRA[part] + 1) for part in (~UPPER, UPPER))
+
+
+def abaqus_text(*blocks: tuple[str, Any]) -> str:
+    """Nodes of the block and elements under each keyword of ``blocks``, whose (numbers, nodes) follow it."""
+    nodes = "".join(f"{k}, {x:.9g}, {y:.9g}, {z:.9g}\n" for k, (x, y, z) in enumerate(CORNERS, start=1))
+    cells = "".join(
+        f"*ELEMENT, {head}\n" + "".join(f"{e}, {', '.join(map(str, t))}\n" for e, t in zip(*block, strict=True))
+        for head, block in blocks
+    )
+    return f"*NODE\n{nodes}{cells}"
+
+
+PLAIN = abaqus_text(("TYPE=C3D4, ELSET=lower", LOWER_BLOCK), ("TYPE=C3D4, ELSET=upper", UPPER_BLOCK))
+SPLIT = tuple((half[0][:n], half[1][:n]) for half, n in ((LOWER_BLOCK, 100),))
+REST_OF_IT = (LOWER_BLOCK[0][100:], LOWER_BLOCK[1][100:])
+
+
+def abaqus(text: str = PLAIN, **others: str) -> Callable[[Path], None]:
+    """Writer of an Abaqus file as other programs write it, and of those that it includes."""
+
+    def write(folder: Path) -> None:
+        (folder / "limb.inp").write_text(text)
+        for name, content in others.items():
+            (folder / f"{name}.inp").write_text(content)
+
+    return write
+
+
+def of_abaqus(name: str, write: Callable[[Path], None], *says: str) -> Brought:
+    return of_mesh(name, write, *says, file="limb.inp", regions={"lower": "muscle", "upper": "fat"})
+
+
+def med(folder: Path) -> None:
+    """Groups with names, of which each cell has two, beside a field of results."""
+    made = meshio.Mesh(CORNERS, [("tetra", TETRA)], cell_data={"cell_tags": [-NUMBERS], "heat": [np.ones(len(TETRA))]})
+    made.cell_tags = {-1: ["arm", "all"], -2: ["wrap", "all"]}
+    made.write(folder / "limb.med")
+
+
+def gmsh_turned(folder: Path) -> None:
+    """Cells of one physical group turned round, which gmsh marks by a negative number."""
+    gmsh_named(folder)
+    lines = (folder / "limb.msh").read_text().splitlines()
+    turned_ = [" ".join([*w[:3], f"-{w[3]}", *w[4:]]) if len(w := x.split()) == 9 and w[3] == "1" else x for x in lines]
+    (folder / "limb.msh").write_text("\n".join(turned_) + "\n")
+
+
 def with_a_brick(folder: Path) -> None:
     bricks = [("tetra", TETRA), ("wedge", np.array([[0, 1, 2, 3, 4, 5]]))]
     meshio.Mesh(CORNERS, bricks, cell_data={"region": [NUMBERS, np.array([1])]}).write(folder / "limb.vtu")
@@ -165,7 +213,7 @@ MESHES = (
     of_mesh("single precision", cells(points=CORNERS.astype(np.float32))),
     of_mesh("triangles and lines beside the tetrahedra", with_skin_triangles),
     of_mesh("gmsh with names", gmsh_named, file="limb.msh", regions={"arm": "muscle", "wrap": "fat"}),
-    of_mesh("gmsh with numbers for names", gmsh_named, "arm", "wrap", "no tissue", file="limb.msh"),
+    of_mesh("gmsh with numbers for names", gmsh_named, file="limb.msh"),
     of_mesh("element sets", with_sets(SETS), file="limb.inp", regions={"lower": "muscle", "upper": "fat"}),
     of_mesh(
         "element sets, one of them of all cells",
@@ -180,6 +228,51 @@ MESHES = (
         file="limb.inp",
         regions={"lower": "muscle", "upper": "fat"},
     ),
+    of_abaqus("Abaqus, as others write it", abaqus()),
+    of_abaqus("Abaqus, comments among the nodes", abaqus(PLAIN.replace("\n5,", "\n** five\n5,"))),
+    of_abaqus(
+        "Abaqus, a set in two blocks",
+        abaqus(
+            abaqus_text(
+                ("TYPE=C3D4H, ELSET=lower", REST_OF_IT),
+                ("TYPE=C3D4H, ELSET=upper", UPPER_BLOCK),
+                ("TYPE=C3D4H, ELSET=lower", SPLIT[0]),
+            )
+        ),
+    ),
+    of_abaqus(
+        "Abaqus, sets of sets",
+        abaqus(
+            abaqus_text(
+                ("TYPE=C3D4, ELSET=a", UPPER_BLOCK),
+                ("TYPE=C3D4, ELSET=b", REST_OF_IT),
+                ("TYPE=C3D4, ELSET=c", SPLIT[0]),
+            )
+            + "*ELSET, ELSET=upper\na\n*ELSET, ELSET=lower\nC, b\n"
+        ),
+    ),
+    of_abaqus(
+        "Abaqus, an instance that stays",
+        abaqus(f"*PART, NAME=arm\n{PLAIN}*END PART\n*INSTANCE, NAME=i, PART=arm\n*END INSTANCE\n"),
+    ),
+    of_abaqus(
+        "Abaqus, an instance that is moved",
+        abaqus(f"*PART, NAME=arm\n{PLAIN}*END PART\n*INSTANCE, NAME=i, PART=arm\n0.01, 0, 0\n*END INSTANCE\n"),
+        "*INSTANCE moves",
+        "without parts",
+    ),
+    of_abaqus("Abaqus, two parts", abaqus("*PART\n" + PLAIN + "*PART\n" + PLAIN), "several parts"),
+    of_abaqus("Abaqus, nodes of a system", abaqus("*SYSTEM\n0, 0, 1\n" + PLAIN), "*SYSTEM", "in x, y, z"),
+    of_abaqus("Abaqus, included files", abaqus("*INCLUDE, INPUT=more.inp\n", more=PLAIN)),
+    of_abaqus(
+        "Abaqus, an included file that is missing", abaqus("*INCLUDE, INPUT=more.inp\n"), "more.inp: no such file"
+    ),
+    of_abaqus("Abaqus, a node that is missing", abaqus(PLAIN.replace("\n5, ", "\n5005, ")), "names node 5,"),
+    of_abaqus("Abaqus, bricks", abaqus(PLAIN + "*ELEMENT, TYPE=C3D8R\n9999, 1,2,3,4,5,6,7,8\n"), "C3D8R", "split them"),
+    of_abaqus("Abaqus, a word for a number", abaqus(PLAIN.replace("\n7, ", "\nseven, ")), "line 8", "no numbers"),
+    of_mesh("MED with groups and a field", med, file="limb.med", regions={"arm": "muscle", "wrap": "fat"}),
+    of_mesh("gmsh with a name and a number", gmsh_named, file="limb.msh", regions={"arm": "muscle", "2": "fat"}),
+    of_mesh("gmsh with turned cells", gmsh_turned, file="limb.msh", regions={"arm": "muscle", "wrap": "fat"}),
     of_mesh("region array of three columns", cells(region=np.tile(NUMBERS[:, None], 3)), "(768, 3)", "one number"),
     of_mesh("region that is a fraction", cells(region=changed(NUMBERS.astype(float), 5, 1.7)), "1.7 of number 5"),
     of_mesh("region that is no number", cells(region=changed(NUMBERS.astype(float), 7, np.nan)), "nan of number 7"),

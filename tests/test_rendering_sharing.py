@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from test_rendering import waves
 
-from forearm_fem.errors import GeometryError
+from forearm_fem.errors import DataError, GeometryError
 from forearm_fem.ports import Port
 from forearm_fem.rendering import (
     AutoZeros,
@@ -22,6 +24,7 @@ from forearm_fem.rendering import (
     render_all,
     ricker,
 )
+from forearm_fem.rendering.funneling import known_bins
 
 COARSE = np.arange(10.0, 500.1, 10.0)  # the bins of a record of 0.1 s
 TARGETS = tuple("123456789")
@@ -76,3 +79,13 @@ def test_a_target_that_funneling_cannot_serve_is_refused_as_it_is_alone():
     with pytest.raises(GeometryError) as together:
         render_all(g, TARGETS, (InverseFilter(), Funneling()), ricker(duration=0.1))
     assert str(together.value) == str(alone.value)
+
+
+def test_the_output_that_nothing_is_known_of_is_named_alone():
+    """Of five control points one was never measured: the other four are not to be measured again."""
+    valid = np.ones((7, 5, 2), dtype=bool)
+    valid[:, 4] = False
+    ports = tuple(SimpleNamespace(name=str(k)) for k in (1, 3, 5, 7, 9))
+    placed: Any = SimpleNamespace(bins=SimpleNamespace(valid=valid), outputs=ports)
+    with pytest.raises(DataError, match=r"for output\(s\) 9; choose"):
+        known_bins(placed, [0, 1, 2, 3, 4])

@@ -177,7 +177,7 @@ class Versus:
     def error(self) -> FloatArray:
         """|dG| over the largest |G| of the second at that frequency, (n, n_out, n_in) [-]."""
         g = self.ground
-        size = np.nanmax(np.where(g.valid, np.abs(g.b), np.nan), axis=(1, 2), keepdims=True)
+        size = np.fmax.reduce(np.where(g.valid, np.abs(g.b), np.nan), axis=(1, 2), keepdims=True)  # NaN: a missing bin
         return np.where(g.valid, np.abs(g.a - g.b) / size, np.nan)
 
 

@@ -274,10 +274,11 @@ def animate(
     and MissingExtra for an .mp4 without imageio.
     """
     target = Path(path)
-    if target.suffix == ".mp4":
+    kind = target.suffix.lower()
+    if kind == ".mp4":
         for package in ("imageio", "imageio_ffmpeg"):
             optional(package, "movie", "an .mp4 film")
-    elif target.suffix != ".gif":
+    elif kind != ".gif":
         raise DataError(f"{target}: films are .gif or .mp4, not '{target.suffix}'")
     found, view, look = _given(results, view, look)
     moved = motion(found, view, steps)
@@ -289,12 +290,12 @@ def animate(
             tell(progress, "frames", k + 1, len(moved.steps))
             pictures.append(np.array(plotter.screenshot(None, return_img=True)))
     with atomic_path(target) as beside:
-        if target.suffix == ".gif":  # one palette for all frames, so that colours do not flicker
+        if kind == ".gif":  # one palette for all frames, so that colours do not flicker
             sample = Image.fromarray(np.concatenate([p[::2, ::2] for p in pictures[:: max(1, len(pictures) // 12)]]))
             palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)
             frames = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
-            frames[0].save(beside, save_all=True, append_images=frames[1:], duration=round(1000 / frames_per_second),
-                           loop=0, optimize=False)  # fmt: skip
+            lasts = 10 * max(round(100 / frames_per_second), 1)  # GIF counts hundredths of a second
+            frames[0].save(beside, save_all=True, append_images=frames[1:], duration=lasts, loop=0, optimize=False)
         else:
             writer = import_module("imageio").get_writer(beside, fps=frames_per_second, macro_block_size=2, quality=8)
             with writer as film:

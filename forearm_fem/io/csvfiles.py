@@ -6,13 +6,14 @@ import codecs
 import csv
 import io
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import DataError
+from ..errors import AccuracyWarning, DataError
 from ..ports import Port
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
@@ -77,8 +78,8 @@ def read_csv(path: str | Path) -> RawMatrix:
     """
     file = Path(path)
     try:
-        head, header, lines, offset = _split(file)
-        table = _table(file, header, lines, offset)
+        head, header, lines = _split(file)
+        table = _table(file, header, lines)
         frequency = np.unique(table["frequency_Hz"])
         names = [_in_order(head.get(k), table[k[:-1]]) for k in ("outputs", "inputs")]
         place = (
@@ -95,8 +96,8 @@ def read_csv(path: str | Path) -> RawMatrix:
         raise DataError(f"{file}: its first line does not fit the rest or is damaged; export it again") from problem
 
 
-def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]:
-    """Our first line if there is one, the header, the rows and the number of the header's line."""
+def _split(file: Path) -> tuple[dict[str, Any], list[str], list[tuple[int, list[str]]]]:
+    """Our first line if there is one, the header, and the rows with the numbers of their lines."""
     refuse_no_file(file)
     try:
         content = file.read_bytes().removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n")
@@ -107,7 +108,7 @@ def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]
     except (OSError, UnicodeDecodeError):
         raise DataError(f"{file}: cannot be read as text in UTF-8; is it really CSV?") from None
     lines = text.splitlines()
-    skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    skipped = next((k for k, line in enumerate(lines) if line.strip() and not line.startswith("#")), len(lines))
     head: dict[str, Any] = {}
     if lines and lines[0].startswith(_MARK):
         try:
@@ -117,17 +118,18 @@ def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]
     # the names of columns hold neither tabs, semicolons nor commas
     separator = next((c for c in "\t;" if any(c in line for line in lines[skipped : skipped + 1])), ",")
     try:
-        rows = list(csv.reader(lines[skipped:], delimiter=separator))
+        reader = csv.reader(lines[skipped:], delimiter=separator)
+        rows = [(skipped + reader.line_num, row) for row in reader if row]  # a table that has empty lines
     except csv.Error as problem:
         raise DataError(f"{file}: is no table ({problem}); is it really CSV?") from None
-    rows = [row for row in rows if row]  # a table that ends in empty lines
     if len(rows) < 2:
         raise DataError(f"{file}: has no lines of data; expected a header and one line per frequency and entry")
-    body = rows[1:] if head else [[c.strip() for c in row] for row in rows[1:]]  # names of ours keep their blanks
-    return head, [c.strip() for c in rows[0]], body, skipped + 1
+    # names of ours keep their blanks
+    body = rows[1:] if head else [(k, [c.strip() for c in row]) for k, row in rows[1:]]
+    return head, [c.strip() for c in rows[0][1]], body
 
 
-def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -> dict[str, Any]:
+def _table(file: Path, header: list[str], lines: list[tuple[int, list[str]]]) -> dict[str, Any]:
     """Columns by name; numbers as float arrays."""
     missing = [c for c in ("frequency_Hz", "output", "input") if c not in header]
     pair = next((p for p in _PAIRS if all(c in header for c in p)), None)
@@ -139,11 +141,11 @@ def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -
     read = ("frequency_Hz", "output", "input", "valid", "deviation", *pair)
     _refuse_twice(file, header)
     table: dict[str, Any] = {c: [] for c in header if c in read}
-    for number, line in enumerate(lines, start=offset + 1):
+    for number, line in lines:
         if len(line) != len(header):
             raise DataError(
                 f"{file}, line {number}: {len(line)} cells, the header has "
-                f"{len(header)}; the file is cut short or damaged"
+                f"{len(header)}; the file is cut short, damaged or has decimal commas"
             )
         for column, cell in zip(header, line, strict=True):
             if column in table:
@@ -168,6 +170,10 @@ def _number(file: Path, line: int, column: str, cell: str) -> float:
     try:
         value = float(cell)
     except ValueError:
+        if not cell:
+            raise DataError(
+                f"{file}, line {line}: column {column} is empty; write nan, or leave out lines that were not measured"
+            ) from None
         raise DataError(
             f"{file}, line {line}: '{cell}' in column {column} is no number (decimal commas are not read)"
         ) from None
@@ -197,7 +203,12 @@ def _raw(
         entries = np.empty(len(first), dtype=complex)
         entries.real, entries.imag = first, second
     else:
-        entries = first * np.exp(1j * (np.deg2rad(second) if table["pair"][1] == "phase_deg" else second))
+        degrees = table["pair"][1] == "phase_deg"
+        entries = first * np.exp(1j * (np.deg2rad(second) if degrees else second))
+        course = np.full(shape, np.nan)
+        course[place] = second
+        if odd := _other_angle(course, degrees):
+            warnings.warn(f"{file}: {odd}", AccuracyWarning, stacklevel=4)
     values[place] = entries
     valid[place] = table["valid"] != 0 if "valid" in table else np.isfinite(values[place])
     deviation = None
@@ -219,6 +230,30 @@ def _raw(
         deviation=deviation,
         provenance={"format": "CSV", **arbitrary_gain(head)},
     )
+
+
+def _other_angle(phase: FloatArray, degrees: bool) -> str:
+    """What to say of ``phase`` (n_frequency, n_out, n_in) that is hardly in ``degrees``, or else in radians; "" for
+    nothing.
+
+    In radians it is wrapped into a turn, or changes by less than half a turn between frequencies. Degrees that fill a
+    turn of 2 pi, and no more, are radians.
+    """
+    known = phase[np.isfinite(phase)]
+    if not known.size:
+        return ""
+    turn, span = 2 * np.pi * 1.001, float(np.ptp(known))
+    if degrees:
+        filled = 0.85 * turn < span <= turn and float(np.abs(known).max()) <= turn
+        return f"phase_deg spans {span:.3g} alone; if that is in radians, name the column phase_rad" if filled else ""
+    for o, i in np.ndindex(*phase.shape[1:]):
+        entry = phase[np.isfinite(phase[:, o, i]), o, i]
+        if len(entry) > 1 and np.ptp(entry) > turn and np.abs(np.diff(entry)).max() > turn / 2:
+            return (
+                f"phase_rad jumps by {np.abs(np.diff(entry)).max():.3g}, and is not wrapped into a turn either; if it "
+                "is in degrees, name the column phase_deg"
+            )
+    return ""
 
 
 def _ports(fields: Any) -> tuple[Port, ...] | None:

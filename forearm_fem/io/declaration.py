@@ -26,6 +26,7 @@ Axis = Literal["frequency", "output", "input"]
 Spectrum = Literal["one-sided", "two-sided"]
 Sign = Literal["+iwt", "-iwt"]
 _HERMITIAN = 1e-6  # of the largest value: how far a two-sided spectrum may be from G(-f) = conj G(f)
+_SLOW = 5.0  # Hz: no sweep of skin ends below it
 _SAME = 1e-6  # relative: frequencies closer than this are one, as where two G are compared
 
 
@@ -134,13 +135,27 @@ def understand(raw: RawMatrix, declaration: Declaration, ports: Ports | None = N
     cut = _rows(transfer, keep)
     if cut["valid"] is not None and not cut["valid"].any():
         raise DataError(f"{raw.name}: every entry is zero or not finite; the file holds no measurement")
-    if len(raw.values) > 1 and not np.nan_to_num(raw.values.imag).any():
-        warnings.warn(
-            f"{raw.name}: every value is real; if these are magnitudes or real parts alone, the phase is lost and "
-            "nothing that is made of this G holds: export real and imaginary part",
-            AccuracyWarning, stacklevel=3,
-        )  # fmt: skip
+    if odd := _odd(ordered, outputs, inputs):
+        warnings.warn(f"{raw.name}: {odd}", AccuracyWarning, stacklevel=3)
     return replace(transfer, frequency=transfer.frequency[keep], **cut)
+
+
+def _odd(raw: RawMatrix, outputs: tuple[Port, ...], inputs: tuple[Port, ...]) -> str:
+    """What ``raw`` (frequency, output, input) can hardly be meant to be, and what then; "" for nothing."""
+    if raw.frequency is not None and 0 < (last := float(np.max(raw.frequency))) < _SLOW:
+        return f"its frequencies end at {last:g} Hz; if they are kilohertz, nothing that is made of this G holds"
+    finite = np.nan_to_num(raw.values)
+    real = finite.any(axis=0) & ~finite.imag.any(axis=0)
+    if len(finite) < 2 or not real.any():
+        return ""
+    o, i = (int(k[0]) for k in np.nonzero(real))
+    which = "every value"
+    if real.sum() < finite.any(axis=0).sum():
+        which += f" of {real.sum()} entries, of {outputs[o].name} <- {inputs[i].name} first,"
+    return (
+        f"{which} is real; if these are magnitudes or real parts alone, the phase is lost and nothing that is made of "
+        "this G holds: export real and imaginary part"
+    )
 
 
 def _refuse_idle(raw: RawMatrix, declaration: Declaration) -> None:
@@ -156,7 +171,8 @@ def _refuse_idle(raw: RawMatrix, declaration: Declaration) -> None:
 def _agreed(raw: RawMatrix, declaration: Declaration, key: str) -> Any:
     """What the file says, or the declaration, or None; DataError if they differ."""
     said, declared = getattr(raw, key), getattr(declaration, key)
-    if said is not None and declared is not None and said != declared:
+    both = said is not None and declared is not None
+    if both and said != declared and not (key == "unit" and parse_unit(said) == parse_unit(declared)):
         raise DataError(
             f"{raw.name}: the file says {key} = {said}, the declaration {declared}; correct the declaration"
         )

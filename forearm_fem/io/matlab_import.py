@@ -37,6 +37,11 @@ def read_mat(path: str | Path, declaration: Declaration) -> RawMatrix:
     cubes = [wanted] if wanted is not None else [k for k, v in variables.items() if v.ndim == 3]
     if len(cubes) != 1:
         described = ", ".join(f"{k} {v.shape}" for k, v in variables.items())
+        if not cubes:
+            raise DataError(
+                f"{file}: no plain array has three axes ({described[:80]}); save G as one, not in a structure, cell or "
+                "sparse matrix, in the order output, input, frequency (MATLAB drops a last axis of length 1)"
+            )
         open_ends = {"variable": declare("variable", f"'{(cubes or ['G'])[0]}'"), **left_open(None, declaration)}
         raise DataError(f"{file}: {len(cubes)} arrays have three axes ({described[:80]}); it {asked(open_ends)}")
     name = cubes[0]
@@ -51,7 +56,8 @@ def read_mat(path: str | Path, declaration: Declaration) -> RawMatrix:
         named = [k for k in lines if variables[k].size in values.shape and k in _NAMES]
         if len(named) == 1:
             axis = named[0]
-            warnings.warn(RecognitionWarning(str(file), "frequency", f"variable '{axis}' in Hz"), stacklevel=3)
+            chosen = f"variable '{axis}', {_span(variables[axis])} Hz"
+            warnings.warn(RecognitionWarning(str(file), "frequency", chosen), stacklevel=3)
     frequency = None if axis is None else np.asarray(variables[axis], dtype=float).ravel()
     provenance = {"format": "MATLAB", "variable": name}
     valid = None
@@ -62,6 +68,10 @@ def read_mat(path: str | Path, declaration: Declaration) -> RawMatrix:
             )
         valid = np.asarray(variables[mask] != 0)
     return RawMatrix(f"{file}:{name}", values, frequency, valid=valid, provenance=provenance)
+
+
+def _span(axis: Any) -> str:
+    return f"{np.min(axis.real):g} to {np.max(axis.real):g}"
 
 
 def read_variables(file: Path) -> dict[str, Any]:

@@ -257,8 +257,14 @@ def _waveform(file: Path, content: Any, name: str) -> tuple[FloatArray, float, f
     unit = str(found.properties.get("unit_string", "")).strip()
     if unit.lower() not in ("", "v", "volt", "volts"):
         raise DataError(f"{file}: channel '{name}' is in '{unit}', expected volts; save it unscaled, in V")
+    samples = found[:]
+    if samples.dtype.kind in "iub":
+        raise DataError(
+            f"{file}: channel '{name}' holds whole numbers of the converter without a scale, which are no volts; save "
+            "it scaled, or as floating-point numbers"
+        )
     start = np.datetime64(found.properties.get("wf_start_time", 0), "ns").astype("int64") * 1e-9
-    return np.asarray(found[:], dtype=float), float(step), float(start + found.properties.get("wf_start_offset", 0.0))
+    return np.asarray(samples, dtype=float), float(step), float(start + found.properties.get("wf_start_offset", 0.0))
 
 
 def write_sweep_tdms(path: str | Path, recording: Recording) -> None:

@@ -25,6 +25,7 @@ from .atomic import atomic_path
 from .declaration import RawMatrix, arbitrary_gain, port_from
 from .reading import reading
 from .seal import BLANK, sealed
+from .units import parse_unit
 
 _MARK = "forearm_fem e^{+i omega t}"
 _DEVIATION = "standard deviation"
@@ -33,6 +34,7 @@ _END = f"{-1:6d}"
 _MARKS = re.compile(rb"    -1(?=[\r\n]|\Z| {74})")  # of datasets, as pyuff finds them: a -1 among others is a field
 _END_SEAL = "\n".join([_END, f"{_PRIVATE:6d}", BLANK.decode(), _END, ""]).encode("ascii")
 _DENOMINATOR: Mapping[str, int] = MappingProxyType({"V": 0, "N": 13, "m": 8})
+_TURNS = 3  # directions beyond are rotations
 _FREQUENCY = (0, 18)  # kinds of an abscissa: not said, and frequency
 _NUMERATOR: Mapping[int, Quantity] = MappingProxyType({8: "displacement", 11: "velocity", 12: "acceleration"})
 
@@ -141,6 +143,11 @@ def _check_count(file: Path, s: dict[str, Any]) -> None:
             f"{file}: the abscissa of {s['rsp_node']} <- {s['ref_node']} is of kind {axis} in '{unit}', expected "
             "frequencies (18) in Hz; export them so"
         )
+    if max(abs(int(s["rsp_dir"])), abs(int(s["ref_dir"]))) > _TURNS:
+        raise DataError(
+            f"{file}: the function {s['rsp_node']} <- {s['ref_node']} is a rotation (direction {s['rsp_dir']} or "
+            f"{s['ref_dir']}), and G is of translations; export those (directions 1 to 3)"
+        )
     if not np.all(np.isfinite(s["x"])) or np.any(np.diff(s["x"]) <= 0):
         raise DataError(
             f"{file}: the frequencies of {s['rsp_node']} <- {s['ref_node']} do not increase; the file is damaged"
@@ -164,8 +171,18 @@ def _cube(
 
 
 def _sense(s: Mapping[str, Any]) -> int:
-    """-1 where one of response and reference points in a negative direction (-1 to -6 in the format), else 1."""
+    """-1 where one of response and reference points in a negative direction (-1 to -3 in the format), else 1."""
     return -1 if (int(s["rsp_dir"]) < 0) != (int(s["ref_dir"]) < 0) else 1
+
+
+def _known_unit(above: str, below: str) -> str | None:
+    """The unit that two labels say; None where they say none that is known, which is then to be declared."""
+    text = f"({above})/{'V' if below.lower() in ('volt', 'volts', 'v') else below}"
+    try:
+        parse_unit(text)
+    except DataError:
+        return None
+    return text
 
 
 def _units(file: Path, sets: Sequence[dict[str, Any]]) -> tuple[str | None, Quantity | None]:
@@ -173,8 +190,7 @@ def _units(file: Path, sets: Sequence[dict[str, Any]]) -> tuple[str | None, Quan
     said: dict[tuple[str | None, Quantity | None], dict[str, Any]] = {}
     for s in sets:
         above, below = str(s["ordinate_axis_units_lab"]), str(s["orddenom_axis_units_lab"])
-        known = "NONE" not in (above, below) and above and below
-        unit = f"({above})/{below}" if known else None
+        unit = _known_unit(above.strip(), below.strip())
         said.setdefault((unit, _NUMERATOR.get(int(s["ordinate_spec_data_type"]))), s)
     if len(said) > 1:
         each = [f"{s['rsp_node']} <- {s['ref_node']} is {q or 'motion'} in {u}" for (u, q), s in said.items()]

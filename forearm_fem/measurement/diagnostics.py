@@ -7,14 +7,17 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.fft import irfft, rfft
+from scipy.fft import irfft, rfft, rfftfreq
 from scipy.stats import f as fisher
 
 from ..io.recording import Recording
 from ..typing import BoolArray, FloatArray
+from .alike import copied, delay_growth, lines, ramp, ramp_spectrum, response_over
 
 Severity = Literal["error", "warning"]
 _ROUNDING = 1e-28  # of an energy: below it is rounding, not noise
+_SLOW = 0.7  # of the band's beginning: what is slower is no response
+_SEEN = 0.1  # of an entry: what errs alike in each repeat and is worth a sentence
 _PARTS = 4  # of a period that are searched for lost samples
 _FLAT, _STEEP = 3, 10.0  # samples, and the fall beside them in what counts as equal
 _COARSE = 8.0  # steps of the converter: a part that swings by less is too coarsely rounded to tell a lag
@@ -40,9 +43,10 @@ def diagnose(recording: Recording, band: BoolArray, *, max_drift: float = 0.05) 
         *(Finding("hardware", f"{recording.label}: {note}", "warning") for note in recording.notes),
         *_clipped(recording),
         *_loopback(recording, band),
-        *_lost(recording),
+        *(_apart(recording, band) or (*_lost(recording, band), *_moved(recording, band, max_drift))),
         *_silent(recording, band),
-        *_moved(recording, band, max_drift),
+        *_in_common(recording, band),
+        *_drive_itself(recording, band),
     )
 
 
@@ -124,10 +128,14 @@ def _loopback(r: Recording, band: BoolArray) -> Iterator[Finding]:
         )
 
 
-def _lost(r: Recording) -> Iterator[Finding]:
+def _lost(r: Recording, band: BoolArray | None = None) -> Iterator[Finding]:
     """Parts of a period that lag those of the first one by whole samples; with a loopback those of the drive, taken as
-    late as it comes back."""
+    late as it comes back. What is slower than the ``band`` is an offset that wanders, and left out."""
     signals = r.response if r.loopback is None else r.loopback
+    if band is not None and band.any():
+        slow = rfft(signals)
+        slow[:, int(np.flatnonzero(band)[0] * _SLOW) + 1 :] = 0
+        signals = signals - irfft(slow, r.n)
     reference = signals[0] if r.loopback is None else np.roll(r.sent, _late(r.sent, r.loopback))
     shifts = lags(reference, signals, _step(signals, r.resolution))
     common = int(np.bincount((shifts - shifts.min()).ravel()).argmax() + shifts.min())
@@ -172,6 +180,64 @@ def lags(
     return np.where(clear, np.where(best > length // 2, best - length, best), 0)
 
 
+def _apart(r: Recording, band: BoolArray) -> tuple[Finding, ...]:
+    """Clocks of output and input that run apart, which lost samples and a moved arm would else be taken for."""
+    growth = delay_growth(r, band)
+    if growth == 0:
+        return ()
+    parts = abs(growth) / (r.n / r.sample_rate)
+    when = f"{1e6 * abs(growth):.3g} us {'later' if growth > 0 else 'earlier'}"
+    return (
+        Finding(
+            "clocks",
+            f"{r.label}: the response comes {when} in each repeat, as if the clocks of output and input ran "
+            f"{1e6 * parts:.3g} parts per million apart; what that does to the phase is in the deviation: set "
+            "daq.clock, or wire daq.loopback",
+            "error" if parts * r.n > 1 else "warning",
+        ),
+    )
+
+
+def _in_common(r: Recording, band: BoolArray) -> Iterator[Finding]:
+    """Hum and a drifting offset, which put the same into each repeat."""
+    value, frequency = response_over(_drive(r), r.response, band), rfftfreq(r.n, 1 / r.sample_rate)
+    seen = np.flatnonzero(lines(value, band) > _SEEN * np.abs(value))
+    if len(seen):
+        some = ", ".join(f"{f:g}" for f in frequency[seen[:3]]) + (", ..." if len(seen) > 3 else "")
+        yield Finding(
+            "hum",
+            f"{r.label}: a line stands at {some} Hz, as hum does alike in each repeat; it is in the deviation there: "
+            "shield the cables, or change sweep.duration by a quarter of its cycle (5 ms at 50 Hz), which 4 repeats "
+            "average out",
+            "warning",
+        )
+    rise = ramp(r.response)
+    share = ramp_spectrum(rise, r.n)[band] / np.maximum(np.abs(rfft(_drive(r).mean(axis=0))[band]), _ROUNDING)
+    share = np.divide(share, np.abs(value[band]), out=np.zeros(len(share)), where=value[band] != 0)
+    if share.size and share.max() > _SEEN:
+        yield Finding(
+            "drifting offset",
+            f"{r.label}: the sensor's offset drifts by {rise:.2g} V in each repeat, which puts up to "
+            f"{100 * min(share.max(), 9.99):.0f} % into the entry at {frequency[band][share.argmax()]:g} Hz; it is in "
+            "the deviation: let the sensor warm up, or couple it through a high-pass",
+            "warning",
+        )
+
+
+def _drive(r: Recording) -> FloatArray:
+    return r.sent[None] if r.loopback is None else r.loopback
+
+
+def _drive_itself(r: Recording, band: BoolArray) -> Iterator[Finding]:
+    if (copy := copied(r, band)) is not None:
+        yield Finding(
+            "drive itself",
+            f"{r.label}: the response is the drive itself, {copy[0]:.3g} times and {1e3 * copy[1]:.3g} ms late, which "
+            "no skin gives; is the sensor's input wired to the output, or does it hear the drive by crosstalk alone?",
+            "warning",
+        )
+
+
 def _silent(r: Recording, band: BoolArray) -> Iterator[Finding]:
     """Energy that follows the drive against energy that does not; 1 on average for noise alone."""
     if not band.any():
@@ -186,7 +252,8 @@ def _silent(r: Recording, band: BoolArray) -> Iterator[Finding]:
 
 def following(r: Recording, band: BoolArray) -> float:
     """|mean Y|^2 over the variance of the mean, summed over the band [-]; with one period, over the bins above it."""
-    y = rfft(r.response)
+    y = rfft(r.response - ramp(r.response) * np.arange(r.n) / r.n)
+    band = band & (lines(response_over(_drive(r), r.response, band), band) == 0)
     if len(y) > 1:
         rest = np.sum(np.abs(y[:, band] - y[:, band].mean(axis=0)) ** 2) / (len(y) - 1) / len(y)
     else:

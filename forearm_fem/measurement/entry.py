@@ -16,6 +16,7 @@ from ..ports import Port
 from ..scenario.measurement import MeasurementOptions
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
+from .alike import off_alike
 from .diagnostics import Finding, diagnose
 from .estimators import estimate, spectra
 from .sweep import excited
@@ -70,7 +71,8 @@ def entry(recording: Recording, band: tuple[float, float], options: MeasurementO
     turn, sign = np.exp(2j * np.pi * frequency * delay), -1.0 if sensor.inverted else 1.0
     factor = sign / sensor.sensitivity * turn * to_displacement(frequency, sensor.quantity)
     value = np.where(carried[inside], raw.value[inside] * factor, np.nan)
-    deviation = raw.deviation[inside] * np.abs(factor)
+    alike = off_alike(recording, drive, carried)
+    deviation = np.hypot(raw.deviation, alike)[inside] * np.abs(factor)
     spoiled = any(f.severity == "error" for f in findings)
     valid = (
         carried[inside] & raw.usable[inside] & ~_below(value, deviation, raw.coherence[inside], options) & (not spoiled)
@@ -199,7 +201,8 @@ def noise_estimate(
         ErrorEstimate(
             "measurement",
             band,
-            "scatter between repeated sweeps, one standard deviation; noise only, not the sensor's calibration",
+            "scatter between repeated sweeps, and what hum, drift and clocks may have put into each, one standard "
+            "deviation; not the sensor's calibration",
             tuple(frequency[rows].tolist()),
             tuple(per_frequency.tolist()),
         ),

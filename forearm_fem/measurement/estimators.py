@@ -25,14 +25,16 @@ from types import MappingProxyType
 
 import numpy as np
 from scipy.fft import irfft, rfft
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import brentq
 from scipy.signal import csd
+from scipy.stats import gamma
 
 from ..scenario.measurement import Estimator, MeasurementOptions
 from ..typing import BoolArray, ComplexArray, FloatArray
 
 _SMOOTH = 15  # bins over which the noise is taken as even
+_AROUND = 31  # bins whose median is what is typical among them
 _LEAST = 0.01  # of the drive's power: what is left of it under its noise, where that is all there is
 
 
@@ -99,15 +101,28 @@ def spectra(drive: FloatArray, response: FloatArray, band: BoolArray, step: floa
     xy = average(drive, response)
     noise = np.full(len(xx), np.nan)
     if repeats > 1 and band.any():
-        rest = yy[band] - np.divide(np.abs(xy[band]) ** 2, xx[band])
-        even = uniform_filter1d(np.maximum(rest, 0), _SMOOTH, mode="nearest")
-        noise[band] = np.maximum(even, 0) * repeats / (repeats - 1) + repeats * n * _rounded_alike(response, step)
+        rest = np.maximum(yy[band] - np.divide(np.abs(xy[band]) ** 2, xx[band]), 0)
+        even = _even(rest, repeats)
+        noise[band] = even * repeats / (repeats - 1) + repeats * n * _rounded_alike(response, step)
     else:
         above = np.nonzero(band)[0][-1] + 1 if band.any() else 0
         quiet = yy[int(1.2 * above) : -1]
         noise[band] = np.mean(quiet) if quiet.size >= 10 else np.nan
     beside = np.maximum(xx - np.abs(rfft(drive.mean(axis=0))) ** 2, 0) * repeats / max(repeats - 1, 1)
     return Spectra(xx, yy, xy, repeats, noise, np.asarray(uniform_filter1d(beside, _SMOOTH, mode="nearest")))
+
+
+def _even(rest: FloatArray, repeats: int) -> FloatArray:
+    """Scatter ``rest`` (n,) smoothed over 15 bins, but its own in bins that stand out of an even one: lines, as of hum
+    that is not in step with the repeats.
+
+    An even scatter of R repeats is a gamma variable of R - 1 degrees of freedom; beyond its 1e-6 point is none.
+    """
+    law = gamma(repeats - 1)
+    typical = median_filter(rest, min(_AROUND, len(rest)), mode="reflect") / law.median()
+    out = rest > law.isf(1e-6) * typical
+    even = uniform_filter1d(np.where(out, typical * (repeats - 1), rest), _SMOOTH, mode="nearest")
+    return np.asarray(np.maximum(np.where(out, np.maximum(rest, even), even), 0))
 
 
 def _rounded_alike(response: FloatArray, step: float) -> float:

@@ -112,7 +112,8 @@ def known_bins(placed: Placed, rows: list[int]) -> BoolArray:
     valid = placed.bins.valid[:, rows]
     used = valid[:, :, ~absent_inputs(placed, rows)].all(axis=(1, 2))
     if not used.any() or absent_inputs(placed, rows).all():
-        names = ", ".join(placed.outputs[r].name for r in rows)
+        lost = [r for k, r in enumerate(rows) if not valid[:, k].any()]
+        names = ", ".join(placed.outputs[r].name for r in lost or rows)
         raise DataError(f"G is marked invalid on every bin for output(s) {names}; choose others or measure again")
     return np.asarray(used)
 

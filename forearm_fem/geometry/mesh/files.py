@@ -17,6 +17,7 @@ from ...errors import DataError, MeshError
 from ...io.atomic import atomic_path
 from ...io.seal import BLANK, check_seals, sealed
 from ...typing import IntArray
+from .abaqus import read_inp
 from .tissue_mesh import TissueMesh
 
 _XML, _GMSH = b"<!-- %s -->\n" % BLANK, b"$Comments\n%s\n$EndComments\n" % BLANK
@@ -68,13 +69,20 @@ def read_quietly(file: Path) -> Any:
     try:
         with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
             warnings.simplefilter("ignore")
-            return meshio.read(file)
+            return read_inp(file) if file.suffix.lower() == ".inp" else meshio.read(file)
+    except MeshError:
+        raise
     except SystemExit:  # meshio prints and ends the program on damaged files and unknown formats
         raise MeshError(
             f"{file}: cannot be read as a mesh, it is damaged or of a format that meshio does not know; "
             "use .msh, .vtu or .inp"
         ) from None
     except Exception as problem:
+        if half := re.search("Incompatible cell data '([^']*)'", str(problem)):
+            raise MeshError(
+                f"{file}: only some of its blocks of cells have a '{half[1]}'; give every volume one (in gmsh, a "
+                "physical group)"
+            ) from None
         said = f"{type(problem).__name__}: {problem}"[:100]
         raise MeshError(
             f"{file}: cannot be read as a mesh ({said}); it is damaged or odd: export it as .vtu, .msh or .inp"

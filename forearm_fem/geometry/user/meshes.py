@@ -19,7 +19,8 @@ from .boundary import with_boundaries, without_bone
 from .cells import check_body, check_indices, joined
 from .extent import check_extent, check_room
 
-_NUMBERED = ("gmsh:physical", "region", "medit:ref", "cell_tags", "gmsh:geometrical", "material", "subdomain")
+_NUMBERED = ("gmsh:physical", "region", "medit:ref", "cell_tags", "tetgen:ref", "su2:tag", "nastran:ref",
+             "avsucd:material", "gmsh:geometrical", "material", "subdomain")  # fmt: skip
 _KINDS, _FLAT_KINDS = ("tetra", "tetra10"), ("line", "triangle", "quad", "polygon")
 _MIDDLES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))  # whose middles the nodes 4 to 9 of a tetra10 are (VTK)
 _BENT = 1e-3  # of an edge: a middle further off its chord than this is meant
@@ -111,8 +112,25 @@ def _labels(file: Path, read: Any, limb: MeshLimb, count: int) -> list[str]:
             f"{file}: cell data '{key}' of {len(broken)} tetrahedra are no whole numbers, the first is "
             f"{numbers[broken[0]]:g} of number {broken[0]}; give each region a whole number"
         )
-    named = {int(tag[0]): name for name, tag in read.field_data.items() if int(tag[1]) == 3}
-    return [named.get(k, str(k)) for k in numbers.astype(np.int64).tolist()]
+    whole = numbers.astype(np.int64)
+    if key == "gmsh:physical":  # a negative one is the same group, its cells turned round
+        whole = np.abs(whole)
+    names = _names(read)
+    return [_said(k, names.get(k, ()), limb) for k in whole.tolist()]
+
+
+def _names(read: Any) -> dict[int, tuple[str, ...]]:
+    """What the file calls its numbers: gmsh's physical volumes, or the groups of MED's families, of which a cell may
+    have several."""
+    gmsh = {n: t for n, t in read.field_data.items() if np.shape(t) == (2,) and np.asarray(t).dtype.kind in "iu"}
+    volumes = {int(tag[0]): (name,) for name, tag in gmsh.items() if int(tag[1]) == 3}
+    return {**volumes, **{int(k): tuple(v) for k, v in getattr(read, "cell_tags", {}).items()}}
+
+
+def _said(number: int, names: tuple[str, ...], limb: MeshLimb) -> str:
+    """A region as ``limb.regions`` calls it: by one of its names or its number; else by its first name."""
+    known = [n for n in (*names, str(number)) if n in limb.regions]
+    return known[0] if known else (*names, str(number))[0]
 
 
 def _from_sets(file: Path, read: Any, limb: MeshLimb, chosen: list[int], count: int) -> list[str]:
@@ -134,7 +152,8 @@ def _from_sets(file: Path, read: Any, limb: MeshLimb, chosen: list[int], count: 
         found = _some([*read.cell_data, *read.cell_sets])
         raise MeshError(
             f"{file}: {labels.count('')} tetrahedra carry no region, the first is number {labels.index('')}; expected "
-            f"cell data such as {', '.join(_NUMBERED[:3])} or named cell sets, found {found or 'none'}"
+            f"cell data such as {', '.join(_NUMBERED[:3])} or named cell sets, found {found or 'none'}; call the array "
+            "of their numbers 'region'"
         )
     return labels
 
