@@ -257,16 +257,45 @@ def with_model_error(result: FitResult, coarser: Values, factor: float) -> FitRe
     """
     parameters = result.parameters
     place, other = (np.array([p.to_unit(v[p.name]) for p in parameters]) for v in (result.values, coarser))
+    moved = factor * (other - place) * np.array([p.span for p in parameters]) / 1.96
+    return _widened(result, np.outer(moved, moved))
+
+
+def with_scattered_error(result: FitResult, moved: FloatArray) -> FitResult:
+    """The same with intervals that hold ``moved`` (n, k), in the fitted coordinates: how far answers that are wrong by
+    what a model may err by move the values (:func:`moved_by`). 1.5 times their rms is taken for the half width, as for
+    S (docs/decisions/0027)."""
+    return _widened(result, (1.5 / 1.96) ** 2 * (moved.T @ moved) / len(moved))
+
+
+def moved_by(model: Model, measured: TransferMatrix, result: FitResult, others: Sequence[ComplexArray]) -> FloatArray:
+    """How far the values move (n, k), in the fitted coordinates and to first order, where ``model`` at the fitted
+    values gave each of ``others``, G shaped like ``measured``, instead of what it gives.
+
+    One answer on another mesh may by chance move a value not at all; many in all directions do not.
+    """
+    parameters = result.parameters
+    problem = _Problem.of(model, measured, parameters, None, FALLBACK_NOISE, None)
+    place = np.array([p.to_unit(result.values[p.name]) for p in parameters])
+    own, values = problem.residual(place), problem.values(place)
+    off = [problem._whitened(problem._scaled(g, values) - measured.values) - own for g in others]
+    steps, *_ = np.linalg.lstsq(problem.jacobian(place, central=True), -np.array(off).T, rcond=1e-9)
+    return np.asarray(steps.T * np.array([p.span for p in parameters]))
+
+
+def _widened(result: FitResult, systematic: FloatArray) -> FitResult:
+    """With a ``systematic`` covariance (k, k) in the fitted coordinates beside what is known."""
+    parameters = result.parameters
+    place = np.array([p.to_unit(result.values[p.name]) for p in parameters])
     span = np.array([p.span for p in parameters])
-    moved = factor * (other - place) * span / 1.96
-    covariance, known = result.covariance + np.outer(moved, moved), result.systematic
+    covariance, known = result.covariance + systematic, result.systematic
     sd = np.sqrt(np.diag(covariance))
     each = list(zip(parameters, place, sd / span, strict=True))
     return replace(
         result, covariance=covariance, correlation=covariance / np.outer(sd, sd),
         deviation={p.name: _half_width(p, x, d) for p, x, d in each},
         interval={p.name: _interval(p, x, 1.96 * d) for p, x, d in each},
-        systematic=np.outer(moved, moved) + (0 if known is None else known),
+        systematic=systematic + (0 if known is None else known),
     )  # fmt: skip
 
 
