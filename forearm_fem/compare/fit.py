@@ -29,6 +29,7 @@ Gradient = Callable[[Values], Mapping[str, ComplexArray]]
 SCALE, DELAY = "scale", "delay"
 FALLBACK_NOISE = 0.05  # of the entries' rms, where no deviation is known
 _VAGUE = 0.25  # of the allowed range: a combination known no better than this is called unknown
+_MUCH = 0.3  # of the data's norm: a misfit that is said where nothing tells it from noise
 _STEP = 1e-4  # of the allowed range, for differences
 
 
@@ -72,9 +73,19 @@ class FitResult:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What to say besides the numbers."""
-        ends = tuple(f"{n} ended on its bound: widen it, or the model is wrong" for n in self.at_bound)
-        poor = self.chi2 > 2
-        misfit = (f"the model misses the data by {math.sqrt(self.chi2):.1f} standard deviations (rms)",) if poor else ()
+        ends = tuple(
+            f"{n} ended on its bound, of which its interval knows nothing: start it elsewhere (--set, where it is a "
+            "scenario's key) or widen it, or the model is wrong"
+            for n in self.at_bound
+        )
+        misfit: tuple[str, ...] = ()
+        if self.chi2 > 2:
+            misfit = (f"the model misses the data by {math.sqrt(self.chi2):.1f} standard deviations (rms)",)
+        elif math.isnan(self.chi2) and self.e_band > _MUCH:
+            misfit = (
+                f"the model leaves {100 * self.e_band:.0f} % of the data's norm unexplained, which intervals take for "
+                "noise: no deviations say so; start elsewhere, or the model is wrong",
+            )
         stuck = () if self.converged else (f"the fit did not converge: {self.message}",)
         return (*(d.sentence for d in self.unknown), *ends, *misfit, *stuck)
 

@@ -18,7 +18,7 @@ from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .atomic import write_bytes
 from .declaration import RawMatrix, arbitrary_gain, port_from
-from .reading import refuse_no_file
+from .reading import numbered_rows, refuse_no_file
 from .seal import BLANK, MARK, check_seals, sealed
 
 _COLUMNS = ("frequency_Hz", "output", "input", "real", "imag", "valid", "deviation")
@@ -77,8 +77,8 @@ def read_csv(path: str | Path) -> RawMatrix:
     """
     file = Path(path)
     try:
-        head, header, lines, offset = _split(file)
-        table = _table(file, header, lines, offset)
+        head, header, lines = _split(file)
+        table = _table(file, header, lines)
         frequency = np.unique(table["frequency_Hz"])
         names = [_in_order(head.get(k), table[k[:-1]]) for k in ("outputs", "inputs")]
         place = (
@@ -95,8 +95,8 @@ def read_csv(path: str | Path) -> RawMatrix:
         raise DataError(f"{file}: its first line does not fit the rest or is damaged; export it again") from problem
 
 
-def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]:
-    """Our first line if there is one, the header, the rows and the number of the header's line."""
+def _split(file: Path) -> tuple[dict[str, Any], list[str], list[tuple[int, list[str]]]]:
+    """Our first line if there is one, the header, and the rows with the numbers of their lines."""
     refuse_no_file(file)
     try:
         content = file.read_bytes().removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n")
@@ -107,7 +107,7 @@ def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]
     except (OSError, UnicodeDecodeError):
         raise DataError(f"{file}: cannot be read as text in UTF-8; is it really CSV?") from None
     lines = text.splitlines()
-    skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    skipped = next((k for k, line in enumerate(lines) if line.strip() and not line.startswith("#")), len(lines))
     head: dict[str, Any] = {}
     if lines and lines[0].startswith(_MARK):
         try:
@@ -117,17 +117,18 @@ def _split(file: Path) -> tuple[dict[str, Any], list[str], list[list[str]], int]
     # the names of columns hold neither tabs, semicolons nor commas
     separator = next((c for c in "\t;" if any(c in line for line in lines[skipped : skipped + 1])), ",")
     try:
-        rows = list(csv.reader(lines[skipped:], delimiter=separator))
+        rows = numbered_rows(lines[skipped:], separator, skipped + 1)
     except csv.Error as problem:
         raise DataError(f"{file}: is no table ({problem}); is it really CSV?") from None
-    rows = [row for row in rows if row]  # a table that ends in empty lines
     if len(rows) < 2:
         raise DataError(f"{file}: has no lines of data; expected a header and one line per frequency and entry")
-    body = rows[1:] if head else [[c.strip() for c in row] for row in rows[1:]]  # names of ours keep their blanks
-    return head, [c.strip() for c in rows[0]], body, skipped + 1
+    (_, header), *body = rows
+    if not head:  # names of ours keep their blanks
+        body = [(number, [c.strip() for c in row]) for number, row in body]
+    return head, [c.strip() for c in header], body
 
 
-def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -> dict[str, Any]:
+def _table(file: Path, header: list[str], lines: list[tuple[int, list[str]]]) -> dict[str, Any]:
     """Columns by name; numbers as float arrays."""
     missing = [c for c in ("frequency_Hz", "output", "input") if c not in header]
     pair = next((p for p in _PAIRS if all(c in header for c in p)), None)
@@ -139,7 +140,7 @@ def _table(file: Path, header: list[str], lines: list[list[str]], offset: int) -
     read = ("frequency_Hz", "output", "input", "valid", "deviation", *pair)
     _refuse_twice(file, header)
     table: dict[str, Any] = {c: [] for c in header if c in read}
-    for number, line in enumerate(lines, start=offset + 1):
+    for number, line in lines:
         if len(line) != len(header):
             raise DataError(
                 f"{file}, line {number}: {len(line)} cells, the header has "
