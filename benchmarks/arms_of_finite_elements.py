@@ -71,7 +71,7 @@ def main() -> None:
     arm = arm_model(scene, draws=[scene, *(drawn(scene, 0, k, KINDS["tissue"]) for k in range(200))])
     assert isinstance(arm, ReducedArm)
     print(f"made in {time.process_time() - began:.0f} s, factor {arm.model.factor:.2g}", flush=True)
-    held = expanded(("measurement",))
+    held = expanded(("measurement",), scene)
     first = close_loop(arm.compliance(scene, frequencies(scene.sweep)[:1]), scene.device)
     setup, rows = setup_of(scene, first, Path(), (), held), []
     for kind in asked.kinds.split(","):
@@ -91,7 +91,7 @@ def main() -> None:
 
 def drawn(scene: Scenario, seed: int, number: int, held: tuple[str, ...]) -> Scenario:
     """An arm by the priors, but for what is held."""
-    return scenario_of(draw_inputs(load_priors(), scene, seed, number), scene, expanded(held))
+    return scenario_of(draw_inputs(load_priors(), scene, seed, number), scene, expanded(held, scene))
 
 
 def solved(scene: Scenario, draw: Scenario, kind: str, kept: Path) -> Compliance | None:

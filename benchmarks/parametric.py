@@ -82,7 +82,7 @@ def main() -> None:
 
 def arms(scenario: Scenario, count: int, seed: int) -> list[Scenario]:
     """Arms by the priors but for what needs another mesh."""
-    held = expanded(("thickness", "placement", "contact"))
+    held = expanded(("thickness", "placement", "contact"), scenario)
     return [scenario_of(draw_inputs(load_priors(), scenario, seed, k), scenario, held) for k in range(count)]
 
 

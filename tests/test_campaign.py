@@ -19,6 +19,7 @@ from forearm_fem.campaign.executor import in_turn
 from forearm_fem.campaign.member import MemberJob
 from forearm_fem.campaign.model import DrawTable, draws
 from forearm_fem.errors import MissingExtra, ScenarioError, SolverError
+from forearm_fem.pipeline.verdict import short_verdict
 from forearm_fem.prediction.run import Question
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.tissue import PRESETS
@@ -163,6 +164,25 @@ def test_one_failed_member_does_not_lose_the_rest(tmp_path: Path, here: Here) ->
     assert "needs layers" in (tmp_path / "out/summary.md").read_text()
 
 
+def test_a_summary_says_what_may_be_trusted(tmp_path: Path, here: Here) -> None:
+    """Numbers of members whose accuracy was not met, or whose G is hardly driven, stood beside the others unmarked."""
+    members = (
+        '[[members]]\nname = "fine"\n[[members]]\nname = "asks-much"\nset = { accuracy = 1e-5 }\n'
+        '[[members]]\nname = "hardly-driven"\nset = { "sweep.frequencies" = [148.0, 152.0, 248.0, 252.0] }\n'
+    )
+    file = made(tmp_path, members, head="")
+    file.write_text(file.read_text().replace('"solve"', '"render"'))
+    start(file)
+    with (tmp_path / "out/summary.csv").open(newline="") as stream:
+        rows = {row["member"]: row for row in csv.DictReader(stream)}
+    assert {name: row["verdict"] for name, row in rows.items()} == {
+        "fine": "met", "asks-much": "NOT met", "hardly-driven": "met"
+    }  # fmt: skip
+    assert "they are not driven" in rows["hardly-driven"]["notes"]
+    assert "they are not driven" in (tmp_path / "out/summary.md").read_text()
+    assert short_verdict("no error estimate was made") == "UNKNOWN"
+
+
 def test_finished_members_are_skipped_and_changed_ones_are_not(tmp_path: Path, here: Here) -> None:
     file = made(tmp_path, '[grid]\n"device.spacing" = [0.03, 0.04]\n')
     start(file)
@@ -237,7 +257,7 @@ def test_rendered_members_state_their_strengths(tmp_path: Path, here: Here) -> N
     file.write_text(file.read_text().replace('"solve"', '"render"'))
     numbers = start(file).members[0].numbers
     assert {"S inverse filter", "S funneling", "S combination"} <= set(numbers)
-    assert all(v > 0 for v in numbers.values())
+    assert all(v > 0 for name, v in numbers.items() if name not in ("verdict", "notes"))
 
 
 @pytest.mark.parametrize(

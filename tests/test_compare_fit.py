@@ -17,7 +17,7 @@ from forearm_fem.compare.parameters import Parameter
 from forearm_fem.compare.run import _unmeasured, all_inputs, fit_text, run_fit
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
-from forearm_fem.ports import distances
+from forearm_fem.ports import Port, distances
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.transfer import TransferMatrix
 
@@ -260,3 +260,30 @@ def test_actuators_and_points_that_were_not_measured_turn_with_the_device():
     data = TransferMatrix(F, np.ones((len(F), 1, 1), dtype=complex), outputs[:1], inputs[:1])
     assert all_inputs(scenario, data) == inputs
     assert _unmeasured(scenario, data) == outputs[1:]
+
+
+def test_a_large_misfit_without_deviations_is_said() -> None:
+    """Data of unknown scatter, of which the model leaves two thirds, were fitted without a word."""
+    f = np.linspace(50.0, 250.0, 21)
+    rng = np.random.default_rng(0)
+    values = np.asarray(rng.standard_normal((21, 1, 1)) + 1j * rng.standard_normal((21, 1, 1)) + 2.0, dtype=complex)
+    ports = tuple(Port(n, k, (0.0, 0.0, 0.0)) for n, k in (("1", "point"), ("A1", "contact")))
+    data = TransferMatrix(f, values, ports[:1], ports[1:], "m/V")
+    result = fit(lambda v: np.full((21, 1, 1), 1.0 + 0j), data, [Parameter("scale", 1.0, 0.2, 5.0, log=True)])
+    assert result.e_band > 0.3
+    assert any("of the data's norm unexplained" in s for s in result.sentences)
+    calm = fit(lambda v: np.asarray(1.1 * values), data, [Parameter("scale", 1.0, 0.2, 5.0, log=True)])
+    assert not any("unexplained" in s for s in calm.sentences)
+
+
+def test_ranges_of_a_fit_stay_within_its_law_and_layers_of_one_tissue_are_told_apart() -> None:
+    """Six times a Zener law's mu is above its mu_infinity, which no scenario may have; of two layers one was found."""
+    layers = [{"tissue": t, "thickness": d} for t, d in (("skin", 4e-4), ("skin", 8e-4), ("fat", 3e-3))]
+    limb = {"shape": "slab", "length": 0.12, "width": 0.12, "depth": 0.04, "layers": layers}
+    scene = parse_scenario({"limb": limb, "tissues": {"preset": "zener"}})
+    names = ["muscle.mu", "skin.1.thickness", "skin.2.thickness", "fat.thickness"]
+    mu, outer, inner, fat = common_parameters(scene, names)
+    high = {"muscle": {"mu": mu.upper}}
+    assert parse_scenario({"limb": limb, "tissues": {"preset": "zener", "override": high}})
+    assert (outer.start, inner.start, fat.start) == (4e-4, 8e-4, 3e-3)
+    assert [p.name for p in (outer, inner)] == ["limb.layers.0.thickness", "limb.layers.1.thickness"]

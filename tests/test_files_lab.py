@@ -239,6 +239,13 @@ def test_a_table_that_contradicts_itself_is_refused(tmp_path, columns, cells, sa
         read(tmp_path, [f"frequency_Hz,output,input,{columns}", f"20,{POINTS[0]},{ACTUATORS[0]},{cells}"])
 
 
+def test_a_sentence_about_a_row_names_the_line_of_the_file(tmp_path):
+    """Blank lines were left out and not counted, so that people looked at another row."""
+    good, bad = (f"{f},{POINTS[0]},{ACTUATORS[0]},1,{cell}" for f, cell in ((20, "0"), (30, "x")))
+    with pytest.raises(DataError, match="line 6: 'x' in column imag is no number"):
+        read(tmp_path, ["", "frequency_Hz,output,input,real,imag", "", good, ",,,,", bad])
+
+
 def test_names_that_a_spreadsheet_made_numbers_are_the_points_all_the_same(tmp_path):
     """1.0 is point 1; a table that has both is of two points, of which one is unknown."""
     head, *rest = lines()

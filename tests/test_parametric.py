@@ -344,6 +344,22 @@ def test_intervals_of_a_fit_hold_what_the_elements_err_by(on_coarse_mesh, scene_
     assert "numerics: unknown; what the elements err by is in no interval (solver.disc" in without.text
 
 
+@pytest.mark.parametrize("names", [("fat.eta",), ("fat.mu", "skin.eta")])
+def test_intervals_hold_what_the_elements_err_by_where_two_meshes_agree_by_chance(
+    on_coarse_mesh, scene_on_fine_mesh, monkeypatch, names
+):
+    """What one change of mesh moves a value by may be nothing by chance; the fine mesh's values lay two such away."""
+    fine = replace(close_loop(scene_on_fine_mesh, TWO_MESHES.device), errors=())
+    data = replace(fine, deviation=np.full(fine.values.shape, 1e-3 * float(np.abs(fine.values).max())))
+    monkeypatch.setattr("forearm_fem.compare.run.fem_model_for", lambda *_, **__: on_coarse_mesh.model)
+    monkeypatch.setattr("forearm_fem.compare.run.fem_meshes_for", lambda *_, **__: on_coarse_mesh.meshes)
+    found = run_fit(TWO_MESHES, data, names, fem=True).fit
+    for p in common_parameters(TWO_MESHES, names):
+        low, high = found.interval[p.name]
+        assert low <= p.start <= high
+    assert found.systematic is not None
+
+
 def test_blocks_extend_a_space_in_turn():
     """Single precision: orthonormal to 1e-4; known directions give nothing, each block what those before it lack."""
     rng, n_u = np.random.default_rng(0), 700

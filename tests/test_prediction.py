@@ -25,8 +25,8 @@ from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
 from forearm_fem.prediction import store
 from forearm_fem.prediction.arm import Answer, LayeredArm, arm_model
-from forearm_fem.prediction.draws import draw_inputs, moved_points, scenario_of
-from forearm_fem.prediction.outcome import KEPT, READINGS, Outcome, noisy, outcome_of
+from forearm_fem.prediction.draws import draw_inputs, kept_tissues, moved_points, scenario_of
+from forearm_fem.prediction.outcome import KEPT, READINGS, Outcome, drivers_of, noisy, outcome_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import Prediction, Question, check_question, predict
 from forearm_fem.prediction.store import FILE, read_outcomes
@@ -254,7 +254,7 @@ def test_an_arm_that_cannot_be_is_data(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (lost.problem, lost.number) == ("no such arm", 4)
     assert np.isnan(lost.strengths).all()
     good = [replace(lost, number=k, problem="", strengths=np.ones_like(lost.strengths)) for k in range(N - 1)]
-    with pytest.raises(DataError, match=f"needs {N} draws with S, got {N - 1}; the first failure: no such arm"):
+    with pytest.raises(DataError, match=f"needs {N} draws with S, got {N - 1}; raise --draws; the.*no such arm"):
         numbers.draws_of([*good, lost], setup.method_names, setup.targets)
 
 
@@ -536,3 +536,48 @@ def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
     bad = cli("predict", "small.toml", "--hold", "bones", cwd=tmp_path)
     assert bad.code == 2
     assert "--hold: no input or group is called 'bones'" in bad.err
+
+
+def test_what_the_limb_has_not_and_what_is_held_drives_nothing() -> None:
+    """Chance made fat's stiffness a driver of S on a limb without fat, and the law one where tissues were held."""
+    layers = [{"tissue": "dermis", "thickness": 1.2e-3}]
+    limb = {"shape": "slab", "length": 0.12, "width": 0.12, "depth": 0.04, "layers": layers}
+    dermis = {"mu": 2e4, "eta": 4.0, "density": 1100.0, "bulk": "incompressible"}
+    scene = parse_scenario({**SMALL, "limb": limb, "tissues": {"override": {"dermis": dermis}}})
+    draw = draw_inputs(load_priors(), scene, 0, 0)
+    names = drivers_of(draw, scenario_of(draw, scene), ())
+    assert {"muscle stiffness", "muscle loss", "skin tension"} <= set(names)
+    assert not [n for n in names if n.startswith(("fat", "skin s", "skin thickness", "skin loss"))]
+    assert kept_tissues(scene) == ("dermis",)
+    held = drivers_of(draw, scenario_of(draw, scene, {"tissue"}), {"tissue"})
+    rows = [
+        Outcome(k, law, np.ones((4, 1, 1)), held, 0.0, 0.0, spread=np.zeros((1, 1)))
+        for k, law in enumerate(("zener", "springpot") * 10)
+    ]
+    assert "law" not in numbers.draws_of(rows, ["m"], ["5"]).names
+
+
+def test_advice_can_be_followed_and_held_tissues_are_not_drawn(found: tuple[Prediction, Path]) -> None:
+    """Groups that were held already were advised to be held; held tissues were said to have equally likely laws."""
+    data = summary(found[0], sobol=False)
+
+    def words(told: dict[str, Any]) -> str:
+        return "\n".join((_numerics(told), *_scope(told)))
+
+    wide = {**data, "numerics": {**data["numerics"], "factor": 2.0}}
+    assert "(--hold thickness --hold contact --hold placement), or ask for a finer mesh" in words(wide)
+    assert "(--hold placement), or ask" in words({**wide, "held": ["contact", "thickness"]})
+    all_of_it = words({**wide, "held": ["contact", "placement", "thickness", "tissue"]})
+    assert "--hold" not in all_of_it
+    assert "ask for a finer mesh" in all_of_it
+    assert "equally likely" not in all_of_it
+    assert "in every arm: dermis, for only" in words({**data, "kept_tissues": ["dermis"]})
+
+
+def test_what_cutting_the_limb_errs_by_is_said_to_be_in_no_band() -> None:
+    """A run states it for its scene; no arm on finite elements did, and nothing said so."""
+    arm = type("Arm", (), {"unknown": ""})()
+    ends = ErrorEstimate("truncation", 0.027, "")
+    assert runs._unknown(arm, ()) == ""
+    assert "for each arm is unknown (an e_band of 2.7e-02 of the scene's own G)" in runs._unknown(arm, (ends,))
+    assert runs._unknown(LayeredArm(), (ends,)) == ""

@@ -16,6 +16,7 @@ from scipy import stats
 from forearm_fem.errors import ScenarioError
 from forearm_fem.prediction.draws import LAWS, SOFT, draw_inputs, law_parameters, moved_points, scenario_of
 from forearm_fem.prediction.priors import Prior, load_priors, wide_priors
+from forearm_fem.prediction.run import expanded
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.tissue import PRESETS, KelvinVoigt, SpringPot, Zener, resolve_tissues
 
@@ -220,3 +221,25 @@ def test_which_actuators_are_on_the_wrists_side_follows_the_devices_turn() -> No
     drawn = [draw_inputs(priors, turned, 0, n).values for n in range(60)]
     medians = [np.median([v[f"contact spring A{k}"] for v in drawn]) for k in (1, 2, 3, 4)]
     assert min(medians[:2]) > 3 * max(medians[2:])
+
+
+def test_layers_of_one_tissue_share_what_is_drawn_for_it() -> None:
+    """Each of two layers of skin got all of the drawn thickness, so that such arms had twice the skin."""
+    layers = [("skin", 4e-4), ("skin", 8e-4), ("fat", 3e-3)]
+    told = [{"tissue": t, "thickness": d} for t, d in layers]
+    scene = parse_scenario({"limb": {"shape": "slab", "length": 0.12, "width": 0.12, "depth": 0.04, "layers": told}})
+    draw = draw_inputs(load_priors(), scene, 0, 3)
+    skin, under, fat = (layer.thickness for layer in scenario_of(draw, scene).limb.layers)
+    assert skin + under == pytest.approx(draw.values["skin thickness"])
+    assert under / skin == pytest.approx(2.0)
+    assert fat == pytest.approx(draw.values["fat thickness"])
+
+
+def test_one_side_can_be_held_alone() -> None:
+    """Holding the springs of the wrist's side held those of the elbow's, too, and said so of the first alone."""
+    scene = parse_scenario({})
+    own = draw_inputs(load_priors(), scene, 0, 0).values
+    springs = {name for name in own if name.startswith("contact spring")}
+    sides = [springs & expanded((f"contact spring, {side} side",), scene) for side in ("wrist", "elbow")]
+    assert (len(sides[0]), len(sides[1]), sides[0] | sides[1]) == (2, 2, springs)
+    assert springs < expanded(("contact",), scene)

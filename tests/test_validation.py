@@ -216,6 +216,18 @@ def test_observables_resume_and_other_questions_start_anew(
     assert found["draws"] == 21
 
 
+def test_a_scene_of_another_device_or_stimulus_is_told_from_the_thesis(whole: tuple[dict[str, Any], Path]) -> None:
+    """A scene of 125 Hz was judged by Table I, of 250 Hz, without a word."""
+    found, _ = whole
+    assert found["other_device"] == []
+    other = {"rendering": {"wavelet": {"peak": 125.0}}, "device": {"spacing": 0.04}}
+    assert module.other_device(parse_scenario({**SMALL, **other})) == ("device", "rendering.wavelet")
+    told = "The scene's rendering.wavelet is not the thesis': Table I is of another device or stimulus and"
+    page = validation_page({**found, "other_device": ["rendering.wavelet"]})
+    assert told in page.partition("## What it is for")[0]
+    assert told not in validation_page(found)
+
+
 def against_arms(g: TransferMatrix, scene: Scenario, prediction: Any) -> dict[str, Any]:
     return module._measured(*module._strengths_of(g, Question(scene, Path())), prediction)
 
@@ -241,7 +253,7 @@ def test_a_measured_g_runs_through_the_same_comparison(whole: tuple[dict[str, An
     own = render_transfer(slow, g).strengths  # the wavelet is the scene's, not 250 Hz whatever it says
     again = against_arms(g, slow, prediction)
     middle = [e["measured"] for e in again["entries"] if e["group"] == "Middle (5)"]
-    assert middle == pytest.approx(own[:, 4], rel=5e-3)  # samples of another rate fill the window
+    assert middle == pytest.approx(own[:, 4], rel=1e-9)  # in the scene's own record, as a run of it has them
     assert middle != pytest.approx([e["measured"] for e in told["entries"] if e["group"] == "Middle (5)"], rel=0.05)
     valid = np.ones(g.values.shape, dtype=bool)
     valid[g.frequency > 400] = False

@@ -12,6 +12,7 @@ from .. import __version__
 from ..errors import DataError, ForearmError
 from ..io.jsonfiles import read_json, write_json
 from ..io.lock import locked
+from ..pipeline.verdict import short_verdict
 from ..results import read_run
 from ..scenario import Scenario
 from ..scenario.contents import contents, named_files
@@ -71,14 +72,17 @@ def finish_member(job: MemberJob) -> dict[str, Any]:
 
 
 def member_summary(folder: Path) -> dict[str, Any]:
-    """The numbers of a finished folder that belong in a table."""
+    """The numbers of a finished folder that belong in a table, and what stands beside them in its report: whether the
+    accuracy asked was met, and every note."""
     account = read_run(folder / "run.json")
     found: dict[str, Any] = {
         "e_band": account.band_error,
         "condition": account.condition_number.median,
         "seconds": round(account.seconds, 1),
     }
-    return {**found, **mean_strengths(folder / "signal_strength.csv")}
+    notes = dict.fromkeys((*account.warnings, *account.notes))
+    said = {"verdict": short_verdict(account.accuracy), "notes": "; ".join(notes)}
+    return {**found, **mean_strengths(folder / "signal_strength.csv"), **said}
 
 
 def mean_strengths(file: Path) -> dict[str, float]:

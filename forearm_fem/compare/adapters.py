@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,13 +21,14 @@ from ..ports import Port
 from ..prediction.two_meshes import ArmMeshes, arm_meshes
 from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
-from ..tissue import limb_tissue_keys, resolve_tissues
+from ..tissue import Zener, limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
 from .parameters import Parameter
 
 _POOL = 120  # arms within the ranges of a fit, from which its finite elements are reduced
 _REACH = 3.0  # times or divided by: a fit's ranges reach to 6, where measured tissue is not
+_BELOW = 0.999  # of a Zener law's mu_infinity, up to which its mu may go
 _TERMS, _ORDERS = 4, 1  # under rigid cones: 1e-4 of the largest entry, far below what is measured
 ComplianceOf = Callable[[Scenario], Compliance]
 
@@ -205,9 +207,12 @@ def _known(scenario: Scenario) -> dict[str, Parameter]:
     }
     if cone.mass > 0:
         found["cone.mass"] = _around("device.cone.mass", cone.mass, 0.1e-3, 1.5e-3, "kg")
-    for layer, part in enumerate(layers_of(scenario.limb)):
-        key = f"limb.layers.{layer}.thickness"
-        found[f"{part.tissue}.thickness"] = Parameter(
+    layers = layers_of(scenario.limb)
+    alike = Counter(part.tissue for part in layers)
+    for layer, part in enumerate(layers):
+        key = f"limb.layers.{layer}.thickness"  # layers of one tissue are told apart by their place from outside
+        name = part.tissue if alike[part.tissue] == 1 else f"{part.tissue}.{layer + 1}"
+        found[f"{name}.thickness"] = Parameter(
             key, part.thickness, part.thickness / 3, part.thickness * 3, log=True, unit="m"
         )
     own = {*limb_tissue_keys(scenario.limb).values(), *(("bone",) if getattr(scenario.limb, "bones", ()) else ())}
@@ -215,6 +220,8 @@ def _known(scenario: Scenario) -> dict[str, Parameter]:
         for short, unit in (("mu", "Pa"), ("eta", "Pa s")):
             value = getattr(tissue.modulus, short, None)
             if name in own and isinstance(value, float) and value > 0:
-                key = f"tissues.override.{name}.{short}"
-                found[f"{name}.{short}"] = Parameter(key, value, value / 6, value * 6, log=True, unit=unit)
+                key, high = f"tissues.override.{name}.{short}", value * 6
+                if short == "mu" and isinstance(tissue.modulus, Zener):
+                    high = min(high, _BELOW * tissue.modulus.mu_infinity)
+                found[f"{name}.{short}"] = Parameter(key, value, value / 6, high, log=True, unit=unit)
     return found

@@ -29,6 +29,7 @@ Gradient = Callable[[Values], Mapping[str, ComplexArray]]
 SCALE, DELAY = "scale", "delay"
 FALLBACK_NOISE = 0.05  # of the entries' rms, where no deviation is known
 _VAGUE = 0.25  # of the allowed range: a combination known no better than this is called unknown
+_MUCH = 0.3  # of the data's norm: a misfit that is said where nothing tells it from noise
 _STEP = 1e-4  # of the allowed range, for differences
 
 
@@ -72,9 +73,19 @@ class FitResult:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What to say besides the numbers."""
-        ends = tuple(f"{n} ended on its bound: widen it, or the model is wrong" for n in self.at_bound)
-        poor = self.chi2 > 2
-        misfit = (f"the model misses the data by {math.sqrt(self.chi2):.1f} standard deviations (rms)",) if poor else ()
+        ends = tuple(
+            f"{n} ended on its bound, of which its interval knows nothing: start it elsewhere (--set, where it is a "
+            "scenario's key) or widen it, or the model is wrong"
+            for n in self.at_bound
+        )
+        misfit: tuple[str, ...] = ()
+        if self.chi2 > 2:
+            misfit = (f"the model misses the data by {math.sqrt(self.chi2):.1f} standard deviations (rms)",)
+        elif math.isnan(self.chi2) and self.e_band > _MUCH:
+            misfit = (
+                f"the model leaves {100 * self.e_band:.0f} % of the data's norm unexplained, which intervals take for "
+                "noise: no deviations say so; start elsewhere, or the model is wrong",
+            )
         stuck = () if self.converged else (f"the fit did not converge: {self.message}",)
         return (*(d.sentence for d in self.unknown), *ends, *misfit, *stuck)
 
@@ -257,16 +268,45 @@ def with_model_error(result: FitResult, coarser: Values, factor: float) -> FitRe
     """
     parameters = result.parameters
     place, other = (np.array([p.to_unit(v[p.name]) for p in parameters]) for v in (result.values, coarser))
+    moved = factor * (other - place) * np.array([p.span for p in parameters]) / 1.96
+    return _widened(result, np.outer(moved, moved))
+
+
+def with_scattered_error(result: FitResult, moved: FloatArray) -> FitResult:
+    """The same with intervals that hold ``moved`` (n, k), in the fitted coordinates: how far answers that are wrong by
+    what a model may err by move the values (:func:`moved_by`). 1.5 times their rms is taken for the half width, as for
+    S (docs/decisions/0027)."""
+    return _widened(result, (1.5 / 1.96) ** 2 * (moved.T @ moved) / len(moved))
+
+
+def moved_by(model: Model, measured: TransferMatrix, result: FitResult, others: Sequence[ComplexArray]) -> FloatArray:
+    """How far the values move (n, k), in the fitted coordinates and to first order, where ``model`` at the fitted
+    values gave each of ``others``, G shaped like ``measured``, instead of what it gives.
+
+    One answer on another mesh may by chance move a value not at all; many in all directions do not.
+    """
+    parameters = result.parameters
+    problem = _Problem.of(model, measured, parameters, None, FALLBACK_NOISE, None)
+    place = np.array([p.to_unit(result.values[p.name]) for p in parameters])
+    own, values = problem.residual(place), problem.values(place)
+    off = [problem._whitened(problem._scaled(g, values) - measured.values) - own for g in others]
+    steps, *_ = np.linalg.lstsq(problem.jacobian(place, central=True), -np.array(off).T, rcond=1e-9)
+    return np.asarray(steps.T * np.array([p.span for p in parameters]))
+
+
+def _widened(result: FitResult, systematic: FloatArray) -> FitResult:
+    """With a ``systematic`` covariance (k, k) in the fitted coordinates beside what is known."""
+    parameters = result.parameters
+    place = np.array([p.to_unit(result.values[p.name]) for p in parameters])
     span = np.array([p.span for p in parameters])
-    moved = factor * (other - place) * span / 1.96
-    covariance, known = result.covariance + np.outer(moved, moved), result.systematic
+    covariance, known = result.covariance + systematic, result.systematic
     sd = np.sqrt(np.diag(covariance))
     each = list(zip(parameters, place, sd / span, strict=True))
     return replace(
         result, covariance=covariance, correlation=covariance / np.outer(sd, sd),
         deviation={p.name: _half_width(p, x, d) for p, x, d in each},
         interval={p.name: _interval(p, x, 1.96 * d) for p, x, d in each},
-        systematic=np.outer(moved, moved) + (0 if known is None else known),
+        systematic=systematic + (0 if known is None else known),
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..arguments import checked
+from ..device.loop import close_loop
 from ..errors import DataError, ForearmError
 from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
@@ -20,6 +21,7 @@ from ..io.netcdf import write_transfer
 from ..io.recognise import read_measured
 from ..pipeline.parametric import BEYOND, ParametricModel
 from ..ports import Port
+from ..prediction.arm import as_wrong
 from ..progress import Progress, within
 from ..scenario import Scenario
 from ..transfer import UNITS, TransferMatrix
@@ -36,7 +38,7 @@ from .adapters import (
 from .common import common_ground
 from .compare import Comparison, compare
 from .earlier import check_earlier, clear_earlier
-from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, with_model_error
+from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, moved_by, with_model_error, with_scattered_error
 from .next_best import NextBest, next_best
 from .parameters import Parameter
 from .readings import explained, mistake
@@ -217,12 +219,19 @@ def _with_model_errors(
         meshes = fem_meshes_for(scenario, result.parameters, base=base, progress=within(progress, "coarser mesh"))
     except ForearmError as problem:
         return result, f"numerics: unknown; what the elements err by is in no interval ({problem})"
-    arm = ScenarioModel(scenario, fem_compliance_of(reduced, data.frequency)).scenario(_scenario_values(result))
-    band = meshes.error(arm, reduced.compliance(arm, data.frequency)).band
+    own = ScenarioModel(scenario, fem_compliance_of(reduced, data.frequency))
+    arm = own.scenario(_scenario_values(result))
+    found = reduced.compliance(arm, data.frequency)
+    estimate, missed = meshes.missed(arm, found)
     skin = fem_compliance_less_error(reduced, meshes, arm, data.frequency)
     moved = _refitted(skin, scenario, data, result, within(progress, "coarser mesh"))
-    said = f"numerics: the elements err by an e_band of {100 * band:.2g} % there, which intervals hold"
-    return with_model_error(result, moved, 1.0), said
+    said = (
+        f"numerics: the elements err by an e_band of {100 * estimate.band:.2g} % there, which intervals hold; what "
+        "cutting the limb errs by is in none, a run of the scene states it as truncation"
+    )
+    wrong = [answering(close_loop(c, arm.device), data).values for c in as_wrong(found, [missed.of(found)])]
+    by_chance = moved_by(lambda values: answering(own(values), data), data, result, wrong)
+    return with_scattered_error(with_model_error(result, moved, 1.0), by_chance), said
 
 
 def _scenario_values(result: FitResult) -> dict[str, float]:

@@ -19,7 +19,7 @@ from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .atomic import write_bytes
 from .declaration import RawMatrix, arbitrary_gain, port_from
-from .reading import refuse_no_file
+from .reading import numbered_rows, refuse_no_file
 from .seal import BLANK, MARK, check_seals, sealed
 
 _COLUMNS = ("frequency_Hz", "output", "input", "real", "imag", "valid", "deviation")
@@ -118,15 +118,15 @@ def _split(file: Path) -> tuple[dict[str, Any], list[str], list[tuple[int, list[
     # the names of columns hold neither tabs, semicolons nor commas
     separator = next((c for c in "\t;" if any(c in line for line in lines[skipped : skipped + 1])), ",")
     try:
-        reader = csv.reader(lines[skipped:], delimiter=separator)
-        rows = [(skipped + reader.line_num, row) for row in reader if row]  # a table that has empty lines
+        rows = numbered_rows(lines[skipped:], separator, skipped + 1)
     except csv.Error as problem:
         raise DataError(f"{file}: is no table ({problem}); is it really CSV?") from None
     if len(rows) < 2:
         raise DataError(f"{file}: has no lines of data; expected a header and one line per frequency and entry")
-    # names of ours keep their blanks
-    body = rows[1:] if head else [(k, [c.strip() for c in row]) for k, row in rows[1:]]
-    return head, [c.strip() for c in rows[0][1]], body
+    (_, header), *body = rows
+    if not head:  # names of ours keep their blanks
+        body = [(number, [c.strip() for c in row]) for number, row in body]
+    return head, [c.strip() for c in header], body
 
 
 def _table(file: Path, header: list[str], lines: list[tuple[int, list[str]]]) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import csv
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -44,3 +45,16 @@ class RecognitionWarning(UserWarning):
     def __init__(self, file: str, what: str, chosen: str) -> None:
         super().__init__(f"{file}: {what} recognised as {chosen}; declare it to be sure")
         self.file, self.what, self.chosen = file, what, chosen
+
+
+def numbered_rows(lines: Iterable[str], delimiter: str, first: int = 1) -> list[tuple[int, list[str]]]:
+    """Rows of a table that say something, each with the number of the file's line that it begins on; ``first`` is that
+    of the first of the ``lines``. Blank lines and rows of separators alone are left out, and counted: a sentence about
+    a row is looked up in the file. Raises csv.Error as the reader does."""
+    reader = csv.reader(lines, delimiter=delimiter)
+    found, begins = list[tuple[int, list[str]]](), first
+    for row in reader:
+        if any(cell.strip() for cell in row):
+            found.append((begins, row))
+        begins = first + reader.line_num
+    return found

@@ -22,3 +22,8 @@ def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> s
         return f"{asked}: UNKNOWN, as a measured G states its scatter ({total:.2g}) and no systematic error"
     met = "met" if total <= scenario.accuracy else "NOT met"
     return f"{asked}, estimated {total:.2g} over all sources: {met}"
+
+
+def short_verdict(sentence: str) -> str:
+    """The verdict in a :func:`accuracy_verdict`, for a table: met, NOT met, or UNKNOWN, also where there is none."""
+    return next((word for word in ("UNKNOWN", "NOT met", "met") if word in sentence), "UNKNOWN")

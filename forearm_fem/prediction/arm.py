@@ -211,7 +211,7 @@ class ReducedArm:
         if own != scenario:
             found, *geometry = self._changed(found, scenario, own)
             off += geometry
-        return Answer(found, _others(found, off), frozenset(e.source for e in found.errors))
+        return Answer(found, as_wrong(found, off), frozenset(e.source for e in found.errors))
 
     def _changed(self, found: Compliance, scenario: Scenario, own: Scenario) -> tuple[Compliance, Any, FloatArray]:
         """The answer with what geometry changes between two draws, what of that change may be wrong, and the twin's
@@ -269,7 +269,7 @@ def _nearness(scenario: Scenario) -> float:
     return max((radius / distance if distance > 0 else math.inf for radius, distance in apart), default=0.0)
 
 
-def _others(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
+def as_wrong(found: Compliance, off: Sequence[ComplexArray | FloatArray]) -> tuple[Compliance, ...]:
     """Answers as wrong as each error of ``off`` (n, n_port, n_port) [m/N] may make them, in any phase: every other one
     alike at all pairs of ports, as where the same waves decay too much everywhere, the rest at each pair by chance.
 

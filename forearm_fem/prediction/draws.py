@@ -66,14 +66,20 @@ def _each(prior: Prior, scenario: Scenario, normal: Any) -> dict[str, float]:
     """One input for each actuator that the prior speaks of, all leaning on one normal by its correlation."""
     assert prior.each is not None
     common, own = math.sqrt(prior.each) * normal(prior.name), math.sqrt(1 - prior.each)
-    name = prior.name.partition(",")[0]
     found = {}
-    for k, (x, _) in enumerate(turned(scenario, scenario.device.centres)):  # on the limb: the device may be turned
-        if (prior.name == WRIST and x >= 0) or (prior.name == ELBOW and x < 0):
-            continue
-        key = f"{name} A{k + 1}"
+    for key in each_name(prior.name, scenario):
         found[key] = prior.value(common + own * normal(key))
     return found
+
+
+def each_name(prior: str, scenario: Scenario) -> tuple[str, ...]:
+    """Names of the inputs of a ``prior`` that has one for each actuator, or for each on a side of the limb."""
+    stem = prior.partition(",")[0]
+    return tuple(
+        f"{stem} A{k}"
+        for k, (x, _) in enumerate(turned(scenario, scenario.device.centres), start=1)  # the device may be turned
+        if not ((prior == WRIST and x >= 0) or (prior == ELBOW and x < 0))
+    )
 
 
 def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> Scenario:
@@ -91,8 +97,11 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
             override[tissue] = {"density": known[tissue].density, "bulk": bulk, **parameters}
     if "skin tension" in values:
         data["tissues"]["membrane"]["tension"] = values["skin tension"]
-    for layer in data["limb"].get("layers", ()):
-        layer["thickness"] = values.get(f"{layer['tissue']} thickness", layer["thickness"])
+    layers = data["limb"].get("layers", ())
+    whole = {tissue: sum(part["thickness"] for part in layers if part["tissue"] == tissue) for tissue in SOFT}
+    for layer in layers:  # layers of one tissue share what is drawn for it, as they share their own
+        if (drawn := values.get(f"{layer['tissue']} thickness")) is not None:
+            layer["thickness"] *= drawn / whole[layer["tissue"]]
     _set_device(data["device"], values)
     if _PLACED & values.keys():
         data["grid"]["points"] = moved_points(scenario, values)
@@ -156,3 +165,10 @@ def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
     named = {layer.tissue for layer in getattr(limb, "layers", ())} | {getattr(limb, "core", "")}
     named |= set(getattr(limb, "surfaces", {})) | set(getattr(limb, "regions", {}).values())
     return tuple(t for t in SOFT if t in named)
+
+
+def kept_tissues(scenario: Scenario) -> tuple[str, ...]:
+    """Tissues of the limb's layers and core that no draw changes, for the priors do not name them."""
+    limb = scenario.limb
+    named = [*(layer.tissue for layer in getattr(limb, "layers", ())), getattr(limb, "core", "")]
+    return tuple(dict.fromkeys(t for t in named if t and t not in SOFT))

@@ -25,7 +25,7 @@ from ..tissue import resolve_tissues
 from ..transfer import TransferMatrix, finite, total_error
 from ..typing import ComplexArray, FloatArray
 from .arm import ArmModel
-from .draws import REFERENCE, SOFT, Draw, scenario_of
+from .draws import REFERENCE, SOFT, Draw, scenario_of, soft_tissues
 
 NOISE = "signal to noise"  # name of the draw's input
 KEPT = 16  # draws whose G is kept: 5 MB of the thesis' scene
@@ -147,16 +147,19 @@ def strengths_of(setup: Setup, true: TransferMatrix, calibrated: TransferMatrix)
 
 
 def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:
-    """What S may hang on: inputs, and of each drawn tissue its size |mu*| [Pa] and loss tangent at 150 Hz."""
+    """What S may hang on: inputs, and of each drawn tissue its size |mu*| [Pa] and loss tangent at 150 Hz; nothing of a
+    tissue or layer that the limb has not, for chance would make it a driver."""
     tissue_input = {f"{t}." for t in SOFT}
+    own, layers = soft_tissues(scenario), {layer.tissue for layer in getattr(scenario.limb, "layers", ())}
+    absent = {f"{t} thickness" for t in SOFT if t not in layers}
     found = {
         name: value
         for name, value in draw.values.items()
-        if name not in held and not any(name.startswith(t) for t in tissue_input)
+        if name not in held and name not in absent and not any(name.startswith(t) for t in tissue_input)
     }
     if "tissue" not in held:
         for name, tissue in resolve_tissues(scenario).items():
-            if name in SOFT:
+            if name in own:
                 modulus = complex(tissue.modulus.at(2 * np.pi * REFERENCE))
                 found |= {f"{name} stiffness": abs(modulus), f"{name} loss": modulus.imag / modulus.real}
     return found

@@ -31,9 +31,9 @@ from ..progress import Progress, tell, within
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
 from ..scenario.contents import contents, named_files
-from ..transfer import UNITS
-from .arm import ArmModel, arm_model
-from .draws import LAWS, draw_inputs, scenario_of
+from ..transfer import UNITS, ErrorEstimate
+from .arm import ArmModel, LayeredArm, arm_model
+from .draws import LAWS, draw_inputs, each_name, scenario_of
 from .outcome import READINGS, Outcome, Setup, outcome_of, setup_of
 from .priors import load_priors
 from .statistics import Draws, draws_of
@@ -126,7 +126,7 @@ def predict(
     out = Path(folder)
     _, setup, arm = _prepared(*_plain(question), progress)  # an arm that cannot be is said before minutes of solving
     tell(progress, "the scene itself", 0, 1)
-    nominal = _nominal(question, progress)
+    nominal, errors = _nominal(question, progress)
     file, kept = out / FILE, dict[int, Outcome]()
     if resume:
         with suppress(DataError):
@@ -152,7 +152,7 @@ def predict(
     found = draws_of([kept[n] for n in range(draws)], setup.method_names, setup.targets, grid)
     held = tuple(sorted({*question.held, *arm.held}))
     return Prediction(
-        question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began, arm.unknown
+        question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began, _unknown(arm, errors),
     )  # fmt: skip
 
 
@@ -187,17 +187,16 @@ def check_question(question: Question) -> None:
         )
 
 
-def expanded(held: Collection[str]) -> frozenset[str]:
-    """Names of inputs for names and groups; each actuator's inputs by their stem's names as well."""
+def expanded(held: Collection[str], scenario: Scenario) -> frozenset[str]:
+    """Names of inputs for names and groups; of those that each actuator has, the names of the ``scenario``'s."""
     priors = load_priors()
     names = {n for n, p in priors.inputs.items() if n in held or p.group in held}
-    stems = {n.partition(",")[0] for n in names if priors.inputs[n].each is not None}
-    each = {f"{stem} A{k}" for stem in stems for k in range(1, 101)}
+    each = {key for n in names if priors.inputs[n].each is not None for key in each_name(n, scenario)}
     return frozenset({*names, *each, *({"tissue"} & set(held))})
 
 
-def _nominal(question: Question, progress: Progress | None) -> StrengthAccount:
-    """The scene's own S with its interval."""
+def _nominal(question: Question, progress: Progress | None) -> tuple[StrengthAccount, tuple[ErrorEstimate, ...]]:
+    """The scene's own S with its interval, and what its G errs by."""
     scenario, base = question.scenario, question.base
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AccuracyWarning)  # `run` says them
@@ -205,7 +204,17 @@ def _nominal(question: Question, progress: Progress | None) -> StrengthAccount:
         rendering = render_transfer(scenario, transfer, base=base)
         account = account_of(scenario, transfer, rendering, base=base)
     tell(progress, "the scene itself", 1, 1)
-    return account
+    return account, transfer.errors
+
+
+def _unknown(arm: ArmModel, errors: tuple[ErrorEstimate, ...]) -> str:
+    """What of the arms' errors is in no band: what ``arm`` says, and what cutting the limb does to each, which is
+    estimated of the scene alone (its ``errors``), whose waves decay otherwise."""
+    ends = next((e for e in errors if e.source == "truncation"), None)
+    if ends is None or isinstance(arm, LayeredArm):
+        return arm.unknown
+    own = f"an e_band of {ends.band:.1e} of the scene's own G" if ends.known else "unknown of the scene's own G, too"
+    return "; ".join(s for s in (arm.unknown, f"what cutting the limb errs by for each arm is unknown ({own})") if s)
 
 
 def _write(out: Path, kept: Mapping[int, Outcome], setup: Setup, question: Question) -> None:
@@ -281,13 +290,13 @@ def _prepared(
     transfer, options = close_loop(compliance, question.scenario.device), question.scenario.rendering
     targets = [p.name for p in transfer.outputs] if options.targets == "all" else list(options.targets)
     left_out = unsuited(options, transfer.outputs, transfer.inputs, targets)
-    held_by_both = expanded(question.held) | expanded(arm.held)
+    held_by_both = expanded(question.held, question.scenario) | expanded(arm.held, question.scenario)
     return question, setup_of(question.scenario, transfer, question.base, left_out, held_by_both), arm
 
 
 def pool(question: Question) -> list[Scenario]:
     """The arms that a model of finite elements is made from: the first 200 draws, and the scene itself."""
-    held, priors = expanded(question.held), load_priors()
+    held, priors = expanded(question.held, question.scenario), load_priors()
     numbers = range(POOL)
     drawn = (draw_inputs(priors, question.scenario, question.seed, n, question.laws) for n in numbers)
     return [question.scenario, *(scenario_of(d, question.scenario, held) for d in drawn)]

@@ -14,6 +14,7 @@ from scipy.stats import rankdata
 from ..errors import DataError, MissingExtra
 from ..metrics.strength import GROUPS
 from ..typing import BoolArray, FloatArray
+from .draws import SOFT
 from .outcome import READINGS, Outcome
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -73,14 +74,16 @@ def draws_of(
     good = [o for o in sorted(outcomes, key=lambda o: o.number) if not o.problem]
     problems = MappingProxyType(Counter(o.problem for o in outcomes if o.problem))
     if len(good) < LEAST:
-        why = f"; the first failure: {next(iter(problems))}" if problems else ", raise --draws"
-        raise DataError(f"a band of 90 % needs {LEAST} draws with S, got {len(good)}{why}")
+        why = f"; the first failure: {next(iter(problems))}" if problems else ""
+        raise DataError(f"a band of 90 % needs {LEAST} draws with S, got {len(good)}; raise --draws{why}")
     shared = sorted(n for n in good[0].drivers if all(n in o.drivers for o in good))  # read back in any order
     laws = tuple(o.law for o in good)
+    free = not shared or any(f"{t} stiffness" in shared for t in SOFT)  # a law of held tissues drives nothing
+    drawn = ("law",) if free else ()
     known = sorted(set(laws))
-    columns = [[o.drivers[n] for n in shared] + [float(known.index(o.law))] for o in good]
+    columns = [[o.drivers[n] for n in shared] + [float(known.index(o.law)) for _ in drawn] for o in good]
     return Draws(
-        np.array([o.strengths for o in good]), tuple(methods), tuple(targets), laws, (*shared, "law"),
+        np.array([o.strengths for o in good]), tuple(methods), tuple(targets), laws, (*shared, *drawn),
         np.array(columns), np.array([o.numerics for o in good]), np.array([o.seconds for o in good]),
         np.array([o.spread for o in good]), problems, thesis_grid,
     )  # fmt: skip

@@ -12,7 +12,7 @@ from .. import __version__
 from ..io.jsonfiles import write_json
 from ..tissue import resolve_tissues
 from ..typing import FloatArray
-from .draws import REFERENCE
+from .draws import REFERENCE, kept_tissues
 from .run import Prediction
 from .statistics import LEVELS, Draws, Enclosed, quantiles, rank_correlations, sobol_indices, winners
 
@@ -34,6 +34,7 @@ def summary(prediction: Prediction, sobol: bool = True) -> dict[str, Any]:
         "program": __version__, "scenario": asked.scenario.model_dump(mode="json"), "question": asked.digest,
         "seed": asked.seed, "laws": list(asked.laws), "held": list(prediction.held), "model": prediction.model,
         "left_out": prediction.left_out,
+        "kept_tissues": list(kept_tissues(asked.scenario)),
         "draws": len(grouped.value),
         "failed": dict(draws.problems),
         "numerics": {

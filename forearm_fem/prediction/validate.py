@@ -24,6 +24,7 @@ from ..pipeline.strengths import StrengthAccount, strength_account
 from ..progress import Progress, tell
 from ..rendering import render_all
 from ..rendering.lattice import is_thesis_grid
+from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .arm import without_bones
@@ -87,6 +88,7 @@ def validate(
         "levels": [LEVELS[0], LEVELS[-1]],
         "model": prediction.model,
         "left_out": prediction.left_out,
+        "other_device": list(other_device(question.scenario)),
         "numerics": {
             "S": float(np.median(prediction.draws.numerics)), "largest": float(prediction.draws.numerics.max()),
             "factor": float(np.exp(np.median(prediction.draws.spread))), "observables": TOLERANCE,
@@ -103,6 +105,20 @@ def validate(
     return content
 
 
+def other_device(scenario: Scenario) -> tuple[str, ...]:
+    """Keys by which the device, the grid, the stimulus or the band of ``scenario`` are not those of Table I."""
+    own, theirs = scenario, Scenario()
+    pairs = {
+        "device": (own.device.centres, theirs.device.centres),
+        "device.cone.radius": (own.device.cone.radius, theirs.device.cone.radius),
+        "device.drive": (own.device.drive, theirs.device.drive),
+        "grid": (own.grid.places, theirs.grid.places),
+        "rendering.wavelet": (own.rendering.wavelet, theirs.rendering.wavelet),
+        "sweep": ((own.sweep.f_min, own.sweep.f_max), (theirs.sweep.f_min, theirs.sweep.f_max)),
+    }
+    return tuple(key for key, (mine, thesis) in pairs.items() if mine != thesis)
+
+
 def _observed(
     question: Question, out: Path, draws: int, resume: bool, progress: Progress | None
 ) -> list[dict[str, Any]]:
@@ -114,7 +130,8 @@ def _observed(
     try:
         for number in range(len(rows), draws):
             draw = draw_inputs(priors, question.scenario, question.seed, number, question.laws)
-            arm = Arm.of(without_bones(scenario_of(draw, question.scenario, expanded(question.held))))
+            held = expanded(question.held, question.scenario)
+            arm = Arm.of(without_bones(scenario_of(draw, question.scenario, held)))
             try:
                 seen = observables(arm)
             except ForearmError:  # an arm that cannot be measured is missing from the band
@@ -238,11 +255,11 @@ def _strengths_of(transfer: TransferMatrix, question: Question) -> tuple[Strengt
     targets = [p.name for p in outputs] if options.targets == "all" else list(options.targets)
     if missing := [t for t in targets if t not in names]:
         raise DataError(f"the measured G has no output called '{missing[0]}'; it needs the scene's targets 1 to 9")
-    shape = (
-        wavelet_for(transfer.frequency, options.wavelet.peak)  # a record on whose bins this G lies
-        if options.wavelet.file is None
-        else wavelet(options, scenario.sweep, question.base)
-    )
+    shape = wavelet(options, scenario.sweep, question.base)
+    place = transfer.frequency / shape.record.df
+    its_bins = len(place) > 1 and np.allclose(place, np.rint(place), rtol=0, atol=1e-3)
+    if options.wavelet.file is None and not its_bins:
+        shape = wavelet_for(transfer.frequency, options.wavelet.peak)  # a record on whose bins this G lies
     methods = renderers(scenario, shape, frozenset(unsuited(options, outputs, inputs, targets)))
     found = render_all(transfer, targets, methods, shape, window=options.window)
     lost = max(r.drives.lost for r in found.values())

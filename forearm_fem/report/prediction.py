@@ -136,8 +136,10 @@ def _numerics(data: Mapping[str, Any]) -> str:
         f"median, {told['largest factor']:.2f} at most, and that is in the bands."
     ]
     if told["factor"] > _WIDE:
-        parts.append("This widens the bands much: hold what you know (--hold thickness --hold contact --hold "
-                     "placement), or draw the arms on the flat twin (--twin).")  # fmt: skip
+        free = " ".join(f"--hold {g}" for g in ("thickness", "contact", "placement") if g not in data["held"])
+        hold = f"hold what you know ({free}), or " if free else ""
+        parts.append(f"This widens the bands much: {hold}ask for a finer mesh (lower accuracy or mesh sizes), or draw "
+                     "the arms on the flat twin (--twin).")  # fmt: skip
     if (mesh := data["shorter_waves"]) is not None and mesh["share"]:
         parts.append(f"The mesh was made for the scene's own tissue: {mesh['share']:.0%} of the arms have shorter "
                      f"waves in some tissue, one in twenty by a factor of {mesh['factor']:.2g} or more.")  # fmt: skip
@@ -149,9 +151,13 @@ def _numerics(data: Mapping[str, Any]) -> str:
 
 
 def _scope(data: Mapping[str, Any]) -> list[str]:
-    laws = ", ".join(data["laws"])
+    laws = f"Laws of the tissues, equally likely: {', '.join(data['laws'])}."
+    if "tissue" in data["held"]:
+        laws = "Tissues and their laws: the scene's own in every arm."
+    elif kept := data.get("kept_tissues"):
+        laws += f" As the scene has them in every arm: {', '.join(kept)}, for only skin, fat and muscle are drawn."
     lines = [f"Model of the arms: {data['model']}; {data['left_out']}.",
-             f"Laws of the tissues, equally likely: {laws}. Inputs, spreads and sources: prediction/priors.toml and "
+             f"{laws} Inputs, spreads and sources: prediction/priors.toml and "
              "tissue_laws.json in the package; none was fitted to the thesis' Table I."]  # fmt: skip
     if data["held"]:
         lines.append(f"Held at the scene's own values: {', '.join(data['held'])}.")

@@ -127,6 +127,10 @@ def failures(data: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 def joint_words(data: Mapping[str, Any]) -> list[str]:
     """How many of Table I's entries lie outside, how far they do together, and which no law explains."""
     lines = []
+    if other := data.get("other_device"):
+        verb = "is" if len(other) == 1 else "are"
+        lines.append(f"The scene's {', '.join(other)} {verb} not the thesis': Table I is of another device or stimulus "
+                     "and judges these arms less.")  # fmt: skip
     for reading, words in _READINGS.items():
         every = data["table_one"][reading]["all"]
         out = sum(not e["inside"] for e in every["entries"])

@@ -218,11 +218,12 @@ def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = 
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise DataError(f"{file}: is not in UTF-8, as another program saves it; save it as UTF-8, with tabs") from None
-    rows = list(csv.DictReader(io.StringIO(text), delimiter="\t", quoting=csv.QUOTE_NONE))
-    for number, row in enumerate(rows, start=2):
+    reader = csv.DictReader(io.StringIO(text), delimiter="\t", quoting=csv.QUOTE_NONE)
+    rows = [(reader.line_num, row) for row in reader]  # blank lines are skipped, and counted
+    for number, row in rows:
         if set(row) | set(optional) != set(columns) or any(v is None for v in row.values()):
             raise DataError(f"{file}, line {number}: its columns are not those of the header; mend it")
-    return [{c: row.get(c, "n/a") for c in columns} for row in rows]
+    return [{c: row.get(c, "n/a") for c in columns} for _, row in rows]
 
 
 def _take_off_torn_line(file: Path) -> None:

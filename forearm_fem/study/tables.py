@@ -11,6 +11,7 @@ import pandas as pd
 
 from ..errors import DataError
 from ..io.naming import as_named
+from ..io.reading import numbered_rows
 from ..ports import Port
 from .run import typed
 
@@ -24,7 +25,7 @@ def foreign_table(file: Path, columns: Sequence[str], grid: Sequence[Port]) -> p
     ``columns`` are "ours=theirs". Needed are participant, method, target and response (points, separated by spaces), or
     response_x and response_y [m] for the last. DataError in one sentence for what is missing, unknown or no answer.
     """
-    header, lines = _cells(file)
+    header, lines, numbers = _cells(file)
     names = {}
     for item in columns:
         ours, separator, theirs = item.partition("=")
@@ -43,7 +44,7 @@ def foreign_table(file: Path, columns: Sequence[str], grid: Sequence[Port]) -> p
         raise DataError(f"{file}: no column is called '{missing[0]}'; name theirs with --column {missing[0]}=THEIRS")
     for name in _NEEDED[:3]:
         if (blank := np.flatnonzero(table[name] == "")).size:
-            raise DataError(f"{file}, line {blank[0] + 2}: {name} is blank; say whose answer it is, and to what")
+            raise DataError(f"{file}, line {numbers[blank[0]]}: {name} is blank; say whose answer it is, and to what")
     defaults = {"phase": "main", "response": "n/a", "late": "0", "response_time": "n/a"}
     for name, value in defaults.items():
         if name not in table:
@@ -54,7 +55,7 @@ def foreign_table(file: Path, columns: Sequence[str], grid: Sequence[Port]) -> p
             raise DataError(f"{file}: response_x and response_y, in metres, reach {far:.3g} m; are they millimetres?")
         return result
     places, centres = {p.name: np.array(p.position[:2]) for p in grid}, []
-    for line, response in enumerate(table["response"], start=2):
+    for line, response in zip(numbers, table["response"], strict=True):
         chosen = str(response).split()
         if unknown := [c for c in chosen if c not in places]:
             raise DataError(f"{file}, line {line}: '{unknown[0][:20]}' is no grid point ({', '.join(places)})"[:300])
@@ -63,20 +64,18 @@ def foreign_table(file: Path, columns: Sequence[str], grid: Sequence[Port]) -> p
     return typed(table.assign(response_x=x, response_y=y).replace(["nan", ""], "n/a"))
 
 
-def _cells(file: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and lines of a table of tabs, semicolons or commas, without blanks around cells; DataError where a line is
-    no line of the header's."""
+def _cells(file: Path) -> tuple[list[str], list[list[str]], list[int]]:
+    """Header and lines of a table of tabs, semicolons or commas, without blanks around cells, and the numbers of these
+    lines in the file; DataError where a line is no line of the header's."""
     try:
         text = file.read_text(encoding="utf-8-sig").splitlines()
-        mark = next((c for c in "\t;" if any(c in line for line in text[:1])), ",")
-        rows = list(csv.reader(text, delimiter=mark))
+        mark = next((c for c in "\t;" if c in next((line for line in text if line.strip()), "")), ",")
+        rows = numbered_rows(text, mark)
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise DataError(f"{file}: cannot be read as a table ({type(problem).__name__})") from None
-    header, *lines = [[cell.strip() for cell in row] for row in rows] or [[]]
+    (_, header), *lines = [(number, [cell.strip() for cell in row]) for number, row in rows] or [(0, [])]
     found = list[list[str]]()
-    for number, line in enumerate(lines, start=2):
-        if not any(line):
-            continue
+    for number, line in lines:
         if len(line) < len(header) or any(line[len(header) :]):
             raise DataError(
                 f"{file}, line {number}: {len(line)} cells, the header has {len(header)}; commas within numbers or "
@@ -85,4 +84,4 @@ def _cells(file: Path) -> tuple[list[str], list[list[str]]]:
         found.append(line[: len(header)])
     if not found:
         raise DataError(f"{file}: holds no answers")
-    return header, found
+    return header, found, [number for number, _ in lines]
