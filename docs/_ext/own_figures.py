@@ -12,7 +12,7 @@ from sphinx_gallery.scrapers import figure_rst, matplotlib_scraper
 
 
 def drawn(value: Any, known: Collection[Figure]) -> Figure | None:
-    """The figure that an example's last line gave, or drew on; None for one of pyplot's (``known``), which are found."""
+    """The figure that an example's last line gave, or drew on; None for one of pyplot's (``known``)."""
     figure = value.get_figure(root=True) if isinstance(value, Artist) else None
     return figure if isinstance(figure, Figure) and figure not in known else None
 
