@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE / "_ext")]
 os.environ.setdefault("MPLBACKEND", "Agg")
+logging.getLogger("fontTools").setLevel(logging.WARNING)  # a page that saves PDF would tell each glyph
 
 import forearm_fem  # noqa: E402
 

@@ -186,6 +186,24 @@ def test_every_option_is_described_and_its_description_reaches_the_reader():
     assert option_text(options["fem"])[1].endswith("(default: --twin)")
 
 
+def test_a_figure_of_pyplot_is_shown_once(tmp_path):
+    """Also where the cell's last line drew on it: the gallery's own scraper closes what it has shown."""
+    pytest.importorskip("sphinx_gallery")
+    import matplotlib.pyplot as plt
+    from own_figures import scraper
+    from sphinx_gallery.gen_gallery import DEFAULT_GALLERY_CONF
+
+    _, axes = plt.subplots()
+    axes.plot([0, 1], label="a line")
+    paths = [tmp_path / "1.png", tmp_path / "2.png"]
+    shown = {"example_globals": {"___": axes.legend()}, "image_path_iterator": iter(paths)}
+    conf = {**DEFAULT_GALLERY_CONF, "matplotlib_animations": (False, "jshtml"), "src_dir": str(tmp_path)}
+    assert scraper(("code", "", 1), shown, conf)
+    assert [path.exists() for path in paths] == [True, False]
+    scraper(("code", "", 1), shown, conf)  # a block that draws nothing
+    assert not paths[1].exists()
+
+
 def test_broken_links_of_a_built_page_are_found(tmp_path):
     from check_links import broken
 

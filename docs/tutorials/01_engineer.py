@@ -58,7 +58,7 @@ axes.set(xlabel="spacing of the actuators [mm]", ylabel="S, mean of nine targets
 axes.legend(fontsize=7)
 
 # %%
-# What this page promises: wherever the actuators sit, the mean over the targets of the best renderer is above one.
+# What this page promises: at each of these spacings the mean over the targets of the best renderer is above one.
 best = [max(s) for s in strengths]
 print({f"{1e3 * a:g} mm": f"{b:.2f}" for a, b in zip(spacings, best, strict=True)})
 assert min(best) > 1

@@ -43,21 +43,17 @@ data = travel(results)
 plot_travel(data)
 
 # %%
-# **Your own curve over one of ours.** Functions take the axes to draw on and return what they drew on, so anything of
-# matplotlib can follow.
-import matplotlib.pyplot as plt
+# **Your own curve over one of ours.** Functions return the figure they drew, so anything of matplotlib can follow. Here
+# the impedance of a coil that is held still, which the amplifier would see without any motion.
 import numpy as np
 
 from forearm_fem.figures import impedance, plot_impedance
 
-figure, axes = plt.subplots(1, 2, figsize=(7.1, 2.6), layout="constrained")
-g = results.transfer
-axes[0].semilogy(g.frequency, 1e6 * np.abs(g.values[:, 0, 0]))
-axes[0].set(xlabel="frequency [Hz]", ylabel="point 1 per volt on A1 [µm/V]")
-axes[1].semilogy(g.frequency, np.linalg.cond(g.values))
-axes[1].set(xlabel="frequency [Hz]", ylabel="condition number of G")
-
-plot_impedance(impedance(results))
+figure = plot_impedance(impedance(results))
+frequency, coil = results.transfer.frequency, results.scenario.device.coil
+held = np.abs(coil.resistance + 2j * np.pi * frequency * coil.inductance)
+figure.axes[2].plot(frequency, held, "k:", label="coil held still")
+figure.axes[2].legend()
 
 # %%
 # What this page promises: the wavelet peaks at t = 0 at the end of the line, within two tenths of a millisecond.
