@@ -117,7 +117,7 @@ def _print_forecast(asked: Scenario, expected: Forecast | None) -> None:
         typer.echo(
             f"{r.tissue:16} {r.per_wavelength_near_ports:.1f} nodes per shear wavelength and "
             f"{r.per_decay_near_ports:.1f} per decay length near the ports at {band[-1]:g} Hz; "
-            f"{r.per_wavelength:.1f} and {r.per_decay:.1f} at worst"
+            f"{r.per_wavelength:.1f} and {r.per_decay:.1f} where elements are largest, far away"
         )
     for sentence in expected.sentences(float(band[-1])):
         typer.echo(f"warning: {sentence}")
