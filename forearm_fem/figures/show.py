@@ -38,6 +38,8 @@ CAMERAS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {"oblique": (-0.75, -1.0, 0.95), "top": (0.0, -0.001, 1.0), "side": (0.0, -1.0, 0.25), "wrist": (-1.0, -0.12, 0.3)}
 )
 _BULGE = 5.0  # mm: the largest displacement as drawn
+_BAR_SHARE = 0.18  # of the plate's width; numbers and title need the rest
+_TITLE_ABOVE = 14  # pixels between the bar and its title, that the topmost number has room
 _MAPS = {"normal": SIGNED, "magnitude": SIZE, "phase": "twilight"}
 
 
@@ -206,9 +208,12 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
 
 
 def _on_white(plotter: Any) -> None:
-    """A white plate under the colour bar, which else would be read against the limb."""
+    """A white plate under the colour bar, its numbers and its title, which else would be read against the limb."""
     for name in plotter.scalar_bars.keys():  # noqa: SIM118 (no mapping: it has keys only)
         bar = plotter.scalar_bars[name]
+        bar.SetBarRatio(_BAR_SHARE)
+        bar.SetVerticalTitleSeparation(_TITLE_ABOVE)
+        bar.SetTextPad(2)
         bar.DrawBackgroundOn()
         bar.GetBackgroundProperty().SetColor(1.0, 1.0, 1.0)
         bar.GetBackgroundProperty().SetOpacity(0.85)
@@ -217,7 +222,7 @@ def _on_white(plotter: Any) -> None:
 def _bar(quantity: str, look: Look) -> dict[str, Any]:
     names = {"normal": "u_z [µm]" if look.cut else "u outward [µm]", "magnitude": "|u| [µm]", "phase": "phase [°]"}
     scale = look.size[1] / 900
-    return {"title": names[quantity], "vertical": True, "position_x": 0.88, "position_y": 0.25, "width": 0.05,
+    return {"title": names[quantity], "vertical": True, "position_x": 0.86, "position_y": 0.25, "width": 0.125,
             "height": 0.5, "title_font_size": round(18 * scale), "label_font_size": round(16 * scale),
             "fmt": "%.3g", "color": "black"}  # fmt: skip
 
