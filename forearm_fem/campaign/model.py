@@ -1,19 +1,21 @@
 """The campaign file: a base scenario, and which of its keys vary how.
 
-name = "spacings"
-scenario = "thesis.toml"          # relative to this file
-stage = "render"                  # or "solve", "run" (with figures and report)
-set = { accuracy = 0.1 }          # for every member
-[grid]                            # every combination
-"device.spacing" = [0.035, 0.045]
-"tissues.preset" = ["default", "thesis"]
-[[members]]                       # single variants, beside the grid
-name = "wide"
-set = { "device.spacing" = 0.06 }
-[draw]                            # log-normal draws with the spreads of the preset's tissues
-count = 20
-seed = 1
-parameters = ["skin.mu", "fat.mu", "muscle.eta"]
+::
+
+    name = "spacings"
+    scenario = "thesis.toml"          # relative to this file
+    stage = "render"                  # or "solve", "run" (with figures and report)
+    set = { accuracy = 0.1 }          # for every member
+    [grid]                            # every combination
+    "device.spacing" = [0.035, 0.045]
+    "tissues.preset" = ["default", "thesis"]
+    [[members]]                       # single variants, beside the grid
+    name = "wide"
+    set = { "device.spacing" = 0.06 }
+    [draw]                            # log-normal draws with the spreads of the preset's tissues
+    count = 20
+    seed = 1
+    parameters = ["skin.mu", "fat.mu", "muscle.eta"]
 """
 
 from __future__ import annotations

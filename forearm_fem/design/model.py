@@ -1,29 +1,31 @@
 """The design file: what may vary, what is to be large, and what must hold.
 
-name = "pitch"
-scenario = "thesis.toml"               # or a list of scenarios: several arms, one device
-set = { "grid.pitch" = 0.0133 }        # for every candidate
-[[variables]]                          # a range ...
-key = "device.spacing"
-low = 0.03
-high = 0.05
-[[variables]]                          # ... or choices
-key = "device.columns"
-values = [2, 3]
-[positions]                            # free places instead of rows
-count = [4, 9]
-x = [-0.03, 0.03]
-y = [-0.025, 0.025]
-mirrored = true                        # each with its images in both axes
-[objective]
-of = "mean"                            # or "least", "share" (of targets with S above 1)
-method = "inverse filter"
-targets = ["5"]
-[constraints]
-clearance = 0.002                      # [m] from a target to the nearest rim
-max_voltage = 2.5
-[search]
-candidates = 300
+::
+
+    name = "pitch"
+    scenario = "thesis.toml"               # or a list of scenarios: several arms, one device
+    set = { "grid.pitch" = 0.0133 }        # for every candidate
+    [[variables]]                          # a range ...
+    key = "device.spacing"
+    low = 0.03
+    high = 0.05
+    [[variables]]                          # ... or choices
+    key = "device.columns"
+    values = [2, 3]
+    [positions]                            # free places instead of rows
+    count = [4, 9]
+    x = [-0.03, 0.03]
+    y = [-0.025, 0.025]
+    mirrored = true                        # each with its images in both axes
+    [objective]
+    of = "mean"                            # or "least", "share" (of targets with S above 1)
+    method = "inverse filter"
+    targets = ["5"]
+    [constraints]
+    clearance = 0.002                      # [m] from a target to the nearest rim
+    max_voltage = 2.5
+    [search]
+    candidates = 300
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
 """Figures of a run: the thesis' and those it should have had, each a function of data and axes.
 
-make_figures("results/thesis", formats=("png", "pdf"))
-data = conditioning(Results.open("results/thesis"))
-plot_conditioning(data)
+::
+
+    make_figures("results/thesis", formats=("png", "pdf"))
+    data = conditioning(Results.open("results/thesis"))
+    plot_conditioning(data)
 """
 
 import os

@@ -1,9 +1,11 @@
 """Renderers: from a transfer matrix and a target to drives, and from drives to displacements.
 
-wavelet = ricker()
-sent = drives(InverseFilter(), transfer, "5", wavelet)
-reached = displacements(transfer, sent)
-everything = render_all(transfer)
+::
+
+    wavelet = ricker()
+    sent = drives(InverseFilter(), transfer, "5", wavelet)
+    reached = displacements(transfer, sent)
+    everything = render_all(transfer)
 """
 
 from .bridging import Bridged, bridged

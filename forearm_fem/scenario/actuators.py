@@ -88,7 +88,10 @@ _ALL = (
 )  # fmt: skip
 
 ACTUATORS: Mapping[str, Actuator] = MappingProxyType({a.name: a for a in _ALL})
-"""All presets by the name that ``device.actuator`` takes."""
+"""All presets by the name that ``device.actuator`` takes.
+
+:meta hide-value:
+"""
 
 ActuatorName = Literal[
     "TEAX14C02-8", "TEAX09C005-8", "EAI C-MF", "DAEX-13-4SM", "LRA 10 mm", "ERM", "PowerHap 2.5G", "B&K 4809"

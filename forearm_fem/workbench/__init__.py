@@ -1,7 +1,9 @@
 """One HTML page in which the reduced model runs: waves on the arm to see, aim and change; no server, no network.
 
-write_workbench("results/thesis", "waves.html")     # open it in any browser, give it to anyone
-view("results/thesis")                              # the same in a notebook
+::
+
+    write_workbench("results/thesis", "waves.html")     # open it in any browser, give it to anyone
+    view("results/thesis")                              # the same in a notebook
 
 Python chooses what goes into the page (``content``, ``field``, ``flat``), packs it (``packed``) and joins the front
 end's modules in ``page/`` to one script (``bundle``). These repeat the device's loop, the renderers and S in
