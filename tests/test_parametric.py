@@ -341,6 +341,7 @@ def test_intervals_of_a_fit_hold_what_the_elements_err_by(on_coarse_mesh, scene_
     assert not all(missed)
     assert with_it.fit.values == without.fit.values
     assert "the elements err by an e_band of" in with_it.text
+    assert "what cutting the limb errs by is in none" in with_it.text
     assert "numerics: unknown; what the elements err by is in no interval (solver.disc" in without.text
 
 

@@ -39,7 +39,7 @@ CAMERAS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
 )
 _BULGE = 5.0  # mm: the largest displacement as drawn
 _BAR_SHARE = 0.18  # of the plate's width; numbers and title need the rest
-_TITLE_ABOVE = 14  # pixels between the bar and its title, that the topmost number has room
+_TITLE_ABOVE = 14  # pixels of 900 between the bar and its title, that the topmost number has room
 _MAPS = {"normal": SIGNED, "magnitude": SIZE, "phase": "twilight"}
 
 
@@ -202,17 +202,17 @@ def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
     low = MM * np.array([p.position for p in ports]).min(axis=0)
     add_scale_bar(plotter, low + np.array([-8, -16, 0]))
     plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray")
-    _on_white(plotter)
+    _on_white(plotter, look)
     _aim(plotter, results, look)
     return stage
 
 
-def _on_white(plotter: Any) -> None:
+def _on_white(plotter: Any, look: Look) -> None:
     """A white plate under the colour bar, its numbers and its title, which else would be read against the limb."""
     for name in plotter.scalar_bars.keys():  # noqa: SIM118 (no mapping: it has keys only)
         bar = plotter.scalar_bars[name]
         bar.SetBarRatio(_BAR_SHARE)
-        bar.SetVerticalTitleSeparation(_TITLE_ABOVE)
+        bar.SetVerticalTitleSeparation(round(_TITLE_ABOVE * look.size[1] / 900))
         bar.SetTextPad(2)
         bar.DrawBackgroundOn()
         bar.GetBackgroundProperty().SetColor(1.0, 1.0, 1.0)
