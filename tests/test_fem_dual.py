@@ -107,7 +107,7 @@ def test_one_frequency_s_true_error_does_not_speak_for_all():
     tissue = flesh(2030.372123181738, 0.23191562190784834, bulk=2.2e9, density=967.9372858825791)
     model, band = held_block(2, tissue=tissue, ends="absorb", contact="bonded"), np.geomspace(1, 250, 21)
     swept = reduced_sweep(model, band, OPTIONS, tolerance=5e-4)
-    assert swept.certificates[-1].by != "residual"  # a true error, by a direct solve or by elimination: as the solver can
+    assert swept.certificates[-1].by != "residual"  # a true error, by a direct solve or elimination, as solvers can
     assert swept.reduction_error == 5e-4  # what was asked, not what was found at that frequency
     block = np.ix_(range(21), *watched(model))
     true = relative_error(swept.values[block], direct_sweep(model, band, OPTIONS).values[block])
