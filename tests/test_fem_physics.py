@@ -207,7 +207,7 @@ def test_foam_and_skin_terms_act_with_their_sign():
         assert 0 < stiff.real < 0.99 * bare.real
     heavy = _with(Membrane(mass=3.0), Supports(ends="free"), 0.5)
     light = _with(Membrane(), Supports(ends="free"), 0.5)
-    mass, sheet = 1050 * 0.024 * 0.016 * 0.008, 3.0 * 0.024 * 0.016
+    mass, sheet = 1050 * 0.024 * 0.016 * 0.008, 3.0 * 0.024 * 0.016 * 2  # skin above and below
     assert (light / heavy).real == pytest.approx(1 + sheet / mass, rel=2e-3)  # rigid bodies; elastic part 1e-3
     foam = _with(Membrane(), Supports(ends="free", underside="foam", foam_stiffness=1e3, foam_damping=0.0), 0.01)
     # soft foam under the whole bottom: a spring of k A; flesh adds its own 1 % of compliance
@@ -215,12 +215,11 @@ def test_foam_and_skin_terms_act_with_their_sign():
 
 
 def _with(membrane, supports, frequency):
-    mesh = block_mesh((4, 4, 2), (0.024, 0.016, 0.008), facets={"end": ("x0",), "underside": ("z0",)})
-    skin = mesh.facets["skin"]
-    inside = (np.abs(mesh.points[skin][:, :, :2] - [0.012, 0.008]) <= [0.00601, 0.00401]).all(axis=(1, 2))
-    mesh = TissueMesh(
-        mesh.points, mesh.tetrahedra, mesh.region, mesh.region_names, {**mesh.facets, "contact A1": skin[inside]}
-    )
+    mesh = block_mesh((4, 4, 2), (0.024, 0.016, 0.008), facets={"end": ("x0",), "bottom": ("z0",)})
+    top, bottom = mesh.facets["skin"], mesh.facets["bottom"]
+    inside = (np.abs(mesh.points[top][:, :, :2] - [0.012, 0.008]) <= [0.00601, 0.00401]).all(axis=(1, 2))
+    facets = {"skin": np.vstack([top, bottom]), "end": mesh.facets["end"], "contact A1": top[inside]}
+    mesh = replace(mesh, facets=facets)
     port = Port("A1", "contact", (0.012, 0.008, 0.008), radius=0.004)
     model = build_model(mesh, (port,), {"block": flesh()}, supports, membrane)
     return direct_sweep(model, np.array([frequency]), DIRECT).values[0, 0, 0]

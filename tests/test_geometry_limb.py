@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from forearm_fem.errors import GeometryError
+from forearm_fem.fem.assembly.boundary import covered_area, resting_nodes, rests
+from forearm_fem.fem.space.numbering import mixed_space
 from forearm_fem.geometry.build import build_mesh, limb_volume
 from forearm_fem.geometry.device.contacts import facet_area, from_axis
 from forearm_fem.geometry.device.place import place_ports
@@ -112,6 +114,28 @@ def test_end_facets_are_plane_and_underside_faces_down(mesh, scenario):
     under = mesh.points[mesh.facets["underside"]]
     normal = np.cross(under[:, 1] - under[:, 0], under[:, 2] - under[:, 0])
     assert (normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)).all()
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_what_rests_is_a_third_of_the_way_round(scale):
+    """n_z < -1/2 is a third of a round arm whatever its facets, here as long as its radius: whole ones have a sixth of
+    that too much. Parabolas in place of arcs turn the normal by less than 2 degrees of 120.
+    """
+    layers = [{"tissue": "skin", "thickness": 1.7e-3}]
+    limb = {"shape": "cylinder", "length": 0.07, "diameter": 0.06, "layers": layers}
+    mesh = build_mesh(
+        parse_scenario({"accuracy": 0.3, "limb": limb, "device": {"contacts": [[0.0, 0.0]]}}), scale=scale
+    )
+    third, skin = 2 * np.pi / 3 * 0.03 * 0.07, mesh.facets["skin"]
+    assert abs(facet_area(mesh.points, mesh.facets["underside"]) / third - 1) > 0.1  # what whole facets would hold
+    for element in ("P2", "P3"):
+        assert covered_area(mixed_space(mesh, element), skin, rests) == pytest.approx(third, rel=0.02)
+    space = mixed_space(mesh, "P2")
+    held = resting_nodes(space, skin)
+    y, z = space.node_points[:, 1:].T
+    angle = np.degrees(np.arctan2(np.abs(y), -z))
+    assert angle[held].max() < 62
+    assert angle[np.setdiff1d(space.facet_nodes(skin), held)].min() > 58
 
 
 def test_bone_walls_are_round(mesh, scenario):

@@ -9,14 +9,16 @@ from scipy.sparse import csr_array, kron
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
+from ...geometry.mesh.tissue_mesh import DOWN
 from ...geometry.mesh.topology import triangle_normals
 from ...typing import BoolArray, FloatArray, IntArray
-from ..space.elements import tabulate
+from ..space.elements import CUBIC_EDGES, CUBIC_FACES, tabulate
 from ..space.numbering import MixedSpace, facet_points
 from .tissues import scatter, scatter_blocks
 
 # Whether points (k, q, 3) with outward normals (k, q, 3) belong to what is integrated over
 Covered = Callable[[FloatArray, FloatArray], BoolArray]
+_PIECES = 6  # along each side of a facet that is covered in part
 _MORE = 2  # degrees of the rule beyond what is exact on plane facets: the measure of bent ones is no polynomial
 
 
@@ -36,6 +38,11 @@ def under_rectangle(length: float, width: float) -> Covered:
         return np.asarray(inside.all(axis=-1) & (normals[..., 2] > 0))
 
     return covered
+
+
+def rests(points: FloatArray, normals: FloatArray) -> BoolArray:
+    """Which points of a skin rest on foam: those whose outward normals point down, n_z < -0.5."""
+    return np.asarray(normals[..., 2] < DOWN)
 
 
 def facet_mass(space: MixedSpace, facets: IntArray, covered: Covered | None = None) -> csr_array:
@@ -93,28 +100,89 @@ _Group = tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 def _by_local_facet(space: MixedSpace, facets: IntArray, covered: Covered | None = None) -> list[_Group]:
-    """Per local facet number: tetrahedra (k,), values (nb, q), tangential gradients (k, nb, 3, q), measures (k, q)
-    [m^2], zero at points that are not ``covered``, and unit normals (k, q, 3)."""
-    reference, weights = get_quadrature(RefTri, 2 * space.pair.displacement.maxdeg + _MORE)
+    """Groups of facets with one rule, see :func:`_integrated`; facets that an edge of what is ``covered`` cuts through
+    take a finer rule, and those outside are left out."""
+    rule = get_quadrature(RefTri, 2 * space.pair.displacement.maxdeg + _MORE)
     tets, local = space.owners(facets)
     groups = []
     for f in range(4):
         mine = tets[local == f]
-        if len(mine):
-            points = facet_points(f, reference)
-            values, slopes = tabulate(space.pair.displacement, points)
-            jacobians = space.jacobians_at(mine, points)
-            sides = jacobians @ facet_points(f, np.eye(2)) - jacobians @ facet_points(f, np.zeros((2, 1)))
-            cross = np.cross(sides[..., 0], sides[..., 1])
-            length = np.linalg.norm(cross, axis=2)
-            n = cross / length[..., None]
-            full = np.einsum("eqki,bkq->ebiq", np.linalg.inv(jacobians), slopes, optimize=True)
-            tangential = full - np.einsum("eqi,eqj,ebjq->ebiq", n, n, full, optimize=True)
-            measure = length * weights
-            if covered is not None:  # an edge that cuts through a facet takes the points of the rule on its side
-                corners = space.mesh.points[space.vertices[mine]]
-                places = corners[:, :1] + np.einsum("eki,iq->eqk", space.jacobians[mine], points)
-                outward = np.sign(np.einsum("eqi,eqi->eq", n, places - corners.mean(axis=1)[:, None]))
-                measure = np.where(covered(places, n * outward[..., None]), measure, 0.0)
-            groups.append((mine, values, tangential, measure, n))
-    return groups
+        if covered is None:
+            groups.append(_integrated(space, mine, f, rule))
+            continue
+        inside = covered(*_places_and_normals(space, mine, facet_points(f, rule[0]), f))
+        whole, some = inside.all(axis=1), inside.any(axis=1)
+        groups += [
+            _integrated(space, mine[whole], f, rule),
+            _integrated(space, mine[some & ~whole], f, _in_pieces(*rule), covered),
+        ]
+    return [group for group in groups if len(group[0])]
+
+
+def _integrated(
+    space: MixedSpace, mine: IntArray, local: int, rule: tuple[FloatArray, FloatArray], covered: Covered | None = None
+) -> _Group:
+    """Of a ``local`` facet of tetrahedra ``mine`` (k,): these, values (nb, q), tangential gradients (k, nb, 3, q),
+    measures (k, q) [m^2], zero at points that are not ``covered``, and unit normals (k, q, 3)."""
+    points = facet_points(local, rule[0])
+    values, slopes = tabulate(space.pair.displacement, points)
+    jacobians = space.jacobians_at(mine, points)
+    cross = _crossed(jacobians, local)
+    length = np.linalg.norm(cross, axis=2)
+    n = cross / length[..., None]
+    full = np.einsum("eqki,bkq->ebiq", np.linalg.inv(jacobians), slopes, optimize=True)
+    tangential = full - np.einsum("eqi,eqj,ebjq->ebiq", n, n, full, optimize=True)
+    measure = length * rule[1]
+    if covered is not None:
+        measure = np.where(covered(*_places_and_normals(space, mine, points, local)), measure, 0.0)
+    return mine, values, tangential, measure, n
+
+
+def _in_pieces(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A rule of the reference triangle, points (2, q) and weights (q,), on each of its _PIECES squared parts."""
+    corners = [(i, j, 1) for i in range(_PIECES) for j in range(_PIECES - i)]
+    corners += [(i, j, -1) for i in range(1, _PIECES) for j in range(1, _PIECES - i + 1)]  # these point backwards
+    parts = [(np.array([[i], [j]]) + side * points) / _PIECES for i, j, side in corners]
+    return np.hstack(parts), np.tile(weights / _PIECES**2, len(parts))
+
+
+def resting_nodes(space: MixedSpace, skin: IntArray) -> IntArray:
+    """Displacement nodes of skin facets (k, 3) where the skin :func:`rests`, ascending and unique.
+
+    Nodes of an edge go with its middle, so that they are held alike whatever order the edge has. Whole facets would
+    err by half their size, and far from the device they are as long as the arm is wide.
+    """
+    tets, local = space.owners(skin)
+    per_edge = {"P1": 0, "P2": 1, "P3": 2}[space.pair.name]
+    found = []
+    for f in range(4):
+        mine, corners = tets[local == f], CUBIC_FACES[f]
+        edges = [e for e, ends in enumerate(CUBIC_EDGES) if set(ends) <= set(corners)]
+        ends = np.array([CUBIC_EDGES[e] for e in edges])
+        vertex = np.eye(4)
+        places = np.vstack([vertex[list(corners)], vertex[ends].mean(axis=1), vertex[list(corners)].mean(axis=0)])
+        down = rests(*_places_and_normals(space, mine, places[:, 1:].T, f))
+        columns = [[c] for c in corners] + [[4 + per_edge * e + i for i in range(per_edge)] for e in edges]
+        columns += [[16 + f] if space.pair.name == "P3" else []]
+        found += [space.nodes[mine[down[:, i]]][:, each].ravel() for i, each in enumerate(columns) if each]
+    return np.unique(np.concatenate(found))
+
+
+def _crossed(jacobians: FloatArray, local: int) -> FloatArray:
+    """Vectors (k, q, 3) [m^2] normal to a ``local`` facet of bent tetrahedra, twice as long as it is large."""
+    sides = jacobians @ facet_points(local, np.eye(2)) - jacobians @ facet_points(local, np.zeros((2, 1)))
+    return np.cross(sides[..., 0], sides[..., 1])
+
+
+def _places_and_normals(
+    space: MixedSpace, mine: IntArray, points: FloatArray, local: int
+) -> tuple[FloatArray, FloatArray]:
+    """Places on straight facets (k, q, 3) [m] and outward unit normals (k, q, 3) of bent ones at reference ``points``
+    (3, q) of a ``local`` facet of tetrahedra ``mine`` (k,)."""
+    corners = space.mesh.points[space.vertices[mine]]
+    places = corners[:, :1] + np.einsum("eki,iq->eqk", space.jacobians[mine], points)
+    # which way is out the straight facet knows: at the corner of a thin tetrahedron a bent one points elsewhere
+    flat = _crossed(space.jacobians[mine][:, None], local)[:, 0]
+    outward = np.sign(np.einsum("ei,ei->e", flat, places[:, 0] - corners.mean(axis=1)))
+    n = _crossed(space.jacobians_at(mine, points), local)
+    return places, n * (outward[:, None] / np.linalg.norm(n, axis=2))[..., None]

@@ -23,7 +23,7 @@ from ..kernels.sparse import added, congruent
 from ..space.constraints import LinearConstraints, RigidDisc, constraints
 from ..space.numbering import MixedSpace
 from ..space.orders import Orders, element_orders
-from .boundary import covered_area, facet_gradients, facet_mass, facet_membrane, under_rectangle
+from .boundary import covered_area, facet_gradients, facet_mass, facet_membrane, resting_nodes, rests, under_rectangle
 from .coefficients import Coefficient, is_polynomial
 from .loads import force_share, port_functional
 from .operator import AffineOperator, affine_operator
@@ -127,10 +127,11 @@ def _functional(space: MixedSpace, port: Port, rules: LinearConstraints) -> Floa
 def _constraints(orders: Orders, ports: tuple[Port, ...], supports: Supports) -> LinearConstraints:
     """Rules for the kept nodes; those that no tetrahedron has are held, because nothing else does."""
     facets = orders.high.mesh.facets
-    fixed = (("bone", supports.bone == "rigid"), ("end", supports.ends == "fixed"),
-             ("underside", supports.underside == "fixed"))  # fmt: skip
+    fixed = ("bone", supports.bone == "rigid"), ("end", supports.ends == "fixed")
     held = [facets[name] for name, still in fixed if still and len(facets.get(name, ()))]
     nodes = [orders.unused(), *(orders.kept_on(f) for f in held)]
+    if supports.underside == "fixed":
+        nodes.append(orders.kept_of(resting_nodes(orders.high, facets["skin"])))
     planes = {
         axis: orders.kept_on(facets[name]) for name, axis in (("symmetry x", 0), ("symmetry y", 1)) if name in facets
     }
@@ -151,9 +152,10 @@ def _boundaries(
     result: Matrices = []
     if supports.ends == "absorb" and len(facets.get("end", ())):
         result += _dashpots(space, facets["end"])
-    if supports.underside == "foam" and len(facets.get("underside", ())):
-        result.append(("foam", facet_mass(space, facets["underside"])))
     skin = facets["skin"]
+    if supports.underside == "foam" and covered_area(space, skin, rests):
+        # by the normal at each point: far from the device facets are large, and whole ones err by a sixth of the area
+        result.append(("foam", facet_mass(space, skin, rests)))
     if membrane.mass:
         result.append(("skin mass", facet_mass(space, skin)))
     if membrane.tension:

@@ -46,7 +46,11 @@ class Orders:
 
     def kept_on(self, facets: IntArray) -> IntArray:
         """Numbers of the kept nodes on boundary facets (k, 3)."""
-        found = self.kept[self.high.facet_nodes(facets)]
+        return self.kept_of(self.high.facet_nodes(facets))
+
+    def kept_of(self, nodes: IntArray) -> IntArray:
+        """Numbers of the kept ones among ``nodes`` (k,) of ``high``."""
+        found = self.kept[nodes]
         return np.asarray(found[found >= 0])
 
     def unused(self) -> IntArray:

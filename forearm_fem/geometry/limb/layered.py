@@ -7,7 +7,7 @@ import numpy as np
 from ...typing import BoolArray, FloatArray, IntArray
 from ..device.layout import Layout
 from ..device.sizing import Sizes
-from ..mesh.tissue_mesh import TissueMesh
+from ..mesh.tissue_mesh import DOWN, TissueMesh
 from ..mesh.topology import boundary_faces, triangle_normals
 from .core import Size3, core_mesh
 from .prisms import oriented, stack_prisms
@@ -72,6 +72,6 @@ def boundaries(points: FloatArray, tetrahedra: IntArray, on_skin: BoolArray, on_
 
 
 def underside(points: FloatArray, skin: IntArray) -> IntArray:
-    """Skin triangles whose outward normal points down, n_z < -0.5: they may rest on foam."""
+    """Skin triangles whose outward normal points down, n_z < :data:`DOWN`: they may be held."""
     normal = triangle_normals(points, skin)
-    return np.asarray(skin[normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)])
+    return np.asarray(skin[normal[:, 2] < DOWN * np.linalg.norm(normal, axis=1)])

@@ -12,6 +12,7 @@ import numpy as np
 from ...typing import BoolArray, FloatArray, IntArray
 from .topology import EDGES, keys
 
+DOWN = -0.5  # z of a unit outward normal below which skin belongs to the underside: a sixth of the way round each side
 
 @dataclass(frozen=True)
 class Bends:
@@ -50,7 +51,7 @@ class TissueMesh:
     ``points`` (n_point, 3) [m]; ``tetrahedra`` (n_tet, 4) positively oriented; ``region`` (n_tet,) indexes
     ``region_names`` (tissue names; a meshed bone is the region "bone"). ``facets`` maps boundary names to (k, 3) vertex
     triples: always "skin" (whole free surface), and where they exist "bone" (surface of a bone left out of the mesh),
-    "end" (cut ends; a slab's sides and bottom), "underside" (the part of "skin" that may rest on foam), "contact A1"
+    "end" (cut ends; a slab's sides and bottom), "underside" (the part of "skin" that may be held), "contact A1"
     ... (part of "skin" under a cone, exactly inside the disc's rim), "symmetry x" and "symmetry y". ``bends`` follow
     from these and the scenario's limb (:mod:`forearm_fem.geometry.limb.bending`): files do not hold them.
     """
