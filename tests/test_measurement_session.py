@@ -187,7 +187,7 @@ def test_run_play_sends_wav_drives_and_reports(tmp_path):
     signals = 0.5 * np.sin(np.arange(1000) / 5) * np.array([[1.0], [-1.0]])
     write_wav_drives(tmp_path / "d.wav", signals, RATE)
     done = run_play(scenario(), tmp_path / "d.wav", virtual=VirtualSetup(SCENE), repeats=2, pause=0.1)
-    assert done.seconds == pytest.approx(2 * 0.6)
+    assert done.seconds == pytest.approx(0.5 + 0.1 + 0.5)  # no silence after the last
     assert not done.stopped
     np.testing.assert_allclose(done.peak, 0.5, atol=1e-3)
     with pytest.raises(HardwareError, match=r"the limit is 2\.5 V"):

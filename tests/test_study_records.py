@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -227,16 +228,29 @@ def test_outlines_are_kept_and_judged(answered):
     assert "selected for larger answers" in page.read_text()
 
 
-def strength(**changes):
+def strength(pause=0.0, **changes):
     options = {"reference": "funneling", "low": -12.0, "high": 12.0, "step": 1.0, "trials": 40, **changes}
     task = Task(
         name="strength", answer="first or second", repetitions=1, blocks=1, training=0, adaptive=Adaptive(**options)
     )
     return study(
-        stimuli=Stimuli(methods=("funneling", "combination"), targets=("5",)),
+        stimuli=Stimuli(methods=("funneling", "combination"), targets=("5",), pause=pause),
         order=Order(no_target_twice=False),
         tasks=(task,),
     )
+
+
+def test_a_stimulus_is_over_with_its_last_wavelet(tmp_path):
+    """From then on the response's clock runs: silence stands between wavelets and between two stimuli that are
+    compared, and none after the last."""
+    session = opened(tmp_path, strength(pause=0.1), lambda method, target, level: Presented(0.2, 1.0))
+    session.start()
+    before = time.monotonic()
+    session.present()
+    assert time.monotonic() - before >= 0.1
+    session.answer(Given(interval="first"))
+    (row,) = session._store.answers("01", "strength")
+    assert float(row["duration"]) == pytest.approx(0.2 + 0.1 + 0.2)
 
 
 def pair(ratio_db):
@@ -383,6 +397,16 @@ def test_levels_that_a_task_may_ask_for_are_refused_before_the_session():
     DevicePlayer(daq, stimuli, 1000.0, options, Stimuli())
     with pytest.raises(HardwareError, match=r"needs 3\.98 V, the limit is 2\.5 V"):
         DevicePlayer(daq, stimuli, 1000.0, options, Stimuli(), loudest=12.0)
+
+
+@pytest.mark.parametrize(("repeats", "lasts"), [(1, 0.1), (3, 0.9)])
+def test_what_is_played_ends_with_its_last_wavelet(repeats, lasts):
+    """Wavelets of 0.1 s, 0.3 s of silence between them and none after."""
+    g = TransferMatrix(np.array([50.0, 100.0]), np.ones((2, 1, 1), dtype=complex), GRID[:1], (GRID[0],))
+    daq, options = VirtualDaq(g, 1000.0, 0.1, VirtualOptions()), DaqOptions(outputs=("a",))
+    stimuli = {("funneling", "5"): Stimulus(np.ones((1, 100)), np.ones((1, 100)))}
+    player = DevicePlayer(daq, stimuli, 1000.0, options, Stimuli(repeats=repeats, pause=0.3))
+    assert player("funneling", "5", 0.0).seconds == pytest.approx(lasts)
 
 
 def test_intervals_are_balanced_by_chance_and_the_same_again():

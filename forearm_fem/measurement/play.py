@@ -57,5 +57,7 @@ def play(
     once = np.concatenate([faded(signals, fade), silence], axis=1) / options.amplifier_gain
     with OpenDevice(daq, Wiring.of(options, sample_rate)) as session:
         limit = options.max_voltage / options.amplifier_gain
-        got = session.play(np.tile(once, repeats), limit=limit, fade=fade, stop=stop, progress=progress)
+        whole = np.tile(once, repeats)
+        whole = whole[:, : whole.shape[1] - silence.shape[1]]  # what is played is over when the last repeat is
+        got = session.play(whole, limit=limit, fade=fade, stop=stop, progress=progress)
     return Played(got.inputs[0], np.abs(signals).max(axis=1), got.played / sample_rate, got.stopped)

@@ -137,7 +137,7 @@ class Stimuli(Part):
     )
     level: Level = Level()
     repeats: Annotated[int, Field(ge=1, le=100)] = Field(default=1, description="wavelets per stimulus")
-    pause: NonNegative = Field(default=0.3, description="between wavelets [s]")
+    pause: NonNegative = Field(default=0.3, description="between wavelets, and between two that are compared [s]")
     lead: Positive = Field(default=0.05, description="of each signal kept before the wavelet's centre [s]")
     tail: Positive = Field(default=0.15, description="and after [s]")
 

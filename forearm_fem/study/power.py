@@ -22,13 +22,17 @@ class Supposed:
     """What is supposed of the answers' errors [m], from a pilot study, a published one or simulated participants.
 
     ``means`` (n_target, n_method) of the population, ``between`` the standard deviation of participants' own offsets,
-    ``cell`` that of their cells (the interaction that makes tests harder) and ``within`` that of single trials.
+    ``cell`` that of their cells and ``within`` that of single trials. ``location`` and ``method`` are those of what a
+    target and a method are to one participant more than to others, alike in all its cells: the scatter against which
+    these two are tested.
     """
 
     means: FloatArray
     between: float
     cell: float
     within: float
+    location: float = 0.0
+    method: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -58,9 +62,11 @@ def power_curve(
     """
     found = []
     for done, count in enumerate(participants):
-        rng, hits = np.random.default_rng([0, count]), 0
+        (rng, apart), hits = (np.random.default_rng([k, count]) for k in range(2)), 0
         for _ in range(studies):  # the cell means (n_participant, n_target, n_method) of each
             own = supposed.between * rng.standard_normal((count, 1, 1))
+            own = own + supposed.location * apart.standard_normal((count, supposed.means.shape[0], 1))
+            own = own + supposed.method * apart.standard_normal((count, 1, supposed.means.shape[1]))
             scatter = np.hypot(supposed.cell, supposed.within / np.sqrt(repetitions))
             noise = scatter * rng.standard_normal((count, *supposed.means.shape))
             hits += _significant(np.asarray(supposed.means + own + noise), test)
@@ -83,20 +89,29 @@ def needed(curve: Sequence[Power], power: float = 0.8) -> int | None:
 def supposed_from(values: FloatArray, repetitions: int, within: float) -> Supposed:
     """What a pilot's cell means ``values`` (n_participant, n_target, n_method) and trial scatter ``within`` suggest.
 
-    The scatter of cell means holds within^2 / repetitions of trial noise, which is taken off. So is what chance has
-    made of the effects in so few participants: each is drawn in by sqrt(1 - 1 / F), F its own mean square over that of
-    the scatter of cells, to nothing where F is below 1. What is left is one pilot's guess all the same. Participants
-    without all cells are left out; DataError for fewer than two with all.
+    Participants differ in what a target is to them, in what a method is, and in what is left of their cells: a variance
+    each, from the mean squares against which the three effects are tested. The last holds within^2 / repetitions of
+    trial noise, which is taken off. So is what chance has made of the effects in so few participants: each is drawn in
+    by sqrt(1 - 1 / F), F its own mean square over its error's, to nothing where F is below 1. What is left is one
+    pilot's guess all the same. Participants without all cells are left out; DataError for fewer than two with all.
     """
     values = _complete(values)
+    n, a, b = values.shape
     own = values.mean(axis=(1, 2), keepdims=True)
-    rest = values - own - values.mean(axis=0) + values.mean()
-    cells = values[0].size
-    scatter = float(np.sum(rest**2)) / ((len(values) - 1) * (cells - 1))
-    cell = max(scatter - within**2 / repetitions, 0.0)
-    between = max(float(own.var(ddof=1)) - cell / cells - within**2 / (repetitions * cells), 0.0)
-    means = _without_chance(values.mean(axis=0), scatter / len(values))
-    return Supposed(means, float(np.sqrt(between)), float(np.sqrt(cell)), within)
+    apart = values - own - values.mean(axis=0) + values.mean()
+    by_target, by_method = apart.mean(axis=2, keepdims=True), apart.mean(axis=1, keepdims=True)
+    rest = apart - by_target - by_method
+    squares = (b * by_target**2, a - 1), (a * by_method**2, b - 1), (rest**2, (a - 1) * (b - 1))
+    location, method, left = (float(np.sum(square)) / ((n - 1) * max(df, 1)) for square, df in squares)
+    spread = own.var(ddof=1) - max(location - left, 0) / (a * b) - max(method - left, 0) / (a * b) - left / (a * b)
+    return Supposed(
+        _without_chance(values.mean(axis=0), location / n, method / n, left / n),
+        float(np.sqrt(max(spread, 0.0))),
+        float(np.sqrt(max(left - within**2 / repetitions, 0.0))),
+        within,
+        float(np.sqrt(max(location - left, 0.0) / b)),
+        float(np.sqrt(max(method - left, 0.0) / a)),
+    )
 
 
 def untold(values: FloatArray, test: str) -> str:
@@ -118,14 +133,14 @@ def _complete(values: FloatArray) -> FloatArray:
     return np.asarray(whole)
 
 
-def _without_chance(means: FloatArray, variance: float) -> FloatArray:
-    """``means`` (n_target, n_method) with each effect drawn in by what cells of that ``variance`` make of none."""
+def _without_chance(means: FloatArray, location: float, method: float, both: float) -> FloatArray:
+    """``means`` (n_target, n_method) with each effect drawn in by what an error of that mean square makes of none."""
     grand = means.mean()
     targets, methods = (means.mean(axis=k, keepdims=True) - grand for k in (1, 0))
     a, b = (n - 1 for n in means.shape)
-    parts = ((targets, a), (methods, b), (means - grand - targets - methods, a * b))
+    parts = ((targets, a, location), (methods, b, method), (means - grand - targets - methods, a * b, both))
     out = np.full(means.shape, grand)
-    for part, df in parts:
+    for part, df, variance in parts:
         square = float(np.sum(np.broadcast_to(part, means.shape) ** 2))
         out += part * np.sqrt(max(1 - df * variance / square, 0.0) if square > 0 else 0.0)
     return out

@@ -155,7 +155,8 @@ def rehearse(
     """
     store, stimuli = prepared.store(begin=True), prepared.stimuli(transfer)
     store.refuse_others(simulated=True)
-    silence = Presented(prepared.study.stimuli.lead + prepared.study.stimuli.tail, float("nan"))
+    how = prepared.study.stimuli
+    silence = Presented(how.repeats * (how.lead + how.tail) + (how.repeats - 1) * how.pause, float("nan"))
 
     def silent(method: str, target: str, level: float) -> Presented:
         """Without a device nothing sounds and no time passes."""

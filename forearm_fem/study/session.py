@@ -170,13 +170,17 @@ class Session:
                 self._waiting = "answer"
 
     def _play(self, trial: Trial, level: float) -> Presented:
-        """The stimulus, or in two intervals the stimulus and the reference at its own level."""
+        """The stimulus, or in two intervals, `stimuli.pause` apart, the stimulus and the reference at its own level."""
         own = (trial.method, level)
         if self.task.adaptive is None or self.task.adaptive.reference is None:
             return self._player(trial.method, trial.target, level)
         pair = (own, (self.task.adaptive.reference, 0.0))
-        parts = [self._player(m, trial.target, db) for m, db in (pair if trial.comparison == "first" else pair[::-1])]
-        return Presented(sum(p.seconds for p in parts), max(p.peak_voltage for p in parts))
+        (first, at), (second, then) = pair if trial.comparison == "first" else pair[::-1]
+        before, pause = self._player(first, trial.target, at), self._store.study.stimuli.pause
+        if self._timed:
+            time.sleep(pause)
+        after = self._player(second, trial.target, then)
+        return Presented(before.seconds + pause + after.seconds, max(before.peak_voltage, after.peak_voltage))
 
     def answer(self, given: Given) -> None:
         """Record an answer to what was presented, on the disk when this returns; DataError for what was not asked."""
