@@ -12,7 +12,7 @@ import numpy as np
 from ..io.declaration import arbitrary_gain
 from ..io.jsonfiles import plain
 from ..metrics import WaveFit, condition_number, condition_summary, fit_waves
-from ..metrics.waves import beside, unwrapped
+from ..metrics.waves import beside, phase_told
 from ..ports import distances
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
@@ -173,7 +173,7 @@ def _wave_summary(g: CommonGround, c: Comparison, k: int) -> dict[str, Any]:
 
 def _speed(w: WaveFit) -> dict[str, Any]:
     """Speeds up to the frequency beyond which the points lie too far apart for the waves' phase to be told."""
-    told = unwrapped(w)
+    told = phase_told(w)
     return {"speed_m_s": extremes(w.speed[told]), "speed_to_Hz": float(w.frequency[told][-1]) if told.any() else None}
 
 

@@ -70,7 +70,7 @@ def fit_waves(
     return WaveFit(np.asarray(frequency), columns[0], k, columns[5], columns[1], columns[3], columns[4])
 
 
-def unwrapped(fit: WaveFit) -> BoolArray:
+def phase_told(fit: WaveFit) -> BoolArray:
     """At which frequencies (n,) the phases of a ``fit`` could be unwrapped: below the one from which on neighbours are
     more than 0.8 pi apart. Beyond, wavenumber and speed may be those of an alias, however well they fit."""
     known = np.isfinite(fit.phase_step)

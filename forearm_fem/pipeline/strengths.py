@@ -124,9 +124,7 @@ def strength_account(
     )  # fmt: skip
 
 
-def _cost_of_ends(
-    strength: Callable[[TransferMatrix], FloatArray], g: TransferMatrix, value: FloatArray
-) -> FloatArray:
+def _cost_of_ends(strength: Callable[[TransferMatrix], FloatArray], g: TransferMatrix, value: FloatArray) -> FloatArray:
     """What the ends that G misses may have cost S: twice what it does to leave out as much again beside them."""
     try:
         return _MARGIN * _pooled(strength(with_wider_ends(g)) - value, value)
