@@ -118,7 +118,7 @@ def _absent(transfer: TransferMatrix, known: BoolArray) -> tuple[str, ...]:
     """Names of actuators, points and, of the others, entries that are not ``known`` (n_out, n_in) at any frequency."""
     if not known.any():
         return ()
-    columns, rows = ~known.any(axis=0), ~known.any(axis=1)
+    columns, rows = np.asarray(~known.any(axis=0)), np.asarray(~known.any(axis=1))
     single = ~known & ~columns & ~rows[:, None]
     outputs, inputs = transfer.outputs, transfer.inputs
     return (
