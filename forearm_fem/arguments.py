@@ -94,7 +94,10 @@ def _rule(where: str, hint: Any) -> Convert | None:
 
 
 def _came(value: Any) -> str:
-    return repr(value)[:60] if isinstance(value, str | int | float | complex) else f"a {type(value).__name__}"
+    if isinstance(value, np.ndarray):
+        return f"an array {value.shape} of {value.dtype}"
+    plain = isinstance(value, str | int | float | complex | list | tuple)
+    return repr(value)[:60] if plain else f"a {type(value).__name__}"
 
 
 def _element(hint: Any) -> type | None:

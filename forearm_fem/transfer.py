@@ -36,6 +36,12 @@ __all__ = [
 UNITS: Mapping[str, str] = MappingProxyType({"voltage": "m/V", "force": "m/N", "displacement": "m/m"})
 """The unit of G by what drives it."""
 
+_KINDS = {"frequency": "fiu", "values": "cfiu", "contacts": "cfiu", "valid": "biu", "deviation": "fiu"}
+_WORDS = {
+    "frequency": "real numbers", "values": "numbers", "contacts": "numbers", "valid": "true and false, or 1 and 0",
+    "deviation": "real numbers",
+}  # fmt: skip
+
 ErrorSource = Literal[
     "discretisation", "truncation", "reduction", "linear solve", "measurement", "quadrature", "bridging",
     "interpolation", "contact",
@@ -50,7 +56,8 @@ class ErrorEstimate:
     ||dG||_F / ||G||_F over the band and the matrix; ``method`` says in one sentence how it was found. An estimate
     that was asked for and could not be made has ``band`` NaN, and ``method`` says why and what to do. ``per_pair``
     (n_frequency, n_out, n_in) [-] is |dG_ij| / max_ij |G_ij| at ``frequency``, with e(f) its largest; None where all
-    pairs may err by e(f). Estimates that are equal may differ in it.
+    pairs may err by e(f). Estimates that are equal may differ in it. DataError for frequencies that do not increase,
+    and for another number of errors than of frequencies.
     """
 
     source: ErrorSource
@@ -60,10 +67,19 @@ class ErrorEstimate:
     per_frequency: tuple[float, ...] = ()
     per_pair: FloatArray | None = field(default=None, compare=False, repr=False)
 
+    def __post_init__(self) -> None:
+        for name in ("frequency", "per_frequency"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if len(self.per_frequency) not in (0, len(self.frequency)) or np.any(np.diff(self.frequency) <= 0):
+            raise DataError(
+                f"the error by {self.source}: expected e(f) at increasing frequencies, one at each, got "
+                f"{len(self.per_frequency)} at {len(self.frequency)}; sort them together"
+            )
+
     @property
     def worst(self) -> float:
-        """Largest e(f), or the band value where no frequencies are given."""
-        return max(self.per_frequency, default=self.band)
+        """Largest e(f), NaN where one is unknown, or the band value where no frequencies are given."""
+        return float(np.max(self.per_frequency)) if self.per_frequency else self.band
 
     @property
     def known(self) -> bool:
@@ -113,8 +129,8 @@ class TransferMatrix:
     prescribed displacement). ``contacts`` (n_frequency, n_in, n_in) is the displacement of the cones
     themselves in the same unit, where known (driving points on its diagonal). ``valid`` marks entries that may be used
     (None = all); ``deviation`` is a standard deviation per entry (None = unknown). Names of outputs and of inputs are
-    unique, ``frequency`` [Hz] is positive and increasing. DataError for arrays of other shapes and for a unit that is
-    none of m/V, m/N and m/m.
+    unique, ``frequency`` [Hz] is positive and increasing. DataError for arrays of other shapes or kinds, for negative
+    deviations, and for a unit that is none of m/V, m/N and m/m.
     """
 
     frequency: FloatArray
@@ -141,6 +157,12 @@ class TransferMatrix:
                     f"G's {name}: expected {shape}, a numpy array, as there are {n} frequencies, {outputs} outputs "
                     f"and {inputs} inputs, got {came}"
                 )
+            if given is not None and given.dtype.kind not in _KINDS[name]:
+                raise DataError(f"G's {name}: expected {_WORDS[name]}, got {given.dtype}; convert them")
+        if self.valid is not None:
+            object.__setattr__(self, "valid", self.valid.astype(bool, copy=False))
+        if self.deviation is not None and np.any(self.deviation < 0):
+            raise DataError("G's deviation: expected standard deviations, not negative, or NaN; correct them")
         rising = np.isfinite(self.frequency) & (np.diff(self.frequency, prepend=0.0) > 0)
         if not rising.all():
             raise DataError(
@@ -186,24 +208,41 @@ def refuse_non_finite(what: str, frequency: FloatArray, values: ComplexArray) ->
 
 @checked
 def relative_error(estimate: ComplexArray, truth: ComplexArray) -> FloatArray:
-    """e(f) = max_ij |estimate - truth| / max_ij |truth| per frequency (n_frequency,)."""
-    _refuse_unlike(estimate, truth)
-    return np.asarray(np.nanmax(np.abs(estimate - truth), axis=(1, 2)) / np.nanmax(np.abs(truth), axis=(1, 2)))
+    """e(f) = max_ij |estimate - truth| / max_ij |truth| per frequency (n_frequency,).
+
+    Of the entries that both know, NaN where there are none and where these are all zero. DataError for other shapes.
+    """
+    off, size = _known_to_both(estimate, truth)
+    return _over(off.max(axis=(1, 2)), size.max(axis=(1, 2)))
 
 
 @checked
 def band_error(estimate: ComplexArray, truth: ComplexArray) -> float:
-    """e_band = ||estimate - truth||_F / ||truth||_F over all frequencies and entries."""
-    _refuse_unlike(estimate, truth)
-    return float(np.sqrt(np.nansum(np.abs(estimate - truth) ** 2) / np.nansum(np.abs(truth) ** 2)))
+    """e_band = ||estimate - truth||_F / ||truth||_F over all frequencies and entries.
+
+    Of the entries that both know, NaN where there are none and where these are all zero. DataError for other shapes.
+    """
+    off, size = _known_to_both(estimate, truth)
+    return float(_over(np.asarray(np.linalg.norm(off)), np.asarray(np.linalg.norm(size))))
 
 
-def _refuse_unlike(estimate: ComplexArray, truth: ComplexArray) -> None:
-    """DataError for matrices of different shapes: what numpy would repeat is no comparison."""
+def _over(off: FloatArray, size: FloatArray) -> FloatArray:
+    """``off`` over ``size``; NaN where that is zero."""
+    return np.asarray(np.divide(off, size, out=np.full(np.shape(size), np.nan), where=size > 0))
+
+
+def _known_to_both(estimate: ComplexArray, truth: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """|estimate - truth| and |truth|, both zero where either is unknown: a norm of the truth that holds entries without
+    an estimate would make the error small.
+
+    DataError for matrices of different shapes: what numpy would repeat is no comparison.
+    """
     if estimate.shape != truth.shape or truth.ndim != 3 or truth.size == 0:
         raise DataError(
             f"two G are compared on one shape (frequency, output, input), got {estimate.shape} and {truth.shape}"
         )
+    known = ~(np.isnan(estimate) | np.isnan(truth))
+    return np.abs(np.where(known, estimate - truth, 0)), np.abs(np.where(known, truth, 0))
 
 
 @checked
@@ -220,9 +259,11 @@ def relative_error_at(estimate: ErrorEstimate, frequency: FloatArray) -> FloatAr
 @checked
 def error_of_pairs(estimate: ErrorEstimate, frequency: FloatArray) -> FloatArray | None:
     """|dG_ij| / max_ij |G_ij| (n, n_out, n_in) [-] at ``frequency`` (n,) [Hz], as :func:`relative_error_at` takes e(f);
-    None where an estimate does not tell pairs apart."""
-    if estimate.per_pair is None:
+    NaN throughout for an estimate that could not be made, None where one does not tell pairs apart."""
+    if estimate.per_pair is None or not estimate.frequency:
         return None
+    if not np.isfinite(estimate.band):
+        return np.full((len(frequency), *estimate.per_pair.shape[1:]), np.nan)
     rows = np.interp(frequency, estimate.frequency, np.arange(len(estimate.frequency)))
     below = np.minimum(rows.astype(int), max(len(estimate.frequency) - 2, 0))
     above = np.minimum(below + 1, len(estimate.frequency) - 1)

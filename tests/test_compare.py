@@ -217,6 +217,35 @@ def test_cross_play_with_itself_costs_nothing_and_with_another_arm_something():
     assert other.a_on_b[inverse, 0] < other.b_on_b[inverse, 0]
 
 
+def test_s_on_other_bins_than_the_runs_keeps_its_renderers_and_says_so():
+    """It took the thesis' 250 Hz in place of the scenario's wavelet without a word: S 4.3 for 3.0."""
+    rendering = {"wavelet": {"peak": 120.0}, "methods": ["funneling"]}
+    scene = {"name": "slow", "limb": {"shape": "slab"}, "rendering": rendering}
+    whole = replace(A, provenance={"scenario": scene})
+    own = cross_play(common_ground(whole, A), targets=("5",))
+    assert own.how == "the renderers of scenario 'slow' with the wavelet Ricker 120 Hz"
+    assert own.methods == ("funneling",)
+    kept = slice(None, None, 3)
+    odd = replace(A, frequency=A.frequency[kept] + 0.13, values=A.values[kept])
+    other = compare(odd, replace(whole, frequency=odd.frequency, values=odd.values))
+    assert other.crossed.how.startswith(f"{own.how}; its bins are not the common frequencies")
+    assert other.crossed.methods == ("funneling",)
+    assert f"S by {other.crossed.how}." in as_markdown(other)
+    assert comparison_record(other)["rendered"] == other.crossed.how
+    assert cross_play(common_ground(A, A), targets=("5",)).how.startswith("the thesis' renderers with the wavelet")
+
+
+@pytest.mark.parametrize("speed", [5.0, 3.0, 2.0])
+def test_speeds_are_told_where_phases_can_be_unwrapped(speed):
+    """Points 11 mm apart are an alias' points beyond some frequency: -771 to 600 m/s were printed for 3 m/s."""
+    away = distances(A.outputs, A.inputs)
+    g = replace(A, values=np.exp(-(30 + 1j * A.omega[:, None, None] / speed) * away))
+    found = comparison_record(compare(g, g, render=False))["waves"]
+    for wave in (w["A"] for w in found if w["A"]):
+        assert list(wave["speed_m_s"].values()) == pytest.approx([speed] * 3, rel=1e-9)
+        assert A.frequency[0] < wave["speed_to_Hz"] < A.frequency[-1]
+
+
 def test_wavelet_sits_on_the_common_bins():
     shape = wavelet_for(np.arange(10.0, 500.5, 0.5))
     assert (shape.record.sample_rate, shape.record.n) == (4000.0, 8000)

@@ -27,7 +27,15 @@ from forearm_fem.metrics import (
 )
 from forearm_fem.metrics.uncertainty import perturbed
 from forearm_fem.ports import Port
-from forearm_fem.transfer import ErrorEstimate, TransferMatrix, entry_band_errors, entry_errors, error_of_pairs
+from forearm_fem.transfer import (
+    ErrorEstimate,
+    TransferMatrix,
+    band_error,
+    entry_band_errors,
+    entry_errors,
+    error_of_pairs,
+    relative_error,
+)
 
 # ---------------------------------------------------------------- S
 
@@ -360,3 +368,76 @@ def test_width_at_half_maximum():
     assert np.isnan(fwhm(np.array([0.0, 1, 2]), np.array([1.5, 2, 0])))
     with pytest.raises(DataError, match="width"):
         fwhm(np.array([0.0, 0, 1]), np.ones(3))
+
+
+# ---------------------------------------------------------------- what is unknown, zero or of another kind
+
+
+def test_errors_are_those_of_the_entries_that_both_know():
+    """A norm of the truth over all entries made e_band of one with NaN a quarter of what it is."""
+    truth = np.arange(1.0, 25.0).reshape(4, 3, 2) + 1j
+    estimate = 1.1 * truth
+    estimate[2:] = np.nan
+    assert band_error(estimate, truth) == pytest.approx(0.1)
+    assert relative_error(estimate, truth)[:2] == pytest.approx(0.1)
+    assert np.isnan(relative_error(estimate, truth)[2:]).all()
+    assert np.isnan(band_error(truth, 0 * truth))
+    assert np.isnan(band_error(np.nan * truth, truth))
+
+
+def test_what_moves_nothing_or_is_unknown_has_no_spot():
+    areas, places = np.arange(1.0, 6.0), np.eye(5, 3)
+    lost = np.where(areas == 3, np.nan, areas)
+    for bad in (lost, 0 * areas):
+        assert np.isnan(contrast(bad, 2))
+        assert np.isnan(spot_radius(bad, places, 2))
+    alone = np.where(areas == 3, areas, np.nan)
+    assert np.isnan(contrast(alone, 2))
+    assert contrast(np.nan_to_num(alone), 2) == np.inf
+    for bad in (0 * areas, -areas, lost):
+        assert np.isnan(fwhm(np.arange(5.0), bad))
+
+
+def test_strength_made_of_rounding_is_said():
+    moved = 1e-18 * np.ones((3, 8))
+    moved[1] = 1
+    with pytest.warns(AccuracyWarning, match="what rounding leaves"):
+        assert signal_strength(moved, 1) > 1e17
+
+
+def test_a_table_may_hold_an_s_without_bound():
+    table = signal_strength_table(("a",), ("1", "3"), np.array([[np.inf, 1.0]]))
+    assert table.mean[0, 0] == np.inf
+    assert np.isnan(table.std[0, 0])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: condition_number(np.zeros((2, 3, 0))),
+        lambda: fit_waves([50.0], [1.0, 2.0, np.nan], np.ones((1, 3))),
+        lambda: fit_waves([50.0], [1.0, 2.0, 3.0], np.ones((1, 3)), decay="cubic"),
+        lambda: ErrorEstimate("quadrature", 0.1, "t", (20.0, 10.0), (0.1, 0.2)),
+        lambda: ErrorEstimate("quadrature", 0.1, "t", (10.0, 20.0), (0.1,)),
+        lambda: replace(small_transfer(), values=small_transfer().values.astype(str)),
+        lambda: replace(small_transfer(), deviation=-np.ones(small_transfer().values.shape)),
+        lambda: signal_strength_uncertainty(
+            replace(small_transfer(), errors=(ErrorEstimate("truncation", np.nan, "t"),)), lambda g: np.zeros(1)
+        ),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(make):
+    """numpy's own error, or a number, came of each."""
+    with pytest.raises(DataError):
+        make()
+
+
+def test_an_unknown_error_at_one_frequency_is_the_worst():
+    for errors in ((0.1, np.nan, 0.3), (np.nan, 0.1, 0.3)):
+        assert np.isnan(ErrorEstimate("quadrature", 0.1, "t", (1.0, 2.0, 3.0), errors).worst)
+
+
+def test_marks_of_ones_and_zeros_serve():
+    g = small_transfer()
+    marked = replace(g, valid=np.ones(g.values.shape, dtype=int))
+    assert marked.valid.dtype == bool

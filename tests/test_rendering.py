@@ -19,7 +19,10 @@ from forearm_fem.rendering import (
     Combination,
     Funneling,
     InverseFilter,
+    Limits,
+    Record,
     SearchedZeros,
+    Wavelet,
     best_zeros,
     displacements,
     drives,
@@ -403,3 +406,24 @@ def test_the_thesis_groups_are_of_its_grid_only():
     with pytest.raises(DataError, match="3 x 3 grid only"):
         rendering.table()
     assert signal_strength_table(["inverse filter"], ["5"], np.array([[6.2e14]])).as_text().endswith("6.2e+14")
+
+
+@pytest.mark.parametrize(
+    ("make", "problem"),
+    [
+        (lambda: Limits(voltage=float("nan")), ScenarioError),
+        (lambda: Limits(resistance=0.0), ScenarioError),
+        (lambda: Limits(window=float("inf")), ScenarioError),
+        (lambda: Wavelet(np.ones(10), Record(1000.0, 20)), DataError),
+        (lambda: Wavelet(np.full(20, np.nan), Record(1000.0, 20)), DataError),
+        (lambda: Wavelet(np.zeros(20), Record(1000.0, 20)).window, DataError),
+    ],
+)
+def test_limits_and_wavelets_that_cannot_be_are_refused(make, problem):
+    """A limit of NaN was never exceeded; samples of another length ended in an IndexError."""
+    with pytest.raises(problem, match=r"expected|zero"):
+        make()
+
+
+def test_wavelets_of_a_list_are_arrays():
+    assert Wavelet([1.0] * 20, Record(1000.0, 20)).samples.shape == (20,)

@@ -51,6 +51,7 @@ def matrix(columns: int, rows: int, *, dead: bool = False, gap: bool = False):
 
 @pytest.mark.parametrize("zeros", ZEROS)
 @pytest.mark.parametrize(("columns", "rows"), [(2, 2), (3, 2), (3, 3)])
+@pytest.mark.filterwarnings("ignore:nothing is known of G's actuator")
 @pytest.mark.parametrize("harm", ["none", "dead", "gap"])
 def test_targets_together_are_driven_as_each_alone(zeros, columns, rows, harm):
     """All nine at once against a fresh renderer on a bare G for each, to the last bit."""

@@ -24,7 +24,7 @@ def record(**changes) -> RunRecord:
         "stages": {"mesh": StageCost(seconds=2.5), "solve": StageCost(seconds=0.5, peak_memory_bytes=1e9)},
         "notes": ("a note",),
         "errors": (
-            ErrorRecord.of(ErrorEstimate("reduction", 1e-5, "certificates", 2e-5)),
+            ErrorRecord.of(ErrorEstimate("reduction", 1e-5, "certificates")),
             ErrorRecord.of(ErrorEstimate("truncation", float("nan"), "ends could not be freed")),
         ),
         "mesh": {"sha256": "ab", "quality": {"least": 0.1, "median": 0.6}, "resolution": []},

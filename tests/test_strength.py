@@ -13,7 +13,7 @@ from test_rendering import BAND, actuators, grid, waves
 from forearm_fem.compare.common import common_ground
 from forearm_fem.compare.crossplay import cross_play
 from forearm_fem.compare.run import run_compare
-from forearm_fem.errors import AccuracyWarning, ScenarioError
+from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.figures import Results
 from forearm_fem.measurement.entry import noise_estimate
 from forearm_fem.metrics.strength import strength_text, without_bound
@@ -28,6 +28,7 @@ from forearm_fem.ports import Port
 from forearm_fem.prediction.run import Question, check_question
 from forearm_fem.rendering import (
     Combination,
+    Funneling,
     InverseFilter,
     Limits,
     Regularisation,
@@ -378,6 +379,56 @@ def test_the_ends_of_the_band_are_not_holes_but_are_said():
     assert "36 are bridged" in both.sentence
     assert "at the ends of its band" in both.sentence
     assert bridged(g).sentence == ""
+
+
+@pytest.mark.parametrize("ends", [slice(0, 1), slice(0, 6), slice(-12, None)])
+def test_what_missing_ends_cost_is_in_the_interval(ends):
+    """One bin of a hundred at the edge moved S by three of its half widths."""
+    g = replace(waves(BINS), errors=(MESH,))
+    shape, methods = ricker(duration=0.25), (InverseFilter(), Funneling())
+    whole = render_all(g, TARGETS, methods, shape).strengths
+    holed = with_holes(g, ends)
+    rendering = render_all(holed, TARGETS, methods, shape)
+    account = strength_account(rendering, methods, shape)
+    assert (account.holes > 0).all()
+    assert (np.abs(account.value - whole) <= 1.5 * account.holes).all()
+    calm = strength_account(replace(rendering, bridged=replace(rendering.bridged, ends=0)), methods, shape)
+    assert np.allclose(account.high - calm.high, account.holes)
+
+
+def test_ends_that_cannot_be_judged_leave_the_interval_unknown(monkeypatch):
+    """Where no bin is left on which all control points are known."""
+    from forearm_fem.pipeline import strengths as module
+
+    def nowhere(g):
+        return replace(g, valid=np.zeros(g.values.shape, dtype=bool))
+
+    monkeypatch.setattr(module, "with_wider_ends", nowhere)
+    shape, methods = ricker(duration=0.25), (Funneling(),)
+    rendering = render_all(with_holes(replace(waves(BINS), errors=(MESH,)), slice(0, 3)), TARGETS, methods, shape)
+    account = strength_account(rendering, methods, shape)
+    assert np.isnan(account.holes).all()
+    assert np.isnan(account.low).all()
+    assert np.isfinite(account.value).all()
+
+
+def test_what_was_never_measured_is_named():
+    """An actuator without a single value stayed silent, and S of the rest was printed without a word."""
+    g = waves(BINS)
+    valid = np.ones(g.values.shape, dtype=bool)
+    valid[:, :, 1] = False
+    without = replace(g, valid=valid, values=np.where(valid, g.values, np.nan))
+    assert bridged(without).absent == (f"actuator {g.inputs[1].name}",)
+    with pytest.warns(AccuracyWarning, match=f"nothing is known of G's actuator {g.inputs[1].name}: such actuators"):
+        found = render_all(without, ["5"], (Funneling(),), ricker(duration=0.25))
+    assert "nothing is known" in found.bridged.sentence
+    assert not np.any(found["funneling", "5"].drives.spectrum[:, 1])
+    valid[:, 3], valid[:, 4, 2] = False, False
+    names = tuple(p.name for p in g.outputs)
+    more = bridged(replace(g, valid=valid)).absent
+    assert more[1:] == (f"point {names[3]}", f"entry {names[4]} <- {g.inputs[2].name}")
+    with pytest.raises(DataError, match=f"on every bin for {names[4]} <- {g.inputs[2].name}; choose others"):
+        render_all(replace(g, valid=valid), ["5"], (InverseFilter(),), ricker(duration=0.25))
 
 
 # ---------------------------------------------------------------- more actuators

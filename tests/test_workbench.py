@@ -451,6 +451,7 @@ def test_a_free_place_at_a_point_moves_as_the_point(flat: Results, content: dict
     assert np.abs(found - expected).max() < 0.05 * np.abs(expected).max()
 
 
+@pytest.mark.filterwarnings("ignore:nothing is known of G's actuator")
 @needs_node
 def test_a_measured_g_with_holes(flat: Results) -> None:
     """Invalid entries are not driven, as in Python; no compliance, so the device cannot be changed."""

@@ -12,7 +12,7 @@ import numpy as np
 from ..io.declaration import arbitrary_gain
 from ..io.jsonfiles import plain
 from ..metrics import WaveFit, condition_number, condition_summary, fit_waves
-from ..metrics.waves import beside
+from ..metrics.waves import beside, phase_told
 from ..ports import distances
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
@@ -150,6 +150,7 @@ def comparison_record(c: Comparison) -> dict[str, Any]:
         ],
         "condition_number": {"A": _conditioning(c.condition_a), "B": _conditioning(c.condition_b)},
         "waves": [_wave_summary(g, c, k) for k in range(len(g.inputs))],
+        "rendered": c.crossed.how if c.crossed else "",
         "signal_strength": _crossed(c.crossed) if c.crossed else {"missing": c.not_crossed},
     }
 
@@ -164,10 +165,16 @@ def _wave_summary(g: CommonGround, c: Comparison, k: int) -> dict[str, Any]:
     return {
         "input": g.inputs[k].name,
         **{
-            name: None if w is None else {"speed_m_s": extremes(w.speed), "attenuation_1_m": extremes(w.attenuation)}
+            name: None if w is None else {**_speed(w), "attenuation_1_m": extremes(w.attenuation)}
             for name, w in both.items()
         },
     }
+
+
+def _speed(w: WaveFit) -> dict[str, Any]:
+    """Speeds up to the frequency beyond which the points lie too far apart for the waves' phase to be told."""
+    told = phase_told(w)
+    return {"speed_m_s": extremes(w.speed[told]), "speed_to_Hz": float(w.frequency[told][-1]) if told.any() else None}
 
 
 def _crossed(x: CrossPlay) -> dict[str, Any]:

@@ -29,6 +29,7 @@ class CrossPlay:
     """S (n_method, n_target) [-] of drives made for the first-named G and played on the second.
 
     ``a_on_b`` is what a device gets that was calibrated on A when the arm is B; ``b_on_b`` the best it could get.
+    ``how`` says whose renderers and which wavelet these are of.
     """
 
     methods: tuple[str, ...]
@@ -37,6 +38,7 @@ class CrossPlay:
     b_on_b: FloatArray
     a_on_b: FloatArray
     b_on_a: FloatArray
+    how: str = ""
 
     @property
     def worth(self) -> FloatArray:
@@ -53,14 +55,17 @@ def cross_play(
     """S at ``targets``, own and crossed, on the common frequencies.
 
     Renderers, wavelet, window and, without ``targets``, these are of the scenario in A's provenance, else of B's, so
-    that A on A is the S that A's run printed; its wavelet's file is looked for in ``folders`` too. Without a scenario
-    they are the thesis' three, its wavelet and all targets.
+    that A on A is the S that A's run printed; its wavelet's file is looked for in ``folders`` too. Where no scenario's
+    bins are the common ones, its wavelet is set into a record whose bins they are, and S is not what its run printed;
+    ``how`` says so. Without a scenario they are the thesis' three, its wavelet and all targets.
     Holes of either are bridged as in a run; bins that either still lacks are driven on neither, so that only the values
     differ. Raises ForearmError where a renderer cannot work on this geometry or the frequencies lie too far apart.
     """
     a, b = (bridged(g).transfer for g in sides(ground))
     every = tuple(p.name for p in ground.outputs)
-    own = rendering_of(ground, folders) or _Own(thesis_renderers(), every, wavelet_for(ground.frequency), "wavelet")
+    own = rendering_of(ground, folders) or _Own(
+        thesis_renderers(), every, wavelet_for(ground.frequency), "wavelet", "the thesis' renderers"
+    )
     shape, chosen, window = own.wavelet, own.methods, own.window
     aims = own.targets if targets is None else tuple(targets)
     ready = [prepared(place(g, shape.record), chosen, aims) for g in (a, b)]
@@ -72,6 +77,7 @@ def cross_play(
         b_on_b=strengths(b, aims, chosen, shape, fixed=for_b, window=window),
         a_on_b=strengths(b, aims, chosen, shape, fixed=for_a, window=window),
         b_on_a=strengths(a, aims, chosen, shape, fixed=for_b, window=window),
+        how=f"{own.whose} with the wavelet {shape.name}{own.apart}",
     )
 
 
@@ -83,14 +89,20 @@ class _Own:
     targets: tuple[str, ...]
     wavelet: Wavelet
     window: Window
+    whose: str
+    apart: str = ""
 
 
 def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> _Own | None:
     """The rendering of the scenario that one side came from; None where neither names one, its wavelet's file is in
-    none of ``folders`` and not in the current one (said by an AccuracyWarning), or its bins are not the common ones."""
+    none of ``folders`` and not in the current one (said by an AccuracyWarning).
+
+    One whose bins are the common ones comes first; of another the wavelet is set into a record that fits them, which
+    can be done with a Ricker wavelet alone."""
     from ..pipeline.renderers import renderers, unsuited
     from ..scenario import parse_scenario
 
+    other: _Own | None = None
     for provenance in ground.provenance:
         known = provenance.get("scenario")
         if not isinstance(known, Mapping):
@@ -109,12 +121,22 @@ def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> _Own | N
             )
             continue
         place = ground.frequency / shape.record.df
-        if not options.methods or not np.allclose(place, np.rint(place), rtol=0, atol=1e-3):
+        if not options.methods:
             continue
+        whose, apart = f"the renderers of scenario '{scenario.name}'", ""
+        on_bins = np.allclose(place, np.rint(place), rtol=0, atol=1e-3)
+        if not on_bins:
+            if other is not None or options.wavelet.file is not None or len(ground.frequency) < 2:
+                continue
+            shape = wavelet_for(ground.frequency, options.wavelet.peak)
+            apart = "; its bins are not the common frequencies, so that its run printed another S"
         targets = [p.name for p in ground.outputs] if options.targets == "all" else list(options.targets)
         left_out = frozenset(unsuited(options, ground.outputs, ground.inputs, targets))
-        return _Own(tuple(renderers(scenario, shape, left_out)), tuple(targets), shape, options.window)
-    return None
+        own = _Own(tuple(renderers(scenario, shape, left_out)), tuple(targets), shape, options.window, whose, apart)
+        if on_bins:
+            return own
+        other = own
+    return other
 
 
 def _kept_wavelet(scenario: Scenario, folders: Sequence[Path]) -> Wavelet:

@@ -108,7 +108,8 @@ def _strengths(c: Comparison) -> str:
     x = c.crossed
     header = ("S, mean over targets", "A on A", "B on B", "A on B", "B on A", "worth")
     arrays = (x.a_on_a, x.b_on_b, x.a_on_b, x.b_on_a, x.worth)
-    return markdown_table(header, [(m, *(_number(_mean(a[j])) for a in arrays)) for j, m in enumerate(x.methods)])
+    table = markdown_table(header, [(m, *(_number(_mean(a[j])) for a in arrays)) for j, m in enumerate(x.methods)])
+    return f"{table.rstrip()}\n\nS by {x.how}.\n"
 
 
 def _mean(row: Any) -> float | None:

@@ -30,9 +30,9 @@ def singular_values(values: ComplexArray) -> FloatArray:
     """Singular values (n, min(n_out, n_in)) of ``values`` (n, n_out, n_in), descending, in its unit.
 
     Take the rows of the control points first to judge an inverse filter. Matrices with NaN give NaN.
-    DataError for a single matrix or a row of them.
+    DataError for a single matrix or a row of them, and for matrices without rows or columns.
     """
-    if values.ndim != 3:
+    if values.ndim != 3 or 0 in values.shape[1:]:
         raise DataError(
             f"singular values are those of (n, n_out, n_in) matrices, got {values.shape}; add the first axis"
         )

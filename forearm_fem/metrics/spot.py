@@ -13,27 +13,35 @@ from ..typing import FloatArray
 def contrast(areas: FloatArray, target: int) -> float:
     """Area of |u| at ``target`` over the largest one elsewhere [-]; ``areas`` (n_out,) from :func:`area`.
 
-    Above 1 the target moves most; stricter than S, which compares with the mean. NaN areas are ignored elsewhere.
-    DataError for a target that is none of the outputs.
+    Above 1 the target moves most; stricter than S, which compares with the mean. NaN areas are ignored elsewhere; NaN
+    where the target or all others are unknown, or nothing moves; inf where the target moves alone. DataError for a
+    target that is none of the outputs.
     """
     _check_target(areas, target)
     others = np.delete(areas, target)
-    largest = np.max(others[np.isfinite(others)], initial=0.0)
-    return float(areas[target] / largest) if largest > 0 else float("inf")
+    known = others[np.isfinite(others)]
+    if not np.isfinite(areas[target]) or not len(known):
+        return float("nan")
+    if known.max() > 0:
+        return float(areas[target] / known.max())
+    return float("inf") if areas[target] > 0 else float("nan")
 
 
 @checked
 def spot_radius(areas: FloatArray, positions: FloatArray, target: int) -> float:
     """Root mean square distance [m] of the motion from the target, weighted with ``areas`` (n_out,).
 
-    ``positions`` (n_out, 2 or 3) [m]. Depends on the grid: compare only results on the same grid. DataError for other
-    shapes and for a target that is none of the outputs.
+    ``positions`` (n_out, 2 or 3) [m]. Depends on the grid: compare only results on the same grid. NaN areas are left
+    out; NaN where the target is unknown or nothing moves. DataError for other shapes and for a target that is none of
+    the outputs.
     """
     _check_target(areas, target)
     if positions.ndim != 2 or len(positions) != len(areas):
         raise DataError(f"a spot of {len(areas)} outputs needs as many positions, got {positions.shape}")
     distance = np.linalg.norm(positions - positions[target], axis=1)
     known = np.isfinite(areas)
+    if not known[target] or not areas[known].sum() > 0:
+        return float("nan")
     return float(np.sqrt(np.sum(areas[known] * distance[known] ** 2) / np.sum(areas[known])))
 
 
@@ -47,12 +55,14 @@ def fwhm(position: FloatArray, value: FloatArray) -> float:
     """Full width [m] at half of the maximum of ``value`` (n,) at increasing ``position`` (n,) [m], linear
     between points.
 
-    NaN if the values do not fall to half on both sides: the spot is wider than the line. Raises DataError for
-    bad lengths.
+    NaN if the values do not fall to half on both sides: the spot is wider than the line; and where one is unknown or
+    none is positive. Raises DataError for bad lengths.
     """
     if value.shape != position.shape or len(value) < 3 or np.any(np.diff(position) <= 0):
         raise DataError("a width needs at least 3 values at increasing positions")
     peak = int(np.argmax(value))
+    if not np.isfinite(value).all() or not value[peak] > 0:
+        return float("nan")
     left = _crossing(position[peak::-1], value[peak::-1])
     right = _crossing(position[peak:], value[peak:])
     return abs(right - left)

@@ -49,9 +49,30 @@ def signal_strength(
 
     ``displacement`` (n_out, n_t) in any unit. The thesis does not state the time over which it integrates:
     all samples here, or ``window`` (start, end) [s] of ``time``. Rows of NaN among the others are left out of
-    the mean with an AccuracyWarning; a target of NaN, or others that are all zero, give NaN and inf. Raises
-    DataError for fewer than two outputs or an empty window.
+    the mean with an AccuracyWarning; a target of NaN, or others that are all zero, give NaN and inf. Others that move
+    by rounding alone (S beyond 1e6) are said by an AccuracyWarning, too. Raises DataError for fewer than two outputs
+    or an empty window.
     """
+    found = plain_strength(displacement, target, time=time, window=window, level=4)
+    if WITHOUT_BOUND < found < np.inf:
+        warnings.warn(
+            f"S has no bound, {found:.1g} is what rounding leaves: all other points are still; lay more points to see "
+            "what moves between",
+            AccuracyWarning,
+            stacklevel=3,
+        )
+    return found
+
+
+def plain_strength(
+    displacement: FloatArray,
+    target: int,
+    *,
+    time: FloatArray | None = None,
+    window: tuple[float, float] | None = None,
+    level: int = 2,
+) -> float:
+    """:func:`signal_strength` for those who look at rounding themselves; ``level`` of the stack is the caller's."""
     if displacement.ndim != 2 or not 0 <= target < len(displacement) or len(displacement) < 2:
         raise DataError(f"S needs at least two outputs and one of them as target, got {displacement.shape}, {target}")
     areas = area(displacement, time=time, window=window)
@@ -63,7 +84,7 @@ def signal_strength(
         warnings.warn(
             f"S leaves out {np.count_nonzero(~known)} of {len(others)} outputs whose displacement is unknown",
             AccuracyWarning,
-            stacklevel=2,
+            stacklevel=level,
         )
     moved, elsewhere = float(areas[target]), float(others[known].mean())
     if elsewhere > 0:
@@ -150,7 +171,8 @@ def signal_strength_table(methods: Sequence[str], targets: Sequence[str], streng
             groups.append(label)
             means.append(values[:, columns].mean(axis=1))
             alone = np.full(len(methods), np.nan)
-            stds.append(values[:, columns].std(axis=1, ddof=1) if len(columns) > 1 else alone)
+            with np.errstate(invalid="ignore"):  # an S may be inf
+                stds.append(values[:, columns].std(axis=1, ddof=1) if len(columns) > 1 else alone)
     return StrengthTable(tuple(methods), tuple(groups), np.array(means), np.array(stds))
 
 

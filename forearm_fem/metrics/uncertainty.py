@@ -50,11 +50,14 @@ def signal_strength_uncertainty(
     (:func:`perturbed`), or where it does not tell pairs apart over all entries, with max_ij |dG_ij| = e(f) max_ij
     |G_ij| at every frequency, smooth in frequency over about ``correlation`` [Hz]: discretisation and truncation err
     smoothly, and errors white in frequency would average out of S. The true error has structure that this does not
-    know. Raises DataError without errors or with fewer than 2 draws.
+    know. Holes of G are left as they are; what they cost is not in the interval. Raises DataError without errors, with
+    one that is unknown, or with fewer than 2 draws.
     """
     sources = tuple(transfer.errors if errors is None else errors)
     if not sources or draws < 2 or not 0 < coverage < 1 or correlation <= 0:
         raise DataError("an interval of S needs error estimates of G, at least 2 draws, a coverage in (0, 1)")
+    if lost := [e.source for e in sources if not e.known]:
+        raise DataError(f"the error by {', '.join(lost)} is unknown, and so is the interval of S")
     rng = np.random.default_rng(seed)
     samples = np.stack([strength(perturbed(transfer, sources, rng, correlation)) for _ in range(draws)])
     tail = (1 - coverage) / 2

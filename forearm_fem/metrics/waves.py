@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 
 from ..arguments import checked
@@ -13,6 +14,8 @@ from ..errors import DataError
 from ..typing import BoolArray, ComplexArray, FloatArray
 
 DecayFit = Literal["nonlinear", "log", "normalised"]
+_DOUBTFUL = 0.8 * np.pi  # rad between neighbours: beyond, noise decides which way a phase is unwrapped
+_ABOUT = 5  # frequencies whose median that is
 _RIM, _MIDDLE = 1.05, 1e-3  # of the radius, m: nearer points belong to the source
 
 
@@ -47,11 +50,14 @@ def fit_waves(
     exp(-delta x) (A.5), whose normalisation the thesis does not state. Rows with NaN or zeros give NaN.
 
     Near the source and beyond 2-3 attenuation lengths the response is no plane wave: c and delta then depend on the
-    window, so compare like with like. Raises DataError for fewer than 3 distances or ones that do not increase.
+    window, so compare like with like. Raises DataError for fewer than 3 distances, ones that do not increase, and a
+    ``decay`` that is none of the three.
     """
     x = np.asarray(distance, dtype=float)
-    if x.ndim != 1 or len(x) < 3 or np.any(np.diff(x) <= 0):
+    if x.ndim != 1 or len(x) < 3 or not (np.isfinite(x).all() and np.all(np.diff(x) > 0)):
         raise DataError("a wave fit needs at least 3 increasing distances")
+    if decay not in get_args(DecayFit):
+        raise DataError(f"a wave's decay is fitted by one of {', '.join(get_args(DecayFit))}, got {decay!r}")
     if frequency.ndim != 1 or response.shape != (len(frequency), len(x)):
         raise DataError(f"responses have shape {response.shape}, expected ({frequency.size}, {len(x)})")
     usable = np.all(np.isfinite(response), axis=1) & np.all(response != 0, axis=1)
@@ -62,6 +68,16 @@ def fit_waves(
     k = columns[2]
     columns[5] = np.divide(2 * np.pi * frequency, k, out=np.full(len(k), np.nan), where=np.isfinite(k) & (k != 0))
     return WaveFit(np.asarray(frequency), columns[0], k, columns[5], columns[1], columns[3], columns[4])
+
+
+def phase_told(fit: WaveFit) -> BoolArray:
+    """At which frequencies (n,) the phases of a ``fit`` could be unwrapped: below the one from which on neighbours are
+    more than 0.8 pi apart. Beyond, wavenumber and speed may be those of an alias, however well they fit."""
+    known = np.isfinite(fit.phase_step)
+    steps = median_filter(fit.phase_step[known], _ABOUT, mode="nearest") if known.any() else fit.phase_step[known]
+    found = known.copy()
+    found[known] = np.cumsum(steps > _DOUBTFUL) == 0
+    return np.asarray(found & ~(fit.phase_step > _DOUBTFUL))
 
 
 def beside(distance: FloatArray, radius: float) -> BoolArray:

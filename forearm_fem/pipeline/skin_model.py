@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..arguments import checked
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
 from ..fem.assembly.coefficients import Coefficient
@@ -47,6 +48,7 @@ class SkinModel:
     reduced: ReducedModel
     poles: PoleResidue | None = None
 
+    @checked
     def compliance(self, frequency: FloatArray) -> Compliance:
         """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself.
 
@@ -54,7 +56,6 @@ class SkinModel:
         where the model has unstable poles, as it may for incompressible tissue, and in files of older versions;
         DataError for none, or what is no frequency.
         """
-        frequency = np.asarray(frequency, dtype=float)
         if frequency.ndim != 1 or not len(frequency) or not np.all(np.isfinite(frequency) & (frequency >= 0)):
             raise DataError("frequency: expected a row of one or more, finite and not negative [Hz]; correct it")
         band = frequencies(self.scenario.sweep)
@@ -73,12 +74,14 @@ class SkinModel:
                 stacklevel=2,
             )
         values = (self.poles or pole_residue(self.reduced, frequency) or self.reduced).compliance(frequency)
-        return Compliance(frequency, masked(values, self.ports), self.ports)
+        return Compliance(frequency.copy(), masked(values, self.ports), self.ports)
 
+    @checked
     def transfer(self, frequency: FloatArray) -> TransferMatrix:
-        """G of the scenario's device at ``frequency`` (n,) [Hz]."""
+        """G of the scenario's device at ``frequency`` (n,) [Hz], increasing; otherwise as :meth:`compliance`."""
         return close_loop(self.compliance(frequency), self.scenario.device)
 
+    @checked
     def changed(self, overrides: Sequence[str]) -> SkinModel:
         """The model for ``key.path=value`` overrides of tissues (not their bulk moduli) and device (not its places).
 

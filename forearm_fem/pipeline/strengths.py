@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from ..errors import DataError
 from ..io.jsonfiles import plain
-from ..metrics import perturbed, signal_strength
-from ..metrics.strength import without_bound
+from ..metrics import perturbed
+from ..metrics.strength import plain_strength, without_bound
 from ..rendering import FixedZeros, Rendering, SearchedZeros, Wavelet, Window, place, strengths
+from ..rendering.bridging import with_wider_ends
 from ..rendering.drives import Renderer
 from ..rendering.sharing import settled
 from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at, total_error
 from ..typing import FloatArray
 
 _DRAWS, _SEED = 12, 0
+_MARGIN = 2.0  # the ends that are missing may count for more than their neighbours
 _CORRELATION = 50.0  # Hz: errors of meshes and ends are smooth over about that much
 # rms changes of log S: 9 of 10 true errors lie within for errors as they are stated, which is more than they are
 # (docs/decisions/0027); a measurement's random ones are as large as its deviation says
@@ -30,7 +33,8 @@ _LEAST_SPAN = 4.0  # of the window: the record that draws are made on
 @dataclass(frozen=True, eq=False)
 class StrengthAccount:
     """Arrays (n_method, n_target) [-]: S ``value``, its interval ``low`` to ``high`` (NaN where unknown), S over the
-    whole ``record``, the change of S with tapered band ``edges``, what ``holes`` of G may have cost (0 without any).
+    whole ``record``, the change of S with tapered band ``edges``, what ``holes`` of G and missing ends of its band may
+    have cost (0 without any, NaN where that cannot be told).
 
     ``window`` [s] is what S is taken over, None for the record; ``zeros`` are the zero points by method and target;
     ``unknown`` says why there is no interval, or what an interval there is leaves out.
@@ -96,7 +100,11 @@ def strength_account(
         return strengths(g, rendering.targets, kept, shape, window=window)
 
     g, value = holes.transfer, rendering.strengths
-    cost = np.abs(strength(holes.guess) - value) if holes.guess is not None else np.zeros_like(value)
+    cost = np.zeros_like(value)
+    if holes.guess is not None:
+        cost = _pooled(strength(holes.guess) - value, value)
+    if holes.ends:
+        cost = np.hypot(cost, _cost_of_ends(strength, g, value))
     errors = (*g.errors, *((holes.error,) if holes.error is not None else ()))
     random = _random_error(g)
     known = bool(g.errors) or random is not None
@@ -107,13 +115,30 @@ def strength_account(
     unknown = unknown or ("" if any(e.source != "measurement" for e in g.errors) else _RANDOM_ONLY)
     tapered = wavelet.tapered(float(g.frequency[0]), float(g.frequency[-1]))
     moved = [[rendering[m, t].displacements for t in rendering.targets] for m in rendering.methods]
-    record = np.array([[signal_strength(u.values, u.target_index) for u in row] for row in moved])
+    record = np.array([[plain_strength(u.values, u.target_index) for u in row] for row in moved])
     return StrengthAccount(
         rendering.methods, rendering.targets, rendering.window, value,
         value * np.exp(-spread) - cost, value * np.exp(spread) + cost, record,
         strength(g, tapered) - value, cost,
         {m: {t: rendering[m, t].drives.zeros for t in rendering.targets} for m in rendering.methods}, unknown,
     )  # fmt: skip
+
+
+def _cost_of_ends(strength: Callable[[TransferMatrix], FloatArray], g: TransferMatrix, value: FloatArray) -> FloatArray:
+    """What the ends that G misses may have cost S: twice what it does to leave out as much again beside them."""
+    try:
+        return _MARGIN * _pooled(strength(with_wider_ends(g)) - value, value)
+    except DataError:  # no bin is left on which all control points are known
+        return np.full(value.shape, np.nan)
+
+
+def _pooled(change: FloatArray, value: FloatArray) -> FloatArray:
+    """Size of a ``change`` of S ``value``, both (n_method, n_target), none below the method's rms over all: single
+    ones cancel by chance."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = change / value
+        pooled = np.sqrt(np.mean(share**2, axis=1, keepdims=True, where=np.isfinite(share)))
+        return np.asarray(np.fmax(np.abs(change), pooled * value)) + 0 * change
 
 
 def _with_found_zeros(method: Renderer, rendering: Rendering) -> Renderer:

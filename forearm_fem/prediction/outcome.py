@@ -12,7 +12,7 @@ import numpy as np
 
 from ..device import close_loop
 from ..errors import ReductionError
-from ..metrics.strength import signal_strength
+from ..metrics.strength import plain_strength
 from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import renderers, wavelet
 from ..pipeline.strengths import interval
@@ -142,7 +142,7 @@ def strengths_of(setup: Setup, true: TransferMatrix, calibrated: TransferMatrix)
             for g, where in enumerate(placed):
                 moved, row = displacements(where, sent), where.row(target)
                 for k, over in enumerate((window, None)):
-                    out[2 * k + g, m, t] = signal_strength(moved.values, row, time=moved.time, window=over)
+                    out[2 * k + g, m, t] = plain_strength(moved.values, row, time=moved.time, window=over)
     return out
 
 

@@ -22,6 +22,7 @@ _MARGIN = 2.0  # a bin missing may lie worse than the known ones beside it
 _MOST_HOLES = 0.5  # of a band: fewer known bins than missing ones leave nothing to learn from
 _LEVELS = (1e-6, 1e-3)  # where a rational fit stops: G as smooth as computed, and as measured
 _MOST_TERMS = 25  # of a rational fit: a limb's G over 10-500 Hz needs 20; more would fit noise
+_LISTED = 6  # of what is missing, by name
 _NEIGHBOURS, _ORDER = 12, 3  # of the local polynomial, which noise does not mislead
 
 
@@ -30,7 +31,8 @@ class Bridged:
     """``transfer`` with its safe holes filled, and ``guess`` with the others filled as well, None if there are none.
 
     ``error`` is e(f) of what was filled (None without any); ``filled`` and ``left`` count (bin, entry) pairs; ``bins``
-    are those with any hole. ``ends`` counts the pairs before the first or after the last known bin of their entry.
+    are those with any hole. ``ends`` counts the pairs before the first or after the last known bin of their entry, and
+    ``absent`` names the actuators, points and entries of which nothing is known.
     """
 
     transfer: TransferMatrix
@@ -40,19 +42,33 @@ class Bridged:
     left: int = 0
     bins: int = 0
     ends: int = 0
+    absent: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
         """What was missing and what was done about it; empty where nothing was."""
         ends = f"G misses {self.ends} values at the ends of its band, which are not bridged and not driven"
-        if not self.bins:
-            return ends if self.ends else ""
+        parts = [*([self._holes] if self.bins else []), *([ends] if self.ends else [])]
+        return "; ".join([*parts, *([self.said_of_absent] if self.absent else [])])
+
+    @property
+    def said_of_absent(self) -> str:
+        """What follows from actuators, points and entries of which nothing is known; empty where there are none."""
+        if not self.absent:
+            return ""
+        more = f" and {len(self.absent) - _LISTED} more" if len(self.absent) > _LISTED else ""
+        names = ", ".join(self.absent[:_LISTED]) + more
+        return f"nothing is known of G's {names}: such actuators stay silent, and S is of what is known"
+
+    @property
+    def _holes(self) -> str:
+        """Of the holes within the band."""
         said = f"G misses {self.filled + self.left} values on {self.bins} bins within its band"
         if self.filled and self.error is not None:
             said += f"; {self.filled} are bridged, with e(f) up to {self.error.worst:.1g} there"
         if self.left:
             said += f"; {self.left} could not be bridged within {_SAFE:.0%} and are not driven: see S' column of holes"
-        return f"{said}; {ends}" if self.ends else said
+        return said
 
 
 @checked
@@ -65,10 +81,11 @@ def bridged(transfer: TransferMatrix) -> Bridged:
     half unknown, and bins beyond the known band, stay as they are; the latter are counted.
     """
     whole = _with_missing_rows(transfer)
-    known = np.isfinite(whole.values) & (True if whole.valid is None else whole.valid)
-    holes, ends = _inner_holes(known), int(np.count_nonzero(_beyond(known)))
+    known = known_of(whole)
+    holes, ends = _inner_holes(known), int(np.count_nonzero(beyond(known)))
+    absent = _absent(transfer, np.asarray(known.any(axis=0)))
     if not holes.any() or not whole.values[known].any():
-        return Bridged(transfer, ends=ends)
+        return Bridged(transfer, ends=ends, absent=absent)
     size = np.abs(np.where(known, whole.values, 0)).max(axis=(1, 2))
     size = np.interp(whole.frequency, whole.frequency[size > 0], size[size > 0])
     values, missed = np.where(known, whole.values, 0), np.zeros(known.shape)
@@ -88,7 +105,38 @@ def bridged(transfer: TransferMatrix) -> Bridged:
         left,
         int(np.count_nonzero(holes.any(axis=(1, 2)))),
         ends,
+        absent,
     )
+
+
+def known_of(transfer: TransferMatrix) -> BoolArray:
+    """Which values (n, n_out, n_in) of G are known."""
+    return np.asarray(np.isfinite(transfer.values) & (True if transfer.valid is None else transfer.valid))
+
+
+def _absent(transfer: TransferMatrix, known: BoolArray) -> tuple[str, ...]:
+    """Names of actuators, points and, of the others, entries that are not ``known`` (n_out, n_in) at any frequency."""
+    if not known.any():
+        return ()
+    columns, rows = np.asarray(~known.any(axis=0)), np.asarray(~known.any(axis=1))
+    single = ~known & ~columns & ~rows[:, None]
+    outputs, inputs = transfer.outputs, transfer.inputs
+    return (
+        *(f"actuator {inputs[i].name}" for i in np.flatnonzero(columns)),
+        *(f"point {outputs[o].name}" for o in np.flatnonzero(rows)),
+        *(f"entry {outputs[o].name} <- {inputs[i].name}" for o, i in np.argwhere(single)),
+    )
+
+
+def with_wider_ends(transfer: TransferMatrix) -> TransferMatrix:
+    """G without as many values again as each entry misses at either end of its band, half of the known ones at most:
+    what that does to S tells what the missing ones may do."""
+    known = known_of(transfer)
+    first, last = known.argmax(axis=0), len(known) - 1 - known[::-1].argmax(axis=0)
+    room = (last - first + 1) // 4
+    start, stop = first + np.minimum(first, room), last - np.minimum(len(known) - 1 - last, room)
+    row = np.arange(len(known))[:, None, None]
+    return replace(transfer, valid=known & (row >= start) & (row <= stop))
 
 
 def _estimate(frequency: FloatArray, values: ComplexArray, off: FloatArray) -> ErrorEstimate:
@@ -132,7 +180,7 @@ def _inner_holes(known: BoolArray) -> BoolArray:
     return np.asarray(inner & enough & (known.sum(axis=0) >= _NEIGHBOURS))
 
 
-def _beyond(known: BoolArray) -> BoolArray:
+def beyond(known: BoolArray) -> BoolArray:
     """Values before the first or after the last known one of their entry; none of an entry that is all unknown."""
     before, after = np.maximum.accumulate(known, axis=0), np.maximum.accumulate(known[::-1], axis=0)[::-1]
     return np.asarray(~(before & after) & known.any(axis=0))

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arguments import checked
 from ..errors import AccuracyWarning, DataError, ScenarioError
-from ..metrics.strength import StrengthTable, signal_strength, signal_strength_table, without_bound
+from ..metrics.strength import StrengthTable, plain_strength, signal_strength_table, without_bound
 from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
@@ -54,7 +54,8 @@ class Rendering(Mapping[tuple[str, str], Rendered]):
 
     def __getitem__(self, key: tuple[str, str]) -> Rendered:
         if key not in self.results:
-            raise KeyError(f"{key}: methods are {', '.join(self.methods)}, targets {', '.join(self.targets)}")
+            methods, targets = (", ".join(map(repr, names)) for names in (self.methods, self.targets))
+            raise KeyError(f"{key}: methods are {methods}, targets {targets}")
         return self.results[key]
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
@@ -82,9 +83,12 @@ class Rendering(Mapping[tuple[str, str], Rendered]):
         return beyond_limits(self.methods, self.targets, channels, peak, power, self.limits)
 
     def table(self) -> StrengthTable:
-        """S in the layout of the thesis' Table I; DataError for any other grid than 3 x 3 points "1" to "9"."""
-        outputs = next(iter(self.results.values())).displacements.outputs
-        if not is_thesis_grid(outputs):
+        """S in the layout of the thesis' Table I; DataError for any other grid than 3 x 3 points "1" to "9" and for no
+        targets or methods."""
+        first = next(iter(self.results.values()), None)
+        if first is None:
+            raise DataError("nothing was rendered, so there is no Table I: give targets and methods")
+        if not is_thesis_grid(first.displacements.outputs):
             raise DataError("Table I (middle, edges, corners) is for the thesis' 3 x 3 grid only; see strengths")
         return signal_strength_table(self.methods, self.targets, self.strengths)
 
@@ -111,8 +115,9 @@ def render_all(
     Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window), or "record",
     the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first. ``progress`` is
     called after each. One name or one renderer is taken for a list of it. Warns (AccuracyWarning) when more than 10 %
-    of the wavelet's energy falls on bins where G is unknown, and where an S is made of rounding. Raises ScenarioError
-    for two methods of one name or a target given twice, and as :func:`drives`.
+    of the wavelet's energy falls on bins where G is unknown, where nothing is known of an actuator, which is then left
+    out, and where an S is made of rounding. Raises ScenarioError for two methods of one name or a target given twice,
+    and as :func:`drives`.
     """
     targets = _as_targets(targets, transfer)
     methods = _as_renderers(methods)
@@ -128,7 +133,7 @@ def render_all(
         for target in targets:
             sent = drives(method, placed, target, wavelet)
             reached = displacements(placed, sent)
-            strength = signal_strength(reached.values, reached.target_index, time=reached.time, window=seconds)
+            strength = plain_strength(reached.values, reached.target_index, time=reached.time, window=seconds)
             results[method.name, target] = Rendered(sent, reached, strength, check(sent, limits or Limits()))
             tell(progress, "render", len(results), len(methods) * len(targets))
     worst = max(results.values(), key=lambda r: r.drives.lost, default=None)
@@ -139,6 +144,8 @@ def render_all(
             AccuracyWarning,
             stacklevel=2,
         )
+    if results and holes.absent:
+        warnings.warn(holes.said_of_absent, AccuracyWarning, stacklevel=2)
     found = Rendering(names, targets, results, seconds, holes, limits or Limits())
     if results and (endless := without_bound(names, targets, found.strengths)):
         warnings.warn(endless, AccuracyWarning, stacklevel=2)
@@ -192,5 +199,5 @@ def strengths(
         for t, target in enumerate(targets):
             sent = fixed[m][t] if fixed is not None else drives(method, placed, target, wavelet)
             reached = displacements(placed, sent)
-            out[m, t] = signal_strength(reached.values, placed.row(target), time=reached.time, window=seconds)
+            out[m, t] = plain_strength(reached.values, placed.row(target), time=reached.time, window=seconds)
     return out

@@ -112,10 +112,21 @@ def known_bins(placed: Placed, rows: list[int]) -> BoolArray:
     valid = placed.bins.valid[:, rows]
     used = valid[:, :, ~absent_inputs(placed, rows)].all(axis=(1, 2))
     if not used.any() or absent_inputs(placed, rows).all():
-        lost = [r for k, r in enumerate(rows) if not valid[:, k].any()]
-        names = ", ".join(placed.outputs[r].name for r in lost or rows)
-        raise DataError(f"G is marked invalid on every bin for output(s) {names}; choose others or measure again")
+        raise DataError(f"{_never_together(placed, rows)}; choose others or measure again")
     return np.asarray(used)
+
+
+def _never_together(placed: Placed, rows: list[int]) -> str:
+    """Why no bin serves ``rows``: outputs or single entries that are never known, or never all at once."""
+    ever = np.asarray(placed.bins.valid[:, rows].any(axis=0))
+    names = [placed.outputs[r].name for r in rows]
+    if lost := [n for n, row in zip(names, ever, strict=True) if not row.any()]:
+        return f"G is marked invalid on every bin for output(s) {', '.join(lost)}"
+    columns = np.flatnonzero(ever.any(axis=0))
+    single = [f"{names[r]} <- {placed.inputs[i].name}" for r, i in np.argwhere(~ever) if i in columns]
+    if single:
+        return f"G is marked invalid on every bin for {', '.join(single[:6])}"
+    return f"G is nowhere known for outputs {', '.join(names)} at once"
 
 
 def absent_inputs(placed: Placed, rows: list[int]) -> BoolArray:

@@ -23,13 +23,20 @@ class Limits:
 
     The power is V^2 / resistance averaged over ``window`` [s], the loudest one of the record, or over the
     whole record if None. Back-EMF and inductance are ignored: both lower the current, so the power is an
-    upper bound. Defaults: TEAX14C02-8, 0.8 W (a continuous rating) and 7.8 ohm; 2.5 V rms gives 0.8 W.
+    upper bound. Defaults: TEAX14C02-8, 0.8 W (a continuous rating) and 7.8 ohm; 2.5 V rms gives 0.8 W. ScenarioError
+    for one that is not positive.
     """
 
     voltage: float = 2.5
     power: float = 0.8
     resistance: float = 7.8
     window: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("voltage", "power", "resistance", "window"):
+            value = getattr(self, name)
+            if not (name == "window" and value is None) and not 0 < value < np.inf:
+                raise ScenarioError(f"an actuator's limits: expected a positive {name}, got {value}")
 
 
 @dataclass(frozen=True, eq=False)

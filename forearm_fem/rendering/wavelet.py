@@ -30,12 +30,23 @@ class Wavelet:
 
     ``samples`` (n_t,) [-] at ``record.sample_rate``; sample ``record.centre`` is t = 0. The record is one
     period of a periodic signal: what an inverse filter sends before t = 0 needs the half of the record before
-    it, and what does not fit wraps around. A non-periodic record is not covered.
+    it, and what does not fit wraps around. A non-periodic record is not covered. DataError for samples that are not the
+    record's n finite ones.
     """
 
     samples: FloatArray
     record: Record
     name: str = "wavelet"
+
+    def __post_init__(self) -> None:
+        samples = np.asarray(self.samples)
+        real = samples.dtype.kind in "fiu"
+        if not real or samples.shape != (self.record.n,) or not np.isfinite(samples).all():
+            raise DataError(
+                f"{self.name}: expected {self.record.n} finite samples, one for each of the record's, got "
+                f"{samples.shape} of {samples.dtype}"
+            )
+        object.__setattr__(self, "samples", np.asarray(samples, dtype=float))
 
     @property
     def time(self) -> FloatArray:
@@ -59,6 +70,8 @@ class Wavelet:
         Milliseconds rounded outwards, cut to the record. Longer records of the same wavelet have the same window.
         """
         heard = self.time[np.abs(self.samples) > _HEARD * np.abs(self.samples).max()]
+        if not len(heard):
+            raise DataError(f"{self.name}: all samples are zero, so that there is nothing to take S over")
         start, end = np.floor(1e3 * (heard[0] - _ROOM)) / 1e3, np.ceil(1e3 * (heard[-1] + _ROOM)) / 1e3
         return max(float(start), float(self.time[0])), min(float(end), float(self.time[-1]))
 

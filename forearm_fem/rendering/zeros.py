@@ -11,7 +11,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from ..errors import GeometryError, ScenarioError
-from ..metrics.strength import area, signal_strength
+from ..metrics.strength import area, plain_strength
 from ..progress import Progress, tell
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
@@ -148,7 +148,7 @@ class _Trial:
         if zeros not in self.found:
             response, time = respond(self.placed, self.aim(zeros).spectrum), self.placed.record.time
             row, window = self.placed.row(self.target), self.rule.window
-            self.found[zeros] = signal_strength(response, row, time=time, window=window)
+            self.found[zeros] = plain_strength(response, row, time=time, window=window)
             self.areas[zeros] = area(response, time=time, window=window)
             tell(self.rule.progress, "zero points of one target", len(self.found), self.most)
         found = self.found[zeros]
@@ -180,8 +180,10 @@ Zeros = ZeroRule | tuple[str, ...]
 
 
 def chosen_zeros(zeros: Zeros, placed: Placed, target: str, aim: Callable[[tuple[str, ...]], Aim]) -> tuple[str, ...]:
-    """Names from a rule or a tuple, checked: known, distinct, not the target; raises ScenarioError."""
-    names = zeros if isinstance(zeros, tuple) else zeros.choose(placed, target, aim)
+    """Names from a rule or a list, checked: known, distinct, not the target; raises ScenarioError."""
+    if not hasattr(zeros, "choose") and not isinstance(zeros, list | tuple):
+        raise ScenarioError(f"zero points: expected a rule or names of outputs such as ('1', '3'), got {zeros!r}")
+    names = tuple(zeros) if isinstance(zeros, list | tuple) else zeros.choose(placed, target, aim)
     if target in names:
         raise ScenarioError(f"output '{target}' is both the target and a zero point; take it out of the zero points")
     if len(set(names)) != len(names):

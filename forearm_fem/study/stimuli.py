@@ -77,7 +77,7 @@ def stimuli_for(
     wanted = scenario.rendering.model_copy(update={"methods": options.methods})
     chosen = {r.name: r for r in renderers(scenario.model_copy(update={"rendering": wanted}), wavelet)}
     holes = bridged(transfer)
-    if holes.left:
+    if holes.left or holes.absent:
         warnings.warn(holes.sentence, AccuracyWarning, stacklevel=2)
     placed = place(holes.transfer, wavelet.record)
     time = wavelet.record.time
