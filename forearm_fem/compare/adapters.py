@@ -15,6 +15,7 @@ from ..device.loop import close_loop
 from ..errors import ScenarioError
 from ..geometry.device.layout import layers_of
 from ..layered import Layer, layered_compliance
+from ..layered.response import orders_of
 from ..pipeline.layered_engine import flat_disc, flat_layers, flat_surface
 from ..pipeline.parametric import ParametricModel, parametric_model
 from ..ports import Port
@@ -29,7 +30,7 @@ from .parameters import Parameter
 _POOL = 120  # arms within the ranges of a fit, from which its finite elements are reduced
 _REACH = 3.0  # times or divided by: a fit's ranges reach to 6, where measured tissue is not
 _BELOW = 0.999  # of a Zener law's mu_infinity, up to which its mu may go
-_TERMS, _ORDERS = 4, 1  # under rigid cones: 1e-4 of the largest entry, far below what is measured
+_TERMS, _FEWER = 4, 1  # under rigid cones, and orders fewer than the twin takes: 5e-5 of points for the thesis' device
 ComplianceOf = Callable[[Scenario], Compliance]
 
 
@@ -98,7 +99,8 @@ def layered_compliance_of(
         discs = [flat_disc(port) for port in ports]
         result = layered_compliance(
             layers_from(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs,
-            surface=flat_surface(scenario.tissues), tolerance=tolerance, terms=_TERMS, orders=_ORDERS,
+            surface=flat_surface(scenario.tissues), tolerance=tolerance, terms=_TERMS,
+            orders=max(orders_of(discs) - _FEWER, 0),
         )  # fmt: skip
         values = np.full((len(frequency), len(ports), len(ports)), np.nan + 0j)
         values[:, :, : len(inputs)] = result.values
