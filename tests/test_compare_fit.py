@@ -215,6 +215,7 @@ def test_layered_twin_recovers_skin_and_coil_parameters(tmp_path):
     )
     data = replace(truth, values=truth.values + noise, deviation=np.full(truth.values.shape, sigma), contacts=None)
     result = run_fit(SCENARIO, data, ["scale", "skin.mu", "coil.moving_mass"], folder=tmp_path)
+    assert not result.numerics  # the twin's own error counts for nothing beside this noise
     for name, value in true.items():
         low, high = result.fit.interval[name]
         assert low < value < high
@@ -245,7 +246,9 @@ def test_cones_that_stand_close_are_fitted_with_the_waves_that_they_scatter():
     })  # fmt: skip
     data = replace(simulate(scenario).transfer, contacts=None)
     start = scenario.model_copy(update={"tissues": Scenario().tissues})
-    found = run_fit(start, data, ["scale", "muscle.mu"]).fit
+    answer = run_fit(start, data, ["scale", "muscle.mu"])
+    found = answer.fit
+    assert "series and quadrature of the fit's twin err by an e_band" in answer.numerics  # data without noise
     assert found.values["scale"] == pytest.approx(1.0, rel=1e-3)
     assert found.values["tissues.override.muscle.mu"] == pytest.approx(14e3, rel=2e-3)
     assert found.e_band < 2e-3

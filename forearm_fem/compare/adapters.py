@@ -15,7 +15,7 @@ from ..device.loop import close_loop
 from ..errors import ScenarioError
 from ..geometry.device.layout import layers_of
 from ..layered import Layer, layered_compliance
-from ..layered.response import orders_of
+from ..layered.response import scattered_orders
 from ..pipeline.layered_engine import flat_disc, flat_layers, flat_surface
 from ..pipeline.parametric import ParametricModel, parametric_model
 from ..ports import Port
@@ -23,7 +23,7 @@ from ..prediction.two_meshes import ArmMeshes, arm_meshes
 from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
 from ..tissue import Zener, limb_tissue_keys, resolve_tissues
-from ..transfer import Compliance, TransferMatrix
+from ..transfer import Compliance, ErrorEstimate, TransferMatrix
 from ..typing import FloatArray
 from .parameters import Parameter
 
@@ -100,12 +100,17 @@ def layered_compliance_of(
         result = layered_compliance(
             layers_from(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs,
             surface=flat_surface(scenario.tissues), tolerance=tolerance, terms=_TERMS,
-            orders=max(orders_of(discs) - _FEWER, 0),
+            orders=max(scattered_orders(discs) - _FEWER, 0),
         )  # fmt: skip
         values = np.full((len(frequency), len(ports), len(ports)), np.nan + 0j)
         values[:, :, : len(inputs)] = result.values
         values[:, : len(inputs)] = result.values.swapaxes(1, 2)
-        return Compliance(frequency, values, ports, provenance={"engine": "layered"})
+        error = result.error
+        estimate = ErrorEstimate(
+            "series", float(error.max()), "last terms and orders of the tractions under rigid discs, and quadrature",
+            tuple(frequency.tolist()), tuple(error.tolist()),
+        )  # fmt: skip
+        return Compliance(frequency, values, ports, (estimate,), provenance={"engine": "layered"})
 
     return compute
 
