@@ -288,7 +288,7 @@ def _reduction_note(reduction: float, result: FitResult) -> tuple[str, ...]:
 
 def _series_note(errors: tuple[ErrorEstimate, ...], result: FitResult) -> str:
     """What the twin's few terms and orders may err by, where data are so quiet that it counts beside the misfit."""
-    stated = sum(e.band for e in errors if e.source == "series")
+    stated = sum(e.band for e in errors if e.source == "quadrature")
     if not stated > _QUIET * result.e_band:
         return ""
     return (
