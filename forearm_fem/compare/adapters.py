@@ -107,7 +107,7 @@ def layered_compliance_of(
         values[:, : len(inputs)] = result.values.swapaxes(1, 2)
         error = result.error
         estimate = ErrorEstimate(
-            "quadrature", float(error.max()), "last terms and orders of the tractions under rigid discs, and quadrature",
+            "quadrature", float(error.max()), "last terms and orders of the tractions under rigid discs, quadrature",
             tuple(frequency.tolist()), tuple(error.tolist()),
         )  # fmt: skip
         return Compliance(frequency, values, ports, (estimate,), provenance={"engine": "layered"})
