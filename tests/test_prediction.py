@@ -557,6 +557,35 @@ def test_what_the_limb_has_not_and_what_is_held_drives_nothing() -> None:
     assert "law" not in numbers.draws_of(rows, ["m"], ["5"]).names
 
 
+@pytest.mark.parametrize(
+    ("device", "idle"),
+    [
+        ({}, set()),
+        ({"housing": {"fixed": True}}, {"housing mass", "strap stiffness", "housing share"}),
+        ({"out_of_contact": ["A1"]}, {"contact spring A1"}),
+        ({"out_of_contact": ["A1"], "housing": {"fixed": True}}, {"contact spring A1", "gain A1", "housing mass"}),
+        ({"out_of_contact": ["A1"], "drive": "displacement"}, {"contact spring A1", "gain A1"}),
+        ({"drive": "displacement"}, {"moving mass", "coil quality", "coil resonance", "housing mass", "housing share"}),
+        ({"drive": "force"}, {"moving mass", "strap stiffness", "contact spring A1", "contact spring A2"}),
+    ],
+)
+def test_what_g_does_not_hang_on_drives_nothing(device: dict[str, Any], idle: set[str]) -> None:
+    """Chance made the housing's mass a driver of S where displacements were given and no housing moved."""
+    scene = parse_scenario({**SMALL, "device": {"cone": {"contact": "pressure"}, **device}})
+    draw = draw_inputs(load_priors(), scene, 0, 0)
+    arm = scenario_of(draw, scene)
+    left = set(drivers_of(draw, arm, ()))
+    assert idle <= set(draw.values)
+    assert not idle & left
+    compliance = LayeredArm().compliance(arm, np.array([50.0, 200.0]))
+    here = close_loop(compliance, arm.device).values
+    parts = ("moving", "coil", "housing", "strap", "contact spring", "gain")
+    for name in (n for n in draw.values if n.startswith(parts)):
+        other = scenario_of(replace(draw, values={**draw.values, name: 0.5 * draw.values[name]}), scene)
+        change = abs(close_loop(compliance, other.device).values - here).max()
+        assert (name in left) == (change > 1e-9 * abs(here).max()), name
+
+
 def test_advice_can_be_followed_and_held_tissues_are_not_drawn(found: tuple[Prediction, Path]) -> None:
     """Groups that were held already were advised to be held; held tissues were said to have equally likely laws."""
     data = summary(found[0], sobol=False)

@@ -15,6 +15,7 @@ from ..device.loop import close_loop
 from ..errors import ScenarioError
 from ..geometry.device.layout import layers_of
 from ..layered import Layer, layered_compliance
+from ..layered.response import scattered_orders
 from ..pipeline.layered_engine import flat_disc, flat_layers, flat_surface
 from ..pipeline.parametric import ParametricModel, parametric_model
 from ..ports import Port
@@ -22,14 +23,14 @@ from ..prediction.two_meshes import ArmMeshes, arm_meshes
 from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
 from ..tissue import Zener, limb_tissue_keys, resolve_tissues
-from ..transfer import Compliance, TransferMatrix
+from ..transfer import Compliance, ErrorEstimate, TransferMatrix
 from ..typing import FloatArray
 from .parameters import Parameter
 
 _POOL = 120  # arms within the ranges of a fit, from which its finite elements are reduced
 _REACH = 3.0  # times or divided by: a fit's ranges reach to 6, where measured tissue is not
 _BELOW = 0.999  # of a Zener law's mu_infinity, up to which its mu may go
-_TERMS, _ORDERS = 4, 1  # under rigid cones: 1e-4 of the largest entry, far below what is measured
+_TERMS, _FEWER = 4, 1  # under rigid cones, and orders fewer than the twin takes: 5e-5 of points for the thesis' device
 ComplianceOf = Callable[[Scenario], Compliance]
 
 
@@ -98,12 +99,18 @@ def layered_compliance_of(
         discs = [flat_disc(port) for port in ports]
         result = layered_compliance(
             layers_from(scenario), 2 * np.pi * frequency, discs[: len(inputs)], discs,
-            surface=flat_surface(scenario.tissues), tolerance=tolerance, terms=_TERMS, orders=_ORDERS,
+            surface=flat_surface(scenario.tissues), tolerance=tolerance, terms=_TERMS,
+            orders=max(scattered_orders(discs) - _FEWER, 0),
         )  # fmt: skip
         values = np.full((len(frequency), len(ports), len(ports)), np.nan + 0j)
         values[:, :, : len(inputs)] = result.values
         values[:, : len(inputs)] = result.values.swapaxes(1, 2)
-        return Compliance(frequency, values, ports, provenance={"engine": "layered"})
+        error = result.error
+        estimate = ErrorEstimate(
+            "quadrature", float(error.max()), "last terms and orders of the tractions under rigid discs, quadrature",
+            tuple(frequency.tolist()), tuple(error.tolist()),
+        )  # fmt: skip
+        return Compliance(frequency, values, ports, (estimate,), provenance={"engine": "layered"})
 
     return compute
 

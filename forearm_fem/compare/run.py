@@ -24,7 +24,7 @@ from ..ports import Port
 from ..prediction.arm import as_wrong
 from ..progress import Progress, within
 from ..scenario import Scenario
-from ..transfer import UNITS, TransferMatrix
+from ..transfer import UNITS, ErrorEstimate, TransferMatrix
 from .adapters import (
     ComplianceOf,
     ScenarioModel,
@@ -45,6 +45,7 @@ from .readings import explained, mistake
 from .report import FILES, as_markdown, save_report
 
 FIT_FILES = ("fit.json", "fit.md", "fitted.nc")
+_QUIET = 0.1  # of the misfit: what the twin's own error is told from
 _ANY = 100.0  # times either way that an arbitrary gain may be off the ratio to the model at its start
 __all__ = ["CompareResult", "FitCommandResult", "run_compare", "run_fit"]
 
@@ -112,7 +113,7 @@ class FitCommandResult:
     """The fit, the fitted scenario's model of G on the frequencies used, a text and the files written.
 
     ``following`` is the next best measurement, ``reduction`` e_band that a reduced model of finite elements states for
-    itself at the fitted values (NaN on the twin), ``numerics`` what is said of the elements' own error (nothing there).
+    itself at the fitted values (NaN on the twin), ``numerics`` what is said of the model's own error.
     """
 
     fit: FitResult
@@ -180,6 +181,7 @@ def run_fit(
     free = _scenario_values(result)
     best, following = model(free), _following(result, whole, data, outputs)
     reduction = float(whole(free).errors[0].band) if fem else float("nan")
+    numerics = numerics or _series_note(whole(free).errors, result)
     numerical = (*_reduction_note(reduction, result), *((numerics,) if numerics else ()))
     notes = (*_explained(data, (begun, best)), *_biased(data), *numerical, following.sentence)
     text = fit_text(result, notes)
@@ -281,6 +283,17 @@ def _reduction_note(reduction: float, result: FitResult) -> tuple[str, ...]:
     return (
         f"finite elements, reduced: e_band {100 * reduction:.2g} % stated at the fitted values, beside a misfit of "
         f"{100 * result.e_band:.2g} %; intervals hold noise and what a coarser reduction finds in the same data",
+    )
+
+
+def _series_note(errors: tuple[ErrorEstimate, ...], result: FitResult) -> str:
+    """What the twin's few terms and orders may err by, where data are so quiet that it counts beside the misfit."""
+    stated = sum(e.band for e in errors if e.source == "quadrature")
+    if not stated > _QUIET * result.e_band:
+        return ""
+    return (
+        f"numerics: series and quadrature of the fit's twin err by an e_band of at most {100 * stated:.2g} % there, "
+        "which is in no interval"
     )
 
 

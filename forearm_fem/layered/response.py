@@ -96,7 +96,7 @@ def layered_compliance(
         raise ValueError("expected Im(modulus) >= 0 (convention e^{+i omega t}), got a layer that feeds energy in")
     discs, rows, columns = distinct(discs_in, discs_out)
     terms = terms_of(discs, medium, omega) if terms is None else terms
-    system = galerkin(discs, medium.surface, terms, _orders(discs) if orders is None else orders)
+    system = galerkin(discs, medium.surface, terms, scattered_orders(discs) if orders is None else orders)
     expected = min(omega.size, MOST + 1)
     evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, expected, progress)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
@@ -145,7 +145,7 @@ def terms_of(discs: Sequence[Disc], medium: Medium, omega: FloatArray) -> int:
     return min(max(round(3.5 + 1.5 * thin), round(2 + wave), _TERMS[0]), _TERMS[1])
 
 
-def _orders(discs: Sequence[Disc]) -> int:
+def scattered_orders(discs: Sequence[Disc]) -> int:
     """Azimuthal orders: a disc answers order l of a wave from r by (a/r)^2l; none where nothing is beside it."""
     if len(discs) == 1:
         return 0

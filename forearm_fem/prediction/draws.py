@@ -6,12 +6,14 @@ import math
 import zlib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ..errors import ScenarioError
 from ..geometry.device.layout import turned
+from ..pipeline.unread import unread_because
 from ..scenario import Scenario
 from ..tissue import resolve_tissues
 from .priors import Prior, Priors, load_priors
@@ -21,6 +23,16 @@ SOFT = ("skin", "fat", "muscle")
 REFERENCE = 150.0  # Hz at which the size of a springpot's modulus is stated
 WRIST, ELBOW = "contact spring, wrist side", "contact spring, elbow side"
 _PLACED = {"grid x", "grid y", "grid turn"}
+# input -> the key under [device] that it spreads about the scenario's own
+_SPREAD: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "moving mass": ("coil", "moving_mass"),
+        "coil resonance": ("coil", "resonance"),
+        "coil quality": ("coil", "quality"),
+        "housing mass": ("housing", "mass"),
+        "strap stiffness": ("housing", "strap_stiffness"),
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -115,11 +127,7 @@ def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
     if "housing share" in values:
         device["housing"]["skin_share"] = values["housing share"]
     inputs = load_priors().inputs
-    for part, key, name in (
-        ("coil", "moving_mass", "moving mass"), ("coil", "resonance", "coil resonance"),
-        ("coil", "quality", "coil quality"), ("housing", "mass", "housing mass"),
-        ("housing", "strap_stiffness", "strap stiffness"),
-    ):  # fmt: skip
+    for name, (part, key) in _SPREAD.items():
         if name in values:
             device[part][key] *= values[name] / inputs[name].centre
     springs, gains = (
@@ -128,6 +136,23 @@ def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
     )
     device["contact_springs"] = {**device["contact_springs"], **springs}
     device["gains"] = {**device["gains"], **{who: device["gains"].get(who, 1.0) * g for who, g in gains.items()}}
+
+
+def idle_inputs(scenario: Scenario) -> frozenset[str]:
+    """Inputs of the device that no G of the ``scenario`` hangs on: coil and housing where forces or displacements are
+    given or the housing is held, springs where forces are given, and what is between a cone and skin that it does not
+    touch."""
+    device = scenario.device
+    keys = {name: f"device.{part}.{key}" for name, (part, key) in _SPREAD.items()}
+    keys["housing share"] = "device.housing.skin_share"
+    idle = {name for name, key in keys.items() if unread_because(scenario, key) is not None}
+    for name in (f"A{k}" for k in range(1, len(device.centres) + 1)):
+        apart = name in device.out_of_contact
+        if apart or device.drive == "force":
+            idle.add(f"contact spring {name}")
+        if apart and (device.drive != "voltage" or device.housing.fixed):
+            idle.add(f"gain {name}")
+    return frozenset(idle)
 
 
 def law_parameters(law: str, values: Mapping[str, float]) -> dict[str, dict[str, float | str]]:

@@ -25,7 +25,7 @@ from ..tissue import resolve_tissues
 from ..transfer import TransferMatrix, finite, total_error
 from ..typing import ComplexArray, FloatArray
 from .arm import ArmModel
-from .draws import REFERENCE, SOFT, Draw, scenario_of, soft_tissues
+from .draws import REFERENCE, SOFT, Draw, idle_inputs, scenario_of, soft_tissues
 
 NOISE = "signal to noise"  # name of the draw's input
 KEPT = 16  # draws whose G is kept: 5 MB of the thesis' scene
@@ -148,10 +148,10 @@ def strengths_of(setup: Setup, true: TransferMatrix, calibrated: TransferMatrix)
 
 def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:
     """What S may hang on: inputs, and of each drawn tissue its size |mu*| [Pa] and loss tangent at 150 Hz; nothing of a
-    tissue or layer that the limb has not, for chance would make it a driver."""
+    tissue or layer that the limb has not, or of a part that the drive leaves out, for chance would make it a driver."""
     tissue_input = {f"{t}." for t in SOFT}
     own, layers = soft_tissues(scenario), {layer.tissue for layer in getattr(scenario.limb, "layers", ())}
-    absent = {f"{t} thickness" for t in SOFT if t not in layers}
+    absent = {f"{t} thickness" for t in SOFT if t not in layers} | idle_inputs(scenario)
     found = {
         name: value
         for name, value in draw.values.items()

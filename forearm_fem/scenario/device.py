@@ -91,7 +91,9 @@ class Device(Part):
     contacts: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=MOST_ACTUATORS)] | None = Field(
         None, description="own contact centres (x, y) [m] instead of rows"
     )
-    rotation: Annotated[float, Within(-6.3, 6.3, "rad")] = Field(0.0, description="of the whole device about z [rad]")
+    rotation: Annotated[float, Within(-6.3, 6.3, "rad")] = Field(
+        0.0, description="of the contacts and the grid points together, about z [rad]"
+    )
     actuator: ActuatorName = Field(
         "TEAX14C02-8", description="a preset with sources: sets those of the keys below that are left out"
     )
