@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.32.0"
+__version__ = "0.33.0"
 
 if TYPE_CHECKING:
     from .pipeline import Simulation as Simulation
