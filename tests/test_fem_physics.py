@@ -212,6 +212,11 @@ def test_foam_and_skin_terms_act_with_their_sign():
     foam = _with(Membrane(), Supports(ends="free", underside="foam", foam_stiffness=1e3, foam_damping=0.0), 0.01)
     # soft foam under the whole bottom: a spring of k A; flesh adds its own 1 % of compliance
     assert foam.real == pytest.approx(1 / (1e3 * 0.024 * 0.016), rel=0.02)
+    # flesh moves 1e-3 m/N, foam of 1e11 N/m^3 under this area 1e-8 m/N: as good as held
+    hard = Supports(ends="free", underside="foam", foam_stiffness=1e11, foam_damping=0.0)
+    rigid, still = _with(Membrane(), hard, 2.0), _with(Membrane(), Supports(ends="free", underside="fixed"), 2.0)
+    assert still == pytest.approx(rigid, rel=1e-3)
+    assert abs(still) < 0.1 * abs(foam)
 
 
 def _with(membrane, supports, frequency):

@@ -14,7 +14,8 @@ class Supports(Part):
 
     bone: Literal["rigid", "elastic"] = Field("rigid", description="held still, or meshed as bone tissue")
     underside: Literal["free", "fixed", "foam"] = Field(
-        "free", description="the dorsal half of the skin: free, held still, or on foam"
+        "free",
+        description="skin that faces down, 60 degrees to either side of straight down: free, held still, or on foam",
     )
     foam_stiffness: Annotated[float, Within(1e-6, 1e15, "N/m^3", zero=True)] = Field(
         2.0e5, description="foam spring per area [N/m^3]"

@@ -14,6 +14,7 @@ from .topology import EDGES, keys
 
 DOWN = -0.5  # z of a unit outward normal below which skin belongs to the underside: a sixth of the way round each side
 
+
 @dataclass(frozen=True)
 class Bends:
     """Edges that are parabolas: ``edges`` (k, 2) of vertices, and how far [m] the middle of each lies off its chord,
