@@ -96,7 +96,7 @@ def write_page(row, folder: Path) -> None:  # type: ignore[no-untyped-def]
 def what_is_felt(study: Path, transfer: Path):  # type: ignore[no-untyped-def]
     """The energies of all stimuli, the same for everyone here."""
     from forearm_fem.commands.common import transfer_file
-    from forearm_fem.io.recognise import read_measured
+    from forearm_fem.files.read import read_measured
     from forearm_fem.study.field import field_for, grid_field
     from forearm_fem.study.percept import Felt
     from forearm_fem.study.run import Prepared

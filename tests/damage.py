@@ -15,26 +15,26 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bad_files import CORNERS, TETRA
+from forearm_fem.files.matlab import write_mat5, write_mat73
+from forearm_fem.files.tdms import read_sweep_tdms, write_sweep_tdms, write_tdms
 from test_measurement_scene import INPUTS, OUTPUTS, RATE, wave_matrix
 
 from forearm_fem import io
 from forearm_fem.errors import ForearmError
+from forearm_fem.files.declaration import Declaration
+from forearm_fem.files.read import read_measured
+from forearm_fem.files.reading import RecognitionWarning
+from forearm_fem.files.tables import write_csv
+from forearm_fem.files.uff import write_uff
+from forearm_fem.files.wav import read_wav_drives, write_wav_drives
 from forearm_fem.geometry.limb.prisms import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.boundary import with_boundaries
-from forearm_fem.io.csvfiles import write_csv
-from forearm_fem.io.declaration import Declaration
 from forearm_fem.io.jsonfiles import read_json, write_json
-from forearm_fem.io.matlab_import import write_mat5, write_mat73
-from forearm_fem.io.reading import RecognitionWarning
-from forearm_fem.io.recognise import read_measured
 from forearm_fem.io.recording import Recording
 from forearm_fem.io.reduced import ReducedFile, read_reduced, write_reduced
 from forearm_fem.io.seal import MARK
-from forearm_fem.io.tdms import read_sweep_tdms, write_sweep_tdms, write_tdms
-from forearm_fem.io.uff import write_uff
-from forearm_fem.io.wav import read_wav_drives, write_wav_drives
 from forearm_fem.measurement.store import read_recording, write_recording
 from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield
 

@@ -21,8 +21,8 @@ from forearm_fem.compare.readings import explained
 from forearm_fem.compare.report import picture
 from forearm_fem.design import load_design
 from forearm_fem.errors import ForearmError, HardwareError, MeshError, ScenarioError
+from forearm_fem.files.recipe import load_recipe
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.io.recipe import load_recipe
 from forearm_fem.measurement.daq import Wiring
 from forearm_fem.measurement.figures import save_live
 from forearm_fem.measurement.play import LONGEST, play

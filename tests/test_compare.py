@@ -16,7 +16,7 @@ from forearm_fem.compare.crossplay import cross_play, wavelet_for
 from forearm_fem.compare.report import as_csv, as_json, as_markdown, picture, plot_overlay
 from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import DataError
-from forearm_fem.io.recognise import write_measured
+from forearm_fem.files.read import write_measured
 from forearm_fem.measurement.calibrate import calibrate
 from forearm_fem.measurement.virtual import noise_for
 from forearm_fem.metrics import condition_number

@@ -22,6 +22,8 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat, wavfile
 
 sys.path.insert(0, str(Path(__file__).parent))
+from forearm_fem.files.matlab import write_mat73
+from forearm_fem.files.tdms import read_sweep_tdms, write_tdms
 from test_measurement_scene import (
     INPUTS,
     OUTPUTS,
@@ -35,16 +37,14 @@ from test_measurement_scene import (
 )
 
 from forearm_fem.errors import ForearmError
-from forearm_fem.io.csvfiles import write_csv
-from forearm_fem.io.declaration import Declaration
-from forearm_fem.io.matlab_import import write_mat73
+from forearm_fem.files.declaration import Declaration
+from forearm_fem.files.read import read_measured
+from forearm_fem.files.reading import RecognitionWarning
+from forearm_fem.files.tables import write_csv
+from forearm_fem.files.uff import write_uff
+from forearm_fem.files.wav import read_wav_drives, write_wav_drives
 from forearm_fem.io.netcdf import write_transfer
-from forearm_fem.io.reading import RecognitionWarning
-from forearm_fem.io.recognise import read_measured
 from forearm_fem.io.seal import MARK
-from forearm_fem.io.tdms import read_sweep_tdms, write_tdms
-from forearm_fem.io.uff import write_uff
-from forearm_fem.io.wav import read_wav_drives, write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected, record
 from forearm_fem.measurement.diagnostics import diagnose
 from forearm_fem.measurement.entry import entry

@@ -16,8 +16,8 @@ from scipy.sparse import csr_matrix
 
 from forearm_fem import load_scenario
 from forearm_fem.errors import AccuracyWarning, DataError
+from forearm_fem.files.uff import write_uff
 from forearm_fem.io import Declaration, read_measured, read_sweep_tdms
-from forearm_fem.io.uff import write_uff
 from forearm_fem.pipeline import planform_ports
 from forearm_fem.transfer import TransferMatrix
 
@@ -83,7 +83,7 @@ def test_a_rotation_is_no_displacement(tmp_path: Path):
         read_measured(turned, of_sweep(), ports=PORTS)
 
 
-@pytest.mark.filterwarnings("ignore::forearm_fem.io.reading.RecognitionWarning")
+@pytest.mark.filterwarnings("ignore::forearm_fem.files.reading.RecognitionWarning")
 @pytest.mark.parametrize("kind", ["struct", "sparse", "flat"])
 def test_a_matlab_file_without_a_plain_cube_says_so(tmp_path: Path, kind: str):
     cube = np.moveaxis(G, 0, 2)
@@ -93,7 +93,7 @@ def test_a_matlab_file_without_a_plain_cube_says_so(tmp_path: Path, kind: str):
         read_measured(tmp_path / "G.mat", SAID, ports=PORTS)
 
 
-@pytest.mark.filterwarnings("ignore::forearm_fem.io.reading.RecognitionWarning")
+@pytest.mark.filterwarnings("ignore::forearm_fem.files.reading.RecognitionWarning")
 def test_kilohertz_are_asked_about(tmp_path: Path):
     savemat(tmp_path / "G.mat", {"G": np.moveaxis(G, 0, 2), "f": F / 1e3})
     with pytest.warns(AccuracyWarning, match="end at 0.245 Hz; if they are kilohertz"):

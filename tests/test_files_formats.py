@@ -14,24 +14,24 @@ import h5py
 import numpy as np
 import pytest
 import pyuff
+from forearm_fem.files.matlab import write_mat5, write_mat73
+from forearm_fem.files.tdms import read_sweep_tdms, write_sweep_tdms
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import loadmat, savemat, wavfile
 from test_measurement_scene import INPUTS, OUTPUTS, RATE, SWEEP, device_for, part, plan_for, wave_matrix
 
 from forearm_fem.errors import DataError, ForearmError
-from forearm_fem.io.declaration import Declaration
-from forearm_fem.io.matlab_import import write_mat5, write_mat73
-from forearm_fem.io.reading import RecognitionWarning
-from forearm_fem.io.recipe import ImportRecipe, import_by_recipe, load_recipe
-from forearm_fem.io.recognise import read_measured, write_measured
-from forearm_fem.io.tdms import read_sweep_tdms, write_sweep_tdms
-from forearm_fem.io.uff import read_uff, write_uff
-from forearm_fem.io.units import parse_unit
-from forearm_fem.io.wav import read_wav_drives, write_wav_drives
+from forearm_fem.files.declaration import Declaration
+from forearm_fem.files.read import read_measured, write_measured
+from forearm_fem.files.reading import RecognitionWarning
+from forearm_fem.files.recipe import ImportRecipe, import_by_recipe, load_recipe
+from forearm_fem.files.uff import read_uff, write_uff
+from forearm_fem.files.wav import read_wav_drives, write_wav_drives
 from forearm_fem.measurement.calibrate import record
 from forearm_fem.rendering import from_samples_file, ricker
 from forearm_fem.transfer import TransferMatrix
+from forearm_fem.units import parse_unit
 
 PORTS = (OUTPUTS, INPUTS)
 FOREIGN = Declaration(
@@ -352,8 +352,9 @@ def test_any_number_survives_any_format(tmp_path, values, suffix):
     write_measured(file, g)
     stored = read_uff(file).values if suffix == "uff" else None
     if stored is None:
-        from forearm_fem.io.csvfiles import read_csv
-        from forearm_fem.io.tdms import read_tdms
+        from forearm_fem.files.tdms import read_tdms
+
+        from forearm_fem.files.tables import read_csv
 
         stored = {"csv": read_csv, "tdms": read_tdms}[suffix](file).values
     np.testing.assert_array_equal(stored.ravel(), np.array(values))
@@ -402,7 +403,7 @@ def test_recipe_for_raw_impulse_responses(tmp_path):
 
 
 def test_thesis_file_of_ours_needs_no_declaration(tmp_path):
-    from forearm_fem.io.matlab import write_thesis_mat
+    from forearm_fem.files.thesis_mat import write_thesis_mat
 
     g = wave_matrix(np.arange(10.0, 60.0, 0.5))
     write_thesis_mat(tmp_path / "G.mat", g)

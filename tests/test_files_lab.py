@@ -13,9 +13,9 @@ import pyuff
 from test_measurement_scene import INPUTS, OUTPUTS, wave_matrix
 
 from forearm_fem.errors import AccuracyWarning, DataError
-from forearm_fem.io.declaration import Declaration
-from forearm_fem.io.reading import RecognitionWarning
-from forearm_fem.io.recognise import read_measured, write_measured
+from forearm_fem.files.declaration import Declaration
+from forearm_fem.files.read import read_measured, write_measured
+from forearm_fem.files.reading import RecognitionWarning
 
 PORTS = (OUTPUTS, INPUTS)
 SAID = Declaration(unit="m/V", sign="+iwt", spectrum="one-sided")

@@ -18,9 +18,9 @@ from scipy.io import loadmat, wavfile
 sys.path.insert(0, str(Path(__file__).parent))
 from damage import DRIVES, FACTS, FORMATS, KINDS, MESH, G, damaged, outcome, same, without_seals
 from forearm_fem.errors import DataError
+from forearm_fem.files.wav import write_wav_drives
 from forearm_fem.io.jsonfiles import read_json, write_json
 from forearm_fem.io.seal import BLANK, MARK, check_seals, sealed
-from forearm_fem.io.wav import write_wav_drives
 
 BY_NAME = {form.name: form for form in FORMATS}
 TEXT_SEALS = [n for n in BY_NAME if n not in ("transfer.nc", "drives.nc", "reduced.nc", "recording.npz")]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forearm_fem.files.thesis_mat import read_thesis_mat
 from scipy.spatial import cKDTree
 
 from forearm_fem.fem.linear import direct
@@ -14,7 +15,6 @@ from forearm_fem.fem.reduction import rate_space as krylov
 from forearm_fem.fem.reduction import sweep
 from forearm_fem.fem.reduction.expansion import Expansion
 from forearm_fem.geometry.mesh.subdivision import with_finer_skin
-from forearm_fem.io.matlab import read_thesis_mat
 from forearm_fem.io.netcdf import read_compliance, read_transfer
 from forearm_fem.pipeline import folder
 from forearm_fem.pipeline.fem_engine import FemSolution

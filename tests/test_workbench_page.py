@@ -21,8 +21,8 @@ from test_skin_model import solved  # noqa: F401
 from test_workbench import LAYERED, content, drawn, flat  # noqa: F401
 
 from forearm_fem.figures import Results
-from forearm_fem.io.csvfiles import write_csv
-from forearm_fem.io.recognise import read_measured
+from forearm_fem.files.read import read_measured
+from forearm_fem.files.tables import write_csv
 from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.pipeline.skin_model import load_skin_model
 from forearm_fem.scenario import load_scenario, parse_scenario

@@ -29,7 +29,7 @@ from ..errors import DataError, first_problem, one_sentence
 from ..scenario import Scenario, apply_overrides, load_scenario, scenario_file
 
 if TYPE_CHECKING:
-    from ..io.declaration import Declaration
+    from ..files.declaration import Declaration
     from ..library import ArmLibrary
     from ..pipeline.folder import Run
     from ..transfer import TransferMatrix
@@ -268,11 +268,11 @@ def measured_g(
         if declare:
             raise DataError(f"--declare: has no effect without {option}; name the file, or leave it out")
         return None
+    from ..files.read import read
     from ..geometry.device.layout import planform_ports
-    from ..io.recognise import read_measured
 
     with noted():  # what was recognised, and what a file does not look like
-        return read_measured(transfer_file(what), declaration(declare), ports=planform_ports(asked))
+        return read(transfer_file(what), declaration(declare), ports=planform_ports(asked))
 
 
 def scene_of(scenario: Path | None) -> Scenario | None:
@@ -286,7 +286,7 @@ def declaration(items: Sequence[str] | None) -> Declaration | None:
         return None
     from pydantic import ValidationError
 
-    from ..io.declaration import Declaration
+    from ..files.declaration import Declaration
 
     try:
         return Declaration.model_validate(apply_overrides({}, items, "--declare"))

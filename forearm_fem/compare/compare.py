@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..io.declaration import arbitrary_gain
+from ..files.declaration import arbitrary_gain
 from ..io.jsonfiles import plain
 from ..metrics import WaveFit, condition_number, condition_summary, fit_waves
 from ..metrics.waves import beside, phase_told

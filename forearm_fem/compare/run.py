@@ -13,12 +13,12 @@ import numpy as np
 from ..arguments import checked
 from ..device.loop import close_loop
 from ..errors import DataError, ForearmError
+from ..files.declaration import Declaration, Ports, arbitrary_gain, declared_by
+from ..files.read import read
 from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
-from ..io.declaration import Declaration, Ports, arbitrary_gain, declared_by
 from ..io.jsonfiles import plain
 from ..io.netcdf import write_transfer
-from ..io.recognise import read_measured
 from ..pipeline.parametric import BEYOND, ParametricModel
 from ..ports import Port
 from ..prediction.arm import as_wrong
@@ -92,7 +92,7 @@ def _load(
     what: str | Path | TransferMatrix, declaration: Declaration | None, ports: Ports | None, option: str = "--declare"
 ) -> TransferMatrix:
     with declared_by(option):
-        return what if isinstance(what, TransferMatrix) else read_measured(what, declaration, ports=ports)
+        return what if isinstance(what, TransferMatrix) else read(what, declaration, ports=ports)
 
 
 def _said(what: str | Path | TransferMatrix, declaration: Declaration | None) -> list[Any]:

@@ -17,8 +17,7 @@ from xarray.backends import H5NetCDFStore
 from .. import __version__
 from ..errors import DataError
 from ..ports import Port, positions
-from .atomic import write_bytes
-from .reading import refuse_no_file
+from .atomic import refuse_no_file, write_bytes
 from .seal import check_tail, sealed_tail
 
 T = TypeVar("T")

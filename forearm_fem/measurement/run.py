@@ -13,11 +13,11 @@ import numpy as np
 
 from ..arguments import checked
 from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
+from ..files.wav import read_wav_drives
 from ..geometry.device.layout import planform_ports
 from ..io.netcdf import refuse_other_g, write_transfer
 from ..io.owner import refuse_folder_of_another
 from ..io.signals import read_drives
-from ..io.wav import read_wav_drives
 from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions

@@ -18,6 +18,7 @@ from ..device import contact_state
 from ..device.housing import carries_points
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
+from ..files.mat import write_thesis_mat
 from ..geometry.build import limb_volume
 from ..geometry.cache import cached_mesh
 from ..geometry.mesh.files import write_mesh
@@ -25,7 +26,6 @@ from ..geometry.mesh.quality import mesh_quality
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.atomic import atomic_path
 from ..io.jsonfiles import read_json, write_json
-from ..io.matlab import write_thesis_mat
 from ..io.netcdf import read_transfer, refuse_other_g, write_transfer
 from ..io.owner import refuse_folder_of_another
 from ..io.signals import stack, write_displacements, write_drives

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AccuracyWarning, HardwareError, ScenarioError
-from ..io.declaration import Declaration, Ports, arbitrary_gain
-from ..io.recognise import read_measured
+from ..files.declaration import Declaration, Ports, arbitrary_gain
+from ..files.read import read
 from ..measurement.daq import Daq
 from ..measurement.play import play
 from ..pipeline.renderers import renderers
@@ -52,7 +52,7 @@ def transfer_of(
             f"{file}: no G for participant {participant}; `forearm-fem calibrate SCENARIO --out {file.parent}` "
             "measures it, or name a simulated one in the study's `transfer`"
         )
-    return read_measured(file, declaration, ports=ports)
+    return read(file, declaration, ports=ports)
 
 
 def stimuli_for(

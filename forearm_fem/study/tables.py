@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from ..errors import DataError
-from ..io.naming import as_named
-from ..io.reading import numbered_rows
+from ..files.naming import as_named
+from ..files.tables import numbered_rows
 from ..ports import Port
 from .run import typed
 

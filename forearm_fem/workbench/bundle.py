@@ -13,10 +13,10 @@ from typing import Any
 from ..arguments import checked
 from ..errors import DataError
 from ..figures import Results
+from ..files.declaration import Declaration
+from ..files.read import read
 from ..geometry.device.layout import planform_ports
 from ..io.atomic import write_text
-from ..io.declaration import Declaration
-from ..io.recognise import read_measured
 from ..library import is_library, load_library
 from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
@@ -89,7 +89,7 @@ def _content(
         asked = scenario or arm.scenario.model_copy(update={"name": place.name.removesuffix(LIBRARY)})
         return library_content(arm, asked, f"library {place.name}", progress, base)
     asked = scenario or Scenario()
-    transfer = read_measured(place, declaration, ports=planform_ports(asked))
+    transfer = read(place, declaration, ports=planform_ports(asked))
     if scenario is None and isinstance(sweep := transfer.provenance.get("sweep"), Mapping):  # of a calibration
         asked = parse_scenario({"sweep": {k: sweep[k] for k in ("duration", "sample_rate", "f_min", "f_max")}})
     named = asked.model_copy(update={"name": _NO_NAME.sub("-", name).strip(".-")[:100] or "measured"})

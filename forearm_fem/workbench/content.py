@@ -14,8 +14,8 @@ from ..errors import DataError, GeometryError, ScenarioError
 from ..figures import Results
 from ..figures.data import PREDICTION
 from ..figures.style import METHODS, TISSUES
+from ..files.declaration import arbitrary_gain
 from ..geometry.device.layout import layout_of
-from ..io.declaration import arbitrary_gain
 from ..io.reduced import read_reduced
 from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import least_error, wavelet
