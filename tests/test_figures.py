@@ -44,11 +44,11 @@ from forearm_fem.figures.style import SHEET, arrange
 from forearm_fem.figures.targets import moments
 from forearm_fem.figures.waves import _row, kernel_root, line, travel
 from forearm_fem.io import write_transfer
-from forearm_fem.io.jsonfiles import write_json
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.store.text import write_json
 from forearm_fem.tissue import KelvinVoigt, resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, entry_errors
 

@@ -23,7 +23,6 @@ from forearm_fem.figures import Results
 from forearm_fem.figures.motion import View, motion
 from forearm_fem.io import read_compliance, read_transfer, write_transfer
 from forearm_fem.io.csvfiles import write_csv
-from forearm_fem.io.jsonfiles import write_json
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.pipeline.skin_model import load_skin_model
@@ -31,6 +30,7 @@ from forearm_fem.prediction.outcome import Outcome
 from forearm_fem.prediction.store import FILE, write_outcomes
 from forearm_fem.rendering import Funneling, render_all, ricker, strengths
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.store.text import write_json
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 from forearm_fem.workbench import content_of, page_of, view, write_workbench
 from forearm_fem.workbench.bundle import script

@@ -44,7 +44,7 @@ def figures(
         if given and not read:
             raise DataError(f"{option}: expected names between the commas, got none; leave it out for its default")
     from ..figures import make_figures
-    from ..io.lock import locked
+    from ..store.folder import locked
 
     with locked(out or results), Display() as display, noted():
         written = make_figures(

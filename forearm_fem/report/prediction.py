@@ -9,7 +9,7 @@ from typing import Any
 
 from ..figures.prediction import bands_table, drivers_table, plot_bands, plot_drivers, plot_wins
 from ..figures.style import Drawn
-from ..io.atomic import atomic_path, write_text
+from ..store.folder import atomic_path, write_text
 from .facts import Block
 from .write import Section, embedded, html_of, markdown_of
 

@@ -20,9 +20,9 @@ from ..figures.registry import applies, kinds, thesis_figure
 from ..figures.show import render_still
 from ..figures.style import SHEET, Drawn, arrange, figure_of, sign
 from ..figures.targets import plot_traces, target_waves
-from ..io.atomic import atomic_path, write_text
-from ..io.markdown import markdown_table
 from ..progress import Progress, tell
+from ..store.folder import atomic_path, write_text
+from ..store.text import markdown_table
 from . import facts
 from .facts import Block
 
