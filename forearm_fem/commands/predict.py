@@ -55,7 +55,7 @@ def predict(
         from ..prediction.run import Question
         from ..prediction.run import predict as run
         from ..prediction.summary import FOLDER, summary, write_summary
-        from ..report.prediction import write_prediction
+        from ..show.prediction import write_prediction
         from ..store.folder import locked
 
         display("libraries", 1, 1)
@@ -100,7 +100,7 @@ def validate(
         from ..prediction.run import Question
         from ..prediction.summary import FOLDER
         from ..prediction.validate import validate as run
-        from ..report.validation import coverage, failures, joint_words, validation_page
+        from ..show.validation import coverage, failures, joint_words, validation_page
         from ..store.folder import locked, write_text
 
         display("libraries", 1, 1)

@@ -259,7 +259,7 @@ def power(
     ] = 1000,
 ) -> None:  # fmt: skip
     """How many participants find an effect, by studies drawn from a pilot's cell means and scatter."""
-    from ..figures.style import SHEET
+    from ..show.style import SHEET
     from ..store.folder import atomic_path
     from ..study.analysis import cell_means, with_errors
     from ..study.figures import plot_power

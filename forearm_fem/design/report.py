@@ -13,9 +13,9 @@ import numpy as np
 
 from .. import __version__
 from ..campaign.run import rows_table
-from ..figures.registry import save_drawn
 from ..io.dataset import save
 from ..metrics.strength import strength_text
+from ..show.registry import save_drawn
 from ..store.folder import write_text
 from ..store.text import write_json
 from .candidate import Candidate

@@ -12,8 +12,7 @@ import numpy as np
 
 from .. import __version__
 from ..geometry.cache import default_cache_dir
-from ..layered.tabulated import Tabulated, from_arrays
-from ..layered.tabulating import tabulate
+from ..layered.tables import Tabulated, from_arrays, tabulate
 from ..progress import Progress
 from ..scenario import Scenario
 from ..store.folder import atomic_path
