@@ -5,19 +5,14 @@ from __future__ import annotations
 import functools
 import inspect
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
-from cli_runner import SMALL, cli, leftovers
+from cli_runner import SMALL, cli, every_command, leftovers
 from scipy.io import savemat
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "_ext"))
-
-from command_pages import every_command
 
 from forearm_fem import cli as program
 from forearm_fem.commands import study

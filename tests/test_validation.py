@@ -22,8 +22,8 @@ from forearm_fem.prediction.run import Question
 from forearm_fem.prediction.statistics import Draws
 from forearm_fem.prediction.targets import SHAH_ARMS, TARGETS, Target
 from forearm_fem.prediction.validate import validate
-from forearm_fem.report.validation import coverage, failures, joint_words, validation_page
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show.validation import coverage, failures, joint_words, validation_page
 from forearm_fem.tissue import KelvinVoigt
 from forearm_fem.transfer import TransferMatrix
 

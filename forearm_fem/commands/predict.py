@@ -56,7 +56,7 @@ def predict(
         from ..prediction.run import Question
         from ..prediction.run import predict as run
         from ..prediction.summary import FOLDER, summary, write_summary
-        from ..report.prediction import write_prediction
+        from ..show.prediction import write_prediction
 
         display("libraries", 1, 1)
         folder = out_folder(out, asked, overrides) / FOLDER
@@ -102,7 +102,7 @@ def validate(
         from ..prediction.run import Question
         from ..prediction.summary import FOLDER
         from ..prediction.validate import validate as run
-        from ..report.validation import coverage, failures, joint_words, validation_page
+        from ..show.validation import coverage, failures, joint_words, validation_page
 
         display("libraries", 1, 1)
         given = measured_g(measured, asked, declare, "--measured")

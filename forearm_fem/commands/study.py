@@ -259,8 +259,8 @@ def power(
     ] = 1000,
 ) -> None:  # fmt: skip
     """How many participants find an effect, by studies drawn from a pilot's cell means and scatter."""
-    from ..figures.style import SHEET
     from ..io.atomic import atomic_path
+    from ..show.style import SHEET
     from ..study.analysis import cell_means, with_errors
     from ..study.figures import plot_power
     from ..study.power import needed, power_curve, supposed_from, untold

@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..figures.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, sign, single, styled
 from ..io.atomic import atomic_path, write_text
 from ..io.markdown import markdown_table
+from ..show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, sign, single, styled
 from .agreement import fdac_matrix
 from .common import CommonGround
 from .compare import Comparison, comparison_record

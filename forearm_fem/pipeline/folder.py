@@ -110,7 +110,7 @@ def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
     check_rendering(run.scenario, run.base)
     transfer = _solved(run)
-    from ..report import write_report  # plotting is heavy and not needed by the other stages
+    from ..show.report import write_report  # plotting is heavy and not needed by the other stages
 
     if run.scenario.rendering.methods:
         _rendered(run, transfer)
@@ -241,7 +241,7 @@ def _remove_older(run: Run) -> None:
     stale = [n for n in _DERIVED if (run.out / n).is_file()]
     stale += ["mesh.vtu"] if run.scenario.engine == "layered" and (run.out / "mesh.vtu").is_file() else []
     if (figures := run.out / "figures").is_dir():
-        from ..figures import kinds  # plotting is heavy, and most folders are new
+        from ..show import kinds  # plotting is heavy, and most folders are new
 
         drawn = (p for p in figures.iterdir() if p.stem in kinds() or p.stem.startswith("target-"))  # nobody else's
         stale += sorted(f"figures/{p.name}" for p in drawn)

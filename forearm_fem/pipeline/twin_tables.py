@@ -12,8 +12,7 @@ import numpy as np
 
 from .. import __version__
 from ..io.atomic import atomic_path
-from ..layered.tabulated import Tabulated, from_arrays
-from ..layered.tabulating import tabulate
+from ..layered.tables import Tabulated, from_arrays, tabulate
 from ..progress import Progress
 from ..scenario import Scenario
 from ..tissue import resolve_tissues

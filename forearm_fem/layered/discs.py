@@ -1,30 +1,11 @@
-r"""All contacts and points of a layered body at once: Galerkin's matrix of their tractions, condensed to their ports.
-
-For tractions :math:`\alpha` at :math:`x_\alpha` and :math:`\beta` at :math:`x_\beta` (:mod:`.rigid`), the work of one
-on the displacement of the other is
-
-.. math::
-    A_{\alpha\beta}=\int\hat t_\alpha(-k)\cdot U(k)\,\hat t_\beta(k)\,e^{ik\cdot(x_\alpha-x_\beta)}\frac{d^2k}{4\pi^2}
-    = c\,(-i)^{|m_\alpha|+|m_\beta|}(-1)^{m_\alpha}\,i^{|q|}e^{-iq\theta}\;
-    \frac1{2\pi}\int_0^\infty k\,U\,g_\alpha g_\beta\,J_{|q|}(kd)\,dk,\quad q=-(m_\alpha+m_\beta+s),
-
-d and theta the distance and direction of their centres, with the kernel U, factor c and shift s of the two components
-(``_PAIRS``): for :math:`t_\pm=e^{\pm i\varphi}(t_L\pm it_T)` tangential tractions meet in
-half the sum and half the difference of the compliances along and across the wave. Under rigid discs the displacement
-is that of the disc; with forces on ports (points are ports too) the inner tractions follow from
-:math:`A_{ri}f_i+A_{rr}c=0`, so that
-
-.. math:: C = A_{ii}-A_{ir}A_{rr}^{-1}A_{ri}.
-
-Each disc thus scatters the waves of all others, to all orders of reflection; held are its tilt and its sideways
-motion. A is symmetric entry by entry, so C is reciprocal.
-"""
+"""Rigid and pressure discs on a layered body: tractions, and Galerkin's matrix of all contacts and points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -32,7 +13,93 @@ from scipy.linalg import block_diag
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 from .hankel import HankelTable, Radial
 from .kernel import Surface
-from .rigid import Disc, Traction, inner_tractions, port_traction
+
+# Tractions under the contacts of a layered body: uniform pressure, and what a rigid disc can call forth.
+# Each traction is one of the components z (normal, outward), + or - (:math:`t_x\pm it_y`, none without friction), of
+# azimuthal order m, with the transform :math:`(-i)^{|m|}g(k)e^{im\varphi}`, g a ball :math:`j_{|m|+2n}(ka)` of
+# :mod:`forearm_fem.layered.hankel`: the span of :math:`x^{|m|}(1-x^2)^{n-1/2}e^{im\theta}`, which has the root
+# singularity at the rim. A bonded disc on a compressible body has :math:`(1-x^2)^{-1/2\pm i\epsilon}` instead
+# (Mossakovskii 1954; Spence 1968), which the series nears algebraically. Where a sheet on the skin resists, it carries
+# line forces on the rim, and a ring joins the balls.
+# Only the first, z of order 0 and n = 0, has a net force; it belongs to the port of the disc.
+
+Contact = Literal["pressure", "bonded", "frictionless"]
+Component = Literal["z", "+", "-"]
+_BESIDE = 6  # terms at most, less two per order, of what answers neighbours
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A disc on the surface, centre (x, y) and radius [m]; radius 0 is a point.
+
+    ``contact``: uniform ``pressure`` (its displacement is the mean over it), or a rigid disc that moves along its
+    normal only, ``bonded`` or ``frictionless``, as the finite elements have them (:mod:`forearm_fem.ports`).
+    """
+
+    x: float
+    y: float
+    radius: float = 0.0
+    contact: Contact = "pressure"
+
+    @property
+    def rigid(self) -> bool:
+        """Whether the skin under it moves as one."""
+        return self.contact != "pressure"
+
+
+@dataclass(frozen=True)
+class Traction:
+    """One traction: ``component``, azimuthal order ``m``, transform; the ``order`` of the whole vector that it is part
+    of, and whether it is the ``last`` of its series."""
+
+    component: Component
+    m: int
+    radial: Radial
+    order: int = 0
+    last: bool = False
+
+
+def port_traction(disc: Disc) -> Traction:
+    """The traction with a unit net force."""
+    kind: Literal["ball", "mean", "point"] = "ball" if disc.rigid else "mean" if disc.radius > 0 else "point"
+    return Traction("z", 0, Radial(kind, disc.radius))
+
+
+def inner_tractions(disc: Disc, surface: Surface, terms: int, orders: int) -> list[Traction]:
+    """Tractions without net force under a rigid disc, ``terms`` of the axisymmetric ones.
+
+    Order l of the whole vector has m = l of the normal, l + 1 and l - 1 of the tangential components; |l| goes up to
+    ``orders``, each order with two terms less than six, at least one. Without neighbours l = 0 is all there is.
+    """
+    components: tuple[Component, ...] = ("z", "+", "-") if disc.contact == "bonded" else ("z",)
+    out: list[Traction] = []
+    for order in range(-orders, orders + 1):
+        count = terms if order == 0 else max(1, min(terms, _BESIDE) - 2 * abs(order))
+        for component in components:
+            m = order + {"z": 0, "+": 1, "-": -1}[component]
+            balls = [Radial("ball", disc.radius, abs(m) + 2 * n) for n in range(count)]
+            series = [Traction(component, m, g, abs(order), count > 1 and g is balls[-1]) for g in balls]
+            out += series[1:] if (component, m) == ("z", 0) else series
+            if surface.tension > 0 if component == "z" else surface.sheet:  # a sheet carries line forces there
+                out.append(Traction(component, m, Radial("ring", disc.radius, abs(m)), abs(order)))
+    return out
+
+
+# All contacts and points of a layered body at once: Galerkin's matrix of their tractions, condensed to their ports.
+# For tractions :math:`\alpha` at :math:`x_\alpha` and :math:`\beta` at :math:`x_\beta` (:mod:`.rigid`), the work of one
+# on the displacement of the other is
+# .. math::
+# A_{\alpha\beta}=\int\hat t_\alpha(-k)\cdot U(k)\,\hat t_\beta(k)\,e^{ik\cdot(x_\alpha-x_\beta)}\frac{d^2k}{4\pi^2}
+# = c\,(-i)^{|m_\alpha|+|m_\beta|}(-1)^{m_\alpha}\,i^{|q|}e^{-iq\theta}\;
+# \frac1{2\pi}\int_0^\infty k\,U\,g_\alpha g_\beta\,J_{|q|}(kd)\,dk,\quad q=-(m_\alpha+m_\beta+s),
+# d and theta the distance and direction of their centres, with the kernel U, factor c and shift s of the two components
+# (``_PAIRS``): for :math:`t_\pm=e^{\pm i\varphi}(t_L\pm it_T)` tangential tractions meet in
+# half the sum and half the difference of the compliances along and across the wave. Under rigid discs the displacement
+# is that of the disc; with forces on ports (points are ports too) the inner tractions follow from
+# :math:`A_{ri}f_i+A_{rr}c=0`, so that
+# .. math:: C = A_{ii}-A_{ir}A_{rr}^{-1}A_{ri}.
+# Each disc thus scatters the waves of all others, to all orders of reflection; held are its tilt and its sideways
+# motion. A is symmetric entry by entry, so C is reciprocal.
 
 # (component of alpha, of beta) -> kernel (0 zz, 1 zx, 2 sum, 3 difference), factor c, shift s
 _PAIRS = MappingProxyType(

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..typing import ComplexArray
+from ...typing import ComplexArray
 
 Kind = Literal["f4", "f8", "i2", "u2", "u4", "i4", "u1", "c8", "c16"]
 

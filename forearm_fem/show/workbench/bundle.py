@@ -10,16 +10,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from ..arguments import checked
-from ..errors import DataError
-from ..figures import Results
-from ..geometry.device.layout import planform_ports
-from ..io.atomic import write_text
-from ..io.declaration import Declaration
-from ..io.recognise import read_measured
-from ..library import is_library, load_library
-from ..progress import Progress
-from ..scenario import Scenario, parse_scenario
+from ...arguments import checked
+from ...errors import DataError
+from ...geometry.device.layout import planform_ports
+from ...io.atomic import write_text
+from ...io.declaration import Declaration
+from ...io.recognise import read_measured
+from ...library import is_library, load_library
+from ...progress import Progress
+from ...scenario import Scenario, parse_scenario
+from ..data import Results
 from .content import content_of, library_content, measured_content
 
 _IMPORT = re.compile(r"^import \{ ([^}]*) \} from \"\./(\w+)\.js\";$", re.MULTILINE)

@@ -14,17 +14,17 @@ from matplotlib import style
 from PIL import Image
 
 from ..errors import DataError, ForearmError, NotApplicable
-from ..figures.data import Results
-from ..figures.motion import View
-from ..figures.registry import applies, kinds, thesis_figure
-from ..figures.show import render_still
-from ..figures.style import SHEET, Drawn, arrange, figure_of, sign
-from ..figures.targets import plot_traces, target_waves
 from ..io.atomic import atomic_path, write_text
 from ..io.markdown import markdown_table
 from ..progress import Progress, tell
 from . import facts
+from .data import Results
 from .facts import Block
+from .film import render_still
+from .motion import View
+from .registry import applies, kinds, thesis_figure
+from .style import SHEET, Drawn, arrange, figure_of, sign
+from .targets import plot_traces, target_waves
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def _still(results: Results, target: str) -> Picture:
 
 def html_of(title: str, lead: str, sections: list[Section], stamp: str) -> str:
     """A self-contained page of ``sections`` below a ``title`` and a sentence that leads; it fetches nothing."""
-    source = resources.files(__package__).joinpath("report.html.j2").read_text(encoding="utf-8")
+    source = resources.files(__package__).joinpath("page.html.j2").read_text(encoding="utf-8")
     page = Environment(autoescape=True, trim_blocks=True).from_string(source)
     return page.render(title=title, lead=lead, sections=sections, stamp=stamp)
 

@@ -6,11 +6,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline, RBFInterpolator
 from scipy.spatial import Delaunay, QhullError
 
-from ..layered import Disc, layered_compliance
-from ..pipeline.layered_engine import flat_disc, flat_layers, flat_surface
-from ..ports import Port, positions
-from ..scenario import Scenario
-from ..typing import ComplexArray, FloatArray, IntArray
+from ...layered import Disc, layered_compliance
+from ...pipeline.layered_engine import flat_disc, flat_layers, flat_surface
+from ...ports import Port, positions
+from ...scenario import Scenario
+from ...typing import ComplexArray, FloatArray, IntArray
 from .field import Field, Surface, few_shapes
 
 _MM = 1e3

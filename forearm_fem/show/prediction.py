@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..figures.prediction import bands_table, drivers_table, plot_bands, plot_drivers, plot_wins
-from ..figures.style import Drawn
 from ..io.atomic import atomic_path, write_text
+from .arms import bands_table, drivers_table, plot_bands, plot_drivers, plot_wins
 from .facts import Block
-from .write import Section, embedded, html_of, markdown_of
+from .report import Section, embedded, html_of, markdown_of
+from .style import Drawn
 
 _STRONG = 0.2  # rank correlation that is named
 _WIDE = 1.1  # factor of S, by errors of the arms' own G, from which on the report says what to do

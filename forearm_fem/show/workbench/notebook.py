@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from ..figures import Results
+from ..data import Results
 from .bundle import page_of
 from .content import content_of
 
@@ -27,7 +27,7 @@ class View:
 
     def save(self, path: str | Path) -> Path:
         """Write the page."""
-        from ..io.atomic import write_text
+        from ...io.atomic import write_text
 
         write_text(path, self.page)
         return Path(path)

@@ -9,23 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
-from ..errors import DataError, GeometryError, ScenarioError
-from ..figures import Results
-from ..figures.data import PREDICTION
-from ..figures.style import METHODS, TISSUES
-from ..geometry.device.layout import layout_of
-from ..io.declaration import arbitrary_gain
-from ..io.reduced import read_reduced
-from ..pipeline.frequencies import frequencies
-from ..pipeline.renderers import least_error, wavelet
-from ..pipeline.simulation import simulate
-from ..pipeline.strengths import at_least_band
-from ..pipeline.verdict import accuracy_verdict
-from ..ports import Port
-from ..prediction.store import FILE, read_outcomes
-from ..progress import Progress
-from ..rendering import (
+from ... import __version__
+from ...errors import DataError, GeometryError, ScenarioError
+from ...geometry.device.layout import layout_of
+from ...io.declaration import arbitrary_gain
+from ...io.reduced import read_reduced
+from ...pipeline.frequencies import frequencies
+from ...pipeline.renderers import least_error, wavelet
+from ...pipeline.simulation import simulate
+from ...pipeline.strengths import at_least_band
+from ...pipeline.verdict import accuracy_verdict
+from ...ports import Port
+from ...prediction.store import FILE, read_outcomes
+from ...progress import Progress
+from ...rendering import (
     Bridged,
     Placed,
     Record,
@@ -36,9 +33,11 @@ from ..rendering import (
     place,
     place_on_bins,
 )
-from ..scenario import Scenario, parse_scenario
-from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
-from ..typing import FloatArray
+from ...scenario import Scenario, parse_scenario
+from ...transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
+from ...typing import FloatArray
+from ..data import PREDICTION, Results
+from ..style import METHODS, TISSUES
 from .field import Field, solved_field
 from .flat import between_points, twin_field
 from .packed import amplitudes_in_half_precision, in_half_precision, packed

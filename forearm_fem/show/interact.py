@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from .data import Results
+from .film import Look, Stage, default_view, staged
 from .motion import View, motion
 from .scene import plotter_for
-from .show import Look, Stage, default_view, staged
 
 
 def interact(

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..device import contact_state
-from ..figures import Results
-from ..figures.scene import MM, volume_grid
-from ..figures.show import body_of
-from ..geometry.mesh.topology import vertex_areas
-from ..typing import ComplexArray, FloatArray, IntArray
+from ...device import contact_state
+from ...geometry.mesh.topology import vertex_areas
+from ...typing import ComplexArray, FloatArray, IntArray
+from ..data import Results
+from ..film import body_of
+from ..scene import MM, volume_grid
 
 _TOLERANCE = 3e-3  # of the motion at each frequency and contact, in the mean over the skin: far below G's own error
 _MOST = 160  # shapes: what a page of 15 MB holds of the thesis' scene

@@ -9,8 +9,6 @@ from itertools import combinations
 
 import numpy as np
 
-from ..figures.data import Results
-from ..figures.judge import WHO, Strengths, spreads, strengths, table_one_rows
 from ..metrics import condition_number, condition_summary, thesis_table
 from ..metrics.strength import GROUPS, strength_text
 from ..pipeline.unread import changed_keys
@@ -19,6 +17,8 @@ from ..rendering.limits import Limits, beyond_limits
 from ..scenario import Scenario
 from ..transfer import entry_band_errors, size_words
 from ..typing import FloatArray
+from .data import Results
+from .judge import WHO, Strengths, spreads, strengths, table_one_rows
 
 Rows = list[list[str]]
 
