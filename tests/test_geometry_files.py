@@ -1,10 +1,11 @@
 """Mesh files, the cache, and limbs that the user brings."""
 
-from __future__ import sys
+from __future__ import annotations
 
 import json
 import logging
 import subprocess
+import sys
 import warnings
 from dataclasses import replace
 
