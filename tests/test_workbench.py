@@ -21,7 +21,6 @@ from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, GeometryError
 from forearm_fem.io import read_compliance, read_transfer, write_transfer
 from forearm_fem.io.csvfiles import write_csv
-from forearm_fem.io.jsonfiles import write_json
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.pipeline.skin_model import load_skin_model
@@ -35,6 +34,7 @@ from forearm_fem.show.workbench import content_of, page_of, view, write_workbenc
 from forearm_fem.show.workbench.bundle import script
 from forearm_fem.show.workbench.content import measured_content, short_scenario
 from forearm_fem.show.workbench.field import few_shapes, per_newton, solved_field
+from forearm_fem.store.text import write_json
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")

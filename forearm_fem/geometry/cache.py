@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import DataError, MeshError
-from ..io.atomic import write_text
-from ..io.jsonfiles import digest_of
 from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.contents import contents, limb_files
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.mesh import MeshOptions
+from ..store.folder import write_text
+from ..store.text import digest_of
 from ..user_cache import default_cache_dir
 from .build import build_mesh
 from .device.cramped import refuse_if_too_many

@@ -24,10 +24,10 @@ from ..io import (
     read_signal_strength_csv,
     read_transfer,
 )
-from ..io.jsonfiles import read_json
 from ..rendering import Record, Wavelet, from_samples_file, ricker
 from ..results import RunRecord, read_run
 from ..scenario import Scenario, parse_scenario
+from ..store.text import read_json
 from ..transfer import Compliance, TransferMatrix
 from ..wavefield import Wavefield, load_wavefield
 

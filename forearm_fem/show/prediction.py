@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..io.atomic import atomic_path, write_text
+from ..store.folder import atomic_path, write_text
 from .arms import bands_table, drivers_table, plot_bands, plot_drivers, plot_wins
 from .facts import Block
 from .report import Section, embedded, html_of, markdown_of

@@ -14,9 +14,9 @@ from matplotlib import style
 from PIL import Image
 
 from ..errors import DataError, ForearmError, NotApplicable
-from ..io.atomic import atomic_path, write_text
-from ..io.markdown import markdown_table
 from ..progress import Progress, tell
+from ..store.folder import atomic_path, write_text
+from ..store.text import markdown_table
 from . import facts
 from .data import Results
 from .facts import Block
