@@ -96,12 +96,12 @@ def write_page(row, folder: Path) -> None:  # type: ignore[no-untyped-def]
 def what_is_felt(study: Path, transfer: Path):  # type: ignore[no-untyped-def]
     """The energies of all stimuli, the same for everyone here."""
     from forearm_fem.commands.common import transfer_file
-    from forearm_fem.files.read import read_measured
+    from forearm_fem.files.read import read
     from forearm_fem.study.field import field_for, grid_field
     from forearm_fem.study.percept import Felt
     from forearm_fem.study.run import Prepared
 
-    prepared, matrix = Prepared.of(study), read_measured(transfer_file(transfer))
+    prepared, matrix = Prepared.of(study), read(transfer_file(transfer))
     record = prepared.wavelet.record
     field = field_for(transfer) or grid_field(matrix)
     return Felt.of(field, prepared.stimuli(matrix), record.sample_rate, record.n / record.sample_rate)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -186,6 +187,12 @@ class TransferMatrix:
     def omega(self) -> FloatArray:
         """Angular frequency [rad/s]."""
         return 2 * np.pi * self.frequency
+
+    def save(self, path: str | Path) -> None:
+        """Write G in the format of the path's ending: .nc (everything), .csv or .mat."""
+        from .files.read import save  # every format, which few need
+
+        save(path, self)
 
 
 @checked

@@ -15,23 +15,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bad_files import CORNERS, TETRA
-from forearm_fem.files.matlab import write_mat5, write_mat73
-from forearm_fem.files.tdms import read_sweep_tdms, write_sweep_tdms, write_tdms
-from test_measurement_scene import INPUTS, OUTPUTS, RATE, wave_matrix
+from test_measurement_scene import INPUTS, RATE, wave_matrix
 
-from forearm_fem import io
+from forearm_fem import files, io
 from forearm_fem.errors import ForearmError
-from forearm_fem.files.declaration import Declaration
-from forearm_fem.files.read import read_measured
 from forearm_fem.files.reading import RecognitionWarning
-from forearm_fem.files.tables import write_csv
-from forearm_fem.files.uff import write_uff
 from forearm_fem.files.wav import read_wav_drives, write_wav_drives
 from forearm_fem.geometry.limb.prisms import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.boundary import with_boundaries
-from forearm_fem.io.jsonfiles import read_json, write_json
 from forearm_fem.io.recording import Recording
 from forearm_fem.io.reduced import ReducedFile, read_reduced, write_reduced
 from forearm_fem.io.seal import MARK
@@ -42,10 +35,6 @@ RNG = np.random.default_rng(0)
 G = dataclasses.replace(
     wave_matrix(np.arange(10.0, 40.5, 2.0)), deviation=1e-8 * (1 + RNG.random((16, 9, 4))), provenance={"seed": 3}
 )
-DECLARED = Declaration(
-    unit="m/V", spectrum="one-sided", sign="+iwt", variable="G", frequency_variable="frequency_Hz",
-    valid_variable="valid", axes=("output", "input", "frequency"),
-)  # fmt: skip
 DRIVES = RNG.standard_normal((4, 100))
 SIGNALS = io.Signals(RNG.standard_normal((1, 2, 4, 50)), ("a",), ("1", "5"), tuple("wxyz"), np.arange(50) * 1e-4, "V")
 REDUCED = ReducedFile(
@@ -55,7 +44,6 @@ FIELD = Wavefield(
     np.arange(5.0) + 10, np.float64(np.float32(RNG.standard_normal((40, 3, 6)))), np.ones((5, 6, 4)) * (1 + 2j)
 )
 RECORDING = Recording("1", "A1", RATE, RNG.standard_normal(200), RNG.standard_normal((2, 200)))
-FACTS = {"seconds": 12.5, "errors": [{"band": 0.0123, "source": "truncation"}] * 4, "notes": ["one", "two"]}
 ROWS = io.strength_rows(("inverse filter", "funneling"), ("1", "5"), np.array([[1.25, 2.5], [0.125, 3.75]]))
 
 
@@ -68,10 +56,6 @@ def _block() -> TissueMesh:
 MESH = _block()
 
 
-def _sweep(file: Path) -> Recording:
-    return read_sweep_tdms(file, drive="sweep/drive", response="sweep/response", output="1", input="A1", period=200)
-
-
 @dataclasses.dataclass(frozen=True)
 class Format:
     """A kind of file: its name, how it is written, and how it is read."""
@@ -81,29 +65,23 @@ class Format:
     read: Callable[[Path], Any]
 
 
-def _mat(file: Path) -> Any:
-    return read_measured(file, DECLARED, ports=(OUTPUTS, INPUTS))
-
-
 FORMATS = (
     Format("transfer.nc", lambda p: io.write_transfer(p, G), io.read_transfer),
     Format("drives.nc", lambda p: io.write_drives(p, SIGNALS), io.read_drives),
     Format("reduced.nc", lambda p: write_reduced(p, REDUCED), read_reduced),
-    Format("mat5.mat", lambda p: write_mat5(p, G), _mat),
-    Format("thesis.mat", lambda p: io.write_thesis_mat(p, G, 200.0, 1.0), io.read_thesis_mat),
-    Format("mat73.mat", lambda p: write_mat73(p, G), _mat),
-    Format("drives.wav", lambda p: write_wav_drives(p, DRIVES, 1e4), read_wav_drives),
-    Format("G.csv", lambda p: write_csv(p, G), read_measured),
-    Format("G.tdms", lambda p: write_tdms(p, G), read_measured),
-    Format("sweep.tdms", lambda p: write_sweep_tdms(p, RECORDING), _sweep),
-    Format("G.uff", lambda p: write_uff(p, G), read_measured),
     Format("wavefield.npz", lambda p: save_wavefield(FIELD, p), load_wavefield),
     Format("recording.npz", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
     Format("mesh.vtu", lambda p: write_mesh(MESH, p), read_mesh),
     Format("mesh.msh", lambda p: write_mesh(MESH, p), read_mesh),
-    Format("run.json", lambda p: write_json(p, FACTS), read_json),
     Format("signal_strength.csv", lambda p: io.write_signal_strength_csv(p, ROWS), io.read_signal_strength_csv),
 )
+
+PLAIN = (
+    Format("thesis.mat", lambda p: files.write_thesis_mat(p, G, 200.0, 1.0), files.read_thesis_mat),
+    Format("own.mat", lambda p: files.save(p, G), files.read),
+    Format("drives.wav", lambda p: write_wav_drives(p, DRIVES, 1e4), read_wav_drives),
+    Format("G.csv", lambda p: files.save(p, G), files.read),
+)  # formats of other programs, without checksums
 
 
 def flipped_bit(content: bytearray, rng: np.random.Generator) -> bytearray:

@@ -16,7 +16,7 @@ from forearm_fem.compare.crossplay import cross_play, wavelet_for
 from forearm_fem.compare.report import as_csv, as_json, as_markdown, picture, plot_overlay
 from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import DataError
-from forearm_fem.files.read import write_measured
+from forearm_fem.files.read import save
 from forearm_fem.measurement.calibrate import calibrate
 from forearm_fem.measurement.virtual import noise_for
 from forearm_fem.metrics import condition_number
@@ -255,8 +255,8 @@ def test_wavelet_sits_on_the_common_bins():
 
 
 def test_run_compare_writes_table_csv_json_and_figure(tmp_path):
-    write_measured(tmp_path / "a.nc", A)
-    write_measured(tmp_path / "b.csv", changed(A, 1.05))
+    save(tmp_path / "a.nc", A)
+    save(tmp_path / "b.csv", changed(A, 1.05))
     result = run_compare(tmp_path / "a.nc", tmp_path / "b.csv", folder=tmp_path / "out")
     assert sorted(f.name for f in result.files) == [
         "comparison.csv",

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forearm_fem.files.thesis_mat import read_thesis_mat
 from scipy.spatial import cKDTree
 
 from forearm_fem.fem.linear import direct
@@ -14,6 +13,7 @@ from forearm_fem.fem.reduction import expansion as expand
 from forearm_fem.fem.reduction import rate_space as krylov
 from forearm_fem.fem.reduction import sweep
 from forearm_fem.fem.reduction.expansion import Expansion
+from forearm_fem.files.mat import read_thesis_mat
 from forearm_fem.geometry.mesh.subdivision import with_finer_skin
 from forearm_fem.io.netcdf import read_compliance, read_transfer
 from forearm_fem.pipeline import folder

@@ -20,14 +20,14 @@ from test_figures_scene import folder  # noqa: F401
 from test_skin_model import solved  # noqa: F401
 from test_workbench import LAYERED, content, drawn, flat  # noqa: F401
 
-from forearm_fem.figures import Results
-from forearm_fem.files.read import read_measured
+from forearm_fem.files.read import read
 from forearm_fem.files.tables import write_csv
 from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.pipeline.skin_model import load_skin_model
 from forearm_fem.scenario import load_scenario, parse_scenario
-from forearm_fem.workbench import content_of, page_of
-from forearm_fem.workbench.content import measured_content
+from forearm_fem.show import Results
+from forearm_fem.show.workbench import content_of, page_of
+from forearm_fem.show.workbench.content import measured_content
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -277,7 +277,7 @@ def test_what_it_keeps_can_be_read(tab: Any, flat: Results, tmp_path: Path) -> N
     assert {"inverse_filter_u_5_m", "funneling_drive_A4_V"} <= set(rows[0])
     g = tmp_path / "g.csv"
     g.write_bytes(kept(tab, "gcsv").read_bytes())
-    back = read_measured(g)
+    back = read(g)
     np.testing.assert_allclose(back.values, flat.transfer.values, rtol=1e-12, atol=1e-18)
     assert back.outputs == flat.transfer.outputs
     assert json.loads(kept(tab, "gjson").read_text())["unit"] == "m/V"

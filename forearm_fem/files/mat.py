@@ -13,9 +13,9 @@ from scipy.io import loadmat, savemat
 
 from ..arguments import checked
 from ..errors import DataError
-from ..io.atomic import write_bytes
 from ..io.dataset import TIME_CONVENTION, labels, provenance_json
 from ..ports import Port, positions
+from ..store.folder import write_bytes
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, IntArray
 from .reading import reading

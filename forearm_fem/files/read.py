@@ -7,14 +7,16 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import h5py
 from scipy.io import whosmat
 
 from ..arguments import checked
 from ..errors import DataError
+from ..io.dataset import said_content
 from ..io.netcdf import read_transfer, write_transfer
+from ..scenario import Scenario
 from ..transfer import TransferMatrix
 from .arrays import Hdf5Reader, MatReader, NpyReader, NpzReader
 from .declaration import SWEEPS, Declaration, Ports
@@ -28,9 +30,6 @@ from .sweeps import SweepReader
 from .tables import TableReader, write_csv
 from .uff import UffReader
 
-if TYPE_CHECKING:
-    from ..scenario import Scenario
-
 
 class NetCdfReader(Hdf5Reader):
     """G as this program wrote it; of another program's netCDF the array that ``variable`` names."""
@@ -40,7 +39,7 @@ class NetCdfReader(Hdf5Reader):
 
     def read(self, file: Path, said: Declaration, ports: Ports | None) -> TransferMatrix:
         """See :meth:`.Reader.read`."""
-        if said.variable is not None:
+        if said.variable is not None and file.is_file() and not said_content(file):
             return super().read(file, said, ports)
         transfer = read_transfer(file)
         _refuse_declared(file, said)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..contents import stand_in, text_of
 from ..errors import DataError, MissingExtra
-from ..io.atomic import refuse_no_file
+from ..store.folder import refuse_no_file
 
 _SNIFFED = 1 << 16  # bytes
 

@@ -16,8 +16,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..errors import AccuracyWarning, DataError
-from ..io.atomic import write_bytes
 from ..ports import Port
+from ..store.folder import write_bytes
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .declaration import FOI, Declaration, RawMatrix, arbitrary_gain, port_from

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.io import wavfile
 
 from ..errors import DataError
-from ..io.atomic import write_bytes
+from ..store.folder import write_bytes
 from ..typing import FloatArray
 from .reading import reading
 

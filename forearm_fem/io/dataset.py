@@ -17,7 +17,7 @@ from xarray.backends import H5NetCDFStore
 from .. import __version__
 from ..errors import DataError
 from ..ports import Port, positions
-from .atomic import refuse_no_file, write_bytes
+from ..store.folder import refuse_no_file, write_bytes
 from .seal import check_tail, sealed_tail
 
 T = TypeVar("T")
