@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from test_workbench import asked, complex_of, needs_node
-from test_workbench_page import browser, opened, strength  # noqa: F401
+from test_workbench_page import opened, strength  # noqa: F401
 
 from forearm_fem.device import close_loop
 from forearm_fem.errors import GeometryError
