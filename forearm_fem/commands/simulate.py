@@ -43,8 +43,13 @@ def run(
     from ..pipeline.folder import run_all
 
     with stage(asked, scenario, out, run_all, overrides, library) as job:
-        typer.echo((job.out / "report.md").read_text(encoding="utf-8"))
-        typer.echo(f"results: {job.out}")
+        if not asked.rendering.methods:
+            typer.echo(f"open {job.out / 'report.html'}")
+            return
+        from ..show import Results
+        from ..show.answer import console_lines
+
+        typer.echo("\n".join(console_lines(Results.open(job.out))))
 
 
 def mesh(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
@@ -80,9 +85,9 @@ def render(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder =
     asked = load_scenario(scenario, overrides=overrides or ())
     with stage(asked, scenario, out, run_render, overrides) as job:
         from ..show import Results
-        from ..show.report import strengths_by_target
+        from ..show.facts import by_target_block
 
-        typer.echo(strengths_by_target(Results.open(job.out)))
+        typer.echo(by_target_block(Results.open(job.out)).markdown())
         typer.echo(f"results: {job.out} (signal_strength.csv holds every digit of S)")
 
 

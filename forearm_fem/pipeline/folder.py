@@ -86,6 +86,7 @@ class Run:
     ledger: Ledger
     notes: list[str]
     library: AnswersForArm | None = None
+    asked: str = ""  # the scenario as a command names it, with what it sets
 
     @classmethod
     def start(cls, scenario: Scenario, out: Path, base: Path, progress: Progress | None = None) -> Run:
@@ -331,6 +332,7 @@ def _write_run(run: Run) -> None:
         condition_number=condition_of(transfer),
         signal_strength=StrengthRecord.model_validate(_read_json(run.out / "signal_strength.json")),
         notes=tuple(dict.fromkeys(run.notes)),
+        asked=run.asked,
     )
     write_run(target, account)
 
