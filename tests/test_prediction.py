@@ -18,7 +18,6 @@ from scipy import stats
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
-from forearm_fem.io.jsonfiles import read_json
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
@@ -35,6 +34,7 @@ from forearm_fem.scenario import parse_scenario
 from forearm_fem.show.data import Results
 from forearm_fem.show.facts import strength_block
 from forearm_fem.show.prediction import _numerics, _scope, lead_of, strength_words
+from forearm_fem.store.text import read_json
 from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 

@@ -8,6 +8,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -197,16 +198,9 @@ def test_an_unfinished_run_has_no_report(folder: Path, tmp_path: Path) -> None: 
         write_report(tmp_path)
 
 
-def test_a_phone_shows_the_page_without_scrolling_sideways(report: tuple[str, str, Path]) -> None:
+def test_a_phone_shows_the_page_without_scrolling_sideways(browser: Any, report: tuple[str, str, Path]) -> None:
     """390 px wide, all folds open: tables and pictures scroll or shrink within the page."""
-    browser = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chromium-browser")
-    api = pytest.importorskip("playwright.sync_api", reason="needs playwright to look at a page")
-    if browser is None:
-        pytest.skip("no chromium here")
-    with api.sync_playwright() as play:
-        page = play.chromium.launch(executable_path=browser, args=["--no-sandbox"]).new_page(
-            viewport={"width": 390, "height": 844}
-        )
-        page.goto(report[2].as_uri())
-        page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page = browser.new_page(viewport={"width": 390, "height": 844})
+    page.goto(report[2].as_uri())
+    page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390

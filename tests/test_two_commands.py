@@ -16,17 +16,17 @@ from cli_runner import SMALL, cli, leftovers
 
 from forearm_fem.commands.common import Heartbeat, out_folder, progress_line
 from forearm_fem.errors import DataError
-from forearm_fem.io.lock import locked
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.pipeline.folder import Run
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.store.folder import locked
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 HOLD = """
 import sys, time
-from forearm_fem.io.lock import locked
+from forearm_fem.store.folder import locked
 with locked(sys.argv[1]):
     print("held", flush=True)
     time.sleep(600)

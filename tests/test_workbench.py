@@ -21,7 +21,6 @@ from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, GeometryError
 from forearm_fem.io import read_compliance, read_transfer, write_transfer
 from forearm_fem.io.csvfiles import write_csv
-from forearm_fem.io.jsonfiles import write_json
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.pipeline.skin_model import load_skin_model
@@ -35,12 +34,13 @@ from forearm_fem.show.workbench import content_of, page_of, view, write_workbenc
 from forearm_fem.show.workbench.bundle import script
 from forearm_fem.show.workbench.content import measured_content, short_scenario
 from forearm_fem.show.workbench.field import few_shapes, per_newton, solved_field
+from forearm_fem.store.text import write_json
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 HERE = Path(__file__).parent
 NODE = shutil.which("node")
-needs_node = pytest.mark.skipif(NODE is None, reason="no node on this machine")
+needs_node = pytest.mark.skipif(NODE is None, reason="no node; `apt-get install nodejs` brings it")
 LAYERED: dict[str, Any] = {
     "name": "flat", "engine": "layered", "sweep": {"duration": 0.25, "sample_rate": 4000.0, "f_max": 400.0},
     "device": {"cone": {"contact": "pressure"}}, "limb": {"shape": "slab", "length": 0.1, "width": 0.1, "depth": 0.03},
@@ -532,7 +532,7 @@ def test_the_modules_own_tests(which: str) -> None:
 def test_types_of_the_front_end() -> None:
     compiler = shutil.which("tsc")
     if compiler is None:
-        pytest.skip("no tsc on this machine; `npm install --global typescript` brings it")
+        pytest.skip("no tsc; `npm install --global typescript` brings it")
     place = HERE.parent / "forearm_fem" / "show" / "workbench" / "page" / "jsconfig.json"
     done = subprocess.run([compiler, "-p", str(place)], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout

@@ -43,8 +43,8 @@ def figures(
     for option, given, read in (("--only", only, names), ("--format", formats, kinds)):
         if given and not read:
             raise DataError(f"{option}: expected names between the commas, got none; leave it out for its default")
-    from ..io.lock import locked
     from ..show import make_figures
+    from ..store.folder import locked
 
     with locked(out or results), Display() as display, noted():
         written = make_figures(

@@ -24,12 +24,12 @@ from ..io import (
     read_signal_strength_csv,
     read_transfer,
 )
-from ..io.jsonfiles import read_json
 from ..ports import Port
 from ..rendering import Record, Wavelet, from_samples_file, ricker
 from ..rendering.clearance import counted_points
 from ..results import RunRecord, read_run
 from ..scenario import Scenario, parse_scenario
+from ..store.text import read_json
 from ..transfer import Compliance, TransferMatrix
 from ..typing import BoolArray
 from ..wavefield import Wavefield, load_wavefield

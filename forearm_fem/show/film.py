@@ -14,9 +14,9 @@ from PIL import Image
 
 from ..device.housing import carries_points
 from ..errors import DataError, optional
-from ..io.atomic import atomic_path, write_bytes, write_text
 from ..ports import Port
 from ..progress import Progress, tell
+from ..store.folder import atomic_path, write_bytes, write_text
 from ..typing import FloatArray, IntArray
 from .data import Results
 from .motion import Motion, View, motion, nice, shown_values

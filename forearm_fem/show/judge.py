@@ -15,9 +15,9 @@ from matplotlib.figure import FigureBase
 from matplotlib.patches import Circle
 
 from ..errors import DataError
-from ..io.markdown import markdown_table
 from ..metrics import StrengthTable, signal_strength_table, thesis_table
 from ..ports import Port, positions
+from ..store.text import markdown_table
 from ..transfer import ErrorEstimate, size_words
 from ..typing import BoolArray, FloatArray
 from .data import Results

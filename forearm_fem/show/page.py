@@ -13,8 +13,8 @@ from jinja2 import Environment
 from matplotlib import style
 from PIL import Image
 
-from ..io.atomic import atomic_path, write_text
-from ..io.markdown import markdown_table
+from ..store.folder import atomic_path, write_text
+from ..store.text import markdown_table
 from ..typing import IntArray
 from .style import SHEET, Drawn, arrange, figure_of, sign
 

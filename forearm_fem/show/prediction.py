@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..io.atomic import write_text
+from ..store.folder import write_text
 from .arms import bands_table, drivers_table, plot_bands, plot_drivers, plot_wins
 from .page import Block, Page, Section, embedded
 from .style import Drawn

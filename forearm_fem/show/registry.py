@@ -13,9 +13,9 @@ from typing import Any
 from matplotlib import style
 
 from ..errors import DataError, ForearmError, NotApplicable
-from ..io.atomic import atomic_path, write_text
 from ..progress import Progress, tell
 from ..rendering.lattice import is_thesis_grid
+from ..store.folder import atomic_path, write_text
 from . import device, judge, matrix, mesh, methods, targets, waves
 from .data import Results
 from .overlay import WIDTHS, Curve, fit_width, lay_over, read_curves

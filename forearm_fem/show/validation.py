@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..io.markdown import markdown_table
+from ..store.text import markdown_table
 
 _NAMES = {"all": "all laws", "kelvin-voigt": "Kelvin-Voigt", "zener": "standard linear solid", "springpot": "springpot"}
 _READINGS = {"window": "over the wavelet's window", "record": "over the whole record"}

@@ -11,9 +11,9 @@ import pandas as pd
 
 from .. import __version__
 from ..errors import DataError
-from ..io.atomic import atomic_path, write_text
 from ..ports import Port
 from ..show.page import Block, Page, Section, embedded
+from ..store.folder import atomic_path, write_text
 from .adaptive import Track
 from .analysis import Tests, analyse, confusion, ellipses, in_order, with_errors
 from .comparisons import Correction

@@ -13,12 +13,12 @@ from typing import Any
 from ...arguments import checked
 from ...errors import DataError
 from ...geometry.device.layout import planform_ports
-from ...io.atomic import write_text
 from ...io.declaration import Declaration
 from ...io.recognise import read_measured
 from ...library import is_library, load_library
 from ...progress import Progress
 from ...scenario import Scenario, parse_scenario
+from ...store.folder import write_text
 from ..data import Results
 from .content import content_of, library_content, measured_content
 

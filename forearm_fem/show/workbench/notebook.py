@@ -27,7 +27,7 @@ class View:
 
     def save(self, path: str | Path) -> Path:
         """Write the page."""
-        from ...io.atomic import write_text
+        from ...store.folder import write_text
 
         write_text(path, self.page)
         return Path(path)
