@@ -512,7 +512,7 @@ def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
     assert answer.code == 0, answer.err
     folder = tmp_path / "out" / "prediction"
     names = {"draws.nc", "prediction.json", "prediction.md", "prediction.html"}
-    assert names | {"figures"} == {p.name for p in folder.iterdir()}
+    assert names | {"figures", "folder.json", "SHA256SUMS"} == {p.name for p in folder.iterdir()}
     assert {p.name for p in (folder / "figures").iterdir()} == {
         "bands.png", "methods.png", "drivers.png", "bands.csv", "drivers.csv",
     }  # fmt: skip
