@@ -19,8 +19,8 @@ from ..campaign.executor import LIGHT, SHARE, cluster
 from ..errors import ScenarioError
 from ..io.owner import refuse_folder_of_another
 from ..pipeline.folder import Run, run_all
-from ..pipeline.renderers import wavelet
 from ..progress import Progress, tell, within
+from ..rendering.job import wavelet
 from ..results import read_run
 from .arm import ArmModel, TwinArm
 from .candidate import Candidate, evaluate, s_interval, score_of

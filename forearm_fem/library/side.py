@@ -23,9 +23,9 @@ from ..fem.reduction.reduced_model import ReducedModel, empty_model, with_column
 from ..geometry.cache import cached_mesh, default_cache_dir
 from ..io.jsonfiles import digest_of
 from ..pipeline.fem_engine import fem_model
-from ..pipeline.frequencies import frequencies
 from ..progress import Progress, tell, within
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..typing import FloatArray, IntArray
 from .kept import Kept, Progressed, Side
 from .limb import Limb

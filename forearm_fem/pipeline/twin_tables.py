@@ -17,8 +17,8 @@ from ..layered.tabulated import Tabulated, from_arrays
 from ..layered.tabulating import tabulate
 from ..progress import Progress
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..tissue import resolve_tissues
-from .frequencies import frequencies
 from .layered_engine import flat_layers, flat_surface
 
 _REACH = 0.1  # [m]: tables reach to multiples of it, so that one serves every device of a forearm
