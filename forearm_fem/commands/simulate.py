@@ -124,10 +124,10 @@ def _render_given(
 ) -> None:
     """Drives, displacements, S, figures and report of a G that is there."""
     from ..geometry.device.layout import planform_ports
-    from ..io.lock import locked
     from ..io.recognise import read_measured
     from ..pipeline.folder import Run, run_given
     from ..rendering.given import scenario_for
+    from ..store.folder import locked
 
     file, asked = transfer_file(what), scene_of(scenario)
     with noted():  # what was recognised, and what a file does not look like
@@ -145,8 +145,8 @@ def _render_given(
 
 
 def _print_strengths(job: Run) -> None:
-    from ..figures import Results
-    from ..report import strengths_by_target
+    from ..show.data import Results
+    from ..show.report import strengths_by_target
 
     typer.echo(strengths_by_target(Results.holding(job.out, scenario=job.scenario, run=job.record, **job.known)))
     typer.echo(f"results: {job.out} (signal_strength.csv holds every digit of S)")

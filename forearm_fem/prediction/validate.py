@@ -16,13 +16,13 @@ import numpy as np
 from .. import __version__
 from ..errors import DataError, ForearmError, ScenarioError
 from ..geometry.device.layout import planform_ports
-from ..io.jsonfiles import read_json, write_json
 from ..metrics.strength import thesis_table
 from ..progress import Progress, tell
 from ..rendering.interval import StrengthAccount, strength_account
 from ..rendering.job import RenderJob, targets_of, wavelet, wavelet_for
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
+from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .arm import without_bones

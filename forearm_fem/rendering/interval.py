@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError
-from ..io.jsonfiles import plain
 from ..metrics import perturbed
 from ..metrics.strength import plain_strength, without_bound
+from ..store.text import plain
 from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at, total_error
 from ..typing import FloatArray
 from .bridging import with_wider_ends
