@@ -26,7 +26,7 @@ def campaign(
 ) -> None:  # fmt: skip
     """Run many variants of a scenario; finished ones are skipped, failed ones do not stop the rest."""
     from ..campaign import load_campaign, run_campaign
-    from ..io.lock import locked
+    from ..store.folder import locked
 
     asked = load_campaign(file)
     folder = out or Path("results") / asked.name
@@ -43,8 +43,7 @@ def verify(
     out: Annotated[Path, typer.Option("--out", help="folder that the table is written to")] = Path("results/verify"),
 ) -> None:
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
-    from ..io.atomic import write_text
-    from ..io.lock import locked
+    from ..store.folder import locked, write_text
     from ..verification import report, run_verification
 
     with locked(out), Display() as display, noted():

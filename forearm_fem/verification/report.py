@@ -6,7 +6,7 @@ import os
 import platform
 from collections.abc import Sequence
 
-from ..io.markdown import markdown_table
+from ..store.text import markdown_table
 from .run import weakest
 from .scenes import Row
 
