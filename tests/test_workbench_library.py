@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from test_workbench import asked, complex_of, needs_node
-from test_workbench_page import browser, opened, strength  # noqa: F401
+from test_workbench_page import opened, strength
 
 from forearm_fem.device import close_loop
 from forearm_fem.errors import GeometryError
@@ -132,7 +132,7 @@ def test_where_discs_cannot_stand_is_said(arm: Stand) -> None:
         asked(content, {"ask": "transfer", "settings": {"contacts": close}})
 
 
-def test_actuators_are_dragged_and_walked(browser: Any, arm: Stand, tmp_path: Path) -> None:  # noqa: F811
+def test_actuators_are_dragged_and_walked(browser: Any, arm: Stand, tmp_path: Path) -> None:
     """By the mouse and by keys: drives and S follow, the scenario kept says where; off the patch nothing moves."""
     import tomllib
 
