@@ -115,11 +115,18 @@ def _capital(text: str) -> str:
 
 def subject_of(results: Results) -> str:
     """Device and arm in words."""
-    s = results.scenario
+    s, g = results.scenario, results.transfer
+    if is_measured(results):
+        return (f"A measured or imported G of {len(g.outputs)} points and {len(g.inputs)} actuators, "
+                f"{g.frequency[0]:g} to {g.frequency[-1]:g} Hz.")  # fmt: skip
     engine = "finite elements" if s.engine == "fem" else "the layered model (flat layers, no bone)"
-    grid = _grid(s, len(results.transfer.outputs))
-    return f"{_device(s)}, on {limb_words(s)}; {grid}. Solved by {engine}, {results.transfer.frequency[0]:g} to " \
-           f"{results.transfer.frequency[-1]:g} Hz."  # fmt: skip
+    return (f"{_device(s)}, on {limb_words(s)}; {_grid(s, len(g.outputs))}. Solved by {engine}, {g.frequency[0]:g} to "
+            f"{g.frequency[-1]:g} Hz.")  # fmt: skip
+
+
+def is_measured(results: Results) -> bool:
+    """Whether G came from outside, so that nothing is known of the limb."""
+    return "scenario" not in results.transfer.provenance
 
 
 def half_widths(data: Strengths) -> np.ndarray:
@@ -190,9 +197,11 @@ def next_steps(results: Results, data: Strengths) -> list[tuple[str, str]]:
     """Three commands that can be copied, each with what it is for."""
     folder, asked = shlex.quote(str(results.folder)), asked_of(results)
     steps = [("Explore the waves in a browser", f"forearm-fem workbench {folder}")]
-    if data.arms is None and results.scenario.rendering.methods:
+    if is_measured(results):
+        steps.append(("See where a simulation differs from it", f"forearm-fem compare {folder} results/SIMULATED"))
+    elif data.arms is None:
         steps.append(("See what S people will have", f"forearm-fem predict {asked}"))
-    if results.scenario.engine == "layered":
+    if results.scenario.engine == "layered" and not is_measured(results):
         steps.append(("Solve the same with bones and curvature", f"forearm-fem run {_finite_elements(asked)}"))
     steps.append(("Make every figure with its numbers", f"forearm-fem figures {folder}"))
     return steps[:3]
@@ -215,7 +224,8 @@ def console_lines(results: Results, seconds: float | None = None) -> list[str]:
     first, *more = answer_of(results, data)
     lines = [f"{results.scenario.name}: {first}", *more, *_strength_lines(data)]
     took = "" if seconds is None else f" ({seconds:.0f} s)"
-    return [*lines, trust_of(results, data), f"open {results.folder / 'report.html'}{took}"]
+    page = results.folder / "report.html"
+    return [*lines, trust_of(results, data), f"{f'open {page}' if page.is_file() else f'results: {results.folder}'}{took}"]
 
 
 def _strength_lines(data: Strengths) -> list[str]:

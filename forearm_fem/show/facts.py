@@ -26,15 +26,19 @@ def scene_block(results: Results) -> Block:
     s = results.scenario
     changed = ", ".join(s.tissues.override)
     own = [key for key in changed_keys(s) if key not in ("name", "description")]
-    rows = [
+    of_limb = "scenario" in results.transfer.provenance
+    solved = [
         ["limb", limb_words(s)],
         ["tissues", f"preset {s.tissues.preset}" + (f"; changed: {changed}" if changed else "")],
         ["supports", f"bone {s.supports.bone}, underside {s.supports.underside}, cut ends {s.supports.ends}"],
+        ["engine", "finite elements" if s.engine == "fem" else "layered model (semi-analytic; flat, no bone)"],
+    ]
+    rows = [
+        *(solved if of_limb else [["G", "measured or imported: nothing is said of the limb"]]),
         ["device", _device(s)],
         ["grid", _grid(s, len(results.transfer.outputs))],
         ["sweep", f"{len(results.transfer.frequency)} frequencies, {results.transfer.frequency[0]:g} to "
                   f"{results.transfer.frequency[-1]:g} Hz"],
-        ["engine", "finite elements" if s.engine == "fem" else "layered model (semi-analytic; flat, no bone)"],
         ["accuracy asked", f"e_band ≤ {s.accuracy:g}"],
         ["keys that differ from their defaults", ", ".join(own) or "none"],
     ]  # fmt: skip
