@@ -117,7 +117,7 @@ def test_a_console_gets_eight_lines(folder: Path) -> None:  # noqa: F811
     assert max(map(len, lines)) < 400
     shown = " ".join(lines)
     assert all(f"{s:.2f}" in shown for s in strengths(results).values.ravel())
-    assert lines[-1].startswith(f"open {folder / 'report.html'}")
+    assert str(folder) in lines[-1]
 
 
 def test_commands_to_copy_name_what_was_asked(folder: Path) -> None:  # noqa: F811

@@ -225,7 +225,8 @@ def console_lines(results: Results, seconds: float | None = None) -> list[str]:
     lines = [f"{results.scenario.name}: {first}", *more, *_strength_lines(data)]
     took = "" if seconds is None else f" ({seconds:.0f} s)"
     page = results.folder / "report.html"
-    return [*lines, trust_of(results, data), f"{f'open {page}' if page.is_file() else f'results: {results.folder}'}{took}"]
+    where = f"open {page}" if page.is_file() else f"results: {results.folder}"
+    return [*lines, trust_of(results, data), f"{where}{took}"]
 
 
 def _strength_lines(data: Strengths) -> list[str]:
