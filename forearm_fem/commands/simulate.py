@@ -126,7 +126,6 @@ def _render_given(
 ) -> None:
     """Drives, displacements, S, figures and report of a G that is there."""
     from ..geometry.device.layout import planform_ports
-    from ..io.recognise import read_measured
     from ..pipeline.folder import Run, run_given
     from ..rendering.given import scenario_for
     from ..store.folder import locked
