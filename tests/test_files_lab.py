@@ -205,7 +205,7 @@ def test_a_results_folder_stands_for_its_g(tmp_path):
     files.save(tmp_path / "transfer.nc", G)
     assert np.array_equal(files.read(tmp_path).values, G.values)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(DataError, match=r"empty: holds no transfer\.nc"):
+    with pytest.raises(DataError, match=r"empty: no transfer\.nc"):
         files.read(tmp_path / "empty")
 
 

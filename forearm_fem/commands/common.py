@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import shlex
@@ -255,14 +256,14 @@ def noted() -> Iterator[None]:
 
 
 def transfer_file(what: Path) -> Path:
-    """A file as it is; of a results folder its ``transfer.nc``."""
+    """A file as it is; of a results folder its ``transfer.nc``; a folder or a pattern of files of a lab."""
     if what.is_dir():
-        what = what / "transfer.nc"
-        if not what.is_file():
-            raise DataError(
-                f"{what.parent}: no transfer.nc in this folder; `forearm-fem solve` makes one, or name a file"
-            )
-    if not what.exists():
+        if (what / "transfer.nc").is_file():
+            return what / "transfer.nc"
+        from ..files.read import several
+
+        several(what)  # refuses a folder of nothing known
+    elif not what.exists() and not glob.glob(str(what)):
         raise DataError(f"{what}: no such file or results folder")
     return what
 
@@ -290,10 +291,9 @@ def measured_g(
             raise DataError(f"--declare: has no effect without {option}; name the file, or leave it out")
         return None
     from ..files.read import read
-    from ..geometry.device.layout import planform_ports
 
     with noted():  # what was recognised, and what a file does not look like
-        return read(transfer_file(what), declaration(declare), ports=planform_ports(asked))
+        return read(transfer_file(what), declaration(declare), scenario=asked)
 
 
 def scene_of(scenario: Path | None) -> Scenario | None:

@@ -13,7 +13,7 @@ import numpy as np
 from ..arguments import checked
 from ..device.loop import close_loop
 from ..errors import DataError, ForearmError
-from ..files.declaration import Declaration, Ports, arbitrary_gain, declared_by
+from ..files.declaration import Declaration, arbitrary_gain, declared_by
 from ..files.read import read
 from ..geometry.device.layout import planform_ports
 from ..io.netcdf import write_transfer
@@ -78,8 +78,7 @@ def run_compare(
     }  # fmt: skip
     if folder is not None:
         check_kind(folder, "comparison", asked, FILES)
-    ports = None if scenario is None else planform_ports(scenario)
-    first, second = _load(a, declaration_a, ports, "--declare-a"), _load(b, declaration_b, ports, "--declare-b")
+    first, second = _load(a, declaration_a, scenario, "--declare-a"), _load(b, declaration_b, scenario, "--declare-b")
     names = (_name(a, "A"), _name(b, "B"))
     folders = [Path(g).resolve().parent for g in (a, b) if not isinstance(g, TransferMatrix)]
     result = compare(first, second, names=names, render=render, folders=folders)
@@ -88,10 +87,11 @@ def run_compare(
 
 
 def _load(
-    what: str | Path | TransferMatrix, declaration: Declaration | None, ports: Ports | None, option: str = "--declare"
-) -> TransferMatrix:
+    what: str | Path | TransferMatrix, declaration: Declaration | None, scenario: Scenario | None,
+    option: str = "--declare",
+) -> TransferMatrix:  # fmt: skip
     with declared_by(option):
-        return what if isinstance(what, TransferMatrix) else read(what, declaration, ports=ports)
+        return what if isinstance(what, TransferMatrix) else read(what, declaration, scenario=scenario)
 
 
 def _said(what: str | Path | TransferMatrix, declaration: Declaration | None) -> list[Any]:
@@ -153,7 +153,7 @@ def run_fit(
     }  # fmt: skip
     if folder is not None:
         check_kind(folder, "fit", asked, FIT_FILES)
-    data = thinned(_load(measured, declaration, planform_ports(scenario)), frequencies)
+    data = thinned(_load(measured, declaration, scenario), frequencies)
     _check_data(scenario, data, parameters)
     chosen = common_parameters(scenario, parameters)
     inputs, outputs = all_inputs(scenario, data), data.outputs

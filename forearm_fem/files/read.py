@@ -116,7 +116,7 @@ def read(
         ports = planform_ports(scenario)
     if place.is_dir() and (place / "transfer.nc").is_file():
         place = place / "transfer.nc"
-    files = _several(place)
+    files = several(place)
     if files is None:
         if place.suffix.lower() == ".toml":
             return RecipeReader().read_with(place, said, ports, scenario, together)
@@ -151,21 +151,20 @@ def together(
     return joined(reader_of, named, said, ports)
 
 
-def _several(place: Path) -> list[Path] | None:
+def several(place: Path) -> list[Path] | None:
     """Files of a folder or a pattern, in the order of their numbers; None for the name of one file."""
     text = str(place)
     if place.is_dir():
         found = [f for f in place.iterdir() if f.is_file() and f.suffix.lower() in _BY_ENDING and f.name[:1] != "."]
         tables = [f for f in found if f.suffix.lower() == ".toml"]
-        found = [f for f in found if f not in tables]
+        found = [f for f in found if f.suffix.lower() not in (".toml", ".nc")]
         if len(tables) == 1 and not found:
             return tables
         kinds = sorted({f.suffix.lower() for f in found})
         if not found:
             raise DataError(
-                f"{place}: holds no transfer.nc and no file of a known kind; `forearm-fem solve` or `calibrate` makes "
-                "a "
-                "G, or name a file"
+                f"{place}: no transfer.nc in this folder, nor files of a known kind; `forearm-fem solve` makes one, or "
+                "name a file"
             )
         if len(kinds) > 1:
             raise DataError(

@@ -14,7 +14,6 @@ from ...arguments import checked
 from ...errors import DataError
 from ...files.declaration import Declaration
 from ...files.read import read
-from ...geometry.device.layout import planform_ports
 from ...library import is_library, load_library
 from ...progress import Progress
 from ...scenario import Scenario, parse_scenario
@@ -89,7 +88,7 @@ def _content(
         asked = scenario or arm.scenario.model_copy(update={"name": place.name.removesuffix(LIBRARY)})
         return library_content(arm, asked, f"library {place.name}", progress, base)
     asked = scenario or Scenario()
-    transfer = read(place, declaration, ports=planform_ports(asked))
+    transfer = read(place, declaration, scenario=asked)
     if scenario is None and isinstance(sweep := transfer.provenance.get("sweep"), Mapping):  # of a calibration
         asked = parse_scenario({"sweep": {k: sweep[k] for k in ("duration", "sample_rate", "f_min", "f_max")}})
     named = asked.model_copy(update={"name": _NO_NAME.sub("-", name).strip(".-")[:100] or "measured"})
