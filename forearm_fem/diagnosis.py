@@ -11,7 +11,7 @@ import psutil
 
 from . import __version__
 from .fem.linear.factor import available_backends
-from .geometry.cache import default_cache_dir
+from .user_cache import default_cache_dir
 
 _PICTURE = (
     "import pyvista as pv; pv.OFF_SCREEN = True; p = pv.Plotter(off_screen=True, window_size=(40, 40)); "
@@ -21,7 +21,7 @@ _PICTURE = (
 
 def diagnosis() -> dict[str, str]:
     """Name -> finding; nothing raises, what fails is said."""
-    from .pipeline.folder import versions
+    from .pipeline.simulation import versions
 
     found = {"forearm-fem": __version__, **versions()}
     found["direct solvers"] = ", ".join(available_backends())

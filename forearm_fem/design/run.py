@@ -19,8 +19,8 @@ import psutil
 from .. import __version__
 from ..errors import ScenarioError
 from ..pipeline.folder import Run, run_all
-from ..pipeline.renderers import wavelet
 from ..progress import Progress, tell, within
+from ..rendering.job import wavelet
 from ..results import read_run
 from ..scenario.contents import contents, named_files
 from ..store.folder import check_kind, set_kind

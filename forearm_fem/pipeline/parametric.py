@@ -22,20 +22,21 @@ from ..fem.reduction.rational import chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
 from ..fem.reduction.spanned import FIRST, spanned
 from ..fem.reduction.united import Growth, Piece, piece_at, united_model
-from ..geometry.cache import cached_mesh, default_cache_dir
+from ..geometry.cache import cached_mesh
 from ..geometry.device.grid_places import GridPlaces, grid_places
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
+from ..scenario.frequencies import frequencies
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
 from ..tissue import limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
+from ..user_cache import default_cache_dir
 from .fem_engine import fem_model, masked
-from .frequencies import frequencies
 from .missed import Missed, evened
 from .skin_model import check_followable, coefficients_of, with_scenario
 from .solved import solve_key

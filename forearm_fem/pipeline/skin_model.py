@@ -20,13 +20,13 @@ from ..fem.reduction.poles import PoleResidue, pole_residue
 from ..fem.reduction.reduced_model import ReducedModel
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
+from ..scenario.frequencies import frequencies
 from ..scenario.load import apply_overrides
 from ..store.record import dims, load, save
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .fem_engine import masked
-from .frequencies import frequencies
 
 __all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model", "with_scenario"]
 

@@ -11,13 +11,13 @@ from zipfile import BadZipFile
 import numpy as np
 
 from .. import __version__
-from ..geometry.cache import default_cache_dir
 from ..layered.tables import Tabulated, from_arrays, tabulate
 from ..progress import Progress
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..store.folder import atomic_path
 from ..tissue import resolve_tissues
-from .frequencies import frequencies
+from ..user_cache import default_cache_dir
 from .layered_engine import flat_layers, flat_surface
 
 _REACH = 0.1  # [m]: tables reach to multiples of it, so that one serves every device of a forearm

@@ -13,11 +13,7 @@ from ... import __version__
 from ...errors import DataError, GeometryError, ScenarioError
 from ...geometry.device.layout import layout_of
 from ...io.declaration import arbitrary_gain
-from ...pipeline.frequencies import frequencies
-from ...pipeline.renderers import least_error, wavelet
 from ...pipeline.simulation import simulate
-from ...pipeline.skin_model import ReducedFile
-from ...pipeline.strengths import at_least_band
 from ...pipeline.verdict import accuracy_verdict
 from ...ports import Port
 from ...prediction.outcome import DrawsFile
@@ -34,7 +30,10 @@ from ...rendering import (
     place,
     place_on_bins,
 )
+from ...rendering.interval import at_least_band
+from ...rendering.job import least_error, wavelet
 from ...scenario import Scenario, parse_scenario
+from ...scenario.frequencies import frequencies
 from ...store.record import load
 from ...transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ...typing import FloatArray
