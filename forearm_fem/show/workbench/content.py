@@ -14,6 +14,7 @@ from ...errors import DataError, GeometryError, ScenarioError
 from ...geometry.device.layout import layout_of
 from ...io.declaration import arbitrary_gain
 from ...pipeline.simulation import simulate
+from ...pipeline.skin_model import ReducedFile
 from ...pipeline.verdict import accuracy_verdict
 from ...ports import Port
 from ...prediction.outcome import DrawsFile
