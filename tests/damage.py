@@ -26,9 +26,10 @@ from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.boundary import with_boundaries
 from forearm_fem.io.recording import Recording
-from forearm_fem.io.reduced import ReducedFile, read_reduced, write_reduced
 from forearm_fem.io.seal import MARK
 from forearm_fem.measurement.store import read_recording, write_recording
+from forearm_fem.pipeline.skin_model import ReducedFile
+from forearm_fem.store.record import load, save
 from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield
 
 RNG = np.random.default_rng(0)
@@ -38,13 +39,12 @@ G = dataclasses.replace(
 DRIVES = RNG.standard_normal((4, 100))
 SIGNALS = io.Signals(RNG.standard_normal((1, 2, 4, 50)), ("a",), ("1", "5"), tuple("wxyz"), np.arange(50) * 1e-4, "V")
 REDUCED = ReducedFile(
-    ("k", "m"), np.stack([np.eye(6), 2 * np.eye(6)]), RNG.standard_normal((6, 4)), np.ones(4), INPUTS, {"a": 1}, {}
+    ("k", "m"), np.stack([np.eye(6), 2 * np.eye(6)]), RNG.standard_normal((6, 4)), np.ones(4), INPUTS, {"a": 1}
 )
 FIELD = Wavefield(
     np.arange(5.0) + 10, np.float64(np.float32(RNG.standard_normal((40, 3, 6)))), np.ones((5, 6, 4)) * (1 + 2j)
 )
 RECORDING = Recording("1", "A1", RATE, RNG.standard_normal(200), RNG.standard_normal((2, 200)))
-ROWS = io.strength_rows(("inverse filter", "funneling"), ("1", "5"), np.array([[1.25, 2.5], [0.125, 3.75]]))
 
 
 def _block() -> TissueMesh:
@@ -68,12 +68,11 @@ class Format:
 FORMATS = (
     Format("transfer.nc", lambda p: io.write_transfer(p, G), io.read_transfer),
     Format("drives.nc", lambda p: io.write_drives(p, SIGNALS), io.read_drives),
-    Format("reduced.nc", lambda p: write_reduced(p, REDUCED), read_reduced),
+    Format("reduced.nc", lambda p: save(p, REDUCED), lambda p: load(p, ReducedFile)),
     Format("wavefield.npz", lambda p: save_wavefield(FIELD, p), load_wavefield),
     Format("recording.npz", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
     Format("mesh.vtu", lambda p: write_mesh(MESH, p), read_mesh),
     Format("mesh.msh", lambda p: write_mesh(MESH, p), read_mesh),
-    Format("signal_strength.csv", lambda p: io.write_signal_strength_csv(p, ROWS), io.read_signal_strength_csv),
 )
 
 PLAIN = (
@@ -167,7 +166,8 @@ def same(a: Any, b: Any) -> bool:
         return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
     if dataclasses.is_dataclass(a) and not isinstance(a, type):
         names = [f.name for f in dataclasses.fields(a) if f.name != "provenance"]
-        return type(a) is type(b) and all(same(getattr(a, n), getattr(b, n)) for n in names)
+        kin = isinstance(a, type(b)) or isinstance(b, type(a))
+        return kin and all(same(getattr(a, n), getattr(b, n)) for n in names)
     if isinstance(a, tuple | list):
         return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, dict):

@@ -36,13 +36,13 @@ from forearm_fem.files.declaration import Declaration
 from forearm_fem.files.reading import RecognitionWarning
 from forearm_fem.files.tables import write_csv
 from forearm_fem.files.wav import read_wav_drives, write_wav_drives
-from forearm_fem.io.netcdf import write_transfer
 from forearm_fem.measurement.calibrate import calibrate, collected, record
 from forearm_fem.measurement.diagnostics import diagnose
 from forearm_fem.measurement.entry import entry
 from forearm_fem.measurement.play import play
 from forearm_fem.measurement.sweep import excited
 from forearm_fem.measurement.virtual import Faults, noise_for
+from forearm_fem.store.results import write_transfer
 
 PORTS = (OUTPUTS, INPUTS)
 KNOWN = Declaration(unit="m/V", spectrum="one-sided", sign="+iwt", variable="G", frequency_variable="frequency_Hz")

@@ -46,14 +46,13 @@ def test_numbers_of_a_file_are_protected_wherever_they_stand(name, tmp_path):
         file.write_bytes(bytes(changed))
         what, said = outcome(form, file, whole)
         assert what == "refused", (at, what, said)
-    if name != "signal_strength.csv":  # its seal lies beside it
-        assert MARK in content
-        file.write_bytes(without_seals(content))
-        assert same(form.read(file), whole)
+    assert MARK in content
+    file.write_bytes(without_seals(content))
+    assert same(form.read(file), whole)
 
 
 @pytest.mark.parametrize(
-    "name", [n for n in TEXT_SEALS if n not in ("run.json", "wavefield.npz", "signal_strength.csv")]
+    "name", [n for n in TEXT_SEALS if n not in ("run.json", "wavefield.npz")]
 )
 def test_damage_to_one_mark_is_convicted_by_another(name, tmp_path):
     form, file = BY_NAME[name], tmp_path / name

@@ -16,13 +16,13 @@ from ..errors import DataError, ForearmError
 from ..files.declaration import Declaration, arbitrary_gain, declared_by
 from ..files.read import read
 from ..geometry.device.layout import planform_ports
-from ..io.netcdf import write_transfer
 from ..pipeline.parametric import BEYOND, ParametricModel
 from ..ports import Port
 from ..prediction.arm import as_wrong
 from ..progress import Progress, within
 from ..scenario import Scenario
 from ..store.folder import check_kind, set_kind, write_text
+from ..store.results import write_transfer
 from ..store.text import plain
 from ..transfer import UNITS, ErrorEstimate, TransferMatrix
 from .adapters import (

@@ -13,9 +13,9 @@ from scipy.io import loadmat, savemat
 
 from ..arguments import checked
 from ..errors import DataError
-from ..io.dataset import TIME_CONVENTION, labels, provenance_json
 from ..ports import Port, positions
 from ..store.folder import write_bytes
+from ..store.record import TIME_CONVENTION, labels, plain_json
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, IntArray
 from .reading import reading
@@ -49,7 +49,7 @@ def write_thesis_mat(
         "units": transfer.unit,
         "time_convention": TIME_CONVENTION,
         "valid": np.moveaxis(valid, 0, 2),
-        "provenance": provenance_json(transfer.provenance),
+        "provenance": plain_json(transfer.provenance),
         **_axes("grid", transfer.outputs),
         **_axes("actuator", transfer.inputs),
     }

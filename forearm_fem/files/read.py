@@ -14,9 +14,9 @@ from scipy.io import whosmat
 
 from ..arguments import checked
 from ..errors import DataError
-from ..io.dataset import said_content
-from ..io.netcdf import read_transfer, write_transfer
 from ..scenario import Scenario
+from ..store.record import said_content
+from ..store.results import read_transfer, write_transfer
 from ..transfer import TransferMatrix
 from .arrays import Hdf5Reader, MatReader, NpyReader, NpzReader
 from .declaration import SWEEPS, Declaration, Ports
