@@ -91,16 +91,6 @@ def test_other_programs_read_what_is_written(tmp_path):
         assert store["modes"].shape == (40, 3, 6)
 
 
-def test_a_table_without_its_checksum_is_taken_as_it_is(tmp_path):
-    form, file = BY_NAME["signal_strength.csv"], tmp_path / "signal_strength.csv"
-    form.write(file)
-    file.write_text(file.read_text().replace("1.25", "1.35"))
-    with pytest.raises(DataError, match=r"delete signal_strength\.csv\.sha256 if you edited it on purpose"):
-        form.read(file)
-    (tmp_path / "signal_strength.csv.sha256").unlink()
-    assert form.read(file)[0].S == 1.35
-
-
 _FULL = """
 import resource, signal, sys
 from pathlib import Path
