@@ -30,8 +30,8 @@ from ..errors import DataError, first_problem, one_sentence
 from ..scenario import Scenario, apply_overrides, load_scenario, scenario_file
 
 if TYPE_CHECKING:
+    from ..engines.library import ArmLibrary
     from ..io.declaration import Declaration
-    from ..library import ArmLibrary
     from ..pipeline.folder import Run
     from ..transfer import TransferMatrix
 
@@ -214,7 +214,7 @@ def library_file(file: Path | None) -> ArmLibrary | None:
     """The arm's library in ``file``; None where none was named."""
     if file is None:
         return None
-    from ..library import load_library
+    from ..engines.library import load_library
 
     return load_library(file)
 

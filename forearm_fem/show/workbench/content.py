@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from ... import __version__
+from ...accuracy.estimates import accuracy_verdict
 from ...errors import DataError, GeometryError, ScenarioError
 from ...geometry.device.layout import layout_of
 from ...io.declaration import arbitrary_gain
 from ...io.reduced import read_reduced
 from ...pipeline.simulation import simulate
-from ...pipeline.verdict import accuracy_verdict
 from ...ports import Port
 from ...prediction.store import FILE, read_outcomes
 from ...progress import Progress

@@ -25,7 +25,7 @@ from ..scenario.load import apply_overrides
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
-from .fem_engine import masked
+from .fem import masked
 
 __all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model", "with_scenario"]
 
