@@ -67,7 +67,7 @@ def test_a_run_states_what_its_mesh_errs_by_at_each_pair_of_ports(finished):
     error = next(e for e in read_transfer(finished / "transfer.nc").errors if e.source == "discretisation")
     assert error.per_pair.max(axis=(1, 2)) == pytest.approx(error.per_frequency, rel=1e-6)
     assert np.median(error.per_pair.min(axis=(1, 2)) / error.per_frequency) < 0.5
-    line = next(x for x in (finished / "report.md").read_text().splitlines() if "entries err by" in x)
+    line = next(x for x in (finished / "report.html").read_text().splitlines() if "entries err by" in x)
     assert "←" in line
 
 
@@ -102,7 +102,7 @@ def test_the_solver_that_was_used_is_on_record(finished):
     used = account["solution"]["solver"]
     assert used in available_backends()
     assert read_transfer(finished / "transfer.nc").provenance["solver"] == used
-    assert f"| direct solver | {used} |" in (finished / "report.md").read_text(encoding="utf-8")
+    assert f"<td>direct solver</td><td>{used}</td>" in (finished / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("left", [0, 1000, 100_000])

@@ -32,6 +32,7 @@ from forearm_fem.rendering import drives, strengths
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.show.data import Results
+from forearm_fem.show.facts import strength_block
 from forearm_fem.show.prediction import _numerics, _scope, lead_of, strength_words
 from forearm_fem.store.text import read_json
 from forearm_fem.tissue import resolve_tissues
@@ -511,7 +512,7 @@ def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
     assert answer.code == 0, answer.err
     folder = tmp_path / "out" / "prediction"
     names = {"draws.nc", "prediction.json", "prediction.md", "prediction.html"}
-    assert names | {"figures"} == {p.name for p in folder.iterdir()}
+    assert names | {"figures", "folder.json", "SHA256SUMS"} == {p.name for p in folder.iterdir()}
     assert {p.name for p in (folder / "figures").iterdir()} == {
         "bands.png", "methods.png", "drivers.png", "bands.csv", "drivers.csv",
     }  # fmt: skip
@@ -525,14 +526,14 @@ def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
     assert (content["laws"], content["draws"], content["failed"]) == (["zener"], N, {})
     assert cli("run", "small.toml", "--out", "out", cwd=tmp_path).code == 0
     assert Results.open(tmp_path / "out").prediction == content
-    report, table = (tmp_path / "out" / "report.md").read_text(), content["by_group"]["combination"]
-    row = next(line for line in report.splitlines() if line.startswith("| 1 |"))
-    assert f"{strength_words(cell)} |" in row  # the same S, its numerics and the arms beside it
+    report, table = (tmp_path / "out" / "report.html").read_text(), content["by_group"]["combination"]
+    assert f"<td>{strength_words(cell)}</td>" in report  # the same S, its numerics and the arms beside it
     low, high = table["Corners (1/3/7/9)"]["arms"][0], table["Corners (1/3/7/9)"]["arms"][-1]
-    assert f"arms {low:.2f}-{high:.2f})" in report.partition("Table I")[2]
+    told = strength_block(Results.open(tmp_path / "out"))
+    assert any(f"arms {low:.2f}-{high:.2f})" in row[2] for row in told.rows)
     assert "Never add the two" in report
     assert cli("run", "small.toml", "--set", "device.spacing=0.05", "--out", "out", cwd=tmp_path).code == 0
-    assert "(numerics" not in (tmp_path / "out" / "report.md").read_text()  # of another scene: not quoted
+    assert "(numerics" not in (tmp_path / "out" / "report.html").read_text()  # of another scene: not quoted
     bad = cli("predict", "small.toml", "--hold", "bones", cwd=tmp_path)
     assert bad.code == 2
     assert "--hold: no input or group is called 'bones'" in bad.err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 import signal
 import threading
 import time
@@ -200,6 +201,7 @@ def stage(
     with locked(folder):
         with Display() as display:
             job = Run.start(asked, folder, file.parent, display)
+            job.asked = asked_words(file, overrides, library)
             if kept is not None:
                 job.library = kept
                 job.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
@@ -208,6 +210,13 @@ def stage(
             work(job)
         print_notes(job.notes)
         yield job
+
+
+def asked_words(file: Path, overrides: Sequence[str] | None = None, library: Path | None = None) -> str:
+    """The scenario as a command line names it, with what was set: what another command needs to be of the same."""
+    name = file.stem if file == scenario_file(file.stem) else str(file)
+    words = [name, *(word for item in overrides or () for word in ("--set", item))]
+    return shlex.join([*words, *(["--library", str(library)] if library is not None else [])])
 
 
 def library_file(file: Path | None) -> ArmLibrary | None:

@@ -99,6 +99,7 @@ class Run:
     account: StrengthAccount | None = None
     record: RunRecord | None = None
     known: dict[str, Any] = field(default_factory=dict)
+    asked: str = ""  # the scenario as a command names it, with what it sets
 
     @classmethod
     def start(cls, scenario: Scenario, out: Path, base: Path, progress: Progress | None = None) -> Run:
@@ -356,6 +357,7 @@ def _write_run(run: Run) -> None:
         condition_number=condition_of(transfer),
         signal_strength=StrengthRecord.model_validate(strength),
         notes=tuple(dict.fromkeys(run.notes)),
+        asked=run.asked,
     )
     write_run(target, run.record)
 
