@@ -14,9 +14,7 @@ import pytest
 from cli_runner import SMALL, cli, leftovers
 
 from forearm_fem import __version__
-from forearm_fem.io.netcdf import read_transfer
-from forearm_fem.io.signals import read_displacements, read_drives
-from forearm_fem.io.tables import read_signal_strength_csv
+from forearm_fem.store.results import read_displacements, read_drives, read_signal_strength_csv, read_transfer
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 

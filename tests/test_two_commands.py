@@ -16,10 +16,10 @@ from cli_runner import SMALL, cli, leftovers
 
 from forearm_fem.commands.common import Heartbeat, out_folder, progress_line
 from forearm_fem.errors import DataError
-from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.pipeline.folder import Run
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.store.folder import locked
+from forearm_fem.store.results import read_transfer
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 
