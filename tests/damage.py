@@ -28,7 +28,6 @@ from forearm_fem.geometry.user.boundary import with_boundaries
 from forearm_fem.io.recording import Recording
 from forearm_fem.io.seal import MARK
 from forearm_fem.measurement.store import read_recording, write_recording
-from forearm_fem.pipeline.skin_model import ReducedFile
 from forearm_fem.store.record import load, save
 from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield
 

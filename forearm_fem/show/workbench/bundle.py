@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from ...arguments import checked
+from ...engines.library import is_library, load_library
 from ...errors import DataError
 from ...files.declaration import Declaration
 from ...files.read import read
-from ...library import is_library, load_library
 from ...progress import Progress
 from ...scenario import Scenario, parse_scenario
 from ...store.folder import write_text
