@@ -19,11 +19,11 @@ from forearm_fem.design.candidate import score_of
 from forearm_fem.design.model import Objective
 from forearm_fem.design.run import question
 from forearm_fem.design.search import planned, search
+from forearm_fem.engines.layered import flat_ports
 from forearm_fem.errors import DataError, GeometryError, ScenarioError
 from forearm_fem.layered import Disc, Layer, layered_compliance
 from forearm_fem.layered import tables as tabulated
 from forearm_fem.layered.tables import tabulate
-from forearm_fem.pipeline.layered_engine import flat_ports
 from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.ports import distances
 from forearm_fem.rendering import ricker

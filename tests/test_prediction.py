@@ -201,7 +201,7 @@ def test_renderers_believe_the_grid_where_it_was_laid_out() -> None:
 
 def test_the_arm_model_states_its_error_and_keeps_it() -> None:
     """A rigid cone with tension: fewer terms against the twin as it solves a scene."""
-    from forearm_fem.pipeline.layered_engine import solve_layered
+    from forearm_fem.engines.layered import solve_layered
 
     scene = parse_scenario({"engine": "layered", "tissues": {"membrane": {"tension": 40.0}}, "limb": {"bones": []}})
     band = np.array([60.0, 250.0, 310.0, 380.0, 500.0])

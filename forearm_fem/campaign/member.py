@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..accuracy.estimates import short_verdict
 from ..errors import ForearmError
-from ..pipeline.verdict import short_verdict
 from ..results import read_run
 from ..scenario import Scenario
 from ..scenario.contents import contents, named_files

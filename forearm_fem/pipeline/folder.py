@@ -12,8 +12,12 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..accuracy.estimates import accuracy_verdict
 from ..device import contact_state
 from ..device.housing import carries_points
+from ..engines.forecast import refuse_if_signals_too_large
+from ..engines.resources import Ledger
+from ..engines.skin_model import save_skin_model
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.build import limb_volume
@@ -57,14 +61,10 @@ from ..store.results import (
 from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
-from .forecast import refuse_if_signals_too_large
 from .notes import scene_notes
-from .resources import Ledger
 from .samples import check_samples
 from .simulation import AnswersForArm, Simulation, simulate, versions
-from .skin_model import save_skin_model
 from .unread import unread_notes
-from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
 
 __all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from ... import __version__
+from ...accuracy.estimates import accuracy_verdict
+from ...engines.skin_model import ReducedFile
 from ...errors import DataError, GeometryError, ScenarioError
 from ...geometry.device.layout import layout_of
 from ...io.declaration import arbitrary_gain
 from ...pipeline.simulation import simulate
-from ...pipeline.skin_model import ReducedFile
-from ...pipeline.verdict import accuracy_verdict
 from ...ports import Port
 from ...prediction.outcome import DrawsFile
 from ...prediction.run import FILE
