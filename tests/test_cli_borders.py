@@ -17,10 +17,10 @@ from scipy.io import savemat
 from forearm_fem import cli as program
 from forearm_fem.commands import study
 from forearm_fem.geometry.device.layout import planform_ports
-from forearm_fem.io.netcdf import write_transfer
 from forearm_fem.ports import Port
 from forearm_fem.scenario import load_scenario
 from forearm_fem.store.folder import set_kind
+from forearm_fem.store.results import write_transfer
 from forearm_fem.transfer import TransferMatrix
 
 WRITTEN = {"out", "save", "page", "data", "folder"}  # paths that a command makes
@@ -256,7 +256,6 @@ def test_a_g_of_another_origin_is_not_replaced(lab: Path, line: Any, provenance:
         (("play", "small.toml", "drives.nc", "--daq", "sound", "--through", "lab.csv"), "--through: has no effect"),
         (("library", "small.toml"), "engine: a library is made of finite elements"),
         (("verify", "--out", "small.toml"), "small.toml: cannot be written"),
-        (("verify", "--full", "--hard"), "--full: has no effect with --hard"),
         (("calibrate", "small.toml", "--daq", "ni", "--snr", "40"), "--snr: has no effect with --daq ni"),
         (("calibrate", "small.toml", "--daq", "sound", "--declare", "unit=m/V"), "--declare: has no effect with"),
         (("calibrate", "small.toml", "--loopback", "lab.csv"), "--loopback: has no effect with --daq virtual"),

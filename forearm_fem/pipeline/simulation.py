@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
-import warnings
+import platform
 from dataclasses import dataclass, field, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-import numpy as np
-
+from .. import __version__
+from ..accuracy.discretisation import discretisation_of
+from ..accuracy.truncation import combined_truncation_error, freed_ends_error, other_ends_error
 from ..device import close_loop
-from ..errors import AccuracyWarning, ScenarioError
+from ..engines.forecast import forecast, refuse_if_too_large
+from ..engines.layered import flat_notes, solve_layered
+from ..engines.solved import Solved, solve
+from ..errors import ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.cache import cached_mesh
+from ..geometry.mesh.quality import Resolution
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress
-from ..rendering import Limits, Rendering, render_all
+from ..rendering import Rendering
+from ..rendering.interval import StrengthAccount
+from ..rendering.job import RenderJob, render_transfer
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..tissue import resolve_tissues
-from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error_at
-from ..typing import FloatArray
-from .dispersion import Lags
-from .frequencies import frequencies
-from .layered_engine import flat_notes, solve_layered
-from .notes import idle_size_notes, model_notes, near_disc_notes, resolution_notes
-from .renderers import renderers, unsuited, wavelet
-from .solved import Solved, solve
-from .strengths import StrengthAccount, strength_account
-from .two_meshes import change_around, judged, over_pairs
-
-# Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
-OTHER_ENDS, _OTHER = 0.5, "the ends are clamped (where they are clamped: freed), on the coarser mesh"
-FREED_ENDS, _FREED = 0.5, "the absorbing ends are freed (by the reduced model)"
+from ..transfer import Compliance, TransferMatrix, finite
+from .notes import idle_size_notes, model_notes, near_disc_notes
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +37,7 @@ class Simulation:
 
     ``coarse`` is G on the second mesh (None where no estimate was asked or could be made): ``transfer.errors`` and the
     error of S follow from it. ``notes`` are sentences that belong in the report. ``base`` is the folder that files in
-    the scenario are seen from.
+    the scenario are seen from. ``resolution`` is how finely the mesh carries the shortest waves, by tissue.
     """
 
     scenario: Scenario
@@ -51,6 +48,7 @@ class Simulation:
     solved: Solved | None = None
     notes: tuple[str, ...] = field(default=())
     base: Path = Path(".")
+    resolution: tuple[Resolution, ...] = ()
 
 
 class AnswersForArm(Protocol):
@@ -71,7 +69,7 @@ def simulate(
 ) -> Simulation:
     """G of ``scenario`` in m per volt (or per newton, per metre) with an error estimate per source.
 
-    A ``library`` of the scenario's arm takes the place of mesh and solve (:mod:`forearm_fem.library`).
+    A ``library`` of the scenario's arm takes the place of mesh and solve (:mod:`forearm_fem.engines.library`).
     ``base`` is the folder that user files in the scenario refer to, also the wavelet's that :func:`render` reads.
     Raises a :class:`ForearmError` for whatever cannot be built or solved.
     """
@@ -89,26 +87,51 @@ def simulate(
         if mesh is None:
             start_compiling()
             mesh = cached_mesh(scenario, base=Path(base))
+        expected = forecast(scenario, base=Path(base), mesh=mesh)
+        refuse_if_too_large(expected, scenario)
         result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
-        found = replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
-    said = {**found.transfer.provenance, "scenario": scenario.model_dump(mode="json")}
+        notes = *expected.sentences(float(frequency[-1])), *result.notes
+        found = replace(result, notes=notes, resolution=expected.resolution)
+    said = {**found.transfer.provenance, **provenance(found)}
     return replace(found, transfer=replace(found.transfer, provenance=said), base=Path(base))
+
+
+def provenance(found: Simulation) -> dict[str, Any]:
+    """What a G came from: scenario, versions, direct solver, mesh hash."""
+    return {
+        "program": f"forearm_fem {__version__}",
+        "scenario": found.scenario.model_dump(mode="json"),
+        "mesh_sha256": found.mesh.digest if found.mesh else None,
+        "solver": found.solved.facts.solver if found.solved else None,
+        "versions": versions(),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that make the numbers."""
+    found = {"python": platform.python_version()}
+    for name in ("numpy", "scipy", "scikit-fem", "pytetwild", "meshio", "trimesh", "pyvista", "numba", "mkl"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
 
 
 def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
     """G and its errors from compliances: the device enters here, at no further FE solve."""
     transfer = finite(close_loop(solved.compliance, scenario.device))
     coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None
-    errors = [*solved.unknown, *([_discretisation(transfer, coarse, scenario, mesh)] if coarse else [])]
+    errors = [*solved.unknown, *([discretisation_of(transfer, coarse, scenario, mesh)] if coarse else [])]
     truncations = []
     if solved.freed:
         freed = finite(close_loop(solved.freed, scenario.device))
-        truncations.append(_truncation(transfer, transfer, freed, FREED_ENDS, _FREED))
+        truncations.append(freed_ends_error(transfer, freed))
     if solved.other_ends and coarse:
         other = finite(close_loop(solved.other_ends, scenario.device))
-        truncations.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
+        truncations.append(other_ends_error(transfer, coarse, other))
     if truncations and all(e.source != "truncation" for e in solved.unknown):  # half a reading is none
-        errors.append(_either(truncations))
+        errors.append(combined_truncation_error(truncations))
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     near = near_disc_notes(scenario) if mesh is not None else ()
@@ -129,127 +152,8 @@ def render(simulation: Simulation, *, progress: Progress | None = None) -> Rende
     return render_transfer(simulation.scenario, simulation.transfer, base=simulation.base, progress=progress)
 
 
-def render_transfer(
-    scenario: Scenario,
-    transfer: TransferMatrix,
-    *,
-    base: str | Path = ".",
-    progress: Progress | None = None,
-) -> Rendering:
-    """The scenario's renderers on any G, simulated or measured.
-
-    Methods that cannot serve its ports are left out with an AccuracyWarning that names the remedy; ScenarioError if
-    none is left.
-    """
-    wanted = scenario.rendering
-    shape = wavelet(wanted, scenario.sweep, Path(base))
-    targets = [p.name for p in transfer.outputs] if wanted.targets == "all" else list(wanted.targets)
-    device = scenario.device
-    limits = Limits(device.max_voltage, device.max_power, device.coil.resistance) if transfer.unit == "m/V" else None
-    left_out = unsuited(wanted, transfer.outputs, transfer.inputs, targets)
-    if len(left_out) == len(wanted.methods):
-        raise ScenarioError(f"rendering: {next(iter(left_out.values()), 'rendering.methods is empty; name one')}")
-    for sentence in left_out.values():
-        warnings.warn(sentence, AccuracyWarning, stacklevel=2)
-
-    return render_all(
-        transfer, targets, renderers(scenario, shape, frozenset(left_out), progress), shape, limits,
-        window=wanted.window, progress=progress,
-    )  # fmt: skip
-
-
 def account_of(
     scenario: Scenario, transfer: TransferMatrix, rendering: Rendering, *, base: str | Path = "."
 ) -> StrengthAccount:
     """Intervals and companions of every S of ``rendering``, which :func:`render_transfer` made of ``transfer``."""
-    shape = wavelet(scenario.rendering, scenario.sweep, Path(base))
-    left_out = frozenset(scenario.rendering.methods) - frozenset(rendering.methods)
-    measured = any(e.source == "measurement" for e in transfer.errors) or transfer.deviation is not None
-    return strength_account(rendering, renderers(scenario, shape, left_out), shape, measured)
-
-
-def _discretisation(
-    fine: TransferMatrix, coarse: TransferMatrix, scenario: Scenario, mesh: TissueMesh | None
-) -> ErrorEstimate:
-    ratio, lag = float(coarse.provenance["ratio"]), np.zeros(fine.values.shape)
-    coarser = lag
-    if mesh is not None:
-        lags = Lags.of(scenario, mesh, fine.outputs, fine.inputs)
-        lag, coarser = (lags.phases(scenario, fine.frequency, scale) for scale in (1.0, max(ratio, 1.0)))
-    found = judged(coarse.values, fine.values, fine.frequency, ratio, lag, coarser)
-    pairs = over_pairs(found.error, coarse.values, fine.values, fine.frequency)
-    pairs = np.maximum(pairs, found.unseen / np.abs(fine.values).max(axis=(1, 2), keepdims=True))
-    lost = fine.frequency[found.unseen.any(axis=(1, 2))]
-    blind = f"; from {lost[0]:g} Hz on at least the lag of waves too short for the elements" if len(lost) else ""
-    if mesh is None:
-        blind = "; waves too short for both meshes are not looked for, as a library has no mesh"
-    return ErrorEstimate(
-        "discretisation",
-        found.band,
-        f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^p - 1|; order p is "
-        f"1.85 where that is below 0.115 ({found.order.min():.3g} where waves are latest), 3 above 0.117{blind}",
-        tuple(fine.frequency.tolist()),
-        tuple(found.error.tolist()),
-        pairs,
-    )
-
-
-def _either(estimates: list[ErrorEstimate]) -> ErrorEstimate:
-    """The largest of ``estimates``, freed ends first, at each frequency: with ends that reflect a share r of -1
-    (clamped) to 1 (free), and E what comes back from free ones, they err by |r| E and change by (1 - r) E when freed,
-    (1 + r) E when clamped. Half of the larger change is (1 + |r|) E / 2 >= |r| E, half of either alone may be zero.
-
-    Nor is less stated than at any higher frequency: E decays with frequency, but where waves are longer than the slab
-    both changes may pass through small values.
-    """
-    if len(estimates) == 1:
-        return estimates[0]
-    freed, clamped = estimates
-    frequency = np.unique(np.concatenate([e.frequency for e in estimates]))
-    larger = np.maximum(relative_error_at(freed, frequency), _between(clamped, freed, frequency))
-    error = np.maximum.accumulate(larger[::-1])[::-1]
-    method = "at each frequency the larger of " + " and ".join(e.method for e in estimates) + ", there or higher up"
-    return ErrorEstimate(
-        "truncation", max(e.band for e in estimates), method, tuple(frequency.tolist()), tuple(error.tolist())
-    )
-
-
-def _between(few: ErrorEstimate, many: ErrorEstimate, frequency: FloatArray) -> FloatArray:
-    """e(f) (n,) of ``few`` at ``frequency`` (n,) [Hz], between its own ones in proportion to ``many``.
-
-    What comes back from ends decays by orders of magnitude between the few frequencies that clamped ends are solved
-    at, and E is common to both. A straight line, which overstates there, is never exceeded: where freed ends change
-    nothing, there is no proportion.
-    """
-    straight, at = relative_error_at(few, frequency), np.asarray(few.frequency)
-    own, other = relative_error_at(few, at), relative_error_at(many, at)
-    if not (own * other > 0).all():
-        return straight
-    share = np.exp(np.interp(np.sqrt(frequency), np.sqrt(at), np.log(own / other)))
-    return np.asarray(np.minimum(straight, share * relative_error_at(many, frequency)))
-
-
-def _truncation(
-    transfer: TransferMatrix, own: TransferMatrix, other: TransferMatrix, share: float, method: str
-) -> ErrorEstimate:
-    """A ``share`` of the change of G when the ends are changed, tested against longer limbs and the endless twin.
-
-    Waves from the ends cancel at some frequencies by chance, so e(f) listens to its neighbours as two meshes' does.
-    Waves that reach the ends are long, so all pairs err about alike and are not told apart. The truth lies between
-    two G that err by as much either way, and what is stated is relative to it: where ends make most of G, clamped ones
-    leave nothing of it, and half of that change would be half of G at most.
-    """
-    same = own.values[np.searchsorted(own.frequency, other.frequency)]
-    size = np.linalg.norm(same, axis=(1, 2))
-    between = np.clip(np.linalg.norm(same + other.values, axis=(1, 2)) / 2, size / 2, size)
-    shares = share * size / between
-    change = np.linalg.norm(other.values - same, axis=(1, 2)) / size
-    weight = np.linalg.norm(transfer.values, axis=(1, 2)) ** 2
-    spread = np.interp(np.sqrt(transfer.frequency), np.sqrt(other.frequency), shares * change)
-    return ErrorEstimate(
-        "truncation",
-        float(np.sqrt(np.sum(weight * spread**2) / np.sum(weight))),
-        f"{share:g} of the change of G when {method}, over what lies between the two where that is less",
-        tuple(other.frequency.tolist()),
-        tuple((shares * change_around(other.values, same, other.frequency)).tolist()),
-    )
+    return RenderJob.of(scenario, transfer, base=base).account(transfer, rendering)

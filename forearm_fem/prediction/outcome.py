@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..device import close_loop
 from ..errors import ReductionError
-from ..metrics.strength import plain_strength
-from ..pipeline.frequencies import frequencies
-from ..pipeline.renderers import renderers, wavelet
-from ..pipeline.strengths import interval
 from ..ports import Port
-from ..rendering import Wavelet, displacements, drives, place, window_of
-from ..rendering.drives import Renderer
-from ..rendering.sharing import prepared
+from ..rendering.interval import interval
+from ..rendering.job import RenderJob
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
+from ..store.record import dims
 from ..tissue import resolve_tissues
 from ..transfer import TransferMatrix, finite, total_error
-from ..typing import ComplexArray, FloatArray
+from ..typing import ComplexArray, FloatArray, IntArray
 from .arm import ArmModel
 from .draws import REFERENCE, SOFT, Draw, idle_inputs, scenario_of, soft_tissues
 
@@ -36,31 +34,29 @@ READINGS = ("calibrated", "played", "calibrated, record", "played, record")
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What all draws of a prediction share: the scene, its believed ports, renderers, stimulus and targets."""
+    """What all draws of a prediction share: the scene, its renderers, the ports that these aim by, inputs held."""
 
     scenario: Scenario
+    job: RenderJob
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
-    methods: tuple[Renderer, ...]
-    shape: Wavelet
-    targets: tuple[str, ...]
     held: frozenset[str]
 
     @property
-    def method_names(self) -> tuple[str, ...]:
+    def methods(self) -> tuple[str, ...]:
         """Names of the methods."""
-        return tuple(m.name for m in self.methods)
+        return self.job.names
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the targets."""
+        return self.job.targets
 
 
-def setup_of(
-    scenario: Scenario, nominal: TransferMatrix, base: Path, left_out: Collection[str] = (), held: Collection[str] = ()
-) -> Setup:
-    """``nominal`` is G of the scene itself, whose ports are taken; ``left_out`` are methods that cannot serve it."""
-    options = scenario.rendering
-    shape = wavelet(options, scenario.sweep, base)
-    targets = tuple(p.name for p in nominal.outputs) if options.targets == "all" else tuple(options.targets)
-    chosen = tuple(renderers(scenario, shape, frozenset(left_out)))
-    return Setup(scenario, nominal.outputs, nominal.inputs, chosen, shape, targets, frozenset(held))
+def setup_of(scenario: Scenario, nominal: TransferMatrix, base: Path, held: Collection[str] = ()) -> Setup:
+    """``nominal`` is G of the scene itself, whose ports are taken."""
+    job = RenderJob.of(scenario, nominal, base=base)
+    return Setup(scenario, job, nominal.outputs, nominal.inputs, frozenset(held))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +81,99 @@ class Outcome:
     transfer: ComplexArray | None = None
     spread: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
+    @classmethod
+    def none(cls, number: int, law: str, setup: Setup, problem: str) -> Outcome:
+        """A draw without S, and why."""
+        shape = (len(READINGS), len(setup.methods), len(setup.targets))
+        return cls(number, law, np.full(shape, np.nan), problem=problem)
+
+    def as_parts(self) -> dict[str, Any]:
+        """Arrays and plain values, for a shelf."""
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {**{n: v for n, v in parts.items() if v is not None}, "drivers": dict(self.drivers)}
+
+
+@dataclass(frozen=True, eq=False)
+class DrawsFile:
+    """``draws.nc``: every draw of a prediction with its inputs and its S, in the order of their numbers.
+
+    ``question`` is the digest of what was asked. ``kept`` are the numbers of draws whose ``transfer`` was kept, in
+    ``unit`` at ``frequency``.
+    """
+
+    kind: ClassVar[str] = "prediction"
+    version: ClassVar[int] = 1
+
+    question: str
+    unit: str
+    draw: IntArray = field(metadata=dims("draw", long_name="number of the draw"))
+    reading: tuple[str, ...] = field(metadata=dims("reading", long_name="G that S is taken on, and over what"))
+    method: tuple[str, ...] = field(metadata=dims("method"))
+    target: tuple[str, ...] = field(metadata=dims("target"))
+    driver: tuple[str, ...] = field(metadata=dims("driver"))
+    strengths: FloatArray = field(
+        metadata=dims("draw reading method target", name="S", units="1", long_name="signal strength")
+    )
+    drivers: FloatArray = field(
+        metadata=dims("draw driver", long_name="inputs of the draw, SI; NaN where it has none")
+    )
+    law: tuple[str, ...] = field(metadata=dims("draw"))
+    spread: FloatArray = field(
+        metadata=dims(
+            "draw method target", units="1",
+            long_name="half width of the interval of log S that the errors of the draw's G leave",
+        )
+    )  # fmt: skip
+    numerics: FloatArray = field(metadata=dims("draw", units="1", long_name="e_band of G"))
+    seconds: FloatArray = field(metadata=dims("draw", units="s"))
+    problem: tuple[str, ...] = field(metadata=dims("draw"))
+    frequency: FloatArray = field(metadata=dims("frequency", units="Hz"))
+    kept: IntArray = field(metadata=dims("kept", long_name="draws with a G"))
+    transfer: ComplexArray = field(
+        metadata=dims(
+            "kept frequency output input", name="G", units="=unit", long_name="true transfer matrix of the draw"
+        )
+    )
+
+    @classmethod
+    def of(
+        cls, outcomes: Sequence[Outcome], methods: Sequence[str], targets: Sequence[str], question: str,
+        frequency: FloatArray, unit: str = "m/V",
+    ) -> DrawsFile:  # fmt: skip
+        """The file of some ``outcomes``."""
+        ordered = sorted(outcomes, key=lambda o: o.number)
+        names = sorted({name for o in ordered for name in o.drivers})
+        drivers = [[o.drivers.get(name, np.nan) for name in names] for o in ordered]
+        shape = len(methods), len(targets)
+        kept = [o for o in ordered if o.transfer is not None]
+        values = np.array([o.transfer for o in kept]) if kept else np.zeros((0, len(frequency), 0, 0), dtype=complex)
+        return cls(
+            question, unit, np.array([o.number for o in ordered], dtype=np.int64), READINGS, tuple(methods),
+            tuple(targets), tuple(names), np.array([o.strengths for o in ordered]).reshape(-1, len(READINGS), *shape),
+            np.array(drivers).reshape(len(ordered), -1), tuple(o.law for o in ordered),
+            np.array([o.spread if o.spread.size else np.full(shape, np.nan) for o in ordered]).reshape(-1, *shape),
+            np.array([o.numerics for o in ordered]), np.array([o.seconds for o in ordered]),
+            tuple(o.problem for o in ordered), np.asarray(frequency, dtype=float),
+            np.array([o.number for o in kept], dtype=np.int64), values,
+        )  # fmt: skip
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """The draws."""
+        drivers = [
+            {n: float(v) for n, v in zip(self.driver, values, strict=True) if np.isfinite(v)} for values in self.drivers
+        ]
+        kept = dict(zip(self.kept.tolist(), self.transfer, strict=True))
+        rows = zip(
+            self.draw.tolist(), self.law, self.strengths, drivers, self.numerics, self.seconds, self.problem,
+            self.spread, strict=True,
+        )  # fmt: skip
+        return [
+            Outcome(n, law, s, MappingProxyType(driven), float(e), float(t), problem, kept.get(n), spread)
+            for n, law, s, driven, e, t, problem, spread in rows
+        ]
+
+
 
 def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
     """S of ``draw``; raises the :class:`ForearmError` of an arm that cannot be, or whose error is too large to say."""
@@ -94,15 +183,15 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
     values = {name: value for name, value in draw.values.items() if name not in held}
     answer = arm.answer(scenario, frequencies(scenario.sweep))
     true, *others = (
-        believed(finite(close_loop(c, scenario.device)), setup.outputs, setup.inputs)
+        with_nominal_ports(finite(close_loop(c, scenario.device)), setup)
         for c in (answer.compliance, *answer.others)
     )
     if not total_error(true.errors) < _MOST:
         raise ReductionError(f"G of the arm may be wrong by as much as it is: e_band is {_MOST:g} or more, or unknown")
     calibrated = noisy(true, replace(draw, values=values), scenario)
-    found, window = strengths_of(setup, true, calibrated), window_of(setup.scenario.rendering.window, setup.shape)
+    found, job = strengths_of(setup.job, true, calibrated), setup.job
     noise = tuple(e for e in true.errors if e.source not in answer.shown)
-    spread = interval(true, noise, setup.targets, window, setup.methods, setup.shape, draws=_DRAWS, others=others)
+    spread = interval(true, noise, job.targets, job.span, job.methods, job.wavelet, draws=_DRAWS, others=others)
     return Outcome(
         draw.number, draw.law, found, drivers_of(draw, scenario, held), total_error(true.errors),
         time.perf_counter() - began, spread=spread,
@@ -110,9 +199,9 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
     )  # fmt: skip
 
 
-def believed(transfer: TransferMatrix, outputs: tuple[Port, ...], inputs: tuple[Port, ...]) -> TransferMatrix:
+def with_nominal_ports(transfer: TransferMatrix, setup: Setup) -> TransferMatrix:
     """The same G with the ports where the experimenter thinks they are: renderers aim by these places."""
-    return replace(transfer, outputs=outputs, inputs=inputs)
+    return replace(transfer, outputs=setup.outputs, inputs=setup.inputs)
 
 
 def noisy(transfer: TransferMatrix, draw: Draw, scenario: Scenario) -> TransferMatrix:
@@ -130,20 +219,10 @@ def noisy(transfer: TransferMatrix, draw: Draw, scenario: Scenario) -> TransferM
     return replace(transfer, values=transfer.values + rms * (normals[0] + 1j * normals[1]))
 
 
-def strengths_of(setup: Setup, true: TransferMatrix, calibrated: TransferMatrix) -> FloatArray:
+def strengths_of(job: RenderJob, true: TransferMatrix, calibrated: TransferMatrix) -> FloatArray:
     """S (n_reading, n_method, n_target) of drives designed on ``calibrated``, there and on the ``true`` G."""
-    window = window_of(setup.scenario.rendering.window, setup.shape)
-    ready, methods = prepared(place(calibrated, setup.shape.record), setup.methods, setup.targets)
-    placed = ready, place(true, setup.shape.record)
-    out = np.empty((len(READINGS), len(methods), len(setup.targets)))
-    for m, method in enumerate(methods):
-        for t, target in enumerate(setup.targets):
-            sent = drives(method, placed[0], target, setup.shape)
-            for g, where in enumerate(placed):
-                moved, row = displacements(where, sent), where.row(target)
-                for k, over in enumerate((window, None)):
-                    out[2 * k + g, m, t] = plain_strength(moved.values, row, time=moved.time, window=over)
-    return out
+    found = job.strengths(calibrated, calibrated, true, windows=(job.window, "record"))
+    return found.reshape(len(READINGS), *found.shape[2:])
 
 
 def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:

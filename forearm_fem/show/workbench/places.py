@@ -10,11 +10,11 @@ import numpy as np
 from ...device import close_loop
 from ...errors import GeometryError
 from ...geometry.device.layout import layout_of
-from ...pipeline.frequencies import frequencies
 from ...pipeline.simulation import AnswersForArm
 from ...ports import Port, positions
 from ...progress import Progress, tell
 from ...scenario import Scenario
+from ...scenario.frequencies import frequencies
 from ...transfer import Compliance, ErrorEstimate, finite
 from ...typing import ComplexArray, FloatArray
 from .field import Field, Surface
@@ -33,7 +33,7 @@ _SIDE = 48  # stretches of the picture's longer side
 
 
 class FlatLengths(Protocol):
-    """Lengths along the skin, as of :class:`forearm_fem.library.skin.FlatSkin`."""
+    """Lengths along the skin, as of :class:`forearm_fem.engines.library.skin.FlatSkin`."""
 
     def flat(self, points: FloatArray) -> FloatArray:
         """(n, 2) of points (n, 3)."""
@@ -45,7 +45,7 @@ class FlatLengths(Protocol):
 
 
 class LibraryOfArm(AnswersForArm, Protocol):
-    """What an :class:`forearm_fem.library.ArmLibrary` offers."""
+    """What an :class:`forearm_fem.engines.library.ArmLibrary` offers."""
 
     @property
     def scenario(self) -> Scenario:

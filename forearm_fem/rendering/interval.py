@@ -1,0 +1,255 @@
+"""What each S of a run is worth: its numerical interval, the thesis' reading, and what edges and holes do to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import DataError
+from ..metrics import perturbed
+from ..metrics.strength import plain_strength, without_bound
+from ..store.text import plain
+from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at, total_error
+from ..typing import FloatArray
+from .bridging import with_wider_ends
+from .drives import Renderer
+from .rendered import Rendering, strengths
+from .sharing import settled
+from .spectrum import place
+from .wavelet import Wavelet, Window
+from .zeros import FixedZeros, SearchedZeros
+
+_DRAWS, _SEED = 12, 0
+_MARGIN = 2.0  # the ends that are missing may count for more than their neighbours
+_CORRELATION = 50.0  # Hz: errors of meshes and ends are smooth over about that much
+# rms changes of log S: 9 of 10 true errors lie within for errors as they are stated, which is more than they are
+# (docs/decisions/0027); a measurement's random ones are as large as its deviation says
+_HALF_WIDTH, _OF_RANDOM = 1.5, 2.0
+_RANDOM_ONLY = "the interval of S holds the random error of G (its deviation) alone: no systematic one is stated"
+_MOST_WITHOUT = 0.5  # of the values: with fewer deviations than that the random error is unknown
+_LEAST_SPAN = 4.0  # of the window: the record that draws are made on
+
+
+@dataclass(frozen=True, eq=False)
+class StrengthAccount:
+    """Arrays (n_method, n_target) [-]: S ``value``, its interval ``low`` to ``high`` (NaN where unknown), S over the
+    whole ``record``, the change of S with tapered band ``edges``, what ``holes`` of G and missing ends of its band may
+    have cost (0 without any, NaN where that cannot be told).
+
+    ``window`` [s] is what S is taken over, None for the record; ``zeros`` are the zero points by method and target;
+    ``unknown`` says why there is no interval, or what an interval there is leaves out.
+    """
+
+    methods: tuple[str, ...]
+    targets: tuple[str, ...]
+    window: tuple[float, float] | None
+    value: FloatArray
+    low: FloatArray
+    high: FloatArray
+    record: FloatArray
+    edges: FloatArray
+    holes: FloatArray
+    zeros: Mapping[str, Mapping[str, tuple[str, ...]]]
+    unknown: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """By method and target, in plain numbers; None where unknown."""
+        columns = ("value", "low", "high", "record", "edges", "holes")
+        table = {
+            m: {t: {c: plain(getattr(self, c)[i, j]) for c in columns} for j, t in enumerate(self.targets)}
+            for i, m in enumerate(self.methods)
+        }
+        return {"window": self.window, "unknown": self.unknown, "methods": table, "zeros": self.zeros}
+
+
+def finer_than_known(account: StrengthAccount, errors: Sequence[ErrorEstimate]) -> str:
+    """A sentence where some S holds the other points more still than G is known by its ``errors``, else empty.
+
+    1/S is their mean motion over the target's: drives that were made on this G cannot keep it on one that differs by
+    more. The interval of S does not say so, as it aims anew at each G.
+    """
+    if endless := without_bound(account.methods, account.targets, account.value):
+        return endless
+    error, best = total_error(errors), float(np.nanmax(account.value, initial=0.0))
+    if not error > 0 or not best * error > 1:
+        return ""
+    m, t = np.unravel_index(int(np.nanargmax(account.value)), account.value.shape)
+    return (
+        f"S of {account.methods[m]} towards {account.targets[t]} is {best:.3g}: the others are held stiller "
+        f"({1 / best:.2g} of the target's motion) than G is known ({error:.2g}). On the arm's own G these drives keep "
+        "less: play them on another one to see how much (`forearm-fem compare`)"
+    )
+
+
+def strength_account(
+    rendering: Rendering, methods: Sequence[Renderer], wavelet: Wavelet, measured: bool = False
+) -> StrengthAccount:
+    """Account of the S of ``rendering`` by ``methods`` (its renderers) with ``wavelet``.
+
+    The interval is for the errors stated for G and its ``deviation``, bridged holes included; that the systematic
+    errors of a ``measured`` G are in none of these is said. Where G has a deviation, the error by "measurement" says
+    the same of its worst entry, and is not drawn a second time. Renderers aim anew in each draw, with zero points as
+    found for the G printed.
+    """
+    kept = tuple(_with_found_zeros(m, rendering) for m in methods)
+    holes = rendering.bridged
+    window: Window = rendering.window if rendering.window is not None else "record"
+
+    def strength(g: TransferMatrix, shape: Wavelet = wavelet) -> FloatArray:
+        """S of the same renderers on another G, or of another wavelet."""
+        return strengths(g, rendering.targets, kept, shape, window=window)
+
+    g, value = holes.transfer, rendering.strengths
+    cost = np.zeros_like(value)
+    if holes.guess is not None:
+        cost = _pooled(strength(holes.guess) - value, value)
+    if holes.ends:
+        cost = np.hypot(cost, _cost_of_ends(strength, g, value))
+    errors = (*g.errors, *((holes.error,) if holes.error is not None else ()))
+    random = _random_error(g)
+    known = bool(g.errors) or random is not None
+    unknown = _why_unknown(errors, known, measured)
+    asked = rendering.targets, rendering.window
+    smooth = errors if random is None else tuple(e for e in errors if e.source != "measurement")
+    spread = np.full(value.shape, np.nan) if unknown else interval(g, smooth, *asked, kept, wavelet, random)
+    unknown = unknown or ("" if any(e.source != "measurement" for e in g.errors) else _RANDOM_ONLY)
+    tapered = wavelet.tapered(float(g.frequency[0]), float(g.frequency[-1]))
+    moved = [[rendering[m, t].displacements for t in rendering.targets] for m in rendering.methods]
+    record = np.array([[plain_strength(u.values, u.target_index) for u in row] for row in moved])
+    return StrengthAccount(
+        rendering.methods, rendering.targets, rendering.window, value,
+        value * np.exp(-spread) - cost, value * np.exp(spread) + cost, record,
+        strength(g, tapered) - value, cost,
+        {m: {t: rendering[m, t].drives.zeros for t in rendering.targets} for m in rendering.methods}, unknown,
+    )  # fmt: skip
+
+
+def _cost_of_ends(strength: Callable[[TransferMatrix], FloatArray], g: TransferMatrix, value: FloatArray) -> FloatArray:
+    """What the ends that G misses may have cost S: twice what it does to leave out as much again beside them."""
+    try:
+        return _MARGIN * _pooled(strength(with_wider_ends(g)) - value, value)
+    except DataError:  # no bin is left on which all control points are known
+        return np.full(value.shape, np.nan)
+
+
+def _pooled(change: FloatArray, value: FloatArray) -> FloatArray:
+    """Size of a ``change`` of S ``value``, both (n_method, n_target), none below the method's rms over all: single
+    ones cancel by chance."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = change / value
+        pooled = np.sqrt(np.mean(share**2, axis=1, keepdims=True, where=np.isfinite(share)))
+        return np.asarray(np.fmax(np.abs(change), pooled * value)) + 0 * change
+
+
+def _with_found_zeros(method: Renderer, rendering: Rendering) -> Renderer:
+    """The renderer with the zero points that a search found: searching anew in each draw would take hours."""
+    if not isinstance(getattr(method, "zeros", None), SearchedZeros):
+        return method
+    found = {t: rendering[method.name, t].drives.zeros for t in rendering.targets}
+    return method.with_zeros(FixedZeros(found))  # type: ignore[attr-defined,no-any-return]
+
+
+def _random_error(g: TransferMatrix) -> FloatArray | None:
+    """Standard deviation (n, n_out, n_in) of G, zero at bridged and unknown values; None unless the others have one."""
+    if g.deviation is None:
+        return None
+    known = np.isfinite(g.deviation)
+    lacking = ~known & np.isfinite(g.values) & (g.values != 0) & (True if g.valid is None else g.valid)
+    return None if lacking.mean() > _MOST_WITHOUT or not known.any() else np.where(known, g.deviation, 0.0)
+
+
+def _why_unknown(errors: tuple[ErrorEstimate, ...], known: bool, measured: bool) -> str:
+    if not known:
+        kind = "a measured G states neither an error nor a deviation" if measured else "G carries no error estimate"
+        return f"{kind}, so the interval of S is unknown"
+    lost = [e.source for e in errors if not np.isfinite(e.band)]
+    return f"the error by {', '.join(lost)} is unknown, and so is the interval of S" if lost else ""
+
+
+def interval(
+    transfer: TransferMatrix,
+    errors: tuple[ErrorEstimate, ...],
+    targets: Sequence[str],
+    span: tuple[float, float] | None,
+    methods: Sequence[Renderer],
+    wavelet: Wavelet,
+    random: FloatArray | None = None,
+    draws: int = _DRAWS,
+    others: Sequence[TransferMatrix] = (),
+) -> FloatArray:
+    """Half width (n_method, n_target) of the interval of log S: 1.5 rms of its changes over ``draws`` of G's errors.
+
+    S is taken over the ``span`` [s] of :attr:`.Rendering.window`.
+
+    Each draw adds to G independent complex noise of every source (:func:`perturbed`), smooth over 50 Hz, and
+    aims anew. It starts from the ``others`` in turn where there are such: G as it may be by an error that is not among
+    ``errors``, since its shape is known. Two meshes agree at single frequencies by chance, so e(f) of the
+    discretisation is its band value at least. Random errors of a measurement, of standard deviation ``random``
+    (n, n_out, n_in) in G's unit, are independent at each entry and frequency; they make S fall, and that mean fall is
+    added to two rms. Draws cancel at single targets by chance, so none gets less than the method's rms over all.
+    """
+    window: Window = span if span is not None else "record"
+    # on every k-th bin, white noise would have k times its energy within the window
+    whole = random is not None
+    g, shape = (transfer, wavelet) if whole else _shorter(transfer, wavelet, span)
+    sources = tuple(at_least_band(e, g.frequency) if e.source == "discretisation" else e for e in errors)
+    methods = settled(methods, place(g, shape.record), targets)
+    base = strengths(g, targets, methods, shape, window=window)
+    rng = np.random.default_rng(_SEED)
+    square, fall = np.zeros(base.shape), np.zeros(base.shape)
+    starts = [x if whole else _shorter(x, wavelet, span)[0] for x in others] or [g]
+    for k in range(draws):
+        other = perturbed(starts[k % len(starts)], sources, rng, _CORRELATION)
+        if random is not None:
+            noise = rng.normal(size=(2, *random.shape)) / np.sqrt(2)
+            other = replace(other, values=other.values + random * (noise[0] + 1j * noise[1]))
+        drawn = strengths(other, targets, methods, shape, window=window)
+        square += np.log(drawn / base) ** 2 / draws
+        fall += np.log(base / drawn) / draws
+    pooled = square.mean(axis=1, keepdims=True)
+    half = (_HALF_WIDTH if random is None else _OF_RANDOM) * np.sqrt(np.maximum(square, pooled))
+    return np.asarray(half if random is None else half + np.abs(fall))
+
+
+def at_least_band(error: ErrorEstimate, frequency: FloatArray) -> ErrorEstimate:
+    """The estimate with e(f) at ``frequency`` (n,) [Hz] raised to its band value, as two meshes agree by chance."""
+    own, pairs = relative_error_at(error, frequency), error_of_pairs(error, frequency)
+    size = np.maximum(own, error.band)
+    if pairs is not None:
+        pairs = pairs * np.divide(size, own, out=np.ones_like(own), where=own > 0)[:, None, None]
+    return replace(error, frequency=tuple(frequency.tolist()), per_frequency=tuple(size.tolist()), per_pair=pairs)
+
+
+def _shorter(
+    transfer: TransferMatrix, wavelet: Wavelet, window: tuple[float, float] | None
+) -> tuple[TransferMatrix, Wavelet]:
+    """G on the bins of a shorter record that still holds four windows about t = 0, and the wavelet in it.
+
+    S over a window hardly depends on the record, and a draw on a quarter of the bins costs a quarter. A window that
+    lies aside, or is shorter than the wavelet's own, needs a record that reaches to it and in which waves die away.
+    """
+    record = wavelet.record
+    ends = (*window, *wavelet.window) if window is not None else (record.n / record.sample_rate / 2,)
+    span = 2 * max(abs(end) for end in ends)
+    most = int(record.n / record.sample_rate / (_LEAST_SPAN * span))
+    place = np.rint(transfer.frequency / record.df)
+    on_bins = np.allclose(place * record.df, transfer.frequency, rtol=0, atol=1e-3 * record.df)
+    fits = [m for m in range(2, most + 1) if record.n % (2 * m) == 0]
+    if not fits or not on_bins:
+        return transfer, wavelet
+    step = fits[-1]
+    rows = np.nonzero(place % step == 0)[0]
+    if len(rows) < 2:
+        return transfer, wavelet
+    n, middle = record.n // step, record.centre
+    cut = wavelet.samples[middle - n // 2 : middle - n // 2 + n]
+    if np.abs(cut).max() < np.abs(wavelet.samples).max():
+        return transfer, wavelet
+    thin = replace(
+        transfer, frequency=transfer.frequency[rows], values=transfer.values[rows],
+        valid=None if transfer.valid is None else transfer.valid[rows], contacts=None, deviation=None,
+    )  # fmt: skip
+    return thin, replace(wavelet, samples=cut, record=replace(record, n=n))

@@ -1,0 +1,207 @@
+"""All renderers at all targets."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arguments import checked
+from ..errors import AccuracyWarning, DataError, ScenarioError
+from ..metrics.strength import StrengthTable, plain_strength, signal_strength_table, without_bound
+from ..progress import Progress, tell
+from ..transfer import TransferMatrix
+from ..typing import FloatArray
+from .bridging import Bridged, bridged
+from .combination import Combination
+from .drives import Displacements, Drives, Renderer, displacements, drives
+from .funneling import Funneling
+from .inverse_filter import InverseFilter
+from .lattice import is_thesis_grid
+from .limits import DriveReport, Limits, beyond_limits, check
+from .sharing import prepared
+from .spectrum import place
+from .wavelet import Wavelet, Window, ricker, window_of
+
+_MUCH_LOST = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """One method at one target: drives, displacements, S [-] (eq. 9), and the drives against the limits."""
+
+    drives: Drives
+    displacements: Displacements
+    strength: float
+    report: DriveReport
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering(Mapping[tuple[str, str], Rendered]):
+    """Results by (method, target), e.g. ``rendering["funneling", "5"]``.
+
+    ``window`` [s] is what S was taken over, None for the whole record; ``bridged`` is the G that was used.
+    """
+
+    methods: tuple[str, ...]
+    targets: tuple[str, ...]
+    results: Mapping[tuple[str, str], Rendered]
+    window: tuple[float, float] | None
+    bridged: Bridged
+    limits: Limits
+
+    def __getitem__(self, key: tuple[str, str]) -> Rendered:
+        if key not in self.results:
+            methods, targets = (", ".join(map(repr, names)) for names in (self.methods, self.targets))
+            raise KeyError(f"{key}: methods are {methods}, targets {targets}")
+        return self.results[key]
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        return iter(self.results)
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    @property
+    def strengths(self) -> FloatArray:
+        """S (n_method, n_target) [-]."""
+        return np.array([[self.results[m, t].strength for t in self.targets] for m in self.methods])
+
+    @property
+    def exceeded(self) -> tuple[str, ...]:
+        """A sentence per method and limit exceeded: how often, the worst case, and the remedy."""
+        first = next(iter(self.values()), None)
+        if first is None or not first.report.checked:
+            return ()
+        peak, power = (
+            np.array([[getattr(self[m, t].report, what) for t in self.targets] for m in self.methods])
+            for what in ("peak", "power")
+        )
+        channels = tuple(p.name for p in first.drives.inputs)
+        return beyond_limits(self.methods, self.targets, channels, peak, power, self.limits)
+
+    def table(self) -> StrengthTable:
+        """S in the layout of the thesis' Table I; DataError for any other grid than 3 x 3 points "1" to "9" and for no
+        targets or methods."""
+        first = next(iter(self.results.values()), None)
+        if first is None:
+            raise DataError("nothing was rendered, so there is no Table I: give targets and methods")
+        if not is_thesis_grid(first.displacements.outputs):
+            raise DataError("Table I (middle, edges, corners) is for the thesis' 3 x 3 grid only; see strengths")
+        return signal_strength_table(self.methods, self.targets, self.strengths)
+
+
+def thesis_renderers() -> tuple[Renderer, ...]:
+    """Inverse filter, funneling and combination with their defaults (de Vlam 2022, III.B)."""
+    return (InverseFilter(), Funneling(), Combination())
+
+
+@checked
+def render_all(
+    transfer: TransferMatrix,
+    targets: Sequence[str] | None = None,
+    methods: Sequence[Renderer] | Renderer | None = None,
+    wavelet: Wavelet | None = None,
+    limits: Limits | None = None,
+    *,
+    window: Window = "wavelet",
+    play_on: TransferMatrix | None = None,
+    progress: Progress | None = None,
+) -> Rendering:
+    """Every renderer of ``methods`` at every target: drives, displacements, S and the drives' report.
+
+    ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet`` the 250
+    Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window), or "record",
+    the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first.
+
+    Drives are played on ``play_on`` where it is given: what a device calibrated on ``transfer`` reaches on another G.
+    ``progress`` is called after each. One name or one renderer is taken for a list of it. Warns (AccuracyWarning) when
+    more than 10 % of the wavelet's energy falls on bins where G is unknown, where nothing is known of an actuator,
+    which is then left out, and where an S is made of rounding. Raises ScenarioError for two methods of one name or a
+    target given twice, and as :func:`drives`.
+    """
+    targets = _as_targets(targets, transfer)
+    methods = _as_renderers(methods)
+    wavelet = wavelet or ricker()
+    names = tuple(m.name for m in methods)
+    for what, given in (("method", names), ("target", targets)):
+        if len(set(given)) != len(given):
+            raise ScenarioError(f"a {what} is given twice: {', '.join(given)}; give each its own name")
+    seconds, holes = window_of(window, wavelet), bridged(transfer)
+    placed = prepared(place(holes.transfer, wavelet.record), methods, targets)[0]
+    played = placed if play_on is None else place(bridged(play_on).transfer, wavelet.record)
+    results: dict[tuple[str, str], Rendered] = {}
+    for method in methods:
+        for target in targets:
+            sent = drives(method, placed, target, wavelet)
+            reached = displacements(played, sent)
+            strength = plain_strength(reached.values, reached.target_index, time=reached.time, window=seconds)
+            results[method.name, target] = Rendered(sent, reached, strength, check(sent, limits or Limits()))
+            tell(progress, "render", len(results), len(methods) * len(targets))
+    worst = max(results.values(), key=lambda r: r.drives.lost, default=None)
+    if worst is not None and worst.drives.lost > _MUCH_LOST:
+        warnings.warn(
+            f"G is unknown on bins with {worst.drives.lost:.0%} of the wavelet's energy "
+            f"({worst.drives.method} towards {worst.drives.target}): they are not driven",
+            AccuracyWarning,
+            stacklevel=2,
+        )
+    if results and holes.absent:
+        warnings.warn(holes.said_of_absent, AccuracyWarning, stacklevel=2)
+    found = Rendering(names, targets, results, seconds, holes, limits or Limits())
+    if results and (endless := without_bound(names, targets, found.strengths)):
+        warnings.warn(endless, AccuracyWarning, stacklevel=2)
+    return found
+
+
+def _as_targets(targets: Sequence[str] | None, transfer: TransferMatrix) -> tuple[str, ...]:
+    """Names of outputs, by default all; one that is an output's is itself, not its letters: "12"."""
+    known = tuple(p.name for p in transfer.outputs)
+    if targets is None:
+        return known
+    if isinstance(targets, str):
+        return (targets,) if targets in known else tuple(targets)
+    if not isinstance(targets, list | tuple) or not all(isinstance(t, str) for t in targets):
+        raise ScenarioError(f"targets: expected names of outputs such as ['5'], got {str(targets)[:60]!r}")
+    return tuple(targets)
+
+
+def _as_renderers(methods: Sequence[Renderer] | Renderer | None) -> tuple[Renderer, ...]:
+    if methods is None:
+        return thesis_renderers()
+    found = methods if isinstance(methods, list | tuple) else (methods,)
+    if strange := [m for m in found if not hasattr(m, "aim")]:
+        raise ScenarioError(
+            f"methods: expected renderers such as Funneling(), got {strange[0]!r}; of a scenario: render(SIMULATION)"
+        )
+    return tuple(found)
+
+
+@checked
+def strengths(
+    transfer: TransferMatrix,
+    targets: Sequence[str],
+    methods: Sequence[Renderer],
+    wavelet: Wavelet,
+    *,
+    window: Window = "wavelet",
+    fixed: Sequence[Sequence[Drives]] | None = None,
+) -> FloatArray:
+    """S (n_method, n_target) only, keeping no signals: for studies over many G.
+
+    ``fixed`` (n_method x n_target drives) plays these drives on ``transfer`` instead of aiming anew: what a
+    device calibrated on another G would reach. Holes are not bridged. Raises as :func:`render_all`.
+    """
+    seconds, targets, methods = window_of(window, wavelet), _as_targets(targets, transfer), _as_renderers(methods)
+    placed = place(transfer, wavelet.record)
+    if fixed is None:
+        placed, methods = prepared(placed, methods, targets)
+    out = np.empty((len(methods), len(targets)))
+    for m, method in enumerate(methods):
+        for t, target in enumerate(targets):
+            sent = fixed[m][t] if fixed is not None else drives(method, placed, target, wavelet)
+            reached = displacements(placed, sent)
+            out[m, t] = plain_strength(reached.values, placed.row(target), time=reached.time, window=seconds)
+    return out
