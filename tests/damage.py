@@ -18,6 +18,7 @@ from bad_files import CORNERS, TETRA
 from test_measurement_scene import INPUTS, RATE, wave_matrix
 
 from forearm_fem import files, io
+from forearm_fem.engines.skin_model import ReducedFile
 from forearm_fem.errors import ForearmError
 from forearm_fem.files.reading import RecognitionWarning
 from forearm_fem.files.wav import read_wav_drives, write_wav_drives
