@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ..layered.tables import from_arrays
-from ..pipeline.layered_engine import flat_layers, flat_surface
-from ..scenario import parse_scenario
-from ..store.record import dims, load, said_content, save
-from ..typing import ComplexArray, FloatArray
+from ...layered.tables import from_arrays
+from ...scenario import parse_scenario
+from ...store.record import dims, load, said_content, save
+from ...typing import ComplexArray, FloatArray
+from ..layered import flat_layers, flat_surface
 from .arm import ArmLibrary
 from .limb import Limb
 
