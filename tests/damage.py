@@ -70,7 +70,7 @@ FORMATS = (
     Format("drives.nc", lambda p: io.write_drives(p, SIGNALS), io.read_drives),
     Format("reduced.nc", lambda p: save(p, REDUCED), lambda p: load(p, ReducedFile)),
     Format("wavefield.npz", lambda p: save_wavefield(FIELD, p), load_wavefield),
-    Format("recording.npz", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
+    Format("recording.nc", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
     Format("mesh.vtu", lambda p: write_mesh(MESH, p), read_mesh),
     Format("mesh.msh", lambda p: write_mesh(MESH, p), read_mesh),
 )
