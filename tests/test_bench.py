@@ -21,7 +21,7 @@ from forearm_fem import __version__
 from forearm_fem.errors import AccuracyWarning, DataError, SolverError
 from forearm_fem.fem.reduction.certificate import Certificate
 from forearm_fem.fem.reduction.sweep import SweepResult
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def test_one_size_in_both_precisions() -> None:
 
 def test_the_knob_chooses_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     """One expansion about 200 Hz is enough for three frequencies; at accuracy 1 the elements are 6 mm large."""
-    few = SolverOptions(expansions=1, derivatives=3, max_expansions=1)
+    few = ReducedSolve(expansions=1, derivatives=3, max_expansions=1)
     monkeypatch.setattr(asked, "BAND", np.array([190.0, 200.0, 210.0]))
     monkeypatch.setattr(asked, "options", lambda _: few)
     coarse = asked.asked(1.0)

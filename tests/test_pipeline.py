@@ -22,7 +22,7 @@ from forearm_fem.pipeline.folder import Run, run_all, run_render, run_solve
 from forearm_fem.pipeline.solved import _Store, field_modes
 from forearm_fem.results import read_run
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.transfer import Compliance
 from forearm_fem.verification.scenes import held_block
 
@@ -210,7 +210,7 @@ def test_too_little_memory_is_refused_beforehand(home, tmp_path):
 
 def test_modes_times_states_are_displacements_at_vertices_and_edges():
     """Against a direct solve, each place's node found by where it lies: all of them are nodes of P2."""
-    model, band, options = held_block(2), np.linspace(20.0, 300.0, 57), SolverOptions()
+    model, band, options = held_block(2), np.linspace(20.0, 300.0, 57), ReducedSolve()
     result = sweep.reduced_sweep(model, band, options, tolerance=1e-6)
     modes = field_modes(FemSolution(Compliance(band, result.values, model.ports), result, model))
     found = modes @ result.states(np.array([150.0]), [0])[0, :, 0]

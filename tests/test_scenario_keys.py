@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from forearm_fem.pipeline.unread import changed_keys, unread_notes
 from hostile import leaves
 from pydantic.fields import FieldInfo
 
@@ -25,7 +26,6 @@ from forearm_fem.pipeline.folder import accuracy_verdict
 from forearm_fem.pipeline.forecast import forecast, refuse_if_signals_too_large
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.simulation import render_transfer, simulate
-from forearm_fem.pipeline.unread import changed_keys, unread_notes
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.base import Within
 

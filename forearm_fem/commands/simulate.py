@@ -28,7 +28,6 @@ def run(
         from ..pipeline.folder import check_rendering
         from ..pipeline.frequencies import frequencies
         from ..pipeline.notes import scene_notes
-        from ..pipeline.unread import unread_notes
 
         check_rendering(asked, scenario.parent)
         if (kept := library_file(library)) is not None:
@@ -38,7 +37,7 @@ def run(
         with Display() as display:
             expected = _expected(asked, scenario.parent, display)
         _print_forecast(asked, expected)
-        print_notes((*unread_notes(asked), *scene_notes(asked)))
+        print_notes(scene_notes(asked))
         return
     from ..pipeline.folder import run_all
 

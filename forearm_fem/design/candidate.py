@@ -18,8 +18,11 @@ from ..errors import AccuracyWarning, ForearmError, ScenarioError
 from ..metrics.strength import WITHOUT_BOUND
 from ..pipeline.renderers import check_servable, renderers, wavelet
 from ..pipeline.simulation import account_of
-from ..rendering import Limits, Rendering, render_all
+from ..rendering import Rendering, render_all
+from ..rendering.limits import limits_of
 from ..scenario import Scenario
+from ..scenario.device import Housing, VoltageDevice
+from ..scenario.sweep import FrequencyList
 from ..transfer import TransferMatrix, finite, total_error
 from ..typing import FloatArray
 from .arm import ArmModel
@@ -103,7 +106,8 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
     count, limits = len(first.device.centres), asked.constraints
     voltage, power = (float(np.max([getattr(f, what) for f in found])) for what in ("voltage", "power"))
     total = float(np.mean([f.total_power for f in found]))
-    mass = first.device.housing.mass
+    housing = first.device.housing if isinstance(first.device, VoltageDevice) else None
+    mass = housing.mass if isinstance(housing, Housing) else math.nan
     are = {"max_voltage": voltage, "max_power": power, "max_mass": mass, "max_actuators": count}
     for name, value in are.items():
         most = getattr(limits, name)
@@ -170,8 +174,7 @@ def _one(whole: Scenario, arm: ArmModel, asked: DesignFile, base: Path) -> _Foun
 def _rendered(scenario: Scenario, g: TransferMatrix, targets: tuple[str, ...], base: Path) -> Rendering:
     options = scenario.rendering
     shape = wavelet(options, scenario.sweep, base)
-    device = scenario.device
-    limits = Limits(device.max_voltage, device.max_power, device.coil.resistance)
+    limits = limits_of(scenario.device)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AccuracyWarning)  # told by the confirmation
         return render_all(g, targets, renderers(scenario, shape), shape, limits, window=options.window)
@@ -212,6 +215,6 @@ def _geometry(scenario: Scenario, limits: Constraints, targets: tuple[str, ...])
 def _shorter(scenario: Scenario, duration: float) -> Scenario:
     """The scenario on a shorter record; unchanged where S is taken over the whole record, or frequencies are listed."""
     window = scenario.rendering.window
-    if scenario.sweep.frequencies is not None or window == "record" or scenario.sweep.duration <= duration:
+    if isinstance(scenario.sweep, FrequencyList) or window == "record" or scenario.sweep.duration <= duration:
         return scenario
-    return scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update={"duration": duration})})
+    return scenario.changed({"sweep.duration": duration})

@@ -28,6 +28,7 @@ from ..io.jsonfiles import read_json
 from ..rendering import Record, Wavelet, from_samples_file, ricker
 from ..results import RunRecord, read_run
 from ..scenario import Scenario, parse_scenario
+from ..scenario.rendering import SampledWavelet
 from ..transfer import Compliance, TransferMatrix
 from ..wavefield import Wavefield, load_wavefield
 
@@ -188,7 +189,7 @@ class Results:
         """The scenario's wavelet on that record."""
         options, record = self.scenario.rendering.wavelet, self.record
         duration = record.n / record.sample_rate
-        if options.file is not None:
+        if isinstance(options, SampledWavelet):
             kept = self.folder / f"wavelet{Path(options.file).suffix}"  # as the run found it in the scenario's folder
             return from_samples_file(kept if kept.is_file() else options.file, record.sample_rate, duration)
         return ricker(options.peak, 1.0, record.sample_rate, duration)

@@ -47,6 +47,8 @@ from ..results import (
     write_run,
 )
 from ..scenario import Scenario
+from ..scenario.rendering import SampledWavelet
+from ..scenario.sweep import Band
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
@@ -59,7 +61,6 @@ from .simulation import AnswersForArm, Simulation, account_of, render_transfer, 
 from .skin_model import save_skin_model
 from .solved import solve
 from .strengths import finer_than_known
-from .unread import unread_notes
 from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
 
@@ -93,7 +94,7 @@ class Run:
 
         Keys that have no effect are its first notes; ScenarioError where a tissue is not whole.
         """
-        return cls(scenario, out, base, progress, Ledger(), [*unread_notes(scenario), *scene_notes(scenario)])
+        return cls(scenario, out, base, progress, Ledger(), [*scene_notes(scenario)])
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -209,7 +210,7 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
     _remove_older(run)
     write_json(out / "scenario.json", scenario.model_dump(mode="json"))
     write_transfer(out / "transfer.nc", transfer, simulation.compliance)
-    if scenario.sweep.frequencies is None:
+    if isinstance(scenario.sweep, Band):
         write_thesis_mat(out / "transfer.mat", transfer, scenario.sweep.sample_rate, scenario.sweep.duration)
     if simulation.solved is not None and simulation.solved.modes.size:
         save_wavefield(wavefield_of(simulation), out / "wavefield.npz")
@@ -282,9 +283,9 @@ def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
             account.window, grouped=is_thesis_grid(transfer.outputs),
         )  # fmt: skip
         write_signal_strength_csv(run.out / "signal_strength.csv", rows)
-        if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
-            with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:
-                beside.write_bytes((run.base / file).read_bytes())
+        if isinstance(shape := run.scenario.rendering.wavelet, SampledWavelet):  # for figures made elsewhere
+            with atomic_path(run.out / f"wavelet{Path(shape.file).suffix}") as beside:
+                beside.write_bytes((run.base / shape.file).read_bytes())
         said = (
             *unknown_strengths(rendering), *rendering.exceeded, rendering.bridged.sentence, account.unknown,
             finer_than_known(account, transfer.errors),

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import ScenarioError
-from ..scenario.sweep import Sweep
+from ..scenario.sweep import FrequencyList, Sweep
 from ..typing import FloatArray
 
 
 def frequencies(sweep: Sweep) -> FloatArray:
     """Frequencies (n,) [Hz]: the scenario's own list, or the bins k / duration inside [f_min, f_max]."""
-    if sweep.frequencies is not None:
+    if isinstance(sweep, FrequencyList):
         return np.array(sweep.frequencies, dtype=float)
     first = int(np.ceil(sweep.f_min * sweep.duration - 1e-9))
     last = int(np.floor(sweep.f_max * sweep.duration + 1e-9))

@@ -9,15 +9,16 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.actuators import ACTUATORS
-from ..scenario.limb import MeshLimb, SlabLimb
+from ..scenario.limb import SlabLimb
+from ..scenario.model import for_elements_only
 from .forecast import forecast
 from .frequencies import frequencies
 from .samples import sample_notes
 
 
 def scene_notes(scenario: Scenario) -> tuple[str, ...]:
-    """What can be said of a scenario before it is meshed or solved, but for keys that nothing reads."""
-    kinds = (actuator_notes, lifted_notes, covered_notes, sample_notes)
+    """Notes on a scenario before it is meshed or solved."""
+    kinds = (engine_notes, actuator_notes, lifted_notes, covered_notes, sample_notes)
     return tuple(note for notes in kinds for note in notes(scenario))
 
 
@@ -50,13 +51,12 @@ def near_disc_notes(scenario: Scenario) -> tuple[str, ...]:
     )
 
 
-def idle_size_notes(scenario: Scenario) -> tuple[str, ...]:
-    """A note on sizes that were given for a user's own mesh, which they do not change."""
-    given = sorted(scenario.mesh.model_fields_set & {"size_grid", "size_far", "sublayers", "grading"})
-    if not isinstance(scenario.limb, MeshLimb) or not given:
+def engine_notes(scenario: Scenario) -> tuple[str, ...]:
+    """Keys that the layered model leaves to finite elements."""
+    kept = [key for key in scenario.changed_keys() if for_elements_only(key)] if scenario.engine == "layered" else []
+    if not kept:
         return ()
-    names = ", ".join(f"mesh.{name}" for name in given)
-    return (f"{names}: your own mesh is refined under and around the contacts only, these change nothing else",)
+    return (f"{', '.join(kept)}: for finite elements; engine = 'layered' has flat, endless layers and no mesh",)
 
 
 def lifted_notes(scenario: Scenario) -> tuple[str, ...]:
@@ -97,7 +97,7 @@ def actuator_notes(scenario: Scenario) -> tuple[str, ...]:
     if not known.keys:
         return ()
     notes = [f"device.actuator = '{known.name}' ({known.kind}): {known.use}; not seen: {known.unseen}"]
-    asked = sweep.frequencies or (sweep.f_min, sweep.f_max)
+    asked = sweep.span
     low, high = min(asked), max(asked)
     if known.band is not None and not known.band[0] <= low <= high <= known.band[1]:
         notes.append(

@@ -29,7 +29,7 @@ from ..rendering.inverse_filter import LEAST_ERROR
 from ..rendering.lattice import lattice_of
 from ..rendering.spectrum import place_on_bins
 from ..scenario import Scenario
-from ..scenario.rendering import RenderingOptions
+from ..scenario.rendering import RenderingOptions, SampledWavelet
 from ..scenario.sweep import Sweep
 from .frequencies import frequencies
 
@@ -73,7 +73,7 @@ def least_error(scenario: Scenario) -> float:
 
 def wavelet(options: RenderingOptions, sweep: Sweep, base: Path) -> Wavelet:
     """The Ricker wavelet, or the samples in the scenario's file, at the sweep's rate and duration."""
-    if options.wavelet.file is not None:
+    if isinstance(options.wavelet, SampledWavelet):
         return from_samples_file(base / options.wavelet.file, sweep.sample_rate, sweep.duration)
     return ricker(options.wavelet.peak, sample_rate=sweep.sample_rate, duration=sweep.duration)
 

@@ -15,7 +15,8 @@ from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.cache import cached_mesh
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress
-from ..rendering import Limits, Rendering, render_all
+from ..rendering import Rendering, render_all
+from ..rendering.limits import limits_of
 from ..scenario import Scenario
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error_at
@@ -23,7 +24,7 @@ from ..typing import FloatArray
 from .dispersion import Lags
 from .frequencies import frequencies
 from .layered_engine import flat_notes, solve_layered
-from .notes import idle_size_notes, model_notes, near_disc_notes, resolution_notes
+from .notes import model_notes, near_disc_notes, resolution_notes
 from .renderers import renderers, unsuited, wavelet
 from .solved import Solved, solve
 from .strengths import StrengthAccount, strength_account
@@ -112,7 +113,7 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     near = near_disc_notes(scenario) if mesh is not None else ()
-    notes = (*unknown, *model_notes(solved.facts), *near, *idle_size_notes(scenario))
+    notes = (*unknown, *model_notes(solved.facts), *near)
     return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, notes)
 
 
@@ -144,8 +145,7 @@ def render_transfer(
     wanted = scenario.rendering
     shape = wavelet(wanted, scenario.sweep, Path(base))
     targets = [p.name for p in transfer.outputs] if wanted.targets == "all" else list(wanted.targets)
-    device = scenario.device
-    limits = Limits(device.max_voltage, device.max_power, device.coil.resistance) if transfer.unit == "m/V" else None
+    limits = limits_of(scenario.device) if transfer.unit == "m/V" else None
     left_out = unsuited(wanted, transfer.outputs, transfer.inputs, targets)
     if len(left_out) == len(wanted.methods):
         raise ScenarioError(f"rendering: {next(iter(left_out.values()), 'rendering.methods is empty; name one')}")

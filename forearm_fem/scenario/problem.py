@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from ..errors import in_tomls_words
 
 _ALIKE = 0.8  # of difflib's ratio: one or two letters of ten
-_KIND = re.compile(r"(literal|tuple|list|dict|function-[a-z]+|constrained-[a-z]+)\[")  # of a union's members
+_KIND = re.compile(r"as |(literal|tuple|list|dict|function-[a-z]+|constrained-[a-z]+)\[")  # of a union's members
 
 
 def first_problem_of(problem: ValidationError, schema: dict[str, Any]) -> str:
@@ -25,6 +25,10 @@ def first_problem_of(problem: ValidationError, schema: dict[str, Any]) -> str:
     errors = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = next((e for e in errors if _key(e["loc"]).startswith(f"{_key(errors[0]['loc'])}.")), errors[0])
     where = _key(first["loc"])
+    if first["type"] == "choice":
+        return f"{first['ctx']['key']}: {first['msg']}"
+    if first["type"] == "idle":
+        return f"{', '.join(_idle_keys(first))}: {first['msg']}"
     same = [e for e in errors if _key(e["loc"]) == where]  # a key of several kinds fails once for each of them
     more = f" (and {len(errors) - len(same)} more)" if len(errors) > len(same) else ""
     if first["type"] == "extra_forbidden":
@@ -44,6 +48,16 @@ def first_problem_of(problem: ValidationError, schema: dict[str, Any]) -> str:
     said = dict.fromkeys(w[0].lower() + w[1:] for w in words)
     message = ", or ".join(m if k == 0 else m.removeprefix("input should be ") for k, m in enumerate(said))
     return f"{where}{': ' if where else ''}{message}{shown}{more}"
+
+
+def idle_keys_of(problem: ValidationError) -> list[str]:
+    """Dotted keys that were refused for having no effect."""
+    return [key for error in problem.errors() if error["type"] == "idle" for key in _idle_keys(error)]
+
+
+def _idle_keys(error: Mapping[str, Any]) -> list[str]:
+    table = _key(error["loc"])
+    return [f"{table}.{key}" if table else key for key in error["ctx"]["keys"]]
 
 
 def _key(place: tuple[int | str, ...]) -> str:
@@ -67,6 +81,23 @@ def key_meant(key: str, schema: dict[str, Any]) -> str | None:
     beside = {k.rpartition(".")[2]: k for k in known if k.rpartition(".")[0] == table}
     alike = get_close_matches(name, beside, 1, _ALIKE)
     return beside[alike[0]] if alike else None
+
+
+def units_of(
+    part: Mapping[str, Any], tables: Mapping[str, Any] | None = None, path: str = ""
+) -> Iterator[tuple[str, str]]:
+    """Dotted keys of numbers below a JSON schema and their units; "*" stands for names of the user's own."""
+    tables = part.get("$defs", {}) if tables is None else tables
+    if "unit" in part:
+        yield path, part["unit"]
+    if "$ref" in part:
+        yield from units_of(tables[part["$ref"].rpartition("/")[2]], tables, path)
+    for one in (*part.get("oneOf", ()), *part.get("anyOf", ()), *part.get("allOf", ())):
+        yield from units_of(one, tables, path)
+    for name, entry in part.get("properties", {}).items():
+        yield from units_of(entry, tables, f"{path}.{name}" if path else name)
+    if isinstance(part.get("additionalProperties"), dict):
+        yield from units_of(part["additionalProperties"], tables, f"{path}.*")
 
 
 def _keys(part: dict[str, Any], tables: dict[str, Any], path: str = "") -> Iterator[str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..fem.reduction.poles import pole_residue
 from ..fem.reduction.sweep import direct_sweep, reduced_sweep
-from ..scenario.sweep import SolverOptions
+from ..scenario.sweep import DirectSolve, ReducedSolve
 from ..transfer import relative_error
 from .closed import free_block_error, punch_stiffness, shear_bar_errors, sphere_errors
 from .manufactured import manufactured_errors, orders
@@ -112,10 +112,10 @@ def solver_rows() -> Iterator[Row]:
     model, band = held_block(3, tissue=flesh(bulk=2.2e9)), np.linspace(10.0, 500.0, 197)
     checks = np.array([10.0, 33.0, 80.0, 140.0, 210.0, 333.0, 470.0, 500.0])
     truth = direct_sweep(model, checks, DIRECT).values
-    single = direct_sweep(model, checks, SolverOptions(precision="single", sweep="direct")).values
+    single = direct_sweep(model, checks, DirectSolve(precision="single")).values
     gap = float(relative_error(single, truth).max())
     yield Row("single precision", "double precision", "e(f), 10-500 Hz", gap, 1e-7, "refined to a residual of 1e-9")
-    swept = reduced_sweep(model, band, SolverOptions(), tolerance=1e-6)
+    swept = reduced_sweep(model, band, ReducedSolve(), tolerance=1e-6)
     assert swept.reduced is not None
     error = float(relative_error(swept.reduced.compliance(checks), truth).max())
     yield Row(f"reduced sweep, {swept.factorisations} factorisations", "direct solves", "e(f), 10-500 Hz", error, 1e-5,

@@ -18,7 +18,7 @@ from ..layered import Disc, Layer, layered_compliance
 from ..pipeline.two_meshes import COARSER, remaining_error
 from ..ports import Port
 from ..scenario import parse_scenario
-from ..scenario.supports import Supports
+from ..scenario.supports import FreeUnderside
 from ..scenario.tissues import Membrane
 from ..tissue import Hysteretic, KelvinVoigt, Tissue
 from ..transfer import relative_error
@@ -147,8 +147,8 @@ def stiff_epidermis() -> Iterator[HardResult]:
         override = {"muscle": fat, "skin": skin}
         scenario = quarter_slab((0.01,), side=0.1, depth=0.04, layers=thick, mesh=mesh, override=override)
         sheet = Membrane(stiffness=80.0, viscosity=1.6e-3, mass=0.088) if name == "membrane" else Membrane()
-        tissues = scenario.tissues.model_copy(update={"membrane": sheet})
-        found = slab_response(slab_model(scenario.model_copy(update={"tissues": tissues})), [100.0])[0]
+        tissues = scenario.tissues.changed({"membrane": sheet})
+        found = slab_response(slab_model(scenario.changed({"tissues": tissues})), [100.0])[0]
         what = f"epidermis 80 um, 1 MPa on 1 kPa, as {name}, 100 Hz"
         yield HardResult(what, f"u0/F = {found[0]:.3g} m/N", _gap(found, truth), 0.03)
 
@@ -156,7 +156,7 @@ def stiff_epidermis() -> Iterator[HardResult]:
 def elastic_bone() -> Iterator[HardResult]:
     """Flesh on half a block of bone held at its far end, against flesh held at the joint."""
     bone = Tissue("bone", 1860.0, Hysteretic(6.5e9, 0.02), 1.4e10)
-    tissues, supports = {"bone": bone, "block": flesh()}, Supports(ends="fixed")
+    tissues, supports = {"bone": bone, "block": flesh()}, FreeUnderside(ends="fixed")
     both = block_mesh((6, 2, 2), (0.024, 0.008, 0.008), facets={"end": ("x0",)}, regions=("bone", "block"))
     flesh_only = block_mesh((3, 2, 2), (0.012, 0.008, 0.008), facets={"end": ("x0",)})
     values = []
@@ -187,7 +187,7 @@ def slivers() -> Iterator[HardResult]:
     truth = direct_sweep(model, np.array([150.0]), DIRECT).values[:, :, :1]
     for left in (1e-2, 1e-4):
         mesh, worst = _flattened(model.space.mesh, left)
-        bad = build_model(mesh, model.ports, {"block": flesh()}, Supports(ends="fixed"), Membrane())
+        bad = build_model(mesh, model.ports, {"block": flesh()}, FreeUnderside(ends="fixed"), Membrane())
         found = direct_sweep(bad, np.array([150.0]), DIRECT).values[:, :, :1]
         name = f"20 vertices moved, flattest tetrahedron {worst:.0e} of its volume left"
         # the moved vertices change the mesh's own error of about 1 %
@@ -244,8 +244,8 @@ def small_contact() -> Iterator[HardResult]:
     for size, name in ((None, "left out"), (5e-3, "5 mm")):
         scenario = quarter_slab((0.01,), depth=0.06, mesh={"size_grid": 4e-3, "size_contact": size, "size_far": 12e-3,
                                 "min_quality": 0.02 if size else 0.001})  # fmt: skip
-        cone = scenario.device.cone.model_copy(update={"radius": 4e-4})
-        scenario = scenario.model_copy(update={"device": scenario.device.model_copy(update={"cone": cone})})
+        cone = scenario.device.cone.changed({"radius": 4e-4})
+        scenario = scenario.changed({"device": scenario.device.changed({"cone": cone})})
         found, truth = slab_response(slab_model(scenario), [100.0])[0], twin_response(scenario, [100.0])[0]
         yield HardResult(f"radius 0.4 mm, size_contact {name}", f"u0/F = {found[0]:.3g} m/N", _gap(found, truth), 0.03)
 
@@ -284,16 +284,16 @@ def curved_limb() -> Iterator[HardResult]:
 def touching_contacts() -> Iterator[HardResult]:
     """Two discs that share a point of their rims: to be refused."""
     scenario = quarter_slab((0.02,))
-    device = scenario.device.model_copy(update={"contacts": ((0.0, 0.0), (0.007, 0.0))})
-    slab_model(scenario.model_copy(update={"device": device}))
+    device = scenario.device.changed({"contacts": ((0.0, 0.0), (0.007, 0.0))})
+    slab_model(scenario.changed({"device": device}))
     yield HardResult("", "meshed", np.inf, 0.0)
 
 
 def contact_over_edge() -> Iterator[HardResult]:
     """A disc that hangs over the edge of the slab: to be refused."""
     scenario = quarter_slab((0.02,), side=0.06)
-    device = scenario.device.model_copy(update={"contacts": ((0.028, 0.0),)})
-    slab_model(scenario.model_copy(update={"device": device}))
+    device = scenario.device.changed({"contacts": ((0.028, 0.0),)})
+    slab_model(scenario.changed({"device": device}))
     yield HardResult("", "meshed", np.inf, 0.0)
 
 

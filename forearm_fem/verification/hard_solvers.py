@@ -9,7 +9,7 @@ import numpy as np
 
 from ..fem.assembly.model import ForearmModel
 from ..fem.reduction.sweep import direct_sweep, reduced_sweep
-from ..scenario.sweep import SolverOptions
+from ..scenario.sweep import DirectSolve, ReducedSolve
 from ..transfer import relative_error
 from ..typing import FloatArray
 from .rows import HardCase, HardResult
@@ -19,12 +19,12 @@ from .scenes import DIRECT, flesh, held_block
 def single_precision() -> Iterator[HardResult]:
     """Refined single precision against double where the bulk modulus makes the system stiffest."""
     model, band = held_block(3, tissue=flesh(bulk=1e12)), np.array([0.5, 150.0, 2000.0])
-    single, double = (direct_sweep(model, band, SolverOptions(precision=p)) for p in ("single", "double"))
+    single, double = (direct_sweep(model, band, DirectSolve(precision=p)) for p in ("single", "double"))
     error = float(relative_error(single.values, double.values).max())
     yield HardResult("", f"residual {single.residual:.1e}", error, 1e-7)
 
 
-def resonances(options: SolverOptions) -> Iterator[HardResult]:
+def resonances(options: ReducedSolve) -> Iterator[HardResult]:
     """Sharp resonances (loss 0.3 % at 100 Hz) by a reduced model, against direct solves."""
     model, band = held_block(2, tissue=flesh(eta=0.04, bulk=2.2e9)), np.linspace(10.0, 500.0, 491)
     yield _swept(model, band, options, f"reduced sweep, {options.expansions} of {options.max_expansions} expansions")
@@ -36,12 +36,12 @@ def repeated_expansions() -> Iterator[HardResult]:
     yield _swept(
         model,
         band,
-        SolverOptions(start="frequencies", expansions=12, max_expansions=13),
+        ReducedSolve(start="frequencies", expansions=12, max_expansions=13),
         "reduced sweep, 12 expansions in 2 Hz",
     )
 
 
-def _swept(model: ForearmModel, band: FloatArray, options: SolverOptions, what: str) -> HardResult:
+def _swept(model: ForearmModel, band: FloatArray, options: ReducedSolve, what: str) -> HardResult:
     """True e(f) at seven bins, the peak and its neighbours among them; allowed is five times what was stated."""
     swept = reduced_sweep(model, band, options, tolerance=1e-4)
     peak = int(np.argmax(np.abs(swept.values[:, 0, 0])))
@@ -59,9 +59,9 @@ def _swept(model: ForearmModel, band: FloatArray, options: SolverOptions, what: 
 _SHARP = "reduced model at a resonance"
 SOLVERS: tuple[HardCase, ...] = (
     HardCase("single precision", "bulk 1e12 Pa, 0.5-2000 Hz", single_precision),
-    HardCase(_SHARP, "4 of 8 expansions", partial(resonances, SolverOptions())),
-    HardCase(_SHARP, "1 of 1 expansions", partial(resonances, SolverOptions(expansions=1, max_expansions=1))),
-    HardCase(_SHARP, "12 of 12 expansions", partial(resonances, SolverOptions(expansions=12, max_expansions=12))),
-    HardCase(_SHARP, "12 of 40 expansions", partial(resonances, SolverOptions(expansions=12, max_expansions=40))),
+    HardCase(_SHARP, "4 of 8 expansions", partial(resonances, ReducedSolve())),
+    HardCase(_SHARP, "1 of 1 expansions", partial(resonances, ReducedSolve(expansions=1, max_expansions=1))),
+    HardCase(_SHARP, "12 of 12 expansions", partial(resonances, ReducedSolve(expansions=12, max_expansions=12))),
+    HardCase(_SHARP, "12 of 40 expansions", partial(resonances, ReducedSolve(expansions=12, max_expansions=40))),
     HardCase("reduced model, repeated expansions", "nearly the same frequency again and again", repeated_expansions),
 )

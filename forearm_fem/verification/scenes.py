@@ -19,15 +19,15 @@ from ..layered import Base, Disc, Layer, layered_compliance
 from ..pipeline.layered_engine import flat_layers, flat_surface
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
-from ..scenario.supports import Supports
-from ..scenario.sweep import SolverOptions
+from ..scenario.supports import FreeUnderside
+from ..scenario.sweep import DirectSolve
 from ..scenario.tissues import Membrane
 from ..tissue import KelvinVoigt, Tissue, resolve_tissues
 from ..typing import ComplexArray, FloatArray
 from .blocks import block_mesh
 
 RADIUS = 3.5e-3
-DIRECT = SolverOptions(sweep="direct")
+DIRECT = DirectSolve()
 
 
 def flesh(mu: float = 7860.0, eta: float = 5.03, *, bulk: float = math.inf, density: float = 1050.0) -> Tissue:
@@ -52,7 +52,7 @@ def held_block(
         Port("A1", "contact", (0.012, 0.008, 0.008), radius=0.004, contact=contact),  # type: ignore[arg-type]
         *(Port(str(i), "point", (x, y, 0.008)) for i, (x, y) in enumerate(_POINTS)),
     )
-    supports = Supports(ends=ends)
+    supports = FreeUnderside(ends=ends)
     return build_model(mesh, ports, {"block": tissue or flesh()}, supports, Membrane(), element=element)
 
 
@@ -72,7 +72,7 @@ def moved_compliances() -> Iterator[tuple[str, ComplexArray]]:
             replace(p, position=tuple(size * q @ np.array(p.position) + shift), axis=tuple(q @ np.array(p.axis)))
             for p in model.ports
         )
-        there = build_model(mesh, ports, {"block": flesh(eta=5.03 * size)}, Supports(ends="fixed"), Membrane())
+        there = build_model(mesh, ports, {"block": flesh(eta=5.03 * size)}, FreeUnderside(ends="fixed"), Membrane())
         yield name, direct_sweep(there, MOVED_HZ / size, DIRECT).values * size
 
 
