@@ -68,8 +68,8 @@ def new(
     folder: Annotated[Path, typer.Option(help="where the file goes")] = Path(),
 ) -> None:
     """Write a commented study file: the thesis' two studies, to be changed."""
-    from ..io.atomic import write_text
     from ..scenario import load_scenario, scenario_beside
+    from ..store.folder import write_text
     from ..study.plan import Study
 
     Study(name=name, scenario=scenario)  # before anything is written
@@ -259,8 +259,8 @@ def power(
     ] = 1000,
 ) -> None:  # fmt: skip
     """How many participants find an effect, by studies drawn from a pilot's cell means and scatter."""
-    from ..figures.style import SHEET
-    from ..io.atomic import atomic_path
+    from ..show.style import SHEET
+    from ..store.folder import atomic_path
     from ..study.analysis import cell_means, with_errors
     from ..study.figures import plot_power
     from ..study.power import needed, power_curve, supposed_from, untold

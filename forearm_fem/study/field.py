@@ -10,10 +10,10 @@ import numpy as np
 from scipy.fft import rfft
 
 from ..errors import DataError
-from ..figures.data import Results
-from ..figures.patch import volar_patch
 from ..geometry.mesh.topology import vertex_areas
 from ..rendering.spectrum import place_on_bins
+from ..show.data import Results
+from ..show.patch import volar_patch
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 
