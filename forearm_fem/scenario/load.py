@@ -84,13 +84,13 @@ def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str], option: s
 
 
 _PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}
-_QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zA-Zµ].*)")
+_QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zA-Zµ][a-zA-Zµ0-9/^* ]*)")
 
 
 def _value(key: str, text: str) -> Any:
     """``text`` as TOML, or in SI where it is a number with a unit and the ``key`` has that unit; else as it is."""
-    unit = unit_of(key)
-    if unit and (found := _QUANTITY.fullmatch(text)):
+    value, unit = _toml_value(text), unit_of(key)
+    if isinstance(value, str) and unit and (found := _QUANTITY.fullmatch(text)):
         number, given = found.groups()
         for prefix, factor in _PREFIX.items():
             if given == prefix + unit and unit != "kg":
@@ -100,7 +100,7 @@ def _value(key: str, text: str) -> Any:
         if unit == "rad" and given == "deg":
             return math.radians(float(number))
         raise ScenarioError(f"{key}: expected a number in {unit}, or with a prefix such as m or k, got '{text}'")
-    return _toml_value(text)
+    return value
 
 
 _MASS = {"kg": 1.0, "g": 1e-3, "mg": 1e-6}

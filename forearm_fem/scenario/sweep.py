@@ -73,7 +73,7 @@ class FrequencyList(Record):
     @classmethod
     def _some(cls, given: Any) -> Any:
         if isinstance(given, list | tuple) and not given:
-            raise ValueError("is empty; give at least one [Hz], or leave the key out for f_min to f_max")
+            raise ValueError("frequencies is empty; give at least one [Hz], or leave the key out for f_min to f_max")
         return given
 
     @field_validator("frequencies")
