@@ -40,7 +40,7 @@ from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 HERE = Path(__file__).parent
 NODE = shutil.which("node")
-needs_node = pytest.mark.skipif(NODE is None, reason="no node on this machine")
+needs_node = pytest.mark.skipif(NODE is None, reason="no node; `apt-get install nodejs` brings it")
 LAYERED: dict[str, Any] = {
     "name": "flat", "engine": "layered", "sweep": {"duration": 0.25, "sample_rate": 4000.0, "f_max": 400.0},
     "device": {"cone": {"contact": "pressure"}}, "limb": {"shape": "slab", "length": 0.1, "width": 0.1, "depth": 0.03},
@@ -532,7 +532,7 @@ def test_the_modules_own_tests(which: str) -> None:
 def test_types_of_the_front_end() -> None:
     compiler = shutil.which("tsc")
     if compiler is None:
-        pytest.skip("no tsc on this machine; `npm install --global typescript` brings it")
+        pytest.skip("no tsc; `npm install --global typescript` brings it")
     place = HERE.parent / "forearm_fem" / "show" / "workbench" / "page" / "jsconfig.json"
     done = subprocess.run([compiler, "-p", str(place)], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from test_workbench import asked, complex_of, needs_node
-from test_workbench_page import browser, opened, strength  # noqa: F401
+from test_workbench_page import opened, strength
 
 from forearm_fem.device import close_loop
 from forearm_fem.errors import GeometryError
@@ -89,9 +89,8 @@ ELSEWHERE = [[-0.021, 0.014], [0.008, 0.019], [-0.018, -0.02], [0.024, -0.012]]
 
 def exact_g(arm: Any, contacts: list[list[float]]) -> np.ndarray:
     """G of the arm itself with discs at ``contacts``."""
-    device = arm.scenario.device.model_copy(update={"contacts": tuple(map(tuple, contacts))})
-    scenario = arm.scenario.model_copy(update={"device": device})
-    return close_loop(arm.compliance(scenario), device).values
+    scenario = arm.scenario.changed({"device.contacts": contacts})
+    return close_loop(arm.compliance(scenario), scenario.device).values
 
 
 def worst(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
@@ -132,7 +131,7 @@ def test_where_discs_cannot_stand_is_said(arm: Stand) -> None:
         asked(content, {"ask": "transfer", "settings": {"contacts": close}})
 
 
-def test_actuators_are_dragged_and_walked(browser: Any, arm: Stand, tmp_path: Path) -> None:  # noqa: F811
+def test_actuators_are_dragged_and_walked(browser: Any, arm: Stand, tmp_path: Path) -> None:
     """By the mouse and by keys: drives and S follow, the scenario kept says where; off the patch nothing moves."""
     import tomllib
 
