@@ -56,6 +56,7 @@ VALUES: Mapping[str, Any] = {
     "mesh.max_elements": 1.0,
     "mesh.min_quality": 0.999,
     "mesh.sublayers": {"skin": 3},
+    "rendering.clearance": 0.02,  # to the outer points
     "rendering.methods": ["funneling"],
     "rendering.regularisation": "lcurve",
     "rendering.regularisation_value": 0.95,

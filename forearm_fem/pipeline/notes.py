@@ -72,16 +72,18 @@ def lifted_notes(scenario: Scenario) -> tuple[str, ...]:
 
 
 def covered_notes(scenario: Scenario) -> tuple[str, ...]:
-    """That points under a cone that touches move with it, so that S towards them is no focus."""
+    """Points that move with a cone that touches: under it, or nearer to its rim than ``rendering.clearance``."""
     device = scenario.device
     feet = [c for k, c in enumerate(device.centres, start=1) if f"A{k}" not in device.out_of_contact]
     gaps = (min(math.dist(place, foot) for foot in feet) for place in scenario.grid.places)
-    under = [str(i) for i, gap in enumerate(gaps, start=1) if gap <= device.cone.radius]
+    clear = device.cone.radius + scenario.rendering.clearance * (1 - 1e-9)
+    under = [str(i) for i, gap in enumerate(gaps, start=1) if gap < clear]
     if not under or not scenario.rendering.methods:
         return ()
     return (
-        f"grid: {_lie(under)} under a cone, moving with it: S towards such a point is no focus on the skin, and S "
-        "towards others counts it as one of them; move it (grid.pitch, grid.points), or the cones",
+        f"grid: {_lie(under)} under a cone or within {1e3 * scenario.rendering.clearance:g} mm of its rim "
+        "(rendering.clearance), moving with the motor: S there is no focus; judge by the other points, or move it "
+        "(grid.pitch, grid.points) or the cones",
     )
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Self
+from types import UnionType
+from typing import Annotated, Any, ClassVar, Self, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -95,6 +96,15 @@ def only_in(part: type[Part], why: str) -> dict[str, str]:
 def given(data: Any, key: str) -> bool:
     """Whether ``data``, a table or a part, has something under ``key``."""
     return (data.get(key) if isinstance(data, Mapping) else getattr(data, key, None)) is not None
+
+
+def kinds_of(annotation: Any) -> tuple[type[Part], ...]:
+    """The parts that a key of this ``annotation`` may be: several where it has kinds, none where it is a value."""
+    if isinstance(annotation, type):
+        return (annotation,) if issubclass(annotation, Part) else ()
+    if get_origin(annotation) in (Annotated, Union, UnionType):
+        return tuple(kind for inside in get_args(annotation) for kind in kinds_of(inside))
+    return ()
 
 
 def choice(data: Any, key: str, options: Sequence[Any]) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
@@ -16,7 +17,7 @@ from pydantic import BeforeValidator, TypeAdapter
 from ..errors import ScenarioError
 from .changes import copied, dotted, put, remade
 from .model import Scenario
-from .problem import units_of
+from .problem import keys_of, units_of
 from .shipped import scenario_file, shipped_scenarios
 from .toml import read_toml
 
@@ -109,6 +110,51 @@ _MASS = {"kg": 1.0, "g": 1e-3, "mg": 1e-6}
 @cache
 def _units() -> dict[str, str]:
     return dict(units_of(Scenario.model_json_schema()))
+
+
+def label_of(changes: Mapping[str, Any]) -> str:
+    """Name of a folder for ``changes`` by dotted key, e.g. "spacing-40mm"; a short hash where that is too long.
+
+    Different changes have different names: keys by their shortest ends that no other key has, values with all digits.
+    """
+    words = [f"{_short(key)}-{_said(value, unit_of(key))}" for key, value in sorted(changes.items())]
+    label = "-".join(words)
+    if len(label) <= LONGEST_LABEL and re.fullmatch(r"[A-Za-z0-9_.-]*[A-Za-z0-9_]", label):
+        return label
+    return hashlib.sha256(json.dumps(changes, sort_keys=True, default=str).encode()).hexdigest()[:8]
+
+
+LONGEST_LABEL = 60  # characters
+
+
+def _short(key: str) -> str:
+    known, parts = all_keys(), key.split(".")
+    ends = (".".join(parts[-n:]) for n in range(1, len(parts)))
+    if key not in known:  # below a table of the user's own names
+        return ".".join(parts[-2:])
+    return next((end for end in ends if sum(f".{k}".endswith(f".{end}") for k in known) == 1), key)
+
+
+def _said(value: Any, unit: str | None) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float) and unit in _SCALED and value:
+        power = min(max(3 * math.floor(math.log10(abs(value)) / 3 + 1e-9), -9), 9)
+        prefix = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}[power]
+        text = f"{value / 10.0**power:.15g}"
+        return f"{text}{prefix}{unit}" if float(f"{text}e{power}") == value else f"{value!r}{unit}"
+    if isinstance(value, int | float):
+        return repr(value)
+    return value if isinstance(value, str) and re.fullmatch(r"\w+", value) else "?"  # which no folder's name has
+
+
+_SCALED = ("m", "Hz", "s", "Pa", "V", "W")
+
+
+@cache
+def all_keys() -> tuple[str, ...]:
+    """Dotted keys of all kinds of a scenario; "*" stands for names of the user's own."""
+    return tuple(dict.fromkeys(keys_of(Scenario.model_json_schema())))
 
 
 def unit_of(key: str) -> str | None:

@@ -73,7 +73,7 @@ def _shortened(text: str) -> str:
 
 def key_meant(key: str, schema: dict[str, Any]) -> str | None:
     """The dotted key of the JSON ``schema`` that ``key`` was most likely to be; None where none is like it."""
-    known = dict.fromkeys(_keys(schema, schema.get("$defs", {})))
+    known = dict.fromkeys(keys_of(schema))
     table, _, name = key.rpartition(".")
     namesakes = [k for k in known if k.rpartition(".")[2] == name]
     if namesakes:
@@ -100,13 +100,14 @@ def units_of(
         yield from units_of(part["additionalProperties"], tables, f"{path}.*")
 
 
-def _keys(part: dict[str, Any], tables: dict[str, Any], path: str = "") -> Iterator[str]:
+def keys_of(part: Mapping[str, Any], tables: Mapping[str, Any] | None = None, path: str = "") -> Iterator[str]:
     """Dotted keys below ``part``, of all shapes that it may have; names in mappings are the user's own."""
+    tables = part.get("$defs", {}) if tables is None else tables
     if "$ref" in part:
-        yield from _keys(tables[part["$ref"].rpartition("/")[2]], tables, path)
+        yield from keys_of(tables[part["$ref"].rpartition("/")[2]], tables, path)
     for one in (*part.get("oneOf", ()), *part.get("anyOf", ())):
-        yield from _keys(one, tables, path)
+        yield from keys_of(one, tables, path)
     for name, entry in part.get("properties", {}).items():
         where = f"{path}.{name}" if path else name
         yield where
-        yield from _keys(entry, tables, where)
+        yield from keys_of(entry, tables, where)

@@ -61,6 +61,11 @@ class RenderingOptions(Part):
         description="what S is taken over: [start, end] in s about the wavelet's centre; wavelet: from 50 ms before it "
         "to 50 ms after it; record: the whole record, as in the thesis, with which S grows",
     )
+    clearance: Annotated[float, Within(1e-4, 0.1, "m", zero=True)] = Field(
+        9e-3,
+        description="points nearer to a cone's rim count in no mean and verdict [m]: they move with the motor, so that "
+        "S there is high and no focus; in the thesis' device the nearest point is 9.5 mm away",
+    )
     wavelet: Wavelet = RickerWavelet()
     amplitude: Annotated[float, Within(1e-6, 1e6, "V or 1e-6 m")] = Field(
         1.0, description="funneling: drive amplitude A in eq. 6 [V]; inverse filter: target peak [1e-6 m]"
