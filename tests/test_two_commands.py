@@ -190,6 +190,7 @@ def test_nothing_of_another_scenario_stays_beside_a_run(tmp_path: Path) -> None:
     )
     assert cli("run", "flat.toml", "--out", "one", cwd=tmp_path).code == 0
     figures = tmp_path / "one/figures"
+    assert cli("figures", "one", "--only", "transfer,target-5", cwd=tmp_path).code == 0
     (figures / "mine.png").touch()
     (figures / "target-7.csv").touch()
     assert {"transfer.png", "target-5.png"} <= {p.name for p in figures.iterdir()}

@@ -262,9 +262,9 @@ def test_intervals_drawn_in_the_page_follow_pythons_rule(content: dict[str, Any]
     that of another dozen draws. A mean square of 12 draws scatters by 40 %, so that two half widths differ by 30 % as a
     rule; a factor of 2.5 is three times that in the logarithm."""
     from forearm_fem.metrics.uncertainty import smooth_noise
-    from forearm_fem.pipeline.renderers import renderers
     from forearm_fem.pipeline.simulation import render_transfer
-    from forearm_fem.pipeline.strengths import interval
+    from forearm_fem.rendering.interval import interval
+    from forearm_fem.rendering.job import renderers
 
     pairs = np.array([0.02, 0.1])[:, None, None] * np.linspace(0.1, 1, flat.transfer.values[0].size).reshape(
         1, *flat.transfer.values.shape[1:]

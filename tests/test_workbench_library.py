@@ -16,12 +16,12 @@ from forearm_fem.device import close_loop
 from forearm_fem.errors import GeometryError
 from forearm_fem.geometry.device.layout import layout_of
 from forearm_fem.library import make_library, save_library
-from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.layered_engine import flat_ports
 from forearm_fem.pipeline.solved import Solved
 from forearm_fem.ports import Port
 from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.show.workbench import places as module
 from forearm_fem.show.workbench import write_workbench
 from forearm_fem.show.workbench.bundle import page_of

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 import threading
 import time
+import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -196,6 +198,7 @@ def stage(
     with locked(folder):
         with Display() as display:
             job = Run.start(asked, folder, file.parent, display)
+            job.asked = asked_words(file, overrides, library)
             if kept is not None:
                 job.library = kept
                 job.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
@@ -204,6 +207,13 @@ def stage(
             work(job)
         print_notes(job.notes)
         yield job
+
+
+def asked_words(file: Path, overrides: Sequence[str] | None = None, library: Path | None = None) -> str:
+    """The scenario as a command line names it, with what was set: what another command needs to be of the same."""
+    name = file.stem if file == scenario_file(file.stem) else str(file)
+    words = [name, *(word for item in overrides or () for word in ("--set", item))]
+    return shlex.join([*words, *(["--library", str(library)] if library is not None else [])])
 
 
 def library_file(file: Path | None) -> ArmLibrary | None:
@@ -252,6 +262,17 @@ def transfer_file(what: Path) -> Path:
     if not what.exists():
         raise DataError(f"{what}: no such file or results folder")
     return what
+
+
+def is_g(what: Path) -> bool:
+    """Whether ``what`` is meant as a G: a folder, a file of a kind that holds one, or a recipe that reads one."""
+    if what.suffix.lower() != ".toml":
+        return what.is_dir() or bool(what.suffix)
+    try:
+        table = tomllib.loads(what.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # said in words of its own where the scenario is read
+        return False
+    return bool({"array", "declaration"} & set(table))
 
 
 def measured_g(

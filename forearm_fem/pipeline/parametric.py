@@ -31,6 +31,7 @@ from ..io.parts import PartFolder
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
+from ..scenario.frequencies import frequencies
 from ..scenario.limb import tissue_keys
 from ..store.text import digest_of
 from ..tissue import resolve_tissues
@@ -38,7 +39,6 @@ from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
 from .fem_engine import fem_model, masked
-from .frequencies import frequencies
 from .missed import Missed, evened
 from .skin_model import check_followable, coefficients_of, with_scenario
 from .solved import solve_key

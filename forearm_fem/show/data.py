@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,12 +24,15 @@ from ..io import (
     read_signal_strength_csv,
     read_transfer,
 )
+from ..ports import Port
 from ..rendering import Record, Wavelet, from_samples_file, ricker
+from ..rendering.clearance import counted_points
 from ..results import RunRecord, read_run
 from ..scenario import Scenario, parse_scenario
 from ..scenario.rendering import SampledWavelet
 from ..store.text import read_json
 from ..transfer import Compliance, TransferMatrix
+from ..typing import BoolArray
 from ..wavefield import Wavefield, load_wavefield
 
 T = TypeVar("T")
@@ -68,6 +71,13 @@ class Results:
             raise DataError(f"{place}: no such results folder; `forearm-fem run SCENARIO --out {place}` makes it")
         return cls(place)
 
+    @classmethod
+    def holding(cls, folder: str | Path, **known: object) -> Results:
+        """The results in ``folder`` of which some properties are ``known`` by name: what wrote them need not read."""
+        found = cls.open(folder)
+        found.__dict__.update({name: value for name, value in known.items() if value is not None or name[0] == "_"})
+        return found
+
     def has(self, name: str) -> bool:
         """Whether the file ``name`` is there; "compliance" asks inside transfer.nc."""
         if name == "compliance":
@@ -105,6 +115,17 @@ class Results:
     def transfer(self) -> TransferMatrix:
         """G."""
         return read_transfer(self.path("transfer.nc"))
+
+    @property
+    def touching(self) -> tuple[Port, ...]:
+        """The contacts that touch the skin."""
+        lifted = self.scenario.device.out_of_contact
+        return tuple(p for p in self.transfer.inputs if p.name not in lifted)
+
+    def counted(self, targets: Sequence[str]) -> BoolArray:
+        """Whether S towards each of ``targets`` counts: not under or beside a motor."""
+        points = {p.name: p for p in self.transfer.outputs}
+        return counted_points([points[t] for t in targets], self.touching)
 
     @cached_property
     def compliance(self) -> Compliance:
@@ -198,6 +219,7 @@ class Results:
     def stamp(self) -> str:
         """Scene, mesh and version in one line, for the foot of each figure."""
         mesh = "layered twin, no mesh" if self.scenario.engine == "layered" else "no mesh"
+        mesh = mesh if "scenario" in self.transfer.provenance else "measured G"
         if self.mesh_hash:
             mesh = f"mesh {self.mesh_hash[:10]}"
         return " · ".join((f"scene {self.scenario.name}", mesh, f"forearm_fem {self.version}"))

@@ -14,10 +14,10 @@ from ..io.declaration import Declaration, Ports, arbitrary_gain
 from ..io.recognise import read_measured
 from ..measurement.daq import Daq
 from ..measurement.play import play
-from ..pipeline.renderers import renderers
 from ..rendering.bridging import bridged
 from ..rendering.drives import displacements as reached
 from ..rendering.drives import drives, scale_to
+from ..rendering.job import renderers
 from ..rendering.spectrum import place
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario
