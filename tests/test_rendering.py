@@ -33,7 +33,6 @@ from forearm_fem.rendering import (
     scaled,
     strengths,
 )
-from forearm_fem.rendering.lattice import counted_points
 from forearm_fem.rendering.sharing import settled
 from forearm_fem.transfer import TransferMatrix
 
@@ -421,14 +420,3 @@ def test_limits_and_wavelets_that_cannot_be_are_refused(make, problem):
 
 def test_wavelets_of_a_list_are_arrays():
     assert Wavelet([1.0] * 20, Record(1000.0, 20)).samples.shape == (20,)
-
-
-def test_points_under_or_beside_a_cone_are_not_counted() -> None:
-    cones = (Port("A1", "contact", (0.0, 0.0, 0.0), radius=3.5e-3), Port("A2", "contact", (0.0, 0.05, 0.0)))
-    gaps = (-2e-3, 8.9e-3, 9e-3, 12e-3)  # of points beside the first cone
-    points = tuple(Port(str(i), "point", (gap + 3.5e-3, 0.0, 0.0)) for i, gap in enumerate(gaps, start=1))
-    above = Port("5", "point", (0.0, 0.0, 13e-3))  # a limb bends: distances are in space
-    beside = Port("6", "point", (0.0, 0.06, 0.0))  # of a cone whose port tells no radius
-    counted = counted_points((*points, above, beside), cones, radius=3.5e-3, clearance=9e-3)
-    assert counted.tolist() == [False, False, True, True, True, False]
-    assert counted_points(points, (), 3.5e-3, 9e-3).all()

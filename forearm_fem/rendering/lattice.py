@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import GeometryError
 from ..ports import Port, positions
-from ..typing import BoolArray, FloatArray, IntArray
+from ..typing import FloatArray, IntArray
 
 SLACK = 0.05  # of the nearest-neighbour distance that a port may lie off its row or column
 
@@ -32,22 +31,6 @@ class PortLattice:
         """The port's planform position (x, y) [m] in the turned frame."""
         x, y = _turn(positions((port,))[:, :2], -self.angle)[0]
         return float(x), float(y)
-
-
-def counted_points(
-    outputs: Sequence[Port], inputs: Sequence[Port], radius: float, clearance: float
-) -> BoolArray:
-    """Points (n_out,) that means and verdicts count: ``clearance`` [m] or more from the rim of each cone.
-
-    A point under a cone, or close beside one, moves with the motor: S there is high for that reason and no focus.
-    ``inputs`` are the cones that touch the skin, of ``radius`` [m] where a port of its own says none. Distances are
-    straight, in space.
-    """
-    gaps = np.full((len(outputs), len(inputs) + 1), np.inf)
-    for k, cone in enumerate(inputs):
-        away = positions(tuple(outputs)) - np.asarray(cone.position)
-        gaps[:, k] = np.linalg.norm(away, axis=1) - (cone.radius or radius)
-    return np.asarray(gaps.min(axis=1) >= clearance * (1 - 1e-9))
 
 
 def lattice_of(ports: tuple[Port, ...], what: str) -> PortLattice:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..accuracy.estimates import short_verdict
 from ..metrics.strength import strength_text
-from ..pipeline.verdict import short_verdict
 from ..rendering.clearance import not_counted_words
 from ..scenario import Scenario
 from ..scenario.shipped import shipped_scenarios
@@ -102,7 +102,7 @@ def answer_of(results: Results, data: Strengths) -> list[str]:
 def not_counted(results: Results, data: Strengths) -> str:
     """Which points are in no mean and no verdict, and why; empty where all are."""
     names = [t for t, counts in zip(data.targets, data.counted, strict=True) if not counts]
-    return not_counted_words(names, data.outputs, results.touching)
+    return not_counted_words(names, data.outputs, results.touching, results.scenario.rendering.clearance)
 
 
 def _named(points: Sequence[str]) -> str:

@@ -125,7 +125,7 @@ class Results:
     def counted(self, targets: Sequence[str]) -> BoolArray:
         """Whether S towards each of ``targets`` counts: not under or beside a motor."""
         points = {p.name: p for p in self.transfer.outputs}
-        return counted_points([points[t] for t in targets], self.touching)
+        return counted_points([points[t] for t in targets], self.touching, self.scenario.rendering.clearance)
 
     @cached_property
     def compliance(self) -> Compliance:
