@@ -54,9 +54,9 @@ def rendered(tmp: Path, **changes: Any) -> Results:
     return Results.open(tmp)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def flat(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    return rendered(tmp_path_factory.mktemp("flat"))
+    return Results.open(once(tmp_path_factory, "workbench", rendered))
 
 
 @pytest.fixture(scope="module")
