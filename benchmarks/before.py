@@ -29,7 +29,7 @@ import psutil
 from matplotlib.figure import Figure
 
 from bench.tables import record_machine, write_csv
-from forearm_fem.io.netcdf import read_transfer
+from forearm_fem.store.results import read_transfer
 from forearm_fem.transfer import band_error
 
 HERE = Path(__file__).parent

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from forearm_fem.io.netcdf import read_transfer
+from forearm_fem.store.results import read_transfer
 from forearm_fem.study.anova import repeated_measures
 from forearm_fem.study.field import SkinField, grid_field, simulated_field
 from forearm_fem.study.figures import plot_power

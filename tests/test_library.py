@@ -34,6 +34,7 @@ from forearm_fem.pipeline.layered_engine import flat_layers
 from forearm_fem.pipeline.simulation import render_transfer
 from forearm_fem.ports import Port, positions
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
+from forearm_fem.store.shelf import WORK, Shelf
 
 SLAB = {
     "accuracy": 0.3,
@@ -528,12 +529,17 @@ def asked_design(library, tmp_path):
     return tmp_path / "design.toml", tmp_path / "arm.nc"
 
 
+def candidates_of(folder):
+    shelf = Shelf(folder / WORK)
+    return [shelf.get(key) for key in shelf.known()]
+
+
 def test_a_design_is_searched_on_a_library(library, asked_design, tmp_path):
     """S of each candidate is that of a run with the library; what lies off the patch cannot be."""
     file, arm = asked_design
     said = cli("design", file, "--library", arm, "--out", tmp_path / "out", "--no-confirm")
     assert said.code == 0, said
-    rows = [json.loads(line)["candidate"] for line in (tmp_path / "out/candidates.jsonl").read_text().splitlines()]
+    rows = candidates_of(tmp_path / "out")
     off = [row for row in rows if row["problem"]]
     assert len(rows) == 3
     assert ["off the library's patch" in row["problem"] for row in off] == [True]
@@ -545,6 +551,7 @@ def test_a_design_is_searched_on_a_library(library, asked_design, tmp_path):
         s = render_transfer(scenario, transfer).strengths[0]
     assert best["score"] == pytest.approx(s[1], rel=1e-6)  # the same G and renderer
     assert json.loads((tmp_path / "out/best.json").read_text())["values"] == best["values"]
+<<<<<<< HEAD
 
 
 @pytest.mark.slow  # two processes import and load; one process is tried above
@@ -559,6 +566,15 @@ def test_a_design_is_searched_on_a_library_by_two_processes(asked_design, tmp_pa
 
     rows, others = candidates(1), candidates(2)
     assert len(rows) == len(others) == 3
+||||||| 5357695
+    many = cli("design", file, "--library", arm, "--out", tmp_path / "many", "--no-confirm", "--workers", "2")
+    assert many.code == 0, many
+    others = [json.loads(line)["candidate"] for line in (tmp_path / "many/candidates.jsonl").read_text().splitlines()]
+=======
+    many = cli("design", file, "--library", arm, "--out", tmp_path / "many", "--no-confirm", "--workers", "2")
+    assert many.code == 0, many
+    others = candidates_of(tmp_path / "many")
+>>>>>>> main
     for row in rows:  # two processes end in any order
         (other,) = (o for o in others if o["values"] == row["values"])
         assert other["problem"] == row["problem"]

@@ -16,13 +16,13 @@ from forearm_fem.fem.reduction import sweep
 from forearm_fem.fem.reduction.expansion import Expansion
 from forearm_fem.geometry.mesh.subdivision import with_finer_skin
 from forearm_fem.io.matlab import read_thesis_mat
-from forearm_fem.io.netcdf import read_compliance, read_transfer
 from forearm_fem.pipeline.fem_engine import FemSolution
 from forearm_fem.pipeline.folder import Run, run_all, run_render, run_solve
 from forearm_fem.pipeline.solved import _Store, field_modes
 from forearm_fem.results import read_run
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.store.results import read_compliance, read_transfer
 from forearm_fem.transfer import Compliance
 from forearm_fem.verification.scenes import held_block
 

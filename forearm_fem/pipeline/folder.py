@@ -22,9 +22,6 @@ from ..geometry.mesh.files import write_mesh
 from ..geometry.mesh.quality import mesh_quality
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.matlab import write_thesis_mat
-from ..io.netcdf import read_transfer, refuse_other_g, write_transfer
-from ..io.signals import stack, write_displacements, write_drives
-from ..io.tables import strength_rows, write_signal_strength_csv
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
@@ -46,6 +43,16 @@ from ..results import (
 )
 from ..scenario import Scenario
 from ..store.folder import atomic_path, check_kind, set_kind
+from ..store.results import (
+    read_transfer,
+    refuse_other_g,
+    stack,
+    strength_rows,
+    write_displacements,
+    write_drives,
+    write_signal_strength_csv,
+    write_transfer,
+)
 from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield

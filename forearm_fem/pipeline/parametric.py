@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.stats import qmc
 
 from .. import __version__
-from ..errors import DataError, ReductionError, ScenarioError
+from ..errors import ReductionError, ScenarioError
 from ..fem.assembly.model import readings
 from ..fem.kernels.heap import freed_memory_kept
 from ..fem.reduction.basis import Basis
@@ -26,12 +25,12 @@ from ..fem.reduction.united import Growth, Piece, piece_at, united_model
 from ..geometry.cache import cached_mesh
 from ..geometry.device.grid_places import GridPlaces, grid_places
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..io.parametric import ParametricFile, PieceFile, read_parametric, write_parametric
-from ..io.parts import PartFolder
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
 from ..scenario.frequencies import frequencies
+from ..store.record import dims
+from ..store.shelf import Shelf
 from ..store.text import digest_of
 from ..tissue import limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
@@ -42,7 +41,7 @@ from .missed import Missed, evened
 from .skin_model import check_followable, coefficients_of, with_scenario
 from .solved import solve_key
 
-_log = logging.getLogger("forearm_fem.pipeline")
+_MODEL = "model"  # the key of the finished one
 # Keys that compliances do not follow from: a draw may differ in them.
 _UNREAD = ("rendering", "measurement", "sweep", "solver", "accuracy", "schema_version")
 BEYOND = 1.05  # ratio to the ends of the band up to which a draw is answered
@@ -333,64 +332,92 @@ def parametric_model(
     mesh, band = mesh or cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
     tissues = [draw.tissues.model_dump(mode="json") for draw in given]
     key = digest_of([__version__, solve_key(own, mesh, band), tissues, astuple(growth)])[:32]
-    file = default_cache_dir() / "parametric" / f"{key}.nc"
-    with suppress(DataError, ScenarioError):
-        return load_parametric(file)
+    shelf = Shelf(default_cache_dir() / "parametric" / f"{key}.sqlite", "the parametric model")
+    with suppress(ScenarioError):
+        if (kept := shelf.record(_MODEL, ParametricFile)) is not None:
+            return kept.model
     tell(progress, "matrices", 0, 0)
     model = fem_model(own, mesh)
     names = tuple(t.name for t in model.operator.terms)
     for draw in given:
         check_followable(own, draw, names, unread=_UNREAD)
     found = [coefficients_of(names, draw) for draw in given]
-    parts, around = PartFolder(file.with_suffix(".parts")), grid_places(own, mesh)
+    parts = Shelf(shelf.file.with_name(f"{key}-parts.sqlite"), "what is solved for the parametric model")
+    around = grid_places(own, mesh)
     read = readings(model, around[1] if around else ())
     with freed_memory_kept():
         united = united_model(model, found, band, own.solver, growth, progress, parts, read)
     made = ParametricModel(
         own, model.ports, united.pieces, united.trials, united.checks, united.solves, around[0] if around else None
     )
-    try:
-        save_parametric(file, made)
-    except (DataError, OSError) as problem:
-        _log.warning("the parametric model could not be kept for a later run: %s", problem)
-    else:
-        parts.drop()
+    shelf.keep(_MODEL, ParametricFile.of(made))
+    if _MODEL in shelf:
+        parts.remove()
     return made
 
 
-def save_parametric(path: Path, model: ParametricModel) -> None:
-    """Write ``parametric.nc``, whole or not at all."""
-    first, scenario = model.pieces[0].whole, model.scenario.model_dump(mode="json")
-    trials, checks = (
-        np.array([astuple(t) for t in some], dtype=float).reshape(-1, 4) for some in (model.trials, model.checks)
-    )
-    parts = tuple(
-        PieceFile(p.high, *((m.matrices, m.functionals, m.places) for m in (p.whole, p.core))) for p in model.pieces
-    )  # fmt: skip
-    around = model.around or GridPlaces((), 0.0, 0)
-    write_parametric(path, ParametricFile(
-        first.names, parts, first.shares, model.ports, scenario, model.solves, trials, checks,
-        np.array(around.centres).reshape(-1, 2), around.reach, around.count,
-    ))  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """A reduced model of a piece: ``matrices`` (n_term, r, r), ``functionals`` (r, n_port), ``places`` (r, k)."""
+
+    matrices: FloatArray = field(metadata=dims("term entry", upper=True))
+    functionals: FloatArray = field(metadata=dims("row port"))
+    places: FloatArray = field(metadata=dims("row place"))
+
+    @classmethod
+    def of(cls, model: ReducedModel) -> _Reduced:
+        return cls(model.matrices, model.functionals, model.places)
 
 
-def load_parametric(path: str | Path) -> ParametricModel:
-    """Read ``parametric.nc``; DataError for a missing or damaged file."""
-    content = read_parametric(path)
-    scenario = parse_scenario(content.scenario, origin=str(path))
+@dataclass(frozen=True, eq=False)
+class _PieceOfFile:
+    """The models of the part of the band up to ``high`` [Hz]; the ``core`` is for the estimate of errors."""
 
-    def model(matrices: FloatArray, functionals: FloatArray, places: FloatArray) -> ReducedModel:
-        """A reduced model from its arrays, with the scenario's coefficients."""
-        low = np.zeros((len(functionals), 0))
-        bare = ReducedModel(content.names, (), matrices, functionals, content.shares, Basis(), low, places=places)
-        return with_scenario(bare, scenario)
+    high: float
+    whole: _Reduced
+    core: _Reduced
 
-    tables = content.trials, content.checks
-    trials, checks = (tuple(TrialSolve(int(d), f, e, t) for d, f, e, t in table.tolist()) for table in tables)
-    pieces = tuple(Piece(p.high, model(*p.whole), model(*p.core)) for p in content.pieces)
-    centres = tuple((x, y) for x, y in content.around.tolist())
-    around = GridPlaces(centres, content.reach, content.count) if content.count else None
-    return ParametricModel(scenario, content.ports, pieces, trials, checks, content.solves, around)
+
+@dataclass(frozen=True, eq=False)
+class ParametricFile:
+    """Reduced models for many tissues, one for each part of the band, and what they were compared with."""
+
+    kind: ClassVar[str] = "parametric model"
+    version: ClassVar[int] = 1
+
+    names: tuple[str, ...] = field(metadata=dims("term", name="term"))
+    shares: FloatArray = field(metadata=dims("port", name="share"))
+    ports: tuple[Port, ...] = field(metadata=dims("port"))
+    pieces: tuple[_PieceOfFile, ...]
+    trials: tuple[TrialSolve, ...]
+    checks: tuple[TrialSolve, ...]
+    scenario: dict[str, Any]
+    solves: int
+    around: GridPlaces | None
+
+    @classmethod
+    def of(cls, model: ParametricModel) -> ParametricFile:
+        """The file of a model."""
+        first = model.pieces[0].whole
+        pieces = tuple(_PieceOfFile(p.high, *(_Reduced.of(m) for m in (p.whole, p.core))) for p in model.pieces)
+        return cls(
+            first.names, first.shares, model.ports, pieces, model.trials, model.checks,
+            model.scenario.model_dump(mode="json"), model.solves, model.around,
+        )  # fmt: skip
+
+    @property
+    def model(self) -> ParametricModel:
+        """The model of a file; ScenarioError for a scenario that is not known."""
+        scenario = parse_scenario(self.scenario)
+
+        def reduced(of: _Reduced) -> ReducedModel:
+            """A reduced model from its arrays, with the scenario's coefficients."""
+            low = np.zeros((len(of.functionals), 0))
+            arrays = of.matrices, of.functionals, self.shares
+            return with_scenario(ReducedModel(self.names, (), *arrays, Basis(), low, places=of.places), scenario)
+
+        pieces = tuple(Piece(p.high, reduced(p.whole), reduced(p.core)) for p in self.pieces)
+        return ParametricModel(scenario, self.ports, pieces, self.trials, self.checks, self.solves, self.around)
 
 
 def _with_all_sheets(scenario: Scenario, draws: Sequence[Scenario]) -> Scenario:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,14 +18,14 @@ from ..fem.assembly.terms import term_coefficient
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.poles import PoleResidue, pole_residue
 from ..fem.reduction.reduced_model import ReducedModel
-from ..io.reduced import POLES, ReducedFile, ReducedTerms, read_reduced, write_reduced
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..scenario.frequencies import frequencies
 from ..scenario.load import apply_overrides
+from ..store.record import dims, load, save
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix
-from ..typing import FloatArray
+from ..typing import ComplexArray, FloatArray
 from .fem_engine import masked
 
 __all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model", "with_scenario"]
@@ -104,27 +105,55 @@ def coefficients_of(names: Sequence[str], scenario: Scenario) -> tuple[Coefficie
     return tuple(term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch) for n in names)
 
 
+@dataclass(frozen=True, eq=False)
+class ReducedFile:
+    """``reduced.nc``: the reduced model, a few megabytes that give the compliance at any frequency, for any moduli.
+
+    ``matrices`` (n_term, r, r) of terms ``names``, real and symmetric, ``functionals`` (r, n_port) and ``shares``
+    (n_port,) as in :class:`forearm_fem.fem.reduction.reduced_model.ReducedModel`, and the poles and residues of
+    :class:`forearm_fem.fem.reduction.poles.PoleResidue` where there are any. The scenario multiplies the terms.
+    """
+
+    kind: ClassVar[str] = "reduced model"
+    version: ClassVar[int] = 1
+
+    names: tuple[str, ...] = field(metadata=dims("term", name="term"))
+    matrices: FloatArray = field(metadata=dims("term entry", name="upper", upper=True))
+    functionals: FloatArray = field(metadata=dims("row port", name="functional"))
+    shares: FloatArray = field(metadata=dims("port", name="share"))
+    ports: tuple[Port, ...] = field(metadata=dims("port"))
+    scenario: dict[str, Any]
+    poles: ComplexArray | None = field(default=None, metadata=dims("mode"))
+    left: ComplexArray | None = field(default=None, metadata=dims("port mode"))
+    right: ComplexArray | None = field(default=None, metadata=dims("mode port"))
+
+    @classmethod
+    def of(cls, model: SkinModel) -> ReducedFile:
+        """The file of a model."""
+        r, seen = model.reduced, model.poles
+        poles = {} if seen is None else {name: getattr(seen, name) for name in ("poles", "left", "right")}
+        scenario = model.scenario.model_dump(mode="json")
+        return cls(r.names, r.matrices, r.functionals, r.shares, model.ports, scenario, **poles)
+
+    def model(self, origin: str | Path) -> SkinModel:
+        """The model of a file; ScenarioError for a scenario that is not known, which ``origin`` holds."""
+        scenario = parse_scenario(self.scenario, origin=str(origin))
+        low = np.zeros((len(self.functionals), 0))
+        bare = ReducedModel(self.names, (), self.matrices, self.functionals, self.shares, Basis(), low)
+        poles = None
+        if self.poles is not None and self.left is not None and self.right is not None:
+            poles = PoleResidue(self.poles, self.left, self.right, shares=self.shares)
+        return SkinModel(scenario, self.ports, with_scenario(bare, scenario), poles)
+
+
 def save_skin_model(path: Path, model: SkinModel) -> None:
     """Write ``reduced.nc``, whole or not at all."""
-    r, scenario = model.reduced, model.scenario.model_dump(mode="json")
-    seen = {} if model.poles is None else {name: getattr(model.poles, name) for name in POLES}
-    write_reduced(path, ReducedFile(r.names, r.matrices, r.functionals, r.shares, model.ports, scenario, seen))
+    save(path, ReducedFile.of(model))
 
 
 def load_skin_model(path: str | Path) -> SkinModel:
     """Read ``reduced.nc``; DataError for a missing or damaged file."""
-    content = read_reduced(path)
-    scenario, reduced = reduced_of(content, path)
-    poles = PoleResidue(**content.poles, shares=content.shares) if content.poles else None
-    return SkinModel(scenario, content.ports, reduced, poles)
-
-
-def reduced_of(content: ReducedTerms, path: str | Path) -> tuple[Scenario, ReducedModel]:
-    """The scenario of a file at ``path``, and its reduced model without a basis; ScenarioError for one not known."""
-    scenario = parse_scenario(content.scenario, origin=str(path))
-    low = np.zeros((len(content.functionals), 0))
-    bare = ReducedModel(content.names, (), content.matrices, content.functionals, content.shares, Basis(), low)
-    return scenario, with_scenario(bare, scenario)
+    return load(path, ReducedFile).model(path)
 
 
 def check_followable(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> None:

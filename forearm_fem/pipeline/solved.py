@@ -23,13 +23,13 @@ from ..fem.reduction.rate_space import Chunk, Pairs
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.subdivision import skin_edges
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..io.netcdf import read_compliance, write_compliance
 from ..io.parts import DAMAGED, PartFolder
 from ..progress import Progress, tell, within
 from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
 from ..store.folder import atomic_path
+from ..store.results import read_compliance, write_compliance
 from ..store.text import digest_of, read_json, write_json
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray

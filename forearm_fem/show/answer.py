@@ -126,7 +126,7 @@ def subject_of(results: Results) -> str:
 
 def is_measured(results: Results) -> bool:
     """Whether G came from outside, so that nothing is known of the limb."""
-    return "scenario" not in results.transfer.provenance
+    return "scenario" not in results.transfer.provenance and not results.has("compliance")
 
 
 def half_widths(data: Strengths) -> np.ndarray:
@@ -222,7 +222,7 @@ def console_lines(results: Results, seconds: float | None = None) -> list[str]:
     """About eight lines for a terminal: headline, S by point, accuracy, where to look."""
     data = strengths(results)
     first, *more = answer_of(results, data)
-    lines = [f"{results.scenario.name}: {first}", *more, *_strength_lines(data)]
+    lines = [f"{results.scenario.name}: {first[:1].lower()}{first[1:]}", *more, *_strength_lines(data)]
     took = "" if seconds is None else f" ({seconds:.0f} s)"
     page = results.folder / "report.html"
     where = f"open {page}" if page.is_file() else f"results: {results.folder}"
