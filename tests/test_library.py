@@ -551,7 +551,6 @@ def test_a_design_is_searched_on_a_library(library, asked_design, tmp_path):
         s = render_transfer(scenario, transfer).strengths[0]
     assert best["score"] == pytest.approx(s[1], rel=1e-6)  # the same G and renderer
     assert json.loads((tmp_path / "out/best.json").read_text())["values"] == best["values"]
-<<<<<<< HEAD
 
 
 @pytest.mark.slow  # two processes import and load; one process is tried above
@@ -562,19 +561,10 @@ def test_a_design_is_searched_on_a_library_by_two_processes(asked_design, tmp_pa
         out = tmp_path / str(workers)
         said = cli("design", file, "--library", arm, "--out", out, "--no-confirm", "--workers", workers)
         assert said.code == 0, said
-        return [json.loads(line)["candidate"] for line in (out / "candidates.jsonl").read_text().splitlines()]
+        return candidates_of(out)
 
     rows, others = candidates(1), candidates(2)
     assert len(rows) == len(others) == 3
-||||||| 5357695
-    many = cli("design", file, "--library", arm, "--out", tmp_path / "many", "--no-confirm", "--workers", "2")
-    assert many.code == 0, many
-    others = [json.loads(line)["candidate"] for line in (tmp_path / "many/candidates.jsonl").read_text().splitlines()]
-=======
-    many = cli("design", file, "--library", arm, "--out", tmp_path / "many", "--no-confirm", "--workers", "2")
-    assert many.code == 0, many
-    others = candidates_of(tmp_path / "many")
->>>>>>> main
     for row in rows:  # two processes end in any order
         (other,) = (o for o in others if o["values"] == row["values"])
         assert other["problem"] == row["problem"]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runner import cli
+from scenes import once
 from test_figures_scene import folder  # noqa: F401
 from test_skin_model import solved  # noqa: F401
 
