@@ -18,6 +18,7 @@ from bad_files import CORNERS, TETRA
 from test_measurement_scene import INPUTS, OUTPUTS, RATE, wave_matrix
 
 from forearm_fem import io
+from forearm_fem.engines.skin_model import ReducedFile
 from forearm_fem.errors import ForearmError
 from forearm_fem.geometry.limb.prisms import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
@@ -34,7 +35,6 @@ from forearm_fem.io.tdms import read_sweep_tdms, write_sweep_tdms, write_tdms
 from forearm_fem.io.uff import write_uff
 from forearm_fem.io.wav import read_wav_drives, write_wav_drives
 from forearm_fem.measurement.store import read_recording, write_recording
-from forearm_fem.pipeline.skin_model import ReducedFile
 from forearm_fem.store.record import load, save
 from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield
 

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from cli_runner import SMALL, cli
 
+from forearm_fem.accuracy.estimates import short_verdict
 from forearm_fem.campaign import CampaignResult, load_campaign, run, run_campaign
 from forearm_fem.campaign.member import MemberJob
 from forearm_fem.campaign.model import DrawTable, draws
 from forearm_fem.errors import MissingExtra, ScenarioError, SolverError
-from forearm_fem.pipeline.verdict import short_verdict
 from forearm_fem.prediction.run import Question
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.store import work

@@ -19,8 +19,8 @@ from cli_runner import every_command
 from scenes import once
 from test_skin_model import solve
 
-from forearm_fem.pipeline.forecast import forecast
-from forearm_fem.pipeline.layered_engine import flat_ports
+from forearm_fem.engines.forecast import forecast
+from forearm_fem.engines.layered import flat_ports
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario, scenario_schema
 
 HOME = Path(__file__).parents[1]

@@ -17,6 +17,11 @@ from forearm_fem.compare.adapters import (
 from forearm_fem.compare.fit import fit
 from forearm_fem.compare.run import run_fit
 from forearm_fem.device import close_loop
+from forearm_fem.engines import parametric
+from forearm_fem.engines.fem import fem_model
+from forearm_fem.engines.layered import flat_ports
+from forearm_fem.engines.parametric import ParametricFile, Ranges, parametric_model
+from forearm_fem.engines.skin_model import with_scenario
 from forearm_fem.errors import DataError, ReductionError, ScenarioError, SolverError
 from forearm_fem.fem.linear.direct import DirectSolver
 from forearm_fem.fem.reduction.basis import Basis, rough_extension
@@ -28,11 +33,6 @@ from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.fem.reduction.united import Growth
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.grid_places import GridPlaces
-from forearm_fem.pipeline import parametric
-from forearm_fem.pipeline.fem_engine import fem_model
-from forearm_fem.pipeline.layered_engine import flat_ports
-from forearm_fem.pipeline.parametric import ParametricFile, Ranges, parametric_model
-from forearm_fem.pipeline.skin_model import with_scenario
 from forearm_fem.prediction.arm import LayeredArm, ReducedArm, _nearness, arm_model, on_mesh_of
 from forearm_fem.prediction.draws import draw_inputs, scenario_of
 from forearm_fem.prediction.priors import load_priors

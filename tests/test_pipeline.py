@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from forearm_fem.engines.fem import FemSolution
+from forearm_fem.engines.solved import _Store, field_modes
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.linear import direct
 from forearm_fem.fem.linear.factor import available_backends
@@ -16,9 +18,7 @@ from forearm_fem.fem.reduction import sweep
 from forearm_fem.fem.reduction.expansion import Expansion
 from forearm_fem.geometry.mesh.subdivision import with_finer_skin
 from forearm_fem.io.matlab import read_thesis_mat
-from forearm_fem.pipeline.fem_engine import FemSolution
 from forearm_fem.pipeline.folder import Run, run_all, run_render, run_solve
-from forearm_fem.pipeline.solved import _Store, field_modes
 from forearm_fem.results import read_run
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import SolverOptions

@@ -201,7 +201,7 @@ def test_renderers_believe_the_grid_where_it_was_laid_out() -> None:
 
 def test_the_arm_model_states_its_error_and_keeps_it() -> None:
     """A rigid cone with tension: fewer terms against the twin as it solves a scene."""
-    from forearm_fem.pipeline.layered_engine import solve_layered
+    from forearm_fem.engines.layered import solve_layered
 
     scene = parse_scenario({"engine": "layered", "tissues": {"membrane": {"tension": 40.0}}, "limb": {"bones": []}})
     band = np.array([60.0, 250.0, 310.0, 380.0, 500.0])
@@ -365,6 +365,9 @@ def test_groups_and_winners_by_hand() -> None:
         "Middle (5)": [2], "Edges (2/4/6/8)": [1], "Corners (1/3/7/9)": [0, 3],
     }  # fmt: skip
     assert numbers.group_columns(["1", "17"]) == {"All": [0, 1]}
+    assert numbers.group_columns(["1", "2", "5", "9"], counted=("2", "9")) == {
+        "Edges (2/4/6/8)": [1], "Corners (1/3/7/9)": [3],
+    }  # points beside a motor are in no group
     assert numbers.group_columns(["1", "2", "3", "4"], thesis_grid=False) == {"All": [0, 1, 2, 3]}  # of 2 x 2 points
     s = np.array([[[1.0, 2.0, 3.0, 5.0]], [[2.0, 2.0, 2.0, 4.0]]])
     assert numbers.group_means(s, numbers.group_columns(["1", "2", "5", "9"]))[:, 0].tolist() == [[3, 2, 3], [2, 2, 3]]

@@ -19,12 +19,12 @@ from test_figures_scene import folder  # noqa: F401
 from test_skin_model import solved  # noqa: F401
 
 from forearm_fem.device import close_loop
+from forearm_fem.engines.skin_model import load_skin_model
 from forearm_fem.errors import DataError, GeometryError
 from forearm_fem.io import read_compliance, read_transfer, write_transfer
 from forearm_fem.io.csvfiles import write_csv
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import simulate
-from forearm_fem.pipeline.skin_model import load_skin_model
 from forearm_fem.prediction.outcome import DrawsFile, Outcome
 from forearm_fem.prediction.run import FILE
 from forearm_fem.rendering import Funneling, render_all, ricker, strengths
@@ -263,7 +263,7 @@ def test_intervals_drawn_in_the_page_follow_pythons_rule(content: dict[str, Any]
     """With Python's own noise every half width is Python's (1e-6: the same sums in another order), and with the page's
     that of another dozen draws. A mean square of 12 draws scatters by 40 %, so that two half widths differ by 30 % as a
     rule; a factor of 2.5 is three times that in the logarithm."""
-    from forearm_fem.metrics.uncertainty import smooth_noise
+    from forearm_fem.accuracy.perturbed import smooth_noise
     from forearm_fem.pipeline.simulation import render_transfer
     from forearm_fem.rendering.interval import interval
     from forearm_fem.rendering.job import renderers

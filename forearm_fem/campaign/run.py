@@ -92,7 +92,7 @@ def member_workers(campaign: Campaign, jobs: Sequence[MemberJob]) -> int:
     heavy = [m for m in campaign.members if m.name in wanted and m.scenario.engine == "fem"]
     need = LIGHT
     if heavy:
-        from ..pipeline.forecast import forecast
+        from ..engines.forecast import forecast
 
         try:
             need = forecast(heavy[0].scenario, base=campaign.base).memory_bytes

@@ -21,8 +21,8 @@ from .display import Display as Display
 from .display import console as console
 
 if TYPE_CHECKING:
+    from ..engines.library import ArmLibrary
     from ..io.declaration import Declaration
-    from ..library import ArmLibrary
     from ..pipeline.folder import Run
     from ..transfer import TransferMatrix
 
@@ -135,7 +135,7 @@ def library_file(file: Path | None) -> ArmLibrary | None:
     """The arm's library in ``file``; None where none was named."""
     if file is None:
         return None
-    from ..library import load_library
+    from ..engines.library import load_library
 
     return load_library(file)
 

@@ -28,8 +28,8 @@ from .common import (
 )
 
 if TYPE_CHECKING:
+    from ..engines.forecast import Forecast
     from ..pipeline.folder import Run
-    from ..pipeline.forecast import Forecast
 
 
 def run(
@@ -158,8 +158,8 @@ def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Fo
     """What the solve will cost, on the mesh, which is made if need be; None for the layered engine."""
     if asked.engine == "layered":
         return None
+    from ..engines.forecast import forecast
     from ..geometry.cache import cached_mesh
-    from ..pipeline.forecast import forecast
     from ..tissue import resolve_tissues
 
     resolve_tissues(asked)  # what they lack is said before anything is meshed

@@ -12,11 +12,11 @@ import numpy as np
 
 from ..arguments import checked
 from ..device.loop import close_loop
+from ..engines.parametric import BEYOND, ParametricModel
 from ..errors import DataError, ForearmError
 from ..geometry.device.layout import planform_ports
 from ..io.declaration import Declaration, Ports, arbitrary_gain, declared_by
 from ..io.recognise import read_measured
-from ..pipeline.parametric import BEYOND, ParametricModel
 from ..ports import Port
 from ..prediction.arm import as_wrong
 from ..progress import Progress, within

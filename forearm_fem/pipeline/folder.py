@@ -12,8 +12,12 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..accuracy.estimates import accuracy_verdict
 from ..device import contact_state
 from ..device.housing import carries_points
+from ..engines.forecast import refuse_if_signals_too_large
+from ..engines.resources import Ledger
+from ..engines.skin_model import save_skin_model
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.build import limb_volume
@@ -25,6 +29,7 @@ from ..io.matlab import write_thesis_mat
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
+from ..rendering.clearance import counted_points
 from ..rendering.interval import StrengthAccount, finer_than_known
 from ..rendering.job import RenderJob, check_servable, wavelet
 from ..rendering.lattice import is_thesis_grid
@@ -56,14 +61,10 @@ from ..store.results import (
 from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
-from .forecast import refuse_if_signals_too_large
 from .notes import scene_notes
-from .resources import Ledger
 from .samples import check_samples
 from .simulation import AnswersForArm, Simulation, simulate, versions
-from .skin_model import save_skin_model
 from .unread import unread_notes
-from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
 
 __all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]
@@ -325,8 +326,18 @@ def _rendered(
             finer_than_known(account, transfer.errors),
         )  # fmt: skip
         run.notes += [s for s in said if s]
-    write_json(run.out / "signal_strength.json", account.as_json())
+    write_json(run.out / "signal_strength.json", _strengths_record(run))
     return rendering
+
+
+def _strengths_record(run: Run) -> dict[str, Any]:
+    """S of the run, and which targets lie under or beside a motor."""
+    assert run.account is not None
+    assert run.transfer is not None
+    g, lifted = run.transfer, run.scenario.device.out_of_contact
+    counted = counted_points(g.outputs, [p for p in g.inputs if p.name not in lifted])
+    beside = [p.name for p, counts in zip(g.outputs, counted, strict=True) if not counts]
+    return {**run.account.as_json(), "not_counted": [t for t in run.account.targets if t in beside]}
 
 
 def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
@@ -351,7 +362,7 @@ def _write_run(run: Run) -> None:
         # what it cost when it was computed: a stage that only reused results keeps its older, larger account
         if name not in stages or cost.seconds >= stages[name].seconds:
             stages[name] = cost
-    strength = run.account.as_json() if run.account else _read_json(run.out / "signal_strength.json")
+    strength = _strengths_record(run) if run.account else _read_json(run.out / "signal_strength.json")
     run.record = RunRecord(
         scenario=run.scenario.model_dump(mode="json"),
         versions=versions(),

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..accuracy.estimates import short_verdict
 from ..metrics.strength import strength_text
-from ..pipeline.verdict import short_verdict
 from ..rendering.clearance import not_counted_words
 from ..scenario import Scenario
 from ..scenario.shipped import shipped_scenarios

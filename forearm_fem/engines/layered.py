@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..accuracy.estimates import quadrature_estimate
 from ..errors import ScenarioError
 from ..geometry.device.layout import layers_of, layout_of
 from ..geometry.device.place import parametric_skin, ports_on
@@ -17,7 +18,7 @@ from ..scenario import Scenario
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.tissues import Tissues
 from ..tissue import resolve_tissues
-from ..transfer import Compliance, ErrorEstimate
+from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
 
 _TOLERANCE = 1e-7  # of the quadrature and of the interpolation in frequency: far below what rigid contacts leave
@@ -41,14 +42,11 @@ def solve_layered(
     )  # fmt: skip
     integrals = (result.quadrature + result.interpolation) * _over_points(result.values, ports)
     error = np.asarray(result.truncation + integrals)
-    estimate = ErrorEstimate(
-        "quadrature",
-        float(error.max()),
+    estimate = quadrature_estimate(
+        frequency, error,
         "Hankel quadrature's own control and the last coefficients between frequencies, relative to the largest entry "
         "of points, and the last terms and orders of the tractions under rigid discs, relative to the largest entry",
-        tuple(frequency.tolist()),
-        tuple(error.tolist()),
-    )
+    )  # fmt: skip
     return Compliance(frequency, result.values, ports, (estimate,))
 
 

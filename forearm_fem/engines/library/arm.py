@@ -11,28 +11,28 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from ..errors import GeometryError, ScenarioError
-from ..geometry.device.layout import layout_of
-from ..geometry.device.place import parametric_skin, ports_on
-from ..layered.discs import Disc
-from ..layered.response import LayeredResult
-from ..layered.tables import Tabulated
-from ..pipeline.layered_engine import flat_layers
-from ..pipeline.solved import Solved
-from ..ports import Port, positions
-from ..results import SolutionRecord
-from ..scenario import Scenario
-from ..scenario.frequencies import frequencies
-from ..scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
-from ..transfer import Compliance, ErrorEstimate
-from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+from ...accuracy.of_library import moved_by_stretch, stated_errors
+from ...errors import GeometryError, ScenarioError
+from ...geometry.device.layout import layout_of
+from ...geometry.device.place import parametric_skin, ports_on
+from ...layered.discs import Disc
+from ...layered.response import LayeredResult
+from ...layered.tables import Tabulated
+from ...ports import Port, positions
+from ...results import SolutionRecord
+from ...scenario import Scenario
+from ...scenario.frequencies import frequencies
+from ...scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
+from ...transfer import Compliance, ErrorEstimate
+from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
+from ..layered import flat_layers
+from ..solved import Solved
 from .bands import Bands
 from .between import Lattice, Prior, Shape, shape_of
 from .flat_bells import flat_compliance
 from .hold import deviation_held, held
 from .limb import Limb, real_product
 from .skin import FlatSkin, flat_skin
-from .stated import moved_by_stretch, stated_errors
 
 MARGIN = 0.02  # [m] of skin around the patch that bells reach
 WIDTH = 0.4  # of a bell, in steps of the lattice

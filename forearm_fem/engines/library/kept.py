@@ -12,17 +12,17 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..errors import DataError
-from ..fem.reduction.basis import Basis
-from ..fem.reduction.reduced_model import ReducedModel
-from ..store.folder import atomic_path
-from ..typing import FloatArray
+from ...errors import DataError
+from ...fem.reduction.basis import Basis
+from ...fem.reduction.reduced_model import ReducedModel
+from ...store.folder import atomic_path
+from ...typing import FloatArray
 from .limb import Limb
 
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, BadZipFile)
 _SPACE, _SIDE = "space.npz", "side.npz"
 _LIMBS = ("limb", "freed")
-_log = logging.getLogger("forearm_fem.library")
+_log = logging.getLogger("forearm_fem.engines.library")
 
 
 @dataclass(frozen=True, eq=False)

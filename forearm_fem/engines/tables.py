@@ -18,7 +18,7 @@ from ..scenario.frequencies import frequencies
 from ..store.folder import atomic_path
 from ..tissue import resolve_tissues
 from ..user_cache import default_cache_dir
-from .layered_engine import flat_layers, flat_surface
+from .layered import flat_layers, flat_surface
 
 _REACH = 0.1  # [m]: tables reach to multiples of it, so that one serves every device of a forearm
 

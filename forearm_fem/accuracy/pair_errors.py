@@ -1,4 +1,4 @@
-"""What an answer may miss at each pair of ports: far points, which move little, are known better than near ones."""
+"""Errors of a compliance at each pair of ports: far points, which move little, are known better than near ones."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from ..transfer import Compliance
 from ..typing import FloatArray
 
 
-def evened(change: FloatArray) -> FloatArray:
-    """Sizes ``change`` (n, n_out, n_in) raised to the product of what each output and each input changes in the mean.
+def raised_to_row_column_mean(change: FloatArray) -> FloatArray:
+    """``change`` (n, n_out, n_in), each entry raised to (row rms x column rms / total rms).
 
     A reduced model errs by the product of what the states of two ports lack (:mod:`..fem.reduction.bounds`), so a pair
     that changes less than that does so by chance. Nothing is raised beyond the largest of all.
@@ -23,7 +23,7 @@ def evened(change: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Missed:
+class PairErrors:
     """Errors ``shares`` (n_probe, n_port, n_port) of the largest entry of points under contacts, at rising ``probes``
     (n_probe,) [Hz]; their largest of such a pair is e(f)."""
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..typing import ComplexArray, FloatArray
+from ...typing import ComplexArray, FloatArray
 
 
 def held(free: ComplexArray, n: int) -> tuple[ComplexArray, ComplexArray]:

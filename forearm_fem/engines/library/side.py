@@ -10,24 +10,24 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..errors import SolverError
-from ..fem.assembly.coefficients import Polynomial, is_polynomial
-from ..fem.assembly.model import ForearmModel
-from ..fem.kernels.heap import freed_memory_kept
-from ..fem.linear.direct import make_solver
-from ..fem.reduction.basis import Basis
-from ..fem.reduction.expansion import expansion_rate
-from ..fem.reduction.many_loads import LoadSpace
-from ..fem.reduction.poles import pole_residue
-from ..fem.reduction.reduced_model import ReducedModel, empty_model, with_columns
-from ..geometry.cache import cached_mesh
-from ..pipeline.fem_engine import fem_model
-from ..progress import Progress, tell, within
-from ..scenario import Scenario
-from ..scenario.frequencies import frequencies
-from ..store.text import digest_of
-from ..typing import FloatArray, IntArray
-from ..user_cache import default_cache_dir
+from ...errors import SolverError
+from ...fem.assembly.coefficients import Polynomial, is_polynomial
+from ...fem.assembly.model import ForearmModel
+from ...fem.kernels.heap import freed_memory_kept
+from ...fem.linear.direct import make_solver
+from ...fem.reduction.basis import Basis
+from ...fem.reduction.expansion import expansion_rate
+from ...fem.reduction.many_loads import LoadSpace
+from ...fem.reduction.poles import pole_residue
+from ...fem.reduction.reduced_model import ReducedModel, empty_model, with_columns
+from ...geometry.cache import cached_mesh
+from ...progress import Progress, tell, within
+from ...scenario import Scenario
+from ...scenario.frequencies import frequencies
+from ...store.text import digest_of
+from ...typing import FloatArray, IntArray
+from ...user_cache import default_cache_dir
+from ..fem import fem_model
 from .kept import Kept, Progressed, Side
 from .limb import Limb
 from .loads import Bells, bell_functionals

@@ -34,7 +34,7 @@ from ..store.text import digest_of, read_json, write_json
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
-from .fem_engine import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
+from .fem import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
 from .second_mesh import second_mesh
 from .skin_model import SkinModel, load_skin_model, save_skin_model
 

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from ..errors import GeometryError
-from ..geometry.device.place import Skin
-from ..typing import BoolArray, FloatArray
+from ...errors import GeometryError
+from ...geometry.device.place import Skin
+from ...typing import BoolArray, FloatArray
 
 _STEP = 2.5e-4  # [m] between samples of the skin across the limb; ten times that along it
 _FACING = 0.1  # smallest n_z of skin that is laid flat: 84 degrees to the side

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..layered.hankel import HankelTable, Radial
-from ..layered.integrals import Integrals, Medium
-from ..typing import ComplexArray, FloatArray, IntArray
+from ...layered.hankel import HankelTable, Radial
+from ...layered.integrals import Integrals, Medium
+from ...typing import ComplexArray, FloatArray, IntArray
 
 _TOLERANCE = 1e-6
 _AT_ONCE = 64  # distances of one quadrature

@@ -26,7 +26,7 @@ from ..store.record import dims, load, save
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import ComplexArray, FloatArray
-from .fem_engine import masked
+from .fem import masked
 
 __all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model", "with_scenario"]
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..accuracy.discretisation import COARSER
 from ..errors import ForearmError, MeshError
 from ..geometry.cache import cached_mesh
 from ..geometry.device.layout import RIGID
@@ -14,7 +15,6 @@ from ..geometry.mesh.refinement import rim_edges
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..scenario import Scenario
 from ..scenario.limb import MeshLimb
-from .two_meshes import COARSER
 
 # Milder ones where the first cannot be made; a finer one last, as it costs more than the main solve.
 _RATIOS = (COARSER, 1.6, 1.3, 0.8)

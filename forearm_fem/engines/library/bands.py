@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..typing import FloatArray, IntArray
+from ...typing import FloatArray, IntArray
 
 _RATIO = 1.6  # between the ends of a part, about
 NODES = 12  # of each part

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ForearmError, ScenarioError
-from ..layered.integrals import Medium
-from ..pipeline.layered_engine import flat_layers, flat_surface
-from ..pipeline.twin_tables import kept_tables, tables_reach
-from ..progress import Progress, within
-from ..scenario import Scenario, parse_scenario
-from ..tissue import KelvinVoigt, limb_tissue_keys, resolve_tissues
-from ..typing import ComplexArray, FloatArray
+from ...errors import ForearmError, ScenarioError
+from ...layered.integrals import Medium
+from ...progress import Progress, within
+from ...scenario import Scenario, parse_scenario
+from ...tissue import KelvinVoigt, limb_tissue_keys, resolve_tissues
+from ...typing import ComplexArray, FloatArray
+from ..layered import flat_layers, flat_surface
+from ..tables import kept_tables, tables_reach
 from .arm import WIDTH, ArmLibrary, library_band, library_skin
 from .bands import Bands
 from .between import Lattice

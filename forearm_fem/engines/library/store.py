@@ -8,11 +8,11 @@ from typing import Any
 
 import xarray as xr
 
-from ..errors import DataError
-from ..io.dataset import load, provenance_json, said_content, save
-from ..layered.tables import from_arrays
-from ..pipeline.layered_engine import flat_layers, flat_surface
-from ..scenario import parse_scenario
+from ...errors import DataError
+from ...io.dataset import load, provenance_json, said_content, save
+from ...layered.tables import from_arrays
+from ...scenario import parse_scenario
+from ..layered import flat_layers, flat_surface
 from .arm import ArmLibrary
 from .limb import Limb
 

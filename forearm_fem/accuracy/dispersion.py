@@ -1,4 +1,4 @@
-"""How far out of step waves arrive because elements are too large for them: what two coarse meshes may agree about."""
+"""Phase error of shear waves by numerical dispersion (Ainsworth 2004), which two coarse meshes may share."""
 
 from __future__ import annotations
 
@@ -32,22 +32,24 @@ def phase_error(order: int, kh: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Lags:
+class NumericalDispersion:
     """By what phase a mesh delays shear waves of any tissue on their straight way from contacts to points.
 
     ``around`` is what there is near the contacts, ``regions`` name the mesh's tissues, ``away`` (n_out, n_in) [m] are
     the distances from contacts to points.
     """
 
-    around: Surroundings
+    around: ElementsNearContacts
     regions: tuple[str, ...]
     away: FloatArray
 
     @classmethod
-    def of(cls, scenario: Scenario, mesh: TissueMesh, outputs: tuple[Port, ...], inputs: tuple[Port, ...]) -> Lags:
+    def of(
+        cls, scenario: Scenario, mesh: TissueMesh, outputs: tuple[Port, ...], inputs: tuple[Port, ...]
+    ) -> NumericalDispersion:
         """Those of a scenario's own ``mesh``."""
         order = tetrahedron_orders(mesh, place_ports(scenario, mesh), scenario.element)
-        return cls(Surroundings.of(mesh, order, inputs), tuple(mesh.region_names), distances(outputs, inputs))
+        return cls(ElementsNearContacts.of(mesh, order, inputs), tuple(mesh.region_names), distances(outputs, inputs))
 
     def phases(self, scenario: Scenario, frequency: FloatArray, scale: float = 1.0) -> FloatArray:
         """Phase [rad] (n_frequency, n_out, n_in) by which elements ``scale`` times as large as the mesh's delay waves
@@ -70,7 +72,7 @@ class Lags:
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class ElementsNearContacts:
     """Elements around the contacts: root-mean-square edge [m], order, region, volume [m^3], depth and distance [m] from
     the nearest contact, all (n,)."""
 
@@ -82,7 +84,7 @@ class Surroundings:
     away: FloatArray
 
     @classmethod
-    def of(cls, mesh: TissueMesh, order: IntArray, contacts: tuple[Port, ...]) -> Surroundings:
+    def of(cls, mesh: TissueMesh, order: IntArray, contacts: tuple[Port, ...]) -> ElementsNearContacts:
         """Those within ``REACH`` along the skin."""
         corners = mesh.points[mesh.tetrahedra]
         edges = corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]]

@@ -25,7 +25,7 @@ from ..scenario import Scenario
 from ..scenario.frequencies import frequencies
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..tissue import resolve_tissues
-from .fem_engine import reduction_tolerance
+from .fem import reduction_tolerance
 
 NODES_NEEDED = 6.0  # per shear wavelength near the ports; below it the error of far entries passes 10 %
 

@@ -18,8 +18,8 @@ import scipy.linalg
 from scipy.interpolate import CubicSpline
 from scipy.special import j0, j1, spherical_jn
 
-from ..ports import Port
-from ..typing import ComplexArray, FloatArray
+from ...ports import Port
+from ...typing import ComplexArray, FloatArray
 
 _POWER = 4.0  # p of the prior
 _NODES = 400  # of the rule over wavenumbers

@@ -1,4 +1,4 @@
-"""Error of a result on one mesh from its change on a second one, whose nodes are further apart or closer together."""
+"""Discretisation error: of a result on one mesh, from its change on a second one with other distances of nodes."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..transfer import relative_error
+from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..scenario import Scenario
+from ..transfer import ErrorEstimate, TransferMatrix, relative_error
 from ..typing import ComplexArray, FloatArray
-from .missed import evened
+from .dispersion import NumericalDispersion
+from .pair_errors import raised_to_row_column_mean
 
 COARSER = 2.0  # size ratio of the second mesh, where it can be made
 # Relative error, and the order assumed there: a change of 0.3 and of 0.82 with COARSER (docs/decisions/0015).
@@ -19,10 +22,14 @@ _NEIGHBOURHOOD = 1.25  # e(f) listens to frequencies up to this ratio away (a th
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """What values on one mesh err by: e_band and e(f) (n_frequency,) as :func:`estimated_errors` has them, ``unseen``
-    errors of its entries that no change shows (:func:`agreed_upon`), and the ``order`` (n_frequency,) assumed
-    (:func:`assumed_order`)."""
+class DiscretisationError:
+    """Discretisation error of values on one mesh.
+
+    band : e_band, as of :func:`estimated_errors`
+    error : e(f) (n_frequency,), likewise
+    unseen : errors of entries that no change between meshes shows (:func:`dispersion_floor`)
+    order : order of convergence assumed (n_frequency,) (:func:`assumed_order`)
+    """
 
     band: float
     error: FloatArray
@@ -30,16 +37,43 @@ class Judged:
     order: FloatArray
 
 
-def judged(
+def discretisation_error(
     other: ComplexArray, own: ComplexArray, frequency: FloatArray, ratio: float, lag: FloatArray, coarser: FloatArray
-) -> Judged:
+) -> DiscretisationError:
     """The one rule for ``own`` values (n_frequency, n_out, n_in), of a scene, of an arm, of a case of verification.
 
     ``other`` values are those on the second mesh, whose nodes are ``ratio`` times as far apart; waves arrive with a
     ``lag`` [rad] on the mesh itself, and ``coarser`` on the coarser of the two, both shaped like the values.
     """
-    unseen, order = agreed_upon(own, lag, coarser), assumed_order(own, lag)
-    return Judged(*estimated_errors(other, own, frequency, ratio, unseen, order), unseen, order)
+    unseen, order = dispersion_floor(own, lag, coarser), assumed_order(own, lag)
+    return DiscretisationError(*estimated_errors(other, own, frequency, ratio, unseen, order), unseen, order)
+
+
+def discretisation_of(
+    fine: TransferMatrix, coarse: TransferMatrix, scenario: Scenario, mesh: TissueMesh | None
+) -> ErrorEstimate:
+    """Discretisation error of G on the ``fine`` mesh by its change on the ``coarse`` one; a library has no ``mesh``."""
+    ratio, lag = float(coarse.provenance["ratio"]), np.zeros(fine.values.shape)
+    coarser = lag
+    if mesh is not None:
+        lags = NumericalDispersion.of(scenario, mesh, fine.outputs, fine.inputs)
+        lag, coarser = (lags.phases(scenario, fine.frequency, scale) for scale in (1.0, max(ratio, 1.0)))
+    found = discretisation_error(coarse.values, fine.values, fine.frequency, ratio, lag, coarser)
+    pairs = over_pairs(found.error, coarse.values, fine.values, fine.frequency)
+    pairs = np.maximum(pairs, found.unseen / np.abs(fine.values).max(axis=(1, 2), keepdims=True))
+    lost = fine.frequency[found.unseen.any(axis=(1, 2))]
+    blind = f"; from {lost[0]:g} Hz on at least the lag of waves too short for the elements" if len(lost) else ""
+    if mesh is None:
+        blind = "; waves too short for both meshes are not looked for, as a library has no mesh"
+    return ErrorEstimate(
+        "discretisation",
+        found.band,
+        f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^p - 1|; order p is "
+        f"1.85 where that is below 0.115 ({found.order.min():.3g} where waves are latest), 3 above 0.117{blind}",
+        tuple(fine.frequency.tolist()),
+        tuple(found.error.tolist()),
+        pairs,
+    )
 
 
 def remaining_error(change: FloatArray, ratio: float = COARSER, order: FloatArray | float = _RESOLVED[1]) -> FloatArray:
@@ -87,26 +121,25 @@ def estimated_errors(
     """
     size = np.linalg.norm(own, axis=(1, 2))
     whole = remaining_error(np.linalg.norm(other - own, axis=(1, 2)) / size, ratio, order)
-    single = remaining_error(change_around(other, own, frequency), ratio, order)
+    single = remaining_error(smoothed_relative_change(other, own, frequency), ratio, order)
     if unseen is not None:
         whole = np.maximum(whole, np.linalg.norm(unseen, axis=(1, 2)) / size)
         single = np.maximum(single, unseen.max(axis=(1, 2)) / np.abs(own).max(axis=(1, 2)))
     return float(np.linalg.norm(whole * size) / np.linalg.norm(size)), single
 
 
-def agreed_upon(own: ComplexArray, lag: FloatArray, coarser: FloatArray) -> FloatArray:
-    """Errors of ``own`` (n_frequency, n_out, n_in) by waves that arrive with a ``lag`` [rad] of the same shape, where
-    that of the ``coarser`` of two meshes is more than a radian; zero elsewhere, as their difference tells more there.
+def dispersion_floor(own: ComplexArray, lag: FloatArray, coarser: FloatArray) -> FloatArray:
+    """Error of ``own`` (n_frequency, n_out, n_in) by the phase ``lag`` [rad] of its waves; zero where meshes tell more.
 
-    A wave that is a radian late is not the wave any more: two meshes that carry none agree, and both are wrong.
-    |e^(-i lag) - 1| = 2 sin(lag / 2).
+    Where waves lag by more than 1 rad on the ``coarser`` mesh, both meshes may agree and be wrong. Then the lag of the
+    finer one is the error: |e^(-i lag) - 1| = 2 sin(lag / 2).
     """
     size = np.abs(own)
     lost = (size * coarser).max(axis=(1, 2)) > size.max(axis=(1, 2))
     return np.asarray(np.where(lost[:, None, None], size * 2 * np.sin(np.minimum(lag, np.pi) / 2), 0.0))
 
 
-def change_around(other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:
+def smoothed_relative_change(other: ComplexArray, own: ComplexArray, frequency: FloatArray) -> FloatArray:
     """e(f) (n_frequency,) of ``other`` beside ``own``, there or over the third of an octave on either side."""
     worst, largest = relative_error(other, own), np.abs(own).max(axis=(1, 2))
     around = np.sqrt(_around((worst * largest) ** 2, frequency) / _around(largest**2, frequency))
@@ -117,9 +150,10 @@ def over_pairs(error: FloatArray, other: ComplexArray, own: ComplexArray, freque
     """|dG_ij| / max_ij |G_ij| (n_frequency, n_out, n_in) of ``own`` values, as large as ``error`` e(f) (n_frequency,)
     says and shared as they change to ``other`` ones on a second mesh; alike where nothing changes.
 
-    Pairs that change less than their output and input do in the mean do so by chance (:func:`.evened`).
+    Pairs that change less than their output and input do in the mean do so by chance
+    (:func:`.raised_to_row_column_mean`).
     """
-    change = evened(spread_change(other, own, frequency))
+    change = raised_to_row_column_mean(spread_change(other, own, frequency))
     largest = change.max(axis=(1, 2), keepdims=True)
     shares = np.divide(change, largest, out=np.ones_like(change), where=largest > 0)
     return np.asarray(error[:, None, None] * shares)

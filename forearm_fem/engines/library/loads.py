@@ -10,12 +10,12 @@ from scipy.spatial import cKDTree
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
-from ..errors import MeshError
-from ..fem.assembly.model import ForearmModel
-from ..fem.space.elements import tabulate
-from ..fem.space.numbering import MixedSpace, facet_points
-from ..geometry.mesh.curved import bent_places
-from ..typing import FloatArray, IntArray
+from ...errors import MeshError
+from ...fem.assembly.model import ForearmModel
+from ...fem.space.elements import tabulate
+from ...fem.space.numbering import MixedSpace, facet_points
+from ...geometry.mesh.curved import bent_places
+from ...typing import FloatArray, IntArray
 from .skin import FlatSkin
 
 _REACH = 4.5  # widths beyond which a bell is nothing: 4e-5 of its middle

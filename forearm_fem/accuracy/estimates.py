@@ -1,4 +1,4 @@
-"""Whether the accuracy asked for was met, by the estimates."""
+"""Error estimates: made of e(f), and held against the accuracy asked for."""
 
 from __future__ import annotations
 
@@ -6,6 +6,15 @@ import math
 
 from ..scenario import Scenario
 from ..transfer import ErrorEstimate, total_error
+from ..typing import FloatArray
+
+
+def quadrature_estimate(frequency: FloatArray, error: FloatArray, method: str) -> ErrorEstimate:
+    """Error of the layered model's integrals and series: e(f) ``error`` (n,) at ``frequency`` (n,) [Hz].
+
+    Its band value is the largest, as these errors are alike over the band.
+    """
+    return ErrorEstimate("quadrature", float(error.max()), method, tuple(frequency.tolist()), tuple(error.tolist()))
 
 
 def accuracy_verdict(scenario: Scenario, errors: tuple[ErrorEstimate, ...]) -> str:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..layered.response import chebyshev_between, chebyshev_nodes
-from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+from ...layered.response import chebyshev_between, chebyshev_nodes
+from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
 
 _DEGREE = 12  # of the Chebyshev rule that carries what far poles add up to
 _FAR = 3.5  # half axes of a pole's Bernstein ellipse from which it is far: 3.5^-12 is 3e-7

@@ -1,4 +1,4 @@
-"""What the elements err by for an arm, whose waves may be shorter than those that the scene's mesh was made for."""
+"""Discretisation error of an arm, whose waves may be shorter than those that the scene's mesh was made for."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
+from ..accuracy.discretisation import DiscretisationError, discretisation_error, spread_change
+from ..accuracy.dispersion import NumericalDispersion
+from ..accuracy.pair_errors import PairErrors
 from ..errors import MeshError
 from ..geometry.cache import cached_mesh
-from ..pipeline.dispersion import Lags
-from ..pipeline.missed import Missed
-from ..pipeline.parametric import ParametricModel, parametric_model
-from ..pipeline.second_mesh import second_mesh
-from ..pipeline.two_meshes import Judged, judged, spread_change
 from ..progress import Progress
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate, relative_error
 from ..typing import ComplexArray, FloatArray
+from .parametric import ParametricModel, parametric_model
+from .second_mesh import second_mesh
 
 _PROBED = 20  # frequencies at which the second mesh is asked
 
@@ -30,18 +30,18 @@ class ArmMeshes:
 
     second: ParametricModel
     ratio: float
-    lags: Lags
+    lags: NumericalDispersion
 
     def error(self, arm: Scenario, found: Compliance) -> ErrorEstimate:
         """:meth:`missed` without its shape."""
         return self.missed(arm, found)[0]
 
-    def missed(self, arm: Scenario, found: Compliance) -> tuple[ErrorEstimate, Missed]:
+    def missed(self, arm: Scenario, found: Compliance) -> tuple[ErrorEstimate, PairErrors]:
         """Of the compliance ``found`` for an ``arm`` on the first mesh, by the rule for a scene of its own.
 
-        That is from the change on the second mesh and from the lag of waves (:func:`.judged`). Over pairs of ports its
-        shape is that of the change, and the largest of points under contacts is e(f), but e_band at least, as two
-        meshes agree by chance.
+        That is from the change on the second mesh and from the lag of waves (:func:`.discretisation_error`). Over pairs
+        of ports its shape is that of the change, and the largest of points under contacts is e(f), but e_band at least,
+        as two meshes agree by chance.
         """
         low, high = np.sqrt(found.frequency[[0, -1]])  # probes are dense where frequencies are low
         wanted = np.linspace(low, high, _PROBED) ** 2
@@ -50,7 +50,7 @@ class ArmMeshes:
         part = replace(found, frequency=frequency, values=found.values[some])
         second = self._second(arm, frequency)
         own, other = part.block("point", "contact"), second.block("point", "contact")
-        rule = self._judged(arm, frequency, other, own)
+        rule = self._error(arm, frequency, other, own)
         shape, size = spread_change(second.values, part.values, frequency), np.abs(own).max(axis=(1, 2))
         points, contacts = part.indices("point"), part.indices("contact")
         largest = shape[:, points][:, :, contacts].max(axis=(1, 2))
@@ -64,7 +64,7 @@ class ArmMeshes:
             f"change of the arm's compliance on a second mesh, nodes {self.ratio:.2g} times as far apart, at "
             f"{len(frequency)} frequencies",
             tuple(frequency.tolist()), tuple(rule.error.tolist()),
-        ), Missed(frequency, shares)  # fmt: skip
+        ), PairErrors(frequency, shares)  # fmt: skip
 
     def share(self, arm: Scenario, found: Compliance) -> FloatArray:
         """What the elements err by (n_frequency,), as e(f) in shares of that of the change on the second mesh.
@@ -73,16 +73,18 @@ class ArmMeshes:
         """
         own, frequency = found.block("point", "contact"), found.frequency
         other = self._second(arm, frequency).block("point", "contact")
-        error, change = self._judged(arm, frequency, other, own).error, relative_error(other, own)
+        error, change = self._error(arm, frequency, other, own).error, relative_error(other, own)
         return np.asarray(np.divide(error, change, out=np.zeros_like(error), where=change > 0))
 
     def _second(self, arm: Scenario, frequency: FloatArray) -> Compliance:
         return Compliance(frequency, self.second.bare(arm, frequency), self.second.ports)
 
-    def _judged(self, arm: Scenario, frequency: FloatArray, other: ComplexArray, own: ComplexArray) -> Judged:
-        """What points do under contacts (n_frequency, n_point, n_contact), judged as a scene's own is."""
+    def _error(
+        self, arm: Scenario, frequency: FloatArray, other: ComplexArray, own: ComplexArray
+    ) -> DiscretisationError:
+        """Of what points do under contacts (n_frequency, n_point, n_contact), by the rule of a scene's own."""
         lag, coarser = (self.lags.phases(arm, frequency, scale) for scale in (1.0, self.ratio))
-        return judged(other, own, frequency, self.ratio, lag, coarser)
+        return discretisation_error(other, own, frequency, self.ratio, lag, coarser)
 
 
 def arm_meshes(
@@ -100,4 +102,4 @@ def arm_meshes(
         raise MeshError("only a finer second mesh can be made, which costs more than all else")
     model = parametric_model(second.scenario, base=base, draws=draws, mesh=second.mesh, progress=progress)
     contacts, points = ([p for p in model.ports if p.kind == kind] for kind in ("contact", "point"))
-    return ArmMeshes(model, second.ratio, Lags.of(scenario, mesh, tuple(points), tuple(contacts)))
+    return ArmMeshes(model, second.ratio, NumericalDispersion.of(scenario, mesh, tuple(points), tuple(contacts)))

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from .. import __version__
+from ..accuracy.pair_errors import PairErrors, raised_to_row_column_mean
 from ..errors import ReductionError, ScenarioError
 from ..fem.assembly.model import readings
 from ..fem.kernels.heap import freed_memory_kept
@@ -36,8 +37,7 @@ from ..tissue import limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
-from .fem_engine import fem_model, masked
-from .missed import Missed, evened
+from .fem import fem_model, masked
 from .skin_model import check_followable, coefficients_of, with_scenario
 from .solved import solve_key
 
@@ -168,7 +168,7 @@ class ParametricModel:
         places = [np.array([piece_at(self.pieces, f) is p for f in frequency], dtype=bool) for p in self.pieces]
         return [(piece, mine) for piece, mine in zip(self.pieces, places, strict=True) if mine.any()]
 
-    def answer(self, scenario: Scenario, frequency: FloatArray) -> tuple[Compliance, Missed]:
+    def answer(self, scenario: Scenario, frequency: FloatArray) -> tuple[Compliance, PairErrors]:
         """The same with what it may miss at each pair of ports, which is smaller for points far from a contact."""
         frequency = np.asarray(frequency, dtype=float)
         values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
@@ -234,7 +234,7 @@ class ParametricModel:
         points = [i for i, p in enumerate(self.ports) if p.kind == "point"] or contacts
         return np.ix_(points, contacts or points)
 
-    def _missed(self, found: Sequence[_Answer]) -> Missed:
+    def _missed(self, found: Sequence[_Answer]) -> PairErrors:
         points, contacts = ([i for i, p in enumerate(self.ports) if p.kind == kind] for kind in ("point", "contact"))
         pairs = [(points, contacts), (contacts, points), (contacts, contacts)]
         blocks: list[tuple[Any, ...]] = [np.ix_(*pair) for pair in pairs if all(pair)]
@@ -243,12 +243,12 @@ class ParametricModel:
             change = np.abs(np.nan_to_num(answer.whole - answer.core))
             change += np.abs(np.nan_to_num(answer.whole - answer.rough))
             for block in blocks:
-                change[(slice(None), *block)] = evened(change[(slice(None), *block)])
+                change[(slice(None), *block)] = raised_to_row_column_mean(change[(slice(None), *block)])
             size = np.array([np.abs(c[self._block]).max() for c in answer.whole])
             shares.append(self.factor * change / size[:, None, None] + answer.between)
-        return Missed(np.concatenate([a.probes for a in found]), np.concatenate(shares))
+        return PairErrors(np.concatenate([a.probes for a in found]), np.concatenate(shares))
 
-    def _error(self, found: Sequence[_Answer], missed: Missed) -> ErrorEstimate:
+    def _error(self, found: Sequence[_Answer], missed: PairErrors) -> ErrorEstimate:
         whole, core, rough = (
             np.array([c[self._block] for a in found for c in getattr(a, part)]) for part in ("whole", "core", "rough")
         )
