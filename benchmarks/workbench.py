@@ -69,7 +69,7 @@ def measured(page: Path, browser: Any, process: psutil.Process) -> dict[str, Any
 
 def pages(places: list[Path], into: Path) -> list[Path]:
     """The pages themselves, made here for what is a folder or a library."""
-    from forearm_fem.workbench import write_workbench
+    from forearm_fem.show.workbench import write_workbench
 
     return [p if p.suffix == ".html" else write_workbench(p, into / f"{p.name}.html") for p in places]
 

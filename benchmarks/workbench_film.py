@@ -55,7 +55,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         page = asked.what
         if page.is_dir():
-            from forearm_fem.workbench import write_workbench
+            from forearm_fem.show.workbench import write_workbench
 
             page = write_workbench(page, Path(place) / "page.html")
         found = frames(page.resolve(), chromium)

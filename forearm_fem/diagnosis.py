@@ -11,7 +11,7 @@ import psutil
 
 from . import __version__
 from .fem.linear.factor import available_backends
-from .geometry.cache import default_cache_dir
+from .user_cache import default_cache_dir
 
 _PICTURE = (
     "import pyvista as pv; pv.OFF_SCREEN = True; p = pv.Plotter(off_screen=True, window_size=(40, 40)); "

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from .errors import DataError
-from .io.atomic import write_bytes
 from .io.seal import BLANK, check_seals, sealed
+from .store.folder import write_bytes
 from .typing import ComplexArray, FloatArray
 
 

@@ -1,8 +1,8 @@
-"""Wrong scenarios and meshes: as data; ``python tests/bad_inputs.py`` rewrites the docs table."""
+"""Wrong scenarios and meshes, as data."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +27,6 @@ from bad_files import (
     wavelet_of_text,
 )
 
-DOCS = Path(__file__).parents[1] / "docs" / "bad_inputs.md"
 SLAB = """name = "bad"
 [limb]
 shape = "slab"
@@ -298,41 +297,3 @@ def prepare(case: Case, folder: Path) -> list[str]:
     overrides = [part for item in case.overrides for part in ("--set", item)]
     return [case.command, "bad.toml", *overrides, "--out", "out"]
 
-
-def table(answers: Iterable[tuple[Case, str]]) -> str:
-    """The page that docs/bad_inputs.md holds."""
-    lines = [
-        "# Wrong scenarios and meshes, and the sentence each gets",
-        "",
-        "Every row is run by `tests/test_bad_inputs.py`: one sentence, exit code 2, and nothing left in the",
-        "results folder but the mesh where it was finished before the mistake could show.",
-        "The table is written by `python tests/bad_inputs.py`; a test fails where it is not current.",
-        "",
-        "| what is wrong | `forearm-fem` says |",
-        "| --- | --- |",
-        *(f"| {case.name} | {sentence.replace('|', chr(92) + '|')} |" for case, sentence in answers),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def documented() -> dict[str, str]:
-    """Name -> sentence, as the docs have them."""
-    rows = (line.split(" | ", 1) for line in DOCS.read_text(encoding="utf-8").splitlines() if line.startswith("| "))
-    return {row[0].removeprefix("| "): row[1].removesuffix(" |").replace("\\|", "|") for row in rows}
-
-
-def _main() -> None:
-    import tempfile
-
-    from cli_runner import cli
-
-    answers = []
-    for case in CASES:
-        with tempfile.TemporaryDirectory() as name:
-            answer = cli(*prepare(case, Path(name)), cwd=Path(name))
-        answers.append((case, answer.sentence))
-    DOCS.write_text(table(answers), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    _main()

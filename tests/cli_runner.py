@@ -8,9 +8,12 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
-from forearm_fem.cli import main
+from typer.main import get_command
+
+from forearm_fem.cli import app, main
 
 SMALL = """name = "small"
 engine = "layered"
@@ -62,6 +65,15 @@ def _exit_code() -> int:
     except SystemExit as stop:
         return int(stop.code or 0)
     return 0
+
+
+def every_command(group: Any = None, before: str = "") -> list[tuple[str, Any]]:
+    """(name, command) of all that can be called, in the order of ``--help``; a group's as "study run"."""
+    found = []
+    for name, command in (group or get_command(app)).commands.items():
+        inside = getattr(command, "commands", None)
+        found += every_command(command, f"{before}{name} ") if inside else [(f"{before}{name}", command)]
+    return found
 
 
 def leftovers(folder: Path) -> list[str]:

@@ -16,9 +16,13 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from forearm_fem.user_cache import default_cache_dir
+
 settings.register_profile("suite", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("suite")  # no test fails by the time that a busy machine takes
 
+# Tests that take a cache of their own still read the kernels that were compiled before.
+os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache_dir() / "kernels"))
 if "PYTEST_XDIST_WORKER" in os.environ:
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")

@@ -25,7 +25,6 @@ from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.boundary import with_boundaries
 from forearm_fem.io.csvfiles import write_csv
 from forearm_fem.io.declaration import Declaration
-from forearm_fem.io.jsonfiles import read_json, write_json
 from forearm_fem.io.matlab_import import write_mat5, write_mat73
 from forearm_fem.io.reading import RecognitionWarning
 from forearm_fem.io.recognise import read_measured
@@ -55,7 +54,6 @@ FIELD = Wavefield(
     np.arange(5.0) + 10, np.float64(np.float32(RNG.standard_normal((40, 3, 6)))), np.ones((5, 6, 4)) * (1 + 2j)
 )
 RECORDING = Recording("1", "A1", RATE, RNG.standard_normal(200), RNG.standard_normal((2, 200)))
-FACTS = {"seconds": 12.5, "errors": [{"band": 0.0123, "source": "truncation"}] * 4, "notes": ["one", "two"]}
 ROWS = io.strength_rows(("inverse filter", "funneling"), ("1", "5"), np.array([[1.25, 2.5], [0.125, 3.75]]))
 
 
@@ -101,7 +99,6 @@ FORMATS = (
     Format("recording.npz", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
     Format("mesh.vtu", lambda p: write_mesh(MESH, p), read_mesh),
     Format("mesh.msh", lambda p: write_mesh(MESH, p), read_mesh),
-    Format("run.json", lambda p: write_json(p, FACTS), read_json),
     Format("signal_strength.csv", lambda p: io.write_signal_strength_csv(p, ROWS), io.read_signal_strength_csv),
 )
 

@@ -5,19 +5,14 @@ from __future__ import annotations
 import functools
 import inspect
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
-from cli_runner import SMALL, cli, leftovers
+from cli_runner import SMALL, cli, every_command, leftovers
 from scipy.io import savemat
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "_ext"))
-
-from command_pages import every_command
 
 from forearm_fem import cli as program
 from forearm_fem.commands import study
@@ -25,6 +20,7 @@ from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.io.netcdf import write_transfer
 from forearm_fem.ports import Port
 from forearm_fem.scenario import load_scenario
+from forearm_fem.store.folder import set_kind
 from forearm_fem.transfer import TransferMatrix
 
 WRITTEN = {"out", "save", "page", "data", "folder"}  # paths that a command makes
@@ -307,12 +303,12 @@ def test_an_empty_argument_is_refused_and_an_empty_text_of_a_key_is_the_keys_mat
 
 CAMPAIGN = 'name = "c"\nscenario = "small.toml"\nstage = "solve"\n[[members]]\nname = "m"\n'
 DESIGN = 'name = "d"\nscenario = "small.toml"\n[[variables]]\nkey = "device.spacing"\nlow = 0.04\nhigh = 0.05\n'
-OF_ANOTHER = {  # each kind of folder: a file that it is known by, and the line that would work in it
-    "run": ("run.json", ("run", "small.toml", "--out")),
-    "design": ("candidates.jsonl", ("design", "d.toml", "--out")),
-    "campaign": ("summary.md", ("campaign", "c.toml", "--out")),
-    "study": ("study.json", ("study", "rehearse", "s.toml", *("--transfer", "lab.csv"), *declared(SAID, ""), "--data")),
-    "calibration": ("session.json", ("calibrate", "small.toml", "--through", "lab.csv", *declared(SAID, ""), "--out")),
+OF_ANOTHER = {  # each kind of folder, and the line that would work in it
+    "run": ("run", "small.toml", "--out"),
+    "design": ("design", "d.toml", "--out"),
+    "campaign": ("campaign", "c.toml", "--out"),
+    "study": ("study", "rehearse", "s.toml", *("--transfer", "lab.csv"), *declared(SAID, ""), "--data"),
+    "calibration": ("calibrate", "small.toml", "--through", "lab.csv", *declared(SAID, ""), "--out"),
 }
 
 
@@ -324,12 +320,10 @@ def test_the_folder_of_another_command_is_refused_before_anything_is_written(lab
         return
     (lab / "c.toml").write_text(CAMPAIGN)
     (lab / "d.toml").write_text(DESIGN)
-    mark, _ = OF_ANOTHER[kind]
-    (lab / "theirs").mkdir()
-    (lab / "theirs" / mark).write_text("{}")
+    set_kind(lab / "theirs", kind)
     before = leftovers(lab)
-    answer = cli(*OF_ANOTHER[own][1], "theirs", cwd=lab)
+    answer = cli(*OF_ANOTHER[own], "theirs", cwd=lab)
     assert (answer.code, answer.sentence) == (
-        2, f"theirs: holds a {kind} ({mark}), with which a {own} does not mix; name another folder",
+        2, f"theirs: holds a {kind} (folder.json), with which a {own} does not mix; name another folder",
     )  # fmt: skip
     assert leftovers(lab) == before

@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import forearm_fem
+from forearm_fem.fem.kernels import jit
+from forearm_fem.fem.kernels.compiled import compiled
 from forearm_fem.fem.linear import pardiso
 from forearm_fem.fem.linear.multifrontal.factor import MultifrontalFactor
 from forearm_fem.fem.reduction import compile_ahead
@@ -89,7 +92,7 @@ def test_a_run_compiles_nothing_that_the_process_beside_left_out(tmp_path):
 
 
 def test_two_are_started_where_nothing_is_kept_and_the_last_when_these_have_ended(started, monkeypatch):
-    monkeypatch.setattr(compile_ahead, "are_kept", lambda folder, source: False)
+    monkeypatch.setattr(compile_ahead, "are_kept", lambda kernel: False)
     told = []
     compile_ahead.finish_compiling()
     assert not started  # none was, so there is nothing to wait for
@@ -102,7 +105,7 @@ def test_two_are_started_where_nothing_is_kept_and_the_last_when_these_have_ende
 
 
 def test_no_third_is_started_for_complex_numbers_that_no_one_needs(started, monkeypatch):
-    monkeypatch.setattr(compile_ahead, "are_kept", lambda folder, source: False)
+    monkeypatch.setattr(compile_ahead, "are_kept", lambda kernel: False)
     compile_ahead.start_compiling()
     compile_ahead.finish_compiling(complex_ones=False)
     assert started == ["factors", "products"]
@@ -153,7 +156,7 @@ def test_a_small_scene_needs_no_complex_kernels(monkeypatch):
 
 
 def test_it_is_not_started_where_kernels_are_kept_or_cannot_be_compiled(started, monkeypatch):
-    monkeypatch.setattr(compile_ahead, "are_kept", lambda folder, source: True)
+    monkeypatch.setattr(compile_ahead, "are_kept", lambda kernel: True)
     compile_ahead.start_compiling()
     compile_ahead.start_compiling.cache_clear()
     monkeypatch.setattr(compile_ahead, "compiled", lambda module: None)
@@ -162,13 +165,62 @@ def test_it_is_not_started_where_kernels_are_kept_or_cannot_be_compiled(started,
     assert not started
 
 
-def test_kernels_kept_of_an_older_module_do_not_count(tmp_path):
-    source, index = tmp_path / "factor.py", tmp_path / "substitution.backward-80.py311.nbi"
-    source.touch()
-    assert not compile_ahead.are_kept(tmp_path, source)
-    index.touch()
-    os.utime(source, (1000, 1000))
-    os.utime(index, (2000, 2000))
-    assert compile_ahead.are_kept(tmp_path, source)
-    os.utime(index, (500, 500))
-    assert not compile_ahead.are_kept(tmp_path, source)
+def test_kernels_of_other_sources_do_not_count(tmp_path, monkeypatch):
+    """One digit in any file of kernels, also one that only calls the kernel, asks for another folder."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
+    sources = tmp_path / "kernels", tmp_path / "multifrontal"
+    for folder in sources:
+        folder.mkdir()
+        (folder / "one.py").write_text("FACTOR = 2.0\n")
+    monkeypatch.setattr(jit, "_SOURCES", sources)
+    folder = jit.kernels_folder.__wrapped__
+    first = folder()
+    assert first.parent == tmp_path / "kept"
+    assert folder() == first
+    (sources[1] / "one.py").write_text("FACTOR = 3.0\n")
+    assert folder() != first
+
+
+def test_what_is_compiled_is_kept_for_the_next_process_and_by_signature(tmp_path, monkeypatch):
+    monkeypatch.setattr(jit, "kernels_folder", lambda: tmp_path)
+
+    def doubled(x):
+        return 2 * x
+
+    first = jit.kernel(doubled)
+    assert not compile_ahead.are_kept(first)
+    assert first(3) == 6
+    assert first(1.5) == 3.0
+    assert len(list(tmp_path.iterdir())) == 2
+    again = jit.kernel(doubled)
+    assert compile_ahead.are_kept(again)
+    assert again(3) == 6
+    assert sum(again.stats.cache_hits.values()) == 1
+    for file in tmp_path.iterdir():
+        file.write_bytes(file.read_bytes()[:100])  # cut short by a full disk
+    third = jit.kernel(doubled)
+    assert third(3) == 6
+    assert sum(third.stats.cache_hits.values()) == 0
+
+
+def test_without_a_home_kernels_lie_in_a_private_folder_or_nowhere(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()  # root writes everywhere but below a file
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "file" / "cache"))
+    monkeypatch.setattr(jit.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    folder = jit.kernels_folder.__wrapped__
+    there = folder()
+    assert there.parent == tmp_path / "temporary"
+    assert there.stat().st_mode & 0o077 == 0
+    monkeypatch.setattr(jit.tempfile, "gettempdir", lambda: str(tmp_path / "file" / "temporary"))
+    assert folder() is None
+    monkeypatch.setattr(jit, "kernels_folder", lambda: None)
+    compiled = jit.kernel(lambda x: x + 1)
+    assert compiled(1) == 2
+    assert compile_ahead.are_kept(compiled)  # nothing to gain by a process beside
+
+
+def test_no_compiled_code_lies_beside_the_sources():
+    assert compiled("linear.multifrontal.factor") is not None
+    package = Path(forearm_fem.__file__).parent
+    assert [*package.rglob("*.nbi"), *package.rglob("*.nbc")] == []

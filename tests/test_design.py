@@ -20,8 +20,9 @@ from forearm_fem.design.model import Objective
 from forearm_fem.design.search import planned, search
 from forearm_fem.design.store import Store, question
 from forearm_fem.errors import DataError, GeometryError, ScenarioError
-from forearm_fem.layered import Disc, Layer, layered_compliance, tabulated
-from forearm_fem.layered.tabulating import tabulate
+from forearm_fem.layered import Disc, Layer, layered_compliance
+from forearm_fem.layered import tables as tabulated
+from forearm_fem.layered.tables import tabulate
 from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.layered_engine import flat_ports
 from forearm_fem.pipeline.simulation import render, simulate

@@ -21,7 +21,12 @@ from matplotlib.figure import Figure, SubFigure
 from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError
-from forearm_fem.figures import (
+from forearm_fem.io import write_transfer
+from forearm_fem.layered.closed_forms import rayleigh_wavenumber
+from forearm_fem.layered.kernel import Layer, surface_kernel
+from forearm_fem.ports import Port
+from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show import (
     Results,
     conditioning,
     conditioning_of,
@@ -37,18 +42,13 @@ from forearm_fem.figures import (
     target_waves,
     versus_of,
 )
-from forearm_fem.figures.device import drive_levels, plot_drives
-from forearm_fem.figures.judge import errors
-from forearm_fem.figures.registry import _chosen
-from forearm_fem.figures.style import SHEET, arrange
-from forearm_fem.figures.targets import moments
-from forearm_fem.figures.waves import _row, kernel_root, line, travel
-from forearm_fem.io import write_transfer
-from forearm_fem.io.jsonfiles import write_json
-from forearm_fem.layered.closed_forms import rayleigh_wavenumber
-from forearm_fem.layered.kernel import Layer, surface_kernel
-from forearm_fem.ports import Port
-from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show.device import drive_levels, plot_drives
+from forearm_fem.show.judge import errors
+from forearm_fem.show.registry import _chosen
+from forearm_fem.show.style import SHEET, arrange
+from forearm_fem.show.targets import moments
+from forearm_fem.show.waves import _row, kernel_root, line, travel
+from forearm_fem.store.text import write_json
 from forearm_fem.tissue import KelvinVoigt, resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, entry_errors
 
@@ -158,7 +158,7 @@ def test_the_inverse_filter_delivers_the_wavelet_at_the_end_of_the_line(run: Res
 
 
 def test_the_traced_root_of_a_half_space_is_rayleighs() -> None:
-    from forearm_fem.figures.roots import trace_root
+    from forearm_fem.show.roots import trace_root
 
     layer = Layer(np.inf, 1050.0, KelvinVoigt(7860.0, 5.03).at)
     omega = 2 * np.pi * np.array([50.0, 200.0, 500.0])
@@ -303,7 +303,7 @@ def test_a_run_without_mesh_or_field_leaves_their_figures_out(folder: Path, tmp_
     for file in folder.iterdir():
         if file.name not in ("mesh.vtu", "wavefield.npz"):
             os.symlink(file, part / file.name)
-    from forearm_fem.figures.registry import applies
+    from forearm_fem.show.registry import applies
 
     run = Results.open(part)
     left_out = {n for n, k in kinds(run).items() if applies(k, run)}
@@ -334,7 +334,7 @@ def test_no_folder_no_figures(tmp_path: Path) -> None:
 def test_vector_formats_and_any_back_end(folder: Path, tmp_path: Path) -> None:  # noqa: F811
     """A back end that needs a display is the user's; we draw without it."""
     code = (
-        "import sys; from forearm_fem.figures import make_figures\n"
+        "import sys; from forearm_fem.show import make_figures\n"
         f"make_figures({str(folder)!r}, {str(tmp_path)!r}, only=['errors'], formats=('pdf', 'svg'))\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )

@@ -5,8 +5,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from forearm_fem.errors import DataError
-from forearm_fem.figures.overlay import fit_width, lay_over, read_curves
-from forearm_fem.figures.targets import moments
+from forearm_fem.show.overlay import fit_width, lay_over, read_curves
+from forearm_fem.show.targets import moments
 
 
 def two_panels() -> Figure:

@@ -11,8 +11,6 @@ import pytest
 
 from forearm_fem.compare.adapters import layers_from
 from forearm_fem.device import close_loop, contact_state
-from forearm_fem.figures import Results
-from forearm_fem.figures.patch import volar_patch
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.geometry.mesh.files import write_mesh
@@ -29,6 +27,8 @@ from forearm_fem.layered import Disc, layered_compliance
 from forearm_fem.ports import positions
 from forearm_fem.rendering import render_all, ricker
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show import Results
+from forearm_fem.show.patch import volar_patch
 from forearm_fem.transfer import Compliance, ErrorEstimate, TransferMatrix
 from forearm_fem.wavefield import Wavefield, save_wavefield
 

@@ -20,7 +20,7 @@ from forearm_fem.layered import (
     uniform_disc_centre,
     uniform_disc_mean,
 )
-from forearm_fem.layered.asymptote import disc_interaction, disc_potential
+from forearm_fem.layered.hankel import disc_interaction, disc_potential
 
 BULK = 2.2e9
 SOURCE = Disc(0.0, 0.0, 3.5e-3)

@@ -18,9 +18,9 @@ from forearm_fem.layered import (
     surface_compliance,
     surface_kernel,
 )
+from forearm_fem.layered.discs import galerkin
 from forearm_fem.layered.hankel import _balls, _bessels
-from forearm_fem.layered.quadrature import NODES, Rules
-from forearm_fem.layered.scattering import galerkin
+from forearm_fem.layered.integrals import NODES, Rules
 
 BULK, A = 2.2e9, 3.5e-3
 MU = 7860.0

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from forearm_fem.errors import GeometryError, ScenarioError
-from forearm_fem.figures import make_figures
-from forearm_fem.figures.data import Results
-from forearm_fem.figures.registry import applies, kinds
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.ports import Port, positions
 from forearm_fem.rendering import funneling_weights
 from forearm_fem.rendering.lattice import is_thesis_grid
-from forearm_fem.report.facts import scene_block
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show import make_figures
+from forearm_fem.show.data import Results
+from forearm_fem.show.facts import scene_block
+from forearm_fem.show.registry import applies, kinds
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 PRESSURE = {"cone": {"contact": "pressure"}}

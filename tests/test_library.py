@@ -15,9 +15,9 @@ from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import parametric_skin
 from forearm_fem.layered import Layer, Surface, surface_kernel
+from forearm_fem.layered.discs import Disc
 from forearm_fem.layered.integrals import Medium
-from forearm_fem.layered.rigid import Disc
-from forearm_fem.layered.tabulating import tabulate
+from forearm_fem.layered.tables import tabulate
 from forearm_fem.library import is_library, load_library, make, make_library, save_library, side, store
 from forearm_fem.library.arm import _Asked, _Part, library_skin
 from forearm_fem.library.between import Lattice, Prior, Shape, shape_of

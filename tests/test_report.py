@@ -15,10 +15,11 @@ import pytest
 from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError
-from forearm_fem.figures import Results, kinds
-from forearm_fem.report import write, write_report
-from forearm_fem.report.facts import condition_words, differences, exceeded, mean_words, scene_block
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.show import Results, kinds
+from forearm_fem.show import report as write
+from forearm_fem.show.facts import condition_words, differences, exceeded, mean_words, scene_block
+from forearm_fem.show.report import write_report
 
 
 @pytest.fixture(scope="module")

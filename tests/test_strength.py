@@ -14,7 +14,6 @@ from forearm_fem.compare.common import common_ground
 from forearm_fem.compare.crossplay import cross_play
 from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
-from forearm_fem.figures import Results
 from forearm_fem.measurement.entry import noise_estimate
 from forearm_fem.metrics.strength import strength_text, without_bound
 from forearm_fem.pipeline import strengths as account_module
@@ -43,6 +42,7 @@ from forearm_fem.rendering import (
     thesis_renderers,
 )
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show import Results
 from forearm_fem.transfer import ErrorEstimate, band_error, entry_errors, relative_error
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")

@@ -16,17 +16,17 @@ from cli_runner import SMALL, cli, leftovers
 
 from forearm_fem.commands.common import Heartbeat, out_folder, progress_line
 from forearm_fem.errors import DataError
-from forearm_fem.io.lock import locked
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.pipeline.folder import Run
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.store.folder import locked
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 HOLD = """
 import sys, time
-from forearm_fem.io.lock import locked
+from forearm_fem.store.folder import locked
 with locked(sys.argv[1]):
     print("held", flush=True)
     time.sleep(600)
@@ -115,7 +115,7 @@ def test_files_of_another_scenario_leave_the_folder(scene: Path) -> None:
 
 
 def test_figures_find_the_wavelet_wherever_they_are_made(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    from forearm_fem.figures.data import Results
+    from forearm_fem.show.data import Results
 
     t = np.arange(-100, 100) / 2000
     (scene / "wave.csv").write_text("\n".join(f"{v:.6f}" for v in (1 - 2 * (400 * t) ** 2) * np.exp(-((400 * t) ** 2))))
@@ -163,7 +163,7 @@ def test_a_progress_line_says_stage_count_and_time_left() -> None:
 
 
 def test_hand_placed_contacts_are_reported_as_they_lie() -> None:
-    from forearm_fem.report.facts import _device, _grid
+    from forearm_fem.show.facts import _device, _grid
 
     placed = parse_scenario(
         {"device": {"contacts": [[0, 0], [0.032, 0]]}, "grid": {"points": [[0.0, 0.0], [0.01, 0.0]]}}

@@ -12,7 +12,6 @@ import pytest
 from cli_runner import cli
 
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
-from forearm_fem.io.jsonfiles import read_json
 from forearm_fem.io.netcdf import write_transfer
 from forearm_fem.layered import Layer, Surface
 from forearm_fem.metrics import thesis_table
@@ -22,8 +21,9 @@ from forearm_fem.prediction.run import Question
 from forearm_fem.prediction.statistics import Draws
 from forearm_fem.prediction.targets import SHAH_ARMS, TARGETS, Target
 from forearm_fem.prediction.validate import validate
-from forearm_fem.report.validation import coverage, failures, joint_words, validation_page
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show.validation import coverage, failures, joint_words, validation_page
+from forearm_fem.store.text import read_json
 from forearm_fem.tissue import KelvinVoigt
 from forearm_fem.transfer import TransferMatrix
 

@@ -19,11 +19,8 @@ from test_skin_model import solved  # noqa: F401
 
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, GeometryError
-from forearm_fem.figures import Results
-from forearm_fem.figures.motion import View, motion
 from forearm_fem.io import read_compliance, read_transfer, write_transfer
 from forearm_fem.io.csvfiles import write_csv
-from forearm_fem.io.jsonfiles import write_json
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.pipeline.skin_model import load_skin_model
@@ -31,11 +28,14 @@ from forearm_fem.prediction.outcome import Outcome
 from forearm_fem.prediction.store import FILE, write_outcomes
 from forearm_fem.rendering import Funneling, render_all, ricker, strengths
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show import Results
+from forearm_fem.show.motion import View, motion
+from forearm_fem.show.workbench import content_of, page_of, view, write_workbench
+from forearm_fem.show.workbench.bundle import script
+from forearm_fem.show.workbench.content import measured_content, short_scenario
+from forearm_fem.show.workbench.field import few_shapes, per_newton, solved_field
+from forearm_fem.store.text import write_json
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
-from forearm_fem.workbench import content_of, page_of, view, write_workbench
-from forearm_fem.workbench.bundle import script
-from forearm_fem.workbench.content import measured_content, short_scenario
-from forearm_fem.workbench.field import few_shapes, per_newton, solved_field
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 HERE = Path(__file__).parent
@@ -402,7 +402,7 @@ def test_few_shapes_hold_the_motion_of_the_skin(folder: Path) -> None:  # noqa: 
     run = Results.open(folder)
     found = solved_field(run)
     skin, states = found.surfaces[0], per_newton(run)
-    from forearm_fem.figures.show import body_of
+    from forearm_fem.show.film import body_of
 
     exact = np.einsum("ncr,fra->fnca", body_of(run, "", "").modes, states, optimize=True)
     held = np.einsum("nck,fka->fnca", skin.shapes, found.amplitudes, optimize=True)
@@ -431,7 +431,7 @@ def test_the_skin_moves_in_the_page_as_in_python(folder: Path) -> None:  # noqa:
     """Shapes leave out 0.3 %, interpolation in time at 8 samples a cycle and more 1 %."""
     run = Results.open(folder)
     moved = motion(run, View("funneling", "5"), np.array([4e-3]))
-    from forearm_fem.figures.show import body_of
+    from forearm_fem.show.film import body_of
 
     expected = moved.displacement(body_of(run, "", "").modes, 0)
     job = {"ask": "skin", "method": "funneling", "time": 4e-3, "settings": {"target": 4}}
@@ -533,7 +533,7 @@ def test_types_of_the_front_end() -> None:
     compiler = shutil.which("tsc")
     if compiler is None:
         pytest.skip("no tsc on this machine; `npm install --global typescript` brings it")
-    place = HERE.parent / "forearm_fem" / "workbench" / "page" / "jsconfig.json"
+    place = HERE.parent / "forearm_fem" / "show" / "workbench" / "page" / "jsconfig.json"
     done = subprocess.run([compiler, "-p", str(place)], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout
 
@@ -561,14 +561,14 @@ def test_names_stay_text(content: dict[str, Any]) -> None:
 
 def test_every_module_is_in_the_script_once() -> None:
     text = script()
-    names = {p.stem for p in (HERE.parent / "forearm_fem" / "workbench" / "page").glob("*.js")}
+    names = {p.stem for p in (HERE.parent / "forearm_fem" / "show" / "workbench" / "page").glob("*.js")}
     assert sorted(re.findall(r"^const page_(\w+) = ", text, re.MULTILINE)) == sorted(names)
     assert not re.search(r"^(import|export) ", text, re.MULTILINE)
 
 
 def test_what_a_module_exports_is_asked_for() -> None:
     """By another module or by the modules' own tests: nothing dead lives in the room."""
-    page = HERE.parent / "forearm_fem" / "workbench" / "page"
+    page = HERE.parent / "forearm_fem" / "show" / "workbench" / "page"
     read = {p: p.read_text(encoding="utf-8") for p in [*page.glob("*.js"), *(HERE / "workbench").glob("*.mjs")]}
     for place, text in read.items():
         others = "\n".join(t for p, t in read.items() if p != place)

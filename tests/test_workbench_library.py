@@ -22,12 +22,12 @@ from forearm_fem.pipeline.solved import Solved
 from forearm_fem.ports import Port
 from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.show.workbench import places as module
+from forearm_fem.show.workbench import write_workbench
+from forearm_fem.show.workbench.bundle import page_of
+from forearm_fem.show.workbench.content import library_content
+from forearm_fem.show.workbench.places import places_of
 from forearm_fem.transfer import Compliance
-from forearm_fem.workbench import places as module
-from forearm_fem.workbench import write_workbench
-from forearm_fem.workbench.bundle import page_of
-from forearm_fem.workbench.content import library_content
-from forearm_fem.workbench.places import places_of
 
 SCENE: dict[str, Any] = {
     "name": "patch", "engine": "layered", "sweep": {"duration": 0.2, "sample_rate": 2000.0, "f_max": 300.0},

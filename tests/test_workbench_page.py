@@ -20,14 +20,14 @@ from test_figures_scene import folder  # noqa: F401
 from test_skin_model import solved  # noqa: F401
 from test_workbench import LAYERED, content, drawn, flat  # noqa: F401
 
-from forearm_fem.figures import Results
 from forearm_fem.io.csvfiles import write_csv
 from forearm_fem.io.recognise import read_measured
 from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.pipeline.skin_model import load_skin_model
 from forearm_fem.scenario import load_scenario, parse_scenario
-from forearm_fem.workbench import content_of, page_of
-from forearm_fem.workbench.content import measured_content
+from forearm_fem.show import Results
+from forearm_fem.show.workbench import content_of, page_of
+from forearm_fem.show.workbench.content import measured_content
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

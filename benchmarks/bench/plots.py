@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
-from forearm_fem.io.atomic import atomic_path
+from forearm_fem.store.folder import atomic_path
 
 from .tables import Row, read_rows
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from forearm_fem import __version__
-from forearm_fem.io.atomic import write_text
+from forearm_fem.store.folder import write_text
 
 Row = Mapping[str, str]
 

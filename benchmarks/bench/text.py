@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-from forearm_fem.io.atomic import write_text
+from forearm_fem.store.folder import write_text
 
 from .plots import CURVES
 from .tables import Row, read_rows

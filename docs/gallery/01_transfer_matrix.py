@@ -11,7 +11,7 @@ together. Far points move little: where they may not move at all, for all that i
 # A run to draw, as ``forearm-fem run quick`` leaves it in the folder that this script is started in.
 import numpy as np
 
-from forearm_fem.figures import Results, conditioning, plot_conditioning, plot_transfer
+from forearm_fem.show import Results, conditioning, plot_conditioning, plot_transfer
 
 run = Results.open("results/quick")
 plot_transfer(run.transfer)

@@ -10,7 +10,7 @@ meet at the last place as the wavelet asked for. On the way the skin moves more 
 # A run to draw, as ``forearm-fem run quick`` leaves it in the folder that this script is started in.
 import numpy as np
 
-from forearm_fem.figures import Results, plot_travel, travel
+from forearm_fem.show import Results, plot_travel, travel
 
 data = travel(Results.open("results/quick"))
 plot_travel(data)

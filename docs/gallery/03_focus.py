@@ -10,7 +10,7 @@ what happens beside the cones.
 # A run to draw, as ``forearm-fem run quick`` leaves it in the folder that this script is started in.
 import numpy as np
 
-from forearm_fem.figures import Results, plot_target, target_waves
+from forearm_fem.show import Results, plot_target, target_waves
 
 data = target_waves(Results.open("results/quick"), "1")
 plot_target(data)

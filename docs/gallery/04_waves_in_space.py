@@ -14,9 +14,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from forearm_fem.figures import Results
-from forearm_fem.figures.motion import View, motion
-from forearm_fem.figures.show import Look, render_still
+from forearm_fem.show import Results
+from forearm_fem.show.film import Look, render_still
+from forearm_fem.show.motion import View, motion
 
 run = Results.open("results/quick")
 file = Path(tempfile.mkdtemp()) / "still.png"

@@ -9,7 +9,7 @@ the coils, and see all three methods answer. Below is the page itself, alive. On
 
 # %%
 # A run to draw, as ``forearm-fem run quick`` leaves it in the folder that this script is started in.
-from forearm_fem.workbench import view
+from forearm_fem.show.workbench import view
 
 page = view("results/quick", height=1000)
 

@@ -29,7 +29,7 @@ for error in g.errors:
 # %%
 # How much each point moves per volt on each actuator, how quickly that falls with frequency, within what band it
 # is known. Lines are pale where a point may not move at all, for all that is known:
-from forearm_fem.figures import plot_transfer
+from forearm_fem.show import plot_transfer
 
 plot_transfer(g)
 

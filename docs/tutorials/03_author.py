@@ -11,9 +11,9 @@ makes a folder with the flat twin, draws four of them, and shows how to lay your
 import tempfile
 from pathlib import Path
 
-from forearm_fem.figures import Results, kinds, make_figures
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.show import Results, kinds, make_figures
 
 scene = parse_scenario({"name": "paper", "engine": "layered", "sweep": {"duration": 0.5},
                         "device": {"cone": {"contact": "pressure"}}})  # fmt: skip
@@ -30,14 +30,14 @@ print(sorted(file.name for file in made))
 
 # %%
 # **Signal strength** beside the thesis' Table I. Dots are targets, bars are the thesis' mean and deviation.
-from forearm_fem.figures import plot_table_one, strengths
+from forearm_fem.show import plot_table_one, strengths
 
 plot_table_one(strengths(results))
 
 # %%
 # **A wavelet along a line**, the thesis' figure 2. The inverse filter sends low frequencies first, as they travel
 # slowly; all meet at the last place.
-from forearm_fem.figures import plot_travel, travel
+from forearm_fem.show import plot_travel, travel
 
 data = travel(results)
 plot_travel(data)
@@ -47,7 +47,7 @@ plot_travel(data)
 # the impedance of a coil that is held still, which the amplifier would see without any motion.
 import numpy as np
 
-from forearm_fem.figures import impedance, plot_impedance
+from forearm_fem.show import impedance, plot_impedance
 
 figure = plot_impedance(impedance(results))
 frequency, coil = results.transfer.frequency, results.scenario.device.coil

@@ -10,12 +10,12 @@ from typing import Any
 
 from .. import __version__
 from ..errors import DataError, ForearmError
-from ..io.jsonfiles import read_json, write_json
-from ..io.lock import locked
 from ..pipeline.verdict import short_verdict
 from ..results import read_run
 from ..scenario import Scenario
 from ..scenario.contents import contents, named_files
+from ..store.folder import locked
+from ..store.text import read_json, write_json
 
 MARK = "member.json"
 

@@ -13,10 +13,9 @@ from typing import Any
 import psutil
 
 from ..errors import ForearmError
-from ..io.atomic import write_text
-from ..io.markdown import markdown_table
-from ..io.owner import refuse_folder_of_another
 from ..progress import Progress, tell
+from ..store.folder import check_kind, set_kind, write_text
+from ..store.text import markdown_table
 from .executor import LIGHT, SHARE, cluster, completed, in_turn
 from .member import MemberJob, finish_member, finished
 from .model import Campaign, Member
@@ -57,8 +56,9 @@ def run_campaign(
     otherwise ``workers`` local processes are started (default: as many as cores and forecast memory allow; without Dask
     members run here, one after the other).
     """
-    refuse_folder_of_another(folder, "campaign")
+    check_kind(folder, "campaign")
     out = Path(folder).resolve()
+    set_kind(out, "campaign")
     jobs = [_job(campaign, m, out) for m in campaign.members]
     done = {job.name: found for job in jobs if (found := finished(job)) is not None}
     reused = set(done)

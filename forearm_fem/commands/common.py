@@ -192,8 +192,8 @@ def stage(
 
     A ``library`` of the arm is read first, and answers in place of a solve.
     """
-    from ..io.lock import locked
     from ..pipeline.folder import Run
+    from ..store.folder import locked
 
     folder, kept = out_folder(out, asked, overrides), library_file(library)
     with locked(folder):

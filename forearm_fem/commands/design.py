@@ -28,7 +28,7 @@ def design(
     """Search for the device with the largest S within limits; interrupted, it goes on where it was."""
     from ..design import load_design, run_design
     from ..design.report import outcome_words
-    from ..io.lock import locked
+    from ..store.folder import locked
 
     asked = load_design(file)
     folder = out or Path("results") / asked.asked.name

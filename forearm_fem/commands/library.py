@@ -23,8 +23,8 @@ def library(
     ] = None,
 ) -> None:
     """Solve once for a patch of an arm's skin; `run --library` then needs no solve."""
-    from ..io.lock import locked
     from ..library import is_library, make_library, save_library
+    from ..store.folder import locked
 
     asked = load_scenario(scenario, overrides=overrides or ())
     if asked.engine != "fem":
@@ -34,7 +34,7 @@ def library(
     if file.is_file() and not is_library(file):
         raise DataError(f"{file}: is there and no library; it is not replaced, name another file with --out")
     print_notes(_idle(overrides or ()))
-    with locked(file.parent), Display() as display:
+    with locked(file.parent, sums=False), Display() as display:
         made = make_library(asked, base=scenario.parent, progress=display)
         save_library(file, made)
     patch, facts = asked.library, made.facts

@@ -92,8 +92,8 @@ def calibrate(
     yes: Annotated[bool, typer.Option("--yes", help="do not wait for Enter at each point")] = False,
 ) -> None:
     """Measure G, one actuator and one point at a time; the same command resumes after a stop."""
-    from ..io.lock import locked
     from ..measurement.entry import bias_said
+    from ..store.folder import locked
 
     _refuse_idle(daq, card, through, declare, cable, snr=snr, bits=bits, latency=latency, seed=seed)
     asked = load_scenario(scenario, overrides=overrides or ())
@@ -247,7 +247,7 @@ def compare(
     """How far apart two G are: per entry, overall, in S, in dispersion; table, figures, JSON."""
     scene, said = scene_of(scenario), (declaration(declare_a), declaration(declare_b))
     from ..compare.run import run_compare
-    from ..io.lock import locked
+    from ..store.folder import locked
 
     folder = out or Path("results") / f"compare-{a.stem}-{b.stem}"
     with locked(folder), noted():
@@ -277,7 +277,7 @@ def fit(
     with noted(), Display() as display:
         display("libraries", 0, 1)  # seconds of a slow or busy machine
         from ..compare.run import run_fit
-        from ..io.lock import locked
+        from ..store.folder import locked
 
         display("libraries", 1, 1)
         with locked(folder):

@@ -23,7 +23,7 @@ def new(
     skinfold: Annotated[float | None, typer.Option(help="a caliper's reading on the volar forearm, in m")] = None,
 ) -> None:
     """Write a scenario in which every key stands with its default and meaning, commented out."""
-    from ..io.atomic import write_text
+    from ..store.folder import write_text
 
     name = name.removesuffix(".toml")
     limb = _limb(arm, tape, length, skinfold)

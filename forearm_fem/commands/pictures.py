@@ -43,8 +43,8 @@ def figures(
     for option, given, read in (("--only", only, names), ("--format", formats, kinds)):
         if given and not read:
             raise DataError(f"{option}: expected names between the commas, got none; leave it out for its default")
-    from ..figures import make_figures
-    from ..io.lock import locked
+    from ..show import make_figures
+    from ..store.folder import locked
 
     with locked(out or results), Display() as display, noted():
         written = make_figures(
@@ -65,7 +65,7 @@ def show(
     folder = _results_of(what)
     with noted():
         if save is None:
-            from ..figures.interact import interact
+            from ..show.interact import interact
 
             interact(folder)
             return
@@ -88,16 +88,16 @@ def _saved(folder: Path, save: Path) -> None:
     refuse_folder(save)
     kind = save.suffix.lower()
     if kind == ".png":
-        from ..figures.show import render_still
+        from ..show.film import render_still
 
         render_still(folder, save)
     elif kind in (".gif", ".mp4"):
-        from ..figures.show import animate
+        from ..show.film import animate
 
         with Display() as display:
             animate(folder, save, progress=display)
     elif kind == ".html":
-        from ..workbench import write_workbench
+        from ..show.workbench import write_workbench
 
         write_workbench(folder, save)
     else:

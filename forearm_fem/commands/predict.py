@@ -51,12 +51,12 @@ def predict(
     asked = load_scenario(scenario, overrides=overrides or ())
     with noted(), Display() as display:
         display("libraries", 0, 1)  # seconds of a slow or busy machine
-        from ..io.lock import locked
         from ..prediction.draws import LAWS
         from ..prediction.run import Question
         from ..prediction.run import predict as run
         from ..prediction.summary import FOLDER, summary, write_summary
-        from ..report.prediction import write_prediction
+        from ..show.prediction import write_prediction
+        from ..store.folder import locked
 
         display("libraries", 1, 1)
         folder = out_folder(out, asked, overrides) / FOLDER
@@ -97,12 +97,11 @@ def validate(
     name = "" if measured is None else measured.name
     with noted(), Display() as display:
         display("libraries", 0, 1)  # seconds of a slow or busy machine
-        from ..io.atomic import write_text
-        from ..io.lock import locked
         from ..prediction.run import Question
         from ..prediction.summary import FOLDER
         from ..prediction.validate import validate as run
-        from ..report.validation import coverage, failures, joint_words, validation_page
+        from ..show.validation import coverage, failures, joint_words, validation_page
+        from ..store.folder import locked, write_text
 
         display("libraries", 1, 1)
         given = measured_g(measured, asked, declare, "--measured")

@@ -79,8 +79,8 @@ def render(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder =
 
     asked = load_scenario(scenario, overrides=overrides or ())
     with stage(asked, scenario, out, run_render, overrides) as job:
-        from ..figures import Results
-        from ..report import strengths_by_target
+        from ..show import Results
+        from ..show.report import strengths_by_target
 
         typer.echo(strengths_by_target(Results.open(job.out)))
         typer.echo(f"results: {job.out} (signal_strength.csv holds every digit of S)")

@@ -29,7 +29,7 @@ def campaign(
 ) -> None:  # fmt: skip
     """Run many variants of a scenario; finished ones are skipped, failed ones do not stop the rest."""
     from ..campaign import load_campaign, run_campaign
-    from ..io.lock import locked
+    from ..store.folder import locked
 
     asked = load_campaign(file)
     folder = out or Path("results") / asked.name
@@ -51,8 +51,7 @@ def verify(
 ) -> None:
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
     from .. import verification
-    from ..io.atomic import write_text
-    from ..io.lock import locked
+    from ..store.folder import locked, write_text
     from ..verification import report
 
     if full and hard:

@@ -84,8 +84,8 @@ def new(
     declare: Declared = None,
 ) -> None:
     """Write a commented study file: the thesis' two studies, to be changed."""
-    from ..io.atomic import write_text
     from ..scenario import load_scenario, scenario_beside
+    from ..store.folder import write_text
     from ..study.plan import Study
 
     Study(name=name, scenario=scenario)  # before anything is written
@@ -275,8 +275,8 @@ def power(
     ] = None,
 ) -> None:  # fmt: skip
     """How many participants find the effect of a pilot, or the least that matters, and how sure that is."""
-    from ..figures.style import SHEET
-    from ..io.atomic import atomic_path
+    from ..show.style import SHEET
+    from ..store.folder import atomic_path
     from ..study import power as planned
     from ..study.analysis import cells, with_errors
     from ..study.figures import plot_power

@@ -31,7 +31,7 @@ def workbench(
 ) -> None:  # fmt: skip
     """Write one HTML page in which the waves move and everything can be tried: no server, no network."""
     asked = scene_of(scenario)
-    from ..workbench.bundle import page_beside, write_workbench
+    from ..show.workbench.bundle import page_beside, write_workbench
 
     page = save or (what / "workbench.html" if what.is_dir() else page_beside(what))
     with noted(), Display() as display:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..io.declaration import arbitrary_gain
-from ..io.jsonfiles import plain
 from ..metrics import WaveFit, condition_number, condition_summary, fit_waves
 from ..metrics.waves import beside, phase_told
 from ..ports import distances
+from ..store.text import plain
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .agreement import Agreement, agreement

@@ -13,14 +13,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..figures.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, sign, single, styled
-from ..io.atomic import atomic_path, write_text
-from ..io.markdown import markdown_table
+from ..show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, sign, single, styled
+from ..store.folder import atomic_path, set_kind, write_text
+from ..store.text import markdown_table
 from .agreement import fdac_matrix
 from .common import CommonGround
 from .compare import Comparison, comparison_record
 from .crossplay import CrossPlay
-from .earlier import clear_earlier
 
 FILES = ("comparison.json", "comparison.csv", "comparison.md", "comparison.png")
 _SIDES = (("A", ACTUATORS[0], "-"), ("B", ACTUATORS[5], "--"))
@@ -201,7 +200,7 @@ def _band(ax: Axes, ground: CommonGround) -> None:
 def save_report(c: Comparison, folder: str | Path, asked: Mapping[str, Any] | None = None) -> tuple[Path, ...]:
     """:data:`FILES` in ``folder``, each whole or absent, in place of an earlier comparison's."""
     target = Path(folder)
-    clear_earlier(target, FILES)
+    set_kind(target, "comparison", asked, FILES)
     for name, text in zip(FILES, (as_json(c, asked), as_csv(c), as_markdown(c)), strict=False):
         write_text(target / name, text)
     with atomic_path(target / FILES[-1]) as beside:

@@ -14,9 +14,7 @@ from ..arguments import checked
 from ..device.loop import close_loop
 from ..errors import DataError, ForearmError
 from ..geometry.device.layout import planform_ports
-from ..io.atomic import write_text
 from ..io.declaration import Declaration, Ports, arbitrary_gain, declared_by
-from ..io.jsonfiles import plain
 from ..io.netcdf import write_transfer
 from ..io.recognise import read_measured
 from ..pipeline.parametric import BEYOND, ParametricModel
@@ -24,6 +22,8 @@ from ..ports import Port
 from ..prediction.arm import as_wrong
 from ..progress import Progress, within
 from ..scenario import Scenario
+from ..store.folder import check_kind, set_kind, write_text
+from ..store.text import plain
 from ..transfer import UNITS, ErrorEstimate, TransferMatrix
 from .adapters import (
     ComplianceOf,
@@ -37,7 +37,6 @@ from .adapters import (
 )
 from .common import common_ground
 from .compare import Comparison, compare
-from .earlier import check_earlier, clear_earlier
 from .fit import DELAY, FALLBACK_NOISE, SCALE, FitResult, fit, moved_by, with_model_error, with_scattered_error
 from .next_best import NextBest, next_best
 from .parameters import Parameter
@@ -78,7 +77,7 @@ def run_compare(
         "scenario": None if scenario is None else scenario.model_dump(mode="json"),
     }  # fmt: skip
     if folder is not None:
-        check_earlier(Path(folder), FILES, asked)
+        check_kind(folder, "comparison", asked, FILES)
     ports = None if scenario is None else planform_ports(scenario)
     first, second = _load(a, declaration_a, ports, "--declare-a"), _load(b, declaration_b, ports, "--declare-b")
     names = (_name(a, "A"), _name(b, "B"))
@@ -153,7 +152,7 @@ def run_fit(
         "parameters": list(parameters), "frequencies": frequencies, "fem": fem,
     }  # fmt: skip
     if folder is not None:
-        check_earlier(Path(folder), FIT_FILES, asked)
+        check_kind(folder, "fit", asked, FIT_FILES)
     data = thinned(_load(measured, declaration, planform_ports(scenario)), frequencies)
     _check_data(scenario, data, parameters)
     chosen = common_parameters(scenario, parameters)
@@ -423,7 +422,7 @@ def _save_fit(
         "identified": result.identified,
         "sentences": [*notes, *result.sentences],
     }
-    clear_earlier(folder, FIT_FILES)
+    set_kind(folder, "fit", asked, FIT_FILES)
     account, page, g = (folder / name for name in FIT_FILES)
     write_text(account, json.dumps(content, indent=1, allow_nan=False))
     write_text(page, text)

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..layered.tabulated import Tabulated
+from ..layered.tables import Tabulated
 from ..pipeline.frequencies import frequencies
 from ..pipeline.layered_engine import flat_disc, flat_ports
 from ..pipeline.twin_tables import kept_tables, tables_reach

@@ -13,11 +13,11 @@ import numpy as np
 
 from .. import __version__
 from ..campaign.run import rows_table
-from ..figures.registry import save_drawn
-from ..io.atomic import write_text
 from ..io.dataset import save
-from ..io.jsonfiles import write_json
 from ..metrics.strength import strength_text
+from ..show.registry import save_drawn
+from ..store.folder import write_text
+from ..store.text import write_json
 from .candidate import Candidate
 from .figures import plot_devices, plot_front, plot_map
 from .run import DesignResult

@@ -17,11 +17,11 @@ import psutil
 
 from ..campaign.executor import LIGHT, SHARE, cluster
 from ..errors import ScenarioError
-from ..io.owner import refuse_folder_of_another
 from ..pipeline.folder import Run, run_all
 from ..pipeline.renderers import wavelet
 from ..progress import Progress, tell, within
 from ..results import read_run
+from ..store.folder import check_kind, set_kind
 from .arm import ArmModel, TwinArm
 from .candidate import Candidate, evaluate, s_interval, score_of
 from .front import pareto_front
@@ -80,9 +80,10 @@ def run_design(
     """
     for scenario, base in zip(design.scenarios({}), design.bases, strict=True):
         wavelet(scenario.rendering, scenario.sweep, base)  # a missing file is said before the search
-    refuse_folder_of_another(folder, "design")
+    check_kind(folder, "design")
     out = Path(folder).resolve()
     model = arm or TwinArm(progress=progress)
+    set_kind(out, "design")
     store = Store(out, design, model.mark)
     with _evaluating(design, model, scheduler, workers, own=arm is None) as many:
         total = planned(design)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..io.jsonfiles import digest_of
 from ..scenario.contents import contents, named_files
+from ..store.text import digest_of
 from .candidate import Candidate
 from .model import Design, Values
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from ..errors import DataError, MeshError
-from ..io.atomic import write_text
-from ..io.jsonfiles import digest_of
 from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.contents import contents, limb_files
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.mesh import MeshOptions
+from ..store.folder import write_text
+from ..store.text import digest_of
+from ..user_cache import default_cache_dir
 from .build import build_mesh
 from .device.cramped import refuse_if_too_many
 from .device.layout import RIGID, layout_of
@@ -94,13 +94,6 @@ def mesh_key(scenario: Scenario, *, base: Path = Path("."), scale: float = 1.0) 
     if scenario.mesh.min_quality != _QUALITY:  # it may decide at which attempt a mesh is good enough
         depends["min_quality"] = scenario.mesh.min_quality
     return digest_of(depends)
-
-
-def default_cache_dir() -> Path:
-    """$FOREARM_FEM_CACHE, else $XDG_CACHE_HOME/forearm_fem, else ~/.cache/forearm_fem."""
-    if own := os.environ.get("FOREARM_FEM_CACHE"):
-        return Path(own)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "forearm_fem"
 
 
 def shipped_folders(base: Path, given: Path | None = None) -> tuple[Path, ...]:

@@ -1,6 +1,6 @@
 """Files: our own, and measured G of any known kind; all written atomically."""
 
-from .atomic import atomic_path, write_text
+from ..store.folder import atomic_path, write_text
 from .declaration import Declaration, PortDeclaration
 from .matlab import read_thesis_mat, write_thesis_mat
 from .netcdf import read_compliance, read_transfer, write_compliance, write_transfer

@@ -15,9 +15,9 @@ import numpy as np
 
 from ..errors import AccuracyWarning, DataError
 from ..ports import Port
+from ..store.folder import write_bytes
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
-from .atomic import write_bytes
 from .declaration import RawMatrix, arbitrary_gain, port_from
 from .reading import numbered_rows, refuse_no_file
 from .seal import BLANK, MARK, check_seals, sealed

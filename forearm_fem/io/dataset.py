@@ -17,7 +17,7 @@ from xarray.backends import H5NetCDFStore
 from .. import __version__
 from ..errors import DataError
 from ..ports import Port, positions
-from .atomic import write_bytes
+from ..store.folder import write_bytes
 from .reading import refuse_no_file
 from .seal import check_tail, sealed_tail
 

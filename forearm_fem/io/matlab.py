@@ -14,9 +14,9 @@ from scipy.io import loadmat, savemat
 from ..arguments import checked
 from ..errors import DataError
 from ..ports import Port, positions
+from ..store.folder import write_bytes
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, IntArray
-from .atomic import write_bytes
 from .dataset import TIME_CONVENTION, labels, provenance_json
 from .reading import reading
 from .seal import BLANK, sealed

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.io import loadmat
 
 from ..errors import DataError
+from ..store.folder import atomic_path, write_bytes
 from ..transfer import TransferMatrix
-from .atomic import atomic_path, write_bytes
 from .declaration import Axis, Declaration, RawMatrix, asked, declare, left_open
 from .matlab import mat5, stamped
 from .reading import RecognitionWarning, reading

@@ -13,7 +13,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ..errors import DataError
-from .atomic import atomic_path
+from ..store.folder import atomic_path
 
 _log = logging.getLogger("forearm_fem.io")
 DAMAGED = OSError, ValueError, KeyError, EOFError, BadZipFile

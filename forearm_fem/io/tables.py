@@ -19,8 +19,8 @@ import numpy as np
 from ..arguments import checked
 from ..errors import DataError
 from ..metrics.strength import GROUPS, seconds_of
+from ..store.folder import atomic_path, write_bytes
 from ..typing import FloatArray
-from .atomic import atomic_path, write_bytes
 
 _HEADER = ("target", "group", "method", "S", "S_low", "S_high", "S_record", "window")
 _OLDER = _HEADER[:4]  # until 0.13.1

@@ -16,9 +16,9 @@ import numpy as np
 
 from ..arguments import checked
 from ..errors import DataError, optional
+from ..store.folder import atomic_path, write_bytes
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
-from .atomic import atomic_path, write_bytes
 from .declaration import RawMatrix, arbitrary_gain, port_from
 from .reading import reading
 from .recording import Recording

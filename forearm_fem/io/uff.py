@@ -19,9 +19,9 @@ import numpy as np
 
 from ..errors import DataError, optional
 from ..scenario.measurement import Quantity
+from ..store.folder import atomic_path
 from ..transfer import TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
-from .atomic import atomic_path
 from .declaration import RawMatrix, arbitrary_gain, port_from
 from .reading import reading
 from .seal import BLANK, sealed

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.io import wavfile
 
 from ..errors import DataError
+from ..store.folder import atomic_path
 from ..typing import FloatArray
-from .atomic import atomic_path
 from .reading import reading
 from .seal import BLANK, sealed
 

@@ -11,9 +11,9 @@ from .closed_forms import (
     uniform_disc_centre,
     uniform_disc_mean,
 )
+from .discs import Disc
 from .kernel import Base, Layer, Surface, SurfaceCompliance, surface_compliance, surface_kernel
 from .response import LayeredResult, layered_compliance
-from .rigid import Disc
 
 __all__ = [
     "Base",

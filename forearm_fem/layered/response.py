@@ -1,24 +1,109 @@
-"""Compliance of a layered half-space between contacts and points on its surface."""
+"""Compliance of a layered half-space between contacts and points on its surface, sampled smoothly over frequency."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from ..arguments import checked
 from ..errors import AccuracyWarning
 from ..progress import Progress, tell
-from ..typing import ComplexArray, FloatArray, IntArray
+from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
+from .discs import Disc, Galerkin, galerkin
 from .integrals import LOW_LOSS, Integrals, Medium
 from .kernel import Base, Layer, Surface, check_layers
-from .rigid import Disc
-from .sampling import MOST, sampled
-from .scattering import Galerkin, galerkin
+
+# Smooth functions of frequency from few of their values: Chebyshev polynomials in the root of the frequency.
+
+_DEGREES = (48, 96)  # nested: the second uses the values of the first
+MOST = _DEGREES[-1]
+_TAIL = 8  # coefficients whose sum bounds what a geometric series leaves beyond them, were they to fall by a tenth each
+
+
+class Sampled(NamedTuple):
+    """Values (n_freq, ...), the errors (n_freq, k) that came with them, and that of the interpolation (n_freq,) over
+    the largest |value|."""
+
+    values: ComplexArray
+    errors: FloatArray
+    interpolation: FloatArray
+
+
+Evaluate = Callable[[FloatArray], tuple[ComplexArray, FloatArray]]
+
+
+def sampled(evaluate: Evaluate, omega: FloatArray, tolerance: float) -> Sampled:
+    """``evaluate`` (values (n, ...) and their errors (n, k) at n angular frequencies) at all of ``omega`` (n_freq,).
+
+    Where ``omega`` has many more values than the degree it takes to follow the function to ``tolerance`` of the largest
+    |value| at each frequency, only the degree's nodes are evaluated; elsewhere all of ``omega``.
+    """
+    low, high = np.sqrt(omega.min()), np.sqrt(omega.max())
+    x = 2 * (np.sqrt(omega) - low) / (high - low) - 1 if high > low else np.zeros(omega.size)
+    known: tuple[ComplexArray, FloatArray] | None = None
+    for degree in _DEGREES:
+        if omega.size < 2 * degree:
+            break
+        nodes = np.cos(np.pi * np.arange(degree + 1) / degree)
+        wanted = np.ones(degree + 1, dtype=bool) if known is None else np.arange(degree + 1) % 2 == 1
+        found = evaluate((low + 0.5 * (high - low) * (nodes[wanted] + 1)) ** 2)
+        known = found if known is None else _merged(known, found, wanted)
+        result = _interpolated(x, nodes, *known)
+        if np.all(result.interpolation <= tolerance):
+            return result
+    values, errors = evaluate(omega)
+    return Sampled(values, errors, np.zeros(omega.size))
+
+
+def chebyshev_nodes(low: float, high: float, degree: int) -> FloatArray:
+    """Angular frequencies (degree + 1,) [rad/s], falling from ``high`` to ``low``: the rule's nodes in their root."""
+    x = np.cos(np.pi * np.arange(degree + 1) / degree)
+    return np.asarray((np.sqrt(low) + 0.5 * (np.sqrt(high) - np.sqrt(low)) * (x + 1)) ** 2)
+
+
+def chebyshev_between(
+    low: float, high: float, omega: FloatArray, values: ComplexArray
+) -> tuple[ComplexArray, FloatArray]:
+    """``values`` (degree + 1, ...) at the nodes of :func:`chebyshev_nodes`, at ``omega`` (n_freq,) [rad/s], and what
+    the rule's last coefficients say is missing, over the largest |value| (n_freq,)."""
+    x = 2 * (np.sqrt(omega) - np.sqrt(low)) / (np.sqrt(high) - np.sqrt(low)) - 1
+    nodes = np.cos(np.pi * np.arange(len(values)) / (len(values) - 1))
+    found = _interpolated(x, nodes, values, np.zeros((len(values), 1)))
+    return found.values, found.interpolation
+
+
+def _merged(
+    old: tuple[ComplexArray, FloatArray], new: tuple[ComplexArray, FloatArray], is_new: BoolArray
+) -> tuple[ComplexArray, FloatArray]:
+    """Values and errors of both, in the order of the finer nodes."""
+    out = []
+    for before, now in zip(old, new, strict=True):
+        both = np.empty((is_new.size, *before.shape[1:]), dtype=before.dtype)
+        both[~is_new], both[is_new] = before, now
+        out.append(both)
+    return out[0], out[1]
+
+
+def _interpolated(x: FloatArray, nodes: FloatArray, values: ComplexArray, errors: FloatArray) -> Sampled:
+    """Interpolant at ``x``, in (-1, 1), of values at ``nodes`` (falling from 1 to -1)."""
+    degree = nodes.size - 1
+    flat = values.reshape(nodes.size, -1)
+    coefficients = np.linalg.solve(chebyshev.chebvander(nodes, degree), flat)
+    found = chebyshev.chebvander(x, degree) @ coefficients
+    tail = np.abs(coefficients[-_TAIL:]).sum(axis=0).max()
+    size = np.abs(found).max(axis=1)
+    between = np.stack([np.interp(x, nodes[::-1], column[::-1]) for column in errors.T], axis=1)
+    return Sampled(found.reshape(x.size, *values.shape[1:]), between, np.asarray(tail / size))
+
+
+# Compliance of a layered half-space between contacts and points on its surface.
 
 _TERMS = (6, 24)  # of the axisymmetric tractions under a rigid disc, least and most
 _SCATTERED = 1e-5  # what the azimuthal orders above those taken may still scatter, by the distances of the discs
@@ -67,8 +152,8 @@ def layered_compliance(
 
     .. math:: \bar u/F = \frac1{2\pi}\int_0^\infty U(k)\,j(ka)\,j(kb)\,J_0(kd)\,k\,dk,\quad j(x)=2J_1(x)/x;
 
-    rigid discs, bonded or frictionless, are solved by Galerkin's method (:mod:`forearm_fem.layered.rigid`,
-    :mod:`forearm_fem.layered.scattering`): statically F = 8 mu a d on an incompressible body, and
+    rigid discs, bonded or frictionless, are solved by Galerkin's method (:mod:`forearm_fem.layered.discs`,
+    :mod:`forearm_fem.layered.discs`): statically F = 8 mu a d on an incompressible body, and
     4 mu a d/(1 - nu) frictionless, 4 mu a d ln(3 - 4 nu)/(1 - 2 nu) bonded on a compressible one (Sneddon 1966;
     Mossakovskii 1954; Spence 1968). All rigid discs of both lists are there at once, free of net force where not
     driven, and scatter the waves of the others; a point under one moves with it.

@@ -14,9 +14,9 @@ import scipy.linalg
 from ..errors import GeometryError, ScenarioError
 from ..geometry.device.layout import layout_of
 from ..geometry.device.place import parametric_skin, ports_on
+from ..layered.discs import Disc
 from ..layered.response import LayeredResult
-from ..layered.rigid import Disc
-from ..layered.tabulated import Tabulated
+from ..layered.tables import Tabulated
 from ..pipeline.frequencies import frequencies
 from ..pipeline.layered_engine import flat_layers
 from ..pipeline.solved import Solved

@@ -2,7 +2,7 @@ r"""Bells on the limb's flat twin, along its normal and along it.
 
 Two bells at a distance d meet in four integrals :math:`K_q=\frac1{2\pi}\int_0^\infty k\,U\,e^{-k^2w^2}J_q(kd)\,dk` over
 the surface compliance: U is zz, zx, and half the sum and half the difference of the compliances along and across a wave
-(:mod:`forearm_fem.layered.scattering`). With the unit vector e from the one that pushes to the one that reads,
+(:mod:`forearm_fem.layered.discs`). With the unit vector e from the one that pushes to the one that reads,
 
 .. math:: T_{zz}=K_0^{zz},\quad T_{zt}=K_1^{zx}e,\quad T_{tt}=K_0^+I-K_2^-(2ee^T-I).
 """

@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import DataError
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.reduced_model import ReducedModel
-from ..io.atomic import atomic_path
+from ..store.folder import atomic_path
 from ..typing import FloatArray
 from .limb import Limb
 

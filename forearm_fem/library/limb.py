@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..layered.sampling import chebyshev_between, chebyshev_nodes
+from ..layered.response import chebyshev_between, chebyshev_nodes
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray
 
 _DEGREE = 12  # of the Chebyshev rule that carries what far poles add up to

@@ -97,4 +97,3 @@ def _weights(places: FloatArray, bells: Bells) -> csr_array:
     return csr_array(
         coo_array((np.exp(-0.5 * (away / bells.width) ** 2), (rows, columns)), shape=(len(near), len(places)))
     )
-

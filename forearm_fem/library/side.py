@@ -20,13 +20,14 @@ from ..fem.reduction.expansion import expansion_rate
 from ..fem.reduction.many_loads import LoadSpace
 from ..fem.reduction.poles import pole_residue
 from ..fem.reduction.reduced_model import ReducedModel, empty_model, with_columns
-from ..geometry.cache import cached_mesh, default_cache_dir
-from ..io.jsonfiles import digest_of
+from ..geometry.cache import cached_mesh
 from ..pipeline.fem_engine import fem_model
 from ..pipeline.frequencies import frequencies
 from ..progress import Progress, tell, within
 from ..scenario import Scenario
+from ..store.text import digest_of
 from ..typing import FloatArray, IntArray
+from ..user_cache import default_cache_dir
 from .kept import Kept, Progressed, Side
 from .limb import Limb
 from .loads import Bells, bell_functionals

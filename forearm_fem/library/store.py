@@ -10,7 +10,7 @@ import xarray as xr
 
 from ..errors import DataError
 from ..io.dataset import load, provenance_json, said_content, save
-from ..layered.tabulated import from_arrays
+from ..layered.tables import from_arrays
 from ..pipeline.layered_engine import flat_layers, flat_surface
 from ..scenario import parse_scenario
 from .arm import ArmLibrary

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..figures.style import ACTUATORS, FAINT, SIZE, arrange, decimal, letter, sign, single, styled
-from ..io.atomic import atomic_path
+from ..show.style import ACTUATORS, FAINT, SIZE, arrange, decimal, letter, sign, single, styled
+from ..store.folder import atomic_path
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 

@@ -16,8 +16,8 @@ from scipy.fft import irfft, rfft, rfftfreq
 from scipy.signal import chirp, correlate
 
 from ..errors import DataError, HardwareError
-from ..io.jsonfiles import read_json, write_json
 from ..scenario.measurement import MeasurementOptions
+from ..store.text import read_json, write_json
 from ..typing import FloatArray
 from .daq import Daq, OpenDevice, Wiring, faded
 

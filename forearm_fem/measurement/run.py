@@ -15,12 +15,12 @@ from ..arguments import checked
 from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
 from ..geometry.device.layout import planform_ports
 from ..io.netcdf import refuse_other_g, write_transfer
-from ..io.owner import refuse_folder_of_another
 from ..io.signals import read_drives
 from ..io.wav import read_wav_drives
 from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions
+from ..store.folder import check_kind
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .calibrate import Plan, Step, assembled, calibrate
@@ -104,7 +104,7 @@ def run_calibration(
     plan = _timed(plan, daq, device, cable)
     target = Path(folder)
     refuse_other_g(target / "transfer.nc", measured=True)
-    refuse_folder_of_another(target, "calibration")
+    check_kind(target, "calibration")
 
     def after(step: Step) -> None:
         """Draw what is known by now, and tell how far it is."""

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError
-from ..io.atomic import atomic_path, write_text
 from ..io.recording import Recording
+from ..store.folder import atomic_path, set_kind, write_text
 
 _VERSION = 1
 
@@ -91,6 +91,7 @@ class Folder:
         """Create the folder, or check that it belongs to the same ``setup``."""
         session = self.path / "session.json"
         if not session.exists():
+            set_kind(self.path, "calibration")
             write_text(session, json.dumps({"version": _VERSION, "setup": self.setup, **description}, indent=1))
             return
         try:

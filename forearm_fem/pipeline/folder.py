@@ -23,11 +23,8 @@ from ..geometry.cache import cached_mesh
 from ..geometry.mesh.files import write_mesh
 from ..geometry.mesh.quality import mesh_quality
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..io.atomic import atomic_path
-from ..io.jsonfiles import read_json, write_json
 from ..io.matlab import write_thesis_mat
 from ..io.netcdf import read_transfer, refuse_other_g, write_transfer
-from ..io.owner import refuse_folder_of_another
 from ..io.signals import stack, write_displacements, write_drives
 from ..io.tables import strength_rows, write_signal_strength_csv
 from ..ports import positions
@@ -47,6 +44,8 @@ from ..results import (
     write_run,
 )
 from ..scenario import Scenario
+from ..store.folder import atomic_path, check_kind, set_kind
+from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
 from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
@@ -110,7 +109,7 @@ def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
     check_rendering(run.scenario, run.base)
     transfer = _solved(run)
-    from ..report import write_report  # plotting is heavy and not needed by the other stages
+    from ..show.report import write_report  # plotting is heavy and not needed by the other stages
 
     if run.scenario.rendering.methods:
         _rendered(run, transfer)
@@ -133,12 +132,13 @@ def check_rendering(scenario: Scenario, base: Path) -> None:
 
 def run_mesh(run: Run) -> TissueMesh | None:
     """Make or find the mesh and write ``mesh.vtu``; None for the layered engine and a library, which need none."""
-    refuse_folder_of_another(run.out, "run")
+    check_kind(run.out, "run")
     if run.scenario.engine == "layered" or run.library is not None:
         return None
     start_compiling()
     with run.stage("mesh"):
         mesh = cached_mesh(run.scenario, base=run.base, progress=within(run.progress, "mesh"))
+        set_kind(run.out, "run")
         write_mesh(mesh, run.out / "mesh.vtu")
         write_json(run.out / "scenario.json", run.scenario.model_dump(mode="json"))
     return mesh
@@ -207,6 +207,7 @@ def versions() -> dict[str, str]:
 def _write_solution(run: Run, simulation: Simulation) -> None:
     scenario, transfer, out = run.scenario, simulation.transfer, run.out
     _remove_older(run)
+    set_kind(out, "run")
     write_json(out / "scenario.json", scenario.model_dump(mode="json"))
     write_transfer(out / "transfer.nc", transfer, simulation.compliance)
     if scenario.sweep.frequencies is None:
@@ -241,7 +242,7 @@ def _remove_older(run: Run) -> None:
     stale = [n for n in _DERIVED if (run.out / n).is_file()]
     stale += ["mesh.vtu"] if run.scenario.engine == "layered" and (run.out / "mesh.vtu").is_file() else []
     if (figures := run.out / "figures").is_dir():
-        from ..figures import kinds  # plotting is heavy, and most folders are new
+        from ..show import kinds  # plotting is heavy, and most folders are new
 
         drawn = (p for p in figures.iterdir() if p.stem in kinds() or p.stem.startswith("target-"))  # nobody else's
         stale += sorted(f"figures/{p.name}" for p in drawn)

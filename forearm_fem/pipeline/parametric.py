@@ -23,18 +23,19 @@ from ..fem.reduction.rational import chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
 from ..fem.reduction.spanned import FIRST, spanned
 from ..fem.reduction.united import Growth, Piece, piece_at, united_model
-from ..geometry.cache import cached_mesh, default_cache_dir
+from ..geometry.cache import cached_mesh
 from ..geometry.device.grid_places import GridPlaces, grid_places
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..io.jsonfiles import digest_of
 from ..io.parametric import ParametricFile, PieceFile, read_parametric, write_parametric
 from ..io.parts import PartFolder
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
+from ..store.text import digest_of
 from ..tissue import limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
+from ..user_cache import default_cache_dir
 from .fem_engine import fem_model, masked
 from .frequencies import frequencies
 from .missed import Missed, evened

@@ -20,20 +20,20 @@ from ..fem.kernels.heap import freed_memory_kept
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.expansion import Expansion
 from ..fem.reduction.rate_space import Chunk, Pairs
-from ..geometry.cache import default_cache_dir
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.subdivision import skin_edges
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..io.atomic import atomic_path
-from ..io.jsonfiles import digest_of, read_json, write_json
 from ..io.netcdf import read_compliance, write_compliance
 from ..io.parts import DAMAGED, PartFolder
 from ..progress import Progress, tell, within
 from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
+from ..store.folder import atomic_path
+from ..store.text import digest_of, read_json, write_json
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
+from ..user_cache import default_cache_dir
 from .fem_engine import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
 from .second_mesh import second_mesh
 from .skin_model import SkinModel, load_skin_model, save_skin_model

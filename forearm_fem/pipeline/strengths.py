@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError
-from ..io.jsonfiles import plain
 from ..metrics import perturbed
 from ..metrics.strength import plain_strength, without_bound
 from ..rendering import FixedZeros, Rendering, SearchedZeros, Wavelet, Window, place, strengths
 from ..rendering.bridging import with_wider_ends
 from ..rendering.drives import Renderer
 from ..rendering.sharing import settled
+from ..store.text import plain
 from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at, total_error
 from ..typing import FloatArray
 

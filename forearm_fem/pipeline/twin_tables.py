@@ -11,13 +11,12 @@ from zipfile import BadZipFile
 import numpy as np
 
 from .. import __version__
-from ..geometry.cache import default_cache_dir
-from ..io.atomic import atomic_path
-from ..layered.tabulated import Tabulated, from_arrays
-from ..layered.tabulating import tabulate
+from ..layered.tables import Tabulated, from_arrays, tabulate
 from ..progress import Progress
 from ..scenario import Scenario
+from ..store.folder import atomic_path
 from ..tissue import resolve_tissues
+from ..user_cache import default_cache_dir
 from .frequencies import frequencies
 from .layered_engine import flat_layers, flat_surface
 

@@ -12,13 +12,13 @@ import numpy as np
 
 from ..device import close_loop
 from ..errors import ForearmError
-from ..io.atomic import write_text
-from ..io.markdown import markdown_table
 from ..metrics import fit_waves
 from ..metrics.waves import WaveFit, beside
 from ..ports import distances
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
+from ..store.folder import write_text
+from ..store.text import markdown_table
 from ..transfer import TransferMatrix, relative_error, size_words
 from ..typing import FloatArray
 from .layered_engine import solve_layered

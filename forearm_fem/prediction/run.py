@@ -20,8 +20,6 @@ from ..campaign.executor import LIGHT, SHARE, cluster, completed, in_turn
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ForearmError, ScenarioError
 from ..fem.kernels.heap import freed_memory_kept
-from ..io.jsonfiles import digest_of
-from ..io.owner import refuse_folder_of_another
 from ..pipeline.frequencies import frequencies
 from ..pipeline.renderers import check_servable, unsuited, wavelet
 from ..pipeline.samples import check_samples
@@ -31,6 +29,8 @@ from ..progress import Progress, tell, within
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
 from ..scenario.contents import contents, named_files
+from ..store.folder import check_kind, set_kind
+from ..store.text import digest_of
 from ..transfer import UNITS, ErrorEstimate
 from .arm import ArmModel, LayeredArm, arm_model
 from .draws import LAWS, draw_inputs, each_name, scenario_of
@@ -122,11 +122,12 @@ def predict(
     """
     began = time.monotonic()
     check_question(question)
-    refuse_folder_of_another(folder, "prediction")
+    check_kind(folder, "prediction")
     out = Path(folder)
     _, setup, arm = _prepared(*_plain(question), progress)  # an arm that cannot be is said before minutes of solving
     tell(progress, "the scene itself", 0, 1)
     nominal, errors = _nominal(question, progress)
+    set_kind(out, "prediction")
     file, kept = out / FILE, dict[int, Outcome]()
     if resume:
         with suppress(DataError):

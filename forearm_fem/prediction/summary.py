@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..io.jsonfiles import write_json
+from ..store.text import write_json
 from ..tissue import resolve_tissues
 from ..typing import FloatArray
 from .draws import REFERENCE, kept_tissues

@@ -17,7 +17,6 @@ from .. import __version__
 from ..compare.crossplay import wavelet_for
 from ..errors import DataError, ForearmError, ScenarioError
 from ..geometry.device.layout import planform_ports
-from ..io.jsonfiles import read_json, write_json
 from ..metrics.strength import thesis_table
 from ..pipeline.renderers import renderers, unsuited, wavelet
 from ..pipeline.strengths import StrengthAccount, strength_account
@@ -25,6 +24,7 @@ from ..progress import Progress, tell
 from ..rendering import render_all
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
+from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .arm import without_bones

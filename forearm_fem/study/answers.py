@@ -38,8 +38,8 @@ def read_answers(files: Sequence[Path], store: StudyStore, grid: Sequence[Port])
             key = (row["participant"], row["task"], row["trial"])
             if key in found:
                 raise DataError(
-                    f"{file}: trial {row['trial']} of {row['task']} by {row['participant']} is answered twice; leave one "
-                    "out"
+                    f"{file}: trial {row['trial']} of {row['task']} by {row['participant']} is answered twice; leave "
+                    "one out"
                 )
             found[key] = _answer(f"{file}, answer {number}", row, store, grid)
     tables = {}

@@ -19,7 +19,7 @@ from scipy.signal import resample
 
 from .. import __version__
 from ..errors import ScenarioError
-from ..io.atomic import atomic_path, write_text
+from ..store.folder import atomic_path, write_text
 from ..measurement.daq import faded
 from ..typing import FloatArray
 from .order import tasks_of, trials
@@ -27,8 +27,8 @@ from .run import Made, Prepared
 from .store import SOURCES, STIMULI
 
 COLUMNS = (
-    "participant", "task", "answer", "trial", "phase", "block", "method", "target", "repetition", "wav", "points", "gain",
-    "peak_um", "rms_um", "weighted_db", "drives", *SOURCES,
+    "participant", "task", "answer", "trial", "phase", "block", "method", "target", "repetition", "wav", "points",
+    "gain", "peak_um", "rms_um", "weighted_db", "drives", *SOURCES,
 )  # fmt: skip
 _ROOM = 0.01  # [s] of silence before and after, where a resampled fade rings out
 

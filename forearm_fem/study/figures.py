@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse as Patch
 from matplotlib.path import Path
 
-from ..figures.style import FAINT, INK, letter, method_colour, styled
 from ..ports import Port
+from ..show.style import FAINT, INK, letter, method_colour, styled
 from ..typing import FloatArray
 from .analysis import Ellipse, in_order, outline
 from .power import Power

@@ -13,10 +13,10 @@ from jinja2 import Environment
 
 from .. import __version__
 from ..errors import DataError
-from ..io.atomic import atomic_path, write_text
 from ..ports import Port
-from ..report.facts import Block
-from ..report.write import Section, embedded
+from ..show.facts import Block
+from ..show.report import Section, embedded
+from ..store.folder import atomic_path, write_text
 from .analysis import Ellipse, Tests, analyse, cells, confusion, ellipses, in_order, with_errors
 from .anova import Effect
 from .comparisons import Pair
@@ -76,7 +76,7 @@ def write_analysis(
             target.write_bytes(base64.b64decode(picture.data))
     people = sorted({p for t in answers.values() for p in t["participant"]})
     lead = f"{len(people)} participant(s); subjects are participants, repetitions are averaged within their cells."
-    source = resources.files("forearm_fem.report").joinpath("report.html.j2").read_text(encoding="utf-8")
+    source = resources.files("forearm_fem.show").joinpath("page.html.j2").read_text(encoding="utf-8")
     page = Environment(autoescape=True, trim_blocks=True).from_string(source)
     sections = [s for s in sections if s.block or s.paragraphs or s.bullets or s.pictures]
     write_text(

@@ -109,7 +109,10 @@ def transfer_of(
 
 
 def stimuli_for(
-    transfer: TransferMatrix, scenario: Scenario, options: Stimuli, wavelet: Wavelet,
+    transfer: TransferMatrix,
+    scenario: Scenario,
+    options: Stimuli,
+    wavelet: Wavelet,
     added: Mapping[Key, float] | None = None,
 ) -> dict[Key, Stimulus]:
     """A stimulus for each method and target of ``options``, ``added`` [dB] to equal levels.

@@ -26,8 +26,7 @@ from filelock import FileLock, Timeout
 
 from .. import __version__
 from ..errors import DataError
-from ..io.atomic import write_text
-from ..io.owner import refuse_folder_of_another
+from ..store.folder import check_kind, set_kind, write_text
 from .plan import Study
 
 EVENTS: Mapping[str, str] = {
@@ -84,7 +83,10 @@ DEVICES: Mapping[str, str] = {
 ANALYSIS, STIMULI = "analysis", "stimuli"  # folders of what is made of the answers, and for other programs
 _PEOPLE_LOCK = ".participants.lock"
 _NUMBERS = ("onset", "duration", "response_time")  # BIDS itself says that they are numbers
-_IGNORED = ("study.json", "stimuli/", ".*.lock", "devices.tsv", "devices.json", f"{ANALYSIS}/", "*.png")
+_IGNORED = (
+    "study.json", "folder.json", "SHA256SUMS", "stimuli/", ".*.lock", "devices.tsv", "devices.json", f"{ANALYSIS}/",
+    "*.png",
+)  # fmt: skip
 _README = """Study "{name}", run with forearm_fem {version}.
 
 participants.tsv holds pseudonyms, sub-*/beh the answers of each task with their dictionaries, devices.tsv what played
@@ -119,7 +121,8 @@ class StudyStore:
                 "a folder of its own"
             )
         if begin and not same:
-            refuse_folder_of_another(store.folder, "study")
+            check_kind(store.folder, "study")
+            set_kind(store.folder, "study")
             about = {"Name": study.name, "BIDSVersion": "1.10.0", "DatasetType": "raw",
                      "GeneratedBy": [{"Name": "forearm_fem", "Version": __version__}]}  # fmt: skip
             write_text(store.folder / "dataset_description.json", json.dumps(about, indent=2))

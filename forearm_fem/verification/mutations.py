@@ -21,7 +21,7 @@ from ..fem.assembly import tissues as assembly
 from ..fem.assembly.coefficients import Polynomial
 from ..fem.assembly.operator import AffineOperator, WeightedSum
 from ..fem.space.numbering import MixedSpace
-from ..io.markdown import markdown_table
+from ..store.text import markdown_table
 from . import cases, slabs
 from .rows import Row
 

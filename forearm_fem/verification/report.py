@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..io.markdown import markdown_table
+from ..store.text import markdown_table
 from .mutations import mutation_table, run_mutations
 from .rows import HardRow, Row, weakest
 from .run import run_hard_cases, run_verification

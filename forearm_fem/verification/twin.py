@@ -20,7 +20,7 @@ from ..layered import (
     surface_kernel,
     uniform_disc_centre,
 )
-from ..layered.rigid import Contact
+from ..layered.discs import Contact
 from ..tissue import KelvinVoigt
 from ..typing import ComplexArray, FloatArray
 from .rows import Row

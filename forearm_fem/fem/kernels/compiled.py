@@ -18,11 +18,11 @@ _ROOM = __package__.rpartition(".")[0]
 
 @lru_cache
 def compiled(module: str) -> ModuleType | None:
-    """A module by its name below ``fem``, or None where numba or a place for what it compiles is missing."""
+    """A module by its name below ``fem``, or None where numba is missing."""
     try:
         return importlib.import_module(f"{_ROOM}.{module}")
-    except (ImportError, RuntimeError) as problem:
-        if isinstance(problem, ImportError) and (problem.name or "").startswith(_ROOM):
+    except ImportError as problem:
+        if (problem.name or "").startswith(_ROOM):
             raise  # a module of ours that is not there would only make everything slow
         _log.info("%s is not compiled: %s", module, problem)
         return None

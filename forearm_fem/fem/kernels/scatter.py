@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ...typing import FloatArray, IntArray
+from .jit import kernel
 from .sorting import sort_in_place
 
 
@@ -22,7 +22,7 @@ class Pattern(NamedTuple):
     place: IntArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pattern(rows: IntArray, columns: IntArray, n_rows: int, n_columns: int) -> Pattern:
     """Pairs of ``rows`` (n_tet, nr) and ``columns`` (n_tet, nc) of the same element."""
     start, touching = _elements_of(rows, n_rows)
@@ -56,7 +56,7 @@ def pattern(rows: IntArray, columns: IntArray, n_rows: int, n_columns: int) -> P
     return Pattern(indptr, indices, place)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _elements_of(rows: IntArray, n_rows: int) -> tuple[IntArray, IntArray]:
     """Starts, and element times nr plus number in it, of all that have each of the rows."""
     flat = np.ascontiguousarray(rows).ravel()
@@ -71,7 +71,7 @@ def _elements_of(rows: IntArray, n_rows: int) -> tuple[IntArray, IntArray]:
     return start, touching
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scalars(pairs: Pattern, volume: FloatArray, reference: FloatArray) -> FloatArray:
     """Values (nnz,) of element matrices ``volume`` (n_tet,) times ``reference`` (nr, nc)."""
     n_tet, nr, nc = pairs.place.shape
@@ -83,7 +83,7 @@ def scalars(pairs: Pattern, volume: FloatArray, reference: FloatArray) -> FloatA
     return values
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gradients(pairs: Pattern, inverse: FloatArray, volume: FloatArray, reference: FloatArray) -> FloatArray:
     """Values (3 nnz,), component fastest, of |J| sum_a (J^-1)_ai R_apb: ``reference`` (3, np, nb)."""
     n_tet, n_p, nb = pairs.place.shape
@@ -99,7 +99,7 @@ def gradients(pairs: Pattern, inverse: FloatArray, volume: FloatArray, reference
     return values
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shear(
     nodes: IntArray, pairs: Pattern, inverse: FloatArray, volume: FloatArray, reference: FloatArray
 ) -> FloatArray:
@@ -121,7 +121,7 @@ def shear(
     return values
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_blocks_in_place(
     values: FloatArray, pairs: Pattern, nodes: IntArray, tetrahedra: IntArray, blocks: FloatArray
 ) -> None:
@@ -138,7 +138,7 @@ def add_blocks_in_place(
                         values[at + i * width + j] += blocks[i, j, e, a, b]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_scalars_in_place(values: FloatArray, pairs: Pattern, tetrahedra: IntArray, matrices: FloatArray) -> None:
     """Add ``matrices`` (k, nr, nc) of some ``tetrahedra`` (k,) to ``values`` (nnz,)."""
     for e, t in enumerate(tetrahedra):
@@ -147,7 +147,7 @@ def add_scalars_in_place(values: FloatArray, pairs: Pattern, tetrahedra: IntArra
                 values[pairs.place[t, a, b]] += matrices[e, a, b]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_gradients_in_place(values: FloatArray, pairs: Pattern, tetrahedra: IntArray, matrices: FloatArray) -> None:
     """Add ``matrices`` (3, k, np, nb) of some ``tetrahedra`` (k,) to ``values`` (3 nnz,), component fastest."""
     for e, t in enumerate(tetrahedra):
@@ -157,7 +157,7 @@ def add_gradients_in_place(values: FloatArray, pairs: Pattern, tetrahedra: IntAr
                     values[3 * pairs.place[t, p, b] + i] += matrices[i, e, p, b]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _combine(total: FloatArray, weights: FloatArray, parts: FloatArray) -> None:
     """Set ``total`` (m,) to the weighted sum of nine ``parts`` (9, m), in one pass."""
     w = weights
@@ -169,7 +169,7 @@ def _combine(total: FloatArray, weights: FloatArray, parts: FloatArray) -> None:
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _shear_weights(inverse: FloatArray, volume: float) -> FloatArray:
     """Of the products of gradients (9, ab) in the block's entries (9, ij); see ``tissues.shear_blocks``."""
     weights = np.empty((9, 9))
@@ -186,7 +186,7 @@ def _shear_weights(inverse: FloatArray, volume: float) -> FloatArray:
     return weights
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def blocks_of(indptr: IntArray, indices: IntArray, high: int) -> tuple[IntArray, IntArray]:
     """Row starts and columns where every pair stands for a block of ``high`` rows and three columns."""
     n = len(indptr) - 1
@@ -202,7 +202,7 @@ def blocks_of(indptr: IntArray, indices: IntArray, high: int) -> tuple[IntArray,
     return starts, columns
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def diagonals_of(indptr: IntArray, indices: IntArray, values: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
     """Row starts, columns and values where every pair stands for its value times a 3x3 identity."""
     n = len(indptr) - 1

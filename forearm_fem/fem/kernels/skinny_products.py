@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from ...typing import FloatArray
 from . import simd as _lanes
+from .jit import kernel
 
 lanes: Any = _lanes  # intrinsics, which type checkers do not follow
 PAIR = 16  # doubles in two vectors
@@ -19,7 +19,7 @@ _ROWS = 64  # at a time: with as many columns of a block they stay in the neares
 _VECTOR = 64  # bytes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_inner(block: FloatArray, columns: FloatArray, total: FloatArray) -> None:
     """total (k, w) += block (n, k)^T columns (n, m), where w is m or the next multiple of 16."""
     part = np.zeros((_ROWS, total.shape[1]))
@@ -29,7 +29,7 @@ def add_inner(block: FloatArray, columns: FloatArray, total: FloatArray) -> None
         _add_product(block[begin : begin + count].T, part, total)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_combination(block: FloatArray, known: FloatArray, total: FloatArray) -> None:
     """total (n, m) += block (n, k) known (k, w), where w is m or the next multiple of 16."""
     part = np.zeros((_ROWS, known.shape[1]))
@@ -40,7 +40,7 @@ def add_combination(block: FloatArray, known: FloatArray, total: FloatArray) -> 
         _copy(part[:count, : total.shape[1]], total[begin : begin + count])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _copy(source: FloatArray, to: FloatArray) -> None:
     """Put ``source`` into the corner of ``to``; written out, as slices of arrays take numba seconds more to compile."""
     for i in range(source.shape[0]):
@@ -48,7 +48,7 @@ def _copy(source: FloatArray, to: FloatArray) -> None:
             to[i, j] = source[i, j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_product(left: FloatArray, right: FloatArray, total: FloatArray) -> None:
     """total (m, w) += left (m, k) right (k, w) for a multiple w of 16."""
     row = 8 * total.shape[1]
@@ -60,7 +60,7 @@ def _add_product(left: FloatArray, right: FloatArray, total: FloatArray) -> None
             _add_one(left[i], source, to + row * i, row)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_four(left: FloatArray, right: int, to: int, row: int) -> None:
     none = lanes.no_doubles()
     a, b, c, d, e, f, g, h = none, none, none, none, none, none, none, none
@@ -81,7 +81,7 @@ def _add_four(left: FloatArray, right: int, to: int, row: int) -> None:
     _add_to(to + 3 * row, g, h)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_one(left: FloatArray, right: int, to: int, row: int) -> None:
     a, b = lanes.no_doubles(), lanes.no_doubles()
     for k in range(len(left)):
@@ -92,7 +92,7 @@ def _add_one(left: FloatArray, right: int, to: int, row: int) -> None:
     _add_to(to, a, b)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_to(place: int, one: Any, two: Any) -> None:
     lanes.store(place, lanes.plus(lanes.doubles_at(place), one))
     lanes.store(place + _VECTOR, lanes.plus(lanes.doubles_at(place + _VECTOR), two))

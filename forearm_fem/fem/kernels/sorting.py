@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from numba import njit
-
 from ...typing import IntArray
+from .jit import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sort_in_place(keys: IntArray) -> None:
     """Put ``keys`` (m,) in ascending order; m is a row's entries, some hundreds (Shell 1959, gaps of Knuth)."""
     gap = 1

@@ -9,19 +9,19 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numba.np.numpy_support import carray
 from numpy.typing import NDArray
 
 from ...typing import ComplexArray, FloatArray, IntArray
 from . import simd as _lanes
+from .jit import kernel
 
 lanes: Any = _lanes  # intrinsics, which type checkers do not follow
 _LANES = 8  # doubles of a vector
 _BYTES = 64  # of a vector
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def row_product(
     low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], width: int, to: int
 ) -> None:
@@ -42,7 +42,7 @@ def row_product(
             at = last
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _four(
     low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], width: int, to: int,
     steps: tuple[int, int, int],
@@ -62,7 +62,7 @@ def _four(
     lanes.store(to + 8 * steps[2], d)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _two(
     low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], width: int, to: int, step: int
 ) -> None:
@@ -76,7 +76,7 @@ def _two(
     lanes.store(to + 8 * step, b)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _one(
     low: int, high: int, indices: IntArray, data: FloatArray, x: int, like: NDArray[Any], width: int, to: int
 ) -> None:
@@ -86,7 +86,7 @@ def _one(
     lanes.store(to, total)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_weighted_rows(
     rows: tuple[int, int], indptr: IntArray, indices: IntArray, data: FloatArray, x: int, width: int,
     weights: ComplexArray, totals: IntArray,
@@ -113,7 +113,7 @@ def add_weighted_rows(
                 total[c] += sums[o, c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_combined(weight: complex, row: FloatArray, turned: FloatArray, total: FloatArray) -> None:
     """Add ``weight`` times a row of complex numbers to ``total``; ``turned`` is i times the row."""
     if weight == 0:
@@ -124,7 +124,7 @@ def _add_combined(weight: complex, row: FloatArray, turned: FloatArray, total: F
         lanes.store(at, lanes.plus_scaled(part, lanes.doubles_at(turned.ctypes.data + c), weight.imag))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def weighted_rows(
     rows: tuple[int, int], indptr: IntArray, indices: IntArray, data: FloatArray, sources: IntArray,
     weights: FloatArray, total: FloatArray,
@@ -145,14 +145,14 @@ def weighted_rows(
             total[i, c] = sums[c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_scaled(weight: float, row: FloatArray, total: FloatArray) -> None:
     for c in range(0, 8 * len(total), _BYTES):
         at = total.ctypes.data + c
         lanes.store(at, lanes.plus_scaled(lanes.doubles_at(at), lanes.doubles_at(row.ctypes.data + c), weight))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def some_rows(
     rows: tuple[int, int], indptr: IntArray, indices: IntArray, data: FloatArray, x: NDArray[Any], y: FloatArray
 ) -> None:
@@ -162,7 +162,7 @@ def some_rows(
         row_product(indptr[i], indptr[i + 1], indices, data, x.ctypes.data, x, x.shape[1], to)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mirrored(indptr: IntArray, indices: IntArray, data: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
     """The whole of a symmetric matrix in CSR, columns ascending, from its upper triangle with them ascending."""
     n = len(indptr) - 1

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ...typing import ComplexArray, FloatArray, IntArray
+from .jit import kernel
 from .sorting import sort_in_place
 
 
@@ -19,7 +19,7 @@ class Sparse(NamedTuple):
     data: FloatArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def transposed_product(rows: Sparse, matrix: Sparse, columns: Sparse, width: int) -> Sparse:
     """Transpose (width, n) of the product of three matrices, columns ascending.
 
@@ -43,7 +43,7 @@ def transposed_product(rows: Sparse, matrix: Sparse, columns: Sparse, width: int
     return Sparse(start, indices, data)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _row(
     i: int, rows: Sparse, matrix: Sparse, columns: Sparse, seen: IntArray, found: IntArray, total: FloatArray
 ) -> int:
@@ -63,7 +63,7 @@ def _row(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sorted_upper(indptr: IntArray, indices: IntArray, data: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
     """Upper triangle in CSR, columns ascending, of a matrix whose columns are in any order."""
     n = len(indptr) - 1
@@ -85,7 +85,7 @@ def sorted_upper(indptr: IntArray, indices: IntArray, data: FloatArray) -> tuple
     return start, columns, values
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def merged(starts: IntArray, columns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Row starts and columns, ascending, of several patterns together, and the place of every entry among them.
 
@@ -118,7 +118,7 @@ def merged(starts: IntArray, columns: IntArray) -> tuple[IntArray, IntArray, Int
     return indptr, indices[:k].copy(), places
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_at(total: ComplexArray, places: IntArray, weight: complex, values: FloatArray) -> None:
     """Add ``weight`` times ``values`` (m,) at ``places`` (m,) of ``total``."""
     for k in range(len(places)):

@@ -1,7 +1,7 @@
 """A first run compiles kernels: those of factors and of products in two processes beside, while the mesh is made and
 matrices are assembled, complex ones in a third while derivatives are.
 
-numba keeps what it compiled on disk, so that a run that waits for such a process only reads it there. The assembly's
+What is compiled is kept on disk, so that a run that waits for such a process only reads it there. The assembly's
 kernels are needed first and are left to the run.
 """
 
@@ -14,8 +14,8 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache
-from pathlib import Path
 from threading import Thread
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array, diags_array, triu
@@ -35,12 +35,12 @@ _PATIENCE = 1.0  # s between two signs of life
 def start_compiling() -> tuple[subprocess.Popen[bytes], ...]:
     """Start the first two of these processes where kernels have not been compiled since they were installed.
 
-    They end with this one. Without numba, or a place for what it compiles, there is nothing to start.
+    They end with this one. Without a place for what they compile there is nothing to start.
     """
     factor = compiled("linear.multifrontal.factor")
     if factor is None or not sys.executable:
         return ()
-    if are_kept(Path(factor.backward.stats.cache_path), Path(str(factor.__file__))):
+    if are_kept(factor.backward):
         return ()
     return _process("factors"), _process("products")
 
@@ -75,9 +75,10 @@ def _process(part: str) -> subprocess.Popen[bytes]:
     return process
 
 
-def are_kept(folder: Path, source: Path) -> bool:
-    """Whether ``folder`` has numba's index of the substitution's kernels, not older than the module ``source``."""
-    return any(index.stat().st_mtime >= source.stat().st_mtime for index in folder.glob("*.backward-*.nbi"))
+def are_kept(kernel: Any) -> bool:
+    """Whether ``kernel`` was compiled by this version before, or could not be kept for another process."""
+    kept = getattr(kernel._cache, "is_kept", None)
+    return kept is None or bool(kept())
 
 
 def compile_kernels(parts: Sequence[str] = PARTS) -> None:

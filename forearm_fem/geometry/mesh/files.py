@@ -14,8 +14,8 @@ import meshio
 import numpy as np
 
 from ...errors import DataError, MeshError
-from ...io.atomic import atomic_path
 from ...io.seal import BLANK, check_seals, sealed
+from ...store.folder import atomic_path
 from ...typing import IntArray
 from .abaqus import read_inp
 from .tissue_mesh import TissueMesh

@@ -7,10 +7,12 @@ from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import get_cython_function_address
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
+
+from ...kernels.jit import kernel
 
 _PRODUCTS = "scipy_cgemm3m_", "cgemm3m_"
 
@@ -75,7 +77,7 @@ def arguments(number: type[np.complex64] | type[np.float32]) -> Arguments:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gemm(
     call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, transposed: Any, scaled: Any
 ) -> None:
@@ -95,13 +97,13 @@ def _gemm(
         _product(first, second, m, n, k, alpha, a, d, b, e, beta, c, f)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def set_product(call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int) -> None:
     """C = A B: ``size`` (rows of C, columns of C, columns of A), addresses and leading dimensions."""
     _gemm(call, size, a, lda, b, ldb, c, ldc, NEITHER, (0, 1))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def subtract_product(
     call: Any, size: Any, a: int, lda: int, b: int, ldb: int, c: int, ldc: int, transposed: Any
 ) -> None:
@@ -109,7 +111,7 @@ def subtract_product(
     _gemm(call, size, a, lda, b, ldb, c, ldc, transposed, (2, 0))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def invert_block(call: Any, size: int) -> bool:
     """Invert the dense matrix (size, size) in ``call.block`` where it lies; False where it is singular."""
     integers = call.integers

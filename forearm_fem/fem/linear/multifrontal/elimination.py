@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ....typing import ComplexArray, FloatArray, IntArray
+from ...kernels.jit import kernel
 from .blas import BLOCK
 from .fronts import FrontStore, Scratch, block_entries, factorise_front
 from .panels import subtract_panel
@@ -33,7 +33,7 @@ def passing_store(symbolic: Symbolic, parts: Parts, number: type[np.complex64] |
     return FrontStore(np.empty(end, number), start, np.empty(blocks.sum(), number), places)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def eliminate_part(
     part: ThreadPart, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore,
     remainder: IntArray, stack: NDArray[Any], scratch: Scratch, owner: NDArray[np.int32], x: NDArray[Any],
@@ -51,7 +51,7 @@ def eliminate_part(
     return singular
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pivot_products(fronts: Fronts, store: FrontStore, x: NDArray[Any], block: NDArray[Any]) -> ComplexArray:
     """Y^T D^-1 Y (k, k) of ``x`` (n, k), which is Y, summed in double precision; ``block`` is room for 64 rows."""
     bytes_, count = x.itemsize, x.shape[1]

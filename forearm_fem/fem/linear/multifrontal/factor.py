@@ -7,13 +7,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ....errors import SolverError
 from ....typing import ComplexArray, FloatArray, IntArray
 from ...kernels.heap import give_back
+from ...kernels.jit import kernel
 from ...kernels.threads import in_threads, thread_count
 from .blas import BLOCK, arguments
 from .elimination import eliminate_part, passing_store, pivot_products
@@ -184,7 +184,7 @@ def _shared(columns: int, threads: int) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in pairwise(cuts) if a < b]
 
 
-@njit(cache=True)
+@kernel
 def scales(indptr: IntArray, indices: IntArray, data: ComplexArray | FloatArray, n_displacements: int) -> FloatArray:
     """Factors (n,) for rows and columns: displacements have a diagonal of 1 then, pressures a largest coupling of 0.3.
 

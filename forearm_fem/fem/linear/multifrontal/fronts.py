@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ....typing import FloatArray, IntArray
+from ...kernels.jit import kernel
 from .blas import BLOCK, SECOND, Arguments, invert_block, set_product, subtract_product
 from .parts import ThreadPart, lowest_child
 from .supernodes import Fronts
@@ -55,7 +55,7 @@ def scratch_entries(columns: IntArray, remaining: IntArray) -> tuple[int, int]:
     return int(outer.max(initial=1)), int((columns * remaining).max(initial=1))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def factorise_part(
     part: ThreadPart, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore,
     remainder: IntArray, stack: NDArray[Any], scratch: Scratch,
@@ -71,7 +71,7 @@ def factorise_part(
     return singular
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def factorise_front(
     s: int, begin: int, free: int, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore,
     remainder: IntArray, stack: NDArray[Any], scratch: Scratch,
@@ -96,7 +96,7 @@ def factorise_front(
     return singular, lowest + m * m
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _placed(s: int, fronts: Fronts, place: NDArray[np.int32]) -> None:
     k = 0
     for i in range(fronts.first[s], fronts.first[s + 1]):
@@ -107,7 +107,7 @@ def _placed(s: int, fronts: Fronts, place: NDArray[np.int32]) -> None:
         k += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _start_panel(
     s: int, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore, place: NDArray[np.int32]
 ) -> None:
@@ -122,7 +122,7 @@ def _start_panel(
         column += size
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_child(
     s: int, child: int, source: int, target: int, fronts: Fronts, store: FrontStore, stack: NDArray[Any],
     place: NDArray[np.int32],
@@ -141,7 +141,7 @@ def _add_child(
         source += len(rows)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _moved(stack: NDArray[Any], source: int, target: int, m: int) -> None:
     """Move a lower triangle down the stack."""
     if source == target:
@@ -151,7 +151,7 @@ def _moved(stack: NDArray[Any], source: int, target: int, m: int) -> None:
             stack[target + r] = stack[source + r]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _eliminate(k: int, m: int, store: FrontStore, s: int, remainder: int, scratch: Scratch) -> int:
     """Eliminate a front's first k unknowns; its panel becomes L, with D's inverted blocks beside it.
 
@@ -181,7 +181,7 @@ def _eliminate(k: int, m: int, store: FrontStore, s: int, remainder: int, scratc
     return singular
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _subtract_lower(
     call: Arguments, rows: int, columns: int, inner: int, a: int, lda: int, b: int, ldb: int, c: int, ldc: int
 ) -> None:
@@ -199,7 +199,7 @@ def _subtract_lower(
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _block(store: FrontStore, corner: int, size: int, width: int, inverse: int, call: Arguments) -> bool:
     """Invert the diagonal block at ``corner`` of the panels into ``call.block`` and the store."""
     for c in range(width):
@@ -213,7 +213,7 @@ def _block(store: FrontStore, corner: int, size: int, width: int, inverse: int, 
     return regular
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _kept(
     panels: NDArray[Any], source: int, low: int, size: int, width: int, target: int, k: int, m: int, j: int,
     scratch: Scratch,

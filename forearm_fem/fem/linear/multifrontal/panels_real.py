@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from ...kernels import simd as _lanes
+from ...kernels.jit import kernel
 from .blas import REAL
 
 lanes: Any = _lanes  # intrinsics, which type checkers do not follow
@@ -17,7 +16,7 @@ _VECTOR = 32  # bytes: eight right-hand sides
 _TILE = 512  # rows: their right-hand sides and those of eight columns stay in the nearest cache
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def subtract_real_product(
     rows: int, columns: int, panel: int, leading: int, own: int, below: int, row: int, width: int
 ) -> None:
@@ -32,7 +31,7 @@ def subtract_real_product(
                 _subtract_one(count, part + leading * k, source + row * k, target, row)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def subtract_real_transposed(
     rows: int, columns: int, panel: int, leading: int, below: int, own: int, row: int, width: int
 ) -> None:
@@ -47,12 +46,12 @@ def subtract_real_transposed(
                 _gather_one(count, part + leading * k, source, target + row * k, row)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _negative(address: int) -> Any:
     return lanes.minus(lanes.no_eight_floats(), lanes.eight_floats_at(address))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _subtract_eight(rows: int, panel: int, leading: int, own: int, below: int, row: int) -> None:
     a, b, c, d = _negative(own), _negative(own + row), _negative(own + 2 * row), _negative(own + 3 * row)
     e, f, g, h = (
@@ -80,7 +79,7 @@ def _subtract_eight(rows: int, panel: int, leading: int, own: int, below: int, r
         panel += REAL
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _subtract_one(rows: int, panel: int, own: int, below: int, row: int) -> None:
     a = _negative(own)
     for _ in range(rows):
@@ -89,7 +88,7 @@ def _subtract_one(rows: int, panel: int, own: int, below: int, row: int) -> None
         panel += REAL
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row: int) -> None:
     none = lanes.no_eight_floats()
     a, b, c, d, e, f, g, h = none, none, none, none, none, none, none, none
@@ -122,7 +121,7 @@ def _gather_eight(rows: int, panel: int, leading: int, below: int, own: int, row
     _subtract_from(own + 7 * row, h)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gather_one(rows: int, panel: int, below: int, own: int, row: int) -> None:
     a = lanes.no_eight_floats()
     for _ in range(rows):
@@ -132,6 +131,6 @@ def _gather_one(rows: int, panel: int, below: int, own: int, row: int) -> None:
     _subtract_from(own, a)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _subtract_from(place: int, sums: Any) -> None:
     lanes.store(place, lanes.minus(lanes.eight_floats_at(place), sums))

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ....typing import FloatArray, IntArray
+from ...kernels.jit import kernel
 from .supernodes import Fronts, Symbolic
 
 _SPLITS = 20  # divisions tried, times the number of threads
@@ -115,7 +115,7 @@ def _columns(supernodes: IntArray, first: IntArray) -> IntArray:
     return np.concatenate([none, *(np.arange(first[s], first[s + 1]) for s in supernodes)])
 
 
-@njit(cache=True)
+@kernel
 def _stacked(supernodes: IntArray, fronts: Fronts, remainder: IntArray, begin: int) -> int:
     """End of the stack where these fronts are eliminated in turn; notes where each leaves its remainder.
 
@@ -131,7 +131,7 @@ def _stacked(supernodes: IntArray, fronts: Fronts, remainder: IntArray, begin: i
     return end
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def lowest_child(s: int, fronts: Fronts, remainder: IntArray, begin: int, free: int) -> int:
     """The lowest place of a child's remainder in this stretch of the stack, ``free`` where none is in it."""
     lowest, c = free, fronts.child[s]

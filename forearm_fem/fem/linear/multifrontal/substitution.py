@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ....typing import FloatArray, IntArray
+from ...kernels.jit import kernel
 from .blas import BLOCK
 from .fronts import FrontStore
 from .panels import subtract_panel, subtract_panel_transposed
@@ -28,7 +28,7 @@ class Local(NamedTuple):
     block: NDArray[Any]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def take_in(right: NDArray[Any], order: IntArray, scale: FloatArray, x: NDArray[Any], begin: int, end: int) -> None:
     """Rows of ``right`` (n, count) in the order of elimination, scaled, to rows ``begin`` to ``end`` of ``x``, whose
     further columns become zero."""
@@ -39,7 +39,7 @@ def take_in(right: NDArray[Any], order: IntArray, scale: FloatArray, x: NDArray[
         x[i, count:] = 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def put_back(x: NDArray[Any], order: IntArray, scale: FloatArray, right: NDArray[Any], begin: int, end: int) -> None:
     """Rows ``begin`` to ``end`` of ``x`` back in the usual order to ``right`` (n, count), scaled."""
     for i in range(begin, end):
@@ -47,7 +47,7 @@ def put_back(x: NDArray[Any], order: IntArray, scale: FloatArray, right: NDArray
             right[order[i], c] = x[i, c] * scale[i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def forward(
     part: ThreadPart, fronts: Fronts, store: FrontStore, owner: NDArray[np.int32], x: NDArray[Any],
     others: NDArray[Any], local: Local, some: tuple[int, int],
@@ -60,7 +60,7 @@ def forward(
         forward_front(s, part.number, fronts, store, owner, x, others, local, some)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def forward_front(
     s: int, number: int, fronts: Fronts, store: FrontStore, owner: NDArray[np.int32], x: NDArray[Any],
     others: NDArray[Any], local: Local, some: tuple[int, int],
@@ -85,7 +85,7 @@ def forward_front(
             target[to, c] += local.below[i, c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def backward(
     part: ThreadPart, fronts: Fronts, store: FrontStore, x: NDArray[Any], local: Local, some: tuple[int, int]
 ) -> None:

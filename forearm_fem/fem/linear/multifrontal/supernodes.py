@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ....typing import BoolArray, FloatArray, IntArray
+from ...kernels.jit import kernel
 from .tree import (
     Entries,
     children,
@@ -101,7 +101,7 @@ def _fundamental(parent: IntArray, count: IntArray) -> tuple[IntArray, IntArray]
     return first, np.where(above >= 0, chain[above], -1)
 
 
-@njit(cache=True)
+@kernel
 def _worth_merging(columns: int, new: float, zeros: float, size: float, limits: IntArray, shares: FloatArray) -> bool:
     if new == 0 or columns <= limits[0]:
         return True
@@ -111,7 +111,7 @@ def _worth_merging(columns: int, new: float, zeros: float, size: float, limits: 
     return bool(share < shares[2])
 
 
-@njit(cache=True)
+@kernel
 def _merged(
     columns: IntArray, size: IntArray, above: IntArray, limits: IntArray, shares: FloatArray
 ) -> tuple[BoolArray, IntArray]:
@@ -138,7 +138,7 @@ def _merged(
     return kept, size
 
 
-@njit(cache=True)
+@kernel
 def _rows(first: IntArray, below: IntArray, entries: Entries) -> tuple[NDArray[np.int32], IntArray]:
     """Rows below each supernode, in any order, and the supernode (n_supernode,) that the least of them belongs to."""
     n = len(first) - 1
@@ -160,7 +160,7 @@ def _rows(first: IntArray, below: IntArray, entries: Entries) -> tuple[NDArray[n
     return rows, parent
 
 
-@njit(cache=True)
+@kernel
 def _noted(some: NDArray[np.int32], end: int, s: int, mark: IntArray, rows: NDArray[np.int32], q: int) -> int:
     """Put what is new among ``some`` rows from ``end`` on at ``rows[q]`` and after; the next free place."""
     for i in some:

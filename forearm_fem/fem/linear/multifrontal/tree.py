@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ....typing import IntArray
+from ...kernels.jit import kernel
 
 
 class Entries(NamedTuple):
@@ -24,7 +24,7 @@ class Entries(NamedTuple):
     source: NDArray[np.int32]
 
 
-@njit(cache=True)
+@kernel
 def lower_entries(indptr: IntArray, indices: IntArray, rank: IntArray) -> Entries:
     """Entries of the lower triangle in the numbering ``rank``, column by column."""
     n = len(rank)
@@ -44,7 +44,7 @@ def lower_entries(indptr: IntArray, indices: IntArray, rank: IntArray) -> Entrie
     return Entries(start, row, source)
 
 
-@njit(cache=True)
+@kernel
 def transposed_rows(entries: Entries) -> tuple[IntArray, IntArray]:
     """Columns of each row of the lower triangle: where each row starts (n + 1,) and its columns (nnz,)."""
     n = len(entries.start) - 1
@@ -61,7 +61,7 @@ def transposed_rows(entries: Entries) -> tuple[IntArray, IntArray]:
     return start, column
 
 
-@njit(cache=True)
+@kernel
 def elimination_tree(start: IntArray, column: IntArray) -> IntArray:
     """Parent (n,) of each column, -1 at roots, from the rows of the lower triangle (Liu's algorithm)."""
     n = len(start) - 1
@@ -78,7 +78,7 @@ def elimination_tree(start: IntArray, column: IntArray) -> IntArray:
     return parent
 
 
-@njit(cache=True)
+@kernel
 def children(parent: IntArray) -> tuple[IntArray, IntArray]:
     """First child (n,) of each node and next sibling (n,), -1 where there is none; siblings ascend."""
     first, following = np.full(len(parent), -1, np.int64), np.full(len(parent), -1, np.int64)
@@ -89,7 +89,7 @@ def children(parent: IntArray) -> tuple[IntArray, IntArray]:
     return first, following
 
 
-@njit(cache=True)
+@kernel
 def postorder(parent: IntArray) -> IntArray:
     """Nodes (n,) so that each tree's nodes are together and children stand before parents."""
     child, following = children(parent)
@@ -110,7 +110,7 @@ def postorder(parent: IntArray) -> IntArray:
     return post
 
 
-@njit(cache=True)
+@kernel
 def column_counts(entries: Entries, parent: IntArray) -> IntArray:
     """Entries (n,) of each column of the factor, diagonal included, for columns in postorder.
 
@@ -146,7 +146,7 @@ def column_counts(entries: Entries, parent: IntArray) -> IntArray:
     return count
 
 
-@njit(cache=True)
+@kernel
 def _common(node: int, ancestor: IntArray) -> int:
     """The last ancestor known of ``node``; paths are shortened on the way."""
     root = node

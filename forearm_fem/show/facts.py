@@ -1,0 +1,321 @@
+"""What the report says, as plain text and numbers; nothing here knows HTML or Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ..metrics import condition_number, condition_summary, thesis_table
+from ..metrics.strength import GROUPS, strength_text
+from ..pipeline.unread import changed_keys
+from ..rendering.lattice import is_thesis_grid
+from ..rendering.limits import Limits, beyond_limits
+from ..scenario import Scenario
+from ..transfer import entry_band_errors, size_words
+from ..typing import FloatArray
+from .data import Results
+from .judge import WHO, Strengths, spreads, strengths, table_one_rows
+
+Rows = list[list[str]]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A table with its heading; ``note`` is a sentence below it."""
+
+    header: list[str]
+    rows: Rows
+    note: str = ""
+
+
+def scene_block(results: Results) -> Block:
+    """What was asked, in a reader's words."""
+    s = results.scenario
+    changed = ", ".join(s.tissues.override)
+    inside = ", ".join(f"{x.tissue} {_mm(x.thickness)}" for x in getattr(s.limb, "layers", ()))
+    core, bones = getattr(s.limb, "core", ""), ", ".join(b.name for b in getattr(s.limb, "bones", ()))
+    own = [key for key in changed_keys(s) if key not in ("name", "description")]
+    limb = (s.limb.shape, inside, f"on {core}" if core else "", f"bones: {bones}" if bones else "")
+    rows = [
+        ["limb", "; ".join(part for part in limb if part)],
+        ["tissues", f"preset {s.tissues.preset}" + (f"; changed: {changed}" if changed else "")],
+        ["supports", f"bone {s.supports.bone}, underside {s.supports.underside}, cut ends {s.supports.ends}"],
+        ["device", _device(s)],
+        ["grid", _grid(s, len(results.transfer.outputs))],
+        ["sweep", f"{len(results.transfer.frequency)} frequencies, {results.transfer.frequency[0]:g} to "
+                  f"{results.transfer.frequency[-1]:g} Hz"],
+        ["engine", "finite elements" if s.engine == "fem" else "semi-analytic layered half-space (flat, no bone)"],
+        ["accuracy asked", f"e_band ≤ {s.accuracy:g}"],
+        ["keys that differ from their defaults", ", ".join(own) or "none"],
+    ]  # fmt: skip
+    return Block(["", ""], rows, s.description)
+
+
+def _mm(length: float) -> str:
+    return f"{1e3 * length:g} mm"
+
+
+def _device(s: Scenario) -> str:
+    d = s.device
+    absent = f"; out of contact: {', '.join(d.out_of_contact)}" if d.out_of_contact else ""
+    if d.contacts is not None:
+        arranged = f"at own places{_nearest(d.contacts)}"
+    else:
+        counts = d.columns if isinstance(d.columns, tuple) else (d.columns,) * d.rows
+        rows = f"in rows of {', '.join(map(str, counts))}" if len(set(counts)) > 1 else f"in {d.rows} x {counts[0]}"
+        across = d.spacing_y or d.spacing
+        aside = f", rows staggered by {_mm(d.stagger * across)}" if d.stagger else ""
+        arranged = f"{rows}, {_mm(d.spacing)}{'' if across == d.spacing else f' x {_mm(across)}'} apart{aside}"
+    count = _counted(len(d.centres), "actuator")
+    return (f"{count} {arranged}, {d.drive} drive, cones of {_mm(2 * d.cone.radius)} diameter, "
+            f"{d.cone.contact} contact{absent}")  # fmt: skip
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _grid(s: Scenario, count: int) -> str:
+    g = s.grid
+    if g.points is not None:
+        return f"{_counted(count, 'point')} at own places{_nearest(g.points)}"
+    across = g.pitch_y or g.pitch
+    return f"{g.rows} x {g.columns} points, pitch {_mm(g.pitch)}{'' if across == g.pitch else f' x {_mm(across)}'}"
+
+
+def _nearest(places: Sequence[tuple[float, float]]) -> str:
+    """How far apart the two nearest of ``places`` (x, y) [m] are; nothing for one place."""
+    if len(places) < 2:
+        return ""
+    return f", the nearest {1e3 * min(math.dist(a, b) for a, b in combinations(places, 2)):.3g} mm apart"
+
+
+def mesh_block(results: Results) -> Block | None:
+    """Size, quality and resolution of the mesh; None without one."""
+    facts = results.account.mesh
+    if not results.has("mesh.vtu"):
+        return None
+    mesh = results.mesh
+    rows = [
+        ["vertices", f"{len(mesh.points):,}"],
+        ["tetrahedra", f"{len(mesh.tetrahedra):,} ({results.scenario.element} elements)"],
+        ["SHA-256", results.mesh_hash[:16]],
+    ]
+    if facts.quality:
+        rows.append(["quality (1 = regular)", f"least {facts.quality.least:.2f}, median {facts.quality.median:.2f}"])
+    for r in facts.resolution:
+        near, far = r.per_wavelength_near_ports, r.per_wavelength
+        rows.append([f"nodes per shear wavelength, {r.tissue}", f"{near:.1f} near the ports, {far:.1f} anywhere"])
+    return Block(["", ""], rows, "Six nodes per wavelength near the ports are a rule of thumb, not a proof.")
+
+
+def errors_block(results: Results) -> Block:
+    """Estimated error of G by source, with the way it was found."""
+    rows = [[e.source, size_words(e.band), size_words(e.worst), e.method] for e in results.transfer.errors]
+    note = results.account.accuracy
+    if not rows:
+        note = "G carries no error estimate."
+    return Block(["source", "e_band", "worst e(f)", "how it was estimated"], rows, note)
+
+
+def matrix_block(results: Results) -> Block:
+    """Size of G and how well it can be inverted."""
+    g = results.transfer
+    values = g.values if g.valid is None else np.where(g.valid, g.values, np.nan)
+    condition = condition_number(values)
+    size = np.abs(values)
+    at = np.unravel_index(int(np.nanargmax(size)), size.shape)
+    error, ends = entry_band_errors(g), list[tuple[np.intp, ...]]()
+    if np.isfinite(error).any():  # of the best entry and of the worst
+        ends = [np.unravel_index(int(find(error)), error.shape) for find in (np.nanargmin, np.nanargmax)]
+    told = (f"{error[o, i]:.2g} ({g.outputs[o].name} ← {g.inputs[i].name})" for o, i in ends)
+    rows = [
+        ["entries", f"{size.shape[1]} points × {size.shape[2]} actuators × {size.shape[0]} frequencies, {g.unit}"],
+        ["largest entry", f"{1e6 * size[at]:.3g} µ{g.unit} at {g.frequency[at[0]]:g} Hz, "
+                          f"{g.outputs[at[1]].name} ← {g.inputs[at[2]].name}"],
+        ["condition number", condition_words(condition)],
+        ["entries err by, of their own size", " to ".join(told) or "unknown"],
+    ]  # fmt: skip
+    return Block(["", ""], rows, "Errors of G are amplified in the drives by up to the condition number.")
+
+
+def condition_words(condition: FloatArray) -> str:
+    """Median and largest of ``condition`` (n,), NaN where unknown; a singular G is said to be one."""
+    found = condition_summary(condition)
+    if found.singular:
+        at = f"{found.singular} of {found.regular + found.singular} frequencies"
+        return f"infinite at {at}: an actuator moves nothing there, or two move alike"
+    return "unknown" if found.median is None else f"median {found.median:.1f}, largest {found.largest:.1f}"
+
+
+def renderer_block(results: Results) -> Block:
+    """Per method: largest drive, power and displacement over the targets."""
+    drives, moved, device = results.drives, results.displacements, results.scenario.device
+    rows = []
+    for m, method in enumerate(drives.methods):
+        peak = np.abs(drives.values[m]).max(axis=(1, 2))
+        own = [np.nanmax(np.abs(moved.values[m, t, moved.channels.index(n)])) for t, n in enumerate(moved.targets)]
+        mean_square = float(np.mean(drives.values[m] ** 2, axis=2).max())
+        power = f"{1e3 * mean_square / device.coil.resistance:.2g} mW" if drives.unit == "V" else "–"
+        rows.append([method, _span(peak, drives.unit), power, _span(1e6 * np.array(own), "µm")])  # fmt: skip
+    header = ["method", "largest drive", "largest mean power", "target's own peak"]
+    return Block(header, rows, "Ranges are over the targets. Everything is linear: scaled drives scale all alike.")
+
+
+def _span(values: FloatArray, unit: str) -> str:
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{low:.2g} {unit}" if np.isclose(low, high) else f"{low:.2g} to {high:.2g} {unit}"
+
+
+def exceeded(results: Results) -> list[str]:
+    """A sentence per method that passes a limit of the scenario, with the remedy."""
+    drives, device = results.drives, results.scenario.device
+    if drives.unit != "V":
+        return []
+    limits = Limits(device.max_voltage, device.max_power, device.coil.resistance)
+    peak = np.abs(drives.values).max(axis=3)
+    power = np.mean(drives.values**2, axis=3) / limits.resistance
+    return list(beyond_limits(drives.methods, drives.targets, drives.channels, peak, power, limits))
+
+
+def strength_block(results: Results) -> Block | None:
+    """Table I, here and in the thesis; None for a grid that is not 3 by 3."""
+    data = strengths(results)
+    if not is_thesis_grid(results.transfer.outputs):
+        return None
+    header = ["S", *(f"{m}, {who}" for m in data.methods for who in WHO)]
+    note = (f"Here: S {window_words(data)}. Record: the same motion over the whole record of "
+            f"{results.scenario.sweep.duration:g} s, as the thesis sums it; that reading grows with the record, as the "
+            "edges of the band ring on. Thesis: one participant (P2), measured with the laser vibrometer.")  # fmt: skip
+    if data.arms is not None:
+        note += f" Arms: 5-95 % of the group's mean S over {data.arms['draws']} arms, apart from the numerics."
+    return Block(header, table_one_rows(data), note)
+
+
+def window_words(data: Strengths) -> str:
+    """What S is taken over."""
+    if not data.window:
+        return "over a window that the folder does not name"
+    if data.window == "record":
+        return "over the whole record, as in the thesis"
+    return f"over {data.window} about the wavelet's centre"
+
+
+def by_target_block(results: Results) -> Block:
+    """S of every target with its numerical interval, and what edges of the band and holes of G do to it."""
+    data = strengths(results)
+    account = results.account.signal_strength
+    holes = account.largest("holes")[0] > 0
+    rows = []
+    for t, target in enumerate(data.targets):
+        cells = [target]
+        for m, method in enumerate(data.methods):
+            low, high = data.low[m, t], data.high[m, t]
+            known = np.isfinite(low) and np.isfinite(high)
+            span = f" ({strength_text(low)} to {strength_text(high)})" if known else " (unknown)"
+            entry = account.methods.get(method, {}).get(target) if holes else None
+            lost = f", holes ± {entry.holes:.2g}" if entry and entry.holes else ""
+            cells.append(f"{strength_text(data.values[m, t])}{spreads(data, method, target) or span}{lost}")
+        rows.append(cells)
+    said = ["In brackets: S within the errors stated for G, nine in ten of them; how arms differ is not in it."]
+    if data.arms is not None:
+        said = [
+            "Numerics: S within the errors stated for G, nine in ten of them. Arms: 5-95 % of "
+            f"{data.arms['draws']} arms ({data.arms['model']}; {data.arms['left_out']}). Never add the two."
+        ]
+    said += [f"{account.unknown[0].upper()}{account.unknown[1:]}."] if account.unknown else []
+    said += [f"S is taken {window_words(data)}."]
+    edge, where = account.largest("edges")
+    if where:
+        said += [f"With the edges of the band tapered S changes by at most {edge:.0%} ({where})."]
+    if holes:
+        worst, at = account.largest("holes")
+        said += [f"Holes of G that could not be bridged may have cost up to {worst:.0%} of S ({at}), given per S."]
+    return Block(["target", *data.methods], rows, " ".join(said))
+
+
+def differences(results: Results) -> list[str]:
+    """A sentence for each entry of Table I that differs by more than the thesis' own spread and our interval."""
+    data = strengths(results)
+    if not is_thesis_grid(results.transfer.outputs):
+        return []
+    ours, theirs = data.table(), thesis_table()
+    error = _group_error(data)
+    lines = []
+    for g, group in enumerate(ours.groups):
+        for m, method in enumerate(ours.methods):
+            if group in theirs.groups and method in theirs.methods:
+                at = (theirs.groups.index(group), theirs.methods.index(method))
+                lines.append(_difference(group, method, float(ours.mean[g, m]), float(theirs.mean[at]),
+                                         float(theirs.std[at]), error.get((group, method))))  # fmt: skip
+    return [line for line in lines if line]
+
+
+def _group_error(data: Strengths) -> dict[tuple[str, str], float]:
+    """Mean half width of the intervals of S over a group's targets; NaN where one is unknown."""
+    out = {}
+    for label, members in GROUPS:
+        columns = [i for i, t in enumerate(data.targets) if t in members]
+        for m, method in enumerate(data.methods):
+            if columns:
+                out[label, method] = float(np.mean((data.high - data.low)[m, columns]) / 2)
+    return out
+
+
+def _difference(group: str, method: str, ours: float, theirs: float, spread: float, error: float | None) -> str:
+    gap, room = abs(ours - theirs), float(np.nansum([spread, error if error is not None else np.nan]))
+    if gap <= max(room, 0.05 * theirs):
+        return ""
+    way = "above" if ours > theirs else "below"
+    stated = error is not None and np.isfinite(error)
+    known = f"; our own interval is ± {error:.2g}" if stated else "; our own interval is unknown"
+    among = "one value, so its spread is unknown" if np.isnan(spread) else f"spread {spread:.2g}"
+    side = " The verdict on focusing (S > 1) differs." if (ours > 1) != (theirs > 1) else ""
+    return (f"{group}, {method}: {ours:.2f} here, {theirs:.2f} in the thesis ({among}); {gap / theirs:.0%} "
+            f"{way}{known}.{side}")  # fmt: skip
+
+
+def warnings_of(results: Results) -> list[str]:
+    """Notes of the run, each once."""
+    account = results.account
+    notes = [*account.notes, *account.warnings]
+    if not results.has("run.json"):
+        notes.append("run.json is missing: cost, notes and verdict on accuracy of this run are unknown.")
+    return list(dict.fromkeys(notes))
+
+
+def cost_block(results: Results) -> Block | None:
+    """Seconds and memory per stage."""
+    stages = results.account.stages
+    rows = [[name, f"{s.seconds:.1f} s", f"{s.peak_memory_bytes / 1e9:.2f} GB"] for name, s in stages.items()]
+    return Block(["stage", "wall clock", "peak memory"], rows) if rows else None
+
+
+def provenance_block(results: Results) -> Block:
+    """What made these results."""
+    rows = [["forearm_fem", results.version], ["scene", results.scenario.name], ["mesh SHA-256", results.mesh_hash]]
+    account = results.account
+    rows += [["direct solver", account.solution.solver or ""], *([k, v] for k, v in account.versions.items())]
+    return Block(["", ""], [r for r in rows if r[1]])
+
+
+def mean_words(strengths: FloatArray) -> str:
+    """Mean of S (n_target,) over the targets where it is known, and over how many where that is not all of them."""
+    known = strengths[np.isfinite(strengths)]
+    if not len(known):
+        return "unknown"
+    return f"{strength_text(float(known.mean()))}{'' if len(known) == len(strengths) else f' (of {len(known)})'}"
+
+
+def headline(results: Results) -> str:
+    """The whole story in two sentences."""
+    s = results.scenario
+    data = strengths(results)
+    best = [f"{m} {mean_words(v)}" for m, v in zip(data.methods, data.values, strict=True)]
+    verdict = results.account.accuracy or "the accuracy reached is not on record"
+    told = f"mean signal strength over {len(data.targets)} targets is {', '.join(best)}"
+    return f"Scene {s.name}: {told}. Accuracy: {verdict}."

@@ -1,0 +1,365 @@
+"""Waves in the limb as pictures and films: surface or cut planes, at a frequency or through time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ..device.housing import carries_points
+from ..errors import DataError, optional
+from ..ports import Port
+from ..progress import Progress, tell
+from ..store.folder import atomic_path, write_bytes, write_text
+from ..typing import FloatArray, IntArray
+from .data import Results
+from .motion import Motion, View, motion, nice, shown_values
+from .scene import (
+    MM,
+    add_bones,
+    add_device,
+    add_grid,
+    add_scale_bar,
+    plotter_for,
+    surface_grid,
+    volume_grid,
+)
+from .style import SIGNED, SIZE
+
+__all__ = ["Look", "animate", "render_still", "write_pvd"]
+
+CAMERAS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
+    {"oblique": (-0.75, -1.0, 0.95), "top": (0.0, -0.001, 1.0), "side": (0.0, -1.0, 0.25), "wrist": (-1.0, -0.12, 0.3)}
+)
+_BULGE = 5.0  # mm: the largest displacement as drawn
+_BAR_SHARE = 0.18  # of the plate's width; numbers and title need the rest
+_TITLE_ABOVE = 14  # pixels of 900 between the bar and its title, that the topmost number has room
+_MAPS = {"normal": SIGNED, "magnitude": SIZE, "phase": "twilight"}
+
+
+@dataclass(frozen=True)
+class Look:
+    """How to show it: ``camera`` of :data:`CAMERAS`; ``cut`` "", "x", "y" or "xy" opens the limb in front of planes
+    through the target normal to these axes; ``amplification`` [-] (None: so that the largest displacement is drawn as
+    about 5 mm); ``limit`` [m] of the colours (None: what the grid points reach)."""
+
+    camera: str = "oblique"
+    cut: str = ""
+    amplification: float | None = None
+    limit: float | None = None
+    size: tuple[int, int] = (1200, 900)
+
+    def __post_init__(self) -> None:
+        """Refuse cameras and cuts that do not exist."""
+        if self.camera not in CAMERAS:
+            raise DataError(f"no camera is called '{self.camera}'; known are {', '.join(CAMERAS)}")
+        if self.cut not in ("", "x", "y", "xy"):
+            raise DataError(f"cut is '', 'x', 'y' or 'xy', got '{self.cut}'")
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What is deformed: a pyvista ``dataset`` whose points are combinations of mesh vertices.
+
+    ``rest`` (n, 3) [mm]; ``modes`` (n, 3, r) of its points; ``normals`` (n, 3) the direction "normal" refers to.
+    """
+
+    dataset: Any
+    rest: FloatArray
+    modes: FloatArray
+    normals: FloatArray
+
+
+def body_of(results: Results, cut: str, target: str) -> Body:
+    """The skin, or the limb behind the cut planes."""
+    if not cut:
+        surface = surface_grid(results.field_mesh, results.field_mesh.facets["skin"])
+        vertices: IntArray = np.asarray(surface.point_data["vertex"])
+        return _body(surface, results.wavefield.modes[vertices], None)
+    mesh, grid = results.mesh, volume_grid(results.mesh)
+    modes = results.wavefield.modes[: len(mesh.points)]
+    place = MM * np.array(_port(results.transfer.outputs, target).position)
+    # cut once: the modes travel through the clip as point data, so that each step is one product
+    grid.point_data["modes"] = modes.reshape(len(modes), -1).astype(np.float32)
+    if cut in ("x", "y"):
+        behind = grid.clip(normal=cut, origin=place, invert=False)
+    else:  # seen from the wrist and from negative y
+        front = grid.clip(normal="x", origin=place, invert=True).clip(normal="y", origin=place, invert=False)
+        behind = grid.clip(normal="x", origin=place, invert=False).merge(front, merge_points=True)
+    part = behind.extract_surface(algorithm="dataset_surface").triangulate()
+    part = part.compute_normals(cell_normals=False, split_vertices=True, feature_angle=40.0)  # sharp edges stay sharp
+    taken = np.asarray(part.point_data["modes"], dtype=float).reshape(part.n_points, 3, -1)
+    part.clear_data()
+    return _body(part, taken, np.tile([0.0, 0.0, 1.0], (part.n_points, 1)))
+
+
+def _body(surface: Any, modes: FloatArray, normals: FloatArray | None) -> Body:
+    """Normals that point outwards, the way the volar skin's do; they shade the body and define "normal"."""
+    surface.compute_normals(cell_normals=False, split_vertices=False, auto_orient_normals=True, inplace=True)
+    found = np.array(surface.point_data["Normals"], dtype=float)
+    if found[int(np.argmax(surface.points[:, 2])), 2] < 0:
+        surface.flip_faces(inplace=True)
+        found = -found
+    surface.point_data["Normals"] = found  # flipped faces keep their normals
+    return Body(surface, np.array(surface.points, dtype=float), modes, found if normals is None else normals)
+
+
+def standing(ports: Sequence[Port], cut: str, place: Sequence[float]) -> tuple[Port, ...]:
+    """Those of ``ports`` that stand on what a ``cut`` through ``place`` [m] leaves; the others would float."""
+    planes = [("x", "y").index(axis) for axis in cut]
+    return tuple(p for p in ports if not cut or any(p.position[k] > place[k] - 1e-9 for k in planes))
+
+
+def _port(ports: tuple[Port, ...], name: str) -> Port:
+    return next((p for p in ports if p.name == name), ports[len(ports) // 2])
+
+
+def amplification(moved: Motion, body: Body, look: Look) -> float:
+    """How many times larger than life the motion is drawn: as asked, or 1, 2 or 5 times a power of ten."""
+    if look.amplification is not None:
+        return look.amplification
+    sizes = [np.linalg.norm(moved.displacement(body.modes, k), axis=1).max() for k in range(len(moved.steps))]
+    most = float(max(sizes))
+    return nice(_BULGE / (MM * most)) if most > 0 else 1.0
+
+
+def colour_limit(results: Results, moved: Motion, look: Look) -> float:
+    """Where colours end [m]: as asked, or the largest motion of the grid points' nearest vertices."""
+    if look.limit is not None:
+        return look.limit
+    places = np.array([p.position for p in results.transfer.outputs])
+    near = [int(np.argmin(np.linalg.norm(results.field_mesh.points - p, axis=1))) for p in places]
+    modes = results.wavefield.modes[near]
+    most = max(float(np.linalg.norm(moved.displacement(modes, k), axis=1).max()) for k in range(len(moved.steps)))
+    return most or 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A plotter with everything in place; :meth:`show` sets one step of the motion; ``without`` says what it lacks."""
+
+    plotter: Any
+    body: Body
+    moved: Motion
+    factor: float
+    limit: float
+    without: tuple[str, ...] = ()
+
+    def show(self, step: int) -> None:
+        """Deform and colour the body as at ``step``, and say which it is."""
+        u = self.moved.displacement(self.body.modes, step)
+        self.body.dataset.points = self.body.rest + MM * self.factor * u
+        if self.moved.view.quantity == "phase":
+            assert self.moved.phasor is not None
+            normal = np.einsum("pcr,pc,r->p", self.body.modes, self.body.normals, self.moved.phasor, optimize=True)
+            shown = np.asarray(np.angle(normal, deg=True))
+        else:
+            shown = 1e6 * shown_values(u, self.body.normals, self.moved.view.quantity)
+        self.body.dataset.point_data["shown"] = shown
+        del self.body.dataset.point_data["Normals"]  # VTK leaves those it finds
+        self.body.dataset.compute_normals(
+            cell_normals=False, split_vertices=False, consistent_normals=False, inplace=True
+        )
+        self.plotter.add_text(self._words(step), position="upper_left", font_size=10, color="black", name="words")
+
+    def _words(self, step: int) -> str:
+        lines = [self.moved.view.words, self.moved.label(step), drawn_words(self.factor), *self.without]
+        return "\n".join(lines)
+
+
+def drawn_words(factor: float) -> str:
+    """How a motion is drawn that was multiplied by ``factor``."""
+    if factor in (0, 1):
+        return "drawn true to scale" if factor else "motion not drawn, only coloured"
+    return f"motion drawn {max(factor, 1 / factor):,.6g} times {'larger' if factor > 1 else 'smaller'}"
+
+
+def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
+    """Body, device, grid, bones, scale bar, colours and camera in ``plotter``."""
+    view = moved.view
+    body = body_of(results, look.cut, view.target)
+    without = ("without what the skin follows of the housing",) if carries_points(results.scenario.device) else ()
+    scales = amplification(moved, body, look), colour_limit(results, moved, look)
+    stage = Stage(plotter, body, moved, *scales, without)
+    stage.show(0)
+    ports = (*results.transfer.inputs, *results.transfer.outputs)
+    most = 1e6 * stage.limit
+    ends = {"normal": (-most, most), "magnitude": (0.0, most), "phase": (-180.0, 180.0)}[view.quantity]
+    plotter.add_mesh(body.dataset, scalars="shown", cmap=_MAPS[view.quantity], clim=ends, smooth_shading=True,
+                     ambient=0.3, diffuse=0.62, specular=0.05, scalar_bar_args=_bar(view.quantity, look),
+                     interpolate_before_map=view.quantity != "phase")  # fmt: skip
+    left = standing(ports, look.cut, _port(results.transfer.outputs, view.target).position)
+    add_device(plotter, left, opacity=0.25)
+    add_grid(plotter, left, view.target if view.actuator is None else None, lift=0.6)
+    if look.cut:  # the whole skin hides them
+        add_bones(plotter, results.mesh)
+    low = MM * np.array([p.position for p in ports]).min(axis=0)
+    add_scale_bar(plotter, low + np.array([-8, -16, 0]))
+    plotter.add_text(results.stamp, position="upper_right", font_size=6, color="gray")
+    _on_white(plotter, look)
+    _aim(plotter, results, look)
+    return stage
+
+
+def _on_white(plotter: Any, look: Look) -> None:
+    """A white plate under the colour bar, its numbers and its title, which else would be read against the limb."""
+    for name in plotter.scalar_bars.keys():  # noqa: SIM118 (no mapping: it has keys only)
+        bar = plotter.scalar_bars[name]
+        bar.SetBarRatio(_BAR_SHARE)
+        bar.SetVerticalTitleSeparation(round(_TITLE_ABOVE * look.size[1] / 900))
+        bar.SetTextPad(2)
+        bar.DrawBackgroundOn()
+        bar.GetBackgroundProperty().SetColor(1.0, 1.0, 1.0)
+        bar.GetBackgroundProperty().SetOpacity(0.85)
+
+
+def _bar(quantity: str, look: Look) -> dict[str, Any]:
+    names = {"normal": "u_z [µm]" if look.cut else "u outward [µm]", "magnitude": "|u| [µm]", "phase": "phase [°]"}
+    scale = look.size[1] / 900
+    return {"title": names[quantity], "vertical": True, "position_x": 0.86, "position_y": 0.25, "width": 0.125,
+            "height": 0.5, "title_font_size": round(18 * scale), "label_font_size": round(16 * scale),
+            "fmt": "%.3g", "color": "black"}  # fmt: skip
+
+
+def _aim(plotter: Any, results: Results, look: Look) -> None:
+    """The set camera, looking at the device; wide enough for it and 25 mm more."""
+    places = MM * np.array([p.position for p in (*results.transfer.inputs, *results.transfer.outputs)])
+    plotter.camera_position = [CAMERAS[look.camera], (0, 0, 0), (0, 1, 0) if look.camera == "top" else (0, 0, 1)]
+    low, high = places.min(axis=0) - [25, 22, 14], places.max(axis=0) + np.array([25, 22, 18])
+    plotter.reset_camera(bounds=np.stack([low, high]).T.ravel())
+    plotter.camera.zoom(1.2)
+
+
+def render_still(
+    results: Results | str | Path,
+    path: str | Path | None = None,
+    *,
+    view: View | None = None,
+    look: Look | None = None,
+    at: float = 0.0,
+) -> Any:
+    """One picture (height, width, 3), also written to ``path`` (.png) if given.
+
+    ``at`` is the instant [s], or at a frequency the phase [rad]. Off-screen; raises DataError for what the results
+    do not hold and ForearmError where VTK cannot draw.
+    """
+    found, view, look = _given(results, view, look)
+    moved = motion(found, view, np.array([at]))
+    wide = motion(found, view)
+    limit = colour_limit(found, wide, look)
+    fixed = Look(look.camera, look.cut, look.amplification, limit, look.size)
+    with plotter_for(look.size) as plotter:
+        staged(found, plotter, moved, fixed)
+        picture = np.array(plotter.screenshot(None, return_img=True))
+    if path is not None:
+        with atomic_path(path) as beside:
+            Image.fromarray(picture).save(beside)
+    return picture
+
+
+def animate(
+    results: Results | str | Path,
+    path: str | Path,
+    *,
+    view: View | None = None,
+    look: Look | None = None,
+    steps: FloatArray | None = None,
+    frames_per_second: float = 12.0,
+    progress: Progress | None = None,
+) -> Path:
+    """A film (.gif, or .mp4 with the extra ``movie``) of the motion at ``steps`` [s], or phases [rad].
+
+    By default 60 instants around the wavelet's centre, or 24 phases. No new solve. Raises as :func:`render_still`,
+    and MissingExtra for an .mp4 without imageio.
+    """
+    target = Path(path)
+    kind = target.suffix.lower()
+    if kind == ".mp4":
+        for package in ("imageio", "imageio_ffmpeg"):
+            optional(package, "movie", "an .mp4 film")
+    elif kind != ".gif":
+        raise DataError(f"{target}: films are .gif or .mp4, not '{target.suffix}'")
+    found, view, look = _given(results, view, look)
+    moved = motion(found, view, steps)
+    with plotter_for(look.size) as plotter:
+        stage = staged(found, plotter, moved, look)
+        pictures = []
+        for k in range(len(moved.steps)):
+            stage.show(k)
+            tell(progress, "frames", k + 1, len(moved.steps))
+            pictures.append(np.array(plotter.screenshot(None, return_img=True)))
+    with atomic_path(target) as beside:
+        if kind == ".gif":  # one palette for all frames, so that colours do not flicker
+            sample = Image.fromarray(np.concatenate([p[::2, ::2] for p in pictures[:: max(1, len(pictures) // 12)]]))
+            palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)
+            frames = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
+            lasts = 10 * max(round(100 / frames_per_second), 1)  # GIF counts hundredths of a second
+            frames[0].save(beside, save_all=True, append_images=frames[1:], duration=lasts, loop=0, optimize=False)
+        else:
+            writer = import_module("imageio").get_writer(beside, fps=frames_per_second, macro_block_size=2, quality=8)
+            with writer as film:
+                for picture in pictures:
+                    film.append_data(picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2])
+    return target
+
+
+def _given(results: Results | str | Path, view: View | None, look: Look | None) -> tuple[Results, View, Look]:
+    found = results if isinstance(results, Results) else Results.open(results)
+    return found, view or default_view(found), look or Look()
+
+
+def default_view(results: Results) -> View:
+    """The inverse filter at target 5, or the first there is of each."""
+    drives = results.drives
+    first = View()
+    method = first.method if first.method in drives.methods else drives.methods[0]
+    return View(method, first.target if first.target in drives.targets else drives.targets[0])
+
+
+def write_pvd(
+    results: Results | str | Path,
+    path: str | Path,
+    *,
+    view: View | None = None,
+    steps: FloatArray | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """A series for ParaView: ``path`` (.pvd) and beside it a folder of its name with one .vtu per step.
+
+    Point data "displacement" (n, 3) [m], cell data "region"; coordinates are in metres, time in seconds (at a
+    frequency: phase in degrees). Warp by vector in ParaView to see it move.
+    """
+    target = Path(path)
+    if target.suffix != ".pvd":
+        raise DataError(f"{target}: a series for ParaView is a .pvd file, not '{target.suffix}'")
+    found, view, _ = _given(results, view, None)
+    moved = motion(found, view, steps)
+    grid = volume_grid(found.mesh)
+    grid.points = found.mesh.points.copy()
+    lines = []
+    for k, at in enumerate(moved.steps):
+        grid.point_data["displacement"] = moved.displacement(found.wavefield.modes[: len(found.mesh.points)], k)
+        name = f"{target.stem}/{k:04d}.vtu"
+        write_bytes(target.parent / name, _vtu(grid))
+        time = at if moved.phasor is None else np.degrees(at)
+        lines.append(f'    <DataSet timestep="{time:.9g}" file="{name}"/>')
+        tell(progress, "frames", k + 1, len(moved.steps))
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
+    write_text(target, head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n")
+    return target
+
+
+def _vtu(grid: Any) -> bytes:
+    """The contents of a .vtu file: VTK crashes the process where it writes to a full disk itself."""
+    writer = import_module("vtkmodules.vtkIOXML").vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(grid)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    return str(writer.GetOutputString()).encode()

@@ -1,0 +1,166 @@
+"""The report of a prediction: what S people will see, with the band over arms apart from the error of the numerics."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ..store.folder import atomic_path, write_text
+from .arms import bands_table, drivers_table, plot_bands, plot_drivers, plot_wins
+from .facts import Block
+from .report import Section, embedded, html_of, markdown_of
+from .style import Drawn
+
+_STRONG = 0.2  # rank correlation that is named
+_WIDE = 1.1  # factor of S, by errors of the arms' own G, from which on the report says what to do
+
+
+def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path, Path]:
+    """``prediction.html`` (self-contained) and ``prediction.md`` of ``data``, and ``figures/`` with their numbers.
+
+    ``data`` is what :func:`forearm_fem.prediction.summary.summary` makes. Returns the paths of the two.
+    """
+    out = Path(folder)
+    stamp = f"scene {data['scenario']['name']} · {data['draws']} arms, {data['model']} · forearm_fem {data['program']}"
+    pictures = {name: embedded(draw(data), title, stamp, name) for name, (title, draw) in _FIGURES.items()}
+    for name, picture in pictures.items():
+        with atomic_path(out / "figures" / f"{name}.png") as target:
+            target.write_bytes(base64.b64decode(picture.data))
+    for name, table in (("bands", bands_table), ("drivers", drivers_table)):
+        write_text(out / "figures" / f"{name}.csv", table(data).as_csv(stamp))
+    title, lead = f"Prediction for scene {data['scenario']['name']}", lead_of(data)
+    wins = [
+        [group, *(f"{data['by_group'][m][group]['wins']:.0%}" for m in data["methods"])] for group in data["groups"]
+    ]
+    note = "Share of arms in which the method's mean S there is the largest."
+    won = Block(["place", *data["methods"]], wins, note)
+    sections = [
+        Section("strength", "S at each target", _targets(data), pictures=[pictures["bands"]]),
+        Section("groups", "Middle, edges and corners" if "All" not in data["groups"] else "Mean S", _groups(data)),
+        Section("methods", "Which method wins", won, pictures=[pictures["methods"]]),
+        Section("drivers", "What drives S", _drivers(data), pictures=[pictures["drivers"]]),
+        Section("numerics", "How wrong the numerics may be", paragraphs=[_numerics(data)]),
+        Section("scope", "What is in the band, and what is not", bullets=_scope(data)),
+    ]
+    page, plain = out / "prediction.html", out / "prediction.md"
+    write_text(plain, markdown_of(title, lead, sections, stamp))
+    write_text(page, html_of(title, lead, sections, stamp))
+    return page, plain
+
+
+_FIGURES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], Drawn]]] = {
+    "bands": ("S over arms: 5-95 % thin, 25-75 % thick, median; the cross is the scene itself", plot_bands),
+    "methods": ("Which method has the largest S", plot_wins),
+    "drivers": ("What drives S: rank correlation over the arms", plot_drivers),
+}
+
+
+def lead_of(data: Mapping[str, Any]) -> str:
+    """The finding in words: how wide arms spread each method, and which wins."""
+    group = next(iter(data["groups"]))
+    parts = []
+    for method in data["methods"]:
+        low, high = data["by_group"][method][group]["arms"][0], data["by_group"][method][group]["arms"][-1]
+        parts.append(f"{method} {low:.2g} to {high:.2g}")
+    lost = sum(data["failed"].values())
+    missing = f" {lost} arm{'' if lost == 1 else 's'} more without S left out (see below)." if lost else ""
+    return (f"Nine in ten of {data['draws']} arms have, at {group}: {', '.join(parts)}. Errors of each arm's own G are "
+            f"in these bands; those of the scene's S are stated apart.{missing}")  # fmt: skip
+
+
+def strength_words(cell: Mapping[str, Any]) -> str:
+    """E.g. ``1.31 (numerics 1.30-1.32, arms 0.70-1.80)``: the scene's S, its numerical interval, 5-95 % of arms."""
+    low, high = cell.get("low"), cell.get("high")
+    numerics = f"{low:.2f}-{high:.2f}" if low is not None and high is not None else "unknown"
+    value = "unknown" if cell.get("value") is None else f"{cell['value']:.2f}"
+    return f"{value} (numerics {numerics}, arms {cell['arms'][0]:.2f}-{cell['arms'][-1]:.2f})"
+
+
+def _targets(data: Mapping[str, Any]) -> Block:
+    rows = [[t, *(strength_words(data["by_target"][m][t]) for m in data["methods"])] for t in data["targets"]]
+    note = ("S of the scene itself, the interval of its numerics, and 5-95 % over arms and measurements, on the G that "
+            "was calibrated (as Table I), errors of each arm's own G included. The two spreads are of different things "
+            "and are never added.")  # fmt: skip
+    return Block(["target", *data["methods"]], rows, note)
+
+
+def _groups(data: Mapping[str, Any]) -> Block:
+    rows = []
+    for group in data["groups"]:
+        for method in data["methods"]:
+            cell = data["by_group"][method][group]
+            low, high = (f"{share:.0%}" for share in cell["above_one_range"])
+            above = f"{cell['above_one']:.0%}" + ("" if low == high else f" ({low[:-1]}-{high})")  # e.g. 88% (75-92%)
+            rows.append([group, method, *(f"{x:.2f}" for x in cell["arms"]), f"{cell['played'][0]:.2f}-"
+                         f"{cell['played'][-1]:.2f}", f"{cell['record'][0]:.2f}-{cell['record'][-1]:.2f}",
+                         f"{cell['bare'][0]:.2f}-{cell['bare'][-1]:.2f}", above])  # fmt: skip
+    levels = [f"{100 * x:g} %" for x in data["levels"]]
+    header = ["place", "method", *levels, "as played, 5-95 %", "over the record, 5-95 %",
+              "without errors of the arms' G, 5-95 %", "S > 1"]
+    note = ("Quantiles over arms of the group's mean S on the calibrated G: below the median of the low ends, above it "
+            "of the high ends that errors of each arm's own G leave its S, so that they widen a band and never narrow "
+            "it. S > 1, in brackets: of how many arms that is sure, and of how many possible. As played: the same "
+            "drives on the true G, without its noise. Over the record: as the thesis sums it, all of the noise "
+            "included.")  # fmt: skip
+    return Block(header, rows, note)
+
+
+def _drivers(data: Mapping[str, Any]) -> Block:
+    rows = []
+    for group in data["groups"]:
+        for method in data["methods"]:
+            ranked = sorted(data["drivers"], key=lambda d: -abs(d["rank"][method][group] or 0.0))
+            named = [d for d in ranked if abs(d["rank"][method][group] or 0.0) >= _STRONG][:4]
+            told = ", ".join(f"{d['name']} {d['rank'][method][group]:+.2f}{_share(d, method, group)}" for d in named)
+            rows.append([group, method, told or "none above 0.2"])
+    note = ("Spearman's rank correlation with the group's S; in brackets, from 100 arms on, the first-order Sobol' "
+            "index, the share of the variance of log S that the driver explains alone. Laws count in alphabetical "
+            f"order. With {data['draws']} arms correlations within "
+            f"{2 / max(data['draws'] - 1, 1) ** 0.5:.2f} may be chance.")  # fmt: skip
+    return Block(["place", "method", "strongest drivers"], rows, note)
+
+
+def _share(driver: Mapping[str, Any], method: str, group: str) -> str:
+    share = driver.get("sobol", {}).get(method, {}).get(group)
+    return "" if share is None else f" ({share:.0%})"
+
+
+def _numerics(data: Mapping[str, Any]) -> str:
+    told, lost = data["numerics"], sum(data["failed"].values())
+    parts = [
+        "The scene's own interval stands in the first table and is in no band over arms. G of each arm has an error of "
+        f"its own, what mesh or series may miss for its waves included: e_band {told['median']:.1e} in the median, "
+        f"{told['largest']:.1e} at most. It leaves S of an arm a factor of {told['factor']:.2f} to either side in the "
+        f"median, {told['largest factor']:.2f} at most, and that is in the bands."
+    ]
+    if told["factor"] > _WIDE:
+        free = " ".join(f"--hold {g}" for g in ("thickness", "contact", "placement") if g not in data["held"])
+        hold = f"hold what you know ({free}), or " if free else ""
+        parts.append(f"This widens the bands much: {hold}ask for a finer mesh (lower accuracy or mesh sizes), or draw "
+                     "the arms on the flat twin (--twin).")  # fmt: skip
+    if (mesh := data["shorter_waves"]) is not None and mesh["share"]:
+        parts.append(f"The mesh was made for the scene's own tissue: {mesh['share']:.0%} of the arms have shorter "
+                     f"waves in some tissue, one in twenty by a factor of {mesh['factor']:.2g} or more.")  # fmt: skip
+    if data["unknown"]:
+        parts.append(f"But {data['unknown']}, and in no band.")
+    if lost:
+        parts.append(f"Of {data['draws'] + lost} arms {lost} are left out, for the reasons below.")
+    return " ".join(parts)
+
+
+def _scope(data: Mapping[str, Any]) -> list[str]:
+    laws = f"Laws of the tissues, equally likely: {', '.join(data['laws'])}."
+    if "tissue" in data["held"]:
+        laws = "Tissues and their laws: the scene's own in every arm."
+    elif kept := data.get("kept_tissues"):
+        laws += f" As the scene has them in every arm: {', '.join(kept)}, for only skin, fat and muscle are drawn."
+    lines = [f"Model of the arms: {data['model']}; {data['left_out']}.",
+             f"{laws} Inputs, spreads and sources: prediction/priors.toml and "
+             "tissue_laws.json in the package; none was fitted to the thesis' Table I."]  # fmt: skip
+    if data["held"]:
+        lines.append(f"Held at the scene's own values: {', '.join(data['held'])}.")
+    lines += [f"Left out, {count} of {data['draws'] + sum(data['failed'].values())} arms: {problem}"
+              for problem, count in data["failed"].items()]  # fmt: skip
+    return lines

@@ -1,0 +1,219 @@
+"""All figures by name, and the one function that makes them from a results folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from operator import attrgetter
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from matplotlib import style
+
+from ..errors import DataError, ForearmError, NotApplicable
+from ..progress import Progress, tell
+from ..rendering.lattice import is_thesis_grid
+from ..store.folder import atomic_path, write_text
+from . import device, judge, matrix, mesh, methods, targets, waves
+from .data import Results
+from .overlay import WIDTHS, Curve, fit_width, lay_over, read_curves
+from .style import SHEET, Drawn, arrange, figure_of, sign
+from .tables import Table
+
+FORMATS = ("png", "pdf", "svg")
+_REPRODUCIBLE: Mapping[str, Any] = MappingProxyType({"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}})
+
+
+@dataclass(frozen=True)
+class FigureKind:
+    """A figure: ``compute`` takes its numbers from a run, ``draw`` draws them, ``table`` and ``extra`` write them.
+
+    ``needs`` are the files without which it cannot be made; with one of ``optional`` missing it does not apply to
+    the run (a measured G has no mesh) and is left out unless asked for by name.
+    """
+
+    name: str
+    title: str
+    compute: Callable[[Results], Any]
+    draw: Callable[..., Drawn]
+    table: Callable[[Any], Table]
+    extra: Callable[[Any], Mapping[str, str]] = lambda _: {}
+    needs: tuple[str, ...] = ("transfer.nc",)
+    optional: tuple[str, ...] = ()
+
+
+_SIGNALS = ("transfer.nc", "drives.nc", "displacements.nc")
+_FIXED = (
+    FigureKind("figure-2", "A wavelet along a line", waves.travel, waves.plot_travel, waves.travel_table,
+               waves.travel_extra, ("transfer.nc", "drives.nc")),
+    FigureKind("figure-4", "From sweep to transfer function to drives", methods.method, methods.plot_method,
+               methods.method_table, methods.method_extra, _SIGNALS),
+    FigureKind("figure-5", "How each renderer gets its drives", methods.workflow, methods.plot_workflow,
+               methods.workflow_table, needs=_SIGNALS),
+    FigureKind("table-1", "Signal strength beside the thesis' Table I", judge.strengths, judge.plot_table_one,
+               judge.table_one_csv, judge.table_one_extra, ("transfer.nc", "signal_strength.csv")),
+    FigureKind("figure-a2", "Attenuation and dispersion", waves.dispersion, waves.plot_dispersion,
+               waves.dispersion_table),
+    FigureKind("transfer", "G: size, within its error, and phase", attrgetter("transfer"), matrix.plot_transfer,
+               matrix.transfer_table),
+    FigureKind("condition", "Singular values and condition number of G", matrix.conditioning,
+               matrix.plot_conditioning, matrix.conditioning_table),
+    FigureKind("drives", "Drives and their limits", device.drive_levels, device.plot_drives, device.levels_table,
+               device.levels_extra, ("drives.nc",)),
+    FigureKind("impedance", "Driving-point impedance", device.impedance, device.plot_impedance,
+               device.impedance_table, optional=("compliance",)),
+    FigureKind("mesh", "The mesh cut open", mesh.cutaway, mesh.plot_cutaway, mesh.cutaway_table,
+               optional=("mesh.vtu",)),
+    FigureKind("resolution", "Nodes per wavelength", mesh.resolution, mesh.plot_resolution, mesh.resolution_table,
+               optional=("mesh.vtu",)),
+    FigureKind("errors", "Estimated errors of G by source", judge.errors, judge.plot_errors, judge.errors_table,
+               optional=("errors",)),
+    FigureKind("strength", "Signal strength over the targets", judge.strengths, judge.plot_strength_maps,
+               judge.strengths_table, needs=("transfer.nc", "signal_strength.csv")),
+    FigureKind("measured", "Simulated against measured G", matrix.versus, matrix.plot_versus, matrix.versus_table,
+               optional=("measured.nc",)),
+)  # fmt: skip
+
+
+def kinds(results: Results | None = None) -> Mapping[str, FigureKind]:
+    """Every figure by name: those of the thesis first; ``target-N`` for each target of ``results``."""
+    names: Iterable[str] = results.displacements.targets if results and results.has("displacements.nc") else ("5", "6")
+    by_target = []
+    for t in names:
+        thesis = thesis_figure(t, results)
+        title = f"Waves towards target {t}{f' ({thesis})' if thesis else ''}"
+        by_target.append(
+            FigureKind(f"target-{t}", title, partial(targets.target_waves, target=t), targets.plot_target,
+                       targets.target_table, targets.target_extra, _SIGNALS)
+        )  # fmt: skip
+    return {k.name: k for k in (*_FIXED, *by_target)}
+
+
+def thesis_figure(target: str, results: Results | None) -> str:
+    """The thesis' figure of waves towards ``target``; empty where it has none, or the grid is another."""
+    if results is not None and not is_thesis_grid(results.transfer.outputs):
+        return ""
+    return {"5": "thesis' figure 6", "6": "thesis' figure 7"}.get(target, "")
+
+
+def applies(kind: FigureKind, results: Results) -> str:
+    """Empty if the figure suits the run, else the reason why not, in a sentence."""
+    if any(_never_made(name, results) for name in kind.needs):
+        return f"{kind.name}: does not apply to {results.folder}: rendering.methods is empty: its scene renders nothing"
+    for name in kind.optional:
+        if name == "errors" and not results.transfer.errors:
+            return f"{kind.name}: G carries no error estimate"
+        if name != "errors" and not results.has(name):
+            what = "it holds no compliance" if name == "compliance" else f"{name} is missing; {results.remedy(name)}"
+            return f"{kind.name}: does not apply to {results.folder}: {what}"
+    if kind.name == "table-1":
+        outputs = results.transfer.outputs
+        if not is_thesis_grid(outputs):
+            return f"table-1: the thesis' Table I is for 3 x 3 points, this run's {len(outputs)} lie otherwise"
+    return ""
+
+
+def make_figures(
+    results_dir: str | Path | Results,
+    out_dir: str | Path | None = None,
+    only: Sequence[str] | None = None,
+    formats: Sequence[str] = ("png",),
+    progress: Progress | None = None,
+    *,
+    width: int | None = None,
+    over: Mapping[str, str | Path] | None = None,
+) -> list[Path]:
+    """Make the figures of a results folder with their numbers as CSV, and return all files written.
+
+    ``out_dir`` defaults to ``figures`` inside the folder; ``only`` are names from :func:`kinds`; ``formats`` any of
+    png, pdf and svg; ``width`` one of :data:`.overlay.WIDTHS` [mm]; ``over`` tables of curves (:func:`.read_curves`) to
+    lay over figures by name. Files appear whole or not at all. Figures that do not apply to the run are left out unless
+    named. Raises DataError for an unfinished folder, an unknown name or format, and a folder that cannot be written.
+    """
+    results = results_dir if isinstance(results_dir, Results) else Results.open(results_dir)
+    chosen = _chosen(results, only)
+    if bad := [f for f in formats if f not in FORMATS]:
+        raise DataError(f"'{bad[0]}' is no format for figures; choose among {', '.join(FORMATS)}")
+    if width is not None and width not in WIDTHS:
+        raise DataError(f"figures are {' or '.join(map(str, WIDTHS))} mm wide for a journal, not {width}")
+    curves = {name: read_curves(path) for name, path in (over or {}).items()}
+    if stray := sorted(set(curves) - {k.name for k in chosen}):
+        raise DataError(f"'{stray[0]}' is not among the figures made, so nothing can be laid over it")
+    folder = Path(out_dir) if out_dir is not None else results.folder / "figures"
+    try:  # fails before the work rather than after it
+        write_text(folder / ".writable", "")
+        (folder / ".writable").unlink()
+    except (ForearmError, OSError):
+        raise DataError(f"{folder}: figures cannot be written there; name another folder with --out") from None
+    written: list[Path] = []
+    for done, kind in enumerate(chosen):
+        tell(progress, "figures", done, len(chosen))
+        try:
+            written += make_figure(kind, results, folder, formats, width, curves.get(kind.name, ()))
+        except NotApplicable:
+            if only is not None:
+                raise
+    tell(progress, "figures", len(chosen), len(chosen))
+    return written
+
+
+def _chosen(results: Results, only: Sequence[str] | None) -> list[FigureKind]:
+    known = kinds(results)
+    if unknown := [n for n in only or () if n not in known]:
+        raise DataError(f"no figure is called '{unknown[0]}'; known are {', '.join(known)}")
+    chosen = [known[n] for n in only or known]
+    for kind in chosen:
+        for name in kind.needs:
+            if not _never_made(name, results):
+                results.path(name)
+    reasons = {k.name: applies(k, results) for k in chosen}
+    if only and (told := [r for r in reasons.values() if r]):
+        raise DataError(told[0])
+    return [k for k in chosen if not reasons[k.name]]
+
+
+def _never_made(name: str, results: Results) -> bool:
+    """Whether a file is one of renderers', of which the run has none."""
+    return name != "transfer.nc" and not results.has(name) and not results.scenario.rendering.methods
+
+
+def make_figure(
+    kind: FigureKind,
+    results: Results,
+    folder: Path,
+    formats: Sequence[str],
+    width: int | None = None,
+    curves: tuple[Curve, ...] = (),
+) -> list[Path]:
+    """One figure in every format, ``width`` [mm] wide and with ``curves`` over it, its CSV, and what else belongs
+    beside it."""
+    data = kind.compute(results)
+    stem = folder / kind.name
+    drawn = kind.draw(data)
+    if width is not None:
+        fit_width(figure_of(drawn), width)
+    lay_over(figure_of(drawn), curves)
+    written = save_drawn(drawn, stem, formats, results.stamp)
+    texts = {"csv": kind.table(data).as_csv(results.stamp), **kind.extra(data)}
+    for ending, text in texts.items():
+        path = stem.with_name(f"{stem.name}{'.' if ending == 'csv' else '-'}{ending}")
+        write_text(path, text)
+        written.append(path)
+    return written
+
+
+def save_drawn(drawn: Drawn, stem: Path, formats: Sequence[str], source: str = "") -> list[Path]:
+    """Sign what was drawn and save it beside ``stem``."""
+    figure = figure_of(drawn)
+    if source:
+        sign(figure, source)
+    arrange(figure)
+    written = []
+    for ending in formats:
+        path = stem.with_name(f"{stem.name}.{ending}")
+        with atomic_path(path) as beside, style.context(SHEET):
+            figure.savefig(beside, format=ending, metadata=dict(_REPRODUCIBLE[ending]))
+        written.append(path)
+    return written
