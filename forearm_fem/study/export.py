@@ -19,8 +19,8 @@ from scipy.signal import resample
 
 from .. import __version__
 from ..errors import ScenarioError
-from ..store.folder import atomic_path, write_text
 from ..measurement.daq import faded
+from ..store.folder import atomic_path, write_text
 from ..typing import FloatArray
 from .order import tasks_of, trials
 from .run import Made, Prepared
