@@ -13,13 +13,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from forearm_fem.study.field import SkinField, grid_field, simulated_field
+from forearm_fem.study.percept import Felt, Percept, SimulatedParticipant
 from scipy import stats
 
 from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.study.anova import repeated_measures
-from forearm_fem.study.field import SkinField, grid_field, simulated_field
 from forearm_fem.study.figures import plot_power
-from forearm_fem.study.percept import Felt, Percept, SimulatedParticipant
 from forearm_fem.study.power import Supposed, power_curve
 from forearm_fem.study.run import Prepared
 

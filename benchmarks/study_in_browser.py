@@ -95,10 +95,11 @@ def write_page(row, folder: Path) -> None:  # type: ignore[no-untyped-def]
 
 def what_is_felt(study: Path, transfer: Path):  # type: ignore[no-untyped-def]
     """The energies of all stimuli, the same for everyone here."""
-    from forearm_fem.commands.common import transfer_file
-    from forearm_fem.io.recognise import read_measured
     from forearm_fem.study.field import field_for, grid_field
     from forearm_fem.study.percept import Felt
+
+    from forearm_fem.commands.common import transfer_file
+    from forearm_fem.io.recognise import read_measured
     from forearm_fem.study.run import Prepared
 
     prepared, matrix = Prepared.of(study), read_measured(transfer_file(transfer))
@@ -109,10 +110,10 @@ def what_is_felt(study: Path, transfer: Path):  # type: ignore[no-untyped-def]
 
 def person(study: Path, transfer: Path, felt, number: int, kills: int, only: int | None):  # type: ignore[no-untyped-def]
     """All tasks of one simulated participant; what is wrong with what lies on disk afterwards, and answers there."""
+    from forearm_fem.study.percept import Percept, SimulatedParticipant
     from playwright.sync_api import sync_playwright
 
     from forearm_fem.study.order import trials
-    from forearm_fem.study.percept import Percept, SimulatedParticipant
     from forearm_fem.study.run import Prepared
     from forearm_fem.study.stimuli import transfer_of
 

@@ -24,6 +24,7 @@ def _pseudonym(name: str) -> str:
 
 
 Participant = Annotated[str, typer.Option(help="pseudonym: letters and digits, e.g. 01", callback=_pseudonym)]
+_COUNTS = (4, 6, 8, 10, 14, 20, 28, 40, 60)  # participants for whom power is told
 _DATA = "folder of the answers; default beside the file"
 Data = Annotated[Path | None, typer.Option("--data", help=_DATA)]
 Answers = Annotated[
@@ -305,10 +306,11 @@ def power(
         else:
             size, source = planned.size_of_least(values, effect, least), f"{least:g} over the pilot's scatter"
     family = methods * (methods - 1) // 2 if effect == "pair" else 1
-    curve = planned.power_curve(size, (4, 6, 8, 10, 14, 20, 28, 40), alpha=study.analysis.alpha, family=family)
+    curve = planned.power_curve(size, _COUNTS, alpha=study.analysis.alpha, family=family)
     typer.echo(f"{asked.name}, {what}, {effect}: {source}")
     for p in curve:
-        typer.echo(f"{p.participants:3d} participants: {p.share:.0%} ({p.low:.0%} to {p.high:.0%})".replace("%", " %"))
+        between = f" ({p.low:.0%} to {p.high:.0%})" if size.low < size.high else ""
+        typer.echo(f"{p.participants:3d} participants: {p.share:.0%}{between}".replace("%", " %"))
     if size.low == 0:
         print_notes(["the pilot does not tell this effect from none; state the least that matters with --least"])
     enough = planned.needed(curve)

@@ -19,7 +19,6 @@ from ..typing import FloatArray
 from .anova import Effect, repeated_measures
 
 Sought = Literal["location", "method", "location x method", "pair"]
-_LARGEST = 1e6  # phi^2 beyond which nothing is looked for
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,16 @@ def _noncentrality(f: float, df: float, error: float, share: float) -> float:
         raise DataError("this pilot's effect has no scatter to compare it with; more participants are needed")
     if stats.f.cdf(f, df, error) <= share:
         return 0.0
-    return float(optimize.brentq(lambda nc: float(special.ncfdtr(df, error, nc, f)) - share, 0.0, _LARGEST, xtol=1e-8))
+
+    def beyond(nc: float) -> float:
+        """Share of studies below ``f``, less the one wanted; of noncentralities too large for the series none are."""
+        found = float(special.ncfdtr(df, error, nc, f))
+        return (found if np.isfinite(found) else 0.0) - share
+
+    high = 1.0 + df * f
+    while beyond(high) > 0:
+        high *= 2
+    return float(optimize.brentq(beyond, 0.0, high, xtol=1e-8))
 
 
 def needed(curve: Sequence[Power], power: float = 0.8) -> int | None:

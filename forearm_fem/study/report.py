@@ -170,7 +170,8 @@ def _places(table: pd.DataFrame, task: Task, study: Study, grid: Sequence[Port])
         sections += _test_sections(name, words, tests, study.analysis)
         tables |= _test_tables(f"{name}-{measure}", tests, study.analysis)
         tables[f"{name}-{measure}-cells"] = _cell_table(main, measure, tests.participants)
-        scripts[f"{name}-{measure}"] = script(f"{name}-{measure}", f"{name}-trials", measure, study.analysis)
+        if tests.effects:
+            scripts[f"{name}-{measure}"] = script(f"{name}-{measure}", f"{name}-trials", measure, study.analysis)
     return Analysed(sections, tables, scripts)
 
 

@@ -6,6 +6,7 @@ from .plan import Analysis
 
 _SCRIPT = """# {what}: the tests of report.html again in R. Run it in this folder: Rscript {name}.R
 # Plan {digest}: {sphericity}, {correction} within each family, alpha {alpha}.
+# With no more participants than contrasts R corrects no degrees of freedom, and says so; report.html does.
 suppressMessages({{library(afex); library(emmeans)}})
 factors <- c("participant", "location", "method")
 cells <- read.csv("{name}-cells.csv", colClasses = c(participant = "character", location = "character"))
