@@ -25,15 +25,15 @@ from forearm_fem.device import close_loop
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.pipeline.fem_engine import solve_fem
-from forearm_fem.pipeline.frequencies import frequencies
-from forearm_fem.pipeline.strengths import interval
 from forearm_fem.prediction.arm import Answer, ReducedArm, arm_model, on_mesh_of
 from forearm_fem.prediction.draws import draw_inputs, scenario_of
 from forearm_fem.prediction.outcome import Setup, setup_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import expanded
-from forearm_fem.rendering import strengths, window_of
+from forearm_fem.rendering import strengths
+from forearm_fem.rendering.interval import interval
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.transfer import Compliance, TransferMatrix, band_error, total_error
 from forearm_fem.typing import FloatArray
 
@@ -73,7 +73,7 @@ def main() -> None:
     print(f"made in {time.process_time() - began:.0f} s, factor {arm.model.factor:.2g}", flush=True)
     held = expanded(("measurement",), scene)
     first = close_loop(arm.compliance(scene, frequencies(scene.sweep)[:1]), scene.device)
-    setup, rows = setup_of(scene, first, Path(), (), held), []
+    setup, rows = setup_of(scene, first, Path(), held), []
     for kind in asked.kinds.split(","):
         for k in range(asked.first, asked.first + asked.arms):
             draw = drawn(scene, SEED, k, KINDS[kind])
@@ -114,9 +114,9 @@ def compared(arm: ReducedArm, setup: Setup, draw: Scenario, truth: Compliance) -
     held = arm.compliance(on_mesh_of(arm.scenario, draw), truth.frequency).block("point", "contact")
     g, true = (close_loop(c, draw.device) for c in (found, truth))
     others = [close_loop(c, draw.device) for c in answer.others]
-    window = window_of(setup.scenario.rendering.window, setup.shape)
+    job = setup.job
     values, wanted = (
-        strengths(x, setup.targets, setup.methods, setup.shape, window=window or "record") for x in (g, true)
+        strengths(x, job.targets, job.methods, job.wavelet, window=job.window) for x in (g, true)
     )
     noise = tuple(e for e in g.errors if e.source not in answer.shown)
     by_shape = spread_of(g, noise, setup, others)
@@ -139,8 +139,8 @@ def compared(arm: ReducedArm, setup: Setup, draw: Scenario, truth: Compliance) -
 
 def spread_of(g: TransferMatrix, errors: tuple, setup: Setup, others: list[TransferMatrix]) -> FloatArray:
     """Half widths of log S."""
-    window = window_of(setup.scenario.rendering.window, setup.shape)
-    return interval(g, errors, setup.targets, window, setup.methods, setup.shape, draws=DRAWS, others=others)
+    job = setup.job
+    return interval(g, errors, job.targets, job.span, job.methods, job.wavelet, draws=DRAWS, others=others)
 
 
 def pairs_within(answer: Answer, truth: Compliance) -> float:

@@ -30,8 +30,8 @@ from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.fem.reduction.sweep import reduced_sweep
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.pipeline.fem_engine import fem_model, reduction_tolerance
-from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.scenario import load_scenario
+from forearm_fem.scenario.frequencies import frequencies
 
 PRECISIONS = ["single", "double"]
 RESULTS = Path(__file__).parent / "results"

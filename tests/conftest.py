@@ -7,7 +7,9 @@ import base64
 import gc
 import os
 import pickle
+import shutil
 import signal
+from collections import Counter
 from collections.abc import Generator, Iterator
 from copy import deepcopy
 from pathlib import Path
@@ -26,6 +28,33 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache_dir() / "kernels"))
 if "PYTEST_XDIST_WORKER" in os.environ:
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """How many tests were skipped, by reason: the line that would make them run."""
+    told = [report.longrepr for report in terminalreporter.stats.get("skipped", [])]
+    reasons = Counter(str(where[2]).removeprefix("Skipped: ") for where in told if isinstance(where, tuple))
+    if reasons:
+        terminalreporter.section("skipped, by reason")
+    for reason, count in reasons.most_common():
+        terminalreporter.write_line(f"{count:4d}  {reason}")
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """Where the browser is."""
+    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    return found or pytest.skip("no Chromium; `apt-get install chromium` brings it")
+
+
+@pytest.fixture(scope="module")  # while it lives no other event loop can run
+def browser(chromium: str) -> Iterator[Any]:
+    """A browser, steered by playwright."""
+    sync_api = pytest.importorskip("playwright.sync_api")
+    with sync_api.sync_playwright() as driver:
+        running = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        yield running
+        running.close()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

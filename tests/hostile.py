@@ -30,11 +30,11 @@ from forearm_fem.device import close_loop
 from forearm_fem.errors import LONGEST_SENTENCE, AccuracyWarning, ForearmError
 from forearm_fem.pipeline.folder import Run, unknown_strengths
 from forearm_fem.pipeline.forecast import refuse_if_signals_too_large
-from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.layered_engine import solve_layered
 from forearm_fem.pipeline.simulation import render_transfer, simulate
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.base import Within
+from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.scenario.limb import Bone, CylinderLimb, ForearmLimb, LayerThickness, MeshLimb, SlabLimb, SurfacesLimb
 from forearm_fem.scenario.tissues import TissueOverride
 

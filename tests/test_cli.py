@@ -266,14 +266,3 @@ def test_show_says_what_it_needs(scene: Path, what: str, save: str, says: str) -
     answer = cli("show", what, "--save", save, cwd=scene)
     assert answer.code == 2
     assert says in answer.sentence
-
-
-def test_verification_tables_mark_what_is_not_met() -> None:
-    from forearm_fem.verification import HardRow, Row, report
-
-    rows = [Row("disc", "closed form", "u", e, 1e-2, "why") for e in (1e-3, 1e-1)]
-    assert [line.split("|")[-2].strip() for line in report.verification_table(rows).splitlines()[2:]] == [
-        "yes",
-        "NO",
-    ]
-    assert "named error" in report.hard_table([HardRow("a", "b", "c", "-", "named error")])

@@ -257,7 +257,6 @@ def test_a_g_of_another_origin_is_not_replaced(lab: Path, line: Any, provenance:
         (("play", "small.toml", "drives.nc", "--daq", "sound", "--through", "lab.csv"), "--through: has no effect"),
         (("library", "small.toml"), "engine: a library is made of finite elements"),
         (("verify", "--out", "small.toml"), "small.toml: cannot be written"),
-        (("verify", "--full", "--hard"), "--full: has no effect with --hard"),
         (("calibrate", "small.toml", "--daq", "ni", "--snr", "40"), "--snr: has no effect with --daq ni"),
         (("calibrate", "small.toml", "--daq", "sound", "--declare", "unit=m/V"), "--declare: has no effect with"),
         (("calibrate", "small.toml", "--loopback", "lab.csv"), "--loopback: has no effect with --daq virtual"),

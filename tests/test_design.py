@@ -23,12 +23,12 @@ from forearm_fem.errors import DataError, GeometryError, ScenarioError
 from forearm_fem.layered import Disc, Layer, layered_compliance
 from forearm_fem.layered import tables as tabulated
 from forearm_fem.layered.tables import tabulate
-from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.layered_engine import flat_ports
 from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.ports import distances
 from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario
+from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.transfer import Compliance, ErrorEstimate
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -377,11 +376,3 @@ def test_provenance_names_the_device_and_keeps_the_rest() -> None:
 def test_wrong_number_of_contacts_is_a_scenario_error() -> None:
     with pytest.raises(ScenarioError, match=r"device\.contacts: the device has 1 actuators"):
         close_loop(skin(), Device(contacts=((0.0, 0.0),)))
-
-
-def test_the_default_sweep_takes_a_tenth_of_a_second() -> None:
-    c = skin(np.arange(20, 1001) * 0.5)
-    close_loop(c, Device())
-    start = time.process_time()
-    close_loop(c, Device())
-    assert time.process_time() - start < 1.0  # 0.01 s wall measured; room for a busy machine

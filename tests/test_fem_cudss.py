@@ -33,7 +33,7 @@ def library(request, monkeypatch):
     """The stand-in, and the library itself where it can run."""
     if request.param == "device":
         if not cudss.available():
-            pytest.skip("no CUDA device with nvmath-python here")
+            pytest.skip("no CUDA device; where there is one, `python3 -m pip install '.[cudss]'`")
         return
     for name, module in stand_in_nvmath.modules().items():
         monkeypatch.setitem(sys.modules, name, module)

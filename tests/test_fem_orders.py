@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array, eye_array
+from slabs import Slab
 
 from forearm_fem.fem.assembly.loads import edge_middles
 from forearm_fem.fem.assembly.tissues import constrained_matrices, reference_tensors, tissue_matrices
@@ -22,7 +23,6 @@ from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.verification.blocks import FACES, block_mesh
 from forearm_fem.verification.scenes import slab_model, slab_response, twin_response
-from forearm_fem.verification.slabs import Slab
 
 
 def bent(n: int = 3) -> TissueMesh:

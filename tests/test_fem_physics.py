@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slabs import LAYERS_O
 
 from forearm_fem.errors import GeometryError
 from forearm_fem.fem.assembly.boundary import facet_load
@@ -29,7 +30,6 @@ from forearm_fem.verification.scenes import (
     slab_response,
     twin_response,
 )
-from forearm_fem.verification.slabs import LAYERS_O
 
 BAND = np.array([1.0, 40.0, 200.0, 500.0])
 STILL = np.eye(3)

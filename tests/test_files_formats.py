@@ -412,7 +412,7 @@ def test_thesis_file_of_ours_needs_no_declaration(tmp_path):
         read_measured(tmp_path / "G.mat", Declaration(quantity="velocity"))
 
 
-@pytest.mark.skipif(not SKINSOURCE.is_dir(), reason="the SkinSource files are not shared with this project")
+@pytest.mark.skipif(not SKINSOURCE.is_dir(), reason="no files of SkinSource in ../shared/data/skinsource")
 def test_skinsource_by_the_recipe_in_the_docs():
     g = import_by_recipe(recipe_in_docs(), SKINSOURCE)
     assert g.values.shape == (192, 9, 4)

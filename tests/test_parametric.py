@@ -30,7 +30,6 @@ from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.grid_places import GridPlaces
 from forearm_fem.pipeline import parametric
 from forearm_fem.pipeline.fem_engine import fem_model
-from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.layered_engine import flat_ports
 from forearm_fem.pipeline.parametric import Ranges, load_parametric, parametric_model, save_parametric
 from forearm_fem.pipeline.skin_model import with_scenario
@@ -38,6 +37,7 @@ from forearm_fem.prediction.arm import LayeredArm, ReducedArm, _nearness, arm_mo
 from forearm_fem.prediction.draws import draw_inputs, scenario_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
+from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import Compliance, band_error
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from forearm_fem.errors import SolverError
 from forearm_fem.fem.linear import direct
 from forearm_fem.fem.linear.factor import available_backends
 from forearm_fem.fem.reduction import expansion as expand
@@ -16,7 +17,6 @@ from forearm_fem.fem.reduction.expansion import Expansion
 from forearm_fem.geometry.mesh.subdivision import with_finer_skin
 from forearm_fem.io.matlab import read_thesis_mat
 from forearm_fem.io.netcdf import read_compliance, read_transfer
-from forearm_fem.pipeline import folder
 from forearm_fem.pipeline.fem_engine import FemSolution
 from forearm_fem.pipeline.folder import Run, run_all, run_render, run_solve
 from forearm_fem.pipeline.solved import _Store, field_modes
@@ -204,7 +204,7 @@ def test_an_interrupted_space_about_a_rate_goes_on_where_it_stopped(monkeypatch,
 
 def test_too_little_memory_is_refused_beforehand(home, tmp_path):
     scenario = parse_scenario({**TINY, "solver": {**TINY["solver"], "memory_limit": 1e6}})
-    with pytest.raises(folder.refuse_if_too_large.__globals__["SolverError"], match="memory_limit"):
+    with pytest.raises(SolverError, match="memory_limit"):
         run_solve(Run.start(scenario, tmp_path / "out", Path()))
 
 

@@ -35,7 +35,7 @@ def test_native_packages_are_asked_for_where_they_have_wheels(system, machine, w
 
 
 def test_every_dependency_states_its_lowest_version():
-    """.ci/lowest installs exactly these."""
+    """.ci/nightly installs exactly these."""
     lines = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["test"]]
     lines = [line for line in lines if not line.startswith("forearm-fem[")]  # our own extras
     assert [line for line in lines if not re.match(r"[\w.-]+(\[[\w,]+\])?>=\d[\d.]*($|;)", line)] == []

@@ -18,7 +18,6 @@ from scipy import stats
 from forearm_fem.device import close_loop
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
-from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
 from forearm_fem.prediction import store
@@ -31,6 +30,7 @@ from forearm_fem.prediction.store import FILE, read_outcomes
 from forearm_fem.prediction.summary import shorter_waves, summary
 from forearm_fem.rendering import drives, strengths
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.show.data import Results
 from forearm_fem.show.prediction import _numerics, _scope, lead_of, strength_words
 from forearm_fem.store.text import read_json
@@ -163,8 +163,8 @@ def test_without_noise_drives_play_as_calibrated() -> None:
     loud = outcome_of(draw_inputs(load_priors(), SCENE, 3, 0), loud_setup, arm).strengths
     assert not np.allclose(loud[0], loud[1], rtol=1e-6)
     # the true arm is the same, noise or not: funneling does not look at G
-    assert loud[1][setup.method_names.index("funneling")] == pytest.approx(
-        quiet[1][setup.method_names.index("funneling")], rel=1e-12
+    assert loud[1][setup.methods.index("funneling")] == pytest.approx(
+        quiet[1][setup.methods.index("funneling")], rel=1e-12
     )
 
 
@@ -177,12 +177,12 @@ def test_an_outcome_by_hand() -> None:
     true = close_loop(arm.compliance(moved, frequencies(moved.sweep)), moved.device)
     true = replace(true, outputs=setup.outputs, inputs=setup.inputs)
     calibrated = noisy(true, draw, moved)
-    sent = [[drives(m, calibrated, t, setup.shape) for t in setup.targets] for m in setup.methods]
-    by_hand = strengths(calibrated, setup.targets, setup.methods, setup.shape)
+    sent = [[drives(m, calibrated, t, setup.job.wavelet) for t in setup.targets] for m in setup.job.methods]
+    by_hand = strengths(calibrated, setup.targets, setup.job.methods, setup.job.wavelet)
     assert found[READINGS.index("calibrated")] == pytest.approx(by_hand, rel=1e-9)
-    played = strengths(true, setup.targets, setup.methods, setup.shape, fixed=sent)
+    played = strengths(true, setup.targets, setup.job.methods, setup.job.wavelet, fixed=sent)
     assert found[READINGS.index("played")] == pytest.approx(played, rel=1e-9)
-    record = strengths(true, setup.targets, setup.methods, setup.shape, fixed=sent, window="record")
+    record = strengths(true, setup.targets, setup.job.methods, setup.job.wavelet, fixed=sent, window="record")
     assert found[READINGS.index("played, record")] == pytest.approx(record, rel=1e-9)
 
 
@@ -255,7 +255,7 @@ def test_an_arm_that_cannot_be_is_data(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.isnan(lost.strengths).all()
     good = [replace(lost, number=k, problem="", strengths=np.ones_like(lost.strengths)) for k in range(N - 1)]
     with pytest.raises(DataError, match=f"needs {N} draws with S, got {N - 1}; raise --draws; the.*no such arm"):
-        numbers.draws_of([*good, lost], setup.method_names, setup.targets)
+        numbers.draws_of([*good, lost], setup.methods, setup.targets)
 
 
 @pytest.mark.parametrize("band", [1.0, float("nan")])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -320,12 +319,6 @@ def test_symmetric_arm_gives_equal_strengths_at_symmetric_targets():
     table = render_all(waves(gains=(1, 1, 1, 1))).table()
     assert np.all(table.std[1:] < 1e-9 * table.mean[1:])  # rounding, condition below 10
     assert len(table.groups) == 3
-
-
-def test_all_targets_and_methods_take_less_than_three_seconds(g):
-    start = time.perf_counter()
-    assert len(render_all(g)) == 27
-    assert time.perf_counter() - start < 3  # measured 0.2 s on one core
 
 
 def test_strengths_can_replay_drives_made_for_another_g(coarse, short):

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from test_rendering import waves
 
+from forearm_fem.device import close_loop
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.metrics import signal_strength
+from forearm_fem.pipeline.layered_engine import solve_layered
 from forearm_fem.rendering import (
     Combination,
     Funneling,
@@ -26,6 +28,8 @@ from forearm_fem.rendering import (
     scale_to,
     scaled,
 )
+from forearm_fem.rendering.inversion import Regularisation
+from forearm_fem.scenario import parse_scenario
 
 
 @pytest.fixture(scope="module")
@@ -184,3 +188,37 @@ def test_a_shape_that_does_not_fit_the_ports_is_an_error(coarse, short):
             replace(coarse, unit=unit)
     with pytest.raises(DataError, match="two of G's outputs have the same name"):
         replace(coarse, outputs=(coarse.outputs[0], *coarse.outputs[:-1]))
+
+
+# ---------------------------------------------------------------- degenerate and noisy matrices
+
+
+def reached(g, renderer):
+    return displacements(g, drives(renderer, g, "5", ricker(duration=0.2))).values
+
+
+CORNERS = ("1", "3", "7", "9")
+
+
+def test_two_identical_actuators_reach_what_three_reach(coarse):
+    """A4 a copy of A3: rank 3 of 4; rounding of the inversion is left."""
+    twice = replace(coarse, values=coarse.values[:, :, [0, 1, 2, 2]], contacts=None)
+    three = replace(coarse, values=coarse.values[:, :, :3], inputs=coarse.inputs[:3], contacts=None)
+    a, b = (reached(g, InverseFilter(CORNERS, Regularisation(value=1e-9))) for g in (twice, three))
+    assert np.abs(a - b).max() < 1e-6 * np.abs(b).max()
+
+
+@pytest.mark.parametrize("decibel", [60, 40, 20, 0])
+def test_loss_follows_the_noise_of_g(decibel):
+    """Drives from a noisy G, judged on the true one of layered skin; with Tikhonov at the noise's own size the
+    amplification by the condition number is about 1 to 2.5."""
+    scenario = parse_scenario({"engine": "layered", "device": {"drive": "force"}})
+    g = close_loop(solve_layered(scenario, np.arange(10.0, 500.1, 5.0)), scenario.device)
+    rng, size = np.random.default_rng(1), 10 ** (-decibel / 20)
+    rms = np.sqrt(np.mean(np.abs(g.values) ** 2, axis=(1, 2), keepdims=True) / 2)
+    noise = size * rms * (rng.normal(size=g.values.shape) + 1j * rng.normal(size=g.values.shape))
+    renderer = InverseFilter(CORNERS, Regularisation("tikhonov", max(1e-3, min(size, 0.9))))
+    wavelet = ricker(duration=0.2)
+    noisy = replace(g, values=g.values + noise, contacts=None)
+    clean, real = (displacements(g, drives(renderer, x, "5", wavelet)).values for x in (g, noisy))
+    assert np.abs(clean - real).max() < 3 * size * np.abs(clean).max()

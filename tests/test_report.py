@@ -110,11 +110,8 @@ def test_an_unfinished_run_has_no_report(folder: Path, tmp_path: Path) -> None: 
         write_report(tmp_path)
 
 
-def test_the_page_opens_in_a_browser(report: tuple[str, str, Path], tmp_path: Path) -> None:
-    browser = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chromium-browser")
-    if browser is None:
-        pytest.skip("no chromium here")
-    command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}",
+def test_the_page_opens_in_a_browser(chromium: str, report: tuple[str, str, Path], tmp_path: Path) -> None:
+    command = [chromium, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}",
                f"--print-to-pdf={tmp_path / 'page.pdf'}", report[2].as_uri()]  # fmt: skip
     subprocess.run(command, capture_output=True, timeout=120, check=False)
     assert (tmp_path / "page.pdf").stat().st_size > 100_000

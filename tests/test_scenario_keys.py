@@ -23,11 +23,11 @@ from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.pipeline import solved
 from forearm_fem.pipeline.folder import accuracy_verdict
 from forearm_fem.pipeline.forecast import forecast, refuse_if_signals_too_large
-from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.simulation import render_transfer, simulate
 from forearm_fem.pipeline.unread import changed_keys, unread_notes
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.base import Within
+from forearm_fem.scenario.frequencies import frequencies
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 SWEEP = {"f_min": 100.0, "f_max": 140.0, "duration": 0.1, "sample_rate": 2000.0}

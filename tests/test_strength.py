@@ -16,12 +16,9 @@ from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.measurement.entry import noise_estimate
 from forearm_fem.metrics.strength import strength_text, without_bound
-from forearm_fem.pipeline import strengths as account_module
 from forearm_fem.pipeline.folder import Run, run_all, run_render
-from forearm_fem.pipeline.renderers import check_servable, renderers
 from forearm_fem.pipeline.samples import check_samples, sample_notes
 from forearm_fem.pipeline.simulation import account_of, render_transfer
-from forearm_fem.pipeline.strengths import at_least_band, finer_than_known, strength_account
 from forearm_fem.pipeline.two_meshes import over_pairs
 from forearm_fem.ports import Port
 from forearm_fem.prediction.run import Question, check_question
@@ -41,6 +38,9 @@ from forearm_fem.rendering import (
     strengths,
     thesis_renderers,
 )
+from forearm_fem.rendering import interval as account_module
+from forearm_fem.rendering.interval import at_least_band, finer_than_known, strength_account
+from forearm_fem.rendering.job import check_servable, renderers
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
 from forearm_fem.transfer import ErrorEstimate, band_error, entry_errors, relative_error
@@ -398,7 +398,7 @@ def test_what_missing_ends_cost_is_in_the_interval(ends):
 
 def test_ends_that_cannot_be_judged_leave_the_interval_unknown(monkeypatch):
     """Where no bin is left on which all control points are known."""
-    from forearm_fem.pipeline import strengths as module
+    from forearm_fem.rendering import interval as module
 
     def nowhere(g):
         return replace(g, valid=np.zeros(g.values.shape, dtype=bool))

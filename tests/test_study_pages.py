@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import socket
 import threading
 import time
@@ -22,7 +21,6 @@ pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
 HOST = "127.0.0.1:8000"
 KEYS = Secrets("them", "us")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 @pytest.fixture
@@ -148,17 +146,6 @@ def test_only_this_machine_can_reach_the_page(session):
                 socket.create_connection((address, port), timeout=2)
         with pytest.raises(DataError, match=f"--port {port}: cannot be used"):
             serve(session, GRID, texts("en", None), beep=False, port=port, announce=lambda *_: None)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    sync_api = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine")
-    with sync_api.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield chromium
-        chromium.close()
 
 
 def _page(browser, address):

@@ -102,7 +102,9 @@ def test_tables_are_as_bids_wants_them(answered):
     assert {"study.json", "devices.tsv"} <= set(ignored)
 
 
-@pytest.mark.skipif(shutil.which("bids-validator-deno") is None, reason="needs the package bids-validator-deno")
+@pytest.mark.skipif(
+    shutil.which("bids-validator-deno") is None, reason="no validator; `pip install bids-validator-deno` brings it"
+)
 def test_the_official_validator_finds_no_error(answered):
     done = subprocess.run(
         ["bids-validator-deno", "--json", str(answered.folder)], capture_output=True, text=True, check=False

@@ -40,7 +40,7 @@ from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 HERE = Path(__file__).parent
 NODE = shutil.which("node")
-needs_node = pytest.mark.skipif(NODE is None, reason="no node on this machine")
+needs_node = pytest.mark.skipif(NODE is None, reason="no node; `apt-get install nodejs` brings it")
 LAYERED: dict[str, Any] = {
     "name": "flat", "engine": "layered", "sweep": {"duration": 0.25, "sample_rate": 4000.0, "f_max": 400.0},
     "device": {"cone": {"contact": "pressure"}}, "limb": {"shape": "slab", "length": 0.1, "width": 0.1, "depth": 0.03},
@@ -262,9 +262,9 @@ def test_intervals_drawn_in_the_page_follow_pythons_rule(content: dict[str, Any]
     that of another dozen draws. A mean square of 12 draws scatters by 40 %, so that two half widths differ by 30 % as a
     rule; a factor of 2.5 is three times that in the logarithm."""
     from forearm_fem.metrics.uncertainty import smooth_noise
-    from forearm_fem.pipeline.renderers import renderers
     from forearm_fem.pipeline.simulation import render_transfer
-    from forearm_fem.pipeline.strengths import interval
+    from forearm_fem.rendering.interval import interval
+    from forearm_fem.rendering.job import renderers
 
     pairs = np.array([0.02, 0.1])[:, None, None] * np.linspace(0.1, 1, flat.transfer.values[0].size).reshape(
         1, *flat.transfer.values.shape[1:]
@@ -532,7 +532,7 @@ def test_the_modules_own_tests(which: str) -> None:
 def test_types_of_the_front_end() -> None:
     compiler = shutil.which("tsc")
     if compiler is None:
-        pytest.skip("no tsc on this machine; `npm install --global typescript` brings it")
+        pytest.skip("no tsc; `npm install --global typescript` brings it")
     place = HERE.parent / "forearm_fem" / "show" / "workbench" / "page" / "jsconfig.json"
     done = subprocess.run([compiler, "-p", str(place)], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 from test_workbench import asked, complex_of, needs_node
-from test_workbench_page import browser, opened, strength  # noqa: F401
+from test_workbench_page import opened, strength
 
 from forearm_fem.device import close_loop
 from forearm_fem.errors import GeometryError
 from forearm_fem.geometry.device.layout import layout_of
 from forearm_fem.library import make_library, save_library
-from forearm_fem.pipeline.frequencies import frequencies
 from forearm_fem.pipeline.layered_engine import flat_ports
 from forearm_fem.pipeline.solved import Solved
 from forearm_fem.ports import Port
 from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
+from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.show.workbench import places as module
 from forearm_fem.show.workbench import write_workbench
 from forearm_fem.show.workbench.bundle import page_of
@@ -132,7 +132,7 @@ def test_where_discs_cannot_stand_is_said(arm: Stand) -> None:
         asked(content, {"ask": "transfer", "settings": {"contacts": close}})
 
 
-def test_actuators_are_dragged_and_walked(browser: Any, arm: Stand, tmp_path: Path) -> None:  # noqa: F811
+def test_actuators_are_dragged_and_walked(browser: Any, arm: Stand, tmp_path: Path) -> None:
     """By the mouse and by keys: drives and S follow, the scenario kept says where; off the patch nothing moves."""
     import tomllib
 

@@ -7,6 +7,7 @@ import json
 import signal
 import threading
 import time
+import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -255,6 +256,17 @@ def transfer_file(what: Path) -> Path:
     if not what.exists():
         raise DataError(f"{what}: no such file or results folder")
     return what
+
+
+def is_g(what: Path) -> bool:
+    """Whether ``what`` is meant as a G: a folder, a file of a kind that holds one, or a recipe that reads one."""
+    if what.suffix.lower() != ".toml":
+        return what.is_dir() or bool(what.suffix)
+    try:
+        table = tomllib.loads(what.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # said in words of its own where the scenario is read
+        return False
+    return bool({"array", "declaration"} & set(table))
 
 
 def measured_g(

@@ -113,6 +113,7 @@ def calibrate(
     if daq != "virtual":
         typer.echo(f"latency of the device: {result.measured.transfer.provenance['latency_basis']}")
     typer.echo(f"G: {result.transfer_file}")
+    typer.echo(f"next: forearm-fem render {result.transfer_file} --scenario {scenario}")
 
 
 def _calibrated(

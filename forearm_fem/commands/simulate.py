@@ -7,11 +7,28 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..errors import DataError
 from ..progress import tell, within
-from ..scenario import Scenario, load_scenario
-from .common import Display, LibraryFile, OutFolder, Overrides, ScenarioFile, library_file, print_notes, stage
+from ..scenario import Scenario, load_scenario, scenario_file
+from .common import (
+    Declared,
+    Display,
+    LibraryFile,
+    OutFolder,
+    Overrides,
+    ScenarioFile,
+    declaration,
+    is_g,
+    library_file,
+    noted,
+    print_notes,
+    scene_of,
+    stage,
+    transfer_file,
+)
 
 if TYPE_CHECKING:
+    from ..pipeline.folder import Run
     from ..pipeline.forecast import Forecast
 
 
@@ -26,9 +43,9 @@ def run(
     asked = load_scenario(scenario, overrides=overrides or ())
     if dry_run:
         from ..pipeline.folder import check_rendering
-        from ..pipeline.frequencies import frequencies
         from ..pipeline.notes import scene_notes
         from ..pipeline.unread import unread_notes
+        from ..scenario.frequencies import frequencies
 
         check_rendering(asked, scenario.parent)
         if (kept := library_file(library)) is not None:
@@ -73,17 +90,66 @@ def solve(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = 
         typer.echo(f"G: {job.out / 'transfer.nc'}")
 
 
-def render(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
-    """Run the renderers on G, solving only what is missing."""
+def render(
+    what: Annotated[
+        Path,
+        typer.Argument(help="scenario, or a measured or simulated G: a file of any known kind or a results folder",
+                       callback=scenario_file),
+    ],
+    overrides: Overrides = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="results folder; default results/NAME, of a G results/render-NAME")
+    ] = None,
+    scenario: Annotated[
+        Path | None, typer.Option(help="that was measured: its renderers, limits, and places that the file lacks")
+    ] = None,
+    declare: Declared = None,
+) -> None:  # fmt: skip
+    """Run the renderers on any G: a scenario's (solving only what is missing), or one that is there."""
+    if is_g(what):
+        _render_given(what, scenario, overrides, out, declare)
+        return
+    for option, value in (("--scenario", scenario), ("--declare", declare)):
+        if value:
+            raise DataError(f"{option}: has no effect on a scenario; name a file or folder that holds a G")
     from ..pipeline.folder import run_render
 
-    asked = load_scenario(scenario, overrides=overrides or ())
-    with stage(asked, scenario, out, run_render, overrides) as job:
-        from ..show import Results
-        from ..show.report import strengths_by_target
+    asked = load_scenario(what, overrides=overrides or ())
+    with stage(asked, what, out, run_render, overrides) as job:
+        _print_strengths(job)
 
-        typer.echo(strengths_by_target(Results.open(job.out)))
-        typer.echo(f"results: {job.out} (signal_strength.csv holds every digit of S)")
+
+def _render_given(
+    what: Path, scenario: Path | None, overrides: Overrides, out: Path | None, declare: list[str] | None
+) -> None:
+    """Drives, displacements, S, figures and report of a G that is there."""
+    from ..geometry.device.layout import planform_ports
+    from ..io.recognise import read_measured
+    from ..pipeline.folder import Run, run_given
+    from ..rendering.given import scenario_for
+    from ..store.folder import locked
+
+    file, asked = transfer_file(what), scene_of(scenario)
+    with noted():  # what was recognised, and what a file does not look like
+        g = read_measured(file, declaration(declare), ports=None if asked is None else planform_ports(asked))
+    scene, notes = scenario_for(g, asked, overrides or ())
+    folder = out or Path("results") / f"render-{what.stem}"
+    base = file.parent if scenario is None else scenario_file(scenario).parent
+    with locked(folder):
+        with Display() as display:
+            job = Run.given(scene, folder, base, display)
+            job.notes += [f"G: {file}", *notes]
+            run_given(job, g)
+        print_notes(job.notes)
+        _print_strengths(job)
+
+
+def _print_strengths(job: Run) -> None:
+    from ..show.data import Results
+    from ..show.report import strengths_by_target
+
+    typer.echo(strengths_by_target(Results.holding(job.out, scenario=job.scenario, run=job.record, **job.known)))
+    typer.echo(f"results: {job.out} (signal_strength.csv holds every digit of S)")
 
 
 def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Forecast | None:
@@ -103,7 +169,7 @@ def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Fo
 
 
 def _print_forecast(asked: Scenario, expected: Forecast | None) -> None:
-    from ..pipeline.frequencies import frequencies
+    from ..scenario.frequencies import frequencies
 
     band = frequencies(asked.sweep)
     if expected is None:

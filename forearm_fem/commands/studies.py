@@ -7,10 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..errors import DataError
 from .common import Display, noted, print_notes, there
-
-Full = Annotated[bool, typer.Option("--full", help="the long version")]
 
 
 def campaign(
@@ -43,30 +40,16 @@ def campaign(
 
 
 def verify(
-    full: Full = False,
-    hard: Annotated[
-        bool, typer.Option("--hard", help="the hard cases instead: extreme scenes and their verdicts")
-    ] = False,
     out: Annotated[Path, typer.Option("--out", help="folder that the table is written to")] = Path("results/verify"),
 ) -> None:
     """Check this installation against exact solutions; exit code 1 where a number misses its tolerance."""
-    from .. import verification
     from ..store.folder import locked, write_text
-    from ..verification import report
+    from ..verification import report, run_verification
 
-    if full and hard:
-        raise DataError("--full: has no effect with --hard, which runs all of its cases; leave one of them out")
     with locked(out), Display() as display, noted():
-        if hard:
-            cases = verification.run_hard_cases(progress=display)
-            good = all(c.verdict != "WRONG" for c in cases)
-            file, page, last = out / "stability.md", report.stability_page(cases), report.hard_summary(cases)
-        else:
-            rows = verification.run_verification(full=full, progress=display)
-            good = all(r.met for r in rows)
-            file, page, last = out / "verification.md", report.verification_page(rows), report.count_met(rows)
-        write_text(file, page)
-    typer.echo(report.hard_table(cases) if hard else report.verification_table(rows))
-    typer.echo(f"{last}\n{file}")
-    if not good:
+        rows = run_verification(display)
+        write_text(out / "verification.md", report.verification_page(rows))
+    typer.echo(report.verification_table(rows))
+    typer.echo(f"{report.count_met(rows)}\n{out / 'verification.md'}")
+    if not all(r.met for r in rows):
         raise typer.Exit(1)

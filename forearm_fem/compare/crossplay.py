@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,17 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import AccuracyWarning, DataError, ForearmError
-from ..rendering import Renderer, Wavelet, Window, bridged, drives, place, ricker, strengths, thesis_renderers
-from ..rendering.sharing import prepared
+from ..errors import AccuracyWarning, ForearmError
+from ..rendering import Wavelet, bridged, thesis_renderers
+from ..rendering.job import RenderJob, wavelet, wavelet_for
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .common import CommonGround
 
 if TYPE_CHECKING:
     from ..scenario import Scenario
-
-_PER_PEAK = 16.0  # samples per period of the wavelet's peak frequency
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,46 +60,28 @@ def cross_play(
     """
     a, b = (bridged(g).transfer for g in sides(ground))
     every = tuple(p.name for p in ground.outputs)
-    own = rendering_of(ground, folders) or _Own(
-        thesis_renderers(), every, wavelet_for(ground.frequency), "wavelet", "the thesis' renderers"
+    found = rendering_of(ground, folders) or (
+        RenderJob(thesis_renderers(), wavelet_for(ground.frequency), every), "the thesis' renderers", ""
     )
-    shape, chosen, window = own.wavelet, own.methods, own.window
-    aims = own.targets if targets is None else tuple(targets)
-    ready = [prepared(place(g, shape.record), chosen, aims) for g in (a, b)]
-    for_a, for_b = ([[drives(m, p, t, shape) for t in aims] for m in methods] for p, methods in ready)
-    return CrossPlay(
-        tuple(m.name for m in chosen),
-        aims,
-        a_on_a=strengths(a, aims, chosen, shape, fixed=for_a, window=window),
-        b_on_b=strengths(b, aims, chosen, shape, fixed=for_b, window=window),
-        a_on_b=strengths(b, aims, chosen, shape, fixed=for_a, window=window),
-        b_on_a=strengths(a, aims, chosen, shape, fixed=for_b, window=window),
-        how=f"{own.whose} with the wavelet {shape.name}{own.apart}",
-    )
+    job, whose, apart = found
+    job = job if targets is None else replace(job, targets=tuple(targets))
+    (a_on_a, a_on_b), (b_on_a, b_on_b) = (job.strengths(g, a, b)[0] for g in (a, b))
+    how = f"{whose} with the wavelet {job.wavelet.name}{apart}"
+    return CrossPlay(job.names, job.targets, a_on_a, b_on_b, a_on_b, b_on_a, how)
 
 
-@dataclass(frozen=True, eq=False)
-class _Own:
-    """What a run rendered with."""
+def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> tuple[RenderJob, str, str] | None:
+    """The rendering of the scenario that one side came from, whose it is, and how it differs from its run's.
 
-    methods: tuple[Renderer, ...]
-    targets: tuple[str, ...]
-    wavelet: Wavelet
-    window: Window
-    whose: str
-    apart: str = ""
-
-
-def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> _Own | None:
-    """The rendering of the scenario that one side came from; None where neither names one, its wavelet's file is in
-    none of ``folders`` and not in the current one (said by an AccuracyWarning).
+    None where neither names one, its wavelet's file is in none of ``folders`` and not in the current one (said by an
+    AccuracyWarning).
 
     One whose bins are the common ones comes first; of another the wavelet is set into a record that fits them, which
     can be done with a Ricker wavelet alone."""
-    from ..pipeline.renderers import renderers, unsuited
     from ..scenario import parse_scenario
 
-    other: _Own | None = None
+    other: tuple[RenderJob, str, str] | None = None
+    own_ports, _ = sides(ground)
     for provenance in ground.provenance:
         known = provenance.get("scenario")
         if not isinstance(known, Mapping):
@@ -130,9 +109,7 @@ def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> _Own | N
                 continue
             shape = wavelet_for(ground.frequency, options.wavelet.peak)
             apart = "; its bins are not the common frequencies, so that its run printed another S"
-        targets = [p.name for p in ground.outputs] if options.targets == "all" else list(options.targets)
-        left_out = frozenset(unsuited(options, ground.outputs, ground.inputs, targets))
-        own = _Own(tuple(renderers(scenario, shape, left_out)), tuple(targets), shape, options.window, whose, apart)
+        own = RenderJob.of(scenario, own_ports, shape=shape), whose, apart
         if on_bins:
             return own
         other = own
@@ -141,8 +118,6 @@ def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> _Own | N
 
 def _kept_wavelet(scenario: Scenario, folders: Sequence[Path]) -> Wavelet:
     """The scenario's wavelet; of a file the copy that a run keeps in its folder, else the file itself."""
-    from ..pipeline.renderers import wavelet
-
     if (file := scenario.rendering.wavelet.file) is None:
         return wavelet(scenario.rendering, scenario.sweep, Path("."))
     places = [p for folder in folders for p in (folder / f"wavelet{Path(file).suffix}", folder / file)]
@@ -155,19 +130,6 @@ def sides(ground: CommonGround) -> tuple[TransferMatrix, TransferMatrix]:
     """A and B as transfer matrices on the common frequencies, both with the common mask and A's ports."""
     first = TransferMatrix(ground.frequency, ground.a, ground.outputs, ground.inputs, ground.unit, valid=ground.valid)
     return first, replace(first, values=ground.b)
-
-
-def wavelet_for(frequency: FloatArray, peak: float = 250.0) -> Wavelet:
-    """A Ricker wavelet of ``peak`` [Hz] in a record whose bins hold ``frequency`` (n,) [Hz] where these are evenly
-    spaced from 0; else the thesis' record of 2 s at 10 kHz, onto whose bins G is interpolated where that is safe."""
-    if len(frequency) < 2:
-        raise DataError("rendering needs at least two frequencies")
-    df = float(np.median(np.diff(frequency)))
-    k = frequency / df
-    if not np.allclose(k, np.rint(k), atol=1e-6 * k.max()):
-        return ricker(peak)
-    n = 2 * math.ceil(max(_PER_PEAK * peak, 4 * float(frequency[-1])) / df / 2)
-    return ricker(peak, sample_rate=n * df, duration=1 / df)
 
 
 def try_cross_play(ground: CommonGround, folders: Sequence[Path] = ()) -> tuple[CrossPlay | None, str]:

@@ -8,11 +8,11 @@ from typing import Protocol
 import numpy as np
 
 from ..layered.tables import Tabulated
-from ..pipeline.frequencies import frequencies
 from ..pipeline.layered_engine import flat_disc, flat_ports
 from ..pipeline.twin_tables import kept_tables, tables_reach
 from ..progress import Progress
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..transfer import Compliance, ErrorEstimate
 
 

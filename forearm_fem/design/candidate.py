@@ -16,9 +16,8 @@ import numpy as np
 from ..device import close_loop
 from ..errors import AccuracyWarning, ForearmError, ScenarioError
 from ..metrics.strength import WITHOUT_BOUND
-from ..pipeline.renderers import check_servable, renderers, wavelet
-from ..pipeline.simulation import account_of
-from ..rendering import Limits, Rendering, render_all
+from ..rendering import Rendering
+from ..rendering.job import RenderJob, check_servable
 from ..scenario import Scenario
 from ..transfer import TransferMatrix, finite, total_error
 from ..typing import FloatArray
@@ -120,8 +119,8 @@ def s_interval(design: Design, candidate: Candidate, arm: ArmModel) -> tuple[flo
     for whole, base in zip(design.scenarios(candidate.values), design.bases, strict=True):
         scenario = _shorter(whole, asked.search.duration)
         g = transfer_on(scenario, arm)
-        rendering = _rendered(scenario, g, _targets(scenario, asked.objective), base)
-        account = account_of(scenario, g, rendering, base=base)
+        job = RenderJob.of(scenario, g, base=base, targets=_targets(scenario, asked.objective))
+        account = job.account(g, _played(job, g))
         low.append(score_of(account.low[0], asked.objective))
         high.append(score_of(account.high[0], asked.objective))
     pick = np.min if asked.objective.over == "least" else np.mean
@@ -148,7 +147,7 @@ def _one(whole: Scenario, arm: ArmModel, asked: DesignFile, base: Path) -> _Foun
     check_servable(scenario)
     targets = _targets(scenario, asked.objective)
     g = transfer_on(scenario, arm)
-    rendering = _rendered(scenario, g, targets, base)
+    rendering = _played(RenderJob.of(scenario, g, base=base, targets=targets), g)
     method = rendering.methods[0]
     if np.nanmax(rendering.strengths[0], initial=0.0) > WITHOUT_BOUND:
         raise ScenarioError(
@@ -167,14 +166,10 @@ def _one(whole: Scenario, arm: ArmModel, asked: DesignFile, base: Path) -> _Foun
     )  # fmt: skip
 
 
-def _rendered(scenario: Scenario, g: TransferMatrix, targets: tuple[str, ...], base: Path) -> Rendering:
-    options = scenario.rendering
-    shape = wavelet(options, scenario.sweep, base)
-    device = scenario.device
-    limits = Limits(device.max_voltage, device.max_power, device.coil.resistance)
+def _played(job: RenderJob, g: TransferMatrix) -> Rendering:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AccuracyWarning)  # told by the confirmation
-        return render_all(g, targets, renderers(scenario, shape), shape, limits, window=options.window)
+        return job.play(g)
 
 
 def _share(rendering: Rendering, method: str, target: str, wanted: float) -> float:

@@ -18,8 +18,8 @@ import psutil
 from ..campaign.executor import LIGHT, SHARE, cluster
 from ..errors import ScenarioError
 from ..pipeline.folder import Run, run_all
-from ..pipeline.renderers import wavelet
 from ..progress import Progress, tell, within
+from ..rendering.job import wavelet
 from ..results import read_run
 from ..store.folder import check_kind, set_kind
 from .arm import ArmModel, TwinArm

@@ -17,12 +17,12 @@ from ..geometry.device.place import parametric_skin, ports_on
 from ..layered.discs import Disc
 from ..layered.response import LayeredResult
 from ..layered.tables import Tabulated
-from ..pipeline.frequencies import frequencies
 from ..pipeline.layered_engine import flat_layers
 from ..pipeline.solved import Solved
 from ..ports import Port, positions
 from ..results import SolutionRecord
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray, IntArray

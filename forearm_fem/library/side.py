@@ -22,9 +22,9 @@ from ..fem.reduction.poles import pole_residue
 from ..fem.reduction.reduced_model import ReducedModel, empty_model, with_columns
 from ..geometry.cache import cached_mesh
 from ..pipeline.fem_engine import fem_model
-from ..pipeline.frequencies import frequencies
 from ..progress import Progress, tell, within
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..store.text import digest_of
 from ..typing import FloatArray, IntArray
 from ..user_cache import default_cache_dir

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import platform
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +28,8 @@ from ..io.tables import strength_rows, write_signal_strength_csv
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
+from ..rendering.interval import StrengthAccount, finer_than_known
+from ..rendering.job import RenderJob, check_servable, wavelet
 from ..rendering.lattice import is_thesis_grid
 from ..results import (
     ErrorRecord,
@@ -38,6 +38,7 @@ from ..results import (
     ResolutionRecord,
     RunRecord,
     SolutionRecord,
+    StageCost,
     StrengthRecord,
     condition_of,
     read_run,
@@ -48,21 +49,17 @@ from ..store.folder import atomic_path, check_kind, set_kind
 from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
-from .forecast import forecast, refuse_if_signals_too_large, refuse_if_too_large
-from .frequencies import frequencies
+from .forecast import refuse_if_signals_too_large
 from .notes import scene_notes
-from .renderers import check_servable, wavelet
 from .resources import Ledger
 from .samples import check_samples
-from .simulation import AnswersForArm, Simulation, account_of, render_transfer, simulate, with_device
+from .simulation import AnswersForArm, Simulation, simulate, versions
 from .skin_model import save_skin_model
-from .solved import solve
-from .strengths import finer_than_known
 from .unread import unread_notes
 from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
 
-__all__ = ["Run", "check_rendering", "run_all", "run_mesh", "run_render", "run_solve"]
+__all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]
 
 _DERIVED = (
     "transfer.mat", "wavefield.npz", "reduced.nc", "drives.nc", "displacements.nc", "signal_strength.csv",
@@ -76,7 +73,16 @@ _WITHOUT_SHARE = (
 
 @dataclass
 class Run:
-    """One run of the program into one folder: what it was asked, what it costs, what must be said."""
+    """One run of the program into one folder.
+
+    scenario, out, base : what was asked, where it goes, where files in the scenario are seen from
+    ledger, notes : what it costs, what must be said
+    library : answers in place of a solve
+    transfer, simulation : G, and what it was solved with (None: a G that was there before)
+    mesh, solution : on record of the solve
+    rendering, account : drives and displacements; S with its intervals
+    known : what the folder holds by now, as its reader has it (:class:`.Results`)
+    """
 
     scenario: Scenario
     out: Path
@@ -85,6 +91,14 @@ class Run:
     ledger: Ledger
     notes: list[str]
     library: AnswersForArm | None = None
+    transfer: TransferMatrix | None = None
+    simulation: Simulation | None = None
+    mesh: MeshRecord = field(default_factory=MeshRecord)
+    solution: SolutionRecord = field(default_factory=SolutionRecord)
+    rendering: Rendering | None = None
+    account: StrengthAccount | None = None
+    record: RunRecord | None = None
+    known: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def start(cls, scenario: Scenario, out: Path, base: Path, progress: Progress | None = None) -> Run:
@@ -93,6 +107,11 @@ class Run:
         Keys that have no effect are its first notes; ScenarioError where a tissue is not whole.
         """
         return cls(scenario, out, base, progress, Ledger(), [*unread_notes(scenario), *scene_notes(scenario)])
+
+    @classmethod
+    def given(cls, scenario: Scenario, out: Path, base: Path, progress: Progress | None = None) -> Run:
+        """A run of a G that is there: nothing is solved, so that nothing is said of the limb."""
+        return cls(scenario, out, base, progress, Ledger(), [])
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -109,17 +128,44 @@ def run_all(run: Run) -> None:
     """Everything: mesh, solve, render, figures and report."""
     check_rendering(run.scenario, run.base)
     transfer = _solved(run)
-    from ..show.report import write_report  # plotting is heavy and not needed by the other stages
-
     if run.scenario.rendering.methods:
         _rendered(run, transfer)
     _write_run(run)
     with run.stage("report"):
         if run.scenario.rendering.methods:
-            write_report(run.out)
+            _reported(run)
         else:
             write_wave_report(run.scenario, transfer, run.out, notes=run.notes)
     _write_run(run)
+
+
+def run_given(run: Run, transfer: TransferMatrix) -> Rendering:
+    """A G that is there, measured or simulated: drives, displacements, S with its intervals, figures and report."""
+    check_kind(run.out, "run")
+    refuse_other_g(run.out / "transfer.nc", measured="scenario" not in transfer.provenance)
+    rendering = _rendered(run, transfer, _keep_given)
+    _write_run(run)
+    with run.stage("report"):
+        _reported(run)
+    _write_run(run)
+    return rendering
+
+
+def _keep_given(run: Run, transfer: TransferMatrix) -> None:
+    """G and scenario of a run that solves nothing."""
+    run.transfer = transfer
+    _remove_older(run)
+    set_kind(run.out, "run")
+    write_json(run.out / "scenario.json", run.scenario.model_dump(mode="json"))
+    write_transfer(run.out / "transfer.nc", transfer)
+    run.known |= {"transfer": transfer, "_compliance": None}
+
+
+def _reported(run: Run) -> None:
+    from ..show.data import Results
+    from ..show.report import write_report  # plotting is heavy and not needed by the other stages
+
+    write_report(Results.holding(run.out, scenario=run.scenario, run=run.record, **run.known))
 
 
 def check_rendering(scenario: Scenario, base: Path) -> None:
@@ -163,45 +209,14 @@ def run_render(run: Run) -> Rendering:
 
 def _solved(run: Run) -> TransferMatrix:
     refuse_other_g(run.out / "transfer.nc", measured=False)
-    scenario, mesh = run.scenario, run_mesh(run)
+    mesh = run_mesh(run)
     with run.stage("solve"):
-        if mesh is None:
-            found = simulate(scenario, base=run.base, progress=run.progress, library=run.library)
-        else:
-            expected = forecast(scenario, base=run.base, mesh=mesh)
-            refuse_if_too_large(expected, scenario)
-            for sentence in expected.sentences(float(frequencies(scenario.sweep)[-1])):
-                warnings.warn(sentence, AccuracyWarning, stacklevel=2)
-            solved = solve(scenario, mesh, frequencies(scenario.sweep), base=run.base, progress=run.progress)
-            found = with_device(scenario, mesh, solved)
+        found = simulate(run.scenario, base=run.base, progress=run.progress, mesh=mesh, library=run.library)
+        run.simulation, run.transfer = found, found.transfer
         run.notes += found.notes
-        solver = found.solved.facts.solver if found.solved is not None else None
-        transfer = replace(found.transfer, provenance=provenance(scenario, mesh, solver))
     with run.stage("write"):
-        _write_solution(run, replace(found, transfer=transfer))
-    return transfer
-
-
-def provenance(scenario: Scenario, mesh: TissueMesh | None, solver: str | None) -> dict[str, Any]:
-    """What a result came from: scenario, versions, direct ``solver``, mesh hash."""
-    return {
-        "program": f"forearm_fem {__version__}",
-        "scenario": scenario.model_dump(mode="json"),
-        "mesh_sha256": mesh.digest if mesh else None,
-        "solver": solver,
-        "versions": versions(),
-    }
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and of the libraries that make the numbers."""
-    found = {"python": platform.python_version()}
-    for name in ("numpy", "scipy", "scikit-fem", "pytetwild", "meshio", "trimesh", "pyvista", "numba", "mkl"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+        _write_solution(run, found)
+    return found.transfer
 
 
 def _write_solution(run: Run, simulation: Simulation) -> None:
@@ -212,22 +227,25 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
     write_transfer(out / "transfer.nc", transfer, simulation.compliance)
     if scenario.sweep.frequencies is None:
         write_thesis_mat(out / "transfer.mat", transfer, scenario.sweep.sample_rate, scenario.sweep.duration)
+    run.known |= {"transfer": transfer, "_compliance": simulation.compliance}
     if simulation.solved is not None and simulation.solved.modes.size:
-        save_wavefield(wavefield_of(simulation), out / "wavefield.npz")
+        run.known["wavefield"] = field_of_run = wavefield_of(simulation)
+        save_wavefield(field_of_run, out / "wavefield.npz")
         if carries_points(scenario.device):
             run.notes.append(_WITHOUT_SHARE)
     if simulation.solved is not None and simulation.solved.skin is not None:
         save_skin_model(out / "reduced.nc", replace(simulation.solved.skin, scenario=scenario))
-    facts, record = simulation.solved.facts if simulation.solved else SolutionRecord(), MeshRecord()
+    if simulation.solved is not None:
+        run.solution = simulation.solved.facts
     if (mesh := simulation.mesh) is not None:
         quality = mesh_quality(mesh, expected_volume=limb_volume(scenario))
-        resolution = forecast(scenario, base=run.base, mesh=mesh).resolution
-        record = MeshRecord(
+        run.known["mesh"] = mesh
+        run.mesh = MeshRecord(
             sha256=mesh.digest,
             quality=QualityRecord(**{**asdict(replace(quality, volumes={})), "volumes": dict(quality.volumes)}),
-            resolution=tuple(ResolutionRecord(**asdict(r)) for r in resolution),
+            resolution=tuple(ResolutionRecord(**asdict(r)) for r in simulation.resolution),
         )
-    parts = {"facts": facts, "mesh": record}
+    parts = {"facts": run.solution, "mesh": run.mesh}
     write_json(out / "solution.json", {name: part.model_dump(mode="json") for name, part in parts.items()})
 
 
@@ -263,10 +281,17 @@ def wavefield_of(simulation: Simulation) -> Wavefield:
     return Wavefield(simulation.compliance.frequency, solved.modes, solved.states @ force)
 
 
-def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
+def _rendered(
+    run: Run, transfer: TransferMatrix, keep: Callable[[Run, TransferMatrix], None] = lambda run, transfer: None
+) -> Rendering:
+    """S of the run's renderers on G, written; ``keep`` writes what else goes with them, once they have worked."""
     with run.stage("render"):
-        rendering = render_transfer(run.scenario, transfer, base=run.base, progress=run.progress)
-        account = account_of(run.scenario, transfer, rendering, base=run.base)
+        job = RenderJob.of(run.scenario, transfer, base=run.base, progress=run.progress)
+        job.warn()
+        rendering = job.play(transfer, progress=run.progress)
+        account = job.account(transfer, rendering)
+        keep(run, transfer)
+        run.rendering, run.account = rendering, account
         time = next(iter(rendering.values())).drives.time
         signals = {key: r.drives.signals for key, r in rendering.items()}
         moves = {key: r.displacements.values for key, r in rendering.items()}
@@ -283,6 +308,7 @@ def _rendered(run: Run, transfer: TransferMatrix) -> Rendering:
             account.window, grouped=is_thesis_grid(transfer.outputs),
         )  # fmt: skip
         write_signal_strength_csv(run.out / "signal_strength.csv", rows)
+        run.known |= {"drives": sent, "displacements": moved, "strengths": rows}
         if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
             with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:
                 beside.write_bytes((run.base / file).read_bytes())
@@ -310,30 +336,36 @@ def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
 
 def _write_run(run: Run) -> None:
     """``run.json``: the whole account; stages not run now keep their account of last time."""
-    target = run.out / "run.json"
-    try:
-        stages = dict(read_run(target).stages)
-    except DataError:
-        stages = {}
+    assert run.transfer is not None
+    target, transfer = run.out / "run.json", run.transfer
+    stages = dict(run.record.stages) if run.record is not None else _earlier_stages(target)
     for name, cost in run.ledger.stages.items():
         # what it cost when it was computed: a stage that only reused results keeps its older, larger account
         if name not in stages or cost.seconds >= stages[name].seconds:
             stages[name] = cost
-    transfer, solution = read_transfer(run.out / "transfer.nc"), _read_json(run.out / "solution.json")
-    account = RunRecord(
+    strength = run.account.as_json() if run.account else _read_json(run.out / "signal_strength.json")
+    run.record = RunRecord(
         scenario=run.scenario.model_dump(mode="json"),
         versions=versions(),
         program=__version__,
-        mesh=MeshRecord.model_validate(solution.get("mesh", {})),
-        solution=SolutionRecord.model_validate(solution.get("facts", {})),
+        mesh=run.mesh,
+        solution=run.solution,
         stages=stages,
         errors=tuple(ErrorRecord.of(e) for e in transfer.errors),
         accuracy=accuracy_verdict(run.scenario, transfer.errors),
         condition_number=condition_of(transfer),
-        signal_strength=StrengthRecord.model_validate(_read_json(run.out / "signal_strength.json")),
+        signal_strength=StrengthRecord.model_validate(strength),
         notes=tuple(dict.fromkeys(run.notes)),
     )
-    write_run(target, account)
+    write_run(target, run.record)
+
+
+def _earlier_stages(file: Path) -> dict[str, StageCost]:
+    """What stages of an earlier run into the same folder cost."""
+    try:
+        return dict(read_run(file).stages)
+    except DataError:
+        return {}
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -22,10 +22,10 @@ from ..geometry.user.facing import turned_over
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..tissue import resolve_tissues
 from .fem_engine import reduction_tolerance
-from .frequencies import frequencies
 
 NODES_NEEDED = 6.0  # per shear wavelength near the ports; below it the error of far entries passes 10 %
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.actuators import ACTUATORS
 from ..scenario.limb import MeshLimb, SlabLimb
-from .forecast import forecast
-from .frequencies import frequencies
 from .samples import sample_notes
 
 
@@ -19,11 +16,6 @@ def scene_notes(scenario: Scenario) -> tuple[str, ...]:
     """What can be said of a scenario before it is meshed or solved, but for keys that nothing reads."""
     kinds = (actuator_notes, lifted_notes, covered_notes, sample_notes)
     return tuple(note for notes in kinds for note in notes(scenario))
-
-
-def resolution_notes(scenario: Scenario, mesh: TissueMesh) -> tuple[str, ...]:
-    """A sentence for each tissue whose waves the mesh carries with too few nodes."""
-    return forecast(scenario, mesh=mesh).sentences(float(frequencies(scenario.sweep)[-1]))
 
 
 def model_notes(solution: SolutionRecord) -> tuple[str, ...]:

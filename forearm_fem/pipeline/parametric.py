@@ -31,13 +31,13 @@ from ..io.parts import PartFolder
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
+from ..scenario.frequencies import frequencies
 from ..store.text import digest_of
 from ..tissue import limb_tissue_keys, resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
 from .fem_engine import fem_model, masked
-from .frequencies import frequencies
 from .missed import Missed, evened
 from .skin_model import check_followable, coefficients_of, with_scenario
 from .solved import solve_key

@@ -8,10 +8,10 @@ from ..device import close_loop
 from ..errors import DataError, ForearmError, ScenarioError
 from ..rendering import Record, bridged, place
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.tissues import Patch
 from ..transfer import finite
-from .frequencies import frequencies
 from .layered_engine import solve_layered
 
 _ON_BIN = 1e-3  # of a bin: as for G's own samples

@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-import warnings
+import platform
 from dataclasses import dataclass, field, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
+from .. import __version__
 from ..device import close_loop
-from ..errors import AccuracyWarning, ScenarioError
+from ..errors import ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.cache import cached_mesh
+from ..geometry.mesh.quality import Resolution
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..progress import Progress
-from ..rendering import Limits, Rendering, render_all
+from ..rendering import Rendering
+from ..rendering.interval import StrengthAccount
+from ..rendering.job import RenderJob, render_transfer
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error_at
 from ..typing import FloatArray
 from .dispersion import Lags
-from .frequencies import frequencies
+from .forecast import forecast, refuse_if_too_large
 from .layered_engine import flat_notes, solve_layered
-from .notes import idle_size_notes, model_notes, near_disc_notes, resolution_notes
-from .renderers import renderers, unsuited, wavelet
+from .notes import idle_size_notes, model_notes, near_disc_notes
 from .solved import Solved, solve
-from .strengths import StrengthAccount, strength_account
 from .two_meshes import change_around, judged, over_pairs
 
 # Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
@@ -40,7 +44,7 @@ class Simulation:
 
     ``coarse`` is G on the second mesh (None where no estimate was asked or could be made): ``transfer.errors`` and the
     error of S follow from it. ``notes`` are sentences that belong in the report. ``base`` is the folder that files in
-    the scenario are seen from.
+    the scenario are seen from. ``resolution`` is how finely the mesh carries the shortest waves, by tissue.
     """
 
     scenario: Scenario
@@ -51,6 +55,7 @@ class Simulation:
     solved: Solved | None = None
     notes: tuple[str, ...] = field(default=())
     base: Path = Path(".")
+    resolution: tuple[Resolution, ...] = ()
 
 
 class AnswersForArm(Protocol):
@@ -89,10 +94,35 @@ def simulate(
         if mesh is None:
             start_compiling()
             mesh = cached_mesh(scenario, base=Path(base))
+        expected = forecast(scenario, base=Path(base), mesh=mesh)
+        refuse_if_too_large(expected, scenario)
         result = with_device(scenario, mesh, solve(scenario, mesh, frequency, base=Path(base), progress=progress))
-        found = replace(result, notes=(*resolution_notes(scenario, mesh), *result.notes))
-    said = {**found.transfer.provenance, "scenario": scenario.model_dump(mode="json")}
+        notes = *expected.sentences(float(frequency[-1])), *result.notes
+        found = replace(result, notes=notes, resolution=expected.resolution)
+    said = {**found.transfer.provenance, **provenance(found)}
     return replace(found, transfer=replace(found.transfer, provenance=said), base=Path(base))
+
+
+def provenance(found: Simulation) -> dict[str, Any]:
+    """What a G came from: scenario, versions, direct solver, mesh hash."""
+    return {
+        "program": f"forearm_fem {__version__}",
+        "scenario": found.scenario.model_dump(mode="json"),
+        "mesh_sha256": found.mesh.digest if found.mesh else None,
+        "solver": found.solved.facts.solver if found.solved else None,
+        "versions": versions(),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that make the numbers."""
+    found = {"python": platform.python_version()}
+    for name in ("numpy", "scipy", "scikit-fem", "pytetwild", "meshio", "trimesh", "pyvista", "numba", "mkl"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
 
 
 def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
@@ -129,43 +159,11 @@ def render(simulation: Simulation, *, progress: Progress | None = None) -> Rende
     return render_transfer(simulation.scenario, simulation.transfer, base=simulation.base, progress=progress)
 
 
-def render_transfer(
-    scenario: Scenario,
-    transfer: TransferMatrix,
-    *,
-    base: str | Path = ".",
-    progress: Progress | None = None,
-) -> Rendering:
-    """The scenario's renderers on any G, simulated or measured.
-
-    Methods that cannot serve its ports are left out with an AccuracyWarning that names the remedy; ScenarioError if
-    none is left.
-    """
-    wanted = scenario.rendering
-    shape = wavelet(wanted, scenario.sweep, Path(base))
-    targets = [p.name for p in transfer.outputs] if wanted.targets == "all" else list(wanted.targets)
-    device = scenario.device
-    limits = Limits(device.max_voltage, device.max_power, device.coil.resistance) if transfer.unit == "m/V" else None
-    left_out = unsuited(wanted, transfer.outputs, transfer.inputs, targets)
-    if len(left_out) == len(wanted.methods):
-        raise ScenarioError(f"rendering: {next(iter(left_out.values()), 'rendering.methods is empty; name one')}")
-    for sentence in left_out.values():
-        warnings.warn(sentence, AccuracyWarning, stacklevel=2)
-
-    return render_all(
-        transfer, targets, renderers(scenario, shape, frozenset(left_out), progress), shape, limits,
-        window=wanted.window, progress=progress,
-    )  # fmt: skip
-
-
 def account_of(
     scenario: Scenario, transfer: TransferMatrix, rendering: Rendering, *, base: str | Path = "."
 ) -> StrengthAccount:
     """Intervals and companions of every S of ``rendering``, which :func:`render_transfer` made of ``transfer``."""
-    shape = wavelet(scenario.rendering, scenario.sweep, Path(base))
-    left_out = frozenset(scenario.rendering.methods) - frozenset(rendering.methods)
-    measured = any(e.source == "measurement" for e in transfer.errors) or transfer.deviation is not None
-    return strength_account(rendering, renderers(scenario, shape, left_out), shape, measured)
+    return RenderJob.of(scenario, transfer, base=base).account(transfer, rendering)
 
 
 def _discretisation(

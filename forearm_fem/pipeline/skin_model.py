@@ -20,12 +20,12 @@ from ..fem.reduction.reduced_model import ReducedModel
 from ..io.reduced import POLES, ReducedFile, ReducedTerms, read_reduced, write_reduced
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
+from ..scenario.frequencies import frequencies
 from ..scenario.load import apply_overrides
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
 from .fem_engine import masked
-from .frequencies import frequencies
 
 __all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model", "with_scenario"]
 

@@ -14,10 +14,10 @@ from .. import __version__
 from ..layered.tables import Tabulated, from_arrays, tabulate
 from ..progress import Progress
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..store.folder import atomic_path
 from ..tissue import resolve_tissues
 from ..user_cache import default_cache_dir
-from .frequencies import frequencies
 from .layered_engine import flat_layers, flat_surface
 
 _REACH = 0.1  # [m]: tables reach to multiples of it, so that one serves every device of a forearm

@@ -12,15 +12,11 @@ import numpy as np
 
 from ..device import close_loop
 from ..errors import ReductionError
-from ..metrics.strength import plain_strength
-from ..pipeline.frequencies import frequencies
-from ..pipeline.renderers import renderers, wavelet
-from ..pipeline.strengths import interval
 from ..ports import Port
-from ..rendering import Wavelet, displacements, drives, place, window_of
-from ..rendering.drives import Renderer
-from ..rendering.sharing import prepared
+from ..rendering.interval import interval
+from ..rendering.job import RenderJob
 from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
 from ..tissue import resolve_tissues
 from ..transfer import TransferMatrix, finite, total_error
 from ..typing import ComplexArray, FloatArray
@@ -36,31 +32,29 @@ READINGS = ("calibrated", "played", "calibrated, record", "played, record")
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What all draws of a prediction share: the scene, its believed ports, renderers, stimulus and targets."""
+    """What all draws of a prediction share: the scene, its renderers, the ports that these aim by, inputs held."""
 
     scenario: Scenario
+    job: RenderJob
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
-    methods: tuple[Renderer, ...]
-    shape: Wavelet
-    targets: tuple[str, ...]
     held: frozenset[str]
 
     @property
-    def method_names(self) -> tuple[str, ...]:
+    def methods(self) -> tuple[str, ...]:
         """Names of the methods."""
-        return tuple(m.name for m in self.methods)
+        return self.job.names
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the targets."""
+        return self.job.targets
 
 
-def setup_of(
-    scenario: Scenario, nominal: TransferMatrix, base: Path, left_out: Collection[str] = (), held: Collection[str] = ()
-) -> Setup:
-    """``nominal`` is G of the scene itself, whose ports are taken; ``left_out`` are methods that cannot serve it."""
-    options = scenario.rendering
-    shape = wavelet(options, scenario.sweep, base)
-    targets = tuple(p.name for p in nominal.outputs) if options.targets == "all" else tuple(options.targets)
-    chosen = tuple(renderers(scenario, shape, frozenset(left_out)))
-    return Setup(scenario, nominal.outputs, nominal.inputs, chosen, shape, targets, frozenset(held))
+def setup_of(scenario: Scenario, nominal: TransferMatrix, base: Path, held: Collection[str] = ()) -> Setup:
+    """``nominal`` is G of the scene itself, whose ports are taken."""
+    job = RenderJob.of(scenario, nominal, base=base)
+    return Setup(scenario, job, nominal.outputs, nominal.inputs, frozenset(held))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,15 +88,15 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
     values = {name: value for name, value in draw.values.items() if name not in held}
     answer = arm.answer(scenario, frequencies(scenario.sweep))
     true, *others = (
-        believed(finite(close_loop(c, scenario.device)), setup.outputs, setup.inputs)
+        with_nominal_ports(finite(close_loop(c, scenario.device)), setup)
         for c in (answer.compliance, *answer.others)
     )
     if not total_error(true.errors) < _MOST:
         raise ReductionError(f"G of the arm may be wrong by as much as it is: e_band is {_MOST:g} or more, or unknown")
     calibrated = noisy(true, replace(draw, values=values), scenario)
-    found, window = strengths_of(setup, true, calibrated), window_of(setup.scenario.rendering.window, setup.shape)
+    found, job = strengths_of(setup.job, true, calibrated), setup.job
     noise = tuple(e for e in true.errors if e.source not in answer.shown)
-    spread = interval(true, noise, setup.targets, window, setup.methods, setup.shape, draws=_DRAWS, others=others)
+    spread = interval(true, noise, job.targets, job.span, job.methods, job.wavelet, draws=_DRAWS, others=others)
     return Outcome(
         draw.number, draw.law, found, drivers_of(draw, scenario, held), total_error(true.errors),
         time.perf_counter() - began, spread=spread,
@@ -110,9 +104,9 @@ def outcome_of(draw: Draw, setup: Setup, arm: ArmModel) -> Outcome:
     )  # fmt: skip
 
 
-def believed(transfer: TransferMatrix, outputs: tuple[Port, ...], inputs: tuple[Port, ...]) -> TransferMatrix:
+def with_nominal_ports(transfer: TransferMatrix, setup: Setup) -> TransferMatrix:
     """The same G with the ports where the experimenter thinks they are: renderers aim by these places."""
-    return replace(transfer, outputs=outputs, inputs=inputs)
+    return replace(transfer, outputs=setup.outputs, inputs=setup.inputs)
 
 
 def noisy(transfer: TransferMatrix, draw: Draw, scenario: Scenario) -> TransferMatrix:
@@ -130,20 +124,10 @@ def noisy(transfer: TransferMatrix, draw: Draw, scenario: Scenario) -> TransferM
     return replace(transfer, values=transfer.values + rms * (normals[0] + 1j * normals[1]))
 
 
-def strengths_of(setup: Setup, true: TransferMatrix, calibrated: TransferMatrix) -> FloatArray:
+def strengths_of(job: RenderJob, true: TransferMatrix, calibrated: TransferMatrix) -> FloatArray:
     """S (n_reading, n_method, n_target) of drives designed on ``calibrated``, there and on the ``true`` G."""
-    window = window_of(setup.scenario.rendering.window, setup.shape)
-    ready, methods = prepared(place(calibrated, setup.shape.record), setup.methods, setup.targets)
-    placed = ready, place(true, setup.shape.record)
-    out = np.empty((len(READINGS), len(methods), len(setup.targets)))
-    for m, method in enumerate(methods):
-        for t, target in enumerate(setup.targets):
-            sent = drives(method, placed[0], target, setup.shape)
-            for g, where in enumerate(placed):
-                moved, row = displacements(where, sent), where.row(target)
-                for k, over in enumerate((window, None)):
-                    out[2 * k + g, m, t] = plain_strength(moved.values, row, time=moved.time, window=over)
-    return out
+    found = job.strengths(calibrated, calibrated, true, windows=(job.window, "record"))
+    return found.reshape(len(READINGS), *found.shape[2:])
 
 
 def drivers_of(draw: Draw, scenario: Scenario, held: Collection[str]) -> dict[str, float]:

@@ -20,15 +20,15 @@ from ..campaign.executor import LIGHT, SHARE, cluster, completed, in_turn
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ForearmError, ScenarioError
 from ..fem.kernels.heap import freed_memory_kept
-from ..pipeline.frequencies import frequencies
-from ..pipeline.renderers import check_servable, unsuited, wavelet
 from ..pipeline.samples import check_samples
-from ..pipeline.simulation import account_of, render_transfer, simulate
-from ..pipeline.strengths import StrengthAccount
+from ..pipeline.simulation import simulate
 from ..progress import Progress, tell, within
+from ..rendering.interval import StrengthAccount
+from ..rendering.job import RenderJob, check_servable, wavelet
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
 from ..scenario.contents import contents, named_files
+from ..scenario.frequencies import frequencies
 from ..store.folder import check_kind, set_kind
 from ..store.text import digest_of
 from ..transfer import UNITS, ErrorEstimate
@@ -150,7 +150,7 @@ def predict(
         if len(kept) > reused:
             _write(out, kept, setup, question)
     grid = is_thesis_grid(setup.outputs)
-    found = draws_of([kept[n] for n in range(draws)], setup.method_names, setup.targets, grid)
+    found = draws_of([kept[n] for n in range(draws)], setup.methods, setup.targets, grid)
     held = tuple(sorted({*question.held, *arm.held}))
     return Prediction(
         question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began, _unknown(arm, errors),
@@ -202,8 +202,8 @@ def _nominal(question: Question, progress: Progress | None) -> tuple[StrengthAcc
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AccuracyWarning)  # `run` says them
         transfer = simulate(scenario, base=base, progress=within(progress, "the scene itself")).transfer
-        rendering = render_transfer(scenario, transfer, base=base)
-        account = account_of(scenario, transfer, rendering, base=base)
+        job = RenderJob.of(scenario, transfer, base=base)
+        account = job.account(transfer, job.play(transfer))
     tell(progress, "the scene itself", 1, 1)
     return account, transfer.errors
 
@@ -221,7 +221,7 @@ def _unknown(arm: ArmModel, errors: tuple[ErrorEstimate, ...]) -> str:
 def _write(out: Path, kept: Mapping[int, Outcome], setup: Setup, question: Question) -> None:
     frequency = frequencies(question.scenario.sweep)
     unit = UNITS[question.scenario.device.drive]
-    write_outcomes(out / FILE, list(kept.values()), setup.method_names, setup.targets, question.digest, frequency, unit)
+    write_outcomes(out / FILE, list(kept.values()), setup.methods, setup.targets, question.digest, frequency, unit)
 
 
 def _outcomes(
@@ -288,11 +288,9 @@ def _prepared(
     on_twin = question.scenario.engine == "layered" or twin
     arm = arm_model(question.scenario, base=base, draws=() if on_twin else pool(question), twin=twin, progress=progress)
     compliance = arm.compliance(question.scenario, frequencies(question.scenario.sweep)[:1])
-    transfer, options = close_loop(compliance, question.scenario.device), question.scenario.rendering
-    targets = [p.name for p in transfer.outputs] if options.targets == "all" else list(options.targets)
-    left_out = unsuited(options, transfer.outputs, transfer.inputs, targets)
+    transfer = close_loop(compliance, question.scenario.device)
     held_by_both = expanded(question.held, question.scenario) | expanded(arm.held, question.scenario)
-    return question, setup_of(question.scenario, transfer, question.base, left_out, held_by_both), arm
+    return question, setup_of(question.scenario, transfer, question.base, held_by_both), arm
 
 
 def pool(question: Question) -> list[Scenario]:

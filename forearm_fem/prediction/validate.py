@@ -14,14 +14,12 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..compare.crossplay import wavelet_for
 from ..errors import DataError, ForearmError, ScenarioError
 from ..geometry.device.layout import planform_ports
 from ..metrics.strength import thesis_table
-from ..pipeline.renderers import renderers, unsuited, wavelet
-from ..pipeline.strengths import StrengthAccount, strength_account
 from ..progress import Progress, tell
-from ..rendering import render_all
+from ..rendering.interval import StrengthAccount, strength_account
+from ..rendering.job import RenderJob, targets_of, wavelet, wavelet_for
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
 from ..store.text import read_json, write_json
@@ -251,8 +249,7 @@ def _strengths_of(transfer: TransferMatrix, question: Question) -> tuple[Strengt
     """S of a measured G by the scene's methods and wavelet at its targets, and what of it is not known; DataError where
     S is not."""
     names, scenario = {p.name for p in transfer.outputs}, question.scenario
-    options, (outputs, inputs) = scenario.rendering, planform_ports(scenario)
-    targets = [p.name for p in outputs] if options.targets == "all" else list(options.targets)
+    options, targets = scenario.rendering, targets_of(scenario, planform_ports(scenario)[0])
     if missing := [t for t in targets if t not in names]:
         raise DataError(f"the measured G has no output called '{missing[0]}'; it needs the scene's targets 1 to 9")
     shape = wavelet(options, scenario.sweep, question.base)
@@ -260,15 +257,15 @@ def _strengths_of(transfer: TransferMatrix, question: Question) -> tuple[Strengt
     its_bins = len(place) > 1 and np.allclose(place, np.rint(place), rtol=0, atol=1e-3)
     if options.wavelet.file is None and not its_bins:
         shape = wavelet_for(transfer.frequency, options.wavelet.peak)  # a record on whose bins this G lies
-    methods = renderers(scenario, shape, frozenset(unsuited(options, outputs, inputs, targets)))
-    found = render_all(transfer, targets, methods, shape, window=options.window)
+    job = RenderJob.of(scenario, transfer, targets=targets, shape=shape)
+    found = job.play(transfer)
     lost = max(r.drives.lost for r in found.values())
     if lost > _MOST_LOST or not np.isfinite(found.strengths).all():
         raise DataError(
             f"the measured G gives no S: {lost:.0%} of the wavelet's energy lies where it is unknown; measure it"
         )
     silent = f"{lost:.0%} of the wavelet's energy lies where it is unknown and is not driven" if lost >= _LOST else ""
-    account = strength_account(found, methods, shape, measured=True)
+    account = strength_account(found, job.methods, shape, measured=True)
     return account, "; ".join(s for s in (found.bridged.sentence, silent, account.unknown) if s)
 
 

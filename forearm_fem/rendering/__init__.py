@@ -9,7 +9,6 @@
 """
 
 from .bridging import Bridged, bridged
-from .campaign import Rendered, Rendering, render_all, strengths, thesis_renderers
 from .combination import Combination
 from .drives import Aim, Displacements, Drives, Renderer, displacements, drives, scale_to, scaled
 from .funneling import Funneling, funneling_weights
@@ -17,6 +16,7 @@ from .interpolation import Interpolation
 from .inverse_filter import InverseFilter
 from .inversion import Inversion, Regularisation, invert
 from .limits import DriveReport, Limits, beyond_limits, check
+from .rendered import Rendered, Rendering, render_all, strengths, thesis_renderers
 from .spectrum import BinValues, Placed, Record, place, place_on_bins, respond, to_spectrum, to_time
 from .wavelet import Wavelet, Window, from_samples_file, ricker, window_of
 from .zeros import AutoZeros, FixedZeros, SearchedZeros, ThesisZeros, ZeroSearch, best_zeros

@@ -67,6 +67,13 @@ class Results:
             raise DataError(f"{place}: no such results folder; `forearm-fem run SCENARIO --out {place}` makes it")
         return cls(place)
 
+    @classmethod
+    def holding(cls, folder: str | Path, **known: object) -> Results:
+        """The results in ``folder`` of which some properties are ``known`` by name: what wrote them need not read."""
+        found = cls.open(folder)
+        found.__dict__.update({name: value for name, value in known.items() if value is not None or name[0] == "_"})
+        return found
+
     def has(self, name: str) -> bool:
         """Whether the file ``name`` is there; "compliance" asks inside transfer.nc."""
         if name == "compliance":
@@ -197,6 +204,7 @@ class Results:
     def stamp(self) -> str:
         """Scene, mesh and version in one line, for the foot of each figure."""
         mesh = "layered twin, no mesh" if self.scenario.engine == "layered" else "no mesh"
+        mesh = mesh if "scenario" in self.transfer.provenance else "measured G"
         if self.mesh_hash:
             mesh = f"mesh {self.mesh_hash[:10]}"
         return " · ".join((f"scene {self.scenario.name}", mesh, f"forearm_fem {self.version}"))

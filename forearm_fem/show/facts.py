@@ -39,16 +39,20 @@ def scene_block(results: Results) -> Block:
     inside = ", ".join(f"{x.tissue} {_mm(x.thickness)}" for x in getattr(s.limb, "layers", ()))
     core, bones = getattr(s.limb, "core", ""), ", ".join(b.name for b in getattr(s.limb, "bones", ()))
     own = [key for key in changed_keys(s) if key not in ("name", "description")]
+    of_limb = "scenario" in results.transfer.provenance
     limb = (s.limb.shape, inside, f"on {core}" if core else "", f"bones: {bones}" if bones else "")
-    rows = [
+    solved = [
         ["limb", "; ".join(part for part in limb if part)],
         ["tissues", f"preset {s.tissues.preset}" + (f"; changed: {changed}" if changed else "")],
         ["supports", f"bone {s.supports.bone}, underside {s.supports.underside}, cut ends {s.supports.ends}"],
+        ["engine", "finite elements" if s.engine == "fem" else "semi-analytic layered half-space (flat, no bone)"],
+    ]
+    rows = [
+        *(solved if of_limb else [["G", "measured or imported: nothing is said of the limb"]]),
         ["device", _device(s)],
         ["grid", _grid(s, len(results.transfer.outputs))],
         ["sweep", f"{len(results.transfer.frequency)} frequencies, {results.transfer.frequency[0]:g} to "
                   f"{results.transfer.frequency[-1]:g} Hz"],
-        ["engine", "finite elements" if s.engine == "fem" else "semi-analytic layered half-space (flat, no bone)"],
         ["accuracy asked", f"e_band ≤ {s.accuracy:g}"],
         ["keys that differ from their defaults", ", ".join(own) or "none"],
     ]  # fmt: skip

@@ -58,8 +58,7 @@ _PURPOSE = (
     ),
     (
         "verification",
-        "Numerics against closed forms and independent codes: [verification](verification.md), "
-        "[stability](stability.md).",
+        "Numerics against closed forms and independent codes: [verification](verification.md).",
     ),
     (
         "inputs",

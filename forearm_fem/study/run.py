@@ -18,8 +18,8 @@ from ..measurement.daq import Daq
 from ..measurement.loopback import Loopback, check_belongs
 from ..measurement.run import DaqKind, hardware, wired
 from ..measurement.virtual import VirtualDaq, VirtualOptions
-from ..pipeline.renderers import wavelet
 from ..ports import Port
+from ..rendering.job import wavelet
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..transfer import TransferMatrix

@@ -17,9 +17,9 @@ from ..io.declaration import Declaration, Ports, arbitrary_gain
 from ..io.recognise import read_measured
 from ..measurement.daq import Daq, faded
 from ..measurement.play import play
-from ..pipeline.renderers import renderers
 from ..rendering.bridging import bridged
 from ..rendering.drives import drives
+from ..rendering.job import renderers
 from ..rendering.spectrum import Placed, Record, place, respond, to_spectrum
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario

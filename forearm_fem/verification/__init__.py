@@ -1,6 +1,6 @@
-"""Verification that a user can run: every case states its reference, its tolerance and why."""
+"""Verification that a user can run: every row states its reference, its tolerance and why."""
 
-from .rows import HardRow, Row
-from .run import run_hard_cases, run_verification
+from .run import run_verification
+from .scenes import Row
 
-__all__ = ["HardRow", "Row", "run_hard_cases", "run_verification"]
+__all__ = ["Row", "run_verification"]

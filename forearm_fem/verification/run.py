@@ -1,68 +1,42 @@
-"""All cases in one tuple, run in order, timed."""
+"""All cases of the verification, run in order and timed."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from ..progress import Progress, tell
-from . import cases, hard, slabs, twin
-from .rows import HardRow, Row
+from . import closed, layered
+from .scenes import Row
+
+Case = Callable[[], Iterator[Row]]
+CASES: Mapping[str, Case] = {
+    "layered model, published tables": layered.table_rows,
+    "layered model, Miller-Pursey": layered.miller_pursey_rows,
+    "layered model, limits": layered.limit_rows,
+    "layered model, rigid discs": layered.rigid_rows,
+    "shear bar": closed.shear_bar_rows,
+    "rigid punch": closed.punch_rows,
+    "oscillating sphere": closed.sphere_rows,
+    "structure": closed.structure_rows,
+    "slab against the layered model": closed.slab_rows,
+}
 
 
-@dataclass(frozen=True)
-class Case:
-    """A named generator of rows; ``quick`` ones make up the short version."""
-
-    name: str
-    rows: Callable[[], Iterator[Row]]
-    quick: bool = True
-
-
-CASES = (
-    Case("twin, published tables", twin.table_rows),
-    Case("twin, Miller-Pursey", twin.miller_pursey_rows),
-    Case("twin, limits", twin.limit_rows),
-    Case("twin, rigid discs", twin.rigid_rows),
-    Case("orders, P2/P1", partial(cases.order_rows, "P2")),
-    Case("orders, P3/P2", partial(cases.order_rows, "P3")),
-    Case("orders, MINI", partial(cases.order_rows, "P1")),
-    Case("orders, modulus jump, P2/P1", partial(cases.order_rows, "P2", jump=20.0, bulks=(2.2e9,))),
-    Case("orders, modulus jump, P3/P2", partial(cases.order_rows, "P3", jump=20.0, bulks=(2.2e9,)), quick=False),
-    Case("no locking", cases.locking_rows),
-    Case("shear bar", cases.shear_bar_rows),
-    Case("rigid punch", cases.punch_rows),
-    Case("oscillating sphere", cases.sphere_rows),
-    Case("structure", cases.structure_rows),
-    Case("turned, shifted, scaled", cases.moved_rows),
-    Case("solvers and reduction", cases.solver_rows),
-    Case("FE against the twin, three levels", slabs.convergence_rows),
-    Case("FE, half-space Z, 100 Hz", partial(slabs.reference_rows, slabs.REFERENCE[2:3])),
-    Case("FE, further scenes", partial(slabs.reference_rows, slabs.REFERENCE[:2] + slabs.REFERENCE[3:]), quick=False),
-)
-
-
-def run_verification(
-    full: bool = False, progress: Progress | None = None, *, chosen: Sequence[Case] = CASES
-) -> list[Row]:
-    """Run the quick cases, or with ``full`` all of them; progress(name, done, total) after each."""
-    wanted = [c for c in chosen if full or c.quick]
+def run_verification(progress: Progress | None = None, *, cases: Mapping[str, Case] = CASES) -> list[Row]:
+    """Rows of all cases; progress(name, done, total) after each."""
     rows: list[Row] = []
-    for i, case in enumerate(wanted):
+    for i, (name, case) in enumerate(cases.items()):
         start = time.perf_counter()
-        found = list(case.rows())
+        found = list(case())
         share = (time.perf_counter() - start) / max(len(found), 1)
-        rows += [replace(row, seconds=row.seconds or share) for row in found]
-        tell(progress, case.name, i + 1, len(wanted))
+        rows += [replace(row, seconds=share) for row in found]
+        tell(progress, name, i + 1, len(cases))
     return rows
 
 
-def run_hard_cases(progress: Progress | None = None) -> list[HardRow]:
-    """Extreme scenes, each right within its stated error or refused by name."""
-    rows: list[HardRow] = []
-    for i, case in enumerate(hard.HARD):
-        rows += hard.hard_rows(case)
-        tell(progress, case.name, i + 1, len(hard.HARD))
-    return rows
+def weakest(rows: Sequence[Row]) -> Row:
+    """The row whose error comes nearest to, or goes furthest beyond, its tolerance."""
+    return max(rows, key=lambda r: r.error / r.tolerance if math.isfinite(r.error) else math.inf)

@@ -14,10 +14,7 @@ from ...errors import DataError, GeometryError, ScenarioError
 from ...geometry.device.layout import layout_of
 from ...io.declaration import arbitrary_gain
 from ...io.reduced import read_reduced
-from ...pipeline.frequencies import frequencies
-from ...pipeline.renderers import least_error, wavelet
 from ...pipeline.simulation import simulate
-from ...pipeline.strengths import at_least_band
 from ...pipeline.verdict import accuracy_verdict
 from ...ports import Port
 from ...prediction.store import FILE, read_outcomes
@@ -33,7 +30,10 @@ from ...rendering import (
     place,
     place_on_bins,
 )
+from ...rendering.interval import at_least_band
+from ...rendering.job import least_error, wavelet
 from ...scenario import Scenario, parse_scenario
+from ...scenario.frequencies import frequencies
 from ...transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ...typing import FloatArray
 from ..data import PREDICTION, Results

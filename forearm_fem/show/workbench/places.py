@@ -10,11 +10,11 @@ import numpy as np
 from ...device import close_loop
 from ...errors import GeometryError
 from ...geometry.device.layout import layout_of
-from ...pipeline.frequencies import frequencies
 from ...pipeline.simulation import AnswersForArm
 from ...ports import Port, positions
 from ...progress import Progress, tell
 from ...scenario import Scenario
+from ...scenario.frequencies import frequencies
 from ...transfer import Compliance, ErrorEstimate, finite
 from ...typing import ComplexArray, FloatArray
 from .field import Field, Surface

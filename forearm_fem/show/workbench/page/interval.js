@@ -1,5 +1,5 @@
 /**
- * How far S may be off: S of copies of G that err as G is stated to. As Python's pipeline/strengths.py, with random numbers
+ * How far S may be off: S of copies of G that err as G is stated to. As Python's rendering/interval.py, with random numbers
  * of its own.
  *
  * @typedef {import("./arrays.js").Complex} Complex

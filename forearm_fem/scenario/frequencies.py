@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import ScenarioError
-from ..scenario.sweep import Sweep
 from ..typing import FloatArray
+from .sweep import Sweep
 
 
 def frequencies(sweep: Sweep) -> FloatArray:

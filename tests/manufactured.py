@@ -14,16 +14,16 @@ import numpy as np
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet, RefTri
 
-from ..fem.assembly.boundary import facet_normals
-from ..fem.assembly.model import build_model
-from ..fem.linear.factor import make_factor, refined_solve
-from ..fem.space.elements import tabulate
-from ..fem.space.numbering import MixedSpace, facet_points
-from ..scenario.supports import Supports
-from ..scenario.tissues import Membrane
-from ..tissue import KelvinVoigt, Tissue
-from ..typing import ComplexArray, FloatArray, IntArray
-from .blocks import block_mesh
+from forearm_fem.fem.assembly.boundary import facet_normals
+from forearm_fem.fem.assembly.model import build_model
+from forearm_fem.fem.linear.factor import make_factor, refined_solve
+from forearm_fem.fem.space.elements import tabulate
+from forearm_fem.fem.space.numbering import MixedSpace, facet_points
+from forearm_fem.scenario.supports import Supports
+from forearm_fem.scenario.tissues import Membrane
+from forearm_fem.tissue import KelvinVoigt, Tissue
+from forearm_fem.typing import ComplexArray, FloatArray, IntArray
+from forearm_fem.verification.blocks import block_mesh
 
 SIDE = 0.02
 OMEGA = 2 * np.pi * 120.0

@@ -11,13 +11,16 @@ import numpy as np
 from ..errors import DataError
 from ..metrics import perturbed
 from ..metrics.strength import plain_strength, without_bound
-from ..rendering import FixedZeros, Rendering, SearchedZeros, Wavelet, Window, place, strengths
-from ..rendering.bridging import with_wider_ends
-from ..rendering.drives import Renderer
-from ..rendering.sharing import settled
 from ..store.text import plain
 from ..transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at, total_error
 from ..typing import FloatArray
+from .bridging import with_wider_ends
+from .drives import Renderer
+from .rendered import Rendering, strengths
+from .sharing import settled
+from .spectrum import place
+from .wavelet import Wavelet, Window
+from .zeros import FixedZeros, SearchedZeros
 
 _DRAWS, _SEED = 12, 0
 _MARGIN = 2.0  # the ends that are missing may count for more than their neighbours

@@ -107,17 +107,20 @@ def render_all(
     limits: Limits | None = None,
     *,
     window: Window = "wavelet",
+    play_on: TransferMatrix | None = None,
     progress: Progress | None = None,
 ) -> Rendering:
     """Every renderer of ``methods`` at every target: drives, displacements, S and the drives' report.
 
     ``targets`` are names of outputs (None: all), ``methods`` renderers (None: the thesis' three), ``wavelet`` the 250
     Hz Ricker unless given. S is taken over ``window``: seconds (start, end), "wavelet" (its own window), or "record",
-    the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first. ``progress`` is
-    called after each. One name or one renderer is taken for a list of it. Warns (AccuracyWarning) when more than 10 %
-    of the wavelet's energy falls on bins where G is unknown, where nothing is known of an actuator, which is then left
-    out, and where an S is made of rounding. Raises ScenarioError for two methods of one name or a target given twice,
-    and as :func:`drives`.
+    the thesis' sum over the whole record, which grows with it. Holes in G are :func:`bridged` first.
+
+    Drives are played on ``play_on`` where it is given: what a device calibrated on ``transfer`` reaches on another G.
+    ``progress`` is called after each. One name or one renderer is taken for a list of it. Warns (AccuracyWarning) when
+    more than 10 % of the wavelet's energy falls on bins where G is unknown, where nothing is known of an actuator,
+    which is then left out, and where an S is made of rounding. Raises ScenarioError for two methods of one name or a
+    target given twice, and as :func:`drives`.
     """
     targets = _as_targets(targets, transfer)
     methods = _as_renderers(methods)
@@ -128,11 +131,12 @@ def render_all(
             raise ScenarioError(f"a {what} is given twice: {', '.join(given)}; give each its own name")
     seconds, holes = window_of(window, wavelet), bridged(transfer)
     placed = prepared(place(holes.transfer, wavelet.record), methods, targets)[0]
+    played = placed if play_on is None else place(bridged(play_on).transfer, wavelet.record)
     results: dict[tuple[str, str], Rendered] = {}
     for method in methods:
         for target in targets:
             sent = drives(method, placed, target, wavelet)
-            reached = displacements(placed, sent)
+            reached = displacements(played, sent)
             strength = plain_strength(reached.values, reached.target_index, time=reached.time, window=seconds)
             results[method.name, target] = Rendered(sent, reached, strength, check(sent, limits or Limits()))
             tell(progress, "render", len(results), len(methods) * len(targets))

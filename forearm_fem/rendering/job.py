@@ -1,0 +1,258 @@
+"""RenderJob: renderers, wavelet, targets, window and limits of a scenario, set up once and played on any G."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Self
+
+import numpy as np
+
+from ..errors import AccuracyWarning, DataError, GeometryError, ScenarioError
+from ..geometry.device.layout import planform_ports
+from ..metrics.strength import plain_strength
+from ..ports import Port
+from ..progress import Progress
+from ..scenario import Scenario
+from ..scenario.frequencies import frequencies
+from ..scenario.rendering import RenderingOptions
+from ..scenario.sweep import Sweep
+from ..transfer import TransferMatrix
+from ..typing import FloatArray
+from .combination import Combination
+from .drives import Renderer, displacements, drives
+from .funneling import Funneling, funneling_weights
+from .interval import StrengthAccount, strength_account
+from .inverse_filter import LEAST_ERROR, InverseFilter
+from .inversion import Regularisation
+from .lattice import lattice_of
+from .limits import Limits
+from .rendered import Rendering, render_all
+from .sharing import prepared
+from .spectrum import place, place_on_bins
+from .wavelet import Wavelet, Window, from_samples_file, ricker, window_of
+from .zeros import AutoZeros, SearchedZeros, ThesisZeros
+
+MICROMETRE = 1e-6
+_PER_PEAK = 16.0  # samples per period of the wavelet's peak frequency
+
+
+@dataclass(frozen=True, eq=False)
+class RenderJob:
+    """Renderers of a scenario with all that they need, for any G with the same ports.
+
+    methods : renderers in the scenario's order
+    wavelet : the stimulus on its record
+    targets : names of the outputs that are aimed at
+    window : what S is taken over: "wavelet", "record", or seconds
+    limits : of the actuators; none where the drive is no voltage
+    left_out : by method that cannot serve the ports, a sentence with cause and remedy
+    """
+
+    methods: tuple[Renderer, ...]
+    wavelet: Wavelet
+    targets: tuple[str, ...]
+    window: Window = "wavelet"
+    limits: Limits = field(default_factory=Limits)
+    left_out: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+    @classmethod
+    def of(
+        cls, scenario: Scenario, g: TransferMatrix, *, base: str | Path = ".", targets: Sequence[str] | None = None,
+        shape: Wavelet | None = None, progress: Progress | None = None,
+    ) -> Self:  # fmt: skip
+        """The scenario's renderers for the ports and the unit of ``g``; ``base`` is seen by the wavelet's file.
+
+        ``targets`` and the wavelet ``shape`` replace the scenario's. ScenarioError where no method serves the ports.
+        """
+        wanted, device = scenario.rendering, scenario.device
+        shape = wavelet(wanted, scenario.sweep, Path(base)) if shape is None else shape
+        aims = targets_of(scenario, g.outputs) if targets is None else tuple(targets)
+        left_out = unsuited(wanted, g.outputs, g.inputs, aims)
+        if len(left_out) == len(wanted.methods):
+            raise ScenarioError(f"rendering: {next(iter(left_out.values()), 'rendering.methods is empty; name one')}")
+        limits = Limits(device.max_voltage, device.max_power, device.coil.resistance) if g.unit == "m/V" else Limits()
+        methods = tuple(renderers(scenario, shape, frozenset(left_out), progress))
+        return cls(methods, shape, aims, wanted.window, limits, MappingProxyType(left_out))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the methods."""
+        return tuple(m.name for m in self.methods)
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """The window in seconds (start, end), None for the whole record."""
+        return window_of(self.window, self.wavelet)
+
+    def warn(self) -> None:
+        """An AccuracyWarning for each method that is left out."""
+        for sentence in self.left_out.values():
+            warnings.warn(sentence, AccuracyWarning, stacklevel=3)
+
+    def play(
+        self, design_on: TransferMatrix, play_on: TransferMatrix | None = None, *, progress: Progress | None = None
+    ) -> Rendering:
+        """Drives, displacements and S: aimed by ``design_on`` and played through it, or through ``play_on``.
+
+        Holes of either are bridged. Errors and warnings as of :func:`render_all`.
+        """
+        return render_all(
+            design_on, self.targets, self.methods, self.wavelet, self.limits, window=self.window, play_on=play_on,
+            progress=progress,
+        )  # fmt: skip
+
+    def account(self, transfer: TransferMatrix, rendering: Rendering) -> StrengthAccount:
+        """S of ``rendering``, which :meth:`play` made of ``transfer``, with its interval."""
+        measured = any(e.source == "measurement" for e in transfer.errors) or transfer.deviation is not None
+        return strength_account(rendering, self.methods, self.wavelet, measured)
+
+    def strengths(
+        self, design_on: TransferMatrix, *play_on: TransferMatrix, windows: Sequence[Window] = ()
+    ) -> FloatArray:
+        """S (n_window, n_play, n_method, n_target) of drives aimed by ``design_on``, as played on each of ``play_on``.
+
+        Keeps no signals and bridges no holes: for studies over many G. S is over the job's own window unless
+        ``windows`` name others.
+        """
+        aims, spans = self.targets, [window_of(w, self.wavelet) for w in windows or (self.window,)]
+        ready, methods = prepared(place(design_on, self.wavelet.record), self.methods, aims)
+        played = [ready if g is design_on else place(g, self.wavelet.record) for g in play_on or (design_on,)]
+        out = np.empty((len(spans), len(played), len(methods), len(aims)))
+        for m, method in enumerate(methods):
+            for t, target in enumerate(aims):
+                sent = drives(method, ready, target, self.wavelet)
+                for p, where in enumerate(played):
+                    moved, row = displacements(where, sent), where.row(target)
+                    for w, span in enumerate(spans):
+                        out[w, p, m, t] = plain_strength(moved.values, row, time=moved.time, window=span)
+        return out
+
+
+def render_transfer(
+    scenario: Scenario, transfer: TransferMatrix, *, base: str | Path = ".", progress: Progress | None = None
+) -> Rendering:
+    """The scenario's renderers on any G, simulated or measured.
+
+    Methods that cannot serve its ports are left out with an AccuracyWarning that names the remedy; ScenarioError if
+    none is left.
+    """
+    job = RenderJob.of(scenario, transfer, base=base, progress=progress)
+    job.warn()
+    return job.play(transfer, progress=progress)
+
+
+def targets_of(scenario: Scenario, outputs: Sequence[Port]) -> tuple[str, ...]:
+    """Names of the outputs that the scenario aims at."""
+    wanted = scenario.rendering.targets
+    return tuple(p.name for p in outputs) if wanted == "all" else tuple(wanted)
+
+
+def renderers(
+    scenario: Scenario,
+    shape: Wavelet,
+    left_out: frozenset[str] = frozenset(),
+    progress: Progress | None = None,
+) -> list[Renderer]:
+    """One renderer per method asked for and not ``left_out``, in the scenario's order.
+
+    A search for zero points maximises S over the scenario's window of the wavelet ``shape`` and tells ``progress``.
+    More than four actuators are damped for the accuracy that the scenario asks of G: two runs of one device are driven
+    alike, whatever each states of its own error.
+    """
+    options = scenario.rendering
+    zeros: AutoZeros | ThesisZeros | SearchedZeros | tuple[str, ...] = AutoZeros()
+    if options.zeros == "search":
+        zeros = SearchedZeros(window=window_of(options.window, shape), progress=progress)
+    elif options.zeros != "auto":
+        zeros = ThesisZeros() if options.zeros == "thesis" else options.zeros
+    rule = None
+    if options.regularisation != "auto":
+        rule = Regularisation(kind=options.regularisation, value=options.regularisation_value)
+    peak, least = options.amplitude * MICROMETRE, least_error(scenario)
+    known: dict[str, Renderer] = {
+        "inverse filter": InverseFilter(zeros=zeros, regularisation=rule, peak=peak, least_error=least),
+        "funneling": Funneling(amplitude=options.amplitude),
+        "combination": Combination(zeros=zeros, regularisation=rule, amplitude=options.amplitude, least_error=least),
+    }
+    return [known[m] for m in options.methods if m not in left_out]
+
+
+def least_error(scenario: Scenario) -> float:
+    """e(f) [-] that drives of more than four actuators are damped for at least."""
+    return max(LEAST_ERROR, scenario.accuracy)
+
+
+def wavelet(options: RenderingOptions, sweep: Sweep, base: Path) -> Wavelet:
+    """The Ricker wavelet, or the samples in the scenario's file, at the sweep's rate and duration."""
+    if options.wavelet.file is not None:
+        return from_samples_file(base / options.wavelet.file, sweep.sample_rate, sweep.duration)
+    return ricker(options.wavelet.peak, sample_rate=sweep.sample_rate, duration=sweep.duration)
+
+
+def unsuited(
+    options: RenderingOptions, outputs: tuple[Port, ...], inputs: tuple[Port, ...], targets: Sequence[str]
+) -> dict[str, str]:
+    """Methods that cannot serve these ports, each with a sentence that names cause and remedy."""
+    by_name = {p.name: p for p in outputs}
+    found: dict[str, str] = {}
+    for method in options.methods:
+        try:
+            if method != "inverse filter":
+                for target in (by_name[t] for t in targets if t in by_name):
+                    funneling_weights(inputs, target)
+            if method != "funneling" and options.zeros == "thesis":
+                lattice_of(outputs, "zero points by the corner rule, outputs")
+        except GeometryError as problem:
+            remedy = "add an actuator, or use the inverse filter"
+            if "corner rule" in str(problem):
+                remedy = "set rendering.zeros = 'auto', or name the points"
+            elif "outside" in str(problem):
+                remedy = "name rendering.targets between the actuators, or lower grid.pitch or raise device.spacing"
+            found[method] = f"{method} is left out: {problem}; {remedy}"
+    return found
+
+
+def check_servable(scenario: Scenario) -> dict[str, str]:
+    """:func:`unsuited` seen from above, before anything is solved.
+
+    ScenarioError if no method is left or there is no point beside the target, DataError if none of the record's bins
+    would have a G.
+    """
+    options, sweep = scenario.rendering, scenario.sweep
+    if options.methods:
+        band = frequencies(sweep)
+        place_on_bins(band, np.zeros((len(band), 1), dtype=complex), sweep.sample_rate, sweep.duration)
+    outputs, inputs = planform_ports(scenario)
+    if options.methods and len(outputs) < 2:
+        raise ScenarioError(
+            "grid: S holds the target's motion against that of the other points, and there is one point; add points, "
+            "or set rendering.methods = []"
+        )
+    found = unsuited(options, outputs, inputs, targets_of(scenario, outputs))
+    if options.methods and len(found) == len(options.methods):
+        raise ScenarioError(f"rendering: {next(iter(found.values()))}")
+    return found
+
+
+def is_on_bins(frequency: FloatArray, duration: float) -> bool:
+    """Whether ``frequency`` (n,) [Hz] are bins of a record of ``duration`` [s], to a thousandth of one."""
+    place = frequency * duration
+    return bool(np.allclose(place, np.rint(place), rtol=0, atol=1e-3))
+
+
+def wavelet_for(frequency: FloatArray, peak: float = 250.0) -> Wavelet:
+    """A Ricker wavelet of ``peak`` [Hz] in a record whose bins hold ``frequency`` (n,) [Hz] where these are evenly
+    spaced from 0; else the thesis' record of 2 s at 10 kHz, onto whose bins G is interpolated where that is safe."""
+    if len(frequency) < 2:
+        raise DataError("rendering needs at least two frequencies")
+    df = float(np.median(np.diff(frequency)))
+    k = frequency / df
+    if not np.allclose(k, np.rint(k), atol=1e-6 * k.max()):
+        return ricker(peak)
+    n = 2 * math.ceil(max(_PER_PEAK * peak, 4 * float(frequency[-1])) / df / 2)
+    return ricker(peak, sample_rate=n * df, duration=1 / df)
