@@ -141,7 +141,8 @@ def test_a_missing_file_is_said_before_the_command_begins(
     for p in next(c for name, c in every_command() if name == command).params:
         if p.required or p is given or p.name == given.name:
             named = [p.opts[0]] if p.param_type_name == "option" else []
-            there = {"scenario": "small.toml", "file": "small.toml", "pilot": "."}.get(p.name, "lab.csv")
+            fitting = {"scenario": "small.toml", "file": "small.toml", "pilot": ".", "participant": "01"}
+            there = fitting.get(p.name, "lab.csv")
             words += [*named, "missing.toml" if p.name == given.name else there]
     before = leftovers(lab)
     answer = cli(*words, cwd=lab)

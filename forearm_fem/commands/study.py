@@ -181,9 +181,9 @@ def _echoed(lines: list[str]) -> None:
 def stimuli(
     file: StudyFile,
     participant: Participant,
-    rate: Annotated[float, typer.Option(min=1000, max=768_000, help="of the sound card [Hz]")] = 48_000.0,
+    rate: Annotated[float, typer.Option(min=1000, max=768_000, help="of the sound card in Hz")] = 48_000.0,
     full_scale: Annotated[
-        float | None, typer.Option(min=1e-3, max=1e3, help="peak of the card's output at digital 1 [V]; default: "
+        float | None, typer.Option(min=1e-3, max=1e3, help="peak of the output at digital 1 in V; default: "
                                    "measurement.daq.output_range"),
     ] = None,
     declare: Declared = None,

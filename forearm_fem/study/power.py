@@ -124,7 +124,7 @@ def _eigenvalues(d: int, epsilon: float) -> FloatArray:
     def lacks(log_ratio: float) -> float:
         """Sphericity less the one wanted."""
         values = np.exp(log_ratio * np.arange(d))
-        return float(values.sum() ** 2 / (d * np.sum(values**2))) - epsilon
+        return float(np.sum(values) ** 2 / (d * np.sum(values**2))) - epsilon
 
     found = np.exp(optimize.brentq(lacks, -50.0, 0.0) * np.arange(d)) if epsilon > 1 / d + 1e-6 else np.eye(d)[0]
     return np.asarray(found * d / found.sum())
@@ -176,7 +176,7 @@ def _error_square(whole: FloatArray, sought: Sought) -> float:
     own = whole - whole.mean(axis=0)
     own = own - own.mean(axis=(1, 2), keepdims=True)
     by_target, by_method = own.mean(axis=2, keepdims=True), own.mean(axis=1, keepdims=True)
-    parts = {"location": (b * by_target**2, a - 1), "method": (a * by_method**2, b - 1),
+    parts: dict[str, tuple[FloatArray, int]] = {"location": (b * by_target**2, a - 1), "method": (a * by_method**2, b - 1),
              "pair": (a * by_method**2, b - 1),
              "location x method": ((own - by_target - by_method) ** 2, (a - 1) * (b - 1))}  # fmt: skip
     square, df = parts[sought]
