@@ -23,6 +23,8 @@ from pathlib import Path
 
 import psutil
 
+from forearm_fem.user_cache import default_cache_dir
+
 RESULTS = Path(__file__).parent / "results"
 GIGABYTE = 1e9
 
@@ -134,9 +136,8 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         told = Path(folder) / "told"
-        environment = {**os.environ, "FOREARM_FEM_CACHE": folder}
-        if not asked.warm:
-            environment["NUMBA_CACHE_DIR"] = folder
+        kernels = str(default_cache_dir() / "kernels") if asked.warm else folder
+        environment = {**os.environ, "FOREARM_FEM_CACHE": folder, "NUMBA_CACHE_DIR": kernels}
         command = [sys.executable, __file__, str(asked.scenario), "--child", str(Path(folder) / "out"), str(told)]
         began, samples = watched(command, environment)
         parts = stages(began, told, samples)

@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 
 from forearm_fem.device import close_loop
+from forearm_fem.engines.fem import solve_fem
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.place import place_ports
-from forearm_fem.pipeline.fem_engine import solve_fem
 from forearm_fem.prediction.arm import Answer, ReducedArm, arm_model, on_mesh_of
 from forearm_fem.prediction.draws import draw_inputs, scenario_of
 from forearm_fem.prediction.outcome import Setup, setup_of

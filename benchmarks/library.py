@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from forearm_fem.library import ArmLibrary, load_library, make_library, save_library
-from forearm_fem.library.arm import library_skin
+from forearm_fem.engines.library import ArmLibrary, load_library, make_library, save_library
+from forearm_fem.engines.library.arm import library_skin
 from forearm_fem.pipeline import simulate
 from forearm_fem.pipeline.simulation import account_of, render_transfer
 from forearm_fem.ports import positions

@@ -12,8 +12,8 @@ import time
 
 import numpy as np
 
+from forearm_fem.engines.layered import flat_disc, flat_layers, flat_ports, solve_layered
 from forearm_fem.layered import Disc, Layer, bonded_disc, layered_compliance, rigid_disc
-from forearm_fem.pipeline.layered_engine import flat_disc, flat_layers, flat_ports, solve_layered
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.typing import ComplexArray

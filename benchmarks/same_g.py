@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from forearm_fem.io import read_transfer
+from forearm_fem.user_cache import default_cache_dir
 
 ROOT = Path(__file__).parents[1]
 MOST = 1e-12  # a rearranged program rounds the same way, or very nearly
@@ -23,7 +24,8 @@ MOST = 1e-12  # a rearranged program rounds the same way, or very nearly
 
 def solved(package: Path, scenario: Path, overrides: list[str], out: Path) -> np.ndarray:
     """G (n_frequency, n_out, n_in) of ``scenario`` by the package in the folder ``package``."""
-    where = {**os.environ, "PYTHONPATH": str(package), "PYTHONSAFEPATH": "1", "FOREARM_FEM_CACHE": str(out / "cache")}
+    caches = {"FOREARM_FEM_CACHE": str(out / "cache"), "NUMBA_CACHE_DIR": str(default_cache_dir() / "kernels")}
+    where = {**os.environ, "PYTHONPATH": str(package), "PYTHONSAFEPATH": "1", **caches}
     options = [part for pair in overrides for part in ("--set", pair)]
     command = [sys.executable, "-m", "forearm_fem", "solve", str(scenario), "--out", str(out), *options]
     subprocess.run(command, env=where, cwd=out.parent, check=True, stdout=subprocess.DEVNULL)

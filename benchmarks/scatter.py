@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
+from forearm_fem.engines.fem import fem_model
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.pipeline.fem_engine import fem_model
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.typing import ComplexArray

@@ -49,6 +49,7 @@ mathjax_path = "mathjax/tex-chtml.js"  # beside the pages: the manual is read wi
 autodoc_typehints = "none"  # signatures name the types; doubled lists of them hide the sentences
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True  # a default that is a table is named, not printed
+toc_object_entries = False  # else each page carries a tree of all objects: two thirds of the build
 autodoc_mock_imports = ["nvmath", "cupy"]
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False

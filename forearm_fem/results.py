@@ -136,7 +136,8 @@ class StrengthRecord(_Record):
 
 class RunRecord(_Record):
     """Everything on record of a run. ``program`` is the version that made it, ``stages`` in the order they ran;
-    ``warnings`` were told apart from ``notes`` by early versions."""
+    ``warnings`` were told apart from ``notes`` by early versions; ``asked`` is the scenario as the command named it,
+    with what it set."""
 
     program: str
     stages: Mapping[str, StageCost]
@@ -151,6 +152,7 @@ class RunRecord(_Record):
     condition_number: ConditionRecord = ConditionRecord()
     signal_strength: StrengthRecord = StrengthRecord()
     warnings: tuple[str, ...] = ()
+    asked: str = ""
 
     @classmethod
     def empty(cls) -> RunRecord:

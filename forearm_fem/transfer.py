@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from .arguments import checked
 from .errors import DataError, SolverError
 from .ports import Port
+from .store.record import dims
 from .typing import BoolArray, ComplexArray, FloatArray
 
 __all__ = [
@@ -63,9 +64,14 @@ class ErrorEstimate:
     source: ErrorSource
     band: float
     method: str
-    frequency: tuple[float, ...] = ()
-    per_frequency: tuple[float, ...] = ()
-    per_pair: FloatArray | None = field(default=None, compare=False, repr=False)
+    frequency: tuple[float, ...] = field(default=(), metadata=dims("frequency", units="Hz"))
+    per_frequency: tuple[float, ...] = field(
+        default=(), metadata=dims("frequency", units="1", long_name="e(f)")
+    )
+    per_pair: FloatArray | None = field(
+        default=None, compare=False, repr=False,
+        metadata=dims("frequency output input", single=True, units="1", long_name="|dG_ij| over the largest |G_ij|"),
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         for name in ("frequency", "per_frequency"):
@@ -106,9 +112,17 @@ class Compliance:
     ports are NaN: a point force under itself is infinite. ``frequency`` [Hz] is increasing and positive.
     """
 
-    frequency: FloatArray
-    values: ComplexArray
-    ports: tuple[Port, ...]
+    kind: ClassVar[str] = "compliance"
+    version: ClassVar[int] = 1
+
+    frequency: FloatArray = field(metadata=dims("frequency", units="Hz"))
+    values: ComplexArray = field(
+        metadata=dims(
+            "frequency port loaded_port", name="", units="m/N",
+            long_name="displacement per unit force; NaN for a point force under itself",
+        )
+    )  # fmt: skip
+    ports: tuple[Port, ...] = field(metadata=dims("port"))
     errors: tuple[ErrorEstimate, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -133,15 +147,26 @@ class TransferMatrix:
     deviations, and for a unit that is none of m/V, m/N and m/m.
     """
 
-    frequency: FloatArray
-    values: ComplexArray
-    outputs: tuple[Port, ...]
-    inputs: tuple[Port, ...]
+    frequency: FloatArray = field(metadata=dims("frequency", units="Hz"))
+    values: ComplexArray = field(
+        metadata=dims("frequency output input", name="G", units="=unit", long_name="displacement per unit drive")
+    )
+    outputs: tuple[Port, ...] = field(metadata=dims("output"))
+    inputs: tuple[Port, ...] = field(metadata=dims("input"))
     unit: str = "m/V"
-    contacts: ComplexArray | None = None
-    valid: BoolArray | None = None
-    deviation: FloatArray | None = None
-    errors: tuple[ErrorEstimate, ...] = ()
+    contacts: ComplexArray | None = field(
+        default=None, metadata=dims("frequency cone input", name="G_contacts", units="=unit")
+    )
+    valid: BoolArray | None = field(
+        default=None, metadata=dims("frequency output input", name="G_valid", long_name="entries that may be used")
+    )
+    deviation: FloatArray | None = field(
+        default=None,
+        metadata=dims(
+            "frequency output input", name="G_deviation", units="=unit", long_name="standard deviation"
+        ),
+    )  # fmt: skip
+    errors: tuple[ErrorEstimate, ...] = field(default=(), metadata=dims(name="G_errors"))
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

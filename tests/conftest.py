@@ -103,7 +103,7 @@ def same_integrals_once(integrals: dict[bytes, Any]) -> Iterator[None]:
     """For files that solve one layered scene many times, or many that differ elsewhere: integrals of the same arguments
     are computed once. Not for tests of the integrals, of progress or of interruption.
     """
-    from forearm_fem.pipeline import layered_engine
+    from forearm_fem.engines import layered as layered_engine
     from forearm_fem.prediction import arm
 
     computed = layered_engine.layered_compliance

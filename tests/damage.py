@@ -18,6 +18,7 @@ from bad_files import CORNERS, TETRA
 from test_measurement_scene import INPUTS, OUTPUTS, RATE, wave_matrix
 
 from forearm_fem import io
+from forearm_fem.engines.skin_model import ReducedFile
 from forearm_fem.errors import ForearmError
 from forearm_fem.geometry.limb.prisms import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
@@ -29,12 +30,12 @@ from forearm_fem.io.matlab_import import write_mat5, write_mat73
 from forearm_fem.io.reading import RecognitionWarning
 from forearm_fem.io.recognise import read_measured
 from forearm_fem.io.recording import Recording
-from forearm_fem.io.reduced import ReducedFile, read_reduced, write_reduced
 from forearm_fem.io.seal import MARK
 from forearm_fem.io.tdms import read_sweep_tdms, write_sweep_tdms, write_tdms
 from forearm_fem.io.uff import write_uff
 from forearm_fem.io.wav import read_wav_drives, write_wav_drives
 from forearm_fem.measurement.store import read_recording, write_recording
+from forearm_fem.store.record import load, save
 from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield
 
 RNG = np.random.default_rng(0)
@@ -48,13 +49,12 @@ DECLARED = Declaration(
 DRIVES = RNG.standard_normal((4, 100))
 SIGNALS = io.Signals(RNG.standard_normal((1, 2, 4, 50)), ("a",), ("1", "5"), tuple("wxyz"), np.arange(50) * 1e-4, "V")
 REDUCED = ReducedFile(
-    ("k", "m"), np.stack([np.eye(6), 2 * np.eye(6)]), RNG.standard_normal((6, 4)), np.ones(4), INPUTS, {"a": 1}, {}
+    ("k", "m"), np.stack([np.eye(6), 2 * np.eye(6)]), RNG.standard_normal((6, 4)), np.ones(4), INPUTS, {"a": 1}
 )
 FIELD = Wavefield(
     np.arange(5.0) + 10, np.float64(np.float32(RNG.standard_normal((40, 3, 6)))), np.ones((5, 6, 4)) * (1 + 2j)
 )
 RECORDING = Recording("1", "A1", RATE, RNG.standard_normal(200), RNG.standard_normal((2, 200)))
-ROWS = io.strength_rows(("inverse filter", "funneling"), ("1", "5"), np.array([[1.25, 2.5], [0.125, 3.75]]))
 
 
 def _block() -> TissueMesh:
@@ -86,7 +86,7 @@ def _mat(file: Path) -> Any:
 FORMATS = (
     Format("transfer.nc", lambda p: io.write_transfer(p, G), io.read_transfer),
     Format("drives.nc", lambda p: io.write_drives(p, SIGNALS), io.read_drives),
-    Format("reduced.nc", lambda p: write_reduced(p, REDUCED), read_reduced),
+    Format("reduced.nc", lambda p: save(p, REDUCED), lambda p: load(p, ReducedFile)),
     Format("mat5.mat", lambda p: write_mat5(p, G), _mat),
     Format("thesis.mat", lambda p: io.write_thesis_mat(p, G, 200.0, 1.0), io.read_thesis_mat),
     Format("mat73.mat", lambda p: write_mat73(p, G), _mat),
@@ -99,7 +99,6 @@ FORMATS = (
     Format("recording.npz", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
     Format("mesh.vtu", lambda p: write_mesh(MESH, p), read_mesh),
     Format("mesh.msh", lambda p: write_mesh(MESH, p), read_mesh),
-    Format("signal_strength.csv", lambda p: io.write_signal_strength_csv(p, ROWS), io.read_signal_strength_csv),
 )
 
 
@@ -186,7 +185,8 @@ def same(a: Any, b: Any) -> bool:
         return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
     if dataclasses.is_dataclass(a) and not isinstance(a, type):
         names = [f.name for f in dataclasses.fields(a) if f.name != "provenance"]
-        return type(a) is type(b) and all(same(getattr(a, n), getattr(b, n)) for n in names)
+        kin = isinstance(a, type(b)) or isinstance(b, type(a))
+        return kin and all(same(getattr(a, n), getattr(b, n)) for n in names)
     if isinstance(a, tuple | list):
         return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, dict):

@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
+from forearm_fem.accuracy.discretisation import discretisation_error, remaining_error
+from forearm_fem.accuracy.dispersion import NumericalDispersion
+from forearm_fem.engines.second_mesh import second_mesh
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.layered import Disc, layered_compliance
-from forearm_fem.pipeline.dispersion import Lags
-from forearm_fem.pipeline.second_mesh import second_mesh
-from forearm_fem.pipeline.two_meshes import judged, remaining_error
 from forearm_fem.scenario import Scenario
 from forearm_fem.transfer import band_error
 from forearm_fem.typing import ComplexArray
@@ -186,8 +186,8 @@ def effectivities(slabs: Sequence[Slab]) -> Iterator[Effectivity]:
             fine = slab_response(model, band.tolist())[:, 1:]
             coarse = slab_response(slab_model(scenario, mesh=second.mesh), band.tolist())[:, 1:]
             points, contacts = (tuple(p for p in model.ports if p.kind == kind) for kind in ("point", "contact"))
-            waves = Lags.of(scenario, model.space.mesh, points, contacts)
+            waves = NumericalDispersion.of(scenario, model.space.mesh, points, contacts)
             lags = (waves.phases(scenario, band, scale) for scale in (1.0, max(second.ratio, 1.0)))
-            rule = judged(coarse[:, :, None], fine[:, :, None], band, second.ratio, *lags)
+            rule = discretisation_error(coarse[:, :, None], fine[:, :, None], band, second.ratio, *lags)
             true, middle = band_error(fine, truth), float(np.abs(fine[1] - truth[1]).max() / np.abs(truth[1]).max())
             yield Effectivity(scene_name(slab), scale, model.operator.n, rule.band, true, float(rule.error[1]), middle)

@@ -14,6 +14,7 @@ import pytest
 from cli_runner import SMALL, cli, leftovers
 from test_compare import A
 
+from forearm_fem.accuracy.estimates import accuracy_verdict
 from forearm_fem.campaign.model import load_campaign
 from forearm_fem.compare.common import common_ground
 from forearm_fem.compare.compare import compare
@@ -29,7 +30,6 @@ from forearm_fem.measurement.play import LONGEST, play
 from forearm_fem.measurement.run import VirtualSetup
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions
 from forearm_fem.pipeline.simulation import render, simulate
-from forearm_fem.pipeline.verdict import accuracy_verdict
 from forearm_fem.pipeline.wave_report import _twin, thesis_fit
 from forearm_fem.ports import Port, distances
 from forearm_fem.prediction import run as runs

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from forearm_fem.engines import solved
+from forearm_fem.engines.solved import solve_key
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import mesh_key
 from forearm_fem.geometry.mesh.tissue_mesh import Bends
-from forearm_fem.pipeline import solved
-from forearm_fem.pipeline.solved import solve_key
 from forearm_fem.scenario import apply_overrides, parse_scenario
 
 SLAB = {

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 from cli_runner import SMALL, cli
 
-from forearm_fem.campaign import CampaignResult, executor, load_campaign, run, run_campaign
-from forearm_fem.campaign.executor import in_turn
+from forearm_fem.accuracy.estimates import short_verdict
+from forearm_fem.campaign import CampaignResult, load_campaign, run, run_campaign
 from forearm_fem.campaign.member import MemberJob
 from forearm_fem.campaign.model import DrawTable, draws
 from forearm_fem.errors import MissingExtra, ScenarioError, SolverError
-from forearm_fem.pipeline.verdict import short_verdict
 from forearm_fem.prediction.run import Question
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
+from forearm_fem.store import work
 from forearm_fem.tissue import PRESETS
 
 QUICK = "set = { sweep = { frequencies = [100.0, 200.0] } }\n"
@@ -43,13 +43,13 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Here:
     def client(*_: object) -> Iterator[Here]:
         yield log
 
-    def results(client: Here, work: Any, jobs: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    def results(client: Here, do: Any, jobs: dict[str, Any]) -> Iterator[tuple[str, Any]]:
         for key, job in reversed(jobs.items()):
             client.ran.append(job.name)
-            yield key, work(job)
+            yield key, do(job)
 
-    monkeypatch.setattr(run, "cluster", client)
-    monkeypatch.setattr(run, "completed", results)
+    monkeypatch.setattr(work, "cluster", client)
+    monkeypatch.setattr(work, "completed", results)
     return log
 
 
@@ -293,9 +293,6 @@ def test_without_dask_members_run_here_and_who_asks_for_processes_is_told_the_ex
     assert [m.problem for m in start(file).members] == ["", ""]
     with pytest.raises(MissingExtra, match=r"forearm-fem\[campaign\]"):
         run_campaign(load_campaign(file), tmp_path / "again", workers=2)
-    assert in_turn(None, None)
-    assert not in_turn(None, 2)
-    assert not in_turn("tcp://head:8786", None)
 
 
 def test_memory_limits_the_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -308,7 +305,7 @@ def test_memory_limits_the_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_no_scheduler_at_the_address_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executor, "PATIENCE", 0.5)
+    monkeypatch.setattr(work, "PATIENCE", 0.5)
     file = made(tmp_path, "")
     with pytest.raises(SolverError, match="no Dask scheduler"):
         run_campaign(load_campaign(file), tmp_path / "out", scheduler="tcp://127.0.0.1:1")
@@ -339,7 +336,7 @@ def test_ctrl_c_waits_for_processes_that_start_or_end(moment: str, monkeypatch: 
 
     monkeypatch.setattr(distributed, "LocalCluster", StandIn)
     monkeypatch.setattr(distributed, "Client", StandIn)
-    with pytest.raises(KeyboardInterrupt), executor.cluster(None, lambda: 1):
+    with pytest.raises(KeyboardInterrupt), work.cluster(None, 1, "a campaign"):
         assert moment == "ends", "the work is not begun"
     assert seen == ["started", "started", "ended", "ended"]
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from cli_runner import SMALL, cli
 
-from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.recognise import write_measured
+from forearm_fem.store.results import read_transfer
 from forearm_fem.transfer import band_error
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once", "blank_pictures")

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import forearm_fem
+from forearm_fem.engines import fem as fem_engine
+from forearm_fem.engines.fem import solve_fem
 from forearm_fem.fem.kernels import jit
 from forearm_fem.fem.kernels.compiled import compiled
 from forearm_fem.fem.linear import pardiso
 from forearm_fem.fem.linear.multifrontal.factor import MultifrontalFactor
 from forearm_fem.fem.reduction import compile_ahead
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.pipeline import fem_engine
-from forearm_fem.pipeline.fem_engine import solve_fem
 from forearm_fem.scenario import parse_scenario
 
 # kernels of the assembly, needed before the process is ready; where none is kept they compile what they call

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from forearm_fem.accuracy.dispersion import NumericalDispersion, phase_error
 from forearm_fem.device import close_loop
+from forearm_fem.engines.layered import solve_layered
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports
-from forearm_fem.pipeline.dispersion import Lags, phase_error
 from forearm_fem.pipeline.folder import Run, run_solve
-from forearm_fem.pipeline.layered_engine import solve_layered
 from forearm_fem.pipeline.notes import near_disc_notes
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.results import read_run
@@ -152,7 +152,8 @@ def test_the_lag_falls_with_the_fourth_power_of_the_size_of_second_order_element
     mesh = build_mesh(scenario)
     ports = place_ports(scenario, mesh)
     points, contacts = (tuple(p for p in ports if p.kind == kind) for kind in ("point", "contact"))
-    fine, finer = (Lags.of(scenario, mesh, points, contacts).phases(scenario, FREQUENCY, scale) for scale in (0.2, 0.1))
+    waves = NumericalDispersion.of(scenario, mesh, points, contacts)
+    fine, finer = (waves.phases(scenario, FREQUENCY, scale) for scale in (0.2, 0.1))
     assert fine.shape == (2, 3, 1)
     assert fine / finer == pytest.approx(np.full((2, 3, 1), 16.0))
     assert (np.diff(fine[:, :, 0], axis=1) > 0).all()  # later the longer the way

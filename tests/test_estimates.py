@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from forearm_fem.accuracy.estimates import accuracy_verdict
 from forearm_fem.cli import app
+from forearm_fem.engines import second_mesh as module
+from forearm_fem.engines.second_mesh import second_mesh
+from forearm_fem.engines.solved import Solved, solve_key
 from forearm_fem.errors import GeometryError, MeshError, SolverError
 from forearm_fem.fem.assembly.terms import term_coefficient
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import cached_mesh, mesh_key
 from forearm_fem.geometry.device.sizing import element_sizes
 from forearm_fem.geometry.mesh.quality import mean_ratio
-from forearm_fem.pipeline import second_mesh as module
 from forearm_fem.pipeline.folder import Run, run_all
-from forearm_fem.pipeline.second_mesh import second_mesh
 from forearm_fem.pipeline.simulation import simulate, with_device
-from forearm_fem.pipeline.solved import Solved, solve_key
-from forearm_fem.pipeline.verdict import accuracy_verdict
 from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.supports import Supports
@@ -369,7 +369,7 @@ def test_supports_are_part_of_a_solves_key(cold):
 
 
 def test_no_number_that_is_not_finite_leaves_a_solve(monkeypatch, cold):
-    monkeypatch.setattr("forearm_fem.pipeline.fem_engine.masked", lambda values, _: values * np.nan)
+    monkeypatch.setattr("forearm_fem.engines.fem.masked", lambda values, _: values * np.nan)
     with pytest.raises(SolverError, match=r"compliance: .* no finite number, the first at 100 Hz"):
         run_all(Run.start(parse_scenario(SLAB), cold / "out", Path()))
     assert not (cold / "out" / "transfer.nc").exists()

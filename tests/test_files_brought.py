@@ -11,6 +11,7 @@ import pytest
 from bad_files import CORNERS
 from bad_meshes import BROUGHT, FINE, FINE_TETRA, MESHES, REST, SURFACES, Brought
 
+from forearm_fem.engines.forecast import doubts_of
 from forearm_fem.errors import ForearmError, GeometryError, MeshError
 from forearm_fem.geometry import build
 from forearm_fem.geometry.build import build_mesh
@@ -25,7 +26,6 @@ from forearm_fem.geometry.user.cells import joined
 from forearm_fem.geometry.user.extent import check_room
 from forearm_fem.geometry.user.meshes import user_mesh
 from forearm_fem.geometry.user.surfaces import read_surfaces
-from forearm_fem.pipeline.forecast import doubts_of
 from forearm_fem.scenario import load_scenario, parse_scenario
 
 WRONG = [case for case in BROUGHT if case.says]

@@ -38,7 +38,6 @@ from forearm_fem.errors import ForearmError
 from forearm_fem.io.csvfiles import write_csv
 from forearm_fem.io.declaration import Declaration
 from forearm_fem.io.matlab_import import write_mat73
-from forearm_fem.io.netcdf import write_transfer
 from forearm_fem.io.reading import RecognitionWarning
 from forearm_fem.io.recognise import read_measured
 from forearm_fem.io.seal import MARK
@@ -51,6 +50,7 @@ from forearm_fem.measurement.entry import entry
 from forearm_fem.measurement.play import play
 from forearm_fem.measurement.sweep import excited
 from forearm_fem.measurement.virtual import Faults, noise_for
+from forearm_fem.store.results import write_transfer
 
 DOCS = Path(__file__).parents[1] / "docs" / "measurement.md"
 BEGIN, END = "<!-- damaged: begin -->", "<!-- damaged: end -->"

@@ -50,14 +50,13 @@ def test_numbers_of_a_file_are_protected_wherever_they_stand(name, tmp_path):
         file.write_bytes(bytes(changed))
         what, said = outcome(form, file, whole)
         assert what == "refused", (at, what, said)
-    if name != "signal_strength.csv":  # its seal lies beside it
-        assert MARK in content
-        file.write_bytes(without_seals(content))
-        assert same(form.read(file), whole)
+    assert MARK in content
+    file.write_bytes(without_seals(content))
+    assert same(form.read(file), whole)
 
 
 @pytest.mark.parametrize(
-    "name", [n for n in TEXT_SEALS if n not in ("run.json", "wavefield.npz", "signal_strength.csv")]
+    "name", [n for n in TEXT_SEALS if n not in ("run.json", "wavefield.npz")]
 )
 def test_damage_to_one_mark_is_convicted_by_another(name, tmp_path):
     form, file = BY_NAME[name], tmp_path / name
@@ -124,16 +123,6 @@ def test_a_csv_with_other_line_ends_is_the_same_and_an_edited_one_says_how(tmp_p
         form.read(file)
     file.write_bytes(b"\n".join(line for line in edited.split(b"\n") if not line.startswith(b"# " + MARK)))
     assert form.read(file).outputs[0].position[0] == -0.0134
-
-
-def test_a_table_without_its_checksum_is_taken_as_it_is(tmp_path):
-    form, file = BY_NAME["signal_strength.csv"], tmp_path / "signal_strength.csv"
-    form.write(file)
-    file.write_text(file.read_text().replace("1.25", "1.35"))
-    with pytest.raises(DataError, match=r"delete signal_strength\.csv\.sha256 if you edited it on purpose"):
-        form.read(file)
-    (tmp_path / "signal_strength.csv.sha256").unlink()
-    assert form.read(file)[0].S == 1.35
 
 
 _FULL = """

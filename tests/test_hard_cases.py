@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from forearm_fem.accuracy.discretisation import COARSER, remaining_error
 from forearm_fem.errors import GeometryError, MeshError, SolverError
 from forearm_fem.fem.assembly.model import ForearmModel, build_model
 from forearm_fem.fem.reduction.poles import pole_residue
@@ -15,7 +16,6 @@ from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.layered import Disc, Layer, layered_compliance
-from forearm_fem.pipeline.two_meshes import COARSER, remaining_error
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.supports import Supports

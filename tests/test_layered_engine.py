@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from forearm_fem.engines.layered import flat_disc, flat_ports, solve_layered
 from forearm_fem.errors import ForearmError, GeometryError, ScenarioError
-from forearm_fem.pipeline.layered_engine import flat_disc, flat_ports, solve_layered
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import relative_error
@@ -95,7 +95,7 @@ def test_points_far_away_err_by_more_of_their_own_size(monkeypatch):
     device = {"contacts": [[0.0, 0.0]], "drive": "force", "cone": {"contact": "pressure"}}
     there = parse_scenario(scene(engine="layered", device=device, grid=far, limb=LONG, sweep={"frequencies": [300.0]}))
     found = simulate(there).transfer
-    monkeypatch.setattr("forearm_fem.pipeline.layered_engine._TOLERANCE", 1e-11)
+    monkeypatch.setattr("forearm_fem.engines.layered._TOLERANCE", 1e-11)
     true = float(relative_error(found.values, simulate(there).transfer.values)[0])
     stated = found.errors[0].worst
     assert true < stated < 100 * true  # quadrature's own control overstates

@@ -9,7 +9,19 @@ from cli_runner import cli
 from scipy.sparse.linalg import lsqr
 from scipy.special import j1, spherical_jn
 
+from forearm_fem.accuracy.of_library import moved_by_stretch
 from forearm_fem.device import close_loop
+from forearm_fem.engines.fem import fem_model
+from forearm_fem.engines.layered import flat_layers
+from forearm_fem.engines.library import is_library, load_library, make, make_library, save_library, side, store
+from forearm_fem.engines.library.arm import _Asked, _Part, library_skin
+from forearm_fem.engines.library.between import Lattice, Prior, Shape, shape_of
+from forearm_fem.engines.library.flat_bells import between_flat_bells, flat_compliance, pair_distances
+from forearm_fem.engines.library.hold import deviation_held, held
+from forearm_fem.engines.library.kept import Side
+from forearm_fem.engines.library.loads import Bells, bell_functionals
+from forearm_fem.engines.library.make import loaded_skin, meshed_scenario
+from forearm_fem.engines.library.skin import FlatSkin, flat_skin
 from forearm_fem.errors import AccuracyWarning, DataError, ForearmError, GeometryError, ScenarioError
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.geometry.cache import cached_mesh
@@ -18,22 +30,11 @@ from forearm_fem.layered import Layer, Surface, surface_kernel
 from forearm_fem.layered.discs import Disc
 from forearm_fem.layered.integrals import Medium
 from forearm_fem.layered.tables import tabulate
-from forearm_fem.library import is_library, load_library, make, make_library, save_library, side, store
-from forearm_fem.library.arm import _Asked, _Part, library_skin
-from forearm_fem.library.between import Lattice, Prior, Shape, shape_of
-from forearm_fem.library.flat_bells import between_flat_bells, flat_compliance, pair_distances
-from forearm_fem.library.hold import deviation_held, held
-from forearm_fem.library.kept import Side
-from forearm_fem.library.loads import Bells, bell_functionals
-from forearm_fem.library.make import loaded_skin, meshed_scenario
-from forearm_fem.library.skin import FlatSkin, flat_skin
-from forearm_fem.library.stated import moved_by_stretch
 from forearm_fem.pipeline import simulate
-from forearm_fem.pipeline.fem_engine import fem_model
-from forearm_fem.pipeline.layered_engine import flat_layers
 from forearm_fem.pipeline.simulation import render_transfer
 from forearm_fem.ports import Port, positions
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
+from forearm_fem.store.shelf import WORK, Shelf
 
 SLAB = {
     "accuracy": 0.3,
@@ -528,12 +529,17 @@ def asked_design(library, tmp_path):
     return tmp_path / "design.toml", tmp_path / "arm.nc"
 
 
+def candidates_of(folder):
+    shelf = Shelf(folder / WORK)
+    return [shelf.get(key) for key in shelf.known()]
+
+
 def test_a_design_is_searched_on_a_library(library, asked_design, tmp_path):
     """S of each candidate is that of a run with the library; what lies off the patch cannot be."""
     file, arm = asked_design
     said = cli("design", file, "--library", arm, "--out", tmp_path / "out", "--no-confirm")
     assert said.code == 0, said
-    rows = [json.loads(line)["candidate"] for line in (tmp_path / "out/candidates.jsonl").read_text().splitlines()]
+    rows = candidates_of(tmp_path / "out")
     off = [row for row in rows if row["problem"]]
     assert len(rows) == 3
     assert ["off the library's patch" in row["problem"] for row in off] == [True]
@@ -547,7 +553,7 @@ def test_a_design_is_searched_on_a_library(library, asked_design, tmp_path):
     assert json.loads((tmp_path / "out/best.json").read_text())["values"] == best["values"]
     many = cli("design", file, "--library", arm, "--out", tmp_path / "many", "--no-confirm", "--workers", "2")
     assert many.code == 0, many
-    others = [json.loads(line)["candidate"] for line in (tmp_path / "many/candidates.jsonl").read_text().splitlines()]
+    others = candidates_of(tmp_path / "many")
     for row in rows:  # two processes end in any order
         (other,) = (o for o in others if o["values"] == row["values"])
         assert other["problem"] == row["problem"]

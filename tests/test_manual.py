@@ -17,9 +17,9 @@ import pytest
 from cli_runner import every_command
 from test_skin_model import SCENE
 
+from forearm_fem.engines.forecast import forecast
+from forearm_fem.engines.layered import flat_ports
 from forearm_fem.pipeline.folder import Run, run_solve
-from forearm_fem.pipeline.forecast import forecast
-from forearm_fem.pipeline.layered_engine import flat_ports
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario, scenario_schema
 
 HOME = Path(__file__).parents[1]

@@ -29,7 +29,6 @@ from test_measurement_scene import (
 )
 
 from forearm_fem.errors import AccuracyWarning, DataError, HardwareError, ScenarioError
-from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.io.wav import write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected
 from forearm_fem.measurement.play import play
@@ -37,6 +36,7 @@ from forearm_fem.measurement.run import VirtualSetup, calibration_plan, run_cali
 from forearm_fem.measurement.store import read_recording
 from forearm_fem.measurement.virtual import Faults, VirtualDaq, VirtualOptions
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.store.results import read_transfer
 
 SCENE = part(wave_matrix(), 3, 2)
 PERIODS = 5 * SWEEP.n  # samples per entry: lead-in and 4 repeats

@@ -13,12 +13,11 @@ from scipy.fft import irfft, rfft, rfftfreq
 from scipy.signal import chirp
 
 from forearm_fem.errors import DataError, HardwareError
-from forearm_fem.io.netcdf import read_transfer
-from forearm_fem.io.signals import read_drives
 from forearm_fem.measurement.daq import OpenDevice, Wiring
 from forearm_fem.measurement.loopback import delay_of, loopback, read_loopback
 from forearm_fem.measurement.sound import SoundCard
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions, VirtualSensor
+from forearm_fem.store.results import read_drives, read_transfer
 from forearm_fem.transfer import band_error
 
 RATE = 48_000.0

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from forearm_fem.accuracy.perturbed import perturbed
 from forearm_fem.errors import AccuracyWarning, DataError
 from forearm_fem.metrics import (
     area,
@@ -25,7 +26,6 @@ from forearm_fem.metrics import (
     spot_radius,
     thesis_table,
 )
-from forearm_fem.metrics.uncertainty import perturbed
 from forearm_fem.ports import Port
 from forearm_fem.transfer import (
     ErrorEstimate,

@@ -17,6 +17,11 @@ from forearm_fem.compare.adapters import (
 from forearm_fem.compare.fit import fit
 from forearm_fem.compare.run import run_fit
 from forearm_fem.device import close_loop
+from forearm_fem.engines import parametric
+from forearm_fem.engines.fem import fem_model
+from forearm_fem.engines.layered import flat_ports
+from forearm_fem.engines.parametric import ParametricFile, Ranges, parametric_model
+from forearm_fem.engines.skin_model import with_scenario
 from forearm_fem.errors import DataError, ReductionError, ScenarioError, SolverError
 from forearm_fem.fem.linear.direct import DirectSolver
 from forearm_fem.fem.reduction.basis import Basis, rough_extension
@@ -28,16 +33,12 @@ from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.fem.reduction.united import Growth
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.grid_places import GridPlaces
-from forearm_fem.pipeline import parametric
-from forearm_fem.pipeline.fem_engine import fem_model
-from forearm_fem.pipeline.layered_engine import flat_ports
-from forearm_fem.pipeline.parametric import Ranges, load_parametric, parametric_model, save_parametric
-from forearm_fem.pipeline.skin_model import with_scenario
 from forearm_fem.prediction.arm import LayeredArm, ReducedArm, _nearness, arm_model, on_mesh_of
 from forearm_fem.prediction.draws import draw_inputs, scenario_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.store.record import load, save
 from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import Compliance, band_error
 
@@ -171,12 +172,12 @@ def test_it_is_made_once_and_read_back(model, tmp_path, monkeypatch):
     assert again.checks == model.checks
     with pytest.raises(TypeError):
         parametric_model(parse_scenario(SCENE), growth=Growth(solves=9))
-    save_parametric(tmp_path / "parametric.nc", model)
+    save(tmp_path / "parametric.nc", ParametricFile.of(model))
     broken = bytearray((tmp_path / "parametric.nc").read_bytes())
     broken[len(broken) // 2] ^= 0xFF
     (tmp_path / "parametric.nc").write_bytes(broken)
     with pytest.raises(DataError):
-        load_parametric(tmp_path / "parametric.nc")
+        load(tmp_path / "parametric.nc", ParametricFile)
 
 
 SMALL = Growth(rate=5, solves=3, checks=2, parts=2, states=15)
@@ -222,7 +223,7 @@ def test_what_was_finished_before_an_interruption_is_not_made_again(tmp_path, mo
         one, other = (m.compliance(draw, PROBES) for m in (whole, halting))
         assert np.array_equal(np.nan_to_num(one.values), np.nan_to_num(other.values))
         assert one.errors == other.errors
-    assert not list((tmp_path / "halting").rglob("*.parts"))  # nothing is left beside the finished model
+    assert not list((tmp_path / "halting").rglob("*-parts.sqlite"))  # nothing is left beside the finished model
 
 
 def test_damaged_parts_are_made_again(tmp_path, monkeypatch):

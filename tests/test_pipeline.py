@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from forearm_fem.engines.fem import FemSolution
+from forearm_fem.engines.solved import _Store, field_modes
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.linear import direct
 from forearm_fem.fem.linear.factor import available_backends
@@ -16,13 +18,11 @@ from forearm_fem.fem.reduction import sweep
 from forearm_fem.fem.reduction.expansion import Expansion
 from forearm_fem.geometry.mesh.subdivision import with_finer_skin
 from forearm_fem.io.matlab import read_thesis_mat
-from forearm_fem.io.netcdf import read_compliance, read_transfer
-from forearm_fem.pipeline.fem_engine import FemSolution
 from forearm_fem.pipeline.folder import Run, run_all, run_render, run_solve
-from forearm_fem.pipeline.solved import _Store, field_modes
 from forearm_fem.results import read_run
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.store.results import read_compliance, read_transfer
 from forearm_fem.transfer import Compliance
 from forearm_fem.verification.scenes import held_block
 
@@ -67,7 +67,7 @@ def test_a_run_states_what_its_mesh_errs_by_at_each_pair_of_ports(finished):
     error = next(e for e in read_transfer(finished / "transfer.nc").errors if e.source == "discretisation")
     assert error.per_pair.max(axis=(1, 2)) == pytest.approx(error.per_frequency, rel=1e-6)
     assert np.median(error.per_pair.min(axis=(1, 2)) / error.per_frequency) < 0.5
-    line = next(x for x in (finished / "report.md").read_text().splitlines() if "entries err by" in x)
+    line = next(x for x in (finished / "report.html").read_text().splitlines() if "entries err by" in x)
     assert "←" in line
 
 
@@ -102,7 +102,7 @@ def test_the_solver_that_was_used_is_on_record(finished):
     used = account["solution"]["solver"]
     assert used in available_backends()
     assert read_transfer(finished / "transfer.nc").provenance["solver"] == used
-    assert f"| direct solver | {used} |" in (finished / "report.md").read_text(encoding="utf-8")
+    assert f"<td>direct solver</td><td>{used}</td>" in (finished / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("left", [0, 1000, 100_000])

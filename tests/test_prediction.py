@@ -20,19 +20,21 @@ from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction import statistics as numbers
-from forearm_fem.prediction import store
 from forearm_fem.prediction.arm import Answer, LayeredArm, arm_model
 from forearm_fem.prediction.draws import draw_inputs, kept_tissues, moved_points, scenario_of
-from forearm_fem.prediction.outcome import KEPT, READINGS, Outcome, drivers_of, noisy, outcome_of
+from forearm_fem.prediction.outcome import KEPT, READINGS, DrawsFile, Outcome, drivers_of, noisy, outcome_of
 from forearm_fem.prediction.priors import load_priors
-from forearm_fem.prediction.run import Prediction, Question, check_question, predict
-from forearm_fem.prediction.store import FILE, read_outcomes
+from forearm_fem.prediction.run import FILE, Prediction, Question, check_question, predict
 from forearm_fem.prediction.summary import shorter_waves, summary
 from forearm_fem.rendering import drives, strengths
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.show.data import Results
+from forearm_fem.show.facts import strength_block
 from forearm_fem.show.prediction import _numerics, _scope, lead_of, strength_words
+from forearm_fem.store import work as store_work
+from forearm_fem.store.record import load
+from forearm_fem.store.shelf import WORK, Shelf
 from forearm_fem.store.text import read_json
 from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
@@ -77,7 +79,8 @@ def test_an_interrupted_prediction_goes_on_with_the_same_numbers(
 
     with pytest.raises(KeyboardInterrupt):
         predict(question(), tmp_path, draws=N, workers=1, progress=stop)
-    assert len(read_outcomes(tmp_path / FILE)) == 7
+    assert len(Shelf(tmp_path / WORK).known()) == 7
+    assert not (tmp_path / FILE).exists()
     again = predict(question(), tmp_path, draws=N, workers=1)
     assert again.reused == 7
     assert np.array_equal(again.draws.strengths, whole.draws.strengths)
@@ -98,12 +101,12 @@ def test_other_processes_give_the_same_numbers(
         for key in reversed(jobs):
             yield key, work(jobs[key])
 
-    monkeypatch.setattr(runs, "cluster", nobody)
-    monkeypatch.setattr(runs, "completed", backwards)
+    monkeypatch.setattr(store_work, "cluster", nobody)
+    monkeypatch.setattr(store_work, "completed", backwards)
     other = predict(question(), tmp_path, draws=N, workers=2)
     assert np.array_equal(other.draws.strengths, whole.draws.strengths)
     assert other.draws.laws == whole.draws.laws
-    one, two = (read_outcomes(place / FILE)[1].transfer for place in (folder, tmp_path))
+    one, two = (load(place / FILE, DrawsFile).outcomes[1].transfer for place in (folder, tmp_path))
     assert one is not None
     assert np.array_equal(one, two)
 
@@ -114,38 +117,20 @@ def test_finished_draws_are_not_made_again_and_other_questions_are_not_taken(
     whole, folder = found
     monkeypatch.setattr(runs, "drawn", lambda *_: pytest.fail("a finished draw was made again"))
     assert predict(question(), folder, draws=N, workers=1).reused == N
-    for other in (question(seed=1), question(laws=("zener",)), question(held=("tissue",))):
-        assert other.digest != question().digest
-        with pytest.raises(DataError, match="another question"):
-            read_outcomes(folder / FILE, other.digest)
+    others = (question(seed=1), question(laws=("zener",)), question(held=("tissue",)))
+    assert len({question().digest, *(other.digest for other in others)}) == 4
+    with pytest.raises(pytest.fail.Exception, match="a finished draw was made again"):
+        predict(others[0], folder, draws=N, workers=1)
     assert whole.reused == 0
 
 
-def test_draws_of_an_early_version_are_told_from_damaged_ones(
-    found: tuple[Prediction, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def save_as_then(path: Path, variables: dict[str, Any], attributes: dict[str, str]) -> None:
-        save(path, {k: v for k, v in variables.items() if k != "spread"}, attributes)
-
-    save = store.save
-    monkeypatch.setattr(store, "save", save_as_then)
+def test_draws_of_another_question_are_kept_beside(found: tuple[Prediction, Path], tmp_path: Path) -> None:
     whole, folder = found
-    outcomes = read_outcomes(folder / FILE)
-    bins = frequencies(question().scenario.sweep)
-    store.write_outcomes(
-        tmp_path / FILE, outcomes, whole.draws.methods, whole.draws.targets, question().digest, bins
-    )
-    with pytest.raises(DataError, match=r"version before 0\.16; run `forearm-fem predict` again"):
-        read_outcomes(tmp_path / FILE)
-
-
-def test_draws_of_another_question_are_moved_not_lost(found: tuple[Prediction, Path], tmp_path: Path) -> None:
-    content = (found[1] / FILE).read_bytes()
-    (tmp_path / FILE).write_bytes(content)
-    with pytest.warns(UserWarning, match=r"answer another question and were moved to draws-older\.nc"):
-        predict(question(seed=1), tmp_path, draws=N, workers=1)
-    assert (tmp_path / "draws-older.nc").read_bytes() == content
-    assert len(read_outcomes(tmp_path / FILE, question(seed=1).digest)) == N
+    (tmp_path / WORK).write_bytes((folder / WORK).read_bytes())
+    assert predict(question(seed=1), tmp_path, draws=N, workers=1).reused == 0
+    again = predict(question(), tmp_path, draws=N, workers=1)
+    assert again.reused == N
+    assert np.array_equal(again.draws.strengths, whole.draws.strengths)
 
 
 def setup_and_arm(asked: Question) -> Any:
@@ -216,7 +201,7 @@ def test_renderers_believe_the_grid_where_it_was_laid_out() -> None:
 
 def test_the_arm_model_states_its_error_and_keeps_it() -> None:
     """A rigid cone with tension: fewer terms against the twin as it solves a scene."""
-    from forearm_fem.pipeline.layered_engine import solve_layered
+    from forearm_fem.engines.layered import solve_layered
 
     scene = parse_scenario({"engine": "layered", "tissues": {"membrane": {"tension": 40.0}}, "limb": {"bones": []}})
     band = np.array([60.0, 250.0, 310.0, 380.0, 500.0])
@@ -337,7 +322,7 @@ def test_an_interruption_before_the_first_draw_leaves_no_file(tmp_path: Path, mo
     monkeypatch.setattr(runs, "drawn", stop)
     with pytest.raises(KeyboardInterrupt):
         predict(question(), tmp_path, draws=N, workers=1)
-    assert not list(tmp_path.iterdir())
+    assert [p.name for p in tmp_path.iterdir()] == ["folder.json"]
 
 
 def test_quantiles_by_hand() -> None:
@@ -455,9 +440,11 @@ def test_what_is_held_moves_nothing(found: tuple[Prediction, Path]) -> None:
     assert {"fat stiffness", "skin loss", "contact spring A1", "signal to noise"} <= set(found[0].draws.names)
 
 
-def test_the_store_is_read_back_and_damage_is_told(found: tuple[Prediction, Path], tmp_path: Path) -> None:
+def test_draws_are_read_back_and_damage_is_told(found: tuple[Prediction, Path], tmp_path: Path) -> None:
     whole, folder = found
-    back = read_outcomes(folder / FILE, question().digest)
+    file = load(folder / FILE, DrawsFile)
+    back = file.outcomes
+    assert file.question == question().digest
     assert [o.number for o in back] == list(range(N))
     assert np.array_equal([o.strengths for o in back], whole.draws.strengths)
     assert isinstance(back[0], Outcome)
@@ -470,7 +457,7 @@ def test_the_store_is_read_back_and_damage_is_told(found: tuple[Prediction, Path
     content[len(content) // 2] ^= 0x40
     (tmp_path / FILE).write_bytes(content)
     with pytest.raises(DataError):
-        read_outcomes(tmp_path / FILE)
+        load(tmp_path / FILE, DrawsFile)
 
 
 @pytest.mark.parametrize(
@@ -511,7 +498,7 @@ def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
     assert answer.code == 0, answer.err
     folder = tmp_path / "out" / "prediction"
     names = {"draws.nc", "prediction.json", "prediction.md", "prediction.html"}
-    assert names | {"figures"} == {p.name for p in folder.iterdir()}
+    assert names | {"figures", "SHA256SUMS"} <= {p.name for p in folder.iterdir()}
     assert {p.name for p in (folder / "figures").iterdir()} == {
         "bands.png", "methods.png", "drivers.png", "bands.csv", "drivers.csv",
     }  # fmt: skip
@@ -525,14 +512,14 @@ def test_the_command_writes_report_pictures_and_numbers(tmp_path: Path) -> None:
     assert (content["laws"], content["draws"], content["failed"]) == (["zener"], N, {})
     assert cli("run", "small.toml", "--out", "out", cwd=tmp_path).code == 0
     assert Results.open(tmp_path / "out").prediction == content
-    report, table = (tmp_path / "out" / "report.md").read_text(), content["by_group"]["combination"]
-    row = next(line for line in report.splitlines() if line.startswith("| 1 |"))
-    assert f"{strength_words(cell)} |" in row  # the same S, its numerics and the arms beside it
+    report, table = (tmp_path / "out" / "report.html").read_text(), content["by_group"]["combination"]
+    assert f"<td>{strength_words(cell)}</td>" in report  # the same S, its numerics and the arms beside it
     low, high = table["Corners (1/3/7/9)"]["arms"][0], table["Corners (1/3/7/9)"]["arms"][-1]
-    assert f"arms {low:.2f}-{high:.2f})" in report.partition("Table I")[2]
+    told = strength_block(Results.open(tmp_path / "out"))
+    assert any(f"arms {low:.2f}-{high:.2f})" in row[2] for row in told.rows)
     assert "Never add the two" in report
     assert cli("run", "small.toml", "--set", "device.spacing=0.05", "--out", "out", cwd=tmp_path).code == 0
-    assert "(numerics" not in (tmp_path / "out" / "report.md").read_text()  # of another scene: not quoted
+    assert "(numerics" not in (tmp_path / "out" / "report.html").read_text()  # of another scene: not quoted
     bad = cli("predict", "small.toml", "--hold", "bones", cwd=tmp_path)
     assert bad.code == 2
     assert "--hold: no input or group is called 'bones'" in bad.err

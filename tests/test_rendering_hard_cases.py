@@ -9,9 +9,9 @@ import pytest
 from test_rendering import waves
 
 from forearm_fem.device import close_loop
+from forearm_fem.engines.layered import solve_layered
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.metrics import signal_strength
-from forearm_fem.pipeline.layered_engine import solve_layered
 from forearm_fem.rendering import (
     Combination,
     Funneling,

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from forearm_fem.engines.skin_model import load_skin_model, save_skin_model
 from forearm_fem.errors import AccuracyWarning, DataError, ReductionError, ScenarioError
-from forearm_fem.io import reduced as reduced_io
 from forearm_fem.pipeline.folder import Run, run_solve
-from forearm_fem.pipeline.skin_model import load_skin_model, save_skin_model
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import relative_error
 
@@ -57,22 +56,6 @@ def test_file_is_small_and_gives_any_frequency(solved):
     assert (folder / "reduced.nc").stat().st_size < 5e6
     between = load_skin_model(folder / "reduced.nc").transfer(np.array([100.0, 100.25, 100.5])).values
     assert relative_error(between[1:2], between[[0, 2]].mean(axis=0)[None]).max() < 1e-4  # curvature over half a hertz
-
-
-def test_files_of_before_triangles_are_read(solved, tmp_path, monkeypatch):
-    """Version 0.3.0 kept whole matrices under another name."""
-    folder, _ = solved
-    model, kept = load_skin_model(folder / "reduced.nc"), reduced_io.save
-
-    def whole(path, variables, attributes):
-        others = {k: v for k, v in variables.items() if k not in {"upper", *reduced_io.POLES}}
-        kept(path, {**others, "matrix": (("term", "row", "column"), model.reduced.matrices, {})}, attributes)
-
-    monkeypatch.setattr(reduced_io, "save", whole)
-    save_skin_model(tmp_path / "old.nc", model)
-    old = load_skin_model(tmp_path / "old.nc")
-    assert np.array_equal(old.reduced.matrices, model.reduced.matrices)
-    assert old.poles is None
 
 
 def test_other_moduli_follow_without_a_mesh(solved, tmp_path):

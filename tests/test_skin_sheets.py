@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from forearm_fem.engines.fem import fem_model
+from forearm_fem.engines.layered import solve_layered
 from forearm_fem.errors import GeometryError, ScenarioError
 from forearm_fem.fem.assembly.boundary import covered_area, facet_mass, facet_membrane, under_rectangle
 from forearm_fem.fem.assembly.model import build_model
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.pipeline.fem_engine import fem_model
-from forearm_fem.pipeline.layered_engine import solve_layered
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.supports import Supports
 from forearm_fem.scenario.tissues import Membrane, Patch

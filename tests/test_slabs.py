@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from slabs import CONVERGENCE, LEVELS, REFERENCE, SCENES, effectivities, errors_of, exact, scene_name, solve_level
 
-from forearm_fem.pipeline.two_meshes import COARSER, remaining_error
+from forearm_fem.accuracy.discretisation import COARSER, remaining_error
 
 
 def test_a_coarse_slab_meets_the_layered_model():

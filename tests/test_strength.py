@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from test_rendering import BAND, actuators, grid, waves
 
+from forearm_fem.accuracy.discretisation import over_pairs
 from forearm_fem.compare.common import common_ground
 from forearm_fem.compare.crossplay import cross_play
 from forearm_fem.compare.run import run_compare
@@ -19,7 +20,6 @@ from forearm_fem.metrics.strength import strength_text, without_bound
 from forearm_fem.pipeline.folder import Run, run_all, run_render
 from forearm_fem.pipeline.samples import check_samples, sample_notes
 from forearm_fem.pipeline.simulation import account_of, render_transfer
-from forearm_fem.pipeline.two_meshes import over_pairs
 from forearm_fem.ports import Port
 from forearm_fem.prediction.run import Question, check_question
 from forearm_fem.rendering import (

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,12 +13,12 @@ import numpy as np
 import pytest
 from cli_runner import SMALL, cli, leftovers
 
-from forearm_fem.commands.common import Heartbeat, out_folder, progress_line
+from forearm_fem.commands.common import out_folder
 from forearm_fem.errors import DataError
-from forearm_fem.io.netcdf import read_transfer
 from forearm_fem.pipeline.folder import Run
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.store.folder import locked
+from forearm_fem.store.results import read_transfer
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 
@@ -143,25 +142,6 @@ def test_every_stage_is_told_before_its_work(scene: Path) -> None:
     assert told[-1] == ("anything", 1)
 
 
-def test_a_silent_stage_is_told_within_two_seconds() -> None:
-    lines: list[str] = []
-    beat = Heartbeat(lines.append)
-    beat.start()
-    beat.tell("zero search", 3, 9)
-    deadline = time.monotonic() + 60  # of a busy machine; the promise is FIRST
-    while not lines and time.monotonic() < deadline:
-        time.sleep(0.02)
-    beat.stop()
-    assert Heartbeat.FIRST <= 2
-    assert lines[0].startswith("zero search: 3 of 9, ")
-    assert lines[0].endswith(" s left")
-
-
-def test_a_progress_line_says_stage_count_and_time_left() -> None:
-    assert progress_line("drives", 3, 9, 12.0) == "drives: 3 of 9, 12 s, about 24 s left"
-    assert progress_line("mesh: core", 0, 0, 5.0) == "mesh: core: 5 s"
-
-
 def test_hand_placed_contacts_are_reported_as_they_lie() -> None:
     from forearm_fem.show.facts import _device, _grid
 
@@ -190,6 +170,7 @@ def test_nothing_of_another_scenario_stays_beside_a_run(tmp_path: Path) -> None:
     )
     assert cli("run", "flat.toml", "--out", "one", cwd=tmp_path).code == 0
     figures = tmp_path / "one/figures"
+    assert cli("figures", "one", "--only", "transfer,target-5", cwd=tmp_path).code == 0
     (figures / "mine.png").touch()
     (figures / "target-7.csv").touch()
     assert {"transfer.png", "target-5.png"} <= {p.name for p in figures.iterdir()}

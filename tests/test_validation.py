@@ -12,7 +12,6 @@ import pytest
 from cli_runner import cli
 
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
-from forearm_fem.io.netcdf import write_transfer
 from forearm_fem.layered import Layer, Surface
 from forearm_fem.metrics import thesis_table
 from forearm_fem.prediction import validate as module
@@ -23,6 +22,7 @@ from forearm_fem.prediction.targets import SHAH_ARMS, TARGETS, Target
 from forearm_fem.prediction.validate import validate
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show.validation import coverage, failures, joint_words, validation_page
+from forearm_fem.store.results import write_transfer
 from forearm_fem.store.text import read_json
 from forearm_fem.tissue import KelvinVoigt
 from forearm_fem.transfer import TransferMatrix
@@ -212,7 +212,8 @@ def test_observables_resume_and_other_questions_start_anew(
     monkeypatch.setattr(module, "observables", lambda arm: pytest.fail("a finished draw was measured again"))
     rows = module._observed(Question(parse_scenario(SMALL), Path()), folder, 21, True, None)
     assert len(rows) == 21
-    assert module._kept(folder / module.OBSERVABLES, "another question") == []
+    with pytest.raises(pytest.fail.Exception, match="measured again"):
+        module._observed(Question(parse_scenario(SMALL), Path(), seed=7), folder, 1, True, None)
     assert found["draws"] == 21
 
 

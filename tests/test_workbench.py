@@ -18,14 +18,14 @@ from test_figures_scene import folder  # noqa: F401
 from test_skin_model import solved  # noqa: F401
 
 from forearm_fem.device import close_loop
+from forearm_fem.engines.skin_model import load_skin_model
 from forearm_fem.errors import DataError, GeometryError
 from forearm_fem.io import read_compliance, read_transfer, write_transfer
 from forearm_fem.io.csvfiles import write_csv
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import simulate
-from forearm_fem.pipeline.skin_model import load_skin_model
-from forearm_fem.prediction.outcome import Outcome
-from forearm_fem.prediction.store import FILE, write_outcomes
+from forearm_fem.prediction.outcome import DrawsFile, Outcome
+from forearm_fem.prediction.run import FILE
 from forearm_fem.rendering import Funneling, render_all, ricker, strengths
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
@@ -34,6 +34,7 @@ from forearm_fem.show.workbench import content_of, page_of, view, write_workbenc
 from forearm_fem.show.workbench.bundle import script
 from forearm_fem.show.workbench.content import measured_content, short_scenario
 from forearm_fem.show.workbench.field import few_shapes, per_newton, solved_field
+from forearm_fem.store.record import save
 from forearm_fem.store.text import write_json
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 
@@ -261,7 +262,7 @@ def test_intervals_drawn_in_the_page_follow_pythons_rule(content: dict[str, Any]
     """With Python's own noise every half width is Python's (1e-6: the same sums in another order), and with the page's
     that of another dozen draws. A mean square of 12 draws scatters by 40 %, so that two half widths differ by 30 % as a
     rule; a factor of 2.5 is three times that in the logarithm."""
-    from forearm_fem.metrics.uncertainty import smooth_noise
+    from forearm_fem.accuracy.perturbed import smooth_noise
     from forearm_fem.pipeline.simulation import render_transfer
     from forearm_fem.rendering.interval import interval
     from forearm_fem.rendering.job import renderers
@@ -370,7 +371,8 @@ def drawn(flat: Results, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
         Outcome(k, "zener", np.zeros((4, 3, 9)), {"fat stiffness": 2e3, "gain A1": 1.0}, 0.1, 1.0, "", kept)
         for k, kept in enumerate([*(a.values.astype(np.complex64) for a in arms), None])
     ]
-    write_outcomes(place / "prediction" / FILE, made, ("a", "b", "c"), tuple("123456789"), "x", g.frequency)
+    draws = DrawsFile.of(made, ("a", "b", "c"), tuple("123456789"), "x", g.frequency)
+    save(place / "prediction" / FILE, draws)
     return place, arms
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from time import process_time
 
+from forearm_fem.accuracy.discretisation import COARSER, estimated_errors
+from forearm_fem.engines.fem import reduction_tolerance
+from forearm_fem.engines.resources import Ledger
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.reduction.sweep import reduced_sweep
 from forearm_fem.geometry.device.sizing import element_sizes
-from forearm_fem.pipeline.fem_engine import reduction_tolerance
-from forearm_fem.pipeline.resources import Ledger
-from forearm_fem.pipeline.two_meshes import COARSER, estimated_errors
 from forearm_fem.transfer import band_error, relative_error
 from forearm_fem.typing import ComplexArray
 from forearm_fem.verification.scenes import slab_model

@@ -9,10 +9,10 @@ from time import perf_counter, process_time
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator
 
+from forearm_fem.engines.layered import flat_layers
+from forearm_fem.engines.resources import Ledger
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.layered import Disc, layered_compliance
-from forearm_fem.pipeline.layered_engine import flat_layers
-from forearm_fem.pipeline.resources import Ledger
 from forearm_fem.transfer import band_error, relative_error
 from forearm_fem.typing import ComplexArray, FloatArray
 from forearm_fem.verification.scenes import slab_model

@@ -1,4 +1,4 @@
-"""One member: done once, remembered by a mark that names exactly what was asked; its failure is data."""
+"""One member of a campaign; its failure is data."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..errors import DataError, ForearmError
-from ..pipeline.verdict import short_verdict
+from ..accuracy.estimates import short_verdict
+from ..errors import ForearmError
 from ..results import read_run
 from ..scenario import Scenario
 from ..scenario.contents import contents, named_files
 from ..store.folder import locked
-from ..store.text import read_json, write_json
-
-MARK = "member.json"
+from ..store.work import LOST
 
 
 @dataclass(frozen=True)
@@ -32,43 +30,29 @@ class MemberJob:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what is asked; a mark with another digest is of an older question."""
+        """SHA-256 of what is asked."""
         files = named_files(Scenario.model_validate_json(self.scenario))
         content = json.dumps([__version__, self.scenario, self.stage, contents(files, self.base)])
         return hashlib.sha256(content.encode()).hexdigest()
 
 
-def finished(job: MemberJob) -> dict[str, Any] | None:
-    """The summary of a member that was finished before, or None."""
-    try:
-        mark = read_json(Path(job.folder) / MARK)
-    except DataError:
-        return None
-    if mark.get("digest") != job.digest:
-        return None
-    summary = mark.get("summary")
-    return summary if isinstance(summary, dict) else None
-
-
 def finish_member(job: MemberJob) -> dict[str, Any]:
-    """Run the member; its summary, or {"problem": sentence}. Nothing it raises leaves the worker."""
+    """Run the member; its summary, or why there is none (:data:`.work.LOST`). Nothing it raises leaves the worker."""
     folder = Path(job.folder)
     try:
         from ..pipeline.folder import Run, run_all, run_render, run_solve
 
-        (folder / MARK).unlink(missing_ok=True)  # of an older question, whose files are replaced from here on
         run = Run.start(Scenario.model_validate_json(job.scenario), folder, Path(job.base))
         with locked(folder):
             {"solve": run_solve, "render": run_render, "run": run_all}[job.stage](run)
             summary = member_summary(folder)
-        write_json(folder / MARK, {"digest": job.digest, "summary": summary})
         return summary
     except ForearmError as problem:
-        return {"problem": str(problem)}
+        return {LOST: str(problem)}
     except MemoryError:
-        return {"problem": "out of memory; set mesh sizes or accuracy larger, or use fewer workers"}
+        return {LOST: "out of memory; set mesh sizes or accuracy larger, or use fewer workers"}
     except Exception as problem:
-        return {"problem": f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
+        return {LOST: f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
 
 
 def member_summary(folder: Path) -> dict[str, Any]:

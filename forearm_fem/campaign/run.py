@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ import psutil
 from ..errors import ForearmError
 from ..progress import Progress, tell
 from ..store.folder import check_kind, set_kind, write_text
+from ..store.shelf import WORK, Shelf
 from ..store.text import markdown_table
-from .executor import LIGHT, SHARE, cluster, completed, in_turn
-from .member import MemberJob, finish_member, finished
+from ..store.work import LIGHT, LOST, SHARE, done_once, spread
+from .member import MemberJob, finish_member
 from .model import Campaign, Member
 
 
@@ -59,30 +61,24 @@ def run_campaign(
     check_kind(folder, "campaign")
     out = Path(folder).resolve()
     set_kind(out, "campaign")
-    jobs = [_job(campaign, m, out) for m in campaign.members]
-    done = {job.name: found for job in jobs if (found := finished(job)) is not None}
-    reused = set(done)
-    missing = [job for job in jobs if job.name not in done]
-    tell(progress, "members", len(done), len(jobs))
-    if missing:
-        names = {f"{job.name}-{job.digest}": job for job in missing}
-        for name, found in _finished(names, lambda: workers or member_workers(campaign, missing), scheduler, workers):
-            done[name] = found
-            tell(progress, "members", len(done), len(jobs))
+    shelf, jobs = Shelf(out / WORK, "finished members"), [_job(campaign, m, out) for m in campaign.members]
+    keys = {f"{job.name} {job.digest}": job for job in jobs}
+    known = set(shelf.known())
+    whole = {key for key, job in keys.items() if key in known and (Path(job.folder) / "run.json").is_file()}
+    missing = [job for key, job in keys.items() if key not in whole]
+    names = {job.name for job in missing}  # whose files are replaced from here on, whatever they answered
+    shelf.drop(*(key for key in known if key.partition(" ")[0] in names))
+    many = spread(
+        workers or (lambda: member_workers(campaign, missing)), scheduler, "a campaign", asked=workers is not None,
+        apart=True,
+    )  # fmt: skip
+    done, reused = dict[str, dict[str, Any]](), {keys[key].name for key in whole}
+    counted = partial(tell, progress, "members")
+    for key, found in done_once(shelf, keys, finish_member, run=many, tell=counted):
+        done[keys[key].name] = found
+        if key not in whole:
             _write(out, _collected(campaign, done, reused))
     return _write(out, _collected(campaign, done, reused))
-
-
-def _finished(
-    jobs: Mapping[str, MemberJob], count: Callable[[], int], scheduler: str | None, workers: int | None
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    """(name, numbers) of members as they end."""
-    if in_turn(scheduler, workers):
-        yield from ((job.name, finish_member(job)) for job in jobs.values())
-        return
-    with cluster(scheduler, count) as client:
-        for key, found in completed(client, finish_member, jobs):
-            yield jobs[key].name, found
 
 
 def _job(campaign: Campaign, member: Member, out: Path) -> MemberJob:
@@ -96,7 +92,7 @@ def member_workers(campaign: Campaign, jobs: Sequence[MemberJob]) -> int:
     heavy = [m for m in campaign.members if m.name in wanted and m.scenario.engine == "fem"]
     need = LIGHT
     if heavy:
-        from ..pipeline.forecast import forecast
+        from ..engines.forecast import forecast
 
         try:
             need = forecast(heavy[0].scenario, base=campaign.base).memory_bytes
@@ -111,7 +107,7 @@ def _collected(campaign: Campaign, done: Mapping[str, Mapping[str, Any]], reused
     for member in campaign.members:
         if member.name in done:
             numbers = dict(done[member.name])
-            problem = str(numbers.pop("problem", ""))
+            problem = str(numbers.pop(LOST, ""))
             found.append(MemberResult(member.name, member.values, numbers, problem, member.name in reused))
     return found
 

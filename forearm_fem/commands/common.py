@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 import signal
-import threading
-import time
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -15,27 +14,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from ..errors import DataError, first_problem, one_sentence
 from ..scenario import Scenario, apply_overrides, load_scenario, scenario_file
+from .display import Display as Display
+from .display import console as console
 
 if TYPE_CHECKING:
+    from ..engines.library import ArmLibrary
     from ..io.declaration import Declaration
-    from ..library import ArmLibrary
     from ..pipeline.folder import Run
     from ..transfer import TransferMatrix
-
-console = Console(stderr=True)
 
 
 def there(remedy: str, folder: bool = False) -> Callable[[Path | None], Path | None]:
@@ -97,82 +86,6 @@ LibraryFile = Annotated[
 Declared = Annotated[list[str] | None, declared()]
 
 
-class Display:
-    """A progress bar per stage with count and time left, on stderr.
-
-    A stage is shown before its work begins, so that none is silent even where compiled code holds the interpreter.
-    Where stderr is no terminal, the stage under way is told in lines instead: a second after it began, then every ten.
-    """
-
-    def __init__(self) -> None:
-        self._bars = Progress(
-            TextColumn("{task.description:42}"), BarColumn(20), MofNCompleteColumn(), TimeElapsedColumn(),
-            TextColumn("left"), TimeRemainingColumn(), console=console,
-        )  # fmt: skip
-        self._tasks: dict[str, TaskID] = {}
-        self._lines = None if console.is_terminal else Heartbeat()
-
-    def __enter__(self) -> Display:
-        (self._lines or self._bars).start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        (self._lines or self._bars).stop()
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """Progress callback of the library; a stage of unknown length has ``total`` 0."""
-        if self._lines is not None:
-            self._lines.tell(stage, done, total)
-            return
-        begins = stage not in self._tasks
-        if begins:
-            self._tasks[stage] = self._bars.add_task(stage, total=None)
-        self._bars.update(self._tasks[stage], completed=done, total=total or None)
-        if begins:
-            self._bars.refresh()
-
-
-class Heartbeat(threading.Thread):
-    """Lines on stderr that say which stage is under way, how far it is, and how long it may still take."""
-
-    FIRST, AGAIN = 1.0, 10.0  # seconds after a stage began, and after the last line
-
-    def __init__(self, write: Callable[[str], None] | None = None) -> None:
-        super().__init__(daemon=True)
-        self._write = write or (lambda line: console.print(line, highlight=False, markup=False, soft_wrap=True))
-        self._ended = threading.Event()
-        self._stage, self._done, self._total = "", 0, 0
-        self._began, self._due = 0.0, float("inf")
-
-    def tell(self, stage: str, done: int, total: int) -> None:
-        """Note how far ``stage`` is."""
-        if stage != self._stage:
-            now = time.monotonic()
-            self._began, self._due = now, now + self.FIRST
-        self._stage, self._done, self._total = stage, done, total
-        if total and done >= total:
-            self._due = float("inf")
-
-    def run(self) -> None:
-        """See :class:`threading.Thread`."""
-        while not self._ended.wait(0.1):
-            if (now := time.monotonic()) >= self._due:
-                self._due = now + self.AGAIN
-                self._write(progress_line(self._stage, self._done, self._total, now - self._began))
-
-    def stop(self) -> None:
-        """No more lines."""
-        self._ended.set()
-        self.join()
-
-
-def progress_line(stage: str, done: int, total: int, seconds: float) -> str:
-    """E.g. ``zero search: 3 of 9, 12 s, about 24 s left``."""
-    count = f" {done} of {total}," if total > 1 else ""
-    left = f", about {seconds * (total - done) / done:.0f} s left" if 0 < done < total else ""
-    return f"{stage}:{count} {seconds:.0f} s{left}"
-
-
 def out_folder(out: Path | None, scenario: Scenario, overrides: Sequence[str] | None = None) -> Path:
     """The folder asked for, else ``results/NAME``; what ``--set`` changes without a name, to ``NAME-XXXXXX``."""
     if out is not None:
@@ -200,6 +113,7 @@ def stage(
     with locked(folder):
         with Display() as display:
             job = Run.start(asked, folder, file.parent, display)
+            job.asked = asked_words(file, overrides, library)
             if kept is not None:
                 job.library = kept
                 job.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
@@ -210,11 +124,18 @@ def stage(
         yield job
 
 
+def asked_words(file: Path, overrides: Sequence[str] | None = None, library: Path | None = None) -> str:
+    """The scenario as a command line names it, with what was set: what another command needs to be of the same."""
+    name = file.stem if file == scenario_file(file.stem) else str(file)
+    words = [name, *(word for item in overrides or () for word in ("--set", item))]
+    return shlex.join([*words, *(["--library", str(library)] if library is not None else [])])
+
+
 def library_file(file: Path | None) -> ArmLibrary | None:
     """The arm's library in ``file``; None where none was named."""
     if file is None:
         return None
-    from ..library import load_library
+    from ..engines.library import load_library
 
     return load_library(file)
 

@@ -23,7 +23,7 @@ def library(
     ] = None,
 ) -> None:
     """Solve once for a patch of an arm's skin; `run --library` then needs no solve."""
-    from ..library import is_library, make_library, save_library
+    from ..engines.library import is_library, make_library, save_library
     from ..store.folder import locked
 
     asked = load_scenario(scenario, overrides=overrides or ())

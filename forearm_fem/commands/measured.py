@@ -155,9 +155,9 @@ def _virtual(
     asked: Scenario, file: Path, through: Path | None, declare: list[str] | None, snr: float, bits: int, latency: int,
     seed: int, overrides: Overrides,
 ) -> VirtualSetup:  # fmt: skip
-    from ..io.netcdf import read_transfer
     from ..measurement.run import VirtualSetup
     from ..pipeline.folder import run_solve
+    from ..store.results import read_transfer
 
     g = measured_g(through, asked, declare, "--through")
     if g is None:

@@ -28,8 +28,8 @@ from .common import (
 )
 
 if TYPE_CHECKING:
+    from ..engines.forecast import Forecast
     from ..pipeline.folder import Run
-    from ..pipeline.forecast import Forecast
 
 
 def run(
@@ -60,8 +60,10 @@ def run(
     from ..pipeline.folder import run_all
 
     with stage(asked, scenario, out, run_all, overrides, library) as job:
-        typer.echo((job.out / "report.md").read_text(encoding="utf-8"))
-        typer.echo(f"results: {job.out}")
+        if not asked.rendering.methods:
+            typer.echo(f"open {job.out / 'report.html'}")
+            return
+        _print_answer(job)
 
 
 def mesh(scenario: ScenarioFile, overrides: Overrides = None, out: OutFolder = None) -> None:
@@ -116,7 +118,7 @@ def render(
 
     asked = load_scenario(what, overrides=overrides or ())
     with stage(asked, what, out, run_render, overrides) as job:
-        _print_strengths(job)
+        _print_answer(job)
 
 
 def _render_given(
@@ -141,23 +143,23 @@ def _render_given(
             job.notes += [f"G: {file}", *notes]
             run_given(job, g)
         print_notes(job.notes)
-        _print_strengths(job)
+        _print_answer(job)
 
 
-def _print_strengths(job: Run) -> None:
+def _print_answer(job: Run) -> None:
+    from ..show.answer import console_lines
     from ..show.data import Results
-    from ..show.report import strengths_by_target
 
-    typer.echo(strengths_by_target(Results.holding(job.out, scenario=job.scenario, run=job.record, **job.known)))
-    typer.echo(f"results: {job.out} (signal_strength.csv holds every digit of S)")
+    results = Results.holding(job.out, scenario=job.scenario, run=job.record, **job.known)
+    typer.echo("\n".join(console_lines(results)))
 
 
 def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Forecast | None:
     """What the solve will cost, on the mesh, which is made if need be; None for the layered engine."""
     if asked.engine == "layered":
         return None
+    from ..engines.forecast import forecast
     from ..geometry.cache import cached_mesh
-    from ..pipeline.forecast import forecast
     from ..tissue import resolve_tissues
 
     resolve_tissues(asked)  # what they lack is said before anything is meshed

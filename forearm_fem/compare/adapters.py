@@ -11,19 +11,20 @@ from typing import Any
 import numpy as np
 from scipy.stats.qmc import LatinHypercube
 
+from ..accuracy.estimates import quadrature_estimate
 from ..device.loop import close_loop
+from ..engines.arm_meshes import ArmMeshes, arm_meshes
+from ..engines.layered import flat_disc, flat_layers, flat_surface
+from ..engines.parametric import ParametricModel, parametric_model
 from ..errors import ScenarioError
 from ..geometry.device.layout import layers_of
 from ..layered import Layer, layered_compliance
 from ..layered.response import scattered_orders
-from ..pipeline.layered_engine import flat_disc, flat_layers, flat_surface
-from ..pipeline.parametric import ParametricModel, parametric_model
 from ..ports import Port
-from ..prediction.two_meshes import ArmMeshes, arm_meshes
 from ..progress import Progress
 from ..scenario import Scenario, parse_scenario
 from ..tissue import Zener, limb_tissue_keys, resolve_tissues
-from ..transfer import Compliance, ErrorEstimate, TransferMatrix
+from ..transfer import Compliance, TransferMatrix
 from ..typing import FloatArray
 from .parameters import Parameter
 
@@ -106,9 +107,9 @@ def layered_compliance_of(
         values[:, :, : len(inputs)] = result.values
         values[:, : len(inputs)] = result.values.swapaxes(1, 2)
         error = result.error
-        estimate = ErrorEstimate(
-            "quadrature", float(error.max()), "last terms and orders of the tractions under rigid discs, quadrature",
-            tuple(frequency.tolist()), tuple(error.tolist()),
+        estimate = quadrature_estimate(
+            frequency, error,
+            "last terms and orders of the tractions under rigid discs, quadrature",
         )  # fmt: skip
         return Compliance(frequency, values, ports, (estimate,), provenance={"engine": "layered"})
 

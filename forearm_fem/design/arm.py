@@ -7,13 +7,14 @@ from typing import Protocol
 
 import numpy as np
 
+from ..accuracy.estimates import quadrature_estimate
+from ..engines.layered import flat_disc, flat_ports
+from ..engines.tables import kept_tables, tables_reach
 from ..layered.tables import Tabulated
-from ..pipeline.layered_engine import flat_disc, flat_ports
-from ..pipeline.twin_tables import kept_tables, tables_reach
 from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.frequencies import frequencies
-from ..transfer import Compliance, ErrorEstimate
+from ..transfer import Compliance
 
 
 class ArmModel(Protocol):
@@ -51,10 +52,9 @@ class TwinArm:
         table = kept_tables(scenario, reach, folder=self._folder, progress=self._progress, known=self._known)
         result = table.compliance(omega, [flat_disc(port) for port in ports])
         e = result.error
-        estimate = ErrorEstimate(
-            "quadrature", float(e.max()),
+        estimate = quadrature_estimate(
+            frequency, e,
             "twice the tables' difference from the twin itself on one arrangement, the last coefficients between "
             "frequencies, and the last terms and orders of the tractions under rigid discs",
-            tuple(frequency.tolist()), tuple(e.tolist()),
         )  # fmt: skip
         return Compliance(frequency, result.values, ports, (estimate,))

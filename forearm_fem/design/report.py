@@ -13,10 +13,10 @@ import numpy as np
 
 from .. import __version__
 from ..campaign.run import rows_table
-from ..io.dataset import save
 from ..metrics.strength import strength_text
 from ..show.registry import save_drawn
 from ..store.folder import write_text
+from ..store.record import save_arrays
 from ..store.text import write_json
 from .candidate import Candidate
 from .figures import plot_devices, plot_front, plot_map
@@ -82,12 +82,12 @@ def _netcdf(result: DesignResult) -> None:
         if all(isinstance(c.values.get(key), int | float) for c in all_)
     }
     feasible = np.array([int(c.feasible) for c in all_], dtype=np.int8)
-    save(
-        result.folder / "candidates.nc",
+    save_arrays(
+        result.folder / "candidates.nc", "design",
         {**free, **numbers, "strength": (("candidate", "target"), s, {"units": "1"}),
          "target": (("target",), np.array(targets, dtype=object), {}),
          "feasible": (("candidate",), feasible, {"units": "1"})},
-        {"content": "design", "design": result.design.asked.name},
+        {"design": result.design.asked.name},
     )  # fmt: skip
 
 

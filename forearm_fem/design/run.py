@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -15,21 +16,23 @@ from typing import Any
 import numpy as np
 import psutil
 
-from ..campaign.executor import LIGHT, SHARE, cluster
+from .. import __version__
 from ..errors import ScenarioError
 from ..pipeline.folder import Run, run_all
 from ..progress import Progress, tell, within
 from ..rendering.job import wavelet
 from ..results import read_run
+from ..scenario.contents import contents, named_files
 from ..store.folder import check_kind, set_kind
+from ..store.shelf import WORK, Shelf
+from ..store.text import digest_of
+from ..store.work import LIGHT, SHARE, cluster, done_once
+from ..store.work import Run as Spread
 from .arm import ArmModel, TwinArm
 from .candidate import Candidate, evaluate, s_interval, score_of
 from .front import pareto_front
 from .model import Design, Values
 from .search import planned, search
-from .store import Store
-
-Evaluate = Callable[[Sequence[Values]], Iterator[Candidate]]
 
 
 @dataclass(frozen=True)
@@ -84,25 +87,28 @@ def run_design(
     out = Path(folder).resolve()
     model = arm or TwinArm(progress=progress)
     set_kind(out, "design")
-    store = Store(out, design, model.mark)
-    with _evaluating(design, model, scheduler, workers, own=arm is None) as many:
-        total = planned(design)
+    shelf, asked, total = Shelf(out / WORK, "candidates"), question(design, model.mark), planned(design)
+    mine = [key for key in shelf.known() if key.startswith(asked)]
+    known = {key: Candidate.from_json(parts) for key in mine if (parts := shelf.get(key)) is not None}
+    with _evaluating(design, model, scheduler, workers, own=arm is None) as run:
 
         def ask(wanted: Sequence[Values]) -> list[Candidate]:
-            """Candidates of ``wanted`` values; those not in the store yet are evaluated and kept."""
-            missing = [v for v in wanted if store.get(v) is None]
-            for candidate in many(list({repr(v): v for v in missing}.values())):
-                store.add(candidate)
-                tell(progress, "candidates", min(len(store.all), total), total)
-            return [c for v in wanted if (c := store.get(v)) is not None]
+            """Candidates of ``wanted`` values; those not known yet are evaluated and kept."""
+            keys = [f"{asked} {json.dumps(v, sort_keys=True)}" for v in wanted]
+            jobs = {key: v for key, v in zip(keys, wanted, strict=True) if key not in known}
+            for key, parts in done_once(shelf, jobs, lambda v: evaluate(design, v, model).as_json(), run=run):
+                known[key] = Candidate.from_json(parts)
+                tell(progress, "candidates", min(len(known), total), total)
+            return [known[key] for key in keys]
 
         search(design, ask)
-    best = _best(store.all)
+    every = tuple(known.values())
+    best = _best(every)
     reference = evaluate(design, {}, model)
-    interval, idle = s_interval(design, best, model), _idle(design, best, store.all, model)
+    interval, idle = s_interval(design, best, model), _idle(design, best, every, model)
     confirmation = _confirmed(design, best, out, progress) if confirm else None
-    front = pareto_front(store.all)
-    found = DesignResult(design, out, store.all, front, best, interval, reference, confirmation, idle)
+    front = pareto_front(every)
+    found = DesignResult(design, out, every, front, best, interval, reference, confirmation, idle)
     from .report import write_design_report
 
     write_design_report(found)
@@ -112,11 +118,11 @@ def run_design(
 @contextmanager
 def _evaluating(
     design: Design, arm: ArmModel, scheduler: str | None, workers: int | None, *, own: bool
-) -> Iterator[Evaluate]:
-    """A function that evaluates many, one after another or on Dask: there on the ``arm``, sent to each process once,
-    or with ``own`` on the twin that each process makes of tables in its cache."""
+) -> Iterator[Spread | None]:
+    """How candidates are spread over Dask, None for this process: on the ``arm``, sent to each process once, or with
+    ``own`` on the twin that each process makes of tables in its cache."""
     if scheduler is None and (workers or 1) == 1:
-        yield lambda wanted: (evaluate(design, v, arm) for v in wanted)
+        yield None
         return
 
     def count() -> int:
@@ -124,24 +130,25 @@ def _evaluating(
         each = LIGHT if own else LIGHT + psutil.Process().memory_info().rss  # an arm as here, and answers on it
         return max(1, min(workers or os.cpu_count() or 1, int(SHARE * psutil.virtual_memory().available // each)))
 
-    with cluster(scheduler, count, "a design on several processes") as client:
+    with cluster(scheduler, 1 if scheduler else count(), "a design on several processes") as client:
         distributed: Any = import_module("distributed")
         sent = None if own else client.scatter(arm, broadcast=True, hash=False)
 
-        def many(wanted: Sequence[Values]) -> Iterator[Candidate]:
-            """Candidates of ``wanted`` values as they are done."""
-            if own and wanted:  # makes the tables
-                yield evaluate(design, wanted[0], arm)
-            rest = wanted[1:] if own else wanted
-            futures = [client.submit(_evaluated, design, v, sent, pure=False) for v in rest]
-            yield from (future.result() for future in distributed.as_completed(futures))
+        def many(jobs: Mapping[str, Values], _: Any) -> Iterator[tuple[str, dict[str, Any]]]:
+            """Candidates of the values of ``jobs`` as they are done."""
+            rest = dict(jobs)
+            if own and rest:  # makes the tables
+                first = next(iter(rest))
+                yield first, evaluate(design, rest.pop(first), arm).as_json()
+            futures = {client.submit(_evaluated, design, v, sent, pure=False): key for key, v in rest.items()}
+            yield from ((futures[f], f.result()) for f in distributed.as_completed(list(futures)))
 
         yield many
 
 
-def _evaluated(design: Design, values: Values, arm: ArmModel | None) -> Candidate:
+def _evaluated(design: Design, values: Values, arm: ArmModel | None) -> dict[str, Any]:
     """In a worker: on the ``arm`` that was sent, or the twin of this process."""
-    return evaluate(design, values, arm or _own_twin())
+    return evaluate(design, values, arm or _own_twin()).as_json()
 
 
 @cache
@@ -191,3 +198,17 @@ def _confirmed(design: Design, best: Candidate, out: Path, progress: Progress | 
         folders.append(folder)
     over = np.min(scores) if objective.over == "least" else np.mean(scores)
     return Confirmation(float(over), best.score, tuple(folders))
+
+
+def question(design: Design, mark: str = "") -> str:
+    """Digest of what a candidate's numbers depend on: not the search's seed or length. ``mark`` is the arm model's."""
+    asked = design.asked.model_dump(mode="json", include={"set", "objective", "constraints"})
+    parts = [__version__, mark, asked, design.asked.search.duration, [dict(d) for d in design.data], _contents(design)]
+    return digest_of(parts)[:32]
+
+
+def _contents(design: Design) -> list[list[str]]:
+    """What stands in the files that the scenarios, and choices of the search, name."""
+    chosen = [str(c) for v in design.asked.variables if v.key.endswith(".file") for c in v.values or ()]
+    arms = zip(design.scenarios({}), design.bases, strict=True)
+    return [contents((*named_files(scenario), *chosen), base) for scenario, base in arms]

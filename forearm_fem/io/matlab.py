@@ -15,9 +15,9 @@ from ..arguments import checked
 from ..errors import DataError
 from ..ports import Port, positions
 from ..store.folder import write_bytes
+from ..store.record import TIME_CONVENTION, labels, plain_json
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, IntArray
-from .dataset import TIME_CONVENTION, labels, provenance_json
 from .reading import reading
 from .seal import BLANK, sealed
 
@@ -61,7 +61,7 @@ def write_thesis_mat(
         "sample_rate_Hz": sample_rate,
         "duration_s": duration,
         "note": _NOTE,
-        "provenance": provenance_json(transfer.provenance),
+        "provenance": plain_json(transfer.provenance),
         **_axes("grid", transfer.outputs),
         **_axes("actuator", transfer.inputs),
     }

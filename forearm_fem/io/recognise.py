@@ -10,12 +10,12 @@ from scipy.io import whosmat
 
 from ..arguments import checked
 from ..errors import DataError
+from ..store.results import read_transfer, write_transfer
 from ..transfer import TransferMatrix
 from .csvfiles import read_csv, write_csv
 from .declaration import Declaration, Ports, RawMatrix, understand
 from .matlab import read_thesis_mat, write_thesis_mat
 from .matlab_import import read_mat, write_mat73
-from .netcdf import read_transfer, write_transfer
 from .recipe import import_by_recipe, load_recipe
 from .tdms import read_tdms, write_tdms
 from .uff import read_uff, write_uff

@@ -14,13 +14,12 @@ import numpy as np
 from ..arguments import checked
 from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
 from ..geometry.device.layout import planform_ports
-from ..io.netcdf import refuse_other_g, write_transfer
-from ..io.signals import read_drives
 from ..io.wav import read_wav_drives
 from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions
 from ..store.folder import check_kind
+from ..store.results import read_drives, refuse_other_g, write_transfer
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .calibrate import Plan, Step, assembled, calibrate

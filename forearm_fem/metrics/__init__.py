@@ -1,10 +1,10 @@
 """Numbers that judge a rendering or a transfer matrix; nothing here knows how either was made."""
 
+from ..accuracy.perturbed import StrengthInterval, perturbed, signal_strength_uncertainty, smooth_noise
 from ..transfer import relative_error_at
 from .matrix import ConditionSummary, condition_number, condition_summary, singular_values
 from .spot import contrast, fwhm, spot_radius
 from .strength import StrengthTable, area, signal_strength, signal_strength_table, thesis_table
-from .uncertainty import StrengthInterval, perturbed, signal_strength_uncertainty, smooth_noise
 from .waves import WaveFit, fit_waves
 
 __all__ = [

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arguments import checked
 from ..errors import AccuracyWarning, DataError
-from ..typing import FloatArray
+from ..typing import BoolArray, FloatArray
 
 
 @checked
@@ -153,11 +153,14 @@ class StrengthTable:
 
 
 @checked
-def signal_strength_table(methods: Sequence[str], targets: Sequence[str], strengths: FloatArray) -> StrengthTable:
+def signal_strength_table(
+    methods: Sequence[str], targets: Sequence[str], strengths: FloatArray, counted: BoolArray | None = None
+) -> StrengthTable:
     """Middle, edges and corners of ``strengths`` (n_method, n_target) [-]: mean and standard deviation (N - 1).
 
     N - 1 is MATLAB's `std`, in which the thesis was computed. Groups with no target are left out, groups with
-    some of theirs are averaged over these. Raises DataError if a target is none of the 3 x 3 grid's "1".."9".
+    some of theirs are averaged over these; targets that are not ``counted`` (n_target,) are in none. Raises DataError
+    if a target is none of the 3 x 3 grid's "1".."9".
     """
     values = np.asarray(strengths, dtype=float)
     if values.shape != (len(methods), len(targets)):
@@ -166,14 +169,15 @@ def signal_strength_table(methods: Sequence[str], targets: Sequence[str], streng
         raise DataError(f"Table I is for a 3 x 3 grid of targets 1 to 9, got also {', '.join(stray)}")
     groups, means, stds = [], [], []
     for label, members in GROUPS:
-        columns = [i for i, t in enumerate(targets) if t in members]
+        columns = [i for i, t in enumerate(targets) if t in members and (counted is None or counted[i])]
         if columns:
             groups.append(label)
             means.append(values[:, columns].mean(axis=1))
             alone = np.full(len(methods), np.nan)
             with np.errstate(invalid="ignore"):  # an S may be inf
                 stds.append(values[:, columns].std(axis=1, ddof=1) if len(columns) > 1 else alone)
-    return StrengthTable(tuple(methods), tuple(groups), np.array(means), np.array(stds))
+    shape = (len(groups), len(methods))
+    return StrengthTable(tuple(methods), tuple(groups), np.reshape(means, shape), np.reshape(stds, shape))
 
 
 def thesis_table() -> StrengthTable:

@@ -12,8 +12,12 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..accuracy.estimates import accuracy_verdict
 from ..device import contact_state
 from ..device.housing import carries_points
+from ..engines.forecast import refuse_if_signals_too_large
+from ..engines.resources import Ledger
+from ..engines.skin_model import save_skin_model
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.build import limb_volume
@@ -22,9 +26,6 @@ from ..geometry.mesh.files import write_mesh
 from ..geometry.mesh.quality import mesh_quality
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..io.matlab import write_thesis_mat
-from ..io.netcdf import read_transfer, refuse_other_g, write_transfer
-from ..io.signals import stack, write_displacements, write_drives
-from ..io.tables import strength_rows, write_signal_strength_csv
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
@@ -46,17 +47,23 @@ from ..results import (
 )
 from ..scenario import Scenario
 from ..store.folder import atomic_path, check_kind, set_kind
+from ..store.results import (
+    read_transfer,
+    refuse_other_g,
+    stack,
+    strength_rows,
+    write_displacements,
+    write_drives,
+    write_signal_strength_csv,
+    write_transfer,
+)
 from ..store.text import read_json, write_json
 from ..transfer import TransferMatrix
 from ..wavefield import Wavefield, save_wavefield
-from .forecast import refuse_if_signals_too_large
 from .notes import scene_notes
-from .resources import Ledger
 from .samples import check_samples
 from .simulation import AnswersForArm, Simulation, simulate, versions
-from .skin_model import save_skin_model
 from .unread import unread_notes
-from .verdict import accuracy_verdict
 from .wave_report import write_wave_report
 
 __all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]
@@ -99,6 +106,7 @@ class Run:
     account: StrengthAccount | None = None
     record: RunRecord | None = None
     known: dict[str, Any] = field(default_factory=dict)
+    asked: str = ""  # the scenario as a command names it, with what it sets
 
     @classmethod
     def start(cls, scenario: Scenario, out: Path, base: Path, progress: Progress | None = None) -> Run:
@@ -356,6 +364,7 @@ def _write_run(run: Run) -> None:
         condition_number=condition_of(transfer),
         signal_strength=StrengthRecord.model_validate(strength),
         notes=tuple(dict.fromkeys(run.notes)),
+        asked=run.asked,
     )
     write_run(target, run.record)
 

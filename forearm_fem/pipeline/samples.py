@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..device import close_loop
+from ..engines.layered import solve_layered
 from ..errors import DataError, ForearmError, ScenarioError
 from ..rendering import Record, bridged, place
 from ..scenario import Scenario
@@ -12,7 +13,6 @@ from ..scenario.frequencies import frequencies
 from ..scenario.limb import MeshLimb, SurfacesLimb
 from ..scenario.tissues import Patch
 from ..transfer import finite
-from .layered_engine import solve_layered
 
 _ON_BIN = 1e-3  # of a bin: as for G's own samples
 

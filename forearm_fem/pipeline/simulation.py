@@ -8,10 +8,13 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
 from .. import __version__
+from ..accuracy.discretisation import discretisation_of
+from ..accuracy.truncation import combined_truncation_error, freed_ends_error, other_ends_error
 from ..device import close_loop
+from ..engines.forecast import forecast, refuse_if_too_large
+from ..engines.layered import flat_notes, solve_layered
+from ..engines.solved import Solved, solve
 from ..errors import ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.cache import cached_mesh
@@ -24,18 +27,8 @@ from ..rendering.job import RenderJob, render_transfer
 from ..scenario import Scenario
 from ..scenario.frequencies import frequencies
 from ..tissue import resolve_tissues
-from ..transfer import Compliance, ErrorEstimate, TransferMatrix, finite, relative_error_at
-from ..typing import FloatArray
-from .dispersion import Lags
-from .forecast import forecast, refuse_if_too_large
-from .layered_engine import flat_notes, solve_layered
+from ..transfer import Compliance, TransferMatrix, finite
 from .notes import idle_size_notes, model_notes, near_disc_notes
-from .solved import Solved, solve
-from .two_meshes import change_around, judged, over_pairs
-
-# Shares of a change of ends that bracket the true error of cutting the limb (docs/decisions/0016).
-OTHER_ENDS, _OTHER = 0.5, "the ends are clamped (where they are clamped: freed), on the coarser mesh"
-FREED_ENDS, _FREED = 0.5, "the absorbing ends are freed (by the reduced model)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +69,7 @@ def simulate(
 ) -> Simulation:
     """G of ``scenario`` in m per volt (or per newton, per metre) with an error estimate per source.
 
-    A ``library`` of the scenario's arm takes the place of mesh and solve (:mod:`forearm_fem.library`).
+    A ``library`` of the scenario's arm takes the place of mesh and solve (:mod:`forearm_fem.engines.library`).
     ``base`` is the folder that user files in the scenario refer to, also the wavelet's that :func:`render` reads.
     Raises a :class:`ForearmError` for whatever cannot be built or solved.
     """
@@ -129,16 +122,16 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
     """G and its errors from compliances: the device enters here, at no further FE solve."""
     transfer = finite(close_loop(solved.compliance, scenario.device))
     coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None
-    errors = [*solved.unknown, *([_discretisation(transfer, coarse, scenario, mesh)] if coarse else [])]
+    errors = [*solved.unknown, *([discretisation_of(transfer, coarse, scenario, mesh)] if coarse else [])]
     truncations = []
     if solved.freed:
         freed = finite(close_loop(solved.freed, scenario.device))
-        truncations.append(_truncation(transfer, transfer, freed, FREED_ENDS, _FREED))
+        truncations.append(freed_ends_error(transfer, freed))
     if solved.other_ends and coarse:
         other = finite(close_loop(solved.other_ends, scenario.device))
-        truncations.append(_truncation(transfer, coarse, other, OTHER_ENDS, _OTHER))
+        truncations.append(other_ends_error(transfer, coarse, other))
     if truncations and all(e.source != "truncation" for e in solved.unknown):  # half a reading is none
-        errors.append(_either(truncations))
+        errors.append(combined_truncation_error(truncations))
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     near = near_disc_notes(scenario) if mesh is not None else ()
@@ -164,90 +157,3 @@ def account_of(
 ) -> StrengthAccount:
     """Intervals and companions of every S of ``rendering``, which :func:`render_transfer` made of ``transfer``."""
     return RenderJob.of(scenario, transfer, base=base).account(transfer, rendering)
-
-
-def _discretisation(
-    fine: TransferMatrix, coarse: TransferMatrix, scenario: Scenario, mesh: TissueMesh | None
-) -> ErrorEstimate:
-    ratio, lag = float(coarse.provenance["ratio"]), np.zeros(fine.values.shape)
-    coarser = lag
-    if mesh is not None:
-        lags = Lags.of(scenario, mesh, fine.outputs, fine.inputs)
-        lag, coarser = (lags.phases(scenario, fine.frequency, scale) for scale in (1.0, max(ratio, 1.0)))
-    found = judged(coarse.values, fine.values, fine.frequency, ratio, lag, coarser)
-    pairs = over_pairs(found.error, coarse.values, fine.values, fine.frequency)
-    pairs = np.maximum(pairs, found.unseen / np.abs(fine.values).max(axis=(1, 2), keepdims=True))
-    lost = fine.frequency[found.unseen.any(axis=(1, 2))]
-    blind = f"; from {lost[0]:g} Hz on at least the lag of waves too short for the elements" if len(lost) else ""
-    if mesh is None:
-        blind = "; waves too short for both meshes are not looked for, as a library has no mesh"
-    return ErrorEstimate(
-        "discretisation",
-        found.band,
-        f"change of G on a second mesh, nodes {ratio:.2g} times as far apart, over |{ratio:.2g}^p - 1|; order p is "
-        f"1.85 where that is below 0.115 ({found.order.min():.3g} where waves are latest), 3 above 0.117{blind}",
-        tuple(fine.frequency.tolist()),
-        tuple(found.error.tolist()),
-        pairs,
-    )
-
-
-def _either(estimates: list[ErrorEstimate]) -> ErrorEstimate:
-    """The largest of ``estimates``, freed ends first, at each frequency: with ends that reflect a share r of -1
-    (clamped) to 1 (free), and E what comes back from free ones, they err by |r| E and change by (1 - r) E when freed,
-    (1 + r) E when clamped. Half of the larger change is (1 + |r|) E / 2 >= |r| E, half of either alone may be zero.
-
-    Nor is less stated than at any higher frequency: E decays with frequency, but where waves are longer than the slab
-    both changes may pass through small values.
-    """
-    if len(estimates) == 1:
-        return estimates[0]
-    freed, clamped = estimates
-    frequency = np.unique(np.concatenate([e.frequency for e in estimates]))
-    larger = np.maximum(relative_error_at(freed, frequency), _between(clamped, freed, frequency))
-    error = np.maximum.accumulate(larger[::-1])[::-1]
-    method = "at each frequency the larger of " + " and ".join(e.method for e in estimates) + ", there or higher up"
-    return ErrorEstimate(
-        "truncation", max(e.band for e in estimates), method, tuple(frequency.tolist()), tuple(error.tolist())
-    )
-
-
-def _between(few: ErrorEstimate, many: ErrorEstimate, frequency: FloatArray) -> FloatArray:
-    """e(f) (n,) of ``few`` at ``frequency`` (n,) [Hz], between its own ones in proportion to ``many``.
-
-    What comes back from ends decays by orders of magnitude between the few frequencies that clamped ends are solved
-    at, and E is common to both. A straight line, which overstates there, is never exceeded: where freed ends change
-    nothing, there is no proportion.
-    """
-    straight, at = relative_error_at(few, frequency), np.asarray(few.frequency)
-    own, other = relative_error_at(few, at), relative_error_at(many, at)
-    if not (own * other > 0).all():
-        return straight
-    share = np.exp(np.interp(np.sqrt(frequency), np.sqrt(at), np.log(own / other)))
-    return np.asarray(np.minimum(straight, share * relative_error_at(many, frequency)))
-
-
-def _truncation(
-    transfer: TransferMatrix, own: TransferMatrix, other: TransferMatrix, share: float, method: str
-) -> ErrorEstimate:
-    """A ``share`` of the change of G when the ends are changed, tested against longer limbs and the endless twin.
-
-    Waves from the ends cancel at some frequencies by chance, so e(f) listens to its neighbours as two meshes' does.
-    Waves that reach the ends are long, so all pairs err about alike and are not told apart. The truth lies between
-    two G that err by as much either way, and what is stated is relative to it: where ends make most of G, clamped ones
-    leave nothing of it, and half of that change would be half of G at most.
-    """
-    same = own.values[np.searchsorted(own.frequency, other.frequency)]
-    size = np.linalg.norm(same, axis=(1, 2))
-    between = np.clip(np.linalg.norm(same + other.values, axis=(1, 2)) / 2, size / 2, size)
-    shares = share * size / between
-    change = np.linalg.norm(other.values - same, axis=(1, 2)) / size
-    weight = np.linalg.norm(transfer.values, axis=(1, 2)) ** 2
-    spread = np.interp(np.sqrt(transfer.frequency), np.sqrt(other.frequency), shares * change)
-    return ErrorEstimate(
-        "truncation",
-        float(np.sqrt(np.sum(weight * spread**2) / np.sum(weight))),
-        f"{share:g} of the change of G when {method}, over what lies between the two where that is less",
-        tuple(other.frequency.tolist()),
-        tuple((shares * change_around(other.values, same, other.frequency)).tolist()),
-    )

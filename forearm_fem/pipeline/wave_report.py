@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..accuracy.estimates import accuracy_verdict
 from ..device import close_loop
+from ..engines.layered import solve_layered
 from ..errors import ForearmError
 from ..metrics import fit_waves
 from ..metrics.waves import WaveFit, beside
@@ -21,8 +23,6 @@ from ..store.folder import write_text
 from ..store.text import markdown_table
 from ..transfer import TransferMatrix, relative_error, size_words
 from ..typing import FloatArray
-from .layered_engine import solve_layered
-from .verdict import accuracy_verdict
 
 _SAME = 1e-6  # m: between the distances of two points of a line
 

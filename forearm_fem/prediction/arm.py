@@ -11,17 +11,18 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ..accuracy.estimates import quadrature_estimate
+from ..engines.arm_meshes import ArmMeshes, arm_meshes
+from ..engines.layered import flat_disc, flat_layers, flat_ports, flat_surface
+from ..engines.parametric import ParametricModel, parametric_model, reciprocal
 from ..errors import ForearmError
 from ..fem.reduction.rational import chebyshev_frequencies
 from ..layered import layered_compliance
 from ..metrics import smooth_noise
-from ..pipeline.layered_engine import flat_disc, flat_layers, flat_ports, flat_surface
-from ..pipeline.parametric import ParametricModel, parametric_model, reciprocal
 from ..progress import Progress, within
 from ..scenario import Scenario
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
-from .two_meshes import ArmMeshes, arm_meshes
 
 _TOLERANCE, _TERMS, _ORDERS = 1e-3, 4, (3, 5)  # a third of the time of the twin's own; what it costs is stated per draw
 _OF_CHANGE = (1e-2, 3)  # tolerance and terms for what geometry changes: 5e-5 of it apart, in two thirds of the time
@@ -129,9 +130,9 @@ class LayeredArm:
             error = np.asarray(error if self.orders == _ALONE else error + found.truncation)
             if error.max() <= _ENOUGH:
                 break
-        estimate = ErrorEstimate(
-            "quadrature", float(error.max()), "the twin's own control, with fewer terms than it takes for a scene",
-            tuple(frequency.tolist()), tuple(error.tolist()),
+        estimate = quadrature_estimate(
+            frequency, error,
+            "the twin's own control, with fewer terms than it takes for a scene",
         )  # fmt: skip
         return Compliance(frequency, found.values, ports, (estimate,))
 
@@ -149,7 +150,7 @@ def without_bones(scenario: Scenario) -> Scenario:
 
 @dataclass(frozen=True)
 class ReducedArm:
-    """The scene's own finite elements for any tissue and tension (:mod:`forearm_fem.pipeline.parametric`).
+    """The scene's own finite elements for any tissue and tension (:mod:`forearm_fem.engines.parametric`).
 
     A mesh has one geometry, but its skin can be read anywhere: a draw's grid is read where it lies, if that is within
     millimetres of the scene's. What thicknesses and contact radius change, or a grid further away, is the difference of

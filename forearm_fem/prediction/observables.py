@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..engines.layered import flat_layers, flat_surface
 from ..layered import Disc, Layer, Surface, layered_compliance
 from ..metrics import fit_waves
-from ..pipeline.layered_engine import flat_layers, flat_surface
 from ..scenario import Scenario
 from ..typing import ComplexArray, FloatArray
 from .targets import FAT_SHARE, SHAH_STEPS

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import time
 import warnings
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-import psutil
-
 from .. import __version__
-from ..campaign.executor import LIGHT, SHARE, cluster, completed, in_turn
 from ..device import close_loop
-from ..errors import AccuracyWarning, DataError, ForearmError, ScenarioError
+from ..errors import AccuracyWarning, ForearmError, ScenarioError
 from ..fem.kernels.heap import freed_memory_kept
 from ..pipeline.samples import check_samples
 from ..pipeline.simulation import simulate
@@ -30,19 +25,20 @@ from ..scenario import Scenario
 from ..scenario.contents import contents, named_files
 from ..scenario.frequencies import frequencies
 from ..store.folder import check_kind, set_kind
+from ..store.record import save
+from ..store.shelf import WORK, Shelf
 from ..store.text import digest_of
+from ..store.work import LOST, done_once, light_workers, spread
 from ..transfer import UNITS, ErrorEstimate
 from .arm import ArmModel, LayeredArm, arm_model
 from .draws import LAWS, draw_inputs, each_name, scenario_of
-from .outcome import READINGS, Outcome, Setup, outcome_of, setup_of
+from .outcome import DrawsFile, Outcome, Setup, outcome_of, setup_of
 from .priors import load_priors
 from .statistics import Draws, draws_of
-from .store import FILE, read_outcomes, write_outcomes
 
 DRAWS = 200
-OLDER = "draws-older.nc"
+FILE = "draws.nc"
 POOL = 200  # draws that a model of finite elements is made from: the first ones, however many are asked for
-_SAVE = 10.0  # s between two writings of what is done
 
 
 @dataclass(frozen=True)
@@ -113,10 +109,10 @@ def predict(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> Prediction:
-    """S of ``draws`` arms; ``folder/draws.nc`` keeps each as soon as it is done, so that an interrupted call goes on.
+    """S of ``draws`` arms, in ``folder/draws.nc``; each is on a shelf once it is done, where another call finds it.
 
-    With ``resume`` draws of the same question found there are kept, also those of fewer or more; otherwise all are made
-    anew. ``workers`` processes of this machine (1: this one) or those of the Dask scheduler at the address
+    With ``resume`` draws of the same question found there are taken, also those of a call for fewer or more; otherwise
+    all are made anew. ``workers`` processes of this machine (1: this one) or those of the Dask scheduler at the address
     ``scheduler`` share the work; results do not depend on them. Raises ScenarioError for unknown laws or inputs,
     DataError where too few draws give S.
     """
@@ -128,27 +124,21 @@ def predict(
     tell(progress, "the scene itself", 0, 1)
     nominal, errors = _nominal(question, progress)
     set_kind(out, "prediction")
-    file, kept = out / FILE, dict[int, Outcome]()
-    if resume:
-        with suppress(DataError):
-            kept = {o.number: o for o in read_outcomes(file, question.digest) if o.number < draws}
-    if not kept and file.is_file():  # draws of another question cost minutes, too: they are kept beside
-        older = file.replace(file.with_name(OLDER))
-        warnings.warn(f"{file}: its draws answer another question and were moved to {older.name}", stacklevel=2)
-    reused = len(kept)
-    todo = [n for n in range(draws) if n not in kept]
-    tell(progress, "draws", reused, draws)
-    saved = time.monotonic()
-    try:
-        for number, outcome in _outcomes(question, setup, arm, todo, workers, scheduler):
-            kept[number] = outcome
-            tell(progress, "draws", len(kept), draws)
-            if time.monotonic() > saved + _SAVE:
-                _write(out, kept, setup, question)
-                saved = time.monotonic()
-    finally:  # an interruption, too, keeps what is done
-        if len(kept) > reused:
-            _write(out, kept, setup, question)
+    shelf, digest = Shelf(out / WORK, "finished draws"), question.digest
+    jobs = {f"draw-{n}-{digest[:32]}": Job(*_plain(question), n) for n in range(draws)}
+    if not resume:
+        shelf.drop(*jobs)
+    known = set(shelf.known())
+    reused = sum(key in known for key in jobs)
+    count = workers or min(max(1, draws - reused), light_workers())
+    many = spread(count, scheduler, "a prediction on several processes", asked=workers is not None)
+    made = done_once(
+        shelf, jobs, work if many else lambda job: drawn(question, setup, arm, job.number).as_parts(),
+        run=many, tell=lambda done, total: tell(progress, "draws", done, total),
+    )  # fmt: skip
+    kept = {jobs[key].number: _outcome(jobs[key].number, parts, setup) for key, parts in made}
+    frequency, unit = frequencies(question.scenario.sweep), UNITS[question.scenario.device.drive]
+    save(out / FILE, DrawsFile.of(list(kept.values()), setup.methods, setup.targets, digest, frequency, unit))
     grid = is_thesis_grid(setup.outputs)
     found = draws_of([kept[n] for n in range(draws)], setup.methods, setup.targets, grid)
     held = tuple(sorted({*question.held, *arm.held}))
@@ -218,35 +208,6 @@ def _unknown(arm: ArmModel, errors: tuple[ErrorEstimate, ...]) -> str:
     return "; ".join(s for s in (arm.unknown, f"what cutting the limb errs by for each arm is unknown ({own})") if s)
 
 
-def _write(out: Path, kept: Mapping[int, Outcome], setup: Setup, question: Question) -> None:
-    frequency = frequencies(question.scenario.sweep)
-    unit = UNITS[question.scenario.device.drive]
-    write_outcomes(out / FILE, list(kept.values()), setup.methods, setup.targets, question.digest, frequency, unit)
-
-
-def _outcomes(
-    question: Question, setup: Setup, arm: ArmModel, todo: list[int], workers: int | None, scheduler: str | None
-) -> Iterator[tuple[int, Outcome]]:
-    count = 1 if in_turn(scheduler, workers) else workers or worker_count(len(todo))
-    if not todo:
-        return
-    if scheduler is None and count == 1:
-        for number in todo:
-            yield number, drawn(question, setup, arm, number)
-        return
-    digest, plain = question.digest, _plain(question)
-    jobs = {f"draw-{n}-{digest}": Job(*plain, n) for n in todo}
-    with cluster(scheduler, lambda: count, "a prediction on several processes") as client:
-        for key, found in completed(client, work, jobs):
-            yield jobs[key].number, _unpacked(jobs[key].number, found, setup)
-
-
-def worker_count(jobs: int) -> int:
-    """Processes that cores and free memory allow."""
-    free = SHARE * psutil.virtual_memory().available
-    return max(1, min(jobs, os.cpu_count() or 1, int(free // LIGHT)))
-
-
 def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outcome:
     """Draw ``number``; an arm that cannot be is data, not an error."""
     draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
@@ -254,20 +215,23 @@ def drawn(question: Question, setup: Setup, arm: ArmModel, number: int) -> Outco
         with freed_memory_kept():
             return outcome_of(draw, setup, arm)
     except ForearmError as problem:
-        shape = (len(READINGS), len(setup.methods), len(setup.targets))
-        return Outcome(number, draw.law, np.full(shape, np.nan), problem=str(problem))
+        return Outcome.none(number, draw.law, setup, str(problem))
 
 
 def work(job: Job) -> dict[str, Any]:
     """The draw of ``job`` as plain data; nothing it raises leaves the worker."""
     try:
         question, setup, arm = _prepared(job.question, job.base, job.seed, job.laws, job.held, job.twin)
-        found = drawn(question, setup, arm, job.number)
-        return {"law": found.law, "strengths": found.strengths.tolist(), "drivers": dict(found.drivers),
-                "numerics": found.numerics, "seconds": found.seconds, "problem": found.problem,
-                "transfer": found.transfer, "spread": found.spread.tolist()}  # fmt: skip
+        return drawn(question, setup, arm, job.number).as_parts()
     except Exception as problem:
-        return {"problem": f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
+        return {LOST: f"{type(problem).__name__}: {problem} (a fault of the program, please report it)"}
+
+
+def _outcome(number: int, parts: Mapping[str, Any], setup: Setup) -> Outcome:
+    """What :meth:`.outcome.Outcome.as_parts` gave, or why there is nothing."""
+    if "strengths" not in parts:
+        return Outcome.none(number, "", setup, str(parts[LOST]))
+    return Outcome(**{**parts, "number": number, "drivers": MappingProxyType(parts["drivers"])})
 
 
 def _plain(question: Question) -> tuple[str, str, int, tuple[str, ...], tuple[str, ...], bool]:
@@ -299,14 +263,3 @@ def pool(question: Question) -> list[Scenario]:
     numbers = range(POOL)
     drawn = (draw_inputs(priors, question.scenario, question.seed, n, question.laws) for n in numbers)
     return [question.scenario, *(scenario_of(d, question.scenario, held) for d in drawn)]
-
-
-def _unpacked(number: int, found: Mapping[str, Any], setup: Setup) -> Outcome:
-    shape = (len(READINGS), len(setup.methods), len(setup.targets))
-    if "strengths" not in found:
-        return Outcome(number, "", np.full(shape, np.nan), problem=str(found["problem"]))
-    return Outcome(
-        number, found["law"], np.array(found["strengths"], dtype=float).reshape(shape), found["drivers"],
-        found["numerics"], found["seconds"], found["problem"], found["transfer"],
-        np.array(found["spread"], dtype=float).reshape(-1, shape[2]),
-    )  # fmt: skip

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import inspect
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,9 @@ from ..rendering.interval import StrengthAccount, strength_account
 from ..rendering.job import RenderJob, targets_of, wavelet, wavelet_for
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
-from ..store.text import read_json, write_json
+from ..store.shelf import WORK, Shelf
+from ..store.text import write_json
+from ..store.work import done_once
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from .arm import without_bones
@@ -33,8 +35,7 @@ from .run import Prediction, Question, check_question, expanded, predict
 from .statistics import LEVELS, Draws, Enclosed, group_means, joint_distance, quantiles, winners
 from .targets import SHAH_ARMS, SHAH_STEPS, TARGETS, Target
 
-FILE, OBSERVABLES = "validation.json", "observables.json"
-_SAVE = 10.0  # s
+FILE = "validation.json"
 _SUBJECT_DRAWS = 25
 _SHOWN_STEPS = (0, 3, 11)  # of Shah's motor: below, at and far above the 150 Hz that its abstract names
 _SEEN = 0.05  # of the arms must show a trend
@@ -120,42 +121,30 @@ def other_device(scenario: Scenario) -> tuple[str, ...]:
 def _observed(
     question: Question, out: Path, draws: int, resume: bool, progress: Progress | None
 ) -> list[dict[str, Any]]:
-    """Observables of every draw with its law; kept in the folder as they are made."""
-    file, mark = out / OBSERVABLES, f"{question.digest} {hash_of_targets()}"
-    rows, priors = _kept(file, mark)[:draws] if resume else [], load_priors()
-    saved = time.monotonic()
-    tell(progress, "published measurements", len(rows), draws)
-    try:
-        for number in range(len(rows), draws):
-            draw = draw_inputs(priors, question.scenario, question.seed, number, question.laws)
-            held = expanded(question.held, question.scenario)
-            arm = Arm.of(without_bones(scenario_of(draw, question.scenario, held)))
-            try:
-                seen = observables(arm)
-            except ForearmError:  # an arm that cannot be measured is missing from the band
-                seen = {}
-            rows.append({"law": draw.law, **seen})
-            tell(progress, "published measurements", number + 1, draws)
-            if time.monotonic() > saved + _SAVE:
-                write_json(file, {"question": mark, "rows": rows}, indent=None)
-                saved = time.monotonic()
-    finally:
-        write_json(file, {"question": mark, "rows": rows}, indent=None)
-    return rows
+    """Observables of every draw with its law; on the folder's shelf as they are made."""
+    shelf, mark = Shelf(out / WORK, "finished measurements"), f"{question.digest[:32]}-{hash_of_targets()}"
+    jobs = {f"observables-{number}-{mark}": number for number in range(draws)}
+    if not resume:
+        shelf.drop(*jobs)
+
+    def measured(number: int) -> dict[str, Any]:
+        """Of one draw; an arm that cannot be measured is missing from the band."""
+        draw = draw_inputs(load_priors(), question.scenario, question.seed, number, question.laws)
+        held = expanded(question.held, question.scenario)
+        try:
+            seen = observables(Arm.of(without_bones(scenario_of(draw, question.scenario, held))))
+        except ForearmError:
+            seen = {}
+        return {"law": draw.law, **seen}
+
+    rows = dict(done_once(shelf, jobs, measured, tell=partial(tell, progress, "published measurements")))
+    return [rows[key] for key in jobs]
 
 
 def hash_of_targets() -> str:
     """Changes when an observable or target does: kept rows are then made anew."""
     text = inspect.getsource(Arm) + inspect.getsource(sys.modules[Arm.__module__]) + repr([t.name for t in TARGETS])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _kept(file: Path, mark: str) -> list[dict[str, Any]]:
-    try:
-        content = read_json(file)
-    except DataError:
-        return []
-    return list(content["rows"]) if content.get("question") == mark else []
 
 
 def _judged(target: Target, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,11 +24,14 @@ from ..io import (
     read_signal_strength_csv,
     read_transfer,
 )
+from ..ports import Port
 from ..rendering import Record, Wavelet, from_samples_file, ricker
+from ..rendering.clearance import counted_points
 from ..results import RunRecord, read_run
 from ..scenario import Scenario, parse_scenario
 from ..store.text import read_json
 from ..transfer import Compliance, TransferMatrix
+from ..typing import BoolArray
 from ..wavefield import Wavefield, load_wavefield
 
 T = TypeVar("T")
@@ -111,6 +114,17 @@ class Results:
     def transfer(self) -> TransferMatrix:
         """G."""
         return read_transfer(self.path("transfer.nc"))
+
+    @property
+    def touching(self) -> tuple[Port, ...]:
+        """The contacts that touch the skin."""
+        lifted = self.scenario.device.out_of_contact
+        return tuple(p for p in self.transfer.inputs if p.name not in lifted)
+
+    def counted(self, targets: Sequence[str]) -> BoolArray:
+        """Whether S towards each of ``targets`` counts: not under or beside a motor."""
+        points = {p.name: p for p in self.transfer.outputs}
+        return counted_points([points[t] for t in targets], self.touching)
 
     @cached_property
     def compliance(self) -> Compliance:

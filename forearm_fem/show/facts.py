@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -18,34 +17,21 @@ from ..scenario import Scenario
 from ..transfer import entry_band_errors, size_words
 from ..typing import FloatArray
 from .data import Results
-from .judge import WHO, Strengths, spreads, strengths, table_one_rows
-
-Rows = list[list[str]]
-
-
-@dataclass(frozen=True)
-class Block:
-    """A table with its heading; ``note`` is a sentence below it."""
-
-    header: list[str]
-    rows: Rows
-    note: str = ""
+from .judge import TABLE_ONE, Strengths, spreads, strengths, table_one_rows
+from .page import Block
 
 
 def scene_block(results: Results) -> Block:
     """What was asked, in a reader's words."""
     s = results.scenario
     changed = ", ".join(s.tissues.override)
-    inside = ", ".join(f"{x.tissue} {_mm(x.thickness)}" for x in getattr(s.limb, "layers", ()))
-    core, bones = getattr(s.limb, "core", ""), ", ".join(b.name for b in getattr(s.limb, "bones", ()))
     own = [key for key in changed_keys(s) if key not in ("name", "description")]
     of_limb = "scenario" in results.transfer.provenance
-    limb = (s.limb.shape, inside, f"on {core}" if core else "", f"bones: {bones}" if bones else "")
     solved = [
-        ["limb", "; ".join(part for part in limb if part)],
+        ["limb", limb_words(s)],
         ["tissues", f"preset {s.tissues.preset}" + (f"; changed: {changed}" if changed else "")],
         ["supports", f"bone {s.supports.bone}, underside {s.supports.underside}, cut ends {s.supports.ends}"],
-        ["engine", "finite elements" if s.engine == "fem" else "semi-analytic layered half-space (flat, no bone)"],
+        ["engine", "finite elements" if s.engine == "fem" else "layered model (semi-analytic; flat, no bone)"],
     ]
     rows = [
         *(solved if of_limb else [["G", "measured or imported: nothing is said of the limb"]]),
@@ -57,6 +43,17 @@ def scene_block(results: Results) -> Block:
         ["keys that differ from their defaults", ", ".join(own) or "none"],
     ]  # fmt: skip
     return Block(["", ""], rows, s.description)
+
+
+def limb_words(s: Scenario) -> str:
+    """Shape, layers and bones of the limb."""
+    inside = ", ".join(f"{x.tissue} {_mm(x.thickness)}" for x in getattr(s.limb, "layers", ()))
+    core, bones = getattr(s.limb, "core", ""), ", ".join(b.name for b in getattr(s.limb, "bones", ()))
+    within = (inside, f"on {core}" if core else "", f"bones {bones}" if bones else "")
+    told = ", ".join(part for part in within if part)
+    shape = s.limb.shape
+    article = "a" if shape[0] not in "aeiou" else "an"
+    return f"{article} {shape}{f' of {told}' if told else ''}"
 
 
 def _mm(length: float) -> str:
@@ -170,6 +167,21 @@ def renderer_block(results: Results) -> Block:
     return Block(header, rows, "Ranges are over the targets. Everything is linear: scaled drives scale all alike.")
 
 
+def limit_words(results: Results) -> str:
+    """How near the drives come to what the actuators bear, in one sentence."""
+    drives, device = results.drives, results.scenario.device
+    if drives.unit != "V":
+        return "The drives are no voltages, so limits were not checked."
+    peak = float(np.abs(drives.values).max()) / device.max_voltage
+    power = float(np.mean(drives.values**2, axis=3).max()) / device.coil.resistance / device.max_power
+    share = max(peak, np.sqrt(power))  # of the amplitude that reaches a limit
+    told = (f"largest drive {100 * peak:.2g} % of {device.max_voltage:g} V, mean power {100 * power:.2g} % of "
+            f"{device.max_power:g} W")  # fmt: skip
+    if share > 1:
+        return f"Beyond a limit ({told}): rendering.amplitude times {1 / share:.2g} is within."
+    return f"Within all limits ({told}): the amplitude may grow {1 / share:.2g} times." if share > 0 else "All still."
+
+
 def _span(values: FloatArray, unit: str) -> str:
     low, high = float(np.min(values)), float(np.max(values))
     return f"{low:.2g} {unit}" if np.isclose(low, high) else f"{low:.2g} to {high:.2g} {unit}"
@@ -191,13 +203,12 @@ def strength_block(results: Results) -> Block | None:
     data = strengths(results)
     if not is_thesis_grid(results.transfer.outputs):
         return None
-    header = ["S", *(f"{m}, {who}" for m in data.methods for who in WHO)]
     note = (f"Here: S {window_words(data)}. Record: the same motion over the whole record of "
             f"{results.scenario.sweep.duration:g} s, as the thesis sums it; that reading grows with the record, as the "
             "edges of the band ring on. Thesis: one participant (P2), measured with the laser vibrometer.")  # fmt: skip
     if data.arms is not None:
         note += f" Arms: 5-95 % of the group's mean S over {data.arms['draws']} arms, apart from the numerics."
-    return Block(header, table_one_rows(data), note)
+    return Block(list(TABLE_ONE), table_one_rows(data), note)
 
 
 def window_words(data: Strengths) -> str:
@@ -263,7 +274,7 @@ def _group_error(data: Strengths) -> dict[tuple[str, str], float]:
     """Mean half width of the intervals of S over a group's targets; NaN where one is unknown."""
     out = {}
     for label, members in GROUPS:
-        columns = [i for i, t in enumerate(data.targets) if t in members]
+        columns = [i for i, t in enumerate(data.targets) if t in members and data.counted[i]]
         for m, method in enumerate(data.methods):
             if columns:
                 out[label, method] = float(np.mean((data.high - data.low)[m, columns]) / 2)
@@ -305,21 +316,3 @@ def provenance_block(results: Results) -> Block:
     account = results.account
     rows += [["direct solver", account.solution.solver or ""], *([k, v] for k, v in account.versions.items())]
     return Block(["", ""], [r for r in rows if r[1]])
-
-
-def mean_words(strengths: FloatArray) -> str:
-    """Mean of S (n_target,) over the targets where it is known, and over how many where that is not all of them."""
-    known = strengths[np.isfinite(strengths)]
-    if not len(known):
-        return "unknown"
-    return f"{strength_text(float(known.mean()))}{'' if len(known) == len(strengths) else f' (of {len(known)})'}"
-
-
-def headline(results: Results) -> str:
-    """The whole story in two sentences."""
-    s = results.scenario
-    data = strengths(results)
-    best = [f"{m} {mean_words(v)}" for m, v in zip(data.methods, data.values, strict=True)]
-    verdict = results.account.accuracy or "the accuracy reached is not on record"
-    told = f"mean signal strength over {len(data.targets)} targets is {', '.join(best)}"
-    return f"Scene {s.name}: {told}. Accuracy: {verdict}."

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import FigureBase
+from matplotlib.patches import Circle
 
 from ..errors import DataError
 from ..metrics import StrengthTable, signal_strength_table, thesis_table
 from ..ports import Port, positions
 from ..store.text import markdown_table
 from ..transfer import ErrorEstimate, size_words
-from ..typing import FloatArray
+from ..typing import BoolArray, FloatArray
 from .data import Results
 from .style import ACTUATORS, GREY, INK, method_colour, panels, single, styled, widen
 from .tables import Table
 
-WHO = ("here", "record", "thesis")  # columns of Table I: S over the window, over the whole record, and measured
+TABLE_ONE = ("place", "method", "here", "record", "thesis")  # S over the window, over the whole record, and measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +33,7 @@ class Strengths:
 
     ``low`` to ``high`` is the numerical interval, NaN where unknown; ``arms`` is what a prediction says of people (its
     summary, None without one), which is no error of the numerics; ``record`` is S over the whole record, ``window``
-    what ``values`` are taken over ("" in folders before 0.14).
+    what ``values`` are taken over; ``counted`` (n_target,) leaves out points under or beside a motor.
     """
 
     methods: tuple[str, ...]
@@ -42,11 +45,14 @@ class Strengths:
     high: FloatArray
     record: FloatArray
     window: str
+    counted: BoolArray
     arms: Mapping[str, Any] | None = None
 
-    def table(self) -> StrengthTable:
-        """In the layout of Table I."""
-        return signal_strength_table(self.methods, self.targets, self.values)
+    def table(self, values: FloatArray | None = None) -> StrengthTable:
+        """``values`` (default: S) of the points that count in the layout of Table I."""
+        return signal_strength_table(
+            self.methods, self.targets, self.values if values is None else values, self.counted
+        )
 
 
 def strengths(results: Results) -> Strengths:
@@ -66,7 +72,7 @@ def strengths(results: Results) -> Strengths:
     return Strengths(
         methods, targets, column("S"), outputs, results.transfer.inputs,
         column("S_low"), column("S_high"), column("S_record"), results.strengths[0].window,
-        results.prediction,
+        results.counted(targets), results.prediction,
     )  # fmt: skip
 
 
@@ -81,41 +87,96 @@ def strengths_table(data: Strengths) -> Table:
 
 @styled
 def plot_strength_maps(data: Strengths, *, ax: Axes | None = None) -> FigureBase:
-    """S at each target seen from above, one map per method; white is 1, where the target moves as the mean."""
-    figure = panels(ax, (2.3 * len(data.methods) + 0.6, 2.7))
+    """S at each target seen from above, one map per method; white is 1, points that do not count are grey."""
+    width = 2.3
+    figure = panels(ax, (width * len(data.methods) + 0.7, width * _aspect(data) + 0.3))
     axes = np.atleast_1d(figure.subplots(1, len(data.methods), sharey=True))
-    spread = max(float(np.nanmax(np.abs(np.log2(data.values)))), 0.1)
-    norm = TwoSlopeNorm(0, -spread, spread)
-    at, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
-    few = len(at) <= 16  # enough room for names
-    look: dict[str, Any] = {"cmap": "PuOr_r", "norm": norm, "s": 340 if few else 5000 / len(at), "edgecolors": INK}
-    for panel, method, values in zip(axes, data.methods, data.values, strict=True):
-        dots = panel.scatter(at[:, 0], at[:, 1], c=np.log2(values), lw=0.5, **look)
-        panel.scatter(coils[:, 0], coils[:, 1], marker="s", s=60, facecolors="none", edgecolors=GREY)
-        for place, value, name in zip(at, values, data.targets, strict=True) if few else ():
-            ink = "w" if abs(float(norm(np.log2(value))) - 0.5) > 0.36 else INK
-            panel.annotate(f"{value:.2f}", place[:2], ha="center", va="center", fontsize=6.5, color=ink)
-            panel.annotate(name, place[:2], (0, -16), textcoords="offset points", ha="center", fontsize=5.5, color=GREY)
-        for place, port in zip(coils, data.inputs, strict=True):
-            panel.annotate(port.name, place[:2], ha="center", va="center", fontsize=4.5, color=GREY)
-        panel.set(xlabel="x, towards the elbow [mm]", aspect="equal", title=method)
-        panel.margins(0.14)
-        widen(panel)
-    axes[0].set_ylabel("y, across [mm]")
-    bar = figure.colorbar(dots, ax=list(axes), shrink=0.9, fraction=0.04)
-    ticks = [t for t in (0.125, 0.25, 0.5, 1, 2, 4, 8, 16) if abs(np.log2(t)) <= spread]
+    norm = _norm(data)
+    for m, panel in enumerate(axes):
+        _map(panel, data, m, norm, ("",) * len(data.targets))
+        panel.set_title(data.methods[m])
+    bar = figure.colorbar(ScalarMappable(norm, "PuOr_r"), ax=list(axes), shrink=0.9, fraction=0.04)
+    ticks = [t for t in (0.125, 0.25, 0.5, 1, 2, 4, 8, 16) if abs(np.log2(t)) <= float(norm.vmax or 0)]
     bar.set_ticks([float(np.log2(t)) for t in ticks], labels=[f"{t:g}" for t in ticks])
-    bar.set_label("signal strength S [-]")
+    bar.ax.minorticks_off()
+    bar.set_label("signal strength S")
     return figure
 
 
+@styled
+def plot_strength_map(data: Strengths, method: str, notes: Sequence[str], *, ax: Axes | None = None) -> Axes:
+    """S of one ``method`` seen from above with a note below each target; ``notes`` (n_target,), e.g. ``±0.12``."""
+    axes = single(ax, (3.0, 3.0 * _aspect(data)))
+    _map(axes, data, data.methods.index(method), _norm(data), notes)
+    return axes
+
+
+def _norm(data: Strengths) -> TwoSlopeNorm:
+    """Colours of log2 S, the same to both sides of S = 1, by the points that count."""
+    counted = data.values[:, data.counted] if data.counted.any() else data.values
+    with np.errstate(divide="ignore"):
+        size = np.abs(np.log2(counted))
+    spread = float(np.clip(np.max(size[np.isfinite(size)], initial=0.1), 0.1, 5.0))
+    return TwoSlopeNorm(0, -spread, spread)
+
+
+def _extent(data: Strengths) -> tuple[FloatArray, FloatArray, float]:
+    """Corners (x, y) [mm] of a map, and the radius [mm] of a point's disc on it."""
+    at, coils = 1e3 * positions(data.outputs)[:, :2], 1e3 * positions(data.inputs)[:, :2]
+    apart = np.linalg.norm(at[:, None] - at[None], axis=2)
+    radius = 0.36 * float(np.min(apart[apart > 0], initial=20.0))
+    rims = np.array([1e3 * p.radius for p in data.inputs])[:, None]
+    low = np.concatenate([at - radius, coils - rims]).min(axis=0) - (1.0, 6.0)
+    high = np.concatenate([at + radius, coils + rims]).max(axis=0) + 1.0
+    return low, high, radius
+
+
+def _aspect(data: Strengths) -> float:
+    """Height of a map over its width."""
+    low, high, _ = _extent(data)
+    wide, tall = high - low
+    return float(np.clip(tall / wide, 0.4, 1.5))
+
+
+def _map(panel: Axes, data: Strengths, m: int, norm: TwoSlopeNorm, notes: Sequence[str]) -> None:
+    at, coils, values = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs), data.values[m]
+    low, high, radius = _extent(data)
+    named = len(at) <= 25  # enough room for numbers
+    for place, port in zip(coils, data.inputs, strict=True):
+        panel.add_patch(Circle(place[:2], 1e3 * port.radius, facecolor="#EEEEEE", edgecolor=GREY, lw=0.8, zorder=3))
+        hidden = np.linalg.norm(at[:, :2] - place[:2], axis=1).min() < radius
+        beside = place[0] - max(radius, 1e3 * port.radius) - 0.5 if hidden else place[0]
+        panel.annotate(port.name, (beside, place[1]), ha="right" if hidden else "center", va="center", fontsize=6,
+                       color=GREY, zorder=6)  # fmt: skip
+    for k, (place, value) in enumerate(zip(at, values, strict=True)):
+        counts = bool(data.counted[k])
+        with np.errstate(divide="ignore"):
+            shade = float(np.clip(norm(np.log2(value)), 0, 1)) if np.isfinite(value) else 1.0 if value > 0 else 0.5
+        look: dict[str, Any] = {"edgecolor": INK if counts else GREY, "lw": 0.5, "ls": "-" if counts else ":"}
+        face = colormaps["PuOr_r"](shade) if counts else "#DDDDDD"
+        panel.add_patch(Circle(place[:2], radius, facecolor=face, zorder=4, **look))
+        if not named:
+            continue
+        ink = GREY if not counts else "w" if abs(shade - 0.5) > 0.36 else INK
+        panel.annotate(f"{value:.2f}" if value < 10 else f"{value:.3g}", place[:2], ha="center", va="center",
+                       fontsize=7.5, color=ink, zorder=5)  # fmt: skip
+        below = f"{data.targets[k]} {notes[k] if counts else ''}".rstrip()
+        panel.annotate(below, (place[0], place[1] - radius), (0, -1.5), textcoords="offset points", ha="center",
+                       va="top", fontsize=6, color="#555555", zorder=5)  # fmt: skip
+    panel.plot([low[0], low[0] + 10], [low[1] + 1.5] * 2, color=INK, lw=1.5, solid_capstyle="butt")
+    panel.annotate("10 mm", (low[0] + 10, low[1] + 1.5), (3, 0), textcoords="offset points", va="center", fontsize=6)
+    panel.annotate("elbow →", (high[0], low[1] + 1.5), ha="right", va="center", fontsize=6, color=GREY)
+    panel.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    panel.axis("off")
+    widen(panel)
+
+
 def table_one_rows(data: Strengths) -> list[list[str]]:
-    """Rows of Table I: group, then for each method S over the window, over the whole record, and the thesis'."""
+    """Rows of Table I: place, method, S over the window, over the whole record, and the thesis'."""
     ours, theirs = data.table(), thesis_table()
-    record = signal_strength_table(data.methods, data.targets, data.record)
+    record = data.table(data.record)
     rows = []
     for g, group in enumerate(ours.groups):
-        row = [group]
         for m, method in enumerate(ours.methods):
             whole = _cell(record.mean[g, m], record.std[g, m]) if np.isfinite(record.mean[g, m]) else "–"
             here = _cell(ours.mean[g, m], ours.std[g, m]) + spreads(data, method, group)
@@ -123,8 +184,7 @@ def table_one_rows(data: Strengths) -> list[list[str]]:
             if group in theirs.groups and method in theirs.methods:
                 at = theirs.groups.index(group), theirs.methods.index(method)
                 thesis = _cell(theirs.mean[at], theirs.std[at])
-            row += [here, whole, thesis]
-        rows.append(row)
+            rows.append([group, method, here, whole, thesis])
     return rows
 
 
@@ -135,7 +195,7 @@ def spreads(data: Strengths, method: str, place: str) -> str:
     if data.arms is None or known is None:
         return ""
     inside = data.arms["groups"][place] if by_group else [place]
-    columns = [i for i, t in enumerate(data.targets) if t in inside]
+    columns = [i for i, t in enumerate(data.targets) if t in inside and (data.counted[i] or not by_group)]
     low, high = (each[data.methods.index(method), columns].mean() for each in (data.low, data.high))
     numerics = f"{low:.2f}-{high:.2f}" if np.isfinite(low) and np.isfinite(high) else "unknown"
     return f" (numerics {numerics}, arms {known['arms'][0]:.2f}-{known['arms'][-1]:.2f})"
@@ -147,8 +207,7 @@ def _cell(mean: float, std: float) -> str:
 
 def table_one_markdown(data: Strengths) -> str:
     """Table I, simulated and thesis side by side."""
-    header = ["S", *(f"{m}, {who}" for m in data.methods for who in WHO)]
-    return markdown_table(header, table_one_rows(data))
+    return markdown_table(TABLE_ONE, table_one_rows(data))
 
 
 def table_one_extra(data: Strengths) -> dict[str, str]:
@@ -159,7 +218,7 @@ def table_one_extra(data: Strengths) -> dict[str, str]:
 def table_one_csv(data: Strengths) -> Table:
     """Mean and standard deviation, here over the window and over the record, and in the thesis."""
     ours, theirs = data.table(), thesis_table()
-    record = signal_strength_table(data.methods, data.targets, data.record)
+    record = data.table(data.record)
     lines = [(g, m) for g in ours.groups for m in ours.methods]
     sides = (("here", ours), ("here_record", record), ("thesis", theirs))
     columns: dict[str, Any] = {f"{prefix}_{what}": [] for prefix, _ in sides for what in ("mean", "std")}
@@ -176,17 +235,14 @@ def table_one_csv(data: Strengths) -> Table:
 @styled
 def plot_table_one(data: Strengths, *, ax: Axes | None = None) -> FigureBase:
     """Signal strength by place on the grid, here (filled) and in the thesis (open), and the numbers below."""
-    cells = [
-        ["" if m else place, method, *numbers[len(WHO) * m : len(WHO) * (m + 1)]]  # a place is named once
-        for place, *numbers in table_one_rows(data)
-        for m, method in enumerate(data.methods)
-    ]
+    first = data.methods[0]  # a place is named once
+    cells = [[place if method == first else "", method, *numbers] for place, method, *numbers in table_one_rows(data)]
     below = 0.16 * (len(cells) + 1)  # inches: lines of 7 pt
     figure = panels(ax, (7.1 if data.arms else 6.4, 2.5 + below))
     top, bottom = figure.subplots(2, 1, height_ratios=(2.5, below))
     _points(top, data)
     bottom.axis("off")
-    header = ["place", "method", *WHO]
+    header = list(TABLE_ONE)
     table = bottom.table(cells, colLabels=header, bbox=(0, 0, 1, 1), cellLoc="left", colLoc="left")
     table.auto_set_font_size(False)
     table.set_fontsize(7)

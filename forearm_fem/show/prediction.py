@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..store.folder import atomic_path, write_text
+from ..store.folder import write_text
 from .arms import bands_table, drivers_table, plot_bands, plot_drivers, plot_wins
-from .facts import Block
-from .report import Section, embedded, html_of, markdown_of
+from .page import Block, Page, Section, embedded
 from .style import Drawn
 
 _STRONG = 0.2  # rank correlation that is named
@@ -25,9 +23,6 @@ def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path,
     out = Path(folder)
     stamp = f"scene {data['scenario']['name']} · {data['draws']} arms, {data['model']} · forearm_fem {data['program']}"
     pictures = {name: embedded(draw(data), title, stamp, name) for name, (title, draw) in _FIGURES.items()}
-    for name, picture in pictures.items():
-        with atomic_path(out / "figures" / f"{name}.png") as target:
-            target.write_bytes(base64.b64decode(picture.data))
     for name, table in (("bands", bands_table), ("drivers", drivers_table)):
         write_text(out / "figures" / f"{name}.csv", table(data).as_csv(stamp))
     title, lead = f"Prediction for scene {data['scenario']['name']}", lead_of(data)
@@ -44,10 +39,7 @@ def write_prediction(folder: str | Path, data: Mapping[str, Any]) -> tuple[Path,
         Section("numerics", "How wrong the numerics may be", paragraphs=[_numerics(data)]),
         Section("scope", "What is in the band, and what is not", bullets=_scope(data)),
     ]
-    page, plain = out / "prediction.html", out / "prediction.md"
-    write_text(plain, markdown_of(title, lead, sections, stamp))
-    write_text(page, html_of(title, lead, sections, stamp))
-    return page, plain
+    return Page(title, [lead], sections, stamp).save(out, "prediction")
 
 
 _FIGURES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], Drawn]]] = {

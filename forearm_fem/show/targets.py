@@ -21,7 +21,7 @@ from ..wavefield import Wavefield
 from .data import Results, record_of
 from .device import busy
 from .patch import VolarPatch, volar_patch
-from .style import FAINT, GREY, INK, MICRO, SIGNED, figure_of, method_colour, panels, styled
+from .style import FAINT, GREY, INK, MICRO, SIGNED, figure_of, method_colour, panels, single, styled
 from .tables import Table, stacked_rows
 
 _INSTANTS = 6
@@ -29,6 +29,7 @@ _FLAT = 1e-3  # of the grid's size: points that are no further off a line span n
 _TIME = "time [ms]"
 _MISSED = 1e-6  # of the drives' energy: rounding leaves 1e-14 beside the bins of the field
 _BAR = 10.0  # mm: the scale below a map
+_AROUND = 0.04  # s to either side of the focus: what a trace of a report shows
 _MESH = 41  # points per side of the interpolated map
 
 
@@ -230,18 +231,34 @@ def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int) -> Non
     _traces(right.subplots(), data, shown)
 
 
-def _traces(ax: Axes, data: TargetWaves, shown: Shown) -> None:
+def _curves(ax: Axes, data: TargetWaves, shown: Shown) -> None:
     for k, trace in enumerate(shown.values):
         if k != data.row:
             ax.plot(1e3 * shown.time, MICRO * trace, color=GREY, lw=0.7, ls=":")
     ax.plot([], [], color=GREY, lw=0.7, ls=":", label="the others")
     ax.plot(1e3 * shown.time, MICRO * shown.values[data.row], color=INK, label=f"target {data.target}")
+    ax.set(xlabel=_TIME, ylabel="u [µm]", xlim=(1e3 * shown.time[0], 1e3 * shown.time[-1]))
+
+
+def _traces(ax: Axes, data: TargetWaves, shown: Shown) -> None:
+    _curves(ax, data, shown)
     for t in shown.instants:
         ax.axvline(1e3 * t, color=FAINT, lw=0.5, zorder=0)
     colour = method_colour(shown.method, [s.method for s in data.shown])
     ax.set_title(shown.method, color=colour, fontweight="bold", fontsize=9)
-    ax.set(xlabel=_TIME, ylabel="u [µm]", xlim=(1e3 * shown.time[0], 1e3 * shown.time[-1]))
     ax.legend(loc="upper right", fontsize=6)
+
+
+@styled
+def plot_trace(data: TargetWaves, method: str, title: str, *, ax: Axes | None = None) -> Axes:
+    """The grid points over time under one ``method``: the target solid, the others dotted."""
+    axes = single(ax, (2.9, 2.2))
+    shown = next(s for s in data.shown if s.method == method)
+    _curves(axes, data, shown)
+    times = np.array([(s.time[0], s.time[-1]) for s in data.shown])
+    axes.set_xlim(*(1e3 * np.clip((times[:, 0].min(), times[:, 1].max()), -_AROUND, _AROUND)))
+    axes.set_title(title, color=method_colour(method, [s.method for s in data.shown]), fontweight="bold")
+    return axes
 
 
 @styled

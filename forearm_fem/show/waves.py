@@ -12,11 +12,11 @@ from matplotlib.figure import FigureBase
 from scipy.special import hankel2
 
 from ..compare.adapters import layers_from
+from ..engines.layered import flat_surface
 from ..errors import NotApplicable, ScenarioError
 from ..layered import surface_kernel
 from ..metrics import WaveFit, fit_waves
 from ..metrics.waves import beside
-from ..pipeline.layered_engine import flat_surface
 from ..ports import Port, distances, positions
 from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives, place
 from ..rendering.drives import Aim

@@ -5,17 +5,14 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib import resources
 from pathlib import Path
 
 import pandas as pd
-from jinja2 import Environment
 
 from .. import __version__
 from ..errors import DataError
 from ..ports import Port
-from ..show.facts import Block
-from ..show.report import Section, embedded
+from ..show.page import Block, Page, Section, embedded
 from ..store.folder import atomic_path, write_text
 from .analysis import Ellipse, Tests, analyse, cells, confusion, ellipses, in_order, with_errors
 from .anova import Effect
@@ -76,12 +73,8 @@ def write_analysis(
             target.write_bytes(base64.b64decode(picture.data))
     people = sorted({p for t in answers.values() for p in t["participant"]})
     lead = f"{len(people)} participant(s); subjects are participants, repetitions are averaged within their cells."
-    source = resources.files("forearm_fem.show").joinpath("page.html.j2").read_text(encoding="utf-8")
-    page = Environment(autoescape=True, trim_blocks=True).from_string(source)
     sections = [s for s in sections if s.block or s.paragraphs or s.bullets or s.pictures]
-    write_text(
-        out / "report.html", page.render(title=f"Study {study.name}", lead=lead, sections=sections, stamp=_SOURCE)
-    )
+    write_text(out / "report.html", Page(f"Study {study.name}", [], sections, _SOURCE, lead).html())
     return out / "report.html"
 
 

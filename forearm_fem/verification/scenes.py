@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..engines.layered import flat_layers, flat_surface
 from ..fem.assembly.model import ForearmModel, build_model
 from ..fem.linear.factor import make_factor, refined_solve
 from ..fem.reduction.sweep import direct_sweep
@@ -16,7 +17,6 @@ from ..geometry.build import build_mesh
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..layered import Base, Disc, Layer, layered_compliance
-from ..pipeline.layered_engine import flat_layers, flat_surface
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..scenario.supports import Supports

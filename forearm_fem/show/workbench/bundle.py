@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from ...arguments import checked
+from ...engines.library import is_library, load_library
 from ...errors import DataError
 from ...geometry.device.layout import planform_ports
 from ...io.declaration import Declaration
 from ...io.recognise import read_measured
-from ...library import is_library, load_library
 from ...progress import Progress
 from ...scenario import Scenario, parse_scenario
 from ...store.folder import write_text

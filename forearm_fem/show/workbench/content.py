@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from ... import __version__
+from ...accuracy.estimates import accuracy_verdict
+from ...engines.skin_model import ReducedFile
 from ...errors import DataError, GeometryError, ScenarioError
 from ...geometry.device.layout import layout_of
 from ...io.declaration import arbitrary_gain
-from ...io.reduced import read_reduced
 from ...pipeline.simulation import simulate
-from ...pipeline.verdict import accuracy_verdict
 from ...ports import Port
-from ...prediction.store import FILE, read_outcomes
+from ...prediction.outcome import DrawsFile
+from ...prediction.run import FILE
 from ...progress import Progress
 from ...rendering import (
     Bridged,
@@ -34,6 +35,7 @@ from ...rendering.interval import at_least_band
 from ...rendering.job import least_error, wavelet
 from ...scenario import Scenario, parse_scenario
 from ...scenario.frequencies import frequencies
+from ...store.record import load
 from ...transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ...typing import FloatArray
 from ..data import PREDICTION, Results
@@ -199,7 +201,7 @@ def _draws(results: Results, placed: Placed) -> list[dict[str, Any]]:
         return []
     frequency, sweep = frequencies(results.scenario.sweep), results.scenario.sweep
     found = []
-    for outcome in [o for o in read_outcomes(file) if o.transfer is not None][:_ARMS]:
+    for outcome in [o for o in load(file, DrawsFile).outcomes if o.transfer is not None][:_ARMS]:
         g = np.asarray(outcome.transfer, dtype=complex)
         on_bins = place_on_bins(frequency, g, sweep.sample_rate, sweep.duration)
         values = on_bins.values[np.searchsorted(on_bins.frequency, placed.bins.frequency - 1e-6)]
@@ -233,14 +235,14 @@ def _model(results: Results, placed: Placed) -> dict[str, Any]:
     contacts, points = compliance.indices("contact"), compliance.indices("point")
     order = [*contacts, *points]
     if results.has("reduced.nc"):
-        found = read_reduced(results.path("reduced.nc"))
-        if found.poles and _same_ports(found.ports, compliance.ports):
-            left, right = found.poles["left"][order], found.poles["right"][:, order]
+        found = load(results.path("reduced.nc"), ReducedFile)
+        poles, left, right = found.poles, found.left, found.right
+        if poles is not None and left is not None and right is not None and _same_ports(found.ports, compliance.ports):
             return {
                 "kind": "poles",
-                "poles": packed(found.poles["poles"], "c16"),
-                "left": packed(left, "c16"),
-                "right": packed(right, "c16"),
+                "poles": packed(poles, "c16"),
+                "left": packed(left[order], "c16"),
+                "right": packed(right[:, order], "c16"),
                 "shares": packed(found.shares[order], "f8"),
             }
     values = compliance.values[:, order][:, :, contacts]

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline, RBFInterpolator
 from scipy.spatial import Delaunay, QhullError
 
+from ...engines.layered import flat_disc, flat_layers, flat_surface
 from ...layered import Disc, layered_compliance
-from ...pipeline.layered_engine import flat_disc, flat_layers, flat_surface
 from ...ports import Port, positions
 from ...scenario import Scenario
 from ...typing import ComplexArray, FloatArray, IntArray

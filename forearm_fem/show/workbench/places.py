@@ -33,7 +33,7 @@ _SIDE = 48  # stretches of the picture's longer side
 
 
 class FlatLengths(Protocol):
-    """Lengths along the skin, as of :class:`forearm_fem.library.skin.FlatSkin`."""
+    """Lengths along the skin, as of :class:`forearm_fem.engines.library.skin.FlatSkin`."""
 
     def flat(self, points: FloatArray) -> FloatArray:
         """(n, 2) of points (n, 3)."""
@@ -45,7 +45,7 @@ class FlatLengths(Protocol):
 
 
 class LibraryOfArm(AnswersForArm, Protocol):
-    """What an :class:`forearm_fem.library.ArmLibrary` offers."""
+    """What an :class:`forearm_fem.engines.library.ArmLibrary` offers."""
 
     @property
     def scenario(self) -> Scenario:

@@ -1,0 +1,119 @@
+"""The semi-analytic engine: the same ports on flat layers without end, by the same rules of placement."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..accuracy.estimates import quadrature_estimate
+from ..errors import ScenarioError
+from ..geometry.device.layout import layers_of, layout_of
+from ..geometry.device.place import parametric_skin, ports_on
+from ..layered import Disc, Layer, Surface, layered_compliance
+from ..ports import Port
+from ..progress import Progress
+from ..scenario import Scenario
+from ..scenario.limb import MeshLimb, SurfacesLimb
+from ..scenario.tissues import Tissues
+from ..tissue import resolve_tissues
+from ..transfer import Compliance
+from ..typing import ComplexArray, FloatArray
+
+_TOLERANCE = 1e-7  # of the quadrature and of the interpolation in frequency: far below what rigid contacts leave
+_LEFT_OUT = "curvature, bones, supports, sides and ends are left out: what they change, only engine = fem can tell"
+
+
+def solve_layered(
+    scenario: Scenario, frequency: FloatArray, *, progress: Progress | None = None
+) -> Compliance:
+    """Compliance of the scenario's ports on its layers, flat and without end, at ``frequency`` (n,) [Hz].
+
+    Contacts are as the scenario has them and scatter each other's waves. Leaves out curvature, bones, supports, sides
+    and ends. Raises what the finite elements raise for ports, tissues and limbs that cannot be.
+    """
+    layers, ports = flat_layers(scenario), flat_ports(scenario)
+    discs = [flat_disc(port) for port in ports]
+
+    result = layered_compliance(
+        layers, 2 * np.pi * frequency, discs, discs, surface=flat_surface(scenario.tissues),
+        tolerance=_TOLERANCE, progress=progress,
+    )  # fmt: skip
+    integrals = (result.quadrature + result.interpolation) * _over_points(result.values, ports)
+    error = np.asarray(result.truncation + integrals)
+    estimate = quadrature_estimate(
+        frequency, error,
+        "Hankel quadrature's own control and the last coefficients between frequencies, relative to the largest entry "
+        "of points, and the last terms and orders of the tractions under rigid discs, relative to the largest entry",
+    )  # fmt: skip
+    return Compliance(frequency, result.values, ports, (estimate,))
+
+
+def _over_points(values: ComplexArray, ports: tuple[Port, ...]) -> FloatArray:
+    """Largest entry over the largest between contacts and points (n,) [-]: integrals err by a share of the former, and
+    G, which is made of the latter, by as much of itself; 1 where there are no points."""
+    size, point = np.abs(values), np.array([port.kind == "point" for port in ports])
+    if not point.any() or point.all():
+        return np.ones(len(values))
+    return np.asarray(np.nanmax(size, axis=(1, 2)) / size[:, point][:, :, ~point].max(axis=(1, 2)))
+
+
+def flat_ports(scenario: Scenario) -> tuple[Port, ...]:
+    """Contacts and grid points of the scenario on the plane z = 0.
+
+    Raises :class:`GeometryError` for all that the limb itself would not take: overlaps, places beside or beyond it.
+    """
+    skin = parametric_skin(scenario)
+    if skin is None:
+        raise ScenarioError(_no_layers(scenario))
+    layout = layout_of(scenario)
+    places = np.vstack([layout.contacts, layout.points])
+    return tuple(
+        replace(port, position=(float(x), float(y), 0.0), axis=(0.0, 0.0, 1.0))
+        for port, (x, y) in zip(ports_on(scenario, skin), places, strict=True)
+    )
+
+
+def flat_disc(port: Port) -> Disc:
+    """The port as a disc of the layered body."""
+    return Disc(*port.position[:2]) if port.kind == "point" else Disc(*port.position[:2], port.radius, port.contact)
+
+
+def flat_layers(scenario: Scenario) -> list[Layer]:
+    """The limb's layers on a half-space of its core; :class:`ScenarioError` for a limb without layers."""
+    limb, tissues = scenario.limb, resolve_tissues(scenario)
+    if isinstance(limb, MeshLimb | SurfacesLimb):
+        raise ScenarioError(_no_layers(scenario))
+    stack = [(layer.tissue, layer.thickness) for layer in layers_of(limb)] + [(limb.core, math.inf)]
+    return [Layer(h, tissues[t].density, tissues[t].modulus.at, tissues[t].bulk) for t, h in stack]
+
+
+def flat_surface(tissues: Tissues) -> Surface:
+    """The membrane on the skin: an incompressible sheet, E h/(1 - nu^2) = 4 mu h.
+
+    :class:`ScenarioError` for a patch, which has edges.
+    """
+    membrane = tissues.membrane
+    if tissues.patch.is_on:
+        raise ScenarioError(
+            "tissues.patch: engine = 'layered' has no edges on the skin; use engine = 'fem', or cover all of the skin "
+            "by tissues.membrane"
+        )
+    return Surface(membrane.tension, 4 * membrane.stiffness, membrane.mass, 4 * membrane.viscosity)
+
+
+def flat_notes(compliance: Compliance) -> tuple[str, ...]:
+    """Sentences for the report: what the twin leaves out, and what its contacts are."""
+    contacts = [port for port in compliance.ports if port.kind == "contact"]
+    notes = [f"engine = layered: flat layers without end; {_LEFT_OUT}"]
+    if contacts and contacts[0].contact != "pressure":
+        notes.append(
+            f"the {contacts[0].contact} cones are rigid discs that scatter each other's waves and, as in the finite "
+            "elements, cannot tilt or slide"
+        )
+    return tuple(notes)
+
+
+def _no_layers(scenario: Scenario) -> str:
+    return f"engine: 'layered' needs layers, but limb.shape is '{scenario.limb.shape}'; use engine = 'fem'"

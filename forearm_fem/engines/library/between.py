@@ -1,0 +1,130 @@
+r"""From loads on a lattice to any disc or point: Gaussian-process regression with a prior of waves.
+
+What the limb's response differs from its flat twin's is smooth: waves no shorter than the tissues' carry it. Its prior
+is :math:`E|\hat d(k)|^2\propto(1+k^2/\kappa^2)^{-p}` with kappa a multiple of the shortest wavenumber, for the place of
+the source and that of the receiver alike. Bells on the lattice have the transform :math:`e^{-k^2w^2/2}`, rigid discs
+:math:`\sin ka/ka`, the tilt of these ik times :math:`3j_1(ka)/ka`, pressure :math:`2J_1(ka)/ka`, points 1: covariances
+between any two are one-dimensional integrals, and the regression both moves a load between lattice places and changes
+its shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.linalg
+from scipy.interpolate import CubicSpline
+from scipy.special import j0, j1, spherical_jn
+
+from ...ports import Port
+from ...typing import ComplexArray, FloatArray
+
+_POWER = 4.0  # p of the prior
+_NODES = 400  # of the rule over wavenumbers
+_LONGEST = 6.0  # kappa: wavenumbers up to which the prior is integrated
+_STEP, _FARTHEST = 1e-4, 0.05  # [m] between tabulated distances; of which tables are as long as multiples
+_ASIDE = 1e-4  # [m] either way, for slopes: these err by (k times this)^2/6, .002 of the shortest waves' at 500 Hz
+_X, _W = np.polynomial.legendre.leggauss(_NODES)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How a port spreads its force: the ``kind`` of its transform and its ``size`` [m], radius or width."""
+
+    kind: str
+    size: float
+
+    def transform(self, k: FloatArray) -> FloatArray:
+        """Its transform at ``k`` (n,) [1/m]."""
+        x = k * self.size
+        match self.kind:
+            case "bell":
+                return np.asarray(np.exp(-0.5 * x**2))
+            case "rigid":
+                return np.asarray(np.sinc(x / np.pi))
+            case "tilt":
+                return np.asarray(np.where(x > 0.05, 3 * spherical_jn(1, x) / np.where(x > 0, x, 1.0), 1 - x**2 / 10))
+            case "pressure":
+                return np.asarray(np.where(x > 0, 2 * j1(x) / np.where(x > 0, x, 1.0), 1.0))
+            case _:
+                return np.ones_like(k)
+
+
+def shape_of(port: Port) -> Shape:
+    """The shape of a contact or point."""
+    if port.kind == "point":
+        return Shape("point", 0.0)
+    return Shape("pressure" if port.contact == "pressure" else "rigid", port.radius)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Waves up to about ``kappa`` [1/m], and what is no wave: ``noise``, relative to a bell's variance."""
+
+    kappa: float
+    noise: float
+
+    def covariance(self, one: Shape, other: Shape, distance: FloatArray) -> FloatArray:
+        """Covariance of what two shapes see at ``distance`` [m] (any shape)."""
+        farthest = round(float(distance.max(initial=0.0)) / _FARTHEST + 0.5) * _FARTHEST
+        return np.asarray(_curve(self.kappa, one, other, farthest)(distance))
+
+
+@lru_cache(maxsize=512)
+def _curve(kappa: float, one: Shape, other: Shape, farthest: float) -> CubicSpline:
+    """Covariance over distance up to ``farthest`` [m]."""
+    k = 0.5 * _LONGEST * kappa * (_X + 1)
+    density = 0.5 * _LONGEST * kappa * _W * k * (1 + (k / kappa) ** 2) ** -_POWER
+    density = density * one.transform(k) * other.transform(k)
+    grid = np.arange(0.0, farthest + 2 * _STEP, _STEP)
+    return CubicSpline(grid, j0(np.multiply.outer(grid, k)) @ density)
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Bells of ``shape`` at ``centres`` (n, 2) under a ``prior``, with the inverse (n, n) of their covariance."""
+
+    centres: FloatArray
+    shape: Shape
+    prior: Prior
+    inverse: FloatArray
+
+    @classmethod
+    def of(cls, centres: FloatArray, width: float, prior: Prior) -> Lattice:
+        """The lattice of bells of ``width`` [m]."""
+        shape = Shape("bell", width)
+        covariance = prior.covariance(shape, shape, _distances(centres, centres))
+        covariance[np.diag_indices(len(centres))] *= 1 + prior.noise + 1e-9
+        inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(covariance), np.eye(len(centres)))
+        return cls(centres, shape, prior, 0.5 * (inverse + inverse.T))
+
+    def weights(self, shape: Shape, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Bells (n, k) that stand for a ``shape`` at ``places`` (k, 2); the variance there (2, k), before and known."""
+        seen = self.prior.covariance(shape, self.shape, _distances(self.centres, places))
+        found = self.inverse @ seen
+        own = self.prior.covariance(shape, shape, np.zeros(1))[0]
+        known = np.einsum("nk,nk->k", seen, found)
+        return found, np.stack([np.full(len(places), own), np.minimum(known, own)])
+
+    def slopes(self, shape: Shape, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Bells (n, 2 k) [1/m] that stand for the slopes, along u, then along v, of what a ``shape`` sees at ``places``
+        (k, 2); the variance there (2, 2 k) [1/m^2], before and known."""
+        seen = np.hstack([
+            self.prior.covariance(shape, self.shape, _distances(self.centres, places + way))
+            - self.prior.covariance(shape, self.shape, _distances(self.centres, places - way))
+            for way in np.eye(2) * _ASIDE
+        ]) / (2 * _ASIDE)  # fmt: skip
+        found = self.inverse @ seen
+        here, beside = self.prior.covariance(shape, shape, np.array([0.0, 2 * _ASIDE]))
+        own = (here - beside) / (2 * _ASIDE**2)
+        return found, np.stack([np.full(seen.shape[1], own), np.minimum(np.einsum("nk,nk->k", seen, found), own)])
+
+    def left_out(self, values: ComplexArray) -> ComplexArray:
+        """What each row of ``values`` (n, n) is off when it is found from the others, in units of its prior spread."""
+        return np.asarray((self.inverse @ values) / np.sqrt(self.inverse.diagonal())[:, None])
+
+
+def _distances(some: FloatArray, others: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(some[:, None] - others[None], axis=2))

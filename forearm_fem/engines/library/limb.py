@@ -1,0 +1,100 @@
+"""The limb as bells on its skin see it: poles and residues."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...layered.response import chebyshev_between, chebyshev_nodes
+from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
+
+_DEGREE = 12  # of the Chebyshev rule that carries what far poles add up to
+_FAR = 3.5  # half axes of a pole's Bernstein ellipse from which it is far: 3.5^-12 is 3e-7
+_NUMBERS = 2**18  # of the residues of some poles that are held side by side: four megabytes stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """Compliance between bells, sum_k left_ik right_kj / (i omega - poles_k), symmetric and of a real system.
+
+    ``left`` (n, k), ``right`` (k, n), ``poles`` (k,) [1/s], with each pole its conjugate.
+    """
+
+    poles: ComplexArray
+    left: ComplexArray
+    right: ComplexArray
+
+    @classmethod
+    def read(cls, data: Mapping[Any, Any], name: str) -> Limb | None:
+        """The limb ``name`` of a file's arrays, None where it holds none."""
+        if f"{name}_poles" not in data:
+            return None
+        return cls(*(np.asarray(data[f"{name}_{field.name}"]) for field in fields(cls)))
+
+    def between(self, frequency: FloatArray, weights: FloatArray, wanted: BoolArray | None = None) -> ComplexArray:
+        """Compliance (n_frequency, p, p) of p combinations ``weights`` (n, p) of bells; of those ``wanted`` (p, p), or
+        all, others are zero.
+
+        Poles far from the band asked for are summed at the nodes of a Chebyshev rule, near ones at every frequency.
+        """
+        p = weights.shape[1]
+        i, j = np.nonzero(np.triu(np.ones((p, p), dtype=bool) if wanted is None else wanted | wanted.T))
+        poles, modes = self._half
+        seen, omega, paired = real_product(weights.T, modes), 2 * np.pi * frequency, poles.imag > 0
+        near, ends = _near(poles, omega), (float(omega.min()), float(omega.max()))
+        some = len(omega) > 2 * _DEGREE
+        at = 1j * (chebyshev_nodes(*ends, _DEGREE) if some else omega)
+        own = np.where((near & some)[:, None], 0.0, 1 / (at - poles[:, None]))
+        values = _summed(seen, i, j, own, paired[:, None] / (at - poles[:, None].conj()))
+        if some:
+            values = chebyshev_between(*ends, omega, values)[0]
+            values += _summed(seen[:, near], i, j, 1 / (1j * omega - poles[near, None]))
+        whole = np.zeros((len(omega), p, p), dtype=complex)
+        whole[:, i, j] = whole[:, j, i] = values
+        return whole
+
+    @cached_property
+    def _half(self) -> tuple[ComplexArray, ComplexArray]:
+        """Poles (m,) with imaginary parts of zero and above, and what bells see of them (n, m): its square is their
+        residue, for left and right of a symmetric system are proportional."""
+        kept = self.poles.imag >= 0
+        left, right = self.left[:, kept], self.right[kept].T
+        ratio = (right * left.conj()).sum(axis=0) / np.maximum((np.abs(left) ** 2).sum(axis=0), 1e-300)
+        return self.poles[kept], np.ascontiguousarray(left * np.sqrt(ratio))
+
+
+def _near(poles: ComplexArray, omega: FloatArray) -> BoolArray:
+    """Whether each of ``poles`` (m,) [1/s] keeps a Chebyshev rule in the root of ``omega`` [rad/s] from converging."""
+    low, high = np.sqrt(omega.min()), np.sqrt(omega.max())
+    if not high > low:
+        return np.zeros(len(poles), dtype=bool)
+    root = np.sqrt(poles / 1j)
+    x = (2 * np.stack([root, -root]) - low - high) / (high - low)
+    beside = np.sqrt(x * x - 1)
+    return np.asarray((np.maximum(np.abs(x + beside), np.abs(x - beside)) < _FAR).any(axis=0))
+
+
+def _summed(
+    seen: ComplexArray, i: IntArray, j: IntArray, own: ComplexArray, mirrored: ComplexArray | float = 0.0
+) -> ComplexArray:
+    """Sums (n, pairs) over poles k of r ``own`` (m, n) + conj(r) ``mirrored`` (m, n), r = ``seen``_ik ``seen``_jk.
+
+    As a product of real numbers: Re r (own + mirrored) + Im r i (own - mirrored).
+    """
+    n = own.shape[1]
+    factors = np.stack([own + mirrored, 1j * (own - mirrored)], axis=1)
+    total, step = np.zeros((len(i), 2 * n)), max(8, _NUMBERS // max(1, len(i)))
+    for start in range(0, seen.shape[1], step):
+        some = seen[:, start : start + step]
+        factor = factors[start : start + step].reshape(-1, n)
+        total += (some[i] * some[j]).view(float) @ factor.view(float)
+    return np.asarray(total.view(complex).T)
+
+
+def real_product(some: FloatArray, others: ComplexArray) -> ComplexArray:
+    """``some`` (p, n) times ``others`` (..., n, m) without making the first complex."""
+    return np.asarray((some @ others.view(float)).view(complex))

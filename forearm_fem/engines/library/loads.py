@@ -1,0 +1,99 @@
+"""Smooth loads on the skin: bells of force, narrow beside waves, wide beside elements, that need no rim in a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.spatial import cKDTree
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTri
+
+from ...errors import MeshError
+from ...fem.assembly.model import ForearmModel
+from ...fem.space.elements import tabulate
+from ...fem.space.numbering import MixedSpace, facet_points
+from ...geometry.mesh.curved import bent_places
+from ...typing import FloatArray, IntArray
+from .skin import FlatSkin
+
+_REACH = 4.5  # widths beyond which a bell is nothing: 4e-5 of its middle
+_DEGREE = 19  # of the rule on a facet: exact enough for bells a quarter of a facet wide
+_LEAST = 20  # points of the rule under a bell
+
+
+@dataclass(frozen=True)
+class Bells:
+    """Loads exp(-r^2 / 2 width^2) about ``centres`` (n, 2), flat coordinates, along ``axes`` (n, 3); ``width`` [m]."""
+
+    centres: FloatArray
+    axes: FloatArray
+    width: float
+
+
+def bell_functionals(model: ForearmModel, skin: FlatSkin, bells: Bells) -> csr_array:
+    """Functionals (n, n_bell): the mean of the displacement along each bell's axis, weighted with it.
+
+    A unit force on a bell loads the system with the same vector, so what is found is reciprocal.
+    """
+    space = model.space
+    places, values = _skin_rule(space, skin, bells)
+    weights = _weights(places, bells)
+    scalar = csr_array(weights @ values)
+    scalar = coo_array(csr_array((1 / scalar.sum(axis=1))[:, None] * scalar))  # the basis adds up to one
+    rows = (3 * scalar.col[:, None] + np.arange(3)).ravel()
+    entries = (scalar.data[:, None] * bells.axes[scalar.row]).ravel()
+    shape = (3 * space.n_nodes, len(bells.centres))
+    full = csr_array(coo_array((entries, (rows, np.repeat(scalar.row, 3))), shape=shape))
+    free = csr_array(model.constraints.transform.T @ full)
+    n = model.operator.n
+    return csr_array((free.data, free.indices, np.pad(free.indptr, (0, n - free.shape[0]), "edge")), (n, shape[1]))
+
+
+def _skin_rule(space: MixedSpace, skin: FlatSkin, bells: Bells) -> tuple[FloatArray, csr_array]:
+    """Flat places (m, 2) of a rule on the skin under the bells; matrix (m, n_nodes) of its weights times the basis."""
+    reference, weights = get_quadrature(RefTri, _DEGREE)
+    tets, local = space.owners(_facets_under(space, skin, bells))
+    places, rows, columns, entries, count = [], [], [], [], 0
+    for f in np.unique(local):
+        mine, points = tets[local == f], facet_points(int(f), reference)
+        values, _ = tabulate(space.pair.displacement, points)
+        jacobians = space.jacobians_at(mine, points)
+        sides = jacobians @ facet_points(int(f), np.eye(2)) - jacobians @ facet_points(int(f), np.zeros((2, 1)))
+        measure = np.linalg.norm(np.cross(sides[..., 0], sides[..., 1]), axis=2) * weights
+        where = bent_places(space.mesh.points[space.vertices[mine]], space.offsets[mine], points)
+        places.append(skin.flat(where.reshape(-1, 3)))
+        number = count + np.arange(measure.size).reshape(measure.shape)
+        block = measure[:, None, :] * values[None]
+        rows.append(np.broadcast_to(number[:, None], block.shape).ravel())
+        columns.append(np.broadcast_to(space.nodes[mine][:, :, None], block.shape).ravel())
+        entries.append(block.ravel())
+        count += measure.size
+    matrix = coo_array((np.hstack(entries), (np.hstack(rows), np.hstack(columns))), shape=(count, space.n_nodes))
+    return np.vstack(places), csr_array(matrix)
+
+
+def _facets_under(space: MixedSpace, skin: FlatSkin, bells: Bells) -> IntArray:
+    """Facets (k, 3) of the skin with a corner near a bell, or wide enough to have one inside."""
+    facets = space.mesh.facets["skin"]
+    corners = skin.flat(space.mesh.points[facets.ravel()]).reshape(-1, 3, 2)
+    size = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    reach = _REACH * bells.width + np.where(np.isfinite(size), size, 0.0)[:, None]
+    low, high = bells.centres.min(axis=0), bells.centres.max(axis=0)
+    inside = ((corners > low - reach[..., None]) & (corners < high + reach[..., None])).all(axis=2)
+    return np.asarray(facets[inside.any(axis=1)])
+
+
+def _weights(places: FloatArray, bells: Bells) -> csr_array:
+    """Bells (n, m) at flat ``places`` (m, 2); those off the volar skin have none."""
+    known = np.flatnonzero(np.isfinite(places).all(axis=1))
+    near = cKDTree(places[known]).query_ball_point(bells.centres, _REACH * bells.width)
+    counts = np.array([len(found) for found in near])
+    if counts.min() < _LEAST:
+        raise MeshError("the skin under the library's patch has gaps; use smaller elements (accuracy, mesh.size_grid)")
+    rows, columns = np.repeat(np.arange(len(near)), counts), known[np.concatenate(near).astype(int)]
+    away = np.linalg.norm(places[columns] - bells.centres[rows], axis=1)
+    return csr_array(
+        coo_array((np.exp(-0.5 * (away / bells.width) ** 2), (rows, columns)), shape=(len(near), len(places)))
+    )

@@ -1,0 +1,246 @@
+"""One mesh's part of a library: one factorisation, a space for all loads on the patch, poles; kept as it goes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ...errors import SolverError
+from ...fem.assembly.coefficients import Polynomial, is_polynomial
+from ...fem.assembly.model import ForearmModel
+from ...fem.kernels.heap import freed_memory_kept
+from ...fem.linear.direct import make_solver
+from ...fem.reduction.basis import Basis
+from ...fem.reduction.expansion import expansion_rate
+from ...fem.reduction.many_loads import LoadSpace
+from ...fem.reduction.poles import pole_residue
+from ...fem.reduction.reduced_model import ReducedModel, empty_model, with_columns
+from ...geometry.cache import cached_mesh
+from ...progress import Progress, tell, within
+from ...scenario import Scenario
+from ...scenario.frequencies import frequencies
+from ...store.text import digest_of
+from ...typing import FloatArray, IntArray
+from ...user_cache import default_cache_dir
+from ..fem import fem_model
+from .kept import Kept, Progressed, Side
+from .limb import Limb
+from .loads import Bells, bell_functionals
+from .skin import FlatSkin
+
+_MAKING = 5  # raise when the same question would give another part
+_DROP, _ORDERS = 1e-2, 30  # of directions of the space, and derivatives at most (docs/decisions/0037-library.md)
+_SIDEWAYS_DROP = 3e-2  # of those that loads along the skin add: what discs held sideways take is a correction
+_FASTER = 2.5  # than the sweep's rate: high frequencies are what a space cut at _DROP leaves out
+_AT_ONCE = 48  # loads
+_WITNESSES = 24  # loads of the direct solve that the reduced model is compared with
+_CHECKED = (0.0, 0.1, 0.5, 0.75, 1.0)  # of the band: far fields fall with frequency, so that its end is the hardest
+_APART = 4  # widths between bells from which their compliance counts there
+BIN = 5e-3  # [m] of distance in which errors are taken as alike
+
+
+@dataclass(frozen=True)
+class LoadedSkin:
+    """The ``bells`` on a limb's ``skin`` laid flat, the first ``normal`` of them along its normal, others along it."""
+
+    skin: FlatSkin
+    bells: Bells
+    normal: int
+
+    @property
+    def bins(self) -> FloatArray:
+        """Distances (n_bin,) [m] by which errors are told apart, the farthest between two loads among them."""
+        farthest = float(np.linalg.norm(np.ptp(self.bells.centres, axis=0)))
+        return np.arange(0.0, farthest + BIN, BIN)
+
+    @property
+    def batches(self) -> list[tuple[IntArray, float]]:
+        """Loads solved at once, and the share of a direction below which theirs are taken as known.
+
+        Each batch is spread over the patch; those along the normal come first.
+        """
+        out: list[tuple[IntArray, float]] = []
+        for first, last, drop in ((0, self.normal, _DROP), (self.normal, len(self.bells.centres), _SIDEWAYS_DROP)):
+            order = first + np.argsort((np.arange(last - first) * 0.6180339887498949) % 1.0)
+            out += [(order[start : start + _AT_ONCE], drop) for start in range(0, len(order), _AT_ONCE)]
+        return out
+
+
+def solved_side(
+    meshed: Scenario, loaded: LoadedSkin, base: Path, scale: float = 1.0, progress: Progress | None = None
+) -> Side:
+    """The part of the mesh of ``meshed`` with sizes times ``scale``; only at scale 1 with freed ends and an error.
+
+    What is done is kept in the cache, and found there.
+    """
+    began = time.monotonic()
+    mesh = cached_mesh(meshed, base=base, scale=scale, progress=within(progress, "mesh"))
+    frequency = frequencies(meshed.sweep)
+    kept = Kept(default_cache_dir() / "library-parts" / _key(meshed, mesh.digest, loaded, scale))
+    if (found := kept.side()) is not None:
+        return found
+    tell(progress, "assembly", 0, 1)
+    model = fem_model(meshed, mesh)
+    seen = bell_functionals(model, loaded.skin, loaded.bells)
+    tell(progress, "assembly", 1, 1)
+    seconds = time.monotonic() - began
+    with freed_memory_kept():  # as long as the columns live: poles and direct solves come to gigabytes of their own
+        state = _spanned(meshed, model, seen, loaded, frequency, kept, progress)
+    side = _finished(meshed, model, seen, state, loaded, frequency, whole=scale == 1.0, progress=progress)
+    side = replace(side, facts={**side.facts, "seconds_model": seconds})
+    kept.finish(side)
+    return side
+
+
+def _key(meshed: Scenario, mesh: str, loaded: LoadedSkin, scale: float) -> str:
+    """SHA-256 of all that a part depends on: not the disc's radius, the grid or the renderers."""
+    asked = meshed.model_dump(mode="json", exclude={"name", "description", "rendering"})
+    loads = [loaded.bells.width, loaded.bells.centres.tolist(), loaded.normal]
+    parts = [_MAKING, asked, mesh, scale, *loads, _DROP, _SIDEWAYS_DROP, _ORDERS, _FASTER]
+    return digest_of(parts)[:32]
+
+
+def _spanned(
+    meshed: Scenario,
+    model: ForearmModel,
+    seen: csr_array,
+    loaded: LoadedSkin,
+    frequency: FloatArray,
+    kept: Kept,
+    progress: Progress | None,
+) -> Progressed:
+    """The limb in the space of all loads, each an output, too; batch by batch, from where it was left."""
+    assert all(is_polynomial(t.coefficient) for t in model.operator.terms)
+    bare = replace(model, ports=(), functionals=np.zeros((model.operator.n, 0)), shares=np.zeros(0))
+    total = seen.shape[1]
+    state = kept.progressed(Progressed(empty_model(bare), np.zeros((0, total)), 0, 0, 0.0))
+    tell(progress, "loads on the patch", state.done, total)
+    if state.done == total:
+        return _without_columns(state)
+    began = time.monotonic() - state.seconds
+    solver = make_solver(bare, meshed.solver, float(frequency[-1]))
+    rate = _FASTER * expansion_rate(frequency)
+    space = LoadSpace(solver, rate, derivatives=_ORDERS, basis=state.reduced.basis)
+    done = 0
+    for chosen, drop in loaded.batches:
+        done += len(chosen)
+        if done <= state.done:
+            continue
+        before = space.solves
+        block = space.add(seen[:, chosen].toarray(), drop)
+        reduced, functionals = state.reduced, state.functionals
+        if block.shape[1]:
+            reduced = with_columns(reduced, bare, block, np.zeros((reduced.size + block.shape[1], 0)))
+            functionals = np.vstack([functionals, np.asarray(seen.T @ block).T.astype(float)])
+        solves = state.solves + space.solves - before
+        state = Progressed(reduced, functionals, done, solves, time.monotonic() - began)
+        kept.keep(state)
+        tell(progress, "loads on the patch", state.done, total)
+    solver.factor.release()
+    return _without_columns(state)
+
+
+def _without_columns(state: Progressed) -> Progressed:
+    """What poles follow from: the columns themselves are gigabytes, and direct solves come next."""
+    return replace(state, reduced=replace(state.reduced, basis=Basis()))
+
+
+def _finished(
+    meshed: Scenario,
+    model: ForearmModel,
+    seen: csr_array,
+    state: Progressed,
+    loaded: LoadedSkin,
+    frequency: FloatArray,
+    *,
+    whole: bool,
+    progress: Progress | None,
+) -> Side:
+    """Poles and residues, those with free ends, and the error against direct solves."""
+    reduced = replace(state.reduced, functionals=state.functionals, shares=np.ones(seen.shape[1]))
+    names = [n for n in reduced.names if n.startswith("dashpots")] if whole else []
+    steps, began = 1 + bool(names) + whole, time.monotonic()
+    tell(progress, "poles", 0, steps)
+    limb, freed = _poles(reduced, frequency), None
+    tell(progress, "poles", 1, steps)
+    if names:
+        freed = _poles(reduced.changed(dict.fromkeys(names, Polynomial())), frequency)
+        tell(progress, "poles", 2, steps)
+    poles = time.monotonic() - began
+    checked = _checked(frequency)
+    off, missed = np.full((2, len(checked)), np.nan), np.zeros((len(checked), 3, len(loaded.bins)))
+    if whole:
+        off, missed = _reduction_error(meshed, model, seen, limb, loaded, frequency)
+    tell(progress, "poles", steps, steps)
+    facts: dict[str, Any] = {
+        "loads": seen.shape[1], "size": reduced.size, "solves": state.solves, "unknowns": model.operator.n,
+        "seconds_loads": state.seconds, "seconds_poles": poles, "seconds_check": time.monotonic() - began - poles,
+    }  # fmt: skip
+    return Side(limb, freed, np.stack([checked, *off]), missed, facts)
+
+
+def _poles(reduced: ReducedModel, frequency: FloatArray) -> Limb:
+    found = pole_residue(reduced, frequency)
+    if found is None:
+        raise SolverError(
+            "the poles of the library's reduced model are inaccurate; choose a larger library.step, or another band"
+        )
+    return Limb(found.poles, found.left, found.right)
+
+
+def _checked(frequency: FloatArray) -> FloatArray:
+    """Frequencies (n,) [Hz] of direct solves, rising."""
+    return np.asarray(frequency[np.unique([round(share * (len(frequency) - 1)) for share in _CHECKED])])
+
+
+def _reduction_error(
+    meshed: Scenario,
+    model: ForearmModel,
+    seen: csr_array,
+    limb: Limb,
+    loaded: LoadedSkin,
+    frequency: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """What the limb's poles are off by between some of the bells, against direct solves, at each frequency checked.
+
+    The largest over the largest compliance between bells some widths apart (2, n), of those along the normal and of
+    those along the skin (NaN without); and :func:`_farther` (n, 3, n_bin) [m/N].
+    """
+    bells, groups = loaded.bells, (np.arange(loaded.normal), np.arange(loaded.normal, len(loaded.bells.centres)))
+    spread = [of[np.unique(np.linspace(0, len(of) - 1, _WITNESSES).astype(int))] for of in groups if len(of)]
+    some = np.concatenate(spread)
+    chosen = np.asarray(seen[:, some].toarray())
+    witness = replace(model, functionals=chosen, shares=np.ones(len(some)))
+    away = np.linalg.norm(bells.centres[some][:, None] - bells.centres[some][None], axis=2)
+    sideways = (some >= loaded.normal).astype(int)
+    kind, far = sideways[:, None] + sideways, away > _APART * bells.width
+    checked = _checked(frequency)
+    off, missed = np.full((2, len(checked)), np.nan), np.zeros((len(checked), 3, len(loaded.bins)))
+    solver = make_solver(model, meshed.solver, float(frequency[-1]))
+    for k, at in enumerate(checked):
+        truth = chosen.T @ replace(solver, model=witness).at(float(at)).values
+        apart = np.abs(limb.between(np.array([at]), np.eye(len(bells.centres))[:, some])[0] - truth)
+        for group, one in enumerate((0, 2)[: len(spread)]):
+            mine = far & (kind == one)
+            off[group, k] = apart[mine].max() / np.abs(truth)[mine].max()
+        missed[k] = [_farther(apart[kind == one], away[kind == one], loaded.bins) for one in range(3)]
+    solver.factor.release()
+    return off, missed
+
+
+def _farther(apart: FloatArray, away: FloatArray, bins: FloatArray) -> FloatArray:
+    """The largest of ``apart`` (n,) at each distance (n_bin,) [m] of ``bins`` or farther, of pairs ``away`` (n,) [m];
+    beyond the farthest pair, what that one has. Zero without pairs.
+
+    A space that drops a hundredth of fields as strong as those under their loads may miss all of one far away.
+    """
+    number = np.minimum(np.rint(away / BIN).astype(int), len(bins) - 1)
+    largest = np.zeros(len(bins))
+    np.maximum.at(largest, number, apart)
+    largest = np.maximum.accumulate(largest[::-1])[::-1]
+    return np.asarray(largest[np.minimum(np.arange(len(bins)), number.max(initial=0))])

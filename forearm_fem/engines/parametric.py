@@ -1,0 +1,437 @@
+"""One reduced model for many arms: other moduli, laws, tension and tape without a mesh, each with its own error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import astuple, dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.stats import qmc
+
+from .. import __version__
+from ..accuracy.pair_errors import PairErrors, raised_to_row_column_mean
+from ..errors import ReductionError, ScenarioError
+from ..fem.assembly.model import readings
+from ..fem.kernels.heap import freed_memory_kept
+from ..fem.reduction.basis import Basis
+from ..fem.reduction.growing import TrialSolve
+from ..fem.reduction.quick import Summed
+from ..fem.reduction.rational import chebyshev_frequencies, rational
+from ..fem.reduction.reduced_model import ReducedModel
+from ..fem.reduction.spanned import FIRST, spanned
+from ..fem.reduction.united import Growth, Piece, piece_at, united_model
+from ..geometry.cache import cached_mesh
+from ..geometry.device.grid_places import GridPlaces, grid_places
+from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..ports import Port
+from ..progress import Progress, tell
+from ..scenario import Scenario, parse_scenario
+from ..scenario.frequencies import frequencies
+from ..store.record import dims
+from ..store.shelf import Shelf
+from ..store.text import digest_of
+from ..tissue import limb_tissue_keys, resolve_tissues
+from ..transfer import Compliance, ErrorEstimate
+from ..typing import BoolArray, ComplexArray, FloatArray
+from ..user_cache import default_cache_dir
+from .fem import fem_model, masked
+from .skin_model import check_followable, coefficients_of, with_scenario
+from .solved import solve_key
+
+_MODEL = "model"  # the key of the finished one
+# Keys that compliances do not follow from: a draw may differ in them.
+_UNREAD = ("rendering", "measurement", "sweep", "solver", "accuracy", "schema_version")
+BEYOND = 1.05  # ratio to the ends of the band up to which a draw is answered
+_NODES = 33  # frequencies of a piece that a draw's rational function is made from; up to so many are solved as asked
+_SPANNED = 1e-3  # of the largest entry of points under contacts: what the span of a draw's solutions may err by there
+_BETWEEN = 2e-4  # of the largest entry: what a rational function may miss at the nodes that it does not pass through
+_ROUGHER = 2  # degrees of the polynomials that a moved grid is read by: what one less changes may cancel by chance
+_POOL = 48  # draws that a model is made from
+_TYPICAL = 100.0  # Hz at which springpots are as stiff as the scenario's tissue
+_MIDDLE = 0.5
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """What arms may differ in, around a scenario: uniform in the logarithm, tension uniform.
+
+    ``moduli`` multiplies or divides mu and eta of each soft tissue (a springpot's size at 100 Hz); ``tension`` [N/m];
+    ``laws`` in turn; ``stiffening`` is a Zener tissue's mu_infinity over mu; ``exponents`` are springpots'.
+    """
+
+    moduli: float = 2.0
+    tension: tuple[float, float] = (0.0, 92.0)
+    laws: tuple[str, ...] = ("kelvin-voigt", "zener", "springpot")
+    stiffening: tuple[float, float] = (1.3, 4.0)
+    exponents: tuple[float, float] = (0.15, 0.45)
+
+    def draws(self, scenario: Scenario, count: int, *, seed: int = 0) -> tuple[Scenario, ...]:
+        """``count`` arms by a Latin hypercube over all inputs."""
+        names = soft_tissues(scenario)
+        places = qmc.LatinHypercube(3 * len(names) + 1, rng=seed).random(count)
+        return tuple(self._draw(scenario, names, self.laws[i % len(self.laws)], p) for i, p in enumerate(places))
+
+    def _draw(self, scenario: Scenario, names: Sequence[str], law: str, places: FloatArray) -> Scenario:
+        tissues, data = resolve_tissues(scenario), scenario.model_dump(mode="json", exclude_none=True)
+        for name, place in zip(names, places[:-1].reshape(-1, 3), strict=True):
+            kept = {k: v for k, v in data["tissues"]["override"].get(name, {}).items() if k in ("density", "bulk")}
+            omega = 2 * np.pi * _TYPICAL
+            modulus = complex(tissues[name].modulus.at(omega))
+            mu, eta = getattr(tissues[name].modulus, "mu", modulus.real), modulus.imag / omega
+            stiff, viscous = self.moduli ** (2 * place[:2] - 1)
+            found = {"kelvin-voigt": {"mu": mu * stiff, "eta": eta * viscous}}
+            low, high = self.stiffening
+            found["zener"] = {**found["kelvin-voigt"], "mu_infinity": mu * stiff * low * (high / low) ** place[2]}
+            exponent = float(np.interp(place[2], [0, 1], self.exponents))
+            size = (abs(modulus) * stiff / omega**exponent) ** (1 / (1 - exponent))  # |mu*| at 100 Hz
+            found["springpot"] = {"mu": float(size), "exponent": exponent, "eta": 1.0}
+            data["tissues"]["override"][name] = {**kept, "model": law, **found[law]}
+        data["tissues"]["membrane"]["tension"] = float(np.interp(places[-1], [0, 1], self.tension))
+        return parse_scenario(data)
+
+
+def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
+    """The limb's tissues but bone, from the skin inwards."""
+    return tuple(dict.fromkeys(t for t in limb_tissue_keys(scenario.limb).values() if t != "bone"))
+
+
+@dataclass(frozen=True)
+class ParametricModel:
+    """A limb seen through its ports for any tissue, tension and tape near those it was made from.
+
+    ``pieces`` are the reduced models of the parts of the band. ``checks`` are comparisons with direct solves that had
+    no part in making them; ``factor`` is what their estimates were too small by. ``around`` are the places where points
+    of the grid can be read, None where they stay where they are.
+    """
+
+    scenario: Scenario
+    ports: tuple[Port, ...]
+    pieces: tuple[Piece, ...]
+    trials: tuple[TrialSolve, ...]
+    checks: tuple[TrialSolve, ...]
+    solves: int
+    around: GridPlaces | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the terms, such as "shear muscle" and "skin tension"."""
+        return self.pieces[0].whole.names
+
+    @property
+    def factor(self) -> float:
+        """What estimates are multiplied with: the largest ratio of a true to an estimated error among the checks."""
+        return max([1.0, *(c.true / c.estimated for c in self.checks if c.estimated > 0)])
+
+    @property
+    def coarser(self) -> ParametricModel:
+        """The model without what a third of the solves gave it."""
+        return replace(self, pieces=tuple(replace(p, whole=p.core) for p in self.pieces))
+
+    def follows(self, scenario: Scenario) -> bool:
+        """Whether the grid of ``scenario`` can be read where it lies."""
+        own = scenario.grid.places == self.scenario.grid.places
+        return own or (self.around is not None and self.around.hold(scenario))
+
+    def compliance(self, scenario: Scenario, frequency: FloatArray) -> Compliance:
+        """Compliance of all ports for a draw, with the error of the reduction stated for it.
+
+        ``scenario`` may differ from the model's own in tissues (not their bulk moduli), in membrane and tape as far as
+        the model has terms for them, in where the grid lies by some millimetres (:meth:`follows`), in the device but
+        for its contacts, and in what compliances do not follow from. Ports are named and placed as the model's own.
+        Raises ScenarioError for anything else and ReductionError for frequencies more than 5 % beyond the band.
+        """
+        return self.answer(scenario, frequency)[0]
+
+    def bare(self, scenario: Scenario, frequency: FloatArray) -> ComplexArray:
+        """Values of :meth:`compliance` at tens of frequencies (n, n_port, n_port), without a statement of their error:
+        for half of the time."""
+        frequency = np.asarray(frequency, dtype=float)
+        values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
+        for piece, mine in self._asked(scenario, frequency):
+            values[mine] = Summed.of(self._drawn(piece, scenario)[0].whole).compliance(frequency[mine])
+        return masked(values, self.ports)
+
+    def _asked(self, scenario: Scenario, frequency: FloatArray) -> list[tuple[Piece, BoolArray]]:
+        """Pieces of the band with the places (n,) of the frequencies that they answer; raises as :meth:`compliance`."""
+        grid = {"grid"} if self.follows(scenario) else set()
+        check_followable(self.scenario, scenario, self.names, unread={*_UNREAD, *grid})
+        band = frequencies(self.scenario.sweep)
+        beyond = frequency[(frequency < band[0] / BEYOND) | (frequency > band[-1] * BEYOND)]
+        if len(beyond):
+            raise ReductionError(
+                f"{beyond[0]:g} Hz is outside the band of this parametric model, {band[0]:g} to {band[-1]:g} Hz; make "
+                "one for a wider band (sweep.f_min, sweep.f_max)"
+            )
+        places = [np.array([piece_at(self.pieces, f) is p for f in frequency], dtype=bool) for p in self.pieces]
+        return [(piece, mine) for piece, mine in zip(self.pieces, places, strict=True) if mine.any()]
+
+    def answer(self, scenario: Scenario, frequency: FloatArray) -> tuple[Compliance, PairErrors]:
+        """The same with what it may miss at each pair of ports, which is smaller for points far from a contact."""
+        frequency = np.asarray(frequency, dtype=float)
+        values = np.empty((len(frequency), len(self.ports), len(self.ports)), dtype=complex)
+        found = list[_Answer]()
+        for piece, mine in self._asked(scenario, frequency):
+            found.append(self._answered(*self._drawn(piece, scenario), frequency[mine]))
+            values[mine] = found[-1].values
+        missed = self._missed(found)
+        return Compliance(frequency, masked(values, self.ports), self.ports, (self._error(found, missed),)), missed
+
+    def _drawn(self, piece: Piece, scenario: Scenario) -> tuple[Piece, ReducedModel]:
+        """The models of a ``piece`` with the draw's coefficients and with its points where its grid lies, and the whole
+        one with points read by polynomials of two degrees less, which tells what these err by."""
+        whole, core = (with_scenario(m, scenario) for m in (piece.whole, piece.core))
+        if self.around is not None and scenario.grid.places != self.scenario.grid.places:
+            degree = self.around.count - 1
+            shares, rougher = (self.around.shares(scenario, d) for d in (degree, degree - _ROUGHER))
+            rough = self._moved(whole, rougher)
+            return replace(piece, whole=self._moved(whole, shares), core=self._moved(core, shares)), rough
+        return replace(piece, whole=whole, core=core), whole
+
+    def _moved(self, reduced: ReducedModel, shares: FloatArray) -> ReducedModel:
+        """The model whose points read ``shares`` (n_point, k) of the k places around each."""
+        points = [i for i, p in enumerate(self.ports) if p.kind == "point"]
+        functionals = reduced.functionals.copy()
+        places = reduced.places.reshape(reduced.size, *shares.shape)
+        functionals[:, points] = np.einsum("rpk,pk->rp", places, shares)
+        return replace(reduced, functionals=functionals)
+
+    def _answered(self, drawn: Piece, rough: ReducedModel, frequency: FloatArray) -> _Answer:
+        """What a ``drawn`` piece says at ``frequency`` (n,), how far it may be off between, and what its core and the
+        model of ``rough`` points say."""
+        system, moved = Summed.of(drawn.whole), rough is not drawn.whole
+        if len(frequency) <= _NODES:
+            values, between = system.compliance(frequency), np.zeros((len(self.ports),) * 2)
+            some = np.unique(np.linspace(0, len(frequency) - 1, FIRST).round().astype(int))
+            probes, whole = frequency[some], values[some]
+            other = replace(system, reduced=rough).compliance(probes) if moved else whole
+        else:
+            known = spanned(system, frequency, _SPANNED, self._block, rough.functionals if moved else None)
+            nodes, probes = chebyshev_frequencies(frequency, _NODES), known.solved[:FIRST]
+            values, between = self._fitted(nodes, known.span.compliance(nodes), frequency)
+            between, whole = between + known.missed, known.span.compliance(probes)
+            other = known.beside * rough.shares if moved else whole
+        return _Answer(values, between, probes, whole, Summed.of(drawn.core).compliance(probes), other)
+
+    def _fitted(
+        self, nodes: FloatArray, values: ComplexArray, frequency: FloatArray
+    ) -> tuple[ComplexArray, FloatArray]:
+        """Rational functions at ``frequency`` through ``values`` at the ``nodes`` (:func:`reciprocal`), and what they
+        miss of these (n_port, n_port), in shares of the largest entry of points under contacts."""
+        shares = self.pieces[0].whole.shares
+        shares = np.where(np.isfinite(shares), shares, 1.0)  # 1 where a force has no symmetric solution
+        fit = reciprocal(nodes, values / shares, [p.kind == "contact" for p in self.ports], _BETWEEN)
+        sizes = np.abs(values[(slice(None), *self._block)]).max(axis=(1, 2))
+        missed = np.triu((np.abs(fit(nodes) - values / shares) / sizes[:, None, None]).max(axis=0))
+        return np.asarray(fit(frequency) * shares), missed + np.triu(missed, 1).T
+
+    @property
+    def _block(self) -> tuple[Any, ...]:
+        """Places of points under contacts, of whichever kind there is else."""
+        contacts = [i for i, p in enumerate(self.ports) if p.kind == "contact"]
+        points = [i for i, p in enumerate(self.ports) if p.kind == "point"] or contacts
+        return np.ix_(points, contacts or points)
+
+    def _missed(self, found: Sequence[_Answer]) -> PairErrors:
+        points, contacts = ([i for i, p in enumerate(self.ports) if p.kind == kind] for kind in ("point", "contact"))
+        pairs = [(points, contacts), (contacts, points), (contacts, contacts)]
+        blocks: list[tuple[Any, ...]] = [np.ix_(*pair) for pair in pairs if all(pair)]
+        shares = []
+        for answer in found:
+            change = np.abs(np.nan_to_num(answer.whole - answer.core))
+            change += np.abs(np.nan_to_num(answer.whole - answer.rough))
+            for block in blocks:
+                change[(slice(None), *block)] = raised_to_row_column_mean(change[(slice(None), *block)])
+            size = np.array([np.abs(c[self._block]).max() for c in answer.whole])
+            shares.append(self.factor * change / size[:, None, None] + answer.between)
+        return PairErrors(np.concatenate([a.probes for a in found]), np.concatenate(shares))
+
+    def _error(self, found: Sequence[_Answer], missed: PairErrors) -> ErrorEstimate:
+        whole, core, rough = (
+            np.array([c[self._block] for a in found for c in getattr(a, part)]) for part in ("whole", "core", "rough")
+        )
+        probes, error = missed.probes, np.array([shares[self._block].max() for shares in missed.shares])
+        between = max(float(a.between[self._block].max()) for a in found)
+        change = np.linalg.norm(whole - core) + np.linalg.norm(whole - rough)
+        band = self.factor * change / np.linalg.norm(whole) + between
+        worst = max(self.checks, key=lambda c: c.true, default=None)
+        seen = f"; the checks' largest true error is {worst.true:.1e} at {worst.frequency:g} Hz" if worst else ""
+        return ErrorEstimate(
+            "reduction",
+            float(band),
+            f"change without a third of the solves at {len(probes)} frequencies, times {self.factor:.2g} as "
+            f"{len(self.checks)} direct solves of other draws had it{seen}",
+            tuple(probes.tolist()),
+            tuple(error.tolist()),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """What a piece says of a draw: ``values`` at the frequencies asked, which miss ``between`` (n_port, n_port) of the
+    largest entry between nodes, and ``whole``, ``core`` and ``rough`` at ``probes``."""
+
+    values: ComplexArray
+    between: FloatArray
+    probes: FloatArray
+    whole: ComplexArray
+    core: ComplexArray
+    rough: ComplexArray
+
+
+def reciprocal(
+    nodes: FloatArray, values: ComplexArray, contact: Sequence[bool], tolerance: float
+) -> Callable[[FloatArray], ComplexArray]:
+    """A rational function of frequency [Hz] through ``values`` (n_node, n_port, n_port) at ``nodes`` (n_node,) [Hz].
+
+    It goes through the upper triangle, which keeps it reciprocal; entries of the ports that are a ``contact`` (n_port,)
+    shape it.
+    """
+    rows, columns = np.triu_indices(len(contact))
+    shaping = np.array(contact)[rows] | np.array(contact)[columns]
+    order = np.argsort(~shaping, kind="stable")
+    rows, columns = rows[order], columns[order]
+    fit = rational(nodes, values[:, rows, columns], tolerance, int(shaping.sum()) or None)
+
+    def at(frequency: FloatArray) -> ComplexArray:
+        """Both triangles at ``frequency`` (n,) [Hz]."""
+        out = np.empty((len(frequency), *values.shape[1:]), dtype=complex)
+        out[:, rows, columns] = out[:, columns, rows] = fit.at(frequency)
+        return out
+
+    return at
+
+
+def parametric_model(
+    scenario: Scenario,
+    *,
+    base: str | Path = ".",
+    ranges: Ranges | None = None,
+    draws: Sequence[Scenario] | None = None,
+    growth: Growth | None = None,
+    mesh: TissueMesh | None = None,
+    progress: Progress | None = None,
+) -> ParametricModel:
+    """The model for ``draws`` of ``scenario``, or for 48 within ``ranges`` of it; kept in the cache.
+
+    ``base`` is the folder that user files refer to, ``mesh`` another one than the scenario's own. Draws, and what will
+    be asked, may differ as :meth:`ParametricModel.compliance` says; give those that will be asked, or some like them.
+    What an interrupted call has finished is not made again. Raises what a run of the scenario raises, and ScenarioError
+    for the layered engine, which needs no such model.
+    """
+    if scenario.engine == "layered":
+        raise ScenarioError("engine: a parametric model needs engine = 'fem'; the layered twin solves each draw itself")
+    growth = growth or Growth()
+    given = tuple(draws) if draws is not None else (ranges or Ranges()).draws(scenario, _POOL)
+    if not given:
+        raise ScenarioError("a parametric model needs at least one draw to be made from; give some, or ranges")
+    own = _with_all_sheets(scenario, given)
+    tell(progress, "mesh", 0, 0)
+    mesh, band = mesh or cached_mesh(own, base=Path(base), progress=progress), frequencies(own.sweep)
+    tissues = [draw.tissues.model_dump(mode="json") for draw in given]
+    key = digest_of([__version__, solve_key(own, mesh, band), tissues, astuple(growth)])[:32]
+    shelf = Shelf(default_cache_dir() / "parametric" / f"{key}.sqlite", "the parametric model")
+    with suppress(ScenarioError):
+        if (kept := shelf.record(_MODEL, ParametricFile)) is not None:
+            return kept.model
+    tell(progress, "matrices", 0, 0)
+    model = fem_model(own, mesh)
+    names = tuple(t.name for t in model.operator.terms)
+    for draw in given:
+        check_followable(own, draw, names, unread=_UNREAD)
+    found = [coefficients_of(names, draw) for draw in given]
+    parts = Shelf(shelf.file.with_name(f"{key}-parts.sqlite"), "what is solved for the parametric model")
+    around = grid_places(own, mesh)
+    read = readings(model, around[1] if around else ())
+    with freed_memory_kept():
+        united = united_model(model, found, band, own.solver, growth, progress, parts, read)
+    made = ParametricModel(
+        own, model.ports, united.pieces, united.trials, united.checks, united.solves, around[0] if around else None
+    )
+    shelf.keep(_MODEL, ParametricFile.of(made))
+    if _MODEL in shelf:
+        parts.remove()
+    return made
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """A reduced model of a piece: ``matrices`` (n_term, r, r), ``functionals`` (r, n_port), ``places`` (r, k)."""
+
+    matrices: FloatArray = field(metadata=dims("term entry", upper=True))
+    functionals: FloatArray = field(metadata=dims("row port"))
+    places: FloatArray = field(metadata=dims("row place"))
+
+    @classmethod
+    def of(cls, model: ReducedModel) -> _Reduced:
+        return cls(model.matrices, model.functionals, model.places)
+
+
+@dataclass(frozen=True, eq=False)
+class _PieceOfFile:
+    """The models of the part of the band up to ``high`` [Hz]; the ``core`` is for the estimate of errors."""
+
+    high: float
+    whole: _Reduced
+    core: _Reduced
+
+
+@dataclass(frozen=True, eq=False)
+class ParametricFile:
+    """Reduced models for many tissues, one for each part of the band, and what they were compared with."""
+
+    kind: ClassVar[str] = "parametric model"
+    version: ClassVar[int] = 1
+
+    names: tuple[str, ...] = field(metadata=dims("term", name="term"))
+    shares: FloatArray = field(metadata=dims("port", name="share"))
+    ports: tuple[Port, ...] = field(metadata=dims("port"))
+    pieces: tuple[_PieceOfFile, ...]
+    trials: tuple[TrialSolve, ...]
+    checks: tuple[TrialSolve, ...]
+    scenario: dict[str, Any]
+    solves: int
+    around: GridPlaces | None
+
+    @classmethod
+    def of(cls, model: ParametricModel) -> ParametricFile:
+        """The file of a model."""
+        first = model.pieces[0].whole
+        pieces = tuple(_PieceOfFile(p.high, *(_Reduced.of(m) for m in (p.whole, p.core))) for p in model.pieces)
+        return cls(
+            first.names, first.shares, model.ports, pieces, model.trials, model.checks,
+            model.scenario.model_dump(mode="json"), model.solves, model.around,
+        )  # fmt: skip
+
+    @property
+    def model(self) -> ParametricModel:
+        """The model of a file; ScenarioError for a scenario that is not known."""
+        scenario = parse_scenario(self.scenario)
+
+        def reduced(of: _Reduced) -> ReducedModel:
+            """A reduced model from its arrays, with the scenario's coefficients."""
+            low = np.zeros((len(of.functionals), 0))
+            arrays = of.matrices, of.functionals, self.shares
+            return with_scenario(ReducedModel(self.names, (), *arrays, Basis(), low, places=of.places), scenario)
+
+        pieces = tuple(Piece(p.high, reduced(p.whole), reduced(p.core)) for p in self.pieces)
+        return ParametricModel(scenario, self.ports, pieces, self.trials, self.checks, self.solves, self.around)
+
+
+def _with_all_sheets(scenario: Scenario, draws: Sequence[Scenario]) -> Scenario:
+    """The scenario with whatever some draw has on the skin and it has not, at half of the draws' largest."""
+    tissues = scenario.tissues
+    changed = dict[str, Any]()
+    for part in ("membrane", "patch"):
+        sheet = getattr(tissues, part)
+        largest = {
+            k: max(getattr(getattr(d.tissues, part), k) for d in draws)
+            for k in type(sheet).model_fields if k not in ("length", "width")
+        }  # fmt: skip
+        missing = {k: _MIDDLE * v for k, v in largest.items() if v and not getattr(sheet, k)}
+        size = draws[0].tissues.patch if part == "patch" and missing else sheet
+        given = {k: getattr(size, k) for k in ("length", "width")} if part == "patch" else {}
+        changed[part] = sheet.model_copy(update={**given, **missing})
+    return scenario.model_copy(update={"tissues": tissues.model_copy(update=changed)})

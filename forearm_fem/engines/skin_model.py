@@ -1,0 +1,200 @@
+"""The saved reduced model: compliance and G at any frequency, also for other tissues, without mesh or solver."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..arguments import checked
+from ..device import close_loop
+from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
+from ..fem.assembly.coefficients import Coefficient
+from ..fem.assembly.terms import term_coefficient
+from ..fem.reduction.basis import Basis
+from ..fem.reduction.poles import PoleResidue, pole_residue
+from ..fem.reduction.reduced_model import ReducedModel
+from ..ports import Port
+from ..scenario import Scenario, parse_scenario
+from ..scenario.frequencies import frequencies
+from ..scenario.load import apply_overrides
+from ..store.record import dims, load, save
+from ..tissue import resolve_tissues
+from ..transfer import Compliance, TransferMatrix
+from ..typing import ComplexArray, FloatArray
+from .fem import masked
+
+__all__ = ["SkinModel", "check_followable", "load_skin_model", "save_skin_model", "with_scenario"]
+
+_MAY_CHANGE = {"tissues", "device", "name", "description"}
+_BEYOND = 1.05  # ratio to the ends of the band up to which a model with unstable poles is trusted
+_NOT_AFFINE = "the bulk modulus is not a parameter of the reduced model; solve the scenario anew"
+
+
+@dataclass(frozen=True)
+class SkinModel:
+    """A limb seen through its ports: ``reduced`` matrices with the coefficients of ``scenario``.
+
+    Certified for the scenario it was made for, in its band. For other moduli the space is the old one, and the error
+    grows with the change: below 1e-2 for 20 % of one modulus in the tests' scenes; it is not estimated here.
+    ``poles`` are what the sweep found for these coefficients; without them each evaluation finds its own.
+    """
+
+    scenario: Scenario
+    ports: tuple[Port, ...]
+    reduced: ReducedModel
+    poles: PoleResidue | None = None
+
+    @checked
+    def compliance(self, frequency: FloatArray) -> Compliance:
+        """Compliance of all ports at ``frequency`` (n,) [Hz]; NaN for a point force under itself.
+
+        Frequencies more than 5 % beyond the band are answered with an AccuracyWarning. Raises ReductionError for them
+        where the model has unstable poles, as it may for incompressible tissue, and in files of older versions;
+        DataError for none, or what is no frequency.
+        """
+        if frequency.ndim != 1 or not len(frequency) or not np.all(np.isfinite(frequency) & (frequency >= 0)):
+            raise DataError("frequency: expected a row of one or more, finite and not negative [Hz]; correct it")
+        band = frequencies(self.scenario.sweep)
+        beyond = frequency[(frequency < band.min() / _BEYOND) | (frequency > band.max() * _BEYOND)]
+        if len(beyond) and (count := self.reduced.negative_directions()):
+            raise ReductionError(
+                f"{beyond[0]:g} Hz is outside the band of this reduced model, {band.min():g} to {band.max():g} Hz, and "
+                f"the model has {count} unstable poles there: solve a wider band (sweep.f_min, sweep.f_max), or anew "
+                "with solver.precision = 'double'"
+            )
+        if len(beyond):
+            warnings.warn(
+                f"{len(beyond)} frequencies lie outside the band of this reduced model, {band.min():g} to "
+                f"{band.max():g} Hz: nothing is known of the error there; solve a wider band",
+                AccuracyWarning,
+                stacklevel=2,
+            )
+        values = (self.poles or pole_residue(self.reduced, frequency) or self.reduced).compliance(frequency)
+        return Compliance(frequency.copy(), masked(values, self.ports), self.ports)
+
+    @checked
+    def transfer(self, frequency: FloatArray) -> TransferMatrix:
+        """G of the scenario's device at ``frequency`` (n,) [Hz], increasing; otherwise as :meth:`compliance`."""
+        return close_loop(self.compliance(frequency), self.scenario.device)
+
+    @checked
+    def changed(self, overrides: Sequence[str]) -> SkinModel:
+        """The model for ``key.path=value`` overrides of tissues (not their bulk moduli) and device (not its places).
+
+        Raises ScenarioError for a key that the reduced model cannot follow.
+        """
+        before = self.scenario.model_dump(mode="json")
+        after = parse_scenario(apply_overrides(before, overrides))
+        check_followable(self.scenario, after, self.reduced.names)
+        return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=None)
+
+
+def with_scenario(reduced: ReducedModel, scenario: Scenario) -> ReducedModel:
+    """The reduced matrices with the coefficients that ``scenario`` gives their terms."""
+    return replace(reduced, coefficients=coefficients_of(reduced.names, scenario))
+
+
+def coefficients_of(names: Sequence[str], scenario: Scenario) -> tuple[Coefficient, ...]:
+    """What ``scenario`` multiplies the terms of these ``names`` with."""
+    tissues, sheets = resolve_tissues(scenario), scenario.tissues
+    return tuple(term_coefficient(n, tissues, scenario.supports, sheets.membrane, sheets.patch) for n in names)
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedFile:
+    """``reduced.nc``: the reduced model, a few megabytes that give the compliance at any frequency, for any moduli.
+
+    ``matrices`` (n_term, r, r) of terms ``names``, real and symmetric, ``functionals`` (r, n_port) and ``shares``
+    (n_port,) as in :class:`forearm_fem.fem.reduction.reduced_model.ReducedModel`, and the poles and residues of
+    :class:`forearm_fem.fem.reduction.poles.PoleResidue` where there are any. The scenario multiplies the terms.
+    """
+
+    kind: ClassVar[str] = "reduced model"
+    version: ClassVar[int] = 1
+
+    names: tuple[str, ...] = field(metadata=dims("term", name="term"))
+    matrices: FloatArray = field(metadata=dims("term entry", name="upper", upper=True))
+    functionals: FloatArray = field(metadata=dims("row port", name="functional"))
+    shares: FloatArray = field(metadata=dims("port", name="share"))
+    ports: tuple[Port, ...] = field(metadata=dims("port"))
+    scenario: dict[str, Any]
+    poles: ComplexArray | None = field(default=None, metadata=dims("mode"))
+    left: ComplexArray | None = field(default=None, metadata=dims("port mode"))
+    right: ComplexArray | None = field(default=None, metadata=dims("mode port"))
+
+    @classmethod
+    def of(cls, model: SkinModel) -> ReducedFile:
+        """The file of a model."""
+        r, seen = model.reduced, model.poles
+        poles = {} if seen is None else {name: getattr(seen, name) for name in ("poles", "left", "right")}
+        scenario = model.scenario.model_dump(mode="json")
+        return cls(r.names, r.matrices, r.functionals, r.shares, model.ports, scenario, **poles)
+
+    def model(self, origin: str | Path) -> SkinModel:
+        """The model of a file; ScenarioError for a scenario that is not known, which ``origin`` holds."""
+        scenario = parse_scenario(self.scenario, origin=str(origin))
+        low = np.zeros((len(self.functionals), 0))
+        bare = ReducedModel(self.names, (), self.matrices, self.functionals, self.shares, Basis(), low)
+        poles = None
+        if self.poles is not None and self.left is not None and self.right is not None:
+            poles = PoleResidue(self.poles, self.left, self.right, shares=self.shares)
+        return SkinModel(scenario, self.ports, with_scenario(bare, scenario), poles)
+
+
+def save_skin_model(path: Path, model: SkinModel) -> None:
+    """Write ``reduced.nc``, whole or not at all."""
+    save(path, ReducedFile.of(model))
+
+
+def load_skin_model(path: str | Path) -> SkinModel:
+    """Read ``reduced.nc``; DataError for a missing or damaged file."""
+    return load(path, ReducedFile).model(path)
+
+
+def check_followable(before: Scenario, after: Scenario, terms: Sequence[str], *, unread: Collection[str] = ()) -> None:
+    """Raise ScenarioError where a reduced model of ``terms``, made for one scenario, cannot answer for the other.
+
+    Keys that are ``unread`` by the caller may differ, too.
+    """
+    for key in type(before).model_fields:
+        if key not in _MAY_CHANGE and key not in unread and getattr(before, key) != getattr(after, key):
+            raise ScenarioError(f"{key}: the reduced model holds for the old value only; solve the scenario anew")
+    if _places(before) != _places(after):
+        raise ScenarioError("device: contacts and cones are part of the reduced model; solve the scenario anew")
+    if before.device.actuator != after.device.actuator:  # a preset fills in keys left out; in a run none is left
+        raise ScenarioError(
+            "device.actuator: the run has settled all keys that a preset sets; change these themselves, or solve the "
+            "scenario anew"
+        )
+    old, new = resolve_tissues(before), resolve_tissues(after)
+    for name, tissue in old.items():
+        if name in new and new[name].bulk != tissue.bulk:
+            raise ScenarioError(f"tissues.override.{name}: {_NOT_AFFINE}")
+    if missing := [name for name, value in _sheets(after).items() if value and name not in terms]:
+        key = "patch" if missing[0].startswith("patch") else "membrane"
+        raise ScenarioError(f"tissues.{key}: the reduced model has no {missing[0]}; solve the scenario anew")
+    patch, other = before.tissues.patch, after.tissues.patch
+    if other.is_on and (patch.length, patch.width) != (other.length, other.width):
+        raise ScenarioError("tissues.patch: its size is part of the reduced model; solve the scenario anew")
+
+
+def _sheets(scenario: Scenario) -> dict[str, float]:
+    """What lies on the skin, by the name of its term."""
+    sheet, patch = scenario.tissues.membrane, scenario.tissues.patch
+    return {
+        "skin mass": sheet.mass,
+        "skin tension": sheet.tension,
+        "skin membrane": sheet.stiffness + sheet.viscosity,
+        "patch mass": patch.mass,
+        "patch membrane": patch.stiffness + patch.viscosity,
+    }
+
+
+def _places(scenario: Scenario) -> tuple[object, ...]:
+    device = scenario.device
+    return device.centres, device.rotation, device.cone.radius, device.cone.contact

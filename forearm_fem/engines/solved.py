@@ -1,0 +1,255 @@
+"""Everything that needs a factorisation, kept in a cache folder so that no finished part is computed twice."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array, eye_array, kron, vstack
+
+from .. import __version__
+from ..errors import DataError, ForearmError
+from ..fem.assembly.loads import edge_middles
+from ..fem.kernels.heap import freed_memory_kept
+from ..fem.reduction.basis import Basis
+from ..fem.reduction.expansion import Expansion
+from ..fem.reduction.rate_space import Chunk, Pairs
+from ..geometry.device.place import place_ports
+from ..geometry.mesh.subdivision import skin_edges
+from ..geometry.mesh.tissue_mesh import TissueMesh
+from ..io.parts import DAMAGED, PartFolder
+from ..progress import Progress, tell, within
+from ..results import SolutionRecord
+from ..scenario import Scenario
+from ..scenario.limb import SlabLimb
+from ..store.folder import atomic_path
+from ..store.results import read_compliance, write_compliance
+from ..store.text import digest_of, read_json, write_json
+from ..transfer import Compliance, ErrorEstimate
+from ..typing import ComplexArray, FloatArray
+from ..user_cache import default_cache_dir
+from .fem import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
+from .second_mesh import second_mesh
+from .skin_model import SkinModel, load_skin_model, save_skin_model
+
+_log = logging.getLogger("forearm_fem.pipeline")
+_DAMAGED = DataError, *DAMAGED
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """All compliances of a scenario on one mesh.
+
+    ``coarse`` is on the second mesh (None where no estimate was asked or could be made); ``freed`` has free ends on
+    the same mesh, ``other_ends`` other ends on the second one at a few frequencies (None where not asked). ``unknown``
+    are the estimates that were not asked for or could not be made. ``modes`` (n_point, 3, r) and ``states``
+    (n_frequency, r, n_contact) rebuild the wavefield at the mesh vertices per unit contact force; empty for a direct
+    sweep. ``facts`` are for the record; ``skin`` is the reduced model without its modes.
+    """
+
+    compliance: Compliance
+    coarse: Compliance | None
+    freed: Compliance | None
+    modes: FloatArray
+    states: ComplexArray
+    facts: SolutionRecord
+    unknown: tuple[ErrorEstimate, ...] = ()
+    skin: SkinModel | None = None
+    other_ends: Compliance | None = None
+
+
+@freed_memory_kept()
+def solve(
+    scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, *, base: Path, progress: Progress | None = None
+) -> Solved:
+    """Solve what is not in the cache yet; each finished part is stored at once."""
+    store = _Store(default_cache_dir() / "solves" / solve_key(scenario, mesh, frequency))
+    if (main := store.main()) is None:
+        tolerance = reduction_tolerance(scenario)
+        solution = solve_fem(scenario, mesh, frequency, progress=progress, snapshots=store, tolerance=tolerance)
+        main = _packed(scenario, solution, frequency)
+        store.keep_main(main)
+    # what freed ends do not show: pressure hardly feels dashpots of shear, so that a slab's ends are as good as free
+    unseen = main.freed is None or isinstance(scenario.limb, SlabLimb)
+    cut = unseen and len(mesh.facets.get("end", ())) > 0
+    if not scenario.solver.discretisation_estimate:
+        return replace(main, unknown=_missing("solver.discretisation_estimate = false; set it to true", cut))
+    try:
+        second = second_mesh(scenario, mesh, base=base)
+        coarse = store.compliance(
+            f"second-{second.label}",
+            lambda: second_compliance(second, frequency, progress=within(progress, "coarser mesh")),
+        )
+        clamped = None
+        if cut:
+            tell(progress, "truncation estimate", 0, 1)
+            clamped = store.compliance(f"other_ends-{second.label}", lambda: other_ends(second, frequency))
+            tell(progress, "truncation estimate", 1, 1)
+    except ForearmError as problem:
+        return replace(main, unknown=_missing(problem, cut))
+    return replace(main, coarse=coarse, other_ends=clamped)
+
+
+def _missing(why: object, cut: bool) -> tuple[ErrorEstimate, ...]:
+    """What a second mesh would have told: of the elements, and of the ends where the limb is ``cut``."""
+    discretisation = ErrorEstimate("discretisation", np.nan, f"not estimated: {why}")
+    return (discretisation, replace(discretisation, source="truncation")) if cut else (discretisation,)
+
+
+def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> str:
+    """SHA-256 of all that the compliances depend on; coils and housing are not among them."""
+    parts = {
+        "version": __version__,
+        "mesh": mesh.digest,
+        "bends": hashlib.sha256(mesh.bends.offsets.tobytes()).hexdigest(),
+        "ports": [asdict(p) for p in place_ports(scenario, mesh)],
+        "tissues": scenario.tissues.model_dump(mode="json"),
+        "supports": scenario.supports.model_dump(mode="json"),
+        "solver": scenario.solver.model_dump(mode="json", exclude={"memory_limit", "discretisation_estimate"}),
+        "element": scenario.element,
+        "tolerance": reduction_tolerance(scenario),
+        "frequency": hashlib.sha256(frequency.tobytes()).hexdigest(),
+    }
+    return digest_of(parts)[:32]
+
+
+def _packed(scenario: Scenario, solution: FemSolution, frequency: FloatArray) -> Solved:
+    sweep, model = solution.sweep, solution.model
+    n_u, n_p = model.degrees_of_freedom
+    freed = freed_ends(solution)
+    facts = SolutionRecord(
+        displacement_unknowns=n_u,
+        pressure_unknowns=n_p,
+        solver=sweep.solver,
+        residual=sweep.residual,
+        expansion_rate=sweep.rate,
+        derivatives=sweep.derivatives,
+        expansion_frequencies=tuple(sweep.expansions),
+        certificates=tuple(asdict(c) for c in sweep.certificates),
+        unstable_poles=sweep.unstable_poles,
+        reduced_size=sweep.reduced.size if sweep.reduced else 0,
+        ends_by="direct solves" if freed is None else "reduced model",
+    )
+    modes, states = np.zeros((0, 3, 0)), np.zeros((len(frequency), 0, 0), dtype=complex)
+    skin = None
+    if sweep.reduced is not None:
+        bare = replace(sweep.reduced, basis=Basis())
+        skin = SkinModel(scenario, model.ports, bare, sweep.poles)
+        contacts = solution.compliance.indices("contact")
+        modes = field_modes(solution)
+        states = sweep.states(frequency, contacts)
+    return Solved(solution.compliance, None, freed, modes, states, facts, skin=skin)
+
+
+def field_modes(solution: FemSolution) -> FloatArray:
+    """Displacements of the reduced basis (n_point, 3, r) at the mesh vertices, then in the middles of the skin's edges.
+
+    These are the points of :func:`.with_finer_skin`.
+    """
+    reduced, model = solution.sweep.reduced, solution.model
+    assert reduced is not None
+    places = edge_middles(model.space, skin_edges(model.space.mesh))
+    vertices = np.zeros(len(model.space.mesh.points), dtype=np.int64)
+    vertices[model.space.vertices.ravel()] = model.space.nodes[:, :4].ravel()
+    chosen = csr_array(eye_array(model.space.n_nodes, format="csr"))[vertices]
+    shown = kron(vstack([chosen, places]), eye_array(3), format="csr") @ model.constraints.transform
+    return reduced.basis.seen_by(csr_array(shown)).reshape(-1, 3, reduced.size)
+
+
+class _Store:
+    """One folder per solve; an unreadable part is computed again, an unwritable folder only costs the reuse."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._expansions = folder, PartFolder(folder / "expansions", "an expansion")
+
+    def get(self, frequency: float) -> Expansion | None:
+        """An expansion of an interrupted sweep; see :class:`forearm_fem.fem.reduction.sweep.Snapshots`."""
+        if (data := self._expansions.get(f"{frequency:g}")) is None:
+            return None
+        try:
+            series = tuple(data[f"order{k}"] for k in range(int(data["count"])))
+            return Expansion(frequency, series, float(data["residual"]), float(data["solve_error"]))
+        except _DAMAGED:
+            return None
+
+    def put(self, expansion: Expansion) -> None:
+        """Keep an expansion until the sweep is finished."""
+        # what follows the solutions spans a space and is certified there: half the digits are half the time
+        parts: dict[str, Any] = {f"order{k}": x.astype(np.complex64) for k, x in enumerate(expansion.series)}
+        parts |= {"order0": expansion.series[0], "count": len(expansion.series)}
+        parts |= {"residual": expansion.residual, "solve_error": expansion.solve_error}
+        self._expansions.put(f"{expansion.frequency:g}", parts)
+
+    def chunks(self) -> tuple[Chunk, ...]:
+        """What an interrupted sweep left of the space about a rate, up to the first part that is missing or damaged."""
+        found = list[Chunk]()
+        with suppress(*_DAMAGED):
+            while (data := self._expansions.get(f"rate-{len(found)}")) is not None:
+                pairs, counts = Pairs(data["upper"], data["lower"]), (int(data["last"]), int(data["derivatives"]))
+                found.append(Chunk(data["columns"], pairs, *counts, float(data["residual"])))
+        return tuple(found)
+
+    def put_chunk(self, number: int, chunk: Chunk) -> None:
+        """Keep a part of the space about a rate until the sweep is finished."""
+        parts = {"columns": chunk.columns.astype(np.float32), "upper": chunk.pairs.upper, "lower": chunk.pairs.lower}
+        parts |= {name: getattr(chunk, name) for name in ("last", "derivatives", "residual")}
+        self._expansions.put(f"rate-{number}", parts)
+
+    def compliance(self, name: str, make: Callable[[], Compliance]) -> Compliance:
+        """The stored compliance of a name, or a new one, stored."""
+        if (kept := self.read(name)) is not None:
+            return kept
+        made = make()
+        self.write(name, made)
+        return made
+
+    def read(self, name: str) -> Compliance | None:
+        """A stored compliance, or None."""
+        try:
+            return read_compliance(self._folder / f"{name}.nc")
+        except DataError:
+            return None
+
+    def write(self, name: str, compliance: Compliance) -> None:
+        """Store a compliance; failing to is logged."""
+        try:
+            write_compliance(self._folder / f"{name}.nc", compliance)
+        except (DataError, OSError) as problem:
+            _log.warning("%s could not be kept for a later run: %s", name, problem)
+
+    def main(self) -> Solved | None:
+        """The stored main part, or None."""
+        compliance = self.read("compliance")
+        try:
+            with (self._folder / "field.npz").open("rb") as stream, np.load(stream) as field:
+                modes, states = field["modes"].astype(float), field["states"].astype(complex)
+            facts = SolutionRecord.model_validate(read_json(self._folder / "facts.json"))
+        except _DAMAGED:
+            return None
+        ends = self.read("freed") if facts.ends_by == "reduced model" else None
+        skin = None
+        if facts.reduced_size:
+            with suppress(ForearmError):
+                skin = load_skin_model(self._folder / "reduced.nc")
+        return None if compliance is None else Solved(compliance, None, ends, modes, states, facts, skin=skin)
+
+    def keep_main(self, solved: Solved) -> None:
+        """Store the main part, then drop the expansions it came from."""
+        try:
+            with atomic_path(self._folder / "field.npz", durable=False) as target, open(target, "wb") as stream:
+                np.savez(stream, modes=solved.modes.astype(np.float32), states=solved.states.astype(np.complex64))
+            write_json(self._folder / "facts.json", solved.facts.model_dump(mode="json"))
+        except (DataError, OSError) as problem:
+            _log.warning("the solution could not be kept for a later run: %s", problem)
+        if solved.freed is not None:
+            self.write("freed", solved.freed)
+        if solved.skin is not None:
+            save_skin_model(self._folder / "reduced.nc", solved.skin)
+        self.write("compliance", solved.compliance)
+        self._expansions.drop()

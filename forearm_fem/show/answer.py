@@ -1,0 +1,256 @@
+"""The answer of a run: where it focuses, by which method, how far to trust it, and what to do next."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..accuracy.estimates import short_verdict
+from ..metrics.strength import strength_text
+from ..rendering.clearance import not_counted_words
+from ..scenario import Scenario
+from ..scenario.shipped import shipped_scenarios
+from ..transfer import total_error
+from .data import Results
+from .facts import _device, _grid, limb_words
+from .judge import Strengths, strengths
+
+PEOPLE = 1.5
+"""Factor to either side by which S differs among nine in ten arms: `forearm-fem validate` finds 1.46 to 1.55."""
+_SURE = 0.005  # relative half width below which an interval is not worth its room
+
+
+@dataclass(frozen=True)
+class MethodAnswer:
+    """What one method reaches over the points that count.
+
+    ``focused`` are the points where S > 1, ``open`` those whose interval holds 1, ``unknown`` those without S;
+    ``mean`` and ``least`` are of the others, NaN where there are none; ``least_at`` names the point of the least.
+    """
+
+    method: str
+    points: int
+    focused: tuple[str, ...]
+    open: tuple[str, ...]
+    unknown: tuple[str, ...]
+    mean: float
+    least: float
+    least_at: str
+
+
+def method_answers(data: Strengths) -> tuple[MethodAnswer, ...]:
+    """The methods, the best first: most points focused, then the largest mean."""
+    found = []
+    for m, method in enumerate(data.methods):
+        at = [i for i in range(len(data.targets)) if data.counted[i]]
+        values = data.values[m]
+        known = [i for i in at if not np.isnan(values[i])]
+        finite = [i for i in known if np.isfinite(values[i])]
+        least = min(known, key=lambda i: float(values[i]), default=None)
+        found.append(
+            MethodAnswer(
+                method, len(at),
+                tuple(data.targets[i] for i in known if values[i] > 1),
+                tuple(data.targets[i] for i in known if data.low[m, i] <= 1 <= data.high[m, i]),
+                tuple(data.targets[i] for i in at if i not in known),
+                float(values[finite].mean()) if finite else math.nan,
+                math.nan if least is None else float(values[least]),
+                "" if least is None else data.targets[least],
+            )
+        )  # fmt: skip
+    return tuple(sorted(found, key=lambda a: (-len(a.focused), -np.nan_to_num(a.mean))))
+
+
+def headline(data: Strengths) -> str:
+    """E.g. ``focuses (S > 1) at 6 of 7 points``."""
+    best = method_answers(data)[0]
+    if not best.points:
+        return "no point can be judged"
+    if not best.focused:
+        return f"focuses (S > 1) at none of {_points(best.points)}"
+    return f"focuses (S > 1) at {len(best.focused)} of {_points(best.points)}"
+
+
+def _points(count: int) -> str:
+    return f"{count} point{'' if count == 1 else 's'}"
+
+
+def answer_of(results: Results, data: Strengths) -> list[str]:
+    """The verdict in sentences: where, which method, what the numerics leave open, what is not counted."""
+    best, *rest = method_answers(data)
+    said = []
+    if best.points:
+        means = f"mean S {strength_text(best.mean)}" if not math.isnan(best.mean) else "mean S unknown"
+        least = f", least {strength_text(best.least)} at point {best.least_at}" if best.points > 1 else ""
+        which = "best method" if rest else "method"
+        said.append(f"{_capital(headline(data))}; {which} {best.method}: {means}{least}.")
+    else:
+        said.append(f"{_capital(headline(data))}: every point lies under or beside a motor.")
+    if best.open:
+        said.append(f"The numerics leave open whether S is above 1 at {_named(best.open)} ({best.method}).")
+    if best.unknown:
+        said.append(f"S of {best.method} is unknown at {_named(best.unknown)}.")
+    if left_out := not_counted(results, data):
+        said.append(f"{_capital(left_out)}.")
+    return said
+
+
+def not_counted(results: Results, data: Strengths) -> str:
+    """Which points are in no mean and no verdict, and why; empty where all are."""
+    names = [t for t, counts in zip(data.targets, data.counted, strict=True) if not counts]
+    return not_counted_words(names, data.outputs, results.touching)
+
+
+def _named(points: Sequence[str]) -> str:
+    return f"point{'' if len(points) == 1 else 's'} {', '.join(points)}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def subject_of(results: Results) -> str:
+    """Device and arm in words."""
+    s, g = results.scenario, results.transfer
+    if is_measured(results):
+        return (f"A measured or imported G of {len(g.outputs)} points and {len(g.inputs)} actuators, "
+                f"{g.frequency[0]:g} to {g.frequency[-1]:g} Hz.")  # fmt: skip
+    engine = "finite elements" if s.engine == "fem" else "the layered model (flat layers, no bone)"
+    return (f"{_device(s)}, on {limb_words(s)}; {_grid(s, len(g.outputs))}. Solved by {engine}, {g.frequency[0]:g} to "
+            f"{g.frequency[-1]:g} Hz.")  # fmt: skip
+
+
+def is_measured(results: Results) -> bool:
+    """Whether G came from outside, so that nothing is known of the limb."""
+    return "scenario" not in results.transfer.provenance and not results.has("compliance")
+
+
+def half_widths(data: Strengths) -> np.ndarray:
+    """Half widths (n_method, n_target) of the intervals of S, of S itself; NaN where unknown or not counted."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        half = np.maximum(data.high - data.values, data.values - data.low) / data.values
+    return np.where(data.counted, half, np.nan)
+
+
+def interval_words(data: Strengths, m: int, t: int) -> str:
+    """E.g. ``±0.12``; empty where S does not move in its second decimal, ``±?`` where the interval is unknown."""
+    value, low, high = data.values[m, t], data.low[m, t], data.high[m, t]
+    if not np.isfinite(value):
+        return ""
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return "±?"
+    half = max(high - value, value - low)
+    return "" if half < 0.005 else f"±{half:.2f}" if half < 0.995 else f"±{half:.1f}"
+
+
+def trust_of(results: Results, data: Strengths) -> str:
+    """One line: how wrong the numerics may be, and that people differ."""
+    half = half_widths(data)
+    if np.isfinite(half).any():
+        m, t = np.unravel_index(int(np.nanargmax(half)), half.shape)
+        worst = float(half[m, t])
+        size = "less than 0.5 %" if worst < _SURE else f"up to {100 * worst:.2g} %"
+        where = "" if worst < _SURE else f" ({data.methods[m]}, point {data.targets[t]})"
+        numerics = f"The numerics leave S uncertain by {size}{where}"
+    else:
+        numerics = "How wrong the numerics may leave S is unknown"
+        if why := results.account.signal_strength.unknown:
+            numerics += f": {why}"
+    return f"{numerics}; {accuracy_words(results)}. {people_words(data)}"
+
+
+def accuracy_words(results: Results) -> str:
+    """The error of G beside what was asked for."""
+    sentence, total = results.account.accuracy, total_error(results.transfer.errors)
+    if not sentence:
+        return "the accuracy of G is not on record"
+    asked = f"{100 * results.scenario.accuracy:g} % asked"
+    verdict = short_verdict(sentence)
+    if math.isnan(total) or not results.transfer.errors:
+        return f"the error of G is UNKNOWN ({asked}; error sources below)"
+    return f"error of G {100 * total:.2g} % of {asked}: {verdict}"
+
+
+def people_words(data: Strengths) -> str:
+    """What arms do to S: of a prediction where the folder holds one, else that it is not included."""
+    if data.arms is None:
+        return f"People differ by about a factor of {PEOPLE:g} to either side, not included: `forearm-fem predict`."
+    best = method_answers(data)[0].method
+    group, cell = next(iter(data.arms["by_group"][best].items()))
+    return (f"People differ: over {data.arms['draws']} arms S of {best}, {group}, is {cell['arms'][0]:.2g} to "
+            f"{cell['arms'][-1]:.2g} (5-95 %, apart from the numerics).")  # fmt: skip
+
+
+def asked_of(results: Results) -> str:
+    """The scenario as a command names it, with what was set."""
+    if results.account.asked:
+        return results.account.asked
+    name = results.scenario.name
+    return name if name in shipped_scenarios() else f"{name}.toml"
+
+
+def next_steps(results: Results, data: Strengths) -> list[tuple[str, str]]:
+    """Three commands that can be copied, each with what it is for."""
+    folder, asked = shlex.quote(str(results.folder)), asked_of(results)
+    steps = [("Explore the waves in a browser", f"forearm-fem workbench {folder}")]
+    if is_measured(results):
+        steps.append(("See where a simulation differs from it", f"forearm-fem compare {folder} results/SIMULATED"))
+    elif data.arms is None:
+        steps.append(("See what S people will have", f"forearm-fem predict {asked}"))
+    if results.scenario.engine == "layered" and not is_measured(results):
+        steps.append(("Solve the same with bones and curvature", f"forearm-fem run {_finite_elements(asked)}"))
+    steps.append(("Make every figure with its numbers", f"forearm-fem figures {folder}"))
+    return steps[:3]
+
+
+def _finite_elements(asked: str) -> str:
+    words = shlex.split(asked)
+    kept: list[str] = []
+    for word in words:
+        if word == "engine=layered" and kept[-1:] == ["--set"]:
+            kept.pop()
+        else:
+            kept.append(word)
+    return shlex.join(kept if len(kept) < len(words) else [*kept, "--set", "engine=fem"])
+
+
+def console_lines(results: Results, seconds: float | None = None) -> list[str]:
+    """About eight lines for a terminal: headline, S by point, accuracy, where to look."""
+    data = strengths(results)
+    first, *more = answer_of(results, data)
+    lines = [f"{results.scenario.name}: {first[:1].lower()}{first[1:]}", *more, *_strength_lines(data)]
+    took = "" if seconds is None else f" ({seconds:.0f} s)"
+    page = results.folder / "report.html"
+    where = f"open {page}" if page.is_file() else f"results: {results.folder}"
+    return [*lines, trust_of(results, data), f"{where}{took}"]
+
+
+def _strength_lines(data: Strengths) -> list[str]:
+    """S by point and method in columns; only least, mean and largest of many points."""
+    answers = {a.method: a for a in method_answers(data)}
+    if len(data.targets) <= 12:
+        names = (t if counts else f"({t})" for t, counts in zip(data.targets, data.counted, strict=True))
+        header = ["S at point", *names, "mean"]
+        rows = [[m, *map(strength_text, values), strength_text(answers[m].mean)]
+                for m, values in zip(data.methods, data.values, strict=True)]  # fmt: skip
+    else:
+        header = ["S", "S > 1 at", "least", "mean"]
+        rows = [[a.method, f"{len(a.focused)} of {a.points}", f"{a.least:.2f} ({a.least_at})", f"{a.mean:.2f}"]
+                for a in answers.values()]  # fmt: skip
+    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    return ["  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
+            for row in (header, *rows)]  # fmt: skip
+
+
+def is_thesis_device(scenario: Scenario) -> bool:
+    """Whether the actuators are those of the thesis' Table I: 2 x 2, 45 mm apart, over points 13.3 mm apart."""
+    feet, places = sorted(scenario.device.centres), sorted(scenario.grid.places)
+    if len(feet) != 4 or len(places) != 9 or scenario.device.out_of_contact:
+        return False
+    square = sorted((x, y) for x in (-0.0225, 0.0225) for y in (-0.0225, 0.0225))
+    points = sorted((x, y) for x in (-0.0133, 0.0, 0.0133) for y in (-0.0133, 0.0, 0.0133))
+    return np.allclose(feet, square, atol=5e-4) and np.allclose(places, points, atol=5e-4)

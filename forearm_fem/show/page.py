@@ -1,0 +1,140 @@
+"""Page: every report of the package, as one self-contained HTML file and as a short Markdown file beside it."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+
+from jinja2 import Environment
+from matplotlib import style
+from PIL import Image
+
+from ..store.folder import atomic_path, write_text
+from ..store.text import markdown_table
+from ..typing import IntArray
+from .style import SHEET, Drawn, arrange, figure_of, sign
+
+_DPI = 200  # of pictures on a page
+_CSS_DPI = 96  # by which a browser draws them
+
+
+@dataclass(frozen=True)
+class Block:
+    """A table with its heading; ``note`` is a sentence below it."""
+
+    header: list[str]
+    rows: list[list[str]]
+    note: str = ""
+
+    def markdown(self) -> str:
+        """The table and its note."""
+        table = markdown_table(self.header, self.rows) if self.rows else ""
+        return "\n".join(part for part in (table, self.note) if part)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG in base64, its caption, and how wide [px] it is drawn at most; with a ``name`` it is a file as well."""
+
+    title: str
+    data: str
+    name: str = ""
+    width: int = 760
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading with what stands below it; ``commands`` are (what for, command) to copy, ``folded`` opens on a click.
+
+    Pictures stand side by side where there is room.
+    """
+
+    anchor: str
+    title: str
+    block: Block | None = None
+    paragraphs: list[str] = field(default_factory=list)
+    bullets: Sequence[str] = ()
+    pictures: Sequence[Picture] = ()
+    warn: bool = False
+    commands: Sequence[tuple[str, str]] = ()
+    folded: bool = False
+
+    @property
+    def holds(self) -> bool:
+        """Whether there is anything to show."""
+        return bool(self.block or self.paragraphs or self.bullets or self.pictures or self.commands)
+
+
+@dataclass(frozen=True)
+class Page:
+    """A ``title``, the ``subject`` below it, the ``answer`` in sentences, sections, and who made it (``stamp``)."""
+
+    title: str
+    answer: Sequence[str]
+    sections: Sequence[Section]
+    stamp: str
+    subject: str = ""
+
+    def html(self) -> str:
+        """A self-contained page that fetches nothing."""
+        source = resources.files(__package__).joinpath("page.html.j2").read_text(encoding="utf-8")
+        template = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(source)
+        return template.render(page=self, sections=[s for s in self.sections if s.holds])
+
+    def markdown(self) -> str:
+        """The short form: what is not folded on the page, and pictures that are files."""
+        parts = [f"# {self.title}\n", *([f"{self.subject}\n"] if self.subject else [])]
+        parts += [f"{line}\n" for line in self.answer]
+        for section in self.sections:
+            if section.folded or not (body := _body(section)):
+                continue
+            parts += [f"## {section.title}\n", *body]
+        return "\n".join([*parts, f"*{self.stamp}*\n"])
+
+    def save(self, folder: str | Path, stem: str = "report") -> tuple[Path, Path]:
+        """``stem.html``, ``stem.md``, and ``figures/NAME.png`` of pictures with a name; the paths of the first two."""
+        out = Path(folder)
+        for picture in (p for section in self.sections for p in section.pictures if p.name):
+            with atomic_path(out / "figures" / f"{picture.name}.png") as target:
+                target.write_bytes(base64.b64decode(picture.data))
+        page, plain = out / f"{stem}.html", out / f"{stem}.md"
+        write_text(plain, self.markdown())
+        write_text(page, self.html())
+        return page, plain
+
+
+def _body(section: Section) -> list[str]:
+    body = [f"{text}\n" for text in section.paragraphs]
+    if section.block and (section.block.rows or section.block.note):
+        body.append(section.block.markdown() + ("" if not section.block.note else "\n"))
+    body += [f"![{picture.title}](figures/{picture.name}.png)\n" for picture in section.pictures if picture.name]
+    body += [*(f"- {line}" for line in section.bullets), *([""] if section.bullets else [])]
+    body += [f"{what}:\n\n    {command}\n" for what, command in section.commands]
+    return body
+
+
+def embedded(drawn: Drawn, title: str, stamp: str = "", name: str = "") -> Picture:
+    """A figure as a picture of a page, signed with ``stamp``; ``name`` is that of its file."""
+    figure = figure_of(drawn)
+    if stamp:
+        sign(figure, stamp)
+    arrange(figure)
+    stream = io.BytesIO()
+    with style.context(SHEET):
+        figure.savefig(stream, format="png", dpi=_DPI)
+    return Picture(title, _text(stream), name, round(_CSS_DPI * figure.get_figwidth()))
+
+
+def photograph(pixels: IntArray, title: str) -> Picture:
+    """An image (height, width, 3) as a picture of a page."""
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "PNG")
+    return Picture(title, _text(stream))
+
+
+def _text(stream: io.BytesIO) -> str:
+    return base64.b64encode(stream.getvalue()).decode()
