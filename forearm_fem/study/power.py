@@ -176,8 +176,9 @@ def _error_square(whole: FloatArray, sought: Sought) -> float:
     own = whole - whole.mean(axis=0)
     own = own - own.mean(axis=(1, 2), keepdims=True)
     by_target, by_method = own.mean(axis=2, keepdims=True), own.mean(axis=1, keepdims=True)
-    parts: dict[str, tuple[FloatArray, int]] = {"location": (b * by_target**2, a - 1), "method": (a * by_method**2, b - 1),
-             "pair": (a * by_method**2, b - 1),
-             "location x method": ((own - by_target - by_method) ** 2, (a - 1) * (b - 1))}  # fmt: skip
-    square, df = parts[sought]
+    square, df = (own - by_target - by_method) ** 2, (a - 1) * (b - 1)
+    if sought == "location":
+        square, df = b * by_target**2, a - 1
+    elif sought in ("method", "pair"):
+        square, df = a * by_method**2, b - 1
     return float(np.sum(square)) / ((len(whole) - 1) * df)

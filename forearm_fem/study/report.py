@@ -32,8 +32,9 @@ _SOURCE = f"forearm_fem {__version__}"
 
 @dataclass(frozen=True, eq=False)
 class Analysed:
-    """A task's analysis: ``sections`` of the page, ``tables`` and R ``scripts`` by file name."""
+    """A task's analysis: its ``answer`` in sentences, ``sections`` of the page, ``tables`` and R ``scripts`` by name."""
 
+    answer: list[str]
     sections: list[Section]
     tables: dict[str, pd.DataFrame]
     scripts: dict[str, str]
@@ -47,7 +48,8 @@ def write_analysis(
 
     ``devices`` are the rows of ``devices.tsv``; None for answers of other programs. Returns the page's path.
     """
-    sections = [_plan_section(study, answers), _level_section(answers)]
+    sections = [_level_section(answers), _plan_section(study, answers)]
+    answer = [p for p in sections[0].paragraphs if sections[0].warn]
     tables: dict[str, pd.DataFrame] = {}
     scripts: dict[str, str] = {}
     for task in study.tasks:
@@ -56,6 +58,7 @@ def write_analysis(
             continue
         done = _places(answers[task.name], task, study, grid)
         sections += done.sections
+        answer += done.answer
         tables |= done.tables
         scripts |= done.scripts
     if devices is not None:
@@ -73,8 +76,7 @@ def write_analysis(
             target.write_bytes(base64.b64decode(picture.data))
     people = sorted({p for t in answers.values() for p in t["participant"]})
     lead = f"{len(people)} participant(s); subjects are participants, repetitions are averaged within their cells."
-    sections = [s for s in sections if s.block or s.paragraphs or s.bullets or s.pictures]
-    write_text(out / "report.html", Page(f"Study {study.name}", [], sections, _SOURCE, lead).html())
+    write_text(out / "report.html", Page(f"Study {study.name}", answer, sections, _SOURCE, lead).html())
     return out / "report.html"
 
 
@@ -150,7 +152,7 @@ def _places(table: pd.DataFrame, task: Task, study: Study, grid: Sequence[Port])
     sections = [Section(name, f"Task {name}", _counts(main), pictures=kept, paragraphs=said)]
     each = (*found, *ellipses(main, by_participant=True))
     tables = {f"{name}-trials": main, f"{name}-ellipses": pd.DataFrame([_drawn(e) for e in each])}
-    scripts = {}
+    scripts, answer_said = dict[str, str](), list[str]()
     for measure in study.measures(task):
         words = MEASURES[measure]
         if measure in main and main[measure].isna().all():
@@ -161,11 +163,22 @@ def _places(table: pd.DataFrame, task: Task, study: Study, grid: Sequence[Port])
             sections.append(Section(f"{name}-{measure}", f"{name}: {words}", paragraphs=[f"Not analysed: {problem}."]))
             continue
         sections += _test_sections(name, words, tests, study.analysis)
+        answer_said.append(_verdict(name, measure, tests, study.analysis))
         tables |= _test_tables(f"{name}-{measure}", tests, study.analysis)
         tables[f"{name}-{measure}-cells"] = _cell_table(main, measure, tests.participants)
         if tests.effects:
             scripts[f"{name}-{measure}"] = script(f"{name}-{measure}", f"{name}-trials", measure, study.analysis)
-    return Analysed(sections, tables, scripts)
+    return Analysed(answer_said, sections, tables, scripts)
+
+
+def _verdict(name: str, measure: str, tests: Tests, plan: Analysis) -> str:
+    """Which methods differ, over all targets."""
+    found = [p for p in tests.methods if p.p < plan.alpha]
+    said = [f"{p.first} less {p.second} is {p.difference:.3g} ({p.low:.3g} to {p.high:.3g}, p {_p(p.p)})" for p in found]
+    none = "no two methods differ" if tests.methods else "there is one method"
+    return f"{name}, {measure}: {'; '.join(said) or none}, {len(tests.participants)} participants."
+
+
 
 
 def _drawn(e: Ellipse) -> dict[str, object]:
