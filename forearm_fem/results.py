@@ -116,12 +116,22 @@ class StrengthEntry(_Record):
 
 
 class StrengthRecord(_Record):
-    """Every S by method and target with its zero points; ``unknown`` says why there is no interval."""
+    """Every S by method and target with its zero points; ``unknown`` says why there is no interval, ``not_counted``
+    are targets under or beside a motor, which are in no mean."""
 
     window: tuple[float, float] | None = None
     unknown: str = ""
     methods: Mapping[str, Mapping[str, StrengthEntry]] = {}
     zeros: Mapping[str, Mapping[str, tuple[str, ...]]] = {}
+    not_counted: tuple[str, ...] = ()
+
+    def means(self) -> dict[str, float]:
+        """Mean S of each method over the targets that count and whose S is known; methods without any are left out."""
+        found = {
+            method: [e.value for t, e in row.items() if t not in self.not_counted and e.value is not None]
+            for method, row in self.methods.items()
+        }
+        return {method: sum(values) / len(values) for method, values in found.items() if values}
 
     def largest(self, what: str) -> tuple[float, str]:
         """Largest |``what``| ("edges" or "holes") over S, and where; 0 and "" where nothing is on record."""

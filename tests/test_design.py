@@ -179,7 +179,7 @@ def test_constraints_that_do_not_hold_are_named_and_cost_more_than_any_that_does
     tight = "[constraints]\nmax_voltage = 1e-6\nmax_mass = 0.08\nmin_distance = 0.05\n"
     asked = design(tmp_path, SPACING + tight)
     found = evaluate(asked, {"device.spacing": 0.04}, Waves())
-    assert set(found.violations) == {"max_voltage", "max_mass", "min_distance"}
+    assert set(found.violations) == {"clearance", "max_voltage", "max_mass", "min_distance"}
     assert found.violations["min_distance"] == pytest.approx(0.2)
     assert found.cost > 100
     assert found.mass == pytest.approx(0.090)  # four of 12.5 g in a shell of 40 g: the thesis' device

@@ -365,6 +365,9 @@ def test_groups_and_winners_by_hand() -> None:
         "Middle (5)": [2], "Edges (2/4/6/8)": [1], "Corners (1/3/7/9)": [0, 3],
     }  # fmt: skip
     assert numbers.group_columns(["1", "17"]) == {"All": [0, 1]}
+    assert numbers.group_columns(["1", "2", "5", "9"], counted=("2", "9")) == {
+        "Edges (2/4/6/8)": [1], "Corners (1/3/7/9)": [3],
+    }  # points beside a motor are in no group
     assert numbers.group_columns(["1", "2", "3", "4"], thesis_grid=False) == {"All": [0, 1, 2, 3]}  # of 2 x 2 points
     s = np.array([[[1.0, 2.0, 3.0, 5.0]], [[2.0, 2.0, 2.0, 4.0]]])
     assert numbers.group_means(s, numbers.group_columns(["1", "2", "5", "9"]))[:, 0].tolist() == [[3, 2, 3], [2, 2, 3]]

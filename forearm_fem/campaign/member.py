@@ -66,20 +66,5 @@ def member_summary(folder: Path) -> dict[str, Any]:
     }
     notes = dict.fromkeys((*account.warnings, *account.notes))
     said = {"verdict": short_verdict(account.accuracy), "notes": "; ".join(notes)}
-    return {**found, **mean_strengths(folder / "signal_strength.csv"), **said}
-
-
-def mean_strengths(file: Path) -> dict[str, float]:
-    """S of each method, mean over the targets; empty where nothing was rendered."""
-    if not file.is_file():
-        return {}
-    lines = [line.split(",") for line in file.read_text(encoding="utf-8").splitlines()]
-    where = {name: k for k, name in enumerate(lines[0])}
-    method, value = (
-        where["method"],
-        next(k for name, k in where.items() if name.startswith("S") or "strength" in name),
-    )
-    values: dict[str, list[float]] = {}
-    for line in lines[1:]:
-        values.setdefault(line[method], []).append(float(line[value]))
-    return {f"S {name}": sum(v) / len(v) for name, v in values.items()}
+    means = {f"S {method}": value for method, value in account.signal_strength.means().items()}
+    return {**found, **means, **said}

@@ -22,7 +22,7 @@
     method = "inverse filter"
     targets = ["5"]
     [constraints]
-    clearance = 0.002                      # [m] from a target to the nearest rim
+    clearance = 0.009                      # [m] from a target to the nearest rim
     max_voltage = 2.5
     [search]
     candidates = 300
@@ -41,6 +41,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from ..errors import ScenarioError, first_problem
 from ..pipeline.unread import unread_because
+from ..rendering.clearance import CLEARANCE
 from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario, scenario_beside
 from ..scenario.actuators import ACTUATORS
 from ..scenario.base import Name, Part, Within
@@ -131,7 +132,7 @@ class Constraints(Part):
     """What must hold; a drive is meant at the amplitude that moves its target by ``target_peak``."""
 
     clearance: Annotated[float, Within(1e-6, 0.1, "m", zero=True)] = Field(
-        0.002, description="least distance of an aimed-at point from any rim [m]: under a cone S is no focus"
+        CLEARANCE, description="least distance of an aimed-at point from any rim [m]: beside a motor S is no focus"
     )
     min_distance: Annotated[float, Within(1e-6, 0.3, "m", zero=True)] = Field(
         0.014, description="least distance of two contacts' centres [m]; the thesis' actuator is 14 mm across"

@@ -29,6 +29,7 @@ from ..io.matlab import write_thesis_mat
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
+from ..rendering.clearance import counted_points
 from ..rendering.interval import StrengthAccount, finer_than_known
 from ..rendering.job import RenderJob, check_servable, wavelet
 from ..rendering.lattice import is_thesis_grid
@@ -325,8 +326,18 @@ def _rendered(
             finer_than_known(account, transfer.errors),
         )  # fmt: skip
         run.notes += [s for s in said if s]
-    write_json(run.out / "signal_strength.json", account.as_json())
+    write_json(run.out / "signal_strength.json", _strengths_record(run))
     return rendering
+
+
+def _strengths_record(run: Run) -> dict[str, Any]:
+    """S of the run, and which targets lie under or beside a motor."""
+    assert run.account is not None
+    assert run.transfer is not None
+    g, lifted = run.transfer, run.scenario.device.out_of_contact
+    counted = counted_points(g.outputs, [p for p in g.inputs if p.name not in lifted])
+    beside = [p.name for p, counts in zip(g.outputs, counted, strict=True) if not counts]
+    return {**run.account.as_json(), "not_counted": [t for t in run.account.targets if t in beside]}
 
 
 def unknown_strengths(rendering: Rendering) -> tuple[str, ...]:
@@ -351,7 +362,7 @@ def _write_run(run: Run) -> None:
         # what it cost when it was computed: a stage that only reused results keeps its older, larger account
         if name not in stages or cost.seconds >= stages[name].seconds:
             stages[name] = cost
-    strength = run.account.as_json() if run.account else _read_json(run.out / "signal_strength.json")
+    strength = _strengths_record(run) if run.account else _read_json(run.out / "signal_strength.json")
     run.record = RunRecord(
         scenario=run.scenario.model_dump(mode="json"),
         versions=versions(),

@@ -15,9 +15,11 @@ from .. import __version__
 from ..device import close_loop
 from ..errors import AccuracyWarning, ForearmError, ScenarioError
 from ..fem.kernels.heap import freed_memory_kept
+from ..geometry.device.layout import planform_ports
 from ..pipeline.samples import check_samples
 from ..pipeline.simulation import simulate
 from ..progress import Progress, tell, within
+from ..rendering.clearance import counted_points
 from ..rendering.interval import StrengthAccount
 from ..rendering.job import RenderJob, check_servable, wavelet
 from ..rendering.lattice import is_thesis_grid
@@ -140,7 +142,11 @@ def predict(
     frequency, unit = frequencies(question.scenario.sweep), UNITS[question.scenario.device.drive]
     save(out / FILE, DrawsFile.of(list(kept.values()), setup.methods, setup.targets, digest, frequency, unit))
     grid = is_thesis_grid(setup.outputs)
-    found = draws_of([kept[n] for n in range(draws)], setup.methods, setup.targets, grid)
+    points, motors = planform_ports(question.scenario)
+    touching = [p for p in motors if p.name not in question.scenario.device.out_of_contact]
+    clear = dict(zip((p.name for p in points), counted_points(points, touching), strict=True))
+    counted = tuple(t for t in setup.targets if clear[t])
+    found = draws_of([kept[n] for n in range(draws)], setup.methods, setup.targets, grid, counted)
     held = tuple(sorted({*question.held, *arm.held}))
     return Prediction(
         question, nominal, found, arm.name, arm.left_out, held, reused, time.monotonic() - began, _unknown(arm, errors),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -28,7 +28,8 @@ class Draws:
     """Draws that gave S: ``strengths`` (n, n_reading, n_method, n_target) [-], ``drivers`` (n, n_driver) by ``names``
     (a categorical law as its index), ``laws`` (n,), ``numerics`` (n,) e_band of each G and ``spread``
     (n, n_method, n_target) the half width of the interval of log S that it leaves; ``problems`` of the others, and how
-    many have them. ``thesis_grid`` says whether targets are of the thesis' 3 x 3 points, whose groups mean something.
+    many have them. ``thesis_grid`` says whether targets are of the thesis' 3 x 3 points, whose groups mean something;
+    ``counted`` are the targets that no motor stands on or beside, None for all.
     """
 
     strengths: FloatArray
@@ -42,11 +43,12 @@ class Draws:
     spread: FloatArray
     problems: Mapping[str, int]
     thesis_grid: bool = True
+    counted: tuple[str, ...] | None = None
 
     @property
     def groups(self) -> Mapping[str, list[int]]:
         """Columns of targets by group (:func:`group_columns`)."""
-        return group_columns(self.targets, self.thesis_grid)
+        return group_columns(self.targets, self.thesis_grid, self.counted)
 
     def reading(self, name: str) -> FloatArray:
         """S (n, n_method, n_target) by one of :data:`READINGS`."""
@@ -68,7 +70,11 @@ class Draws:
 
 
 def draws_of(
-    outcomes: Sequence[Outcome], methods: Sequence[str], targets: Sequence[str], thesis_grid: bool = True
+    outcomes: Sequence[Outcome],
+    methods: Sequence[str],
+    targets: Sequence[str],
+    thesis_grid: bool = True,
+    counted: tuple[str, ...] | None = None,
 ) -> Draws:
     """The outcomes as arrays; DataError where fewer than :data:`LEAST` gave S."""
     good = [o for o in sorted(outcomes, key=lambda o: o.number) if not o.problem]
@@ -85,7 +91,7 @@ def draws_of(
     return Draws(
         np.array([o.strengths for o in good]), tuple(methods), tuple(targets), laws, (*shared, *drawn),
         np.array(columns), np.array([o.numerics for o in good]), np.array([o.seconds for o in good]),
-        np.array([o.spread for o in good]), problems, thesis_grid,
+        np.array([o.spread for o in good]), problems, thesis_grid, counted,
     )  # fmt: skip
 
 
@@ -135,13 +141,16 @@ class Enclosed:
         return np.asarray(within), np.asarray(np.where(within, narrow, (widest[0] | widest[1]) & (outer > 0)))
 
 
-def group_columns(targets: Sequence[str], thesis_grid: bool = True) -> dict[str, list[int]]:
+def group_columns(
+    targets: Sequence[str], thesis_grid: bool = True, counted: Collection[str] | None = None
+) -> dict[str, list[int]]:
     """Columns of the thesis' middle, edges and corners among ``targets``; all targets as one group on other grids,
-    whatever their names."""
-    found = {label: [i for i, t in enumerate(targets) if t in members] for label, members in GROUPS}
+    whatever their names. Only those ``counted`` are in any, but where none is."""
+    kept = [i for i, t in enumerate(targets) if counted is None or t in counted] or list(range(len(targets)))
+    found = {label: [i for i in kept if targets[i] in members] for label, members in GROUPS}
     stray = set(targets) - {t for _, members in GROUPS for t in members}
     if stray or not thesis_grid:
-        return {"All": list(range(len(targets)))}
+        return {"All": kept}
     return {g: c for g, c in found.items() if c}
 
 

@@ -31,6 +31,7 @@ from ...rendering import (
     place,
     place_on_bins,
 )
+from ...rendering.clearance import CLEARANCE
 from ...rendering.interval import at_least_band
 from ...rendering.job import least_error, wavelet
 from ...scenario import Scenario, parse_scenario
@@ -177,6 +178,7 @@ def _common(
         "errors": [_estimate(e, placed.bins.frequency) for e in errors],
         "deviates": transfer.deviation is not None,
         "accuracy": accuracy_verdict(scenario, transfer.errors),
+        "clearance": CLEARANCE,
         "device": {**scenario.device.model_dump(mode="json"), "centres": scenario.device.centres},
         "rendering": scenario.rendering.model_dump(mode="json"),
         "samples": None if scenario.rendering.wavelet.file is None else packed(shape.samples, "f8"),

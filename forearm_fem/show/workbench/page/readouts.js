@@ -137,7 +137,8 @@ function median(values) {
 export function table(app, choose) {
   const { experiment, version } = app, { settings, outputs } = experiment, wavelet = settings.wavelet.name, window = experiment.window();
   const over = window ? `${say(1e3 * window[0])} to ${say(1e3 * window[1])} ms` : "the whole record";
-  const rows = outputs.map((p, row) => h("tr", { class: row === settings.target ? "now" : "" },
+  const beside = outputs.map((p) => nearMotor(p, experiment.inputs, experiment.content.clearance));
+  const rows = outputs.map((p, row) => h("tr", { class: `${row === settings.target ? "now" : ""} ${beside[row] ? "beside" : ""}`, title: beside[row] ? "not counted: under or beside a motor, with which it moves" : "" },
     h("td", {}, h("button", { type: "button", title: `aim at ${p.name}`, onclick: () => choose(row), text: p.name })),
     ...METHODS.map((method) => h("td", { "data-s": `${method} ${p.name}`, text: "…" }))));
   const played = app.overlay ? h("p", { class: "soft", id: "played" }) : null;
@@ -148,6 +149,11 @@ export function table(app, choose) {
       h("div", { class: "scroll" }, drivesTable(app), played)));
   if (played) played.textContent = replayed(app);
   fill(app, version, 0);
+}
+
+/** Whether a point lies under a cone or nearer to a rim than `clearance` [m]. @param {import("./device.js").Port} point @param {import("./device.js").Port[]} inputs @param {number} clearance */
+export function nearMotor(point, inputs, clearance) {
+  return inputs.some((a) => Math.hypot(...a.position.map((x, k) => x - point.position[k])) - a.radius < clearance - 1e-9);
 }
 
 /** S target by target, so that the page stays awake. @param {App} app @param {number} version @param {number} row */
