@@ -32,7 +32,7 @@ _SOURCE = f"forearm_fem {__version__}"
 
 @dataclass(frozen=True, eq=False)
 class Analysed:
-    """A task's analysis: its ``answer`` in sentences, ``sections`` of the page, ``tables`` and R ``scripts`` by name."""
+    """A task's analysis: its ``answer``, ``sections`` of the page, ``tables`` and R ``scripts`` by name."""
 
     answer: list[str]
     sections: list[Section]
@@ -174,7 +174,7 @@ def _places(table: pd.DataFrame, task: Task, study: Study, grid: Sequence[Port])
 def _verdict(name: str, measure: str, tests: Tests, plan: Analysis) -> str:
     """Which methods differ, over all targets."""
     found = [p for p in tests.methods if p.p < plan.alpha]
-    said = [f"{p.first} less {p.second} is {p.difference:.3g} ({p.low:.3g} to {p.high:.3g}, p {_p(p.p)})" for p in found]
+    said = [f"{p.first} less {p.second}: {p.difference:.3g} ({p.low:.3g} to {p.high:.3g}, p {_p(p.p)})" for p in found]
     none = "no two methods differ" if tests.methods else "there is one method"
     return f"{name}, {measure}: {'; '.join(said) or none}, {len(tests.participants)} participants."
 
