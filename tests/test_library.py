@@ -13,12 +13,12 @@ from forearm_fem.accuracy.of_library import moved_by_stretch
 from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import fem_model
 from forearm_fem.engines.layered import flat_layers
-from forearm_fem.engines.library import is_library, load_library, make, make_library, save_library, side, store
+from forearm_fem.engines.library import is_library, load_library, make, make_library, save_library, side
 from forearm_fem.engines.library.arm import _Asked, _Part, library_skin
 from forearm_fem.engines.library.between import Lattice, Prior, Shape, shape_of
+from forearm_fem.engines.library.file import LibraryFile
 from forearm_fem.engines.library.flat_bells import between_flat_bells, flat_compliance, pair_distances
 from forearm_fem.engines.library.hold import deviation_held, held
-from forearm_fem.engines.library.kept import Side
 from forearm_fem.engines.library.loads import Bells, bell_functionals
 from forearm_fem.engines.library.make import loaded_skin, meshed_scenario
 from forearm_fem.engines.library.skin import FlatSkin, flat_skin
@@ -433,7 +433,7 @@ def test_a_library_that_was_ended_goes_on_to_the_same_to_the_bit(slab, library, 
 
     with pytest.raises(KeyboardInterrupt):
         side.solved_side(meshed, patch, tmp_path, progress=ending)
-    (space,) = tmp_path.glob("library-parts/*/space.npz")
+    (space,) = tmp_path.glob("library-parts/*-space.sqlite")
     told.clear()
     resumed = side.solved_side(meshed, patch, tmp_path, progress=lambda *a: told.append(a[:2]))
     loads = [done for stage, done in told if stage == "loads on the patch"]
@@ -454,7 +454,7 @@ def test_a_library_states_the_seconds_of_all_calls(slab, library, tmp_path, monk
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path))
 
     facts = {**library.facts, "seconds_loads": 7200.0, "seconds_poles": 60.0}
-    kept = Side(library.fine, library.freed, library.reduction, library.missed, facts)
+    kept = side.Side(library.fine, library.freed, library.reduction, library.missed, facts)
     monkeypatch.setattr(make, "solved_side", lambda *asked, **how: kept)
     assert 7260 <= make_library(slab).facts["seconds"] < 7260 + 600
 
@@ -487,7 +487,7 @@ def test_a_library_comes_back_from_its_file_and_damage_is_told(slab, library, tm
     with pytest.raises(DataError, match=r"not match|damaged"):
         load_library(file)
     with monkeypatch.context() as older:
-        older.setattr(store, "_MADE", 1)
+        older.setattr(LibraryFile, "version", 0)
         save_library(file, library)
     with pytest.raises(DataError, match="make it again"):
         load_library(file)

@@ -350,8 +350,7 @@ def parametric_model(
     made = ParametricModel(
         own, model.ports, united.pieces, united.trials, united.checks, united.solves, around[0] if around else None
     )
-    shelf.keep(_MODEL, ParametricFile.of(made))
-    if _MODEL in shelf:
+    if shelf.keep(_MODEL, ParametricFile.of(made)):
         parts.remove()
     return made
 

@@ -21,9 +21,8 @@ from .arm import WIDTH, ArmLibrary, library_band, library_skin
 from .bands import Bands
 from .between import Lattice
 from .flat_bells import between_flat_bells, flat_compliance, pair_distances
-from .kept import Side
 from .loads import Bells
-from .side import BIN, LoadedSkin, solved_side
+from .side import BIN, LoadedSkin, Side, solved_side
 from .skin import FlatSkin
 
 COARSER = 2.0  # size ratio of the second mesh
