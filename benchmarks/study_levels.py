@@ -30,7 +30,7 @@ def main() -> None:
     options.add_argument("transfer", type=Path)
     options.add_argument("--like", type=Path)
     chosen = options.parse_args()
-    prepared, g = Prepared.of(chosen.study), read_measured(transfer_file(chosen.transfer))
+    prepared, g = Prepared.of(chosen.study), read(transfer_file(chosen.transfer))
     made = {}
     for levels in ("as rendered", "equal at target"):
         how = prepared.study.stimuli.model_copy(update={"levels": levels})
