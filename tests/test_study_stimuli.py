@@ -70,6 +70,7 @@ def test_the_level_of_a_tone_is_its_weighted_rms():
     both = sensitivity(np.array([250.0]))[:, 0]
     assert (found.peak, found.rms) == (pytest.approx(2e-6), pytest.approx(2e-6 / np.sqrt(2)))
     assert found.weighted == pytest.approx(20 * np.log10(np.sqrt(2) * np.linalg.norm(both)), abs=1e-9)
+    assert motion(tone, 2000.0, 0.5).weighted == pytest.approx(found.weighted + 3.0103, abs=1e-4)  # in half the time
     assert motion(tone / 2, 2000.0, 1.0).weighted == pytest.approx(found.weighted - 6.0206, abs=1e-4)
 
 
