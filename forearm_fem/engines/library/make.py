@@ -13,7 +13,8 @@ from ...errors import ForearmError, ScenarioError
 from ...layered.integrals import Medium
 from ...progress import Progress, within
 from ...scenario import Scenario, parse_scenario
-from ...tissue import KelvinVoigt, limb_tissue_keys, resolve_tissues
+from ...scenario.limb import tissue_keys
+from ...tissue import KelvinVoigt, resolve_tissues
 from ...typing import ComplexArray, FloatArray
 from ..layered import flat_layers, flat_surface
 from ..tables import kept_tables, tables_reach
@@ -38,7 +39,7 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     """
     began = time.monotonic()
     tissues = resolve_tissues(scenario)
-    for key, name in limb_tissue_keys(scenario.limb).items():
+    for key, name in tissue_keys(scenario.limb).items():
         if not isinstance(tissues[name].modulus, KelvinVoigt):
             raise ScenarioError(
                 f"{key}: a library starts from one real rate and needs Kelvin-Voigt tissue, but {name} is not; set "
