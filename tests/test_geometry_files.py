@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import subprocess
 import sys
+import tempfile
 import warnings
 from dataclasses import replace
 
@@ -36,6 +38,9 @@ USER = {
     "device": {"contacts": [[-0.012, 0], [0.012, 0]]},
     "grid": {"points": [[0, 0]]},
 }
+
+
+OF_A_MESH = {**USER, "mesh": {"size_contact": 3e-3, "min_quality": 0.005}}  # its own elements: no other sizes
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +150,10 @@ def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     if sys.platform.startswith("linux"):
         assert default_cache_dir() == tmp_path / "forearm_fem"
+        (tmp_path / "file").touch()
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))  # root, too, cannot write below a file
+        monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+        assert default_cache_dir() == tmp_path / f"forearm_fem-{os.getuid()}"
 
 
 # ---- surfaces and meshes of the user ----
@@ -204,7 +213,7 @@ def test_a_users_mesh_is_taken_and_contacts_pressed_in(nested, tmp_path):
     plain = replace(mesh, facets={k: v for k, v in mesh.facets.items() if not k.startswith("contact")})
     write_mesh(plain, tmp_path / "limb.msh")
     limb = {"shape": "mesh", "file": "limb.msh", "regions": {"skin": "fat", "muscle": "muscle"}}
-    scenario = parse_scenario({**USER, "device": {"contacts": [[0.0, 0.0]]}, "limb": limb})
+    scenario = parse_scenario({**OF_A_MESH, "device": {"contacts": [[0.0, 0.0]]}, "limb": limb})
     taken = build_mesh(scenario, base=tmp_path)
     assert taken.region_names == ("fat", "muscle")
     assert taken.volumes.sum() == pytest.approx(mesh.volumes.sum(), rel=1e-3)
@@ -261,7 +270,7 @@ def test_unusable_mesh_files_are_refused(tmp_path, cells, data, regions, message
     _file_mesh(tmp_path, cells, **data)
     limb = {"shape": "mesh", "file": "limb.vtu", "regions": regions}
     with pytest.raises(MeshError, match=message):
-        build_mesh(parse_scenario({**USER, "limb": limb}), base=tmp_path)
+        build_mesh(parse_scenario({**OF_A_MESH, "limb": limb}), base=tmp_path)
 
 
 def test_a_missing_pytetwild_is_not_blamed_on_the_sizes(monkeypatch, tmp_path):
@@ -274,7 +283,7 @@ def test_a_missing_pytetwild_is_not_blamed_on_the_sizes(monkeypatch, tmp_path):
 def test_missing_mesh_file_is_named(tmp_path):
     limb = {"shape": "mesh", "file": "absent.msh", "regions": {"1": "skin"}}
     with pytest.raises(MeshError, match=r"absent\.msh: no such mesh file"):
-        build_mesh(parse_scenario({**USER, "limb": limb}), base=tmp_path)
+        build_mesh(parse_scenario({**OF_A_MESH, "limb": limb}), base=tmp_path)
 
 
 def test_failures_of_ftetwild_are_named(monkeypatch):

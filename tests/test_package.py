@@ -7,7 +7,9 @@ import re
 import subprocess
 import tomllib
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 
 import pytest
 from cli_runner import cli as run
@@ -17,6 +19,7 @@ import forearm_fem
 from forearm_fem.campaign.model import load_campaign
 from forearm_fem.design.model import load_design
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario, scenario_file, scenario_template
+from forearm_fem.scenario.load import all_keys
 from forearm_fem.scenario.shipped import scenario_beside, shipped_folder, shipped_scenarios
 from forearm_fem.study.run import Prepared
 
@@ -61,9 +64,9 @@ def test_template_is_valid_and_its_keys_are_the_defaults():
     assert parse_scenario(tomllib.loads(text)).name == "mine"
     every = re.sub(r"^# (\w+ = [^ #].*)$", r"\1", text, flags=re.MULTILINE)
     assert parse_scenario(tomllib.loads(every)) == Scenario(name="mine")
-    assert _keys_of(text) == {f"{path}{key}" for path, part in _parts(Scenario(), "") for key in part} - {
-        "schema_version"
-    }
+    own = {f"{path}{key}" for path, part in _parts(Scenario(), "") for key in part}
+    assert own < _keys_of(text) <= set(all_keys())
+    assert {"device.contacts", "sweep.frequencies", "supports.foam_stiffness"} < _keys_of(text) - own  # other kinds'
 
 
 def _parts(part: BaseModel, path: str) -> Iterator[tuple[str, list[str]]]:
@@ -94,6 +97,15 @@ def test_new_writes_once_and_never_over_a_file(tmp_path, monkeypatch, capsys):
     assert load_scenario(tmp_path / "mine.toml").name == "kept"
     assert run("new", "../outside").code == 2
     assert not (tmp_path.parent / "outside.toml").exists()
+
+
+def test_every_name_that_is_promised_is_there():
+    """``__all__`` of the package and of its rooms."""
+    rooms = [forearm_fem, *(import_module(f"forearm_fem.{r.name}") for r in iter_modules(forearm_fem.__path__))]
+    promised = {room.__name__: room.__all__ for room in rooms if hasattr(room, "__all__")}
+    assert {"forearm_fem", "forearm_fem.scenario", "forearm_fem.rendering", "forearm_fem.transfer"} <= set(promised)
+    missing = [f"{room}.{n}" for room, names in promised.items() for n in names if not hasattr(import_module(room), n)]
+    assert missing == []
 
 
 def test_version_is_the_same_everywhere():
