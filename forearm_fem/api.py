@@ -12,11 +12,11 @@ from .scenario import Scenario
 from .transfer import TransferMatrix
 
 if TYPE_CHECKING:
-    from .compare.run import CompareResult, FitCommandResult
-    from .design.run import DesignResult
     from .measurement.run import CalibrationResult
     from .pipeline.simulation import Simulation
     from .prediction.run import Prediction
+    from .questions.compare.run import CompareResult, FitCommandResult
+    from .questions.design.run import DesignResult
     from .rendering import Rendering
 
 
@@ -59,7 +59,7 @@ def compare(
     a: str | Path | TransferMatrix, b: str | Path | TransferMatrix, *, scenario: Scenario | None = None, **options: Any
 ) -> CompareResult:
     """How far apart two G are: per entry, over the band, in S and in dispersion (:func:`.run_compare`)."""
-    from .compare.run import run_compare
+    from .questions.compare.run import run_compare
 
     return run_compare(a, b, scenario=scenario, **options)
 
@@ -68,7 +68,7 @@ def fit(
     scenario: Scenario, measured: str | Path | TransferMatrix, parameters: Sequence[str], **options: Any
 ) -> FitCommandResult:
     """Parameters of a scenario for which its G is nearest to a measured one (:func:`.run_fit`)."""
-    from .compare.run import run_fit
+    from .questions.compare.run import run_fit
 
     return run_fit(scenario, measured, parameters, **options)
 
@@ -93,8 +93,8 @@ def predict(
 
 def design(file: str | Path, folder: str | Path, **options: Any) -> DesignResult:
     """The best device by a design file; ``folder`` keeps every candidate (:func:`.run_design`)."""
-    from .design.model import load_design
-    from .design.run import run_design
+    from .questions.design.model import load_design
+    from .questions.design.run import run_design
 
     return run_design(load_design(file), folder, **options)
 
@@ -102,9 +102,9 @@ def design(file: str | Path, folder: str | Path, **options: Any) -> DesignResult
 def calibrate(
     scenario: Scenario, folder: str | Path, *, through: TransferMatrix | None = None, **options: Any
 ) -> CalibrationResult:
-    """G measured with a device, or ``through`` a given G in its place; the same call resumes (:func:`.run_calibration`).
+    """G measured with a device, or ``through`` a given G in its place; the same call resumes.
 
-    ``options`` are ``daq``, ``card``, ``cable`` and the others there.
+    ``options`` are ``daq``, ``card``, ``cable`` and the others of :func:`.run_calibration`.
     """
     from .measurement.run import VirtualSetup, run_calibration
 

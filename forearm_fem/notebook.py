@@ -84,12 +84,13 @@ def html_of_s(s: StrengthAccount) -> str:
 
 
 def xarray_of_s(s: StrengthAccount) -> xr.Dataset:
-    """S with its interval and companions by method and target."""
+    """S with its interval and companions by renderer and target; "method" is what xarray's own ``sel`` calls its way of
+    filling gaps."""
     import xarray as xr
 
     columns = ("value", "low", "high", "record", "edges", "holes")
-    arrays = {c: (("method", "target"), getattr(s, c)) for c in columns}
-    return xr.Dataset(arrays, {"method": list(s.methods), "target": list(s.targets)})
+    arrays = {c: (("renderer", "target"), getattr(s, c)) for c in columns}
+    return xr.Dataset(arrays, {"renderer": list(s.methods), "target": list(s.targets)})
 
 
 def plot_of_s(s: StrengthAccount) -> FigureBase:
@@ -114,7 +115,7 @@ def plot_of_s(s: StrengthAccount) -> FigureBase:
 
 
 def xarray_of_rendering(r: Rendering) -> xr.Dataset:
-    """Drives (method, target, actuator, time) and displacements (method, target, point, time) [m]."""
+    """Drives (renderer, target, actuator, time) and displacements (renderer, target, point, time) [m]."""
     import xarray as xr
 
     first = next(iter(r.values()))
@@ -122,10 +123,10 @@ def xarray_of_rendering(r: Rendering) -> xr.Dataset:
         np.array([[getattr(getattr(r[m, t], part), what) for t in r.targets] for m in r.methods])
         for part, what in (("drives", "signals"), ("displacements", "values"))
     )
-    sides = ("method", "target")
+    sides = ("renderer", "target")
     return xr.Dataset(
         {"drives": ((*sides, "actuator", "time"), drives, {"units": first.drives.unit}),
          "displacements": ((*sides, "point", "time"), moved, {"units": "m"})},
-        {"method": list(r.methods), "target": list(r.targets), "time": first.drives.time,
+        {"renderer": list(r.methods), "target": list(r.targets), "time": first.drives.time,
          "actuator": [p.name for p in first.drives.inputs], "point": list(first.displacements.names)},
     )  # fmt: skip

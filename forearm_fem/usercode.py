@@ -6,6 +6,7 @@ The class is run as it is: a scenario that names code is trusted like a program.
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import importlib.util
 import re
@@ -66,7 +67,7 @@ def _by_name(module: str) -> Any:
 def _from_file(file: Path) -> Any:
     """The module in ``file``, read once a process and found again under its path by pickle."""
     path = file.resolve()
-    name = f"forearm_fem_user_{path.stem}_{abs(hash(str(path))):x}"
+    name = f"forearm_fem_user_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
     if name not in sys.modules:
         spec = importlib.util.spec_from_file_location(name, path)
         if spec is None or spec.loader is None or not path.is_file():

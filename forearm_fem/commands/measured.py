@@ -247,7 +247,7 @@ def compare(
 ) -> None:
     """How far apart two G are: per entry, overall, in S, in dispersion; table, figures, JSON."""
     scene, said = scene_of(scenario), (declaration(declare_a), declaration(declare_b))
-    from ..compare.run import run_compare
+    from ..questions.compare.run import run_compare
     from ..store.folder import locked
 
     folder = out or Path("results") / f"compare-{a.stem}-{b.stem}"
@@ -277,7 +277,7 @@ def fit(
     folder = out or out_folder(None, asked, overrides) / "fit"
     with noted(), Display() as display:
         display("libraries", 0, 1)  # seconds of a slow or busy machine
-        from ..compare.run import run_fit
+        from ..questions.compare.run import run_fit
         from ..store.folder import locked
 
         display("libraries", 1, 1)

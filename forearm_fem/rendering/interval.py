@@ -98,7 +98,7 @@ class StrengthAccount:
 
     def save(self, path: str | Path) -> None:
         """Write ``signal_strength.csv``, as a run does."""
-        from ..io.tables import strength_rows, write_signal_strength_csv
+        from ..store.results import strength_rows, write_signal_strength_csv
 
         rows = strength_rows(
             self.methods, self.targets, self.value, (self.low, self.high), self.record, self.window, grouped=False

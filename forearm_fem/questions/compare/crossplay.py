@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import AccuracyWarning, ForearmError
-from ..rendering import Wavelet, bridged, thesis_renderers
-from ..rendering.job import RenderJob, wavelet, wavelet_for
-from ..transfer import TransferMatrix
-from ..typing import FloatArray
+from ...errors import AccuracyWarning, ForearmError
+from ...rendering import Wavelet, bridged, thesis_renderers
+from ...rendering.job import RenderJob, wavelet, wavelet_for
+from ...transfer import TransferMatrix
+from ...typing import FloatArray
 from .common import CommonGround
 
 if TYPE_CHECKING:
-    from ..scenario import Scenario
+    from ...scenario import Scenario
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> tuple[Re
 
     One whose bins are the common ones comes first; of another the wavelet is set into a record that fits them, which
     can be done with a Ricker wavelet alone."""
-    from ..scenario import parse_scenario
+    from ...scenario import parse_scenario
 
     other: tuple[RenderJob, str, str] | None = None
     own_ports, _ = sides(ground)

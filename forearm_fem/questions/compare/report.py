@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, sign, single, styled
-from ..store.folder import atomic_path, set_kind, write_text
-from ..store.text import markdown_table
+from ...show.style import ACTUATORS, GREY, INK, MICRO, SIZE, decimal, letter, micro, sign, single, styled
+from ...store.folder import atomic_path, set_kind, write_text
+from ...store.text import markdown_table
 from .agreement import fdac_matrix
 from .common import CommonGround
 from .compare import Comparison, comparison_record

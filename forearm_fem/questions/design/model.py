@@ -39,16 +39,16 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from ..errors import ScenarioError, first_problem
-from ..pipeline.unread import unread_because
-from ..rendering.clearance import CLEARANCE
-from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario, scenario_beside
-from ..scenario.actuators import ACTUATORS
-from ..scenario.base import Name, Part, Within
-from ..scenario.load import DOTTED, dotted, put
-from ..scenario.rendering import Method
-from ..scenario.toml import read_toml
-from ..typing import BoolArray, FloatArray
+from ...errors import ScenarioError, first_problem
+from ...pipeline.unread import unread_because
+from ...rendering.clearance import CLEARANCE
+from ...scenario import Scenario, apply_overrides, load_scenario, parse_scenario, scenario_beside
+from ...scenario.actuators import ACTUATORS
+from ...scenario.base import Name, Part, Within
+from ...scenario.load import DOTTED, dotted, put
+from ...scenario.rendering import Method
+from ...scenario.toml import read_toml
+from ...typing import BoolArray, FloatArray
 
 _HOUSING, _THESIS = "device.housing.mass", 12.5e-3  # kg of the thesis' actuator
 _OBJECTIVE = {"rendering.methods": "objective.method", "rendering.targets": "objective.targets"}

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
 
-from ..errors import DataError
-from ..ports import Port
-from ..transfer import TransferMatrix
-from ..typing import BoolArray, ComplexArray, FloatArray
+from ...errors import DataError
+from ...ports import Port
+from ...transfer import TransferMatrix
+from ...typing import BoolArray, ComplexArray, FloatArray
 from .places import matched
 
 _SAME = 1e-6  # relative: frequencies closer than this are the same
