@@ -18,7 +18,7 @@ import numpy as np
 
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
@@ -45,12 +45,12 @@ def lines(setting: str) -> list[dict[str, object]]:
         for low, high in BANDS:
             band, start = np.arange(low, high + STEP / 2, STEP), time.perf_counter()
             try:
-                swept = reduced_sweep(model, band, SolverOptions(), tolerance=1e-4)
+                swept = reduced_sweep(model, band, ReducedSolve(), tolerance=1e-4)
             except SolverError as problem:
                 found.append(dict(zip(NAMES, (setting, eta, low, high, str(problem)), strict=False)))
                 continue
             seconds = time.perf_counter() - start
-            exact = direct_sweep(model, band, SolverOptions(precision="double")).values
+            exact = direct_sweep(model, band, ReducedSolve(precision="double")).values
             error = relative_error(swept.values[:, 1:, :1], exact[:, 1:, :1]).max()
             assert swept.reduced is not None
             numbers = (f"{error:.2g}", f"{swept.reduction_error:.2g}", swept.derivatives, swept.reduced.size)

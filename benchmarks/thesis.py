@@ -24,7 +24,7 @@ from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.linear.direct import DirectSolver, make_solver
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.scenario import Scenario, load_scenario
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.store.results import read_compliance
 from forearm_fem.transfer import Compliance
 
@@ -55,7 +55,7 @@ def _error(found: np.ndarray, truth: np.ndarray, block: tuple[np.ndarray, ...]) 
 
 def factorisation_seconds(model: ForearmModel, frequency: float) -> float:
     """Wall time of one double-precision factorisation, the analysis left out."""
-    solver = make_solver(model, SolverOptions(precision="double"), frequency)
+    solver = make_solver(model, ReducedSolve(precision="double"), frequency)
     data = model.operator.data(2 * np.pi * frequency)
     start = time.perf_counter()
     solver.factor.factorise(data)
@@ -72,7 +72,7 @@ def measure(scenario: Scenario, base: Path, run: Path, count: int, out: Path) ->
     model = fem_model(scenario, cached_mesh(scenario, base=base))
     print(f"one double-precision factorisation: {factorisation_seconds(model, 300.0):.1f} s", flush=True)
     rows = read_rows(out, made_by(run))
-    solver = make_solver(model, SolverOptions(), 300.0)
+    solver = make_solver(model, ReducedSolve(), 300.0)
     for f in held_out(compliance, used, count):
         if all(row["frequency"] != f for row in rows):
             rows.append(compare(solver, compliance, f))

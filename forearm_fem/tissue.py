@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.special import binom
 
 from .errors import ScenarioError
+from .scenario.limb import tissue_keys
 from .typing import ComplexArray, FloatArray
 from .usercode import named
 
@@ -242,22 +243,13 @@ def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
         name: _overridden(name, records.get(name), override) for name, override in scenario.tissues.override.items()
     }
     result = {**tissues, **changed}
-    for path, name in limb_tissue_keys(scenario.limb).items():
+    for path, name in tissue_keys(scenario.limb).items():
         if name not in result:
             raise ScenarioError(
                 f"{path}: no tissue is called '{name}'; known are {', '.join(sorted(result))}, "
                 f"or define it under [tissues.override.{name}]"
             )
     return result
-
-
-def limb_tissue_keys(limb: object) -> dict[str, str]:
-    """Key path in the scenario -> tissue named there, for any limb shape."""
-    layers = {f"limb.layers.{i}.tissue": layer.tissue for i, layer in enumerate(getattr(limb, "layers", ()))}
-    core = {"limb.core": limb.core} if hasattr(limb, "core") else {}
-    surfaces = {f"limb.surfaces.{name}": name for name in getattr(limb, "surfaces", ())}
-    regions = {f"limb.regions.{key}": name for key, name in getattr(limb, "regions", {}).items()}
-    return {**layers, **core, **surfaces, **regions}
 
 
 LAWS: Mapping[str, type[Modulus]] = MappingProxyType(

@@ -48,6 +48,7 @@ frequencies = [100.0]
 sweep = "direct"
 """
 LAYERED = 'name = "bad"\nengine = "layered"\n[sweep]\nfrequencies = [100.0]\n'
+BAND = 'name = "bad"\nengine = "layered"\n'
 FOREARM = 'name = "bad"\n'
 SURFACES = """name = "bad"
 [limb]
@@ -110,9 +111,9 @@ CASES: tuple[Case, ...] = (
     Case("unknown preset", LAYERED, ("tissues.preset", "'default'"), ("tissues.preset='human'",)),
     Case("unknown limb shape", LAYERED, ("limb", "forearm"), ("limb.shape='leg'",)),
     Case("unknown renderer", LAYERED, ("rendering.methods", "funneling"), ("rendering.methods=['magic']",)),
-    Case("f_max = 0", LAYERED, ("sweep.f_max", "to 5000 Hz, got 0"), ("sweep.f_max=0",)),
-    Case("f_max below f_min", LAYERED, ("f_max must exceed f_min",), ("sweep.f_max=5",)),
-    Case("sample_rate too low", LAYERED, ("sample_rate must be at least",), ("sweep.sample_rate=800",)),
+    Case("f_max = 0", BAND, ("sweep.f_max", "to 5000 Hz, got 0"), ("sweep.f_max=0",)),
+    Case("f_max below f_min", BAND, ("f_max must exceed f_min",), ("sweep.f_max=5",)),
+    Case("sample_rate too low", BAND, ("sample_rate must be at least",), ("sweep.sample_rate=800",)),
     Case(
         "frequencies not increasing",
         LAYERED,
@@ -136,7 +137,7 @@ CASES: tuple[Case, ...] = (
         ("no tissue is called 'gristle'",),
         ("limb.layers=[{tissue='gristle', thickness=0.001}]",),
     ),
-    Case("new tissue stated half", LAYERED, ("gel", "also needs"), ("tissues.override.gel.mu=1000.0",)),
+    Case("new tissue stated half", LAYERED, ("gel", "also needs"), ("tissues.override.gel.mu=1000.0", "limb.core=gel")),
     Case("parameter without effect", LAYERED, ("has no effect",), ("tissues.override.skin.exponent=0.3",)),
     Case("layered engine for a user's mesh", MESH, ("needs layers",), ("engine='layered'",)),
     Case(

@@ -96,7 +96,7 @@ FORMATS = (
     Format("sweep.tdms", lambda p: write_sweep_tdms(p, RECORDING), _sweep),
     Format("G.uff", lambda p: write_uff(p, G), read_measured),
     Format("wavefield.npz", lambda p: save_wavefield(FIELD, p), load_wavefield),
-    Format("recording.npz", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
+    Format("recording.nc", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
     Format("mesh.vtu", lambda p: write_mesh(MESH, p), read_mesh),
     Format("mesh.msh", lambda p: write_mesh(MESH, p), read_mesh),
 )

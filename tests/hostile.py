@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel
@@ -35,7 +35,7 @@ from forearm_fem.pipeline.simulation import render_transfer, simulate
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.base import Within
 from forearm_fem.scenario.frequencies import frequencies
-from forearm_fem.scenario.limb import Bone, CylinderLimb, ForearmLimb, LayerThickness, MeshLimb, SlabLimb, SurfacesLimb
+from forearm_fem.scenario.limb import Bone, LayerThickness
 from forearm_fem.scenario.tissues import TissueOverride
 
 PATIENCE = 60  # s: a busy machine's worst scene that is not hostile takes ten
@@ -63,22 +63,29 @@ class Outcome:
 
 
 def leaves() -> list[tuple[tuple[str, ...], FieldInfo]]:
-    """Paths and fields of all keys of the schema; of limbs, all shapes' keys."""
-    found = [(p, f) for p, f in _below(Scenario, ()) if p[0] != "limb"]
-    limbs = (ForearmLimb, CylinderLimb, SlabLimb, SurfacesLimb, MeshLimb)
-    found += [path for limb in limbs for path in _below(limb, ("limb",))]
+    """Paths and fields of all keys of the schema, of all kinds of its parts."""
+    found = dict(_below(Scenario, ()))
     for name in ("skin", "muscle", "gel"):
-        found += [(("tissues", "override", name, key), field) for key, field in TissueOverride.model_fields.items()]
-    return found
+        found |= {("tissues", "override", name, key): field for key, field in TissueOverride.model_fields.items()}
+    return list(found.items())
 
 
 def _below(model: type[BaseModel], path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
     for name, field in model.model_fields.items():
-        inside = field.annotation
-        if isinstance(inside, type) and issubclass(inside, BaseModel):
-            yield from _below(inside, (*path, name))
+        if kinds := [kind for kind in _kinds(field.annotation) if kind not in (LayerThickness, Bone)]:
+            for kind in kinds:
+                yield from _below(kind, (*path, name))
         else:
             yield (*path, name), field
+
+
+def _kinds(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Parts that a key of this annotation may be."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    elif get_origin(annotation) in (Annotated, Union, UnionType):
+        for inside in get_args(annotation):
+            yield from _kinds(inside)
 
 
 def value(rng: random.Random, depth: int = 0) -> Any:

@@ -19,7 +19,7 @@ from forearm_fem.fem.assembly.model import build_model
 from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.fem.space.elements import tabulate
 from forearm_fem.fem.space.numbering import MixedSpace, facet_points
-from forearm_fem.scenario.supports import Supports
+from forearm_fem.scenario.supports import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import KelvinVoigt, Tissue
 from forearm_fem.typing import ComplexArray, FloatArray, IntArray
@@ -101,7 +101,7 @@ def manufactured_errors(element: str, n: int, bulk: float, *, jump: float = 1.0)
     tissues = {"soft": _tissue("soft", 1.0, bulk), "stiff": _tissue("stiff", jump, bulk)}
     names = ("soft",) if jump == 1.0 else ("soft", "stiff")
     mesh = block_mesh((n, n, n), (SIDE,) * 3, facets={"end": ("x0",), "rest": _LOADED}, regions=names, bend=0.08)
-    model = build_model(mesh, (), tissues, Supports(ends="fixed"), Membrane(), element=element)
+    model = build_model(mesh, (), tissues, FreeUnderside(ends="fixed"), Membrane(), element=element)
     exact, space = waves(), model.space
     parts = [tissues[name] for name in names]
     load = strong_load(space, exact, parts[0]) if jump == 1.0 else weak_load(space, exact, parts)

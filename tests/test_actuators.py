@@ -97,7 +97,10 @@ def test_points_under_a_cone_are_named():
     six = {"rows": 3, "columns": [2, 3, 2], "spacing": 0.0217, "spacing_y": 0.025}
     (note,) = covered_notes(parse_scenario({"device": six}))
     assert note in scene_notes(parse_scenario({"device": six}))
+    assert note.startswith("grid: points 1, 3, 4, 5, 6, 7, ... lie under a cone or within 9 mm of its rim")
+    bare = {"rendering": {"clearance": 0.0}}
+    (note,) = covered_notes(parse_scenario({"device": six, **bare}))
     assert note.startswith("grid: point 5 lies under a cone")
-    assert not covered_notes(parse_scenario({"device": {**six, "out_of_contact": ["A4"]}}))
+    assert not covered_notes(parse_scenario({"device": {**six, "out_of_contact": ["A4"]}, **bare}))
     assert not covered_notes(Scenario())
     assert not covered_notes(parse_scenario({"device": six, "rendering": {"methods": []}}))

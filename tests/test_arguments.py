@@ -16,7 +16,7 @@ from forearm_fem import device, layered, metrics, rendering, transfer
 from forearm_fem.arguments import checked
 from forearm_fem.errors import DataError, ForearmError
 from forearm_fem.io import strength_rows
-from forearm_fem.scenario.device import Device
+from forearm_fem.scenario.device import device_of
 from forearm_fem.transfer import Compliance, ErrorEstimate
 from forearm_fem.typing import BoolArray, ComplexArray, FloatArray, IntArray
 
@@ -88,8 +88,8 @@ CASES: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         rendering.strengths,
         {"transfer": G, "targets": ["5"], "methods": [rendering.Funneling()], "wavelet": WAVELET},
     ),
-    "close_loop": (device.close_loop, {"compliance": SKIN, "device": Device()}),
-    "power": (device.power, {"compliance": SKIN, "device": Device(), "drives": np.ones((4, 4)) + 0j}),
+    "close_loop": (device.close_loop, {"compliance": SKIN, "device": device_of()}),
+    "power": (device.power, {"compliance": SKIN, "device": device_of(), "drives": np.ones((4, 4)) + 0j}),
     "driving_point_impedance": (device.driving_point_impedance, {"compliance": SKIN}),
     "boussinesq": (layered.boussinesq, {"r": np.array([0.01, 0.02]), "mu": 5e3, "nu": 0.5}),
     "rayleigh_wavenumber": (

@@ -36,7 +36,7 @@ from forearm_fem.questions.compare.report import picture
 from forearm_fem.questions.design import load_design
 from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario, apply_overrides, load_scenario, parse_scenario
-from forearm_fem.scenario.device import Device
+from forearm_fem.scenario.device import device_of
 from forearm_fem.scenario.measurement import DaqOptions
 from forearm_fem.study.plan import load_study
 from forearm_fem.transfer import TransferMatrix
@@ -114,11 +114,11 @@ def test_a_campaign_stays_in_its_folder(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("key", "values", "why"),
     [
-        ("engine", '["fem", "layered"]', "answers for all of them"),
-        ("name", '["a", "b"]', "answers for all of them"),
-        ("mesh.size_grid", "[0.002, 0.004]", "no mesh"),
-        ("supports.ends", '["free", "absorb"]', "no mesh"),
-        ("grid.pitch", "[0.01, 0.012]", "grid.points is given"),
+        ("engine", '["fem", "layered"]', "no candidate changes with it, for no mesh is made"),
+        ("name", '["a", "b"]', "no candidate changes with it"),
+        ("mesh.size_grid", "[0.002, 0.004]", "no candidate changes with it, for no mesh is made"),
+        ("supports.ends", '["free", "absorb"]', "no candidate changes with it"),
+        ("grid.pitch", "[0.01, 0.012]", "no effect: grid.points is given"),
     ],
 )
 def test_a_design_refuses_to_vary_what_no_candidate_reads(tmp_path: Path, key: str, values: str, why: str) -> None:
@@ -126,7 +126,7 @@ def test_a_design_refuses_to_vary_what_no_candidate_reads(tmp_path: Path, key: s
                                          '[-0.01, 0.0], [-0.01, -0.01]]\n')  # fmt: skip
     file = tmp_path / "d.toml"
     file.write_text(f'name = "d"\nscenario = "small.toml"\n[[variables]]\nkey = "{key}"\nvalues = {values}\n')
-    with pytest.raises(ScenarioError, match=f"{key}: no candidate changes with it .*{why}"):
+    with pytest.raises(ScenarioError, match=f"{key}: {why}"):
         load_design(file)
     file.write_text(
         'name = "d"\nscenario = "small.toml"\n[[variables]]\nkey = "device.rotation"\nvalues = [0.0, 0.1]\n'
@@ -281,8 +281,8 @@ def test_a_dead_channel_is_said_when_two_matrices_are_compared(dead: Any, says: 
         (lambda: Scenario(device={"spacng": 0.04}), "Scenario: device.spacng: unknown key; did you mean "
                                                     "device.spacing?"),
         (lambda: Scenario(limb={"length": "l"}), "Scenario: limb.length: input should be a valid number, got 'l'"),
-        (lambda: Device(spacing=-1), "Device: spacing: expected 0.0002 to 0.3 m, got -1"),
-        (lambda: Device(**{"spacng": 0.04}), "Device: spacng: unknown key; did you mean spacing?"),
+        (lambda: device_of(spacing=-1), "device: spacing: expected 0.0002 to 0.3 m, got -1"),
+        (lambda: device_of(**{"spacng": 0.04}), "device: spacng: unknown key; did you mean spacing?"),
         (lambda: Scenario(limb={"shape": "mesh", "depth": 0.02, "file": "a.vtu", "regions": {"1": "fat"}}),
          "Scenario: limb.depth: has no meaning where limb.shape is 'mesh'; leave it out"),
     ],

@@ -38,7 +38,6 @@ def with_key(change):
     [
         "supports.ends='free'",
         "supports.underside='foam'",
-        "supports.foam_stiffness=1e5",
         "tissues.override.skin.mu=2e4",
         "tissues.membrane.viscosity=1e-3",
         "tissues.patch.mass=0.2",
@@ -86,7 +85,6 @@ def test_a_solve_is_reused_for_another_coil_housing_or_target(mesh, change):
         "device.cone.contact='bonded'",
         "device.spacing=0.04",
         "grid.points=[[0.0, 0.001]]",
-        "supports.bone='elastic'",
     ],
 )
 def test_a_mesh_is_not_reused_for(change):

@@ -65,10 +65,10 @@ def test_a_g_of_another_device_is_measured_with_a_word(lab: Path) -> None:
 
 def test_calibration_resumes_without_measuring_again(lab: Path) -> None:
     folder = lab / "results/small/calibration"
-    before = {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")}
+    before = {f: f.stat().st_mtime_ns for f in folder.glob("G_*.nc")}
     answer = cli("calibrate", "small.toml", "--through", "results/small", "--snr", 40, cwd=lab)
     assert answer.code == 0
-    assert {f: f.stat().st_mtime_ns for f in folder.glob("G_*.npz")} == before
+    assert {f: f.stat().st_mtime_ns for f in folder.glob("G_*.nc")} == before
 
 
 def test_real_hardware_needs_a_declared_sensor(lab: Path) -> None:

@@ -74,6 +74,7 @@ def started(monkeypatch):
         one.cache_clear()
 
 
+@pytest.mark.slow  # imports and solves in a process of its own, 40 s where no kernel is kept
 def test_a_run_compiles_nothing_that_the_process_beside_left_out(tmp_path):
     # Small, but above the 3,000 unknowns from which the multifrontal solver is taken, on the coarser mesh, too.
     small = [

@@ -327,7 +327,7 @@ def test_what_series_lack_between_judged_nodes_is_stated(monkeypatch):
 def test_s_of_a_candidate_is_that_of_a_full_run_and_tables_are_read_back(tmp_path):
     asked = design(tmp_path, SPACING + QUICK)
     first = evaluate(asked, {"device.spacing": 0.041}, TwinArm(tmp_path / "tables"))
-    (file,) = (tmp_path / "tables").glob("*.npz")
+    (file,) = (tmp_path / "tables").glob("*.sqlite")
     stamp = file.stat().st_mtime_ns
     assert evaluate(asked, {"device.spacing": 0.041}, TwinArm(tmp_path / "tables")) == first
     assert file.stat().st_mtime_ns == stamp

@@ -26,7 +26,7 @@ from forearm_fem.pipeline.folder import Run, run_all
 from forearm_fem.pipeline.simulation import simulate, with_device
 from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.supports import Supports
+from forearm_fem.scenario.supports import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.transfer import Compliance, ErrorEstimate, relative_error, total_error
 from forearm_fem.verification.blocks import block_mesh
@@ -243,7 +243,7 @@ def test_truncation_counts_half_the_change_of_freed_ends():
 def test_absorbing_ends_pull_as_the_endless_medium_does():
     """A plane shear wave u e^(i w t - i k x) needs the traction mu i k u = i w rho c_s u at its end."""
     tissue, omega = flesh(eta=0.0), np.array([2 * np.pi * 100.0])
-    pull = term_coefficient("dashpots block", {"block": tissue}, Supports(), Membrane()).at(omega)
+    pull = term_coefficient("dashpots block", {"block": tissue}, FreeUnderside(), Membrane()).at(omega)
     k = omega / np.asarray(tissue.wave_speed(omega))
     assert pull == pytest.approx(1j * k * np.asarray(tissue.modulus.at(omega)))  # exact for a lossless medium
 

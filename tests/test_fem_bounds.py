@@ -19,12 +19,12 @@ from forearm_fem.fem.reduction.reduced_model import ReducedModel, condensed, emp
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.pipeline.notes import model_notes
 from forearm_fem.results import SolutionRecord
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
 BAND = np.arange(10.0, 221.0, 3.0)  # a dozen peaks of this block; the bins are about as wide as the upper ones
-DOUBLE = SolverOptions(precision="double")
+DOUBLE = ReducedSolve(precision="double")
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def truth(model):
 
 @pytest.fixture(scope="module")
 def sweep(model):
-    return reduced_sweep(model, BAND, SolverOptions(), tolerance=1e-4)
+    return reduced_sweep(model, BAND, ReducedSolve(), tolerance=1e-4)
 
 
 @pytest.fixture(scope="module")
@@ -80,13 +80,13 @@ def test_bounds_hold_at_every_bin_of_a_model_that_lacks_modes(model, sweep, trut
 
 def test_too_few_expansions_are_refused(model):
     with pytest.raises(SolverError, match="does not resolve the resonances"):
-        reduced_sweep(model, BAND, SolverOptions(start="frequencies", expansions=2, derivatives=2, max_expansions=2))
+        reduced_sweep(model, BAND, ReducedSolve(start="frequencies", expansions=2, derivatives=2, max_expansions=2))
 
 
 def test_damped_tissue_takes_no_bounds():
     """Zhang's skin loses 0.04 to 2 of what it keeps: the usual certificate, and no double precision."""
     damped = held_block(2, tissue=flesh(bulk=2.2e9))
-    swept = reduced_sweep(damped, BAND[::4], SolverOptions(), tolerance=1e-4)
+    swept = reduced_sweep(damped, BAND[::4], ReducedSolve(), tolerance=1e-4)
     assert not swept.certificates[-1].wary
     assert sharp_modes(swept.reduced, BAND, 0.03) == 0
 
@@ -95,7 +95,7 @@ def test_damped_tissue_takes_no_bounds():
 def test_lossless_scenes_are_refused_at_once(eta):
     """Peaks narrower than any bin: before, a bare LinAlgError, or an overflow on the way to an error."""
     with pytest.raises(SolverError, match="takes up energy"):
-        reduced_sweep(held_block(1, tissue=flesh(eta=eta, bulk=2.2e9), ends="free"), BAND, SolverOptions())
+        reduced_sweep(held_block(1, tissue=flesh(eta=eta, bulk=2.2e9), ends="free"), BAND, ReducedSolve())
 
 
 def test_default_model_is_stable_and_passive_whatever_solves_leave():
@@ -104,7 +104,7 @@ def test_default_model_is_stable_and_passive_whatever_solves_leave():
     At all frequencies, of which only 10-500 Hz are in the band: the stiffness is a sum of energies now.
     """
     nearly = held_block(2, tissue=flesh(bulk=2.2e9))
-    swept = reduced_sweep(nearly, np.linspace(10.0, 500.0, 60), SolverOptions(), tolerance=1e-4)
+    swept = reduced_sweep(nearly, np.linspace(10.0, 500.0, 60), ReducedSolve(), tolerance=1e-4)
     assert swept.unstable_poles == 0
     assert swept.poles is not None
     assert swept.poles.poles.real.max() < 0
@@ -168,9 +168,9 @@ def test_a_note_says_so():
 def test_incompressible_tissue_states_its_largest_error(precision):
     """One true error, at 328 or 500 Hz, stated a third of the largest in single precision and a thirtieth in double."""
     model, band = held_block(2, tissue=flesh()), np.arange(10.0, 501.0, 2.0)
-    swept = reduced_sweep(model, band, SolverOptions(precision=precision), tolerance=1e-4)
+    swept = reduced_sweep(model, band, ReducedSolve(precision=precision), tolerance=1e-4)
     some = band[::35]
-    exact = direct_sweep(model, some, SolverOptions(precision="double")).values
+    exact = direct_sweep(model, some, ReducedSolve(precision="double")).values
     error = relative_error(swept.values[::35, 1:, :1], exact[:, 1:, :1]).max()
     assert error <= swept.reduction_error
     assert swept.reduction_error <= 2e-4  # no more than twice what was asked for
@@ -182,8 +182,8 @@ def test_weak_directions_of_incompressible_tissue_do_not_spoil_the_model(precisi
     """Their pressures were 1e12 of a displacement's: in double precision 0.76 was the error at 20 Hz and 0.21 stated,
     whatever was asked for; a finer block erred by 3e-4 where 1e-4 was stated."""
     model, band = held_block(2, tissue=flesh()), np.linspace(20.0, 300.0, 57)
-    swept = reduced_sweep(model, band, SolverOptions(precision=precision), tolerance=tolerance)
-    exact = direct_sweep(model, band[::8], SolverOptions(precision="double")).values
+    swept = reduced_sweep(model, band, ReducedSolve(precision=precision), tolerance=tolerance)
+    exact = direct_sweep(model, band[::8], ReducedSolve(precision="double")).values
     assert relative_error(swept.values[::8], exact).max() <= swept.reduction_error <= tolerance
     assert swept.derivatives <= 30  # eighty did not do
     assert not swept.expansions

@@ -16,7 +16,7 @@ from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.cudss import CudssFactor
 from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import held_block
 
@@ -91,9 +91,9 @@ def test_hardened_to_double_precision_once(model):
 @pytest.mark.usefixtures("library")
 def test_sweeps_on_it_equal_others(model):
     band = np.linspace(50.0, 400.0, 36)
-    exact = direct_sweep(model, band[::7], SolverOptions()).values
+    exact = direct_sweep(model, band[::7], ReducedSolve()).values
     for how in ("direct", "reduced"):
-        options = SolverOptions(backend="cudss", sweep=how)
+        options = ReducedSolve(backend="cudss", sweep=how)
         sweep = direct_sweep if how == "direct" else reduced_sweep
         found = sweep(model, band, options)
         assert found.solver == "cudss"

@@ -13,13 +13,13 @@ from forearm_fem.fem.reduction.expansion import Expander, expansion_rate
 from forearm_fem.fem.reduction.rate_space import RateSpace
 from forearm_fem.fem.reduction.reduced_model import empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
 BAND = np.arange(10.0, 401.0, 10.0)
 BINS = np.array([20.0, 80.0, 150.0, 260.0, 400.0])
-OPTIONS = SolverOptions()
+OPTIONS = ReducedSolve()
 
 
 def spaces(model, solver, counts):

@@ -8,7 +8,7 @@ import pytest
 from forearm_fem.fem.assembly.coefficients import Impedance, Polynomial
 from forearm_fem.fem.assembly.terms import term_coefficient
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.scenario.supports import Supports
+from forearm_fem.scenario.supports import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import Hysteretic, SpringPot, Tissue, Zener
 from forearm_fem.verification.scenes import (
@@ -43,7 +43,7 @@ def test_impedance_has_the_series_of_its_values(modulus):
 
 def test_kelvin_voigt_keeps_its_real_rate():
     """A polynomial, which the derivatives about one rate need."""
-    theta = term_coefficient("dashpots block", {"block": flesh()}, Supports(), Membrane())
+    theta = term_coefficient("dashpots block", {"block": flesh()}, FreeUnderside(), Membrane())
     assert theta == Polynomial(rate=float(np.sqrt(1050.0 * 7860.0)))
 
 

@@ -22,7 +22,7 @@ from forearm_fem.fem.linear.multifrontal.parts import divided
 from forearm_fem.fem.linear.multifrontal.supernodes import symbolic_factor
 from forearm_fem.fem.linear.ordering import nested_dissection
 from forearm_fem.fem.linear.pardiso import PardisoFactor, mkl_library
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.verification.scenes import flesh, held_block
 
 FACTOR = "forearm_fem.fem.linear.multifrontal.factor"
@@ -271,7 +271,7 @@ def test_nothing_is_solved_before_factorising_or_after_release(upper):
 @pytest.mark.needs_mkl
 def test_the_sweep_takes_it_and_pardiso_comes_after_it(model, monkeypatch, caplog):
     """Factors that lose half of each solution: first PARDISO with matching, whose solutions are right."""
-    solver = make_solver(model, SolverOptions(), 100.0)
+    solver = make_solver(model, ReducedSolve(), 100.0)
     assert isinstance(solver.factor, CautiousFactor)
     good = solver.compliance(solver.at(100.0))
     assert isinstance(solver.factor.now, MultifrontalFactor)

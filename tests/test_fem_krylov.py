@@ -14,7 +14,7 @@ from forearm_fem.fem.reduction.many_loads import LoadSpace
 from forearm_fem.fem.reduction.rate_space import Chunk, RateSpace
 from forearm_fem.fem.reduction.reduced_model import empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.tissue import Hysteretic, KelvinVoigt, Tissue
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
@@ -22,7 +22,7 @@ from forearm_fem.verification.scenes import flesh, held_block
 BAND = np.linspace(10.0, 500.0, 197)
 CHECK = BAND[[0, 9, 28, 52, 80, 129, 184, 196]]
 RATE = 2 * np.pi * 100.0
-DOUBLE, AUTO = SolverOptions(precision="double"), SolverOptions()
+DOUBLE, AUTO = ReducedSolve(precision="double"), ReducedSolve()
 
 
 @pytest.fixture(scope="module")
@@ -212,13 +212,13 @@ def test_as_many_derivatives_as_the_accuracy_needs(model):
     """And no more: a tolerance of 1e-2 takes fewer than 1e-6, and the most that are allowed are not exceeded."""
     rough, fine = (reduced_sweep(model, BAND, AUTO, tolerance=t) for t in (1e-2, 1e-6))
     assert rough.derivatives < fine.derivatives < AUTO.rate_derivatives
-    short = reduced_sweep(model, BAND, SolverOptions(rate_derivatives=12), tolerance=None)
+    short = reduced_sweep(model, BAND, ReducedSolve(rate_derivatives=12), tolerance=None)
     assert short.derivatives == 12
 
 
 def test_too_few_derivatives_are_made_good_by_expansions(model, truth):
     """Ten derivatives do not reach 1e-6: the certificates say so, and expansions about frequencies extend the space."""
-    swept = reduced_sweep(model, BAND, SolverOptions(rate_derivatives=10), tolerance=1e-6)
+    swept = reduced_sweep(model, BAND, ReducedSolve(rate_derivatives=10), tolerance=1e-6)
     assert swept.expansions
     assert swept.certificates[0].error > 1e-6
     assert swept.reduction_error <= 1e-6
@@ -258,7 +258,7 @@ def test_other_moduli_start_from_frequencies():
     assert swept.rate == 0.0
     assert swept.expansions
     with pytest.raises(SolverError, match="Kelvin-Voigt"):
-        reduced_sweep(model, BAND[::4], SolverOptions(start="rate"), tolerance=1e-4)
+        reduced_sweep(model, BAND[::4], ReducedSolve(start="rate"), tolerance=1e-4)
 
 
 def test_pairs_without_loss_do_not_break_down():

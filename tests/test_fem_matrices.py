@@ -19,7 +19,7 @@ from forearm_fem.fem.kernels.matrices import SymmetricMatrices
 from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.reduction import basis as bases
 from forearm_fem.fem.reduction.sweep import reduced_sweep
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.verification.scenes import flesh, held_block
 
 COMPILED = kept.compiled("kernels.sparse_times_few") is not None
@@ -139,7 +139,7 @@ def test_a_sweep_without_compiled_code_is_the_same(monkeypatch):
     """Assembly, derivatives, projections and factors by scipy and MKL or SuperLU; solves are refined to 1e-9."""
 
     def sweep():
-        return reduced_sweep(held_block(2, tissue=flesh(bulk=2.2e9)), np.linspace(50, 150, 11), SolverOptions()).values
+        return reduced_sweep(held_block(2, tissue=flesh(bulk=2.2e9)), np.linspace(50, 150, 11), ReducedSolve()).values
 
     fast = sweep()
     for module in (kept, bases, operators, assembly, sparse):

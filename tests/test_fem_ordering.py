@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(importlib.util.find_spec("pymetis") is None, rea
 OMEGA = 2 * np.pi * 150.0
 
 
-@pytest.fixture(scope="module", params=["P2", "P3"])
+@pytest.fixture(scope="module", params=["P2", pytest.param("P3", marks=pytest.mark.slow)])
 def model(request):
     return held_block(3, element=request.param, tissue=flesh(bulk=2.2e9))
 

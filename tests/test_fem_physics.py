@@ -16,7 +16,7 @@ from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.device import sizing
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.ports import Port
-from forearm_fem.scenario.supports import Supports
+from forearm_fem.scenario.supports import FixedUnderside, FoamUnderside, FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import Hysteretic, SpringPot, Tissue, Zener
 from forearm_fem.verification.blocks import block_mesh
@@ -52,7 +52,7 @@ def test_patch_of_constant_strain_is_in_equilibrium():
     """A linear field with its constant pressure leaves no force on inner nodes and no volume residual."""
     mesh = block_mesh((3, 3, 3), (0.02, 0.015, 0.01), facets={"all": ("x0", "x1", "y0", "y1", "z0", "z1")}, bend=0.1)
     tissue = flesh(bulk=3e4)
-    model = build_model(mesh, (), {"block": tissue}, Supports(ends="free"), Membrane())
+    model = build_model(mesh, (), {"block": tissue}, FreeUnderside(ends="free"), Membrane())
     strain = np.array([[0.1, 0.3, -0.2], [0.0, -0.25, 0.4], [0.2, 0.1, 0.05]])
     u = model.space.node_points @ strain.T
     p = np.full(model.space.n_pressures, -3e4 * np.trace(strain) / model.operator.pressure_scale)
@@ -203,18 +203,18 @@ def test_foam_and_skin_terms_act_with_their_sign():
     """Surface mass pulls low compliance down as inertia, tension and membrane stiffen, foam holds a free block."""
     bare = direct_sweep(held_block(2), np.array([2.0]), DIRECT).values[0, 0, 0]
     for membrane in (Membrane(tension=60.0), Membrane(stiffness=28.0)):
-        stiff = _with(membrane, Supports(ends="fixed"), 2.0)
+        stiff = _with(membrane, FreeUnderside(ends="fixed"), 2.0)
         assert 0 < stiff.real < 0.99 * bare.real
-    heavy = _with(Membrane(mass=3.0), Supports(ends="free"), 0.5)
-    light = _with(Membrane(), Supports(ends="free"), 0.5)
+    heavy = _with(Membrane(mass=3.0), FreeUnderside(ends="free"), 0.5)
+    light = _with(Membrane(), FreeUnderside(ends="free"), 0.5)
     mass, sheet = 1050 * 0.024 * 0.016 * 0.008, 3.0 * 0.024 * 0.016 * 2  # skin above and below
     assert (light / heavy).real == pytest.approx(1 + sheet / mass, rel=2e-3)  # rigid bodies; elastic part 1e-3
-    foam = _with(Membrane(), Supports(ends="free", underside="foam", foam_stiffness=1e3, foam_damping=0.0), 0.01)
+    foam = _with(Membrane(), FoamUnderside(ends="free", foam_stiffness=1e3, foam_damping=0.0), 0.01)
     # soft foam under the whole bottom: a spring of k A; flesh adds its own 1 % of compliance
     assert foam.real == pytest.approx(1 / (1e3 * 0.024 * 0.016), rel=0.02)
     # flesh moves 1e-3 m/N, foam of 1e11 N/m^3 under this area 1e-8 m/N: as good as held
-    hard = Supports(ends="free", underside="foam", foam_stiffness=1e11, foam_damping=0.0)
-    rigid, still = _with(Membrane(), hard, 2.0), _with(Membrane(), Supports(ends="free", underside="fixed"), 2.0)
+    hard = FoamUnderside(ends="free", foam_stiffness=1e11, foam_damping=0.0)
+    rigid, still = _with(Membrane(), hard, 2.0), _with(Membrane(), FixedUnderside(ends="free"), 2.0)
     assert still == pytest.approx(rigid, rel=1e-3)
     assert abs(still) < 0.1 * abs(foam)
 
@@ -254,7 +254,7 @@ def rotation(axis, angle):
 def test_moved_meshes_give_the_same_compliance(contact, motion):
     model = held_block(2, contact=contact)
     mesh, ports = moved(model.space.mesh, model.ports, **motion)
-    there = build_model(mesh, ports, {"block": flesh()}, Supports(ends="fixed"), Membrane())
+    there = build_model(mesh, ports, {"block": flesh()}, FreeUnderside(ends="fixed"), Membrane())
     a, b = (direct_sweep(m, BAND, DIRECT).values for m in (model, there))
     # coordinates of 5 m carry 1e-15 m, a relative 1e-12 of an element, felt 100 times in volumes
     assert np.abs(a - b).max() < 1e-9 * np.abs(a).max()
@@ -265,7 +265,7 @@ def test_scaled_meshes_obey_similarity():
     s = 2.5
     model = held_block(2, tissue=flesh(eta=5.0))
     mesh, ports = moved(model.space.mesh, model.ports, scale=s)
-    large = build_model(mesh, ports, {"block": flesh(eta=5.0 * s)}, Supports(ends="fixed"), Membrane())
+    large = build_model(mesh, ports, {"block": flesh(eta=5.0 * s)}, FreeUnderside(ends="fixed"), Membrane())
     a, b = direct_sweep(model, BAND, DIRECT).values, direct_sweep(large, BAND / s, DIRECT).values
     assert np.abs(a / s - b).max() < 1e-9 * np.abs(b).max()
 
@@ -281,7 +281,7 @@ def test_points_in_no_tetrahedron_are_held(element):
         facets={name: facets + (facets >= 5) for name, facets in mesh.facets.items()},
     )
     one, other = (
-        build_model(m, ports, {"block": flesh(bulk=2.2e9)}, Supports(ends="fixed"), Membrane(), element=element)
+        build_model(m, ports, {"block": flesh(bulk=2.2e9)}, FreeUnderside(ends="fixed"), Membrane(), element=element)
         for m in (mesh, beyond)
     )
     assert other.operator.n == one.operator.n
@@ -329,7 +329,7 @@ def test_disc_on_a_held_boundary_is_a_named_error():
     )
     port = Port("A1", "contact", (0.01, 0.01, 0.01), radius=0.01, contact="bonded")
     with pytest.raises(GeometryError, match="touches a held boundary"):
-        build_model(mesh, (port,), {"block": flesh()}, Supports(ends="fixed"), Membrane())
+        build_model(mesh, (port,), {"block": flesh()}, FreeUnderside(ends="fixed"), Membrane())
 
 
 def test_contact_without_facets_is_a_named_error():
@@ -337,7 +337,7 @@ def test_contact_without_facets_is_a_named_error():
     for contact, words in (("pressure", "no facets named"), ("bonded", "covers no mesh node")):
         port = Port("A1", "contact", (0.01, 0.01, 0.01), radius=0.001, contact=contact)
         with pytest.raises(GeometryError, match=words):
-            build_model(mesh, (port,), {"block": flesh()}, Supports(ends="fixed"), Membrane())
+            build_model(mesh, (port,), {"block": flesh()}, FreeUnderside(ends="fixed"), Membrane())
 
 
 def test_pressure_is_spread_evenly(block):

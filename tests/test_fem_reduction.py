@@ -18,7 +18,7 @@ from forearm_fem.fem.reduction.expansion import Expander, expansion_frequencies
 from forearm_fem.fem.reduction.poles import compressed, pole_residue
 from forearm_fem.fem.reduction.reduced_model import empty_model, extend, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.tissue import Hysteretic, KelvinVoigt, SpringPot, Tissue, Zener
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
@@ -26,7 +26,7 @@ from forearm_fem.verification.scenes import flesh, held_block
 needs_multifrontal = pytest.mark.skipif(not factors._compiles(), reason="numba or pymetis is not installed")
 BAND = np.linspace(10.0, 500.0, 197)
 CHECK = np.array([10.0, 33.0, 80.0, 140.0, 210.0, 333.0, 470.0, 500.0])
-OPTIONS = SolverOptions(start="frequencies")
+OPTIONS = ReducedSolve(start="frequencies")
 ALL = np.ones(4, dtype=int)  # contact and three points of held_block
 
 
@@ -54,7 +54,7 @@ def truth(model):
 @pytest.fixture(scope="module")
 def one_expansion(model):
     """Uncompressed space of one frequency with five derivatives, solved in double precision."""
-    solver = make_solver(model, SolverOptions(precision="double"), 100.0)
+    solver = make_solver(model, ReducedSolve(precision="double"), 100.0)
     return extend(empty_model(model), model, solver.taylor(100.0, solver.at(100.0).values, ALL * 5))
 
 
@@ -95,7 +95,7 @@ def test_values_of_the_sweep_are_those_of_its_model(sweep):
 
 def test_certificate_is_a_true_error(model):
     """Certified on a solve that the model had not used: repeat it by hand."""
-    few = SolverOptions(start="frequencies", expansions=2, derivatives=2, max_expansions=2)
+    few = ReducedSolve(start="frequencies", expansions=2, derivatives=2, max_expansions=2)
     result = reduced_sweep(model, BAND, few, tolerance=1e-12)
     stated = result.certificates[-1]
     exact = direct_sweep(model, np.array([stated.frequency]), OPTIONS).values
@@ -110,7 +110,7 @@ def test_certificate_is_a_true_error(model):
 def test_what_a_model_does_not_reproduce_is_stated(model, monkeypatch):
     """Extended by a solution that never reaches it, as pressures of incompressible tissue did not: it is no better
     there, and another certificate elsewhere must not hide that."""
-    few = SolverOptions(start="frequencies", expansions=3, derivatives=3, max_expansions=8)
+    few = ReducedSolve(start="frequencies", expansions=3, derivatives=3, max_expansions=8)
     extended = Expander.extended
 
     def lost(self, made, frequency, start=None):
@@ -131,7 +131,7 @@ def test_what_a_model_does_not_reproduce_is_stated(model, monkeypatch):
 @pytest.mark.parametrize("start", ["rate", "frequencies"])
 def test_elimination_alone_certifies_as_refined_solves_do(model, start, monkeypatch):
     """What it sees is the true error within what it says of rounding, and that holds against refined solves."""
-    options = SolverOptions(start=start, expansions=3, derivatives=3)
+    options = ReducedSolve(start=start, expansions=3, derivatives=3)
     monkeypatch.setattr(Expander, "foreseen", lambda *_: None)
     result = reduced_sweep(model, BAND, options, tolerance=1e-3)
     (stated,) = result.certificates
@@ -156,7 +156,7 @@ def test_what_an_elimination_would_not_pass_is_solved_and_refined(model, monkeyp
         DirectSolver, "by_elimination", lambda self, f, z: (asked.append(f), by_elimination(self, f, z))[1]
     )
     monkeypatch.setattr("forearm_fem.fem.reduction.expansion.ROUNDED", 0.0)
-    few = SolverOptions(start="frequencies", expansions=3, derivatives=3, max_expansions=8)
+    few = ReducedSolve(start="frequencies", expansions=3, derivatives=3, max_expansions=8)
     result = reduced_sweep(model, BAND, few, tolerance=2e-5)
     assert asked[0] == result.certificates[0].frequency
     assert result.certificates[0].error > 2e-5
@@ -167,7 +167,7 @@ def test_what_an_elimination_would_not_pass_is_solved_and_refined(model, monkeyp
 @needs_multifrontal
 @pytest.mark.parametrize(
     "options",
-    [SolverOptions(precision="double"), SolverOptions(backend="superlu")],
+    [ReducedSolve(precision="double"), ReducedSolve(backend="superlu")],
 )
 def test_solvers_that_keep_factors_certify_by_them(small, options, monkeypatch):
     monkeypatch.setattr(Expander, "foreseen", lambda *_: None)
@@ -186,7 +186,7 @@ def test_rounding_of_an_elimination_is_seen_on_known_solutions(small):
             solved = np.linalg.solve(whole(small, data), right)
             return 1.01 * right.T @ solved
 
-    known = make_solver(small, SolverOptions(precision="double"), 100.0).at(100.0).values.real[:, :2]
+    known = make_solver(small, ReducedSolve(precision="double"), 100.0).at(100.0).values.real[:, :2]
     found = DirectSolver(small, Rough()).by_elimination(120.0, known)
     assert found is not None
     assert found[1] == pytest.approx(0.08, rel=1e-3)  # eight times what is seen
@@ -202,13 +202,13 @@ def test_a_model_that_tells_nothing_is_refused(model):
         reduced_sweep(
             model,
             BAND,
-            SolverOptions(start="frequencies", expansions=1, derivatives=2, max_expansions=1),
+            ReducedSolve(start="frequencies", expansions=1, derivatives=2, max_expansions=1),
             tolerance=1e-4,
         )
 
 
 def test_more_expansions_are_taken_until_certified(model):
-    few = SolverOptions(start="frequencies", expansions=1, derivatives=2, max_expansions=8)
+    few = ReducedSolve(start="frequencies", expansions=1, derivatives=2, max_expansions=8)
     result = reduced_sweep(model, BAND, few, tolerance=1e-5)
     assert 1 < len(result.expansions) <= 8
     assert result.certificates[-1].error < 1e-5
@@ -243,7 +243,7 @@ def test_basis_is_orthonormal_and_divergence_free(model, one_expansion):
 
 def test_blocks_of_the_basis_are_orthonormal_to_each_other(model, one_expansion):
     """Weak directions of a near expansion are magnified 1e5 times, with what rounding left in them of the first."""
-    solver = make_solver(model, SolverOptions(precision="double"), 110.0)
+    solver = make_solver(model, ReducedSolve(precision="double"), 110.0)
     both = extend(one_expansion, model, solver.taylor(110.0, solver.at(110.0).values, ALL * 5))
     first, second = (block[: model.operator.n_displacements] for block in both.basis.blocks)
     assert np.abs(first.T @ second).max() < 1e-13
@@ -270,7 +270,7 @@ def test_derivatives_in_single_precision_are_refined(model):
     """Each is corrected together with the next one, which must see the correction; refined 5e-7, else 1e-4."""
     series = []
     for precision in ("single", "double"):
-        solver = make_solver(model, SolverOptions(precision=precision), 100.0)
+        solver = make_solver(model, ReducedSolve(precision=precision), 100.0)
         series.append(solver.taylor(100.0, solver.at(100.0).values, np.array([5, 3, 3, 2])))
     for single, double in zip(*series, strict=True):
         assert np.linalg.norm(single - double) < 5e-6 * np.linalg.norm(double)
@@ -278,7 +278,7 @@ def test_derivatives_in_single_precision_are_refined(model):
 
 def test_contacts_may_keep_more_derivatives_than_points(model):
     """The error of a point's receptance falls with the sum of both counts: 4 + 0 is at least as good as 2 + 2 - 1."""
-    solver, near = make_solver(model, SolverOptions(precision="double"), 100.0), np.array([120.0])
+    solver, near = make_solver(model, ReducedSolve(precision="double"), 100.0), np.array([120.0])
     exact = direct_sweep(model, near, OPTIONS).values[:, 1:, :1]
     error = {}
     for orders in ((2, 1, 1, 1), (4, 0, 0, 0), (2, 2, 2, 2)):
@@ -291,7 +291,7 @@ def test_contacts_may_keep_more_derivatives_than_points(model):
 
 
 def test_lower_model_lacks_the_highest_derivative_of_each_port(model):
-    solver, f = make_solver(model, SolverOptions(precision="double"), 100.0), np.array([110.0])
+    solver, f = make_solver(model, ReducedSolve(precision="double"), 100.0), np.array([110.0])
     spaces = []
     for orders in ((3, 1, 1, 1), (2, 0, 0, 0)):
         series = solver.taylor(100.0, solver.at(100.0).values, np.array(orders))
@@ -301,7 +301,7 @@ def test_lower_model_lacks_the_highest_derivative_of_each_port(model):
 
 def test_taylor_series_reproduces_the_neighbourhood(model):
     """Sum of scaled Taylor coefficients at 2 % of detuning; the remainder is (0.02 / radius)^6."""
-    solver = make_solver(model, SolverOptions(precision="double"), 100.0)
+    solver = make_solver(model, ReducedSolve(precision="double"), 100.0)
     series = solver.taylor(100.0, solver.at(100.0).values, ALL * 5)
     near = sum(x * 0.02**k for k, x in enumerate(series))
     exact = solver.at(102.0).values
@@ -309,7 +309,7 @@ def test_taylor_series_reproduces_the_neighbourhood(model):
 
 
 def test_repeated_expansion_adds_nothing(model, one_expansion):
-    solver = make_solver(model, SolverOptions(precision="double"), 100.0)
+    solver = make_solver(model, ReducedSolve(precision="double"), 100.0)
     again = extend(one_expansion, model, solver.taylor(100.0, solver.at(100.0).values, ALL * 5))
     added = again.size - one_expansion.size
     assert added <= 0.15 * one_expansion.size  # directions that the drop tolerance of 1e-7 had left out
@@ -475,7 +475,7 @@ def test_projected_matrices_are_those_of_dense_products(small, number):
 
 def test_expansion_frequencies_are_bins_of_the_band():
     for count in (1, 3, 7):
-        chosen = expansion_frequencies(BAND, SolverOptions(expansions=count))
+        chosen = expansion_frequencies(BAND, ReducedSolve(expansions=count))
         assert set(chosen) <= set(BAND)
         assert len(chosen) == count
     assert expansion_frequencies(np.array([100.0]), OPTIONS) == (100.0,)
@@ -484,8 +484,8 @@ def test_expansion_frequencies_are_bins_of_the_band():
 def test_expansions_lie_where_resonances_are():
     """Four in 10-500 Hz, equally far apart in f^-0.2 from 30 Hz on (docs/decisions/0006); narrow bands whole."""
     bins = np.arange(10.0, 500.5, 0.5)
-    assert expansion_frequencies(bins, SolverOptions(expansions=4)) == (39.5, 72.5, 143.5, 318.5)
-    assert expansion_frequencies(np.arange(10.0, 80.5, 0.5), SolverOptions(expansions=2))[0] < 20.0
+    assert expansion_frequencies(bins, ReducedSolve(expansions=4)) == (39.5, 72.5, 143.5, 318.5)
+    assert expansion_frequencies(np.arange(10.0, 80.5, 0.5), ReducedSolve(expansions=2))[0] < 20.0
 
 
 def test_probes_are_bins_that_are_not_known_yet():
@@ -523,7 +523,7 @@ def test_doubt_of_a_good_model_is_where_it_errs(model):
 def test_single_precision_gives_the_same_model_as_double(model, truth):
     """Kept in saddle form, what single-precision factors leave enters squared; 1e-6 is where directions are dropped."""
     for precision in ("single", "double"):
-        swept = reduced_sweep(model, BAND, SolverOptions(start="frequencies", precision=precision), tolerance=None)
+        swept = reduced_sweep(model, BAND, ReducedSolve(start="frequencies", precision=precision), tolerance=None)
         assert relative_error(swept.reduced.compliance(CHECK), truth).max() < 1e-6
 
 

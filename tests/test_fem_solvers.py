@@ -18,7 +18,7 @@ from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.linear.factor import SuperLUFactor, make_factor, refined_solve
 from forearm_fem.fem.linear.pardiso import PardisoFactor
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.transfer import relative_error
 from forearm_fem.verification.scenes import flesh, held_block
 
@@ -49,7 +49,7 @@ def test_operator_is_complex_symmetric_and_affine(model):
 
 def test_taylor_coefficients_continue_the_solution(model):
     """The series about one frequency, summed beside it, is the direct solution there; columns of lower order too."""
-    solver = make_solver(model, SolverOptions(precision="double"), 150.0)
+    solver = make_solver(model, ReducedSolve(precision="double"), 150.0)
     start = solver.at(150.0).values
     orders = np.arange(len(model.ports)) % 3 + 6
     series = solver.taylor(150.0, start, orders)
@@ -93,7 +93,7 @@ def test_pardiso_superlu_and_dense_agree(model, loads):
 
 
 def test_compliance_equals_dense(model):
-    found = direct_sweep(model, np.array([5.0, 150.0]), SolverOptions()).values
+    found = direct_sweep(model, np.array([5.0, 150.0]), ReducedSolve()).values
     for value, f in zip(found, (5.0, 150.0), strict=True):
         exact = slow.dense_compliance(model, f)
         assert np.abs(value - exact).max() < 1e-10 * np.abs(exact).max()
@@ -102,7 +102,7 @@ def test_compliance_equals_dense(model):
 @pytest.mark.parametrize("frequency", [0.5, 150.0, 2000.0])
 def test_single_precision_is_refined_to_double(model, frequency):
     f = np.array([frequency])
-    single, double = (direct_sweep(model, f, SolverOptions(precision=p)) for p in ("single", "double"))
+    single, double = (direct_sweep(model, f, ReducedSolve(precision=p)) for p in ("single", "double"))
     assert single.residual < 1e-9
     assert np.abs(single.values - double.values).max() < 1e-7 * np.abs(double.values).max()
 
@@ -296,7 +296,7 @@ def test_pardiso_factor_can_be_reused_and_released_twice(model, loads):
 def test_incompressible_and_stiff_bulk_meet():
     """1e14 Pa and infinity differ by mu / kappa; neither loses digits."""
     stiff, infinite = (
-        direct_sweep(held_block(2, tissue=flesh(bulk=b)), np.array([100.0]), SolverOptions()).values
+        direct_sweep(held_block(2, tissue=flesh(bulk=b)), np.array([100.0]), ReducedSolve()).values
         for b in (1e14, np.inf)
     )
     assert np.abs(stiff - infinite).max() < 1e-8 * np.abs(infinite).max()
@@ -308,9 +308,9 @@ def test_auto_hardens_to_double_where_single_precision_is_not_enough(model, monk
     right = PardisoFactor.solve
     monkeypatch.setattr(PardisoFactor, "solve", lambda self, b: right(self, b) * (0.5 if self.single else 1.0))
     f = np.array([60.0])
-    hardened = direct_sweep(model, f, SolverOptions(precision="auto"))
+    hardened = direct_sweep(model, f, ReducedSolve(precision="auto"))
     assert hardened.residual < 1e-11
     assert "double precision from here on" in caplog.text
     monkeypatch.undo()
-    plain = direct_sweep(model, f, SolverOptions(precision="double"))
+    plain = direct_sweep(model, f, ReducedSolve(precision="double"))
     assert relative_error(hardened.values, plain.values).max() < 1e-9

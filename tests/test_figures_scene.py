@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import once
 
 from forearm_fem.device import close_loop, contact_state
 from forearm_fem.geometry.build import build_mesh
@@ -44,12 +45,8 @@ SCENE = {
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished run, made once for all files that import this; do not write into it."""
-    place = tmp_path_factory.getbasetemp() / "finished_run"
-    if not place.is_dir():
-        place.mkdir()
-        write_run(place)
-    return place
+    """A finished run, made once a session for all files that import this; do not write into it."""
+    return once(tmp_path_factory, "finished_run", write_run)
 
 
 def write_run(place: Path) -> None:

@@ -584,7 +584,7 @@ def _(tmp):
 def session(tmp: Path) -> Path:
     plan = plan_for(SMALL)
     calibrate(plan, device_for(SMALL, noise=1e-4), tmp)
-    return next(tmp.glob("G_1_A1*.npz"))
+    return next(tmp.glob("G_1_A1*.nc"))
 
 
 @case("session: a recording cut short", "to be measured again")
@@ -605,7 +605,7 @@ def _(tmp):
 @case("session: a recording renamed", "renamed by hand")
 def _(tmp):
     file = session(tmp)
-    file.rename(next(tmp.glob("G_1_A2*.npz")))
+    file.rename(next(tmp.glob("G_1_A2*.nc")))
     return collected(plan_for(SMALL), tmp).findings
 
 

@@ -22,7 +22,7 @@ from forearm_fem.io.seal import BLANK, MARK, check_seals, sealed
 from forearm_fem.io.wav import write_wav_drives
 
 BY_NAME = {form.name: form for form in FORMATS}
-TEXT_SEALS = [n for n in BY_NAME if n not in ("transfer.nc", "drives.nc", "reduced.nc", "recording.npz", "run.json")]
+TEXT_SEALS = [n for n in BY_NAME if n not in ("transfer.nc", "drives.nc", "reduced.nc", "recording.nc", "run.json")]
 
 
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)

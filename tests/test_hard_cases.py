@@ -18,8 +18,8 @@ from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.layered import Disc, Layer, layered_compliance
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.supports import Supports
-from forearm_fem.scenario.sweep import SolverOptions
+from forearm_fem.scenario.supports import FreeUnderside
+from forearm_fem.scenario.sweep import DirectSolve, ReducedSolve
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import Hysteretic, KelvinVoigt, Tissue
 from forearm_fem.transfer import relative_error
@@ -129,7 +129,7 @@ def test_elastic_bone_is_as_good_as_held_still():
     for mesh, shift in ((both, 0.012), (flesh_only, 0.0)):
         places = ((0.009, 0.003), (0.011, 0.006))
         ports = tuple(Port(str(i), "point", (shift + x, y, 0.008)) for i, (x, y) in enumerate(places))
-        model = build_model(mesh, ports, {"bone": bone, "block": flesh()}, Supports(ends="fixed"), Membrane())
+        model = build_model(mesh, ports, {"bone": bone, "block": flesh()}, FreeUnderside(ends="fixed"), Membrane())
         values.append(direct_sweep(model, np.array([5.0, 100.0, 500.0]), DIRECT).values)
     assert relative_error(*values).max() < 1e-4
 
@@ -195,7 +195,7 @@ def test_slivers_do_no_harm(left):
     own error of about 1 %."""
     model = held_block(3)
     bad = build_model(
-        flattened(model.space.mesh, left), model.ports, {"block": flesh()}, Supports(ends="fixed"), Membrane()
+        flattened(model.space.mesh, left), model.ports, {"block": flesh()}, FreeUnderside(ends="fixed"), Membrane()
     )
     found, truth = (direct_sweep(m, np.array([150.0]), DIRECT).values[:, :, :1] for m in (bad, model))
     assert gap(found, truth) < 0.01
@@ -234,7 +234,7 @@ def test_a_mesh_that_is_moved_has_the_same_compliance(how):
         replace(p, position=tuple(size * q @ np.array(p.position) + shift), axis=tuple(q @ np.array(p.axis)))
         for p in model.ports
     )
-    there = build_model(mesh, ports, {"block": flesh(eta=5.03 * size)}, Supports(ends="fixed"), Membrane())
+    there = build_model(mesh, ports, {"block": flesh(eta=5.03 * size)}, FreeUnderside(ends="fixed"), Membrane())
     found = size * direct_sweep(there, band / size, DIRECT).values
     assert gap(found, direct_sweep(model, band, DIRECT).values) < 1e-9
 
@@ -261,19 +261,19 @@ def test_a_strongly_curved_limb_states_its_error():
 
 def test_single_precision_where_the_bulk_modulus_is_stiffest():
     model, band = held_block(3, tissue=flesh(bulk=1e12)), np.array([0.5, 150.0, 2000.0])
-    single, double = (direct_sweep(model, band, SolverOptions(precision=p)) for p in ("single", "double"))
+    single, double = (direct_sweep(model, band, DirectSolve(precision=p)) for p in ("single", "double"))
     assert relative_error(single.values, double.values).max() < 1e-7
 
 
 @pytest.mark.parametrize(
     ("options", "band"),
     [
-        pytest.param(SolverOptions(), (10.0, 500.0, 491), marks=pytest.mark.slow),
-        pytest.param(SolverOptions(expansions=1, max_expansions=1), (10.0, 500.0, 491), marks=pytest.mark.slow),
-        pytest.param(SolverOptions(expansions=12, max_expansions=12), (10.0, 500.0, 491), marks=pytest.mark.slow),
-        pytest.param(SolverOptions(expansions=12, max_expansions=40), (10.0, 500.0, 491), marks=pytest.mark.slow),
+        pytest.param(ReducedSolve(), (10.0, 500.0, 491), marks=pytest.mark.slow),
+        pytest.param(ReducedSolve(expansions=1, max_expansions=1), (10.0, 500.0, 491), marks=pytest.mark.slow),
+        pytest.param(ReducedSolve(expansions=12, max_expansions=12), (10.0, 500.0, 491), marks=pytest.mark.slow),
+        pytest.param(ReducedSolve(expansions=12, max_expansions=40), (10.0, 500.0, 491), marks=pytest.mark.slow),
         # 0.2 Hz apart: solutions and derivatives span nearly the same space
-        (SolverOptions(start="frequencies", expansions=12, max_expansions=13), (99.0, 101.0, 41)),
+        (ReducedSolve(start="frequencies", expansions=12, max_expansions=13), (99.0, 101.0, 41)),
     ],
 )
 def test_a_reduced_model_at_sharp_resonances(options, band):
@@ -295,9 +295,9 @@ def test_ways_to_solve_agree():
     model, band = held_block(3, tissue=flesh(bulk=2.2e9)), np.linspace(10.0, 500.0, 197)
     checks = np.array([10.0, 33.0, 80.0, 140.0, 210.0, 333.0, 470.0, 500.0])
     truth = direct_sweep(model, checks, DIRECT).values
-    single = direct_sweep(model, checks, SolverOptions(precision="single", sweep="direct")).values
+    single = direct_sweep(model, checks, DirectSolve(precision="single")).values
     assert relative_error(single, truth).max() < 1e-7  # refined to a residual of 1e-9
-    swept = reduced_sweep(model, band, SolverOptions(), tolerance=1e-6)
+    swept = reduced_sweep(model, band, ReducedSolve(), tolerance=1e-6)
     assert relative_error(swept.reduced.compliance(checks), truth).max() < 1e-5  # asked for 1e-6 where least certain
     fast = pole_residue(swept.reduced)
     assert relative_error(fast.compliance(band), swept.reduced.compliance(band)).max() < 1e-8  # its own limit

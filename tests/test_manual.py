@@ -8,6 +8,7 @@ import json
 import re
 import runpy
 import shlex
+import shutil
 import sys
 import tomllib
 from pathlib import Path
@@ -15,11 +16,11 @@ from typing import Any
 
 import pytest
 from cli_runner import every_command
-from test_skin_model import SCENE
+from scenes import once
+from test_skin_model import solve
 
 from forearm_fem.engines.forecast import forecast
 from forearm_fem.engines.layered import flat_ports
-from forearm_fem.pipeline.folder import Run, run_solve
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario, scenario_schema
 
 HOME = Path(__file__).parents[1]
@@ -42,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """scenarios/ of the repository, and results/thesis of a scene small enough for a test."""
     home = tmp_path_factory.mktemp("user")
     (home / "scenarios").symlink_to(HOME / "scenarios")
-    run_solve(Run.start(parse_scenario(SCENE), home / "results" / "thesis", home))
+    shutil.copytree(once(tmp_path_factory, "skin_model", solve) / "out", home / "results" / "thesis")
     return home
 
 

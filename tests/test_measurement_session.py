@@ -61,7 +61,7 @@ def test_killed_at_a_random_moment_nothing_measured_is_lost(tmp_path, moment):
     with pytest.raises(KeyboardInterrupt):
         calibrate(plan_for(SCENE), Dying(moment), tmp_path)
     whole = moment // PERIODS
-    kept = {f.name: f.read_bytes() for f in tmp_path.glob("G_*.npz")}
+    kept = {f.name: f.read_bytes() for f in tmp_path.glob("G_*.nc")}
     assert len(kept) == whole
     seen = []
     resumed = calibrate(plan_for(SCENE), Dying(10**9), tmp_path, after=seen.append)
@@ -107,7 +107,7 @@ def test_an_entry_that_was_bad_is_taken_again_once(tmp_path):
 
 def test_a_damaged_recording_is_measured_again(tmp_path):
     calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path)
-    victim = next(tmp_path.glob("G_2_A1*.npz"))
+    victim = next(tmp_path.glob("G_2_A1*.nc"))
     victim.write_bytes(victim.read_bytes()[:500])
     seen = []
     calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path, after=seen.append)
@@ -116,14 +116,13 @@ def test_a_damaged_recording_is_measured_again(tmp_path):
 
 
 def test_a_recording_whose_numbers_were_changed_is_measured_again(tmp_path):
-    """A file that unpacks without complaint and holds other samples than were written."""
+    """A byte amid the samples: every chunk has a checksum."""
     calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path)
-    victim = next(tmp_path.glob("G_2_A1*.npz"))
-    with np.load(victim) as content:
-        arrays = dict(content)
-    arrays["response"][0, 7] *= 1 + 1e-12
-    np.savez(victim, **arrays)
-    with pytest.raises(DataError, match="checksum"):
+    victim = next(tmp_path.glob("G_2_A1*.nc"))
+    content = victim.read_bytes()
+    at = content.index(read_recording(victim).response[0, 7:9].tobytes())
+    victim.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
+    with pytest.raises(DataError, match="measured again"):
         read_recording(victim)
     seen = []
     calibrate(plan_for(SCENE), device_for(SCENE, noise=1e-4), tmp_path, after=seen.append)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,7 @@ from forearm_fem.questions.compare.run import run_fit
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.store.record import load, save
+from forearm_fem.store.shelf import Shelf
 from forearm_fem.tissue import resolve_tissues
 from forearm_fem.transfer import Compliance, band_error
 
@@ -50,7 +52,7 @@ SCENE = {
     },
     "device": {"contacts": [[-0.012, 0.0], [0.012, 0.004]], "cone": {"contact": "pressure"}},
     "grid": {"points": [[0.0, 0.003], [0.002, -0.009]]},
-    "mesh": {"size_contact": 4.5e-3, "size_grid": 8e-3, "size_far": 12e-3, "sublayers": {"skin": 1, "fat": 1}},
+    "mesh": {"size_contact": 4.5e-3, "size_grid": 9e-3, "size_far": 16e-3, "sublayers": {"skin": 1, "fat": 1}},
     "solver": {"discretisation_estimate": False},
     "sweep": {"f_min": 20.0, "f_max": 500.0},
 }  # fmt: skip
@@ -237,8 +239,15 @@ def test_damaged_parts_are_made_again(tmp_path, monkeypatch):
 
     with pytest.raises(KeyboardInterrupt):
         parametric_model(scene, growth=growth, progress=stopped)
-    (file,) = tmp_path.rglob("columns-1.npz")
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    (file,) = tmp_path.rglob("*-parts.sqlite")
+    shelf = Shelf(file)
+    columns = shelf.get("columns-1")
+    halves = sqlite3.connect(file)
+    halves.execute("update part set data = zeroblob(length(data)) where key = 'columns-1' and name = 'columns'")
+    halves.commit()
+    halves.close()
+    assert columns is not None
+    assert shelf.get("columns-1") is None
     found = parametric_model(scene, growth=growth).compliance(scene, PROBES)
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "whole"))
     whole = parametric_model(scene, growth=growth).compliance(scene, PROBES)

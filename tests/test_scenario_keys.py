@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
+import re
 import warnings
 from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -17,14 +18,14 @@ from pydantic.fields import FieldInfo
 
 from forearm_fem.engines import solved
 from forearm_fem.engines.forecast import forecast, refuse_if_signals_too_large
-from forearm_fem.errors import AccuracyWarning, ForearmError
+from forearm_fem.errors import AccuracyWarning, ForearmError, ScenarioError
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import mesh_key
 from forearm_fem.geometry.mesh.quality import mesh_quality
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.pipeline.folder import accuracy_verdict
+from forearm_fem.pipeline.notes import scene_notes
 from forearm_fem.pipeline.simulation import render_transfer, simulate
-from forearm_fem.pipeline.unread import changed_keys, unread_notes
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.base import Within
 from forearm_fem.scenario.frequencies import frequencies
@@ -37,12 +38,14 @@ FEM: dict[str, Any] = {"limb": {"shape": "forearm"}, "sweep": {"frequencies": [1
 COARSE = {"size_contact": 0.005, "size_grid": 0.008, "size_far": 0.015}
 LABELS = ("name", "description")  # of the folder and the report
 ONE_VALUE = ("schema_version", "limb.shape")  # the other shapes have keys of their own
-ELSEWHERE = ("measurement",)  # calibrate and play read it
+ELSEWHERE = ("measurement", "library")  # commands of their own read them
 VALUES: Mapping[str, Any] = {
     "accuracy": 0.02,
     "device.contact_springs": {"A1": 50.0},
     "device.gains": {"A1": 0.9},
     "device.contacts": [[-0.02, 0.0], [0.02, 0.0]],
+    "device.drive": "force",
+    "device.housing.fixed": True,
     "device.out_of_contact": ["A2"],
     "grid.points": [[0.0, 0.0], [0.01, 0.0], [0.0, 0.01], [0.01, 0.01], [0.004, 0.004]],
     "limb.bones": [],
@@ -53,6 +56,7 @@ VALUES: Mapping[str, Any] = {
     "mesh.max_elements": 1.0,
     "mesh.min_quality": 0.999,
     "mesh.sublayers": {"skin": 3},
+    "rendering.clearance": 0.02,  # to the outer points
     "rendering.methods": ["funneling"],
     "rendering.regularisation": "lcurve",
     "rendering.regularisation_value": 0.95,
@@ -61,6 +65,8 @@ VALUES: Mapping[str, Any] = {
     "rendering.window": [-0.002, 0.004],
     "rendering.zeros": ["1", "2", "3", "4"],
     "solver.memory_limit": 1e6,
+    "solver.sweep": "direct",
+    "supports.underside": "foam",
     "sweep.frequencies": [100.0, 110.0],
     "tissues.membrane.tension": 30.0,
     "tissues.override.skin.model": "springpot",
@@ -115,7 +121,7 @@ def layered_answer(data: Mapping[str, Any]) -> tuple[str, str]:
         scenario = parse_scenario(data)
         refuse_if_signals_too_large(scenario)
         simulation = simulate(scenario)
-        notes = [*simulation.notes, *unread_notes(scenario)]
+        notes = [*simulation.notes, *scene_notes(scenario)]
         numbers = hashlib.sha256(simulation.transfer.values.tobytes())
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AccuracyWarning)  # a narrow band, so that it is quick
@@ -186,46 +192,114 @@ def fem_answer(data: Mapping[str, Any], mesh: TissueMesh) -> tuple[object, ...]:
     except ForearmError as problem:
         return (str(problem),)
     passing = len(mesh.tetrahedra) <= scenario.mesh.max_elements, mesh_quality(mesh).least >= scenario.mesh.min_quality
-    return *made, refused, *passing, unread_notes(scenario)
+    return *made, refused, *passing, scene_notes(scenario)
 
 
-@pytest.mark.parametrize(
-    ("changes", "names"),
-    [
-        ({"engine": "layered", "mesh.size_grid": 0.003}, "mesh.size_grid"),
-        ({"engine": "layered", "supports.ends": "free"}, "supports.ends"),
-        ({"device.contacts": [[0.0, 0.0]], "device.spacing": 0.03}, "device.spacing"),
-        ({"device.drive": "force", "device.coil.quality": 4.0}, "device.coil.quality"),
-        ({"device.drive": "force", "device.max_power": 2.0}, "device.max_power"),
-        ({"device.housing.fixed": True, "device.housing.mass": 0.2}, "device.housing.mass"),
-        ({"grid.points": [[0.0, 0.0]], "grid.rows": 4}, "grid.rows"),
-        ({"sweep.frequencies": [100.0], "sweep.f_min": 20.0}, "sweep.f_min"),
-        ({"sweep.frequencies": [100.0], "rendering.methods": [], "sweep.duration": 1.0}, "sweep.duration"),
-        ({"supports.foam_damping": 10.0}, "supports.foam_damping"),
-        ({"limb.bones": [], "supports.bone": "elastic"}, "supports.bone"),
-        ({"solver.sweep": "direct", "solver.start": "rate"}, "solver.start"),
-        ({"solver.expansions": 7}, "solver.expansions"),
-        ({"solver.start": "frequencies", "solver.rate_derivatives": 90}, "solver.rate_derivatives"),
-        ({"rendering.methods": [], "rendering.amplitude": 2.0}, "rendering.amplitude"),
-        ({"rendering.methods": ["funneling"], "rendering.zeros": ["1"]}, "rendering.zeros"),
-        ({"rendering.wavelet.file": "a.csv", "rendering.wavelet.peak": 200.0}, "rendering.wavelet.peak"),
-        ({"tissues.override.gel": {"mu": 1e3, "eta": 1.0, "density": 1e3, "bulk": 1e9}}, "tissues.override.gel"),
-        ({"mesh.sublayers": {"gristle": 2}}, "mesh.sublayers.gristle"),
-        ({"tissues.patch.length": 0.03}, "tissues.patch.length"),
-        ({"device.housing.fixed": True, "device.housing.skin_share": 0.03}, "device.housing.skin_share"),
-        ({"device.out_of_contact": ["A1"], "device.contact_springs": {"A1": 50.0}}, "device.contact_springs"),
-    ],
-)
-def test_a_key_without_effect_is_named(changes: Mapping[str, Any], names: str) -> None:
+IDLE = [
+    ({"device.contacts": [[0.0, 0.0]], "device.spacing": 0.03}, "device.spacing"),
+    ({"device.columns": 1, "device.spacing_y": 0.03}, "device.spacing_y"),
+    ({"device.drive": "force", "device.coil.quality": 4.0}, "device.coil"),
+    ({"device.drive": "displacement", "device.housing.mass": 0.1}, "device.housing"),
+    ({"device.drive": "force", "device.max_power": 2.0}, "device.max_power"),
+    ({"device.drive": "force", "device.cone.mass": 1e-3}, "device.cone.mass"),
+    ({"device.housing.fixed": True, "device.housing.mass": 0.2}, "device.housing.mass"),
+    ({"device.housing.fixed": True, "device.housing.skin_share": 0.03}, "device.housing.skin_share"),
+    ({"device.out_of_contact": ["A1"], "device.contact_springs": {"A1": 50.0}}, "device.contact_springs.A1"),
+    ({"grid.points": [[0.0, 0.0]], "grid.rows": 4}, "grid.rows"),
+    ({"grid.columns": 1, "grid.pitch_y": 0.02}, "grid.pitch_y"),
+    ({"sweep.frequencies": [100.0], "sweep.f_min": 20.0}, "sweep.f_min"),
+    ({"supports.foam_damping": 10.0}, "supports.foam_damping"),
+    ({"limb.bones": [], "supports.bone": "elastic"}, "supports.bone"),
+    ({"solver.sweep": "direct", "solver.start": "rate"}, "solver.start"),
+    ({"solver.start": "frequencies", "solver.rate_derivatives": 90}, "solver.rate_derivatives"),
+    ({"rendering.methods": ["funneling"], "rendering.regularisation": "lcurve"}, "rendering.regularisation"),
+    ({"rendering.wavelet.file": "a.csv", "rendering.wavelet.peak": 200.0}, "rendering.wavelet.peak"),
+    ({"tissues.override.gel": {"mu": 1e3, "eta": 1.0, "density": 1e3, "bulk": 1e9}}, "tissues.override.gel"),
+    ({"tissues.override.bone": {"density": 1900.0}}, "tissues.override.bone"),
+    ({"tissues.patch.length": 0.03}, "tissues.patch.length"),
+    ({"mesh.sublayers": {"gristle": 2}}, "mesh.sublayers.gristle"),
+]
+
+
+@pytest.mark.parametrize(("changes", "names"), IDLE)
+def test_a_key_without_effect_cannot_be_written(changes: Mapping[str, Any], names: str) -> None:
     data: dict[str, Any] = {}
     for key, value in changes.items():
         data = with_key(data, key, value)
-    told = [note for note in unread_notes(parse_scenario(data)) if names in note]
-    assert len(told) == 1
-    assert "no effect" in told[0]
+    with pytest.raises(ScenarioError, match=rf"(^|\W){re.escape(names)}\b.*no effect: .*; \w+"):  # and a cure
+        parse_scenario(data)
+    with pytest.raises(ScenarioError, match="no effect"):
+        Scenario().changed(changes)
 
 
-def test_defaults_and_shipped_scenarios_leave_no_such_note() -> None:
-    assert changed_keys(Scenario()) == ()
-    for file in sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml")):
-        assert unread_notes(load_scenario(file)) == ()
+@pytest.mark.parametrize(("changes", "names"), [case for case in IDLE if len(case[0]) == 2])
+def test_a_change_drops_what_it_leaves_without_effect(changes: Mapping[str, Any], names: str) -> None:
+    (other, value), (key, before) = changes.items()
+    base = Scenario().changed({key: before}) if other != "supports.bone" else Scenario()
+    made = base.changed({other: value})
+    assert not any(f"{k}.".startswith(f"{names}.") for k in made.changed_keys())
+    assert made == Scenario().changed({other: value})
+
+
+def test_no_copy_escapes_the_checks() -> None:
+    scenario = Scenario()
+    for change in (
+        lambda: scenario.changed({"device.cone.radius": -1}),
+        lambda: scenario.device.cone.changed({"radius": -1}),
+        lambda: scenario.model_copy(update={"accuracy": -1}),
+        lambda: scenario.device.cone.model_copy(update={"radius": -1}),
+    ):
+        with pytest.raises(ScenarioError, match="expected"):
+            change()
+
+
+def test_a_change_is_as_if_the_file_had_said_so() -> None:
+    scenario = load_scenario("thesis")
+    changes = {"accuracy": 0.2, "device.actuator": "TEAX09C005-8", "limb.layers.0.thickness": 1e-3}
+    made = scenario.changed(changes)
+    assert made.limb.length == 0.12  # follows the accuracy, as it was left out
+    assert made.device.coil.moving_mass == 0.13e-3  # follows the actuator
+    assert [layer.thickness for layer in made.limb.layers] == [1e-3, 3e-3]
+    assert made.changed({"device.actuator": None}).device == scenario.device
+    assert scenario.changed({}) == scenario
+
+
+def test_the_digest_is_of_what_counts() -> None:
+    scenario = load_scenario("quick")
+    assert scenario.changed({"name": "other", "description": "words"}).digest == scenario.digest
+    assert scenario.changed({"device.spacing": 0.04}).digest != scenario.digest
+    assert scenario.changed({"device.spacing": 0.045}).digest == scenario.digest  # said or left out
+
+
+@pytest.mark.parametrize(
+    ("said", "key", "si"),
+    [
+        ("device.spacing=40mm", "device.spacing", 0.04),
+        ("sweep.f_max=0.25 kHz", "sweep.f_max", 250.0),
+        ("tissues.override.skin.mu=12kPa", "tissues.override.skin.mu", 12e3),
+        ("device.cone.mass=0.3g", "device.cone.mass", 0.3e-3),
+        ("device.rotation=90deg", "device.rotation", np.pi / 2),
+        ("sweep.duration=500ms", "sweep.duration", 0.5),
+        ("device.spacing=0.04", "device.spacing", 0.04),
+    ],
+)
+def test_an_override_takes_units(said: str, key: str, si: float) -> None:
+    value = functools.reduce(
+        lambda part, name: part[name] if isinstance(part, dict) else getattr(part, name),
+        key.split("."), load_scenario("thesis", overrides=[said]),
+    )  # fmt: skip
+    assert value == pytest.approx(si, rel=1e-15)
+
+
+def test_a_unit_of_another_kind_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"device.spacing: expected a number in m.*got '40Hz'"):
+        load_scenario("thesis", overrides=["device.spacing=40Hz"])
+
+
+def test_a_scenario_of_schema_1_is_told_what_to_change() -> None:
+    with pytest.raises(ScenarioError, match=r"schema_version: 1 .*write 2"):
+        parse_scenario({"schema_version": 1, "tissues": {"override": {"skin": {"mu": 1e4}}}})
+
+
+def test_defaults_are_no_changes() -> None:
+    assert Scenario().changed_keys() == ()

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import once
 
 from forearm_fem.engines.skin_model import load_skin_model, save_skin_model
 from forearm_fem.errors import AccuracyWarning, DataError, ReductionError, ScenarioError
+from forearm_fem.io import read_transfer
 from forearm_fem.pipeline.folder import Run, run_solve
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import relative_error
@@ -27,12 +29,15 @@ SCENE = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
+def solve(folder):
+    """What a run of this scene leaves in ``folder``."""
+    run_solve(Run.start(parse_scenario(SCENE), folder / "out", folder))
+
+
+@pytest.fixture(scope="session")
 def solved(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("skin")
-    scenario = parse_scenario(SCENE)
-    transfer = run_solve(Run.start(scenario, folder / "out", folder))
-    return folder / "out", transfer
+    folder = once(tmp_path_factory, "skin_model", solve) / "out"
+    return folder, read_transfer(folder / "transfer.nc")
 
 
 def test_file_gives_the_run_again_at_its_bins(solved):

@@ -13,7 +13,7 @@ from forearm_fem.fem.assembly.model import build_model
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.scenario.supports import Supports
+from forearm_fem.scenario.supports import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane, Patch
 from forearm_fem.verification.scenes import (
     DIRECT,
@@ -66,7 +66,7 @@ def test_a_patch_on_all_of_the_skin_is_the_membrane():
     sheet = {"mass": 0.3, "stiffness": 40.0, "viscosity": 1e-3}
 
     def answer(membrane: Membrane, patch: Patch) -> complex:
-        model = build_model(block.space.mesh, block.ports, {"block": flesh()}, Supports(ends="fixed"), membrane,
+        model = build_model(block.space.mesh, block.ports, {"block": flesh()}, FreeUnderside(ends="fixed"), membrane,
                             patch=patch)  # fmt: skip
         return complex(direct_sweep(model, np.array([40.0]), DIRECT).values[0, 0, 0])
 
@@ -80,7 +80,7 @@ def test_a_patch_on_all_of_the_skin_is_the_membrane():
 def test_a_patch_beside_the_limb_or_on_the_twin_is_refused():
     block = held_block(2)  # its skin does not reach the origin's neighbourhood
     with pytest.raises(GeometryError, match=r"tissues\.patch"):
-        build_model(block.space.mesh, block.ports, {"block": flesh()}, Supports(), Membrane(),
+        build_model(block.space.mesh, block.ports, {"block": flesh()}, FreeUnderside(), Membrane(),
                     patch=Patch(length=1e-6, width=1e-6, mass=0.2))  # fmt: skip
     scenario = parse_scenario({"engine": "layered", "tissues": {"patch": {"mass": 0.2}}})
     with pytest.raises(ScenarioError, match=r"tissues\.patch: engine = 'layered' has no edges"):

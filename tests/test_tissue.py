@@ -128,7 +128,7 @@ def test_a_drawn_tissue_replaces_single_values() -> None:
 
 
 def resolve(override: dict, **rest: object):
-    return resolve_tissues(parse_scenario({"tissues": {"override": override}, **rest}))
+    return resolve_tissues(parse_scenario({"tissues": {"override": override}, "supports": {"bone": "elastic"}, **rest}))
 
 
 def test_override_replaces_single_values() -> None:
@@ -160,8 +160,9 @@ def test_new_tissue_is_complete_and_may_be_a_layer() -> None:
     ],
 )
 def test_bad_overrides_name_their_key(override: dict, message: str) -> None:
+    rest = {"limb": {"layers": [{"tissue": "tendon", "thickness": 1e-3}]}} if "tendon" in override else {}
     with pytest.raises(ScenarioError, match=message):
-        resolve(override)
+        resolve(override, **rest)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runner import cli
+from scenes import once
 from test_figures_scene import folder  # noqa: F401
 from test_skin_model import solved  # noqa: F401
 
@@ -55,9 +56,9 @@ def rendered(tmp: Path, **changes: Any) -> Results:
     return Results.open(tmp)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def flat(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    return rendered(tmp_path_factory.mktemp("flat"))
+    return Results.open(once(tmp_path_factory, "workbench", rendered))
 
 
 @pytest.fixture(scope="module")

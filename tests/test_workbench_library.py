@@ -89,9 +89,8 @@ ELSEWHERE = [[-0.021, 0.014], [0.008, 0.019], [-0.018, -0.02], [0.024, -0.012]]
 
 def exact_g(arm: Any, contacts: list[list[float]]) -> np.ndarray:
     """G of the arm itself with discs at ``contacts``."""
-    device = arm.scenario.device.model_copy(update={"contacts": tuple(map(tuple, contacts))})
-    scenario = arm.scenario.model_copy(update={"device": device})
-    return close_loop(arm.compliance(scenario), device).values
+    scenario = arm.scenario.changed({"device.contacts": contacts})
+    return close_loop(arm.compliance(scenario), scenario.device).values
 
 
 def worst(found: np.ndarray, expected: np.ndarray) -> np.ndarray:

@@ -57,6 +57,22 @@ def _walk(part: dict[str, Any], known: dict[str, Any], path: str) -> Iterator[Ta
         yield from _walk(one, known, where)
 
 
+def _all_kinds(kinds: list[dict[str, Any]]) -> dict[str, Any]:
+    """One part with the keys of all its ``kinds``; a value that tells them apart has all their values."""
+    keys: dict[str, Any] = {}
+    for kind in kinds:
+        for name, entry in kind["properties"].items():
+            before = keys.get(name, entry)
+            told = [e["const"] for e in (before, entry) if "const" in e]
+            values = list(dict.fromkeys([*before.get("enum", ()), *told]))
+            keys[name] = {**before, "enum": values} if told and len(values) > 1 else before
+            if "enum" in keys[name]:
+                keys[name].pop("const", None)
+    said = " ".join(kind.get("description", "").partition("\n")[0] for kind in kinds)
+    note = "Kinds, told apart by their keys; one that would have no effect beside others is refused in a sentence."
+    return {"properties": keys, "description": f"{note} {said}", "required": []}
+
+
 def _of_many(entry: dict[str, Any]) -> bool:
     return entry.get("type") in ("array", "object")
 
@@ -72,6 +88,10 @@ def _parts(entry: dict[str, Any], known: dict[str, Any]) -> Iterator[tuple[str, 
         found = known[entry["$ref"].rpartition("/")[2]]
         if "properties" in found:
             yield "", found
+    elif "oneOf" in entry:
+        kinds = [known[one["$ref"].rpartition("/")[2]] for one in entry["oneOf"]]
+        if all("properties" in kind for kind in kinds):
+            yield "", _all_kinds(kinds)
     elif isinstance(entry.get("items"), dict):
         yield from ((f"[ ]{s}", p) for s, p in _parts(entry["items"], known))
     elif isinstance(entry.get("additionalProperties"), dict):

@@ -34,7 +34,7 @@ from forearm_fem.measurement.run import VirtualSetup, run_calibration
 folder = Path(tempfile.mkdtemp())
 result = run_calibration(arm, folder, daq="virtual", virtual=VirtualSetup(truth, snr_db=50.0), figure=False)
 measured = result.measured.transfer
-print(f"{len(list(folder.glob('*.npz')))} recordings; {100 * measured.valid.mean():.0f} % of the entries may be used")
+print(f"{len(list(folder.glob('G_*.nc')))} recordings; {100 * measured.valid.mean():.0f} % of the entries may be used")
 
 # %%
 # Coherence and the scatter between repeats say how far each entry can be trusted: ``measured.deviation`` is a standard

@@ -34,9 +34,11 @@ from pydantic import Field, ValidationError
 from ..errors import ScenarioError, first_problem
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..scenario.base import Name, Part
-from ..scenario.load import DOTTED, dotted
+from ..scenario.changes import dotted
+from ..scenario.limb import tissue_keys
+from ..scenario.load import DOTTED
 from ..scenario.toml import read_toml
-from ..tissue import PRESETS, KelvinVoigt, Sourced, limb_tissue_keys, resolve_tissues
+from ..tissue import PRESETS, KelvinVoigt, Sourced, resolve_tissues
 
 _LONGEST_NAME = 100  # letters that a folder's name may have
 Values = dict[str, Any]
@@ -187,7 +189,7 @@ def _drawable(scenario: Scenario) -> dict[str, Sourced]:
 def _drawn_jointly(scenario: Scenario) -> list[str]:
     """Soft tissues of the limb with another law than Kelvin-Voigt's."""
     tissues = resolve_tissues(scenario)
-    met = dict.fromkeys(limb_tissue_keys(scenario.limb).values())
+    met = dict.fromkeys(tissue_keys(scenario.limb).values())
     return [n for n in met if n != "bone" and not isinstance(tissues[n].modulus, KelvinVoigt)]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shlex
 import signal
 import tomllib
@@ -17,6 +15,7 @@ import typer
 
 from ..errors import DataError, first_problem, one_sentence
 from ..scenario import Scenario, apply_overrides, load_scenario, scenario_file
+from ..scenario.load import label_of, read_overrides
 from .display import Display as Display
 from .display import console as console
 
@@ -87,14 +86,12 @@ Declared = Annotated[list[str] | None, declared()]
 
 
 def out_folder(out: Path | None, scenario: Scenario, overrides: Sequence[str] | None = None) -> Path:
-    """The folder asked for, else ``results/NAME``; what ``--set`` changes without a name, to ``NAME-XXXXXX``."""
+    """The folder asked for, else ``results/NAME``; what ``--set`` changes without a name, to ``NAME-KEY-VALUE``."""
     if out is not None:
         return out
-    changed = apply_overrides({}, overrides or ())
-    if "name" in changed:
-        return Path("results") / scenario.name
-    mark = hashlib.sha256(json.dumps(changed, sort_keys=True, default=str).encode()).hexdigest()[:6]
-    return Path("results") / (f"{scenario.name}-{mark}" if changed else scenario.name)
+    changed = read_overrides(overrides or ())
+    named = "name" in changed or not changed
+    return Path("results") / (scenario.name if named else f"{scenario.name}-{label_of(changed)}")
 
 
 @contextmanager

@@ -44,7 +44,6 @@ def run(
     if dry_run:
         from ..pipeline.folder import check_rendering
         from ..pipeline.notes import scene_notes
-        from ..pipeline.unread import unread_notes
         from ..scenario.frequencies import frequencies
 
         check_rendering(asked, scenario.parent)
@@ -55,7 +54,7 @@ def run(
         with Display() as display:
             expected = _expected(asked, scenario.parent, display)
         _print_forecast(asked, expected)
-        print_notes((*unread_notes(asked), *scene_notes(asked)))
+        print_notes(scene_notes(asked))
         return
     from ..pipeline.folder import run_all
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scenario.device import Device
+from ..scenario.device import VoltageDevice
 from ..typing import ComplexArray, FloatArray
 
 
@@ -43,7 +43,7 @@ class Circuit:
         return np.asarray(-(self.omega**2) * self.mass)
 
 
-def circuit(device: Device, omega: FloatArray) -> Circuit:
+def circuit(device: VoltageDevice, omega: FloatArray) -> Circuit:
     """Circuit of ``device`` at ``omega`` (n_frequency,) [rad/s]; Kms = Mms w0^2, Rms = w0 Mms / Qms."""
     coil = device.coil
     w0 = 2 * np.pi * coil.resonance

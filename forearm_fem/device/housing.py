@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..ports import Port, positions
-from ..scenario.device import Device, Housing
+from ..scenario.device import AnyHousing, Device, HeldHousing, VoltageDevice
 from ..typing import ComplexArray, FloatArray
 
 
 def lever_matrix(
-    housing: Housing, contacts: tuple[Port, ...], places: tuple[Port, ...] | None = None
+    housing: AnyHousing, contacts: tuple[Port, ...], places: tuple[Port, ...] | None = None
 ) -> FloatArray:
     """H (n_place, n_q) with x2 = H q: the housing's displacement along each port's axis; n_q = 0 if fixed.
 
@@ -22,27 +22,27 @@ def lever_matrix(
     mean of the ``contacts``, which are the ``places``, too, where these are left out.
     """
     places = contacts if places is None else places
-    if housing.fixed:
+    if isinstance(housing, HeldHousing):
         return np.zeros((len(places), 0))
     lever = (positions(places) - positions(contacts).mean(axis=0)) / housing.gyration
     upward = np.array([p.axis[2] for p in places])
     return np.asarray(upward[:, None] * np.stack([np.ones(len(places)), lever[:, 1], -lever[:, 0]], axis=1))
 
 
-def strap_stiffness(housing: Housing) -> ComplexArray:
+def strap_stiffness(housing: AnyHousing) -> ComplexArray:
     """Strap and foam per coordinate (n_q,) [N/m]: k (1 + i loss), times (lever/gyration)^2 for rotations."""
-    if housing.fixed:
+    if isinstance(housing, HeldHousing):
         return np.zeros(0, dtype=complex)
     ratio = (housing.strap_radius / housing.gyration) ** 2
     return np.asarray(housing.strap_stiffness * (1 + 1j * housing.strap_loss) * np.array([1.0, ratio, ratio]))
 
 
-def dynamic_stiffness(housing: Housing, omega: FloatArray) -> ComplexArray:
+def dynamic_stiffness(housing: AnyHousing, omega: FloatArray) -> ComplexArray:
     """Diagonal of k (1 + i loss) - omega^2 m per coordinate (n_frequency, n_q) [N/m]; omega > 0."""
-    return np.asarray(strap_stiffness(housing) - housing.mass * omega[:, None] ** 2)
+    mass = 0.0 if isinstance(housing, HeldHousing) else housing.mass
+    return np.asarray(strap_stiffness(housing) - mass * omega[:, None] ** 2)
 
 
 def carries_points(device: Device) -> bool:
     """Whether the skin at the points follows a share of the housing's motion (``device.housing.skin_share``)."""
-    housing = device.housing
-    return device.drive == "voltage" and not housing.fixed and housing.skin_share > 0
+    return isinstance(device, VoltageDevice) and device.housing.skin_share > 0

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arguments import checked
 from ..errors import DataError
-from ..scenario.device import Device
+from ..scenario.device import VoltageDevice
 from ..transfer import Compliance
 from ..typing import ComplexArray, FloatArray
 from .circuit import circuit
@@ -35,7 +35,7 @@ class PowerBalance:
 
 
 @checked
-def power(compliance: Compliance, device: Device, drives: ComplexArray) -> PowerBalance:
+def power(compliance: Compliance, device: VoltageDevice, drives: ComplexArray) -> PowerBalance:
     """Where the electrical power of ``drives`` (n_frequency, n_actuator) [V, peak] goes, ``device.gains`` included."""
     response = respond(compliance, device)
     _refuse_unlike(response, drives)

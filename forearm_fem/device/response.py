@@ -19,7 +19,7 @@ import numpy as np
 from ..arguments import checked
 from ..errors import ScenarioError
 from ..ports import Port
-from ..scenario.device import Device
+from ..scenario.device import ActuatorArray, VoltageDevice
 from ..transfer import Compliance
 from ..typing import BoolArray, ComplexArray, FloatArray
 from .circuit import Circuit, circuit
@@ -56,7 +56,7 @@ class DeviceResponse:
 
 
 @checked
-def respond(compliance: Compliance, device: Device) -> DeviceResponse:
+def respond(compliance: Compliance, device: VoltageDevice) -> DeviceResponse:
     """Response of ``device`` on the skin described by ``compliance`` to 1 V at each coil in turn.
 
     ``device.gains`` lie before the coils: they are left to :func:`.state.contact_state`.
@@ -74,7 +74,7 @@ def respond(compliance: Compliance, device: Device) -> DeviceResponse:
     return system.response()
 
 
-def contact_ports(compliance: Compliance, device: Device) -> tuple[Port, ...]:
+def contact_ports(compliance: Compliance, device: ActuatorArray) -> tuple[Port, ...]:
     """The contact ports, one per actuator in order A1, A2, ...; else :class:`ScenarioError`."""
     contacts = tuple(compliance.ports[i] for i in compliance.indices("contact"))
     if len(contacts) != len(device.centres):
@@ -85,12 +85,12 @@ def contact_ports(compliance: Compliance, device: Device) -> tuple[Port, ...]:
     return contacts
 
 
-def in_contact(device: Device, n: int) -> BoolArray:
+def in_contact(device: ActuatorArray, n: int) -> BoolArray:
     """Which of the actuators A1..An touch the skin (n,)."""
     return np.array([f"A{i + 1}" not in device.out_of_contact for i in range(n)])
 
 
-def contact_flexibility(device: Device, n: int) -> FloatArray:
+def contact_flexibility(device: ActuatorArray, n: int) -> FloatArray:
     """1/k (n,) [m/N] of the springs between the cones A1..An and the skin, 0 where there is none.
 
     A spring carries the whole push of its cone and has neither mass nor loss; a real contact's stiffness grows with
@@ -99,7 +99,7 @@ def contact_flexibility(device: Device, n: int) -> FloatArray:
     return np.array([1 / device.contact_springs.get(f"A{i + 1}", np.inf) for i in range(n)])
 
 
-def drive_gains(device: Device, n: int) -> FloatArray:
+def drive_gains(device: ActuatorArray, n: int) -> FloatArray:
     """Factors (n,) on the drives of the actuators A1..An."""
     return np.array([device.gains.get(f"A{i + 1}", 1.0) for i in range(n)])
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ..arguments import checked
-from ..scenario.device import Device
+from ..scenario.device import Device, VoltageDevice
 from ..transfer import Compliance
 from ..typing import BoolArray, ComplexArray
 from .housing import lever_matrix
@@ -46,6 +46,7 @@ def contact_state(compliance: Compliance, device: Device) -> ContactState:
 
 
 def _voltage(compliance: Compliance, device: Device) -> ContactState:
+    assert isinstance(device, VoltageDevice)
     response, housing = respond(compliance, device), device.housing
     points = tuple(compliance.ports[i] for i in compliance.indices("point"))
     levers = lever_matrix(housing, contact_ports(compliance, device), points)

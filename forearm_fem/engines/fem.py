@@ -20,6 +20,7 @@ from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.supports import Supports
+from ..scenario.sweep import ReducedSolve
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, refuse_non_finite
 from ..typing import ComplexArray, FloatArray
@@ -29,8 +30,8 @@ REDUCTION = 1e-4  # e(f) asked of a reduced model where no accuracy is given
 TRUNCATION_PROBES, FREED_PROBES = 4, 80  # by direct solves, by the reduced model
 _LARGE, _SMALL = 100_000, 30_000  # unknowns of a mesh, and of its second one, from which complex kernels pay
 _OTHER_ENDS = {"absorb": "fixed", "fixed": "free", "free": "fixed"}
-_ROUGHER = {"rate_derivatives": 25}  # not certified: e_band 0.2 % of the forearm's points, 0.6 % at a bin
-_ROUGHER |= {"expansions": 3, "derivatives": 8, "point_derivatives": 1}  # the same where moduli are not Kelvin-Voigt
+_FEWER_OF_RATE = 25  # not certified: e_band 0.2 % of the forearm's points, 0.6 % at a bin
+_FEWER = {"expansions": 3, "derivatives": 8, "point_derivatives": 1}  # the same where moduli are not Kelvin-Voigt
 
 
 @dataclass(frozen=True)
@@ -58,17 +59,15 @@ def solve_fem(
     tell(progress, "assembly", 0, 1)
     model = fem_model(scenario, mesh)
     tell(progress, "assembly", 1, 1)
-    reduced = scenario.solver.sweep == "reduced" and len(frequency) > scenario.solver.expansions
-    seldom = reduced and model.operator.n < _LARGE and starts_from_rate(model, scenario.solver)
+    solver = scenario.solver
+    small = solver if isinstance(solver, ReducedSolve) and len(frequency) > solver.expansions else None
+    seldom = small is not None and model.operator.n < _LARGE and starts_from_rate(model, small)
     finish_compiling(progress, complex_ones=not (seldom and pardiso.mkl_library() is not None))
     give_back()  # element matrices and matrices before constraints are gone: more than the operator itself
-    if reduced:
-        result = reduced_sweep(
-            model, frequency, scenario.solver, tolerance=tolerance, progress=progress,
-            snapshots=snapshots,
-        )  # fmt: skip
+    if small is not None:
+        result = reduced_sweep(model, frequency, small, tolerance=tolerance, progress=progress, snapshots=snapshots)
     else:
-        result = direct_sweep(model, frequency, scenario.solver, progress=progress)
+        result = direct_sweep(model, frequency, solver, progress=progress)
     compliance = Compliance(frequency, masked(result.values, model.ports), model.ports, _errors(result))
     refuse_non_finite("the compliance", frequency, compliance.values[:, :, compliance.indices("contact")])
     return FemSolution(compliance, result, model)
@@ -101,8 +100,10 @@ def masked(values: ComplexArray, ports: Sequence[Port]) -> ComplexArray:
 
 def second_compliance(second: Second, frequency: FloatArray, *, progress: Progress | None = None) -> Compliance:
     """Compliance on the second mesh, less certain than the first one's; its provenance holds the ``ratio``."""
-    rougher = second.scenario.solver.model_copy(update=_ROUGHER)
-    scenario = second.scenario.model_copy(update={"solver": rougher})
+    scenario = second.scenario
+    if isinstance(solver := scenario.solver, ReducedSolve):
+        rougher = _FEWER if solver.start == "frequencies" else {**_FEWER, "rate_derivatives": _FEWER_OF_RATE}
+        scenario = scenario.changed({f"solver.{key}": value for key, value in rougher.items()})
     found = solve_fem(scenario, second.mesh, frequency, progress=progress, tolerance=None).compliance
     return replace(found, provenance={"ratio": second.ratio})
 
@@ -128,15 +129,15 @@ def other_ends(second: Second, frequency: FloatArray) -> Compliance:
     Absorbing ends are clamped, for what :func:`freed_ends` cannot do: direct solves at a few. Clamped ends are freed
     and free ones clamped, as these err by as much the other way: all but certain, at as many as freed ends are.
     """
-    supports = second.scenario.supports.model_copy(update={"ends": _OTHER_ENDS[second.scenario.supports.ends]})
-    scenario, n = second.scenario.model_copy(update={"supports": supports}), len(frequency)
+    scenario = second.scenario.changed({"supports.ends": _OTHER_ENDS[second.scenario.supports.ends]})
+    n = len(frequency)
     if second.scenario.supports.ends != "absorb":
         some = frequency[truncation_probes(n, FREED_PROBES)]
         return second_compliance(Second(scenario, second.mesh, second.ratio), some)
     probes = frequency[truncation_probes(n)]
     model, options = fem_model(scenario, second.mesh), scenario.solver
     if model.operator.n < _SMALL and options.backend == "auto" and pardiso.mkl_library() is not None:
-        options = options.model_copy(update={"backend": "pardiso"})  # needs no kernels that a first run compiles
+        options = options.changed({"backend": "pardiso"})  # needs no kernels that a first run compiles
     values = direct_sweep(model, probes, options).values
     return Compliance(probes, masked(values, model.ports), model.ports)
 

@@ -24,6 +24,7 @@ from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.frequencies import frequencies
 from ..scenario.limb import MeshLimb, SurfacesLimb
+from ..scenario.sweep import ReducedSolve
 from ..tissue import resolve_tissues
 from .fem import reduction_tolerance
 
@@ -84,9 +85,11 @@ def forecast(
     # as ``expansion.starts_from_rate`` finds on the assembled model
     tissues = resolve_tissues(scenario)
     polynomial = all(is_polynomial(tissues[name].modulus) for name in mesh.region_names)
-    rate = polynomial and scenario.solver.start != "frequencies"
-    factorisations = _FROM_RATE if rate else scenario.solver.expansions + 1.0
-    if scenario.solver.sweep == "direct":
+    solve = scenario.solver
+    rate = polynomial and isinstance(solve, ReducedSolve) and solve.start != "frequencies"
+    if isinstance(solve, ReducedSolve):
+        factorisations = _FROM_RATE if rate else solve.expansions + 1.0
+    else:
         factorisations = len(frequencies(scenario.sweep))
     single = 1.0 if scenario.solver.precision == "double" else 0.5
     one = _power(_SECONDS, unknowns) * single * (_GRADED if scenario.element == "P2/P3" else 1.0)

@@ -30,10 +30,11 @@ from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
 from ..scenario.frequencies import frequencies
+from ..scenario.limb import tissue_keys
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
-from ..tissue import limb_tissue_keys, resolve_tissues
+from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import BoolArray, ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
@@ -95,7 +96,7 @@ class Ranges:
 
 def soft_tissues(scenario: Scenario) -> tuple[str, ...]:
     """The limb's tissues but bone, from the skin inwards."""
-    return tuple(dict.fromkeys(t for t in limb_tissue_keys(scenario.limb).values() if t != "bone"))
+    return tuple(dict.fromkeys(t for t in tissue_keys(scenario.limb).values() if t != "bone"))
 
 
 @dataclass(frozen=True)
@@ -350,8 +351,7 @@ def parametric_model(
     made = ParametricModel(
         own, model.ports, united.pieces, united.trials, united.checks, united.solves, around[0] if around else None
     )
-    shelf.keep(_MODEL, ParametricFile.of(made))
-    if _MODEL in shelf:
+    if shelf.keep(_MODEL, ParametricFile.of(made)):
         parts.remove()
     return made
 
@@ -433,5 +433,5 @@ def _with_all_sheets(scenario: Scenario, draws: Sequence[Scenario]) -> Scenario:
         missing = {k: _MIDDLE * v for k, v in largest.items() if v and not getattr(sheet, k)}
         size = draws[0].tissues.patch if part == "patch" and missing else sheet
         given = {k: getattr(size, k) for k in ("length", "width")} if part == "patch" else {}
-        changed[part] = sheet.model_copy(update={**given, **missing})
-    return scenario.model_copy(update={"tissues": tissues.model_copy(update=changed)})
+        changed[part] = sheet.changed({**given, **missing})
+    return scenario.changed({"tissues": tissues.changed(changed)})

@@ -48,8 +48,7 @@ def second_mesh(scenario: Scenario, mesh: TissueMesh, *, base: Path) -> Second:
                 f"pair {scenario.element} neither second nor third order is one; set mesh.element to P2 or P3"
             )
         element, ratio = _OTHER_ORDER[scenario.element]
-        options = scenario.mesh.model_copy(update={"element": element})
-        return Second(scenario.model_copy(update={"mesh": options}), mesh, ratio)
+        return Second(scenario.changed({"mesh.element": element}), mesh, ratio)
     first: ForearmError | None = None
     for ratio in _RATIOS:
         try:

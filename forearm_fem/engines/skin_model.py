@@ -21,7 +21,7 @@ from ..fem.reduction.reduced_model import ReducedModel
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
 from ..scenario.frequencies import frequencies
-from ..scenario.load import apply_overrides
+from ..scenario.load import read_overrides
 from ..store.record import dims, load, save
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix
@@ -89,7 +89,7 @@ class SkinModel:
         Raises ScenarioError for a key that the reduced model cannot follow.
         """
         before = self.scenario.model_dump(mode="json")
-        after = parse_scenario(apply_overrides(before, overrides))
+        after = parse_scenario(before, changes=read_overrides(overrides))
         check_followable(self.scenario, after, self.reduced.names)
         return replace(self, scenario=after, reduced=with_scenario(self.reduced, after), poles=None)
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import logging
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array, kron, vstack
 
 from .. import __version__
-from ..errors import DataError, ForearmError
+from ..errors import ForearmError
 from ..fem.assembly.loads import edge_middles
 from ..fem.kernels.heap import freed_memory_kept
 from ..fem.reduction.basis import Basis
@@ -23,23 +22,19 @@ from ..fem.reduction.rate_space import Chunk, Pairs
 from ..geometry.device.place import place_ports
 from ..geometry.mesh.subdivision import skin_edges
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..io.parts import DAMAGED, PartFolder
 from ..progress import Progress, tell, within
 from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
-from ..store.folder import atomic_path
-from ..store.results import read_compliance, write_compliance
-from ..store.text import digest_of, read_json, write_json
+from ..store.record import dims
+from ..store.shelf import Shelf
+from ..store.text import digest_of
 from ..transfer import Compliance, ErrorEstimate
 from ..typing import ComplexArray, FloatArray
 from ..user_cache import default_cache_dir
 from .fem import FemSolution, freed_ends, other_ends, reduction_tolerance, second_compliance, solve_fem
 from .second_mesh import second_mesh
-from .skin_model import SkinModel, load_skin_model, save_skin_model
-
-_log = logging.getLogger("forearm_fem.pipeline")
-_DAMAGED = DataError, *DAMAGED
+from .skin_model import ReducedFile, SkinModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +64,7 @@ def solve(
     scenario: Scenario, mesh: TissueMesh, frequency: FloatArray, *, base: Path, progress: Progress | None = None
 ) -> Solved:
     """Solve what is not in the cache yet; each finished part is stored at once."""
-    store = _Store(default_cache_dir() / "solves" / solve_key(scenario, mesh, frequency))
+    store = _Store(solve_key(scenario, mesh, frequency))
     if (main := store.main()) is None:
         tolerance = reduction_tolerance(scenario)
         solution = solve_fem(scenario, mesh, frequency, progress=progress, snapshots=store, tolerance=tolerance)
@@ -162,94 +157,78 @@ def field_modes(solution: FemSolution) -> FloatArray:
     return reduced.basis.seen_by(csr_array(shown)).reshape(-1, 3, reduced.size)
 
 
-class _Store:
-    """One folder per solve; an unreadable part is computed again, an unwritable folder only costs the reuse."""
+_CHUNK = ("last", "derivatives", "residual", "correction")
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._expansions = folder, PartFolder(folder / "expansions", "an expansion")
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """The main part of a :class:`Solved`, on its shelf."""
+
+    kind: ClassVar[str] = "solution"
+    version: ClassVar[int] = 1
+
+    compliance: Compliance
+    freed: Compliance | None
+    modes: FloatArray = field(metadata=dims("point xyz mode", single=True))
+    states: ComplexArray = field(metadata=dims("frequency mode contact", single=True))
+    facts: SolutionRecord
+    skin: ReducedFile | None
+
+    @property
+    def solved(self) -> Solved:
+        """The same as a result."""
+        skin = None if self.skin is None else self.skin.model("the cache")
+        return Solved(self.compliance, None, self.freed, self.modes, self.states, self.facts, skin=skin)
+
+
+class _Store:
+    """What is finished of one solve, and on a shelf of its own the expansions that its main part comes from."""
+
+    def __init__(self, key: str) -> None:
+        home = default_cache_dir() / "solves"
+        self._shelf, self._parts = Shelf(home / f"{key}.sqlite"), Shelf(home / f"{key}-parts.sqlite", "an expansion")
 
     def get(self, frequency: float) -> Expansion | None:
         """An expansion of an interrupted sweep; see :class:`forearm_fem.fem.reduction.sweep.Snapshots`."""
-        if (data := self._expansions.get(f"{frequency:g}")) is None:
+        if (data := self._parts.get(f"{frequency:g}")) is None:
             return None
-        try:
-            series = tuple(data[f"order{k}"] for k in range(int(data["count"])))
-            return Expansion(frequency, series, float(data["residual"]), float(data["solve_error"]))
-        except _DAMAGED:
-            return None
+        series = tuple(data[f"order{k}"] for k in range(data["count"]))
+        return Expansion(frequency, series, data["residual"], data["solve_error"])
 
     def put(self, expansion: Expansion) -> None:
         """Keep an expansion until the sweep is finished."""
-        # what follows the solutions spans a space and is certified there: half the digits are half the time
-        parts: dict[str, Any] = {f"order{k}": x.astype(np.complex64) for k, x in enumerate(expansion.series)}
-        parts |= {"order0": expansion.series[0], "count": len(expansion.series)}
-        parts |= {"residual": expansion.residual, "solve_error": expansion.solve_error}
-        self._expansions.put(f"{expansion.frequency:g}", parts)
+        parts: dict[str, Any] = {f"order{k}": x for k, x in enumerate(expansion.series)}
+        parts["count"] = len(expansion.series)
+        parts |= {"residual": float(expansion.residual), "solve_error": float(expansion.solve_error)}
+        self._parts.put(f"{expansion.frequency:g}", parts)
 
     def chunks(self) -> tuple[Chunk, ...]:
         """What an interrupted sweep left of the space about a rate, up to the first part that is missing or damaged."""
         found = list[Chunk]()
-        with suppress(*_DAMAGED):
-            while (data := self._expansions.get(f"rate-{len(found)}")) is not None:
-                pairs, counts = Pairs(data["upper"], data["lower"]), (int(data["last"]), int(data["derivatives"]))
-                found.append(Chunk(data["columns"], pairs, *counts, float(data["residual"])))
+        while (data := self._parts.get(f"rate-{len(found)}")) is not None:
+            pairs = Pairs(data["upper"], data["lower"])
+            found.append(Chunk(data["columns"], pairs, *(data[name] for name in _CHUNK)))
         return tuple(found)
 
     def put_chunk(self, number: int, chunk: Chunk) -> None:
         """Keep a part of the space about a rate until the sweep is finished."""
-        parts = {"columns": chunk.columns.astype(np.float32), "upper": chunk.pairs.upper, "lower": chunk.pairs.lower}
-        parts |= {name: getattr(chunk, name) for name in ("last", "derivatives", "residual")}
-        self._expansions.put(f"rate-{number}", parts)
+        parts = {"columns": chunk.columns, "upper": chunk.pairs.upper, "lower": chunk.pairs.lower}
+        self._parts.put(f"rate-{number}", {**parts, **{name: getattr(chunk, name) for name in _CHUNK}})
 
     def compliance(self, name: str, make: Callable[[], Compliance]) -> Compliance:
-        """The stored compliance of a name, or a new one, stored."""
-        if (kept := self.read(name)) is not None:
-            return kept
-        made = make()
-        self.write(name, made)
-        return made
-
-    def read(self, name: str) -> Compliance | None:
-        """A stored compliance, or None."""
-        try:
-            return read_compliance(self._folder / f"{name}.nc")
-        except DataError:
-            return None
-
-    def write(self, name: str, compliance: Compliance) -> None:
-        """Store a compliance; failing to is logged."""
-        try:
-            write_compliance(self._folder / f"{name}.nc", compliance)
-        except (DataError, OSError) as problem:
-            _log.warning("%s could not be kept for a later run: %s", name, problem)
+        """The compliance kept under a name, or a new one, kept."""
+        return self._shelf.once(name, Compliance, make)
 
     def main(self) -> Solved | None:
-        """The stored main part, or None."""
-        compliance = self.read("compliance")
-        try:
-            with (self._folder / "field.npz").open("rb") as stream, np.load(stream) as field:
-                modes, states = field["modes"].astype(float), field["states"].astype(complex)
-            facts = SolutionRecord.model_validate(read_json(self._folder / "facts.json"))
-        except _DAMAGED:
-            return None
-        ends = self.read("freed") if facts.ends_by == "reduced model" else None
-        skin = None
-        if facts.reduced_size:
-            with suppress(ForearmError):
-                skin = load_skin_model(self._folder / "reduced.nc")
-        return None if compliance is None else Solved(compliance, None, ends, modes, states, facts, skin=skin)
+        """The main part, or None."""
+        kept = self._shelf.record("main", _Kept)
+        with suppress(ForearmError):  # a scenario of another version
+            return None if kept is None else kept.solved
+        return None
 
     def keep_main(self, solved: Solved) -> None:
-        """Store the main part, then drop the expansions it came from."""
-        try:
-            with atomic_path(self._folder / "field.npz", durable=False) as target, open(target, "wb") as stream:
-                np.savez(stream, modes=solved.modes.astype(np.float32), states=solved.states.astype(np.complex64))
-            write_json(self._folder / "facts.json", solved.facts.model_dump(mode="json"))
-        except (DataError, OSError) as problem:
-            _log.warning("the solution could not be kept for a later run: %s", problem)
-        if solved.freed is not None:
-            self.write("freed", solved.freed)
-        if solved.skin is not None:
-            save_skin_model(self._folder / "reduced.nc", solved.skin)
-        self.write("compliance", solved.compliance)
-        self._expansions.drop()
+        """Keep the main part, then drop the expansions it came from."""
+        skin = None if solved.skin is None else ReducedFile.of(solved.skin)
+        kept = _Kept(solved.compliance, solved.freed, solved.modes, solved.states, solved.facts, skin)
+        if self._shelf.keep("main", kept):
+            self._parts.remove()

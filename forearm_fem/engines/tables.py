@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import MutableMapping
-from contextlib import suppress
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -15,7 +13,7 @@ from ..layered.tables import Tabulated, from_arrays, tabulate
 from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.frequencies import frequencies
-from ..store.folder import atomic_path
+from ..store.shelf import Shelf
 from ..tissue import resolve_tissues
 from ..user_cache import default_cache_dir
 from .layered import flat_layers, flat_surface
@@ -43,19 +41,16 @@ def kept_tables(
     key = _key(scenario, reach)
     if known is not None and key in known:
         return known[key]
-    file = (folder or default_cache_dir() / "twin-tables") / f"{key}.npz"
+    shelf = Shelf((folder or default_cache_dir()) / "twin-tables.sqlite", "tables of the layered model")
     cone, layers, surface = scenario.device.cone, flat_layers(scenario), flat_surface(scenario.tissues)
     found: Tabulated | None = None
-    with suppress(OSError, ValueError, KeyError, EOFError, BadZipFile):  # not there, or damaged
-        with np.load(file, allow_pickle=False) as kept:
-            arrays = {name: kept[name] for name in kept.files}
+    if (arrays := shelf.get(key)) is not None:
         found = from_arrays(arrays, layers, surface, cone.radius, cone.contact)
     if found is None:
         low, high = _band(scenario)
         omega = 2 * np.pi * low, 2 * np.pi * high
         found = tabulate(layers, omega, cone.radius, cone.contact, surface=surface, farthest=reach, progress=progress)
-        with atomic_path(file) as beside, beside.open("wb") as stream:
-            np.savez(stream, **found.arrays())  # type: ignore[arg-type]
+        shelf.put(key, found.arrays())
     if known is not None:
         known[key] = found
     return found

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ..errors import DataError
+from ..store.record import dims
 from ..typing import FloatArray
 
 
@@ -21,9 +22,9 @@ class Recording:
     output: str
     input: str
     sample_rate: float
-    sent: FloatArray
-    response: FloatArray
-    loopback: FloatArray | None = None
+    sent: FloatArray = field(metadata=dims("sample", units="V"))
+    response: FloatArray = field(metadata=dims("repeat sample", units="V"))
+    loopback: FloatArray | None = field(default=None, metadata=dims("repeat sample", units="V"))
     full_scale: float = float("inf")
     resolution: float = 0.0
     notes: tuple[str, ...] = ()

@@ -25,6 +25,7 @@ from .kernel import Surface
 
 Contact = Literal["pressure", "bonded", "frictionless"]
 Component = Literal["z", "+", "-"]
+_NEVER = 99  # place from the end of tractions that no shorter series leaves out
 _BESIDE = 6  # terms at most, less two per order, of what answers neighbours
 
 
@@ -50,13 +51,13 @@ class Disc:
 @dataclass(frozen=True)
 class Traction:
     """One traction: ``component``, azimuthal order ``m``, transform; the ``order`` of the whole vector that it is part
-    of, and whether it is the ``last`` of its series."""
+    of, and its place from the end of its series, ``last`` (0 for the last; never the first of a series)."""
 
     component: Component
     m: int
     radial: Radial
     order: int = 0
-    last: bool = False
+    last: int = _NEVER
 
 
 def port_traction(disc: Disc) -> Traction:
@@ -78,7 +79,8 @@ def inner_tractions(disc: Disc, surface: Surface, terms: int, orders: int) -> li
         for component in components:
             m = order + {"z": 0, "+": 1, "-": -1}[component]
             balls = [Radial("ball", disc.radius, abs(m) + 2 * n) for n in range(count)]
-            series = [Traction(component, m, g, abs(order), count > 1 and g is balls[-1]) for g in balls]
+            ends = [_NEVER, *range(count - 2, -1, -1)]
+            series = [Traction(component, m, g, abs(order), end) for g, end in zip(balls, ends, strict=True)]
             out += series[1:] if (component, m) == ("z", 0) else series
             if surface.tension > 0 if component == "z" else surface.sheet:  # a sheet carries line forces there
                 out.append(Traction(component, m, Radial("ring", disc.radius, abs(m)), abs(order)))
@@ -110,6 +112,7 @@ _PAIRS = MappingProxyType(
     }
 )  # fmt: skip
 _NAMES = ("z", "+", "-")
+_LEAST_LEFT = 0.5  # of what the last terms of orders above 0 change: the highest orders have one term only
 _AT_ONCE = 4  # frequencies whose systems stay in the cache
 
 
@@ -118,16 +121,16 @@ class Galerkin:
     """The system: a ``table`` of integrals and, for each pair i <= j of tractions whose entry is not zero, its
     ``place`` (2, n_pairs), ``column`` in the table, and ``factor``.
 
-    The first ``ports`` tractions are the ports', ``points`` those of points; ``last`` marks the last of ``terms``,
-    ``order`` is the azimuthal order; ``rings`` (2, n) are ring tractions with a net force, and the ball that takes it
-    over; ``grips`` (2, r) the tractions + and - of each bonded disc that hold it sideways, with a net force; ``tilts``
-    (2, t) those along z of orders 1 and -1 that hold each rigid disc of ``radii`` (t,) against tilt, with a moment, and
-    ``moments`` (2, n) rings with one, and the ball that takes it over.
+    The first ``ports`` tractions are the ports', ``points`` those of points; ``last`` is the place from the end of
+    ``terms``, ``order`` is the azimuthal order; ``rings`` (2, n) are ring tractions with a net force, and the ball
+    that takes it over; ``grips`` (2, r) the tractions + and - of each bonded disc that hold it sideways, with a net
+    force; ``tilts`` (2, t) those along z of orders 1 and -1 that hold each rigid disc of ``radii`` (t,) against tilt,
+    with a moment, and ``moments`` (2, n) rings with one, and the ball that takes it over.
 
-    What the series lack: leaving out the last terms changes the compliance by much more than they lack where they
-    converge exponentially, and by 2/terms of it where the rim's singularity makes it a power of -2. Of azimuthal orders
-    it is the sum of the geometric series that the changes by the last two orders begin, or that falls as a bound on
-    them says where that is less."""
+    Truncation error: what the last axisymmetric term changes, times terms/2, as the rim's singularity may make
+    convergence a power of -2. Of the other series, geometric ones: what their last terms change, times their fall over
+    the last two. Of azimuthal orders the sum of the geometric series that the changes by the last two begin, or that
+    falls as a bound on them says where that is less."""
 
     table: HankelTable
     place: IntArray
@@ -136,7 +139,7 @@ class Galerkin:
     ports: int
     points: IntArray
     terms: int
-    last: BoolArray
+    last: IntArray
     order: IntArray
     radii: FloatArray
     rings: IntArray
@@ -162,12 +165,14 @@ class Galerkin:
         """Pairs of rings and balls, and by how much a ring's force or moment is larger: J_1(x) is x/2, j_1(x) x/3."""
         return (self.rings, 1.0), (self.moments, 1.5)
 
-    def compliance(self, integrals: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-        """Ports' displacement per force (n_freq, ports, ports) [m/N], and over the largest of them what the series
-        still lack (n_freq,): NaN, unknown, where there are neighbours and no azimuthal orders for them."""
+    def compliance(self, integrals: ComplexArray, kinds: Sequence[BoolArray]) -> tuple[ComplexArray, FloatArray]:
+        """Ports' displacement per force (n_freq, ports, ports) [m/N], and its truncation error by the series (n_freq,).
+
+        That is of the worst of the ``kinds`` of entries (ports, ports), over their largest; NaN, unknown, where there
+        are neighbours and no azimuthal orders for them."""
         a = self.matrix(integrals)
         by_order = self.by_order(a)[1]
-        return by_order[-1], self.lacking(a, by_order)
+        return by_order[-1], self.lacking(a, by_order, kinds)
 
     def by_order(self, a: ComplexArray) -> tuple[ComplexArray, list[ComplexArray]]:
         """From A what ports, then grips and tilts, show (n_freq, m, m), m = ports + 2 r + 2 t, discs let go; and C of
@@ -187,25 +192,41 @@ class Galerkin:
         return self._alone(a), found
 
     def lacking(
-        self, a: ComplexArray, by_order: Sequence[ComplexArray], *, apart: bool = False, decay: FloatArray | float = 0.9
+        self,
+        a: ComplexArray,
+        by_order: Sequence[ComplexArray],
+        kinds: Sequence[BoolArray],
+        *,
+        decay: FloatArray | float = 0.9,
     ) -> FloatArray:
-        """What the series of tractions in A lack (n_freq,) of C, ``by_order`` of :meth:`by_order`, over its largest;
-        with ``apart`` over the largest of their kind, between discs or from discs to points, whichever lacks more.
+        """Truncation error (n_freq,) of C, ``by_order`` of :meth:`by_order`, by the tractions that A leaves out.
+
+        It is relative to the largest entry of each of the ``kinds`` (ports, ports) of entries, for the worst of them.
         ``decay`` (n_freq,) is the largest ratio of what one azimuthal order scatters to what the one before does."""
-        kinds = self.kinds() if apart else (np.ones((self.ports, self.ports), dtype=bool),)
         whole, top = by_order[-1], len(by_order) - 1
         if self.order.size == self.ports:
             return np.zeros(len(a))
-        shorter = eliminated(a, np.arange(self.ports), np.flatnonzero(~self.last)[self.ports :])
-        lacking = self.terms / 2 * changed(whole, self._alone(shorter), kinds)
+        axial = self.order == 0
+        lacking = self.terms / 2 * changed(whole, self._without(a, axial & (self.last == 0)), kinds)
         if top == 0:  # exact of a disc alone; with neighbours nothing tells what leaving out their waves costs
             return lacking if self.ports == 1 else np.full(len(a), np.nan)
+        first = self.order == 1  # the longest of these series: its last two terms show how fast they fall
+        less, least = (self._without(a, first & (self.last < n)) for n in (1, 2))
+        fall = changed(whole, less, kinds) / np.maximum(changed(less, least, kinds), 1e-300)
+        step = changed(whole, self._without(a, ~axial & (self.last == 0)), kinds)
+        fall = np.clip(2 * fall / np.maximum(1 - fall, 1e-3), _LEAST_LEFT, self.terms / 2)
+        lacking = lacking + fall * step
         step = changed(whole, by_order[-2], kinds)
         if top == 1:
             return lacking + step
         before = changed(by_order[-2], by_order[-3], kinds)
         ratio = np.minimum(decay, step / np.maximum(before, 1e-300))
         return np.asarray(lacking + step * ratio / (1 - ratio))
+
+    def _without(self, a: ComplexArray, left_out: BoolArray) -> ComplexArray:
+        """C from A without the tractions ``left_out`` (n,)."""
+        kept = np.flatnonzero(~left_out)
+        return self._alone(eliminated(a, np.arange(self.ports), kept[kept >= self.ports]))
 
     def free_compliance(self, shown: ComplexArray) -> ComplexArray:
         r"""C of rigid discs let go, from the first of :meth:`by_order`: after the ports, the net forces of bonded ones
@@ -281,7 +302,7 @@ def galerkin(discs: Sequence[Disc], surface: Surface, terms: int, orders: int) -
     points = np.flatnonzero([disc.radius == 0 for disc in discs])
     radii = np.array([discs[owner[i]].radius for i, _ in tilts])
     pairs = (np.array(found, dtype=int).reshape(-1, 2).T for found in (rings, grips, tilts, moments))
-    return Galerkin(table, place, column, factor, len(discs), points, terms, last.astype(bool), order, radii, *pairs)
+    return Galerkin(table, place, column, factor, len(discs), points, terms, last, order, radii, *pairs)
 
 
 def _pairs(tractions: Sequence[Traction], where: FloatArray) -> tuple[HankelTable, IntArray, IntArray, ComplexArray]:

@@ -183,7 +183,10 @@ def layered_compliance(
     terms = terms_of(discs, medium, omega) if terms is None else terms
     system = galerkin(discs, medium.surface, terms, scattered_orders(discs) if orders is None else orders)
     expected = min(omega.size, MOST + 1)
-    evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, expected, progress)
+    asked = np.zeros((system.ports, system.ports), dtype=bool)
+    asked[np.ix_(rows, columns)] = True
+    kinds = tuple(kind for each in system.kinds() if (kind := each & (asked | asked.T)).any()) or (asked | asked.T,)
+    evaluate = _Evaluation(Integrals(medium, system.table, tolerance), system, kinds, expected, progress)
     sharp = bool(np.any(medium.loss(omega) < LOW_LOSS))  # poles near the axis: nothing smooth to follow
     found = (*evaluate(omega), np.zeros(omega.size)) if sharp else sampled(evaluate, omega, tolerance)
     out, errors, interpolation = found
@@ -197,11 +200,12 @@ def layered_compliance(
 
 @dataclass
 class _Evaluation:
-    """Values (n, n_disc, n_disc) and errors (n, 2), quadrature and truncation; counts its work against the ``expected``
-    number of frequencies."""
+    """Values (n, n_disc, n_disc) and errors (n, 2), quadrature and truncation, the latter of the worst of
+    the ``kinds`` of entries asked for; counts its work against the ``expected`` number of frequencies."""
 
     integrals: Integrals
     system: Galerkin
+    kinds: tuple[BoolArray, ...]
     expected: int
     progress: Progress | None
     n_kernel: int = 0
@@ -212,7 +216,7 @@ class _Evaluation:
         values, errors = np.empty((omega.size, n, n), dtype=complex), np.empty((omega.size, 2))
         for chunk in self.integrals.chunks(omega):
             block = self.integrals.solve(omega[chunk])
-            values[chunk], errors[chunk, 1] = self.system.compliance(block.values)
+            values[chunk], errors[chunk, 1] = self.system.compliance(block.values, self.kinds)
             errors[chunk, 0] = block.error
             self.n_kernel += block.n_kernel
             self.n_frequency += chunk.size

@@ -82,7 +82,7 @@ class Tabulated:
         whole = system.free_compliance(shown) if free else by_order[-1]
         judged = np.unique([*range(0, self.omega.size, _FEW), self.omega.size - 1])
         some, decay = [c[judged] for c in by_order], self._decay(kinds, self.omega[judged])
-        lacking = system.lacking(a[judged], some, apart=True, decay=decay)
+        lacking = system.lacking(a[judged], some, system.kinds(), decay=decay)
         sampled, _ = chebyshev_between(self.low, self.high, omega, whole)
         n = system.ports
         tails = [chebyshev_between(self.low, self.high, omega, whole[:, :n, :n][:, kind])[1] for kind in system.kinds()]

@@ -122,6 +122,6 @@ def with_latency(options: MeasurementOptions, found: Loopback) -> MeasurementOpt
     sensor = options.sensor
     if sensor.sensitivity is not None:
         flipped = sensor.inverted != (found.gain < 0)
-        sensor = sensor.model_copy(update={"sensitivity": sensor.sensitivity * abs(found.gain), "inverted": flipped})
-    daq = options.daq.model_copy(update={"latency": found.seconds})
-    return options.model_copy(update={"daq": daq, "sensor": sensor})
+        sensor = sensor.changed({"sensitivity": sensor.sensitivity * abs(found.gain), "inverted": flipped})
+    daq = options.daq.changed({"latency": found.seconds})
+    return options.changed({"daq": daq, "sensor": sensor})

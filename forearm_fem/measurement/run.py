@@ -175,7 +175,7 @@ def wired(options: DaqOptions, count: int, kind: DaqKind | Daq) -> DaqOptions:
     """
     if kind == "sound" and not all(c.isdigit() for c in options.outputs):
         names = {"outputs": tuple(str(i + 1) for i in range(count)), "sensor": "1"}
-        options = options.model_copy(update=names if options.loopback is None else names | {"loopback": "2"})
+        options = options.changed(names if options.loopback is None else names | {"loopback": "2"})
     if len(options.outputs) != count:
         raise HardwareError(f"measurement.daq.outputs names {len(options.outputs)} channels, G has {count} actuators")
     return options
@@ -204,19 +204,19 @@ def calibration_plan(scenario: Scenario, virtual: VirtualSetup | None = None, *,
                 "displacement, velocity or acceleration, and sensitivity in V per SI unit"
             )
         channels = wired(options.daq, len(inputs), kind)
-        options = options.model_copy(update={"daq": channels})
+        options = options.changed({"daq": channels})
         return Plan(outputs, inputs, ExponentialSweep.of(scenario), options)
     names = tuple(f"virtual/ao{i}" for i in range(len(virtual.transfer.inputs)))
     latency = virtual.latency / scenario.sweep.sample_rate
-    daq = options.daq.model_copy(update={"outputs": names, "latency": latency})
+    daq = options.daq.changed({"outputs": names, "latency": latency})
     sensor, built_in = options.sensor, VirtualSensor()
     if sensor.quantity is None or sensor.sensitivity is None:
-        sensor = sensor.model_copy(update={"quantity": built_in.quantity, "sensitivity": built_in.sensitivity})
+        sensor = sensor.changed({"quantity": built_in.quantity, "sensitivity": built_in.sensitivity})
     return Plan(
         virtual.transfer.outputs,
         virtual.transfer.inputs,
         ExponentialSweep.of(scenario),
-        options.model_copy(update={"daq": daq, "sensor": sensor}),
+        options.changed({"daq": daq, "sensor": sensor}),
         simulated={**virtual.description, "sensor": sensor.model_dump(mode="json")},
     )
 

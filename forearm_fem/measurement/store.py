@@ -3,81 +3,47 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import Any, ClassVar
 
 from ..errors import DataError
 from ..io.recording import Recording
-from ..store.folder import atomic_path, set_kind, write_text
+from ..store.folder import set_kind, write_text
+from ..store.record import dims, load, save
 
 _VERSION = 1
 
 
+@dataclass(frozen=True, eq=False)
+class RecordingFile:
+    """A recording, and the digest ``setup`` of what it was taken for."""
+
+    kind: ClassVar[str] = "recording"
+    version: ClassVar[int] = 1
+
+    recording: Recording = field(metadata=dims(name=""))
+    setup: str
+
+
 def write_recording(path: Path, recording: Recording, setup: str) -> None:
-    """``recording`` as an NPZ file, with the digest ``setup`` of what it was taken for; atomic and flushed to disk."""
-    head = {
-        "version": _VERSION,
-        "output": recording.output,
-        "input": recording.input,
-        "setup": setup,
-        "sample_rate": recording.sample_rate,
-        "full_scale": recording.full_scale,
-        "resolution": recording.resolution,
-        "notes": list(recording.notes),
-        "provenance": dict(recording.provenance),
-    }
-    arrays: dict[str, Any] = {"sent": recording.sent, "response": recording.response}
-    if recording.loopback is not None:
-        arrays["loopback"] = recording.loopback
-    text = json.dumps(head)
-    with atomic_path(path) as beside, beside.open("wb") as stream:
-        np.savez(stream, head=np.array(text), digest=np.array(_digest(text, arrays)), **arrays)
+    """``recording`` as netCDF with the digest ``setup`` of what it was taken for; atomic and flushed to disk."""
+    save(path, RecordingFile(recording, setup))
 
 
 def read_recording(path: Path, setup: str | None = None) -> Recording:
-    """The recording as written; DataError if the file is damaged, altered, or was taken for another ``setup``."""
+    """The recording as written; DataError if the file is damaged, or was taken for another ``setup``."""
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files if name not in ("head", "digest")}
-            text, digest = str(content["head"]), str(content["digest"])
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such recording") from None
-    except Exception as problem:  # zip, npy and zlib each fail in their own way
-        raise DataError(
-            f"{path}: damaged or cut short ({type(problem).__name__}); this entry is to be measured again"
-        ) from None
-    if _digest(text, arrays) != digest:
-        raise DataError(f"{path}: its checksum does not fit its content; this entry is to be measured again")
-    head = json.loads(text)
-    if setup is not None and head["setup"] != setup:
+        found = load(path, RecordingFile)
+    except DataError as problem:
+        again = "; this entry is to be measured again" if path.is_file() else ""
+        raise DataError(f"{problem}{again}") from None
+    if setup is not None and found.setup != setup:
         raise DataError(f"{path}: was taken with another sweep or wiring; use a new folder for a new calibration")
-    return Recording(
-        head["output"],
-        head["input"],
-        head["sample_rate"],
-        arrays["sent"],
-        arrays["response"],
-        arrays.get("loopback"),
-        head["full_scale"],
-        head["resolution"],
-        tuple(head["notes"]),
-        head["provenance"],
-    )
-
-
-def _digest(text: str, arrays: Mapping[str, Any]) -> str:
-    total = hashlib.sha256(text.encode())
-    for name in sorted(arrays):
-        total.update(f"{name}{arrays[name].dtype}{arrays[name].shape}".encode())
-        total.update(np.ascontiguousarray(arrays[name]).tobytes())
-    return total.hexdigest()
+    return found.recording
 
 
 @dataclass(frozen=True)
@@ -110,7 +76,7 @@ class Folder:
         """Where the recording ``output`` <- ``source`` is kept."""
         safe = [re.sub(r"[^A-Za-z0-9_-]", "_", name) for name in (output, source)]
         tag = hashlib.sha256(f"{output}\0{source}".encode()).hexdigest()[:6]
-        return self.path / f"G_{safe[0]}_{safe[1]}_{tag}.npz"
+        return self.path / f"G_{safe[0]}_{safe[1]}_{tag}.nc"
 
     def get(self, output: str, source: str) -> Recording | None:
         """The recording, or None if it was not taken; DataError if it is damaged or holds another entry."""

@@ -11,6 +11,7 @@ from scipy.signal.windows import tukey
 
 from ..errors import ScenarioError
 from ..scenario import Scenario
+from ..scenario.sweep import Band
 from ..typing import BoolArray, FloatArray
 
 
@@ -45,6 +46,8 @@ class ExponentialSweep:
     def of(cls, scenario: Scenario) -> Self:
         """The sweep that a scenario's ``sweep`` and ``measurement`` ask for."""
         band, how = scenario.sweep, scenario.measurement
+        if not isinstance(band, Band):
+            raise ScenarioError("sweep.frequencies: a calibration sweeps a band; give sweep.f_min and f_max instead")
         return cls(band.f_min, band.f_max, band.duration, band.sample_rate, how.amplitude, how.taper)
 
     @property

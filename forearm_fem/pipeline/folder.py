@@ -47,6 +47,8 @@ from ..results import (
     write_run,
 )
 from ..scenario import Scenario
+from ..scenario.rendering import SampledWavelet
+from ..scenario.sweep import Band
 from ..store.folder import atomic_path, check_kind, set_kind
 from ..store.results import (
     read_transfer,
@@ -64,7 +66,6 @@ from ..wavefield import Wavefield, save_wavefield
 from .notes import scene_notes
 from .samples import check_samples
 from .simulation import AnswersForArm, Simulation, simulate, versions
-from .unread import unread_notes
 from .wave_report import write_wave_report
 
 __all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]
@@ -115,7 +116,7 @@ class Run:
 
         Keys that have no effect are its first notes; ScenarioError where a tissue is not whole.
         """
-        return cls(scenario, out, base, progress, Ledger(), [*unread_notes(scenario), *scene_notes(scenario)])
+        return cls(scenario, out, base, progress, Ledger(), [*scene_notes(scenario)])
 
     @classmethod
     def given(cls, scenario: Scenario, out: Path, base: Path, progress: Progress | None = None) -> Run:
@@ -234,7 +235,7 @@ def _write_solution(run: Run, simulation: Simulation) -> None:
     set_kind(out, "run")
     write_json(out / "scenario.json", scenario.model_dump(mode="json"))
     write_transfer(out / "transfer.nc", transfer, simulation.compliance)
-    if scenario.sweep.frequencies is None:
+    if isinstance(scenario.sweep, Band):
         write_thesis_mat(out / "transfer.mat", transfer, scenario.sweep.sample_rate, scenario.sweep.duration)
     run.known |= {"transfer": transfer, "_compliance": simulation.compliance}
     if simulation.solved is not None and simulation.solved.modes.size:
@@ -318,9 +319,9 @@ def _rendered(
         )  # fmt: skip
         write_signal_strength_csv(run.out / "signal_strength.csv", rows)
         run.known |= {"drives": sent, "displacements": moved, "strengths": rows}
-        if (file := run.scenario.rendering.wavelet.file) is not None:  # figures need it, wherever they are made
-            with atomic_path(run.out / f"wavelet{Path(file).suffix}") as beside:
-                beside.write_bytes((run.base / file).read_bytes())
+        if isinstance(shape := run.scenario.rendering.wavelet, SampledWavelet):  # for figures made elsewhere
+            with atomic_path(run.out / f"wavelet{Path(shape.file).suffix}") as beside:
+                beside.write_bytes((run.base / shape.file).read_bytes())
         said = (
             *unknown_strengths(rendering), *rendering.exceeded, rendering.bridged.sentence, account.unknown,
             finer_than_known(account, transfer.errors),
@@ -335,7 +336,8 @@ def _strengths_record(run: Run) -> dict[str, Any]:
     assert run.account is not None
     assert run.transfer is not None
     g, lifted = run.transfer, run.scenario.device.out_of_contact
-    counted = counted_points(g.outputs, [p for p in g.inputs if p.name not in lifted])
+    touching, clearance = [p for p in g.inputs if p.name not in lifted], run.scenario.rendering.clearance
+    counted = counted_points(g.outputs, touching, clearance)
     beside = [p.name for p, counts in zip(g.outputs, counted, strict=True) if not counts]
     return {**run.account.as_json(), "not_counted": [t for t in run.account.targets if t in beside]}
 

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.actuators import ACTUATORS
-from ..scenario.limb import MeshLimb, SlabLimb
+from ..scenario.limb import SlabLimb
+from ..scenario.model import for_elements_only
 from .samples import sample_notes
 
 
 def scene_notes(scenario: Scenario) -> tuple[str, ...]:
-    """What can be said of a scenario before it is meshed or solved, but for keys that nothing reads."""
-    kinds = (actuator_notes, lifted_notes, covered_notes, sample_notes)
+    """Notes on a scenario before it is meshed or solved."""
+    kinds = (engine_notes, actuator_notes, lifted_notes, covered_notes, sample_notes)
     return tuple(note for notes in kinds for note in notes(scenario))
 
 
@@ -42,13 +43,12 @@ def near_disc_notes(scenario: Scenario) -> tuple[str, ...]:
     )
 
 
-def idle_size_notes(scenario: Scenario) -> tuple[str, ...]:
-    """A note on sizes that were given for a user's own mesh, which they do not change."""
-    given = sorted(scenario.mesh.model_fields_set & {"size_grid", "size_far", "sublayers", "grading"})
-    if not isinstance(scenario.limb, MeshLimb) or not given:
+def engine_notes(scenario: Scenario) -> tuple[str, ...]:
+    """Keys that the layered model leaves to finite elements."""
+    kept = [key for key in scenario.changed_keys() if for_elements_only(key)] if scenario.engine == "layered" else []
+    if not kept:
         return ()
-    names = ", ".join(f"mesh.{name}" for name in given)
-    return (f"{names}: your own mesh is refined under and around the contacts only, these change nothing else",)
+    return (f"{', '.join(kept)}: for finite elements; engine = 'layered' has flat, endless layers and no mesh",)
 
 
 def lifted_notes(scenario: Scenario) -> tuple[str, ...]:
@@ -64,16 +64,18 @@ def lifted_notes(scenario: Scenario) -> tuple[str, ...]:
 
 
 def covered_notes(scenario: Scenario) -> tuple[str, ...]:
-    """That points under a cone that touches move with it, so that S towards them is no focus."""
+    """Points that move with a cone that touches: under it, or nearer to its rim than ``rendering.clearance``."""
     device = scenario.device
     feet = [c for k, c in enumerate(device.centres, start=1) if f"A{k}" not in device.out_of_contact]
     gaps = (min(math.dist(place, foot) for foot in feet) for place in scenario.grid.places)
-    under = [str(i) for i, gap in enumerate(gaps, start=1) if gap <= device.cone.radius]
+    clear = device.cone.radius + scenario.rendering.clearance * (1 - 1e-9)
+    under = [str(i) for i, gap in enumerate(gaps, start=1) if gap < clear]
     if not under or not scenario.rendering.methods:
         return ()
     return (
-        f"grid: {_lie(under)} under a cone, moving with it: S towards such a point is no focus on the skin, and S "
-        "towards others counts it as one of them; move it (grid.pitch, grid.points), or the cones",
+        f"grid: {_lie(under)} under a cone or within {1e3 * scenario.rendering.clearance:g} mm of its rim "
+        "(rendering.clearance), moving with the motor: S there is no focus; judge by the other points, or move it "
+        "(grid.pitch, grid.points) or the cones",
     )
 
 
@@ -89,7 +91,7 @@ def actuator_notes(scenario: Scenario) -> tuple[str, ...]:
     if not known.keys:
         return ()
     notes = [f"device.actuator = '{known.name}' ({known.kind}): {known.use}; not seen: {known.unseen}"]
-    asked = sweep.frequencies or (sweep.f_min, sweep.f_max)
+    asked = sweep.span
     low, high = min(asked), max(asked)
     if known.band is not None and not known.band[0] <= low <= high <= known.band[1]:
         notes.append(

@@ -11,7 +11,7 @@ from ..rendering import Record, bridged, place
 from ..scenario import Scenario
 from ..scenario.frequencies import frequencies
 from ..scenario.limb import MeshLimb, SurfacesLimb
-from ..scenario.tissues import Patch
+from ..scenario.sweep import FrequencyList
 from ..transfer import finite
 
 _ON_BIN = 1e-3  # of a bin: as for G's own samples
@@ -25,7 +25,7 @@ def check_samples(scenario: Scenario) -> None:
     """
     if not _between(scenario) or isinstance(scenario.limb, MeshLimb | SurfacesLimb):
         return
-    bare = scenario.model_copy(update={"tissues": scenario.tissues.model_copy(update={"patch": Patch()})})
+    bare = scenario.changed({"tissues.patch": None})
     try:
         g = finite(close_loop(solve_layered(bare, frequencies(scenario.sweep)), scenario.device))
     except ForearmError:  # in words of its own, when it is solved
@@ -51,7 +51,7 @@ def sample_notes(scenario: Scenario) -> tuple[str, ...]:
 def _between(scenario: Scenario) -> bool:
     """Whether something is rendered on bins that lie between chosen frequencies."""
     sweep = scenario.sweep
-    if sweep.frequencies is None or not scenario.rendering.methods:
+    if not isinstance(sweep, FrequencyList) or not scenario.rendering.methods:
         return False
     at = np.array(sweep.frequencies) * sweep.duration
     bins = np.arange(np.ceil(at[0]), np.floor(at[-1]) + 1)

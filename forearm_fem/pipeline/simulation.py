@@ -29,7 +29,7 @@ from ..scenario import Scenario
 from ..scenario.frequencies import frequencies
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix, finite
-from .notes import idle_size_notes, model_notes, near_disc_notes
+from .notes import model_notes, near_disc_notes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -174,7 +174,7 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     near = near_disc_notes(scenario) if mesh is not None else ()
-    notes = (*unknown, *model_notes(solved.facts), *near, *idle_size_notes(scenario))
+    notes = (*unknown, *model_notes(solved.facts), *near)
     return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, notes)
 
 

@@ -145,7 +145,7 @@ def without_bones(scenario: Scenario) -> Scenario:
     """The same without bones, which the twin has not: thick fat need not fit around them."""
     if not getattr(scenario.limb, "bones", ()):
         return scenario
-    return scenario.model_copy(update={"limb": scenario.limb.model_copy(update={"bones": ()})})
+    return scenario.changed({"limb.bones": ()})
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ class ReducedArm:
         """See :class:`ArmModel`: each error may be missed by its size at each pair of ports, alike at all of them or in
         any phase at each."""
         own = on_mesh_of(self.scenario, scenario)  # but with its own grid where both meshes can read it
-        laid = own.model_copy(update={"grid": scenario.grid})
+        laid = own.changed({"grid": scenario.grid})
         models = [self.model] if self.meshes is None else [self.model, self.meshes.second]
         own = laid if all(m.follows(laid) for m in models) else own
         found, missed = self.model.answer(own, frequency)
@@ -301,9 +301,7 @@ def _parts(frequency: tuple[float, ...], ports: int, errors: int) -> tuple[tuple
 
 def on_mesh_of(scene: Scenario, draw: Scenario) -> Scenario:
     """The ``draw`` with the geometry that the mesh of the ``scene`` has."""
-    cone = draw.device.cone.model_copy(update={"radius": scene.device.cone.radius})
-    device = draw.device.model_copy(update={"cone": cone})
-    return draw.model_copy(update={"limb": scene.limb, "grid": scene.grid, "device": device})
+    return draw.changed({"limb": scene.limb, "grid": scene.grid, "device.cone.radius": scene.device.cone.radius})
 
 
 def arm_model(

@@ -13,8 +13,9 @@ import numpy as np
 
 from ..errors import ScenarioError
 from ..geometry.device.layout import turned
-from ..pipeline.unread import unread_because
-from ..scenario import Scenario
+from ..scenario import Scenario, parse_scenario
+from ..scenario.device import VoltageDevice
+from ..scenario.limb import limb_tissues
 from ..tissue import resolve_tissues
 from .priors import Prior, Priors, load_priors
 
@@ -103,10 +104,11 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
     data: dict[str, Any] = scenario.model_dump()
     values = {name: value for name, value in draw.values.items() if name not in held}
     if "tissue" not in held:
-        known, override = resolve_tissues(scenario), data["tissues"]["override"]
+        known, override, soft = resolve_tissues(scenario), data["tissues"]["override"], limb_tissues(scenario.limb)
         for tissue, parameters in law_parameters(draw.law, draw.values).items():
             bulk = "incompressible" if known[tissue].incompressible else known[tissue].bulk
-            override[tissue] = {"density": known[tissue].density, "bulk": bulk, **parameters}
+            if tissue in soft:
+                override[tissue] = {"density": known[tissue].density, "bulk": bulk, **parameters}
     if "skin tension" in values:
         data["tissues"]["membrane"]["tension"] = values["skin tension"]
     layers = data["limb"].get("layers", ())
@@ -116,25 +118,26 @@ def scenario_of(draw: Draw, scenario: Scenario, held: Collection[str] = ()) -> S
             layer["thickness"] *= drawn / whole[layer["tissue"]]
     _set_device(data["device"], values)
     if _PLACED & values.keys():
-        data["grid"]["points"] = moved_points(scenario, values)
-    return Scenario.model_validate(data)
+        data["grid"] = {"points": moved_points(scenario, values)}
+    return parse_scenario(data)
 
 
 def _set_device(device: dict[str, Any], values: Mapping[str, float]) -> None:
     """Spreads about the scenario's own device: what is drawn about a centre multiplies what it has."""
     if "contact area" in values:
         device["cone"]["radius"] *= math.sqrt(values["contact area"])
-    if "housing share" in values:
+    if "housing share" in values and "skin_share" in device.get("housing", ()):
         device["housing"]["skin_share"] = values["housing share"]
     inputs = load_priors().inputs
     for name, (part, key) in _SPREAD.items():
-        if name in values:
+        if name in values and key in device.get(part, ()):
             device[part][key] *= values[name] / inputs[name].centre
     springs, gains = (
         {who: value for n, value in values.items() for what, _, who in [n.rpartition(" ")] if what == name}
         for name in ("contact spring", "gain")
     )
-    device["contact_springs"] = {**device["contact_springs"], **springs}
+    touching = {who: k for who, k in springs.items() if who not in device["out_of_contact"]}
+    device["contact_springs"] = {**device["contact_springs"], **touching}
     device["gains"] = {**device["gains"], **{who: device["gains"].get(who, 1.0) * g for who, g in gains.items()}}
 
 
@@ -143,14 +146,14 @@ def idle_inputs(scenario: Scenario) -> frozenset[str]:
     given or the housing is held, springs where forces are given, and what is between a cone and skin that it does not
     touch."""
     device = scenario.device
-    keys = {name: f"device.{part}.{key}" for name, (part, key) in _SPREAD.items()}
-    keys["housing share"] = "device.housing.skin_share"
-    idle = {name for name, key in keys.items() if unread_because(scenario, key) is not None}
+    parts = device.model_dump()
+    keys = {**_SPREAD, "housing share": ("housing", "skin_share")}
+    idle = {name for name, (part, key) in keys.items() if key not in parts.get(part, ())}
     for name in (f"A{k}" for k in range(1, len(device.centres) + 1)):
         apart = name in device.out_of_contact
         if apart or device.drive == "force":
             idle.add(f"contact spring {name}")
-        if apart and (device.drive != "voltage" or device.housing.fixed):
+        if apart and (not isinstance(device, VoltageDevice) or device.housing.fixed):
             idle.add(f"gain {name}")
     return frozenset(idle)
 

@@ -144,7 +144,8 @@ def predict(
     grid = is_thesis_grid(setup.outputs)
     points, motors = planform_ports(question.scenario)
     touching = [p for p in motors if p.name not in question.scenario.device.out_of_contact]
-    clear = dict(zip((p.name for p in points), counted_points(points, touching), strict=True))
+    least = question.scenario.rendering.clearance
+    clear = dict(zip((p.name for p in points), counted_points(points, touching, least), strict=True))
     counted = tuple(t for t in setup.targets if clear[t])
     found = draws_of([kept[n] for n in range(draws)], setup.methods, setup.targets, grid, counted)
     held = tuple(sorted({*question.held, *arm.held}))

@@ -22,6 +22,7 @@ from ..rendering.interval import StrengthAccount, strength_account
 from ..rendering.job import RenderJob, targets_of, wavelet, wavelet_for
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
+from ..scenario.rendering import RickerWavelet
 from ..store.shelf import WORK, Shelf
 from ..store.text import write_json
 from ..store.work import done_once
@@ -113,7 +114,7 @@ def other_device(scenario: Scenario) -> tuple[str, ...]:
         "device.drive": (own.device.drive, theirs.device.drive),
         "grid": (own.grid.places, theirs.grid.places),
         "rendering.wavelet": (own.rendering.wavelet, theirs.rendering.wavelet),
-        "sweep": ((own.sweep.f_min, own.sweep.f_max), (theirs.sweep.f_min, theirs.sweep.f_max)),
+        "sweep": (own.sweep.span, theirs.sweep.span),
     }
     return tuple(key for key, (mine, thesis) in pairs.items() if mine != thesis)
 
@@ -244,7 +245,7 @@ def _strengths_of(transfer: TransferMatrix, question: Question) -> tuple[Strengt
     shape = wavelet(options, scenario.sweep, question.base)
     place = transfer.frequency / shape.record.df
     its_bins = len(place) > 1 and np.allclose(place, np.rint(place), rtol=0, atol=1e-3)
-    if options.wavelet.file is None and not its_bins:
+    if isinstance(options.wavelet, RickerWavelet) and not its_bins:
         shape = wavelet_for(transfer.frequency, options.wavelet.peak)  # a record on whose bins this G lies
     job = RenderJob.of(scenario, transfer, targets=targets, shape=shape)
     found = job.play(transfer)

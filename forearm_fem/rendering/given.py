@@ -9,7 +9,9 @@ import numpy as np
 
 from ..errors import DataError, ScenarioError
 from ..ports import Port
-from ..scenario import Scenario, apply_overrides, load_scenario, parse_scenario
+from ..scenario import Scenario, load_scenario, parse_scenario
+from ..scenario.load import read_overrides
+from ..scenario.rendering import SampledWavelet
 from ..transfer import UNITS, TransferMatrix
 from .bridging import bridged
 from .job import is_on_bins, wavelet_for
@@ -40,9 +42,12 @@ def scenario_for(
     else:
         plain = _thesis_with_places_of(g)
         notes.append(UNASKED)
-    scenario = parse_scenario(apply_overrides(plain, overrides), origin="scenario of G")
-    own = wavelet_for(g.frequency, scenario.rendering.wavelet.peak).record
-    if scenario.rendering.wavelet.file is None and not _lies_on(g, scenario) and is_on_bins(g.frequency, 1 / own.df):
+    scenario = parse_scenario(plain, changes=read_overrides(overrides), origin="scenario of G")
+    shape = scenario.rendering.wavelet
+    if isinstance(shape, SampledWavelet) or _lies_on(g, scenario):
+        return scenario, tuple(notes)
+    own = wavelet_for(g.frequency, shape.peak).record
+    if is_on_bins(g.frequency, 1 / own.df):
         sweep = {
             "f_min": float(g.frequency[0]), "f_max": float(min(g.frequency[-1], _HIGHEST)),
             "duration": 1 / own.df, "sample_rate": own.sample_rate,

@@ -19,7 +19,7 @@ from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
 from ..scenario.frequencies import frequencies
-from ..scenario.rendering import RenderingOptions
+from ..scenario.rendering import RenderingOptions, SampledWavelet
 from ..scenario.sweep import Sweep
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
@@ -31,7 +31,7 @@ from .interval import StrengthAccount, strength_account
 from .inverse_filter import LEAST_ERROR, InverseFilter
 from .inversion import Regularisation
 from .lattice import lattice_of
-from .limits import Limits
+from .limits import Limits, limits_of
 from .rendered import Rendering, render_all
 from .sharing import prepared
 from .spectrum import place, place_on_bins
@@ -70,13 +70,13 @@ class RenderJob:
 
         ``targets`` and the wavelet ``shape`` replace the scenario's. ScenarioError where no method serves the ports.
         """
-        wanted, device = scenario.rendering, scenario.device
+        wanted = scenario.rendering
         shape = wavelet(wanted, scenario.sweep, Path(base)) if shape is None else shape
         aims = targets_of(scenario, g.outputs) if targets is None else tuple(targets)
         left_out = unsuited(wanted, g.outputs, g.inputs, aims)
         if len(left_out) == len(wanted.methods):
             raise ScenarioError(f"rendering: {next(iter(left_out.values()), 'rendering.methods is empty; name one')}")
-        limits = Limits(device.max_voltage, device.max_power, device.coil.resistance) if g.unit == "m/V" else Limits()
+        limits = (limits_of(scenario.device) if g.unit == "m/V" else None) or Limits()
         methods = tuple(renderers(scenario, shape, frozenset(left_out), progress))
         return cls(methods, shape, aims, wanted.window, limits, MappingProxyType(left_out))
 
@@ -202,7 +202,7 @@ def least_error(scenario: Scenario) -> float:
 
 def wavelet(options: RenderingOptions, sweep: Sweep, base: Path) -> Wavelet:
     """The Ricker wavelet, or the samples in the scenario's file, at the sweep's rate and duration."""
-    if options.wavelet.file is not None:
+    if isinstance(options.wavelet, SampledWavelet):
         return from_samples_file(base / options.wavelet.file, sweep.sample_rate, sweep.duration)
     return ricker(options.wavelet.peak, sample_rate=sweep.sample_rate, duration=sweep.duration)
 

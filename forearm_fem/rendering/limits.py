@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 
 from ..arguments import checked
 from ..errors import ScenarioError
+from ..scenario.device import Device, VoltageDevice
 from ..typing import FloatArray
 from .drives import Drives
 
@@ -37,6 +38,13 @@ class Limits:
             value = getattr(self, name)
             if not (name == "window" and value is None) and not 0 < value < np.inf:
                 raise ScenarioError(f"an actuator's limits: expected a positive {name}, got {value}")
+
+
+def limits_of(device: Device) -> Limits | None:
+    """Limits of a device's actuators; None where a unit drive is no voltage."""
+    if not isinstance(device, VoltageDevice):
+        return None
+    return Limits(device.max_voltage, device.max_power, device.coil.resistance)
 
 
 @dataclass(frozen=True, eq=False)

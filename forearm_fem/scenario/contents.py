@@ -8,12 +8,13 @@ from pathlib import Path
 
 from .limb import Limb, MeshLimb, SurfacesLimb
 from .model import Scenario
+from .rendering import SampledWavelet
 
 
 def named_files(scenario: Scenario) -> tuple[str, ...]:
     """Files that ``scenario`` names, seen from its own folder: of the limb, and of the wavelet."""
-    wave = scenario.rendering.wavelet.file
-    return (*limb_files(scenario.limb), *((wave,) if wave is not None else ()))
+    wave = scenario.rendering.wavelet
+    return (*limb_files(scenario.limb), *((wave.file,) if isinstance(wave, SampledWavelet) else ()))
 
 
 def limb_files(limb: Limb) -> tuple[str, ...]:

@@ -6,12 +6,12 @@ import numpy as np
 
 from ..errors import ScenarioError
 from ..typing import FloatArray
-from .sweep import Sweep
+from .sweep import FrequencyList, Sweep
 
 
 def frequencies(sweep: Sweep) -> FloatArray:
     """Frequencies (n,) [Hz]: the scenario's own list, or the bins k / duration inside [f_min, f_max]."""
-    if sweep.frequencies is not None:
+    if isinstance(sweep, FrequencyList):
         return np.array(sweep.frequencies, dtype=float)
     first = int(np.ceil(sweep.f_min * sweep.duration - 1e-9))
     last = int(np.floor(sweep.f_max * sweep.duration + 1e-9))

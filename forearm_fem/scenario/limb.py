@@ -133,3 +133,27 @@ class MeshLimb(Part):
 
 
 Limb = Annotated[ForearmLimb | CylinderLimb | SlabLimb | SurfacesLimb | MeshLimb, Field(discriminator="shape")]
+
+
+def tissue_keys(limb: Limb) -> dict[str, str]:
+    """Dotted key of the scenario -> tissue named there, for any shape."""
+    layers = {f"limb.layers.{i}.tissue": layer.tissue for i, layer in enumerate(getattr(limb, "layers", ()))}
+    core = {"limb.core": limb.core} if isinstance(limb, ForearmLimb | CylinderLimb | SlabLimb) else {}
+    surfaces = {f"limb.surfaces.{name}": name for name in getattr(limb, "surfaces", ())}
+    regions = {f"limb.regions.{key}": name for key, name in getattr(limb, "regions", {}).items()}
+    return {**layers, **core, **surfaces, **regions}
+
+
+def limb_tissues(limb: Limb) -> set[str]:
+    """Tissues that a limb names."""
+    return set(tissue_keys(limb).values())
+
+
+def has_bone(limb: Limb) -> bool:
+    """Whether a limb has a bone."""
+    return bool(getattr(limb, "bones", ())) or "bone" in limb_tissues(limb)
+
+
+def layer_tissues(limb: Limb) -> set[str]:
+    """Tissues of a limb's layers."""
+    return {layer.tissue for layer in getattr(limb, "layers", ())}

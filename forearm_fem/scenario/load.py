@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pydantic import BeforeValidator, ValidationError
+from pydantic import BeforeValidator, TypeAdapter
 
 from ..errors import ScenarioError
+from .changes import copied, dotted, put, remade
 from .model import Scenario
-from .problem import first_problem_of
+from .problem import keys_of, units_of
 from .shipped import scenario_file, shipped_scenarios
 from .toml import read_toml
 
 DOTTED = BeforeValidator(lambda values: dotted(values) if isinstance(values, Mapping) else values)
-DEEPEST = 12  # levels of tables and lists; a scenario's own keys need 5
+_SCENARIO = TypeAdapter(Scenario)
 
 
 def load_scenario(path: str | Path, *, overrides: Sequence[str] = ()) -> Scenario:
     """Scenario from a TOML file, or from one that comes with the program by its name, e.g. "thesis".
 
-    ``overrides`` are ``key.path=value`` in TOML syntax. Files that a scenario names are seen from the folder of
+    ``overrides`` are ``key.path=value``: TOML, or a number with its unit (``device.spacing=40mm``). Keys of the file
+    that they leave without effect fall away. Files that a scenario names are seen from the folder of
     :func:`scenario_file`. Raises :class:`ScenarioError` for a missing or malformed file and for unknown or impossible
     keys.
     """
@@ -39,15 +44,14 @@ def load_scenario(path: str | Path, *, overrides: Sequence[str] = ()) -> Scenari
             f"{file}: names a scenario, so it is a file for `forearm-fem design`, `campaign` or `study`; give it to "
             "that command, or give the scenario here"
         )
-    return parse_scenario(apply_overrides(table, overrides), origin=str(file))
+    return remade(_SCENARIO, table, read_overrides(overrides), str(file), "--set ")
 
 
-def parse_scenario(data: Mapping[str, Any], *, origin: str = "scenario") -> Scenario:
-    """Scenario from plain data; see :func:`load_scenario` for the errors."""
-    try:
-        return Scenario.model_validate(dict(data))
-    except ValidationError as problem:
-        raise ScenarioError(f"{origin}: {first_problem_of(problem, Scenario.model_json_schema())}") from None
+def parse_scenario(
+    data: Mapping[str, Any], *, origin: str = "scenario", changes: Mapping[str, Any] | None = None
+) -> Scenario:
+    """Scenario from plain data, with ``changes`` by dotted key; see :func:`load_scenario` for the errors."""
+    return remade(_SCENARIO, data, changes or {}, origin)
 
 
 def scenario_schema() -> str:
@@ -55,55 +59,107 @@ def scenario_schema() -> str:
     return json.dumps(Scenario.model_json_schema(), indent=2)
 
 
-def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str], option: str = "--set") -> dict[str, Any]:
-    """A copy of ``data`` with each ``key.path=value`` put in place; values are TOML, ".01", or plain strings.
+def read_overrides(overrides: Sequence[str], option: str = "--set") -> dict[str, Any]:
+    """Values by dotted key from ``key.path=value``: TOML, ".01", a number with a unit of the key's kind, or plain text.
 
     ScenarioError about the ``option`` where one is none.
     """
     if isinstance(overrides, str):  # whose letters would be taken for overrides
         raise ScenarioError(f"overrides: expected a list of texts, got the text '{overrides}'; put it into brackets")
-    result: dict[str, Any] = _copied(data)
+    result: dict[str, Any] = {}
     for item in overrides:
         key, separator, text = item.partition("=")
         if not separator or not key.strip():
             example = "device.spacing=0.040" if option == "--set" else "unit='mm/V'"
             raise ScenarioError(f"{option} expects key.path=value, got '{item}'; e.g. {option} \"{example}\"")
-        put(result, key.strip(), _toml_value(text.strip()), f"{option} {item}")
+        result[key.strip()] = _value(key.strip(), text.strip())
     return result
 
 
-def put(data: dict[str, Any], key: str, value: Any, said: str) -> None:
-    """Set the dotted ``key`` of ``data`` to ``value``; ScenarioError, about what was ``said``, where it cannot be."""
-    path = key.split(".")
-    if len(path) > DEEPEST:
-        raise ScenarioError(f"{said}: the key has {len(path)} parts, expected at most {DEEPEST}")
-    table = data
-    for name in path[:-1]:
-        table = table.setdefault(name, {})
-        if not isinstance(table, dict):
-            raise ScenarioError(f"{said}: '{name}' is a value, not a table, so nothing can be set below it")
-    table[path[-1]] = _copied(value)
+def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str], option: str = "--set") -> dict[str, Any]:
+    """A copy of ``data`` with each ``key.path=value`` put in place; see :func:`read_overrides`."""
+    result: dict[str, Any] = copied(data)
+    for key, value in read_overrides(overrides, option).items():
+        put(result, key, value, f"{option} {key}")
+    return result
 
 
-def dotted(values: Mapping[str, Any]) -> dict[str, Any]:
-    """``values`` by dotted key, where tables stand among them: TOML makes those of keys without quotes, and they are
-    meant to change what they name and to leave the rest of a scenario's table.
+_PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}
+_QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zA-Zµ][a-zA-Zµ0-9/^* ]*)")
 
-    A table that names its ``shape`` is another limb and stays whole, as do empty ones and those of names with dots.
+
+def _value(key: str, text: str) -> Any:
+    """``text`` as TOML, or in SI where it is a number with a unit and the ``key`` has that unit; else as it is."""
+    value, unit = _toml_value(text), unit_of(key)
+    if isinstance(value, str) and unit and (found := _QUANTITY.fullmatch(text)):
+        number, given = found.groups()
+        for prefix, factor in _PREFIX.items():
+            if given == prefix + unit and unit != "kg":
+                return float(f"{float(number) * factor:.15g}")
+        if unit == "kg" and given in _MASS:
+            return float(f"{float(number) * _MASS[given]:.15g}")
+        if unit == "rad" and given == "deg":
+            return math.radians(float(number))
+        raise ScenarioError(f"{key}: expected a number in {unit}, or with a prefix such as m or k, got '{text}'")
+    return value
+
+
+_MASS = {"kg": 1.0, "g": 1e-3, "mg": 1e-6}
+
+
+@cache
+def _units() -> dict[str, str]:
+    return dict(units_of(Scenario.model_json_schema()))
+
+
+def label_of(changes: Mapping[str, Any]) -> str:
+    """Name of a folder for ``changes`` by dotted key, e.g. "spacing-40mm"; a short hash where that is too long.
+
+    Different changes have different names: keys by their shortest ends that no other key has, values with all digits.
     """
-    found: dict[str, Any] = {}
-    for key, value in values.items():
-        whole = not isinstance(value, Mapping) or not value or "shape" in value or any("." in name for name in value)
-        found |= {key: value} if whole else {f"{key}.{name}": v for name, v in dotted(value).items()}
-    return found
+    words = [f"{_short(key)}-{_said(value, unit_of(key))}" for key, value in sorted(changes.items())]
+    label = "-".join(words)
+    if len(label) <= LONGEST_LABEL and re.fullmatch(r"[A-Za-z0-9_.-]*[A-Za-z0-9_]", label):
+        return label
+    return hashlib.sha256(json.dumps(changes, sort_keys=True, default=str).encode()).hexdigest()[:8]
 
 
-def _copied(value: Any, depth: int = 0) -> Any:
-    if depth > DEEPEST:
-        raise ScenarioError(f"a table or list lies more than {DEEPEST} levels deep; no key of a scenario does")
-    if isinstance(value, Mapping):
-        return {key: _copied(inside, depth + 1) for key, inside in value.items()}
-    return [_copied(inside, depth + 1) for inside in value] if isinstance(value, list) else value
+LONGEST_LABEL = 60  # characters
+
+
+def _short(key: str) -> str:
+    known, parts = all_keys(), key.split(".")
+    ends = (".".join(parts[-n:]) for n in range(1, len(parts)))
+    if key not in known:  # below a table of the user's own names
+        return ".".join(parts[-2:])
+    return next((end for end in ends if sum(f".{k}".endswith(f".{end}") for k in known) == 1), key)
+
+
+def _said(value: Any, unit: str | None) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float) and unit in _SCALED and value:
+        power = min(max(3 * math.floor(math.log10(abs(value)) / 3 + 1e-9), -9), 9)
+        prefix = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}[power]
+        text = f"{value / 10.0**power:.15g}"
+        return f"{text}{prefix}{unit}" if float(f"{text}e{power}") == value else f"{value!r}{unit}"
+    if isinstance(value, int | float):
+        return repr(value)
+    return value if isinstance(value, str) and re.fullmatch(r"\w+", value) else "?"  # which no folder's name has
+
+
+_SCALED = ("m", "Hz", "s", "Pa", "V", "W")
+
+
+@cache
+def all_keys() -> tuple[str, ...]:
+    """Dotted keys of all kinds of a scenario; "*" stands for names of the user's own."""
+    return tuple(dict.fromkeys(keys_of(Scenario.model_json_schema())))
+
+
+def unit_of(key: str) -> str | None:
+    """SI unit of the number under a dotted ``key``; None where it has none."""
+    return _units().get(re.sub(r"^tissues\.override\.[^.]+", "tissues.override.*", key))
 
 
 def _toml_value(text: str) -> Any:

@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import json
 import math
+import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, TypeAdapter, model_validator
+from pydantic_core import PydanticCustomError
 
-from .base import Name, Part, Within
-from .device import Device, Grid
+from .base import Name, Part, Within, idle
+from .changes import as_given, changed_keys, put, remade
+from .device import Device, Grid, GridRows, VoltageRows
 from .library import LibraryPatch
-from .limb import CylinderLimb, ForearmLimb, Limb, SlabLimb, forearm_length
+from .limb import (
+    CylinderLimb,
+    ForearmLimb,
+    Limb,
+    MeshLimb,
+    SlabLimb,
+    forearm_length,
+    has_bone,
+    layer_tissues,
+    limb_tissues,
+)
 from .measurement import MeasurementOptions
 from .mesh import Element, MeshOptions
 from .rendering import RenderingOptions
-from .supports import Supports
-from .sweep import SolverOptions, Sweep
+from .supports import AnySupports, FreeUnderside
+from .sweep import Band, ReducedSolve, Solver, Sweep
 from .tissues import Tissues
 
 # Accuracy of a slab under pressure discs; at 0.1 second order does in half the time (docs/decisions/0002). Under rigid
@@ -27,47 +43,101 @@ _THIRD_ORDER_PAYS = 0.05
 _BESIDE = 8e-3
 
 
+_ELEMENTS_ONLY = ("mesh", "supports", "solver", "limb.length", "limb.width", "limb.depth", "limb.symmetry",
+                  "limb.circumference", "limb.aspect", "limb.diameter", "limb.bones")  # fmt: skip
+
+
+def for_elements_only(key: str) -> bool:
+    """Whether finite elements alone read the dotted ``key``: the layered model has flat, endless layers and no mesh."""
+    return key != "solver.memory_limit" and any(f"{key}.".startswith(f"{part}.") for part in _ELEMENTS_ONLY)
+
+
 class Scenario(Part):
     """A limb, its tissues, a device, a sweep and what to render; SI units throughout.
 
-    Frozen: ``parse_scenario({**scenario.model_dump(), "accuracy": 0.1})`` is another one, checked like a file's. What
-    it inherits from pydantic is not: ``model_copy(update=...)`` checks nothing, ``model_validate`` raises an error of
-    pydantic's in place of :class:`.ScenarioError`.
+    Frozen: :meth:`changed` makes another one, checked like a file's. A key that would have no effect is refused.
+    ``engine`` is a switch on the same scenario: what finite elements alone read stays for them, see
+    :func:`.for_elements_only`.
     """
 
-    schema_version: Literal[1] = Field(1, description="of this file's format; only 1 is known")
+    schema_version: Literal[2] = Field(2, description="of this file's format; only 2 is known")
     name: Name = Field("scenario", description="letters, digits, dot, dash, underscore; results go to results/NAME")
     description: str = Field("", description="a sentence for the report")
-    engine: Literal["fem", "layered"] = Field("fem", description="finite elements, or the semi-analytic flat twin")
+    engine: Literal["fem", "layered"] = Field(
+        "fem", description="finite elements, or the semi-analytic layered model, which reads neither mesh nor supports"
+    )
     accuracy: Annotated[float, Within(1e-5, 0.5)] = Field(
         0.05, description="asked e_band of G; sets mesh sizes, truncation and reduction where left out"
     )
     limb: Limb = ForearmLimb()
     tissues: Tissues = Tissues()
-    supports: Supports = Supports()
-    device: Device = Device()
-    grid: Grid = Grid()
-    sweep: Sweep = Sweep()
+    supports: AnySupports = FreeUnderside()
+    device: Device = VoltageRows()
+    grid: Grid = GridRows()
+    sweep: Sweep = Band()
     mesh: MeshOptions = MeshOptions()
-    solver: SolverOptions = SolverOptions()
+    solver: Solver = ReducedSolve()
     rendering: RenderingOptions = RenderingOptions()
     library: LibraryPatch = LibraryPatch()
     measurement: MeasurementOptions = MeasurementOptions()
 
-    @model_validator(mode="before")
+    def changed(self, changes: Mapping[str, Any]) -> Self:
+        """A checked copy with ``changes`` by dotted key: ``scenario.changed({"device.spacing": 0.04})``.
+
+        As if the file had said so: what was left out follows anew, and None leaves a key out. Keys that the changes
+        leave without effect fall away, such as ``device.spacing`` where ``device.contacts`` are set. ScenarioError for
+        what a file would be refused.
+        """
+        table = self.model_dump(exclude_unset=True)
+        for key in changes:  # an entry of a list that was left out
+            before, _, _ = re.sub(r"\.\d+(?=\.|$)", "\0", key).partition("\0")
+            if before != key:
+                put(table, before, functools.reduce(getattr, before.split("."), self), key)
+        return remade(TypeAdapter(type(self)), table, changes, "scenario")
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all keys but ``name`` and ``description``, defaults included; files count by their names."""
+        keys = self.model_dump(mode="json", exclude={"name", "description"})
+        return hashlib.sha256(json.dumps(keys, sort_keys=True).encode()).hexdigest()
+
+    def changed_keys(self) -> tuple[str, ...]:
+        """Dotted keys whose values are not their defaults; lists and free tables count as one key each."""
+        usual = type(self)()
+        forearm = type(self)(accuracy=self.accuracy).limb if isinstance(self.limb, ForearmLimb) else None
+        limb = (key for key in changed_keys(self.limb, forearm, "limb.") if key != "limb.shape")
+        rest = [key for key in changed_keys(self, usual) if not key.startswith("limb.")]
+        return (*rest, *limb)
+
+    @model_validator(mode="wrap")
     @classmethod
-    def _forearm_as_long_as_needed(cls, data: Any) -> Any:
-        """A limb without a shape is a forearm; ``accuracy`` sets the length of one that leaves it out."""
-        limb = data.get("limb", {}) if isinstance(data, Mapping) else None
-        if not isinstance(limb, Mapping):
-            return data
-        data = {**data, "limb": {"shape": "forearm", **limb}}
-        if data["limb"]["shape"] != "forearm" or "length" in limb:
-            return data
-        accuracy = data.get("accuracy", cls.model_fields["accuracy"].default)
-        if not isinstance(accuracy, int | float) or not 0 < accuracy < 1:
-            return data  # refused below, with its own sentence
-        return {**data, "limb": {**data["limb"], "length": forearm_length(accuracy)}}
+    def _settled(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """What is left out is filled in, and counts as left out: a limb without a shape is a forearm, ``accuracy``
+        sets the length of one that leaves it out, an actuator brings its own keys."""
+        if not isinstance(data, Mapping):
+            return handler(data)
+        _refuse_version(data)
+        made = handler(_with_limb(data, cls.model_fields["accuracy"].default))
+        as_given(made, data)
+        return made
+
+    @model_validator(mode="after")
+    def _no_idle_key(self) -> Self:
+        limb, usual = self.limb, MeshOptions()
+        sizes = [k for k in ("size_grid", "size_far", "grading") if getattr(self.mesh, k) != getattr(usual, k)]
+        if isinstance(limb, MeshLimb) and sizes:
+            raise idle([f"mesh.{key}" for key in sizes], "limb.shape = 'mesh' keeps the file's elements, and refines "
+                       "them only at contacts (mesh.size_contact); leave it out")  # fmt: skip
+        tissues, layers = limb_tissues(limb), layer_tissues(limb)
+        if unknown := sorted(set(self.mesh.sublayers) - layers):
+            raise idle([f"mesh.sublayers.{name}" for name in unknown], "the limb has no such layer; leave it out")
+        if self.supports.bone == "elastic" and not has_bone(limb):
+            raise idle(["supports.bone"], "the limb has no bone; leave it out, or give it one")
+        met = (tissues - {"bone"}) | ({"bone"} if self.supports.bone == "elastic" else set())
+        if unknown := sorted(set(self.tissues.override) - met):
+            raise idle([f"tissues.override.{name}" for name in unknown], "no wave passes through this tissue in this "
+                       "limb; leave it out, or name it in a layer")  # fmt: skip
+        return self
 
     @property
     def element(self) -> Element:
@@ -115,6 +185,31 @@ class Scenario(Part):
         if len(set(self.device.out_of_contact)) == len(self.device.centres):
             raise ValueError("device.out_of_contact names every actuator: nothing would move; leave one in contact")
         return self
+
+
+def _with_limb(data: Mapping[str, Any], accuracy: float) -> Mapping[str, Any]:
+    limb, accuracy = data.get("limb", {}), data.get("accuracy", accuracy)
+    if not isinstance(limb, Mapping):
+        return data
+    limb = {"shape": "forearm", **limb}
+    if limb["shape"] == "forearm" and isinstance(accuracy, int | float) and 0 < accuracy < 1:  # else refused below
+        limb = {"length": forearm_length(accuracy), **limb}
+    return {**data, "limb": limb}
+
+
+def _refuse_version(data: Mapping[str, Any]) -> None:
+    """One sentence for a scenario of before version 1.0, with the keys in it that are called otherwise now."""
+    if data.get("schema_version") != 1:
+        return
+    table = data.get("tissues")
+    override = table.get("override") if isinstance(table, Mapping) else None
+    laws = [f"tissues.override.{k}" for k, v in (override or {}).items() if isinstance(v, Mapping) and "model" in v]
+    renamed = "".join(f"; {key}.model is called {key}.law" for key in laws)
+    raise PydanticCustomError(
+        "choice", "{said}",
+        {"key": "schema_version", "said": "1 is the format of before version 1.0; write 2 and leave out keys without "
+         f"effect, which are refused by name{renamed}"},
+    )  # fmt: skip
 
 
 def _holds_a_sample(window: tuple[float, float], sweep: Sweep) -> bool:

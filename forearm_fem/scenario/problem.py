@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from ..errors import in_tomls_words
 
 _ALIKE = 0.8  # of difflib's ratio: one or two letters of ten
-_KIND = re.compile(r"(literal|tuple|list|dict|function-[a-z]+|constrained-[a-z]+)\[")  # of a union's members
+_KIND = re.compile(r"as |(literal|tuple|list|dict|function-[a-z]+|constrained-[a-z]+)\[")  # of a union's members
 
 
 def first_problem_of(problem: ValidationError, schema: dict[str, Any]) -> str:
@@ -25,6 +25,10 @@ def first_problem_of(problem: ValidationError, schema: dict[str, Any]) -> str:
     errors = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = next((e for e in errors if _key(e["loc"]).startswith(f"{_key(errors[0]['loc'])}.")), errors[0])
     where = _key(first["loc"])
+    if first["type"] == "choice":
+        return f"{first['ctx']['key']}: {first['msg']}"
+    if first["type"] == "idle":
+        return f"{', '.join(_idle_keys(first))}: {first['msg']}"
     same = [e for e in errors if _key(e["loc"]) == where]  # a key of several kinds fails once for each of them
     more = f" (and {len(errors) - len(same)} more)" if len(errors) > len(same) else ""
     if first["type"] == "extra_forbidden":
@@ -46,6 +50,16 @@ def first_problem_of(problem: ValidationError, schema: dict[str, Any]) -> str:
     return f"{where}{': ' if where else ''}{message}{shown}{more}"
 
 
+def idle_keys_of(problem: ValidationError) -> list[str]:
+    """Dotted keys that were refused for having no effect."""
+    return [key for error in problem.errors() if error["type"] == "idle" for key in _idle_keys(error)]
+
+
+def _idle_keys(error: Mapping[str, Any]) -> list[str]:
+    table = _key(error["loc"])
+    return [f"{table}.{key}" if table else key for key in error["ctx"]["keys"]]
+
+
 def _key(place: tuple[int | str, ...]) -> str:
     """The dotted key at a validator's ``place``, without the limb's shape and what the validator calls its kinds."""
     if place[:1] == ("limb",):
@@ -59,7 +73,7 @@ def _shortened(text: str) -> str:
 
 def key_meant(key: str, schema: dict[str, Any]) -> str | None:
     """The dotted key of the JSON ``schema`` that ``key`` was most likely to be; None where none is like it."""
-    known = dict.fromkeys(_keys(schema, schema.get("$defs", {})))
+    known = dict.fromkeys(keys_of(schema))
     table, _, name = key.rpartition(".")
     namesakes = [k for k in known if k.rpartition(".")[2] == name]
     if namesakes:
@@ -69,13 +83,31 @@ def key_meant(key: str, schema: dict[str, Any]) -> str | None:
     return beside[alike[0]] if alike else None
 
 
-def _keys(part: dict[str, Any], tables: dict[str, Any], path: str = "") -> Iterator[str]:
-    """Dotted keys below ``part``, of all shapes that it may have; names in mappings are the user's own."""
+def units_of(
+    part: Mapping[str, Any], tables: Mapping[str, Any] | None = None, path: str = ""
+) -> Iterator[tuple[str, str]]:
+    """Dotted keys of numbers below a JSON schema and their units; "*" stands for names of the user's own."""
+    tables = part.get("$defs", {}) if tables is None else tables
+    if "unit" in part:
+        yield path, part["unit"]
     if "$ref" in part:
-        yield from _keys(tables[part["$ref"].rpartition("/")[2]], tables, path)
+        yield from units_of(tables[part["$ref"].rpartition("/")[2]], tables, path)
+    for one in (*part.get("oneOf", ()), *part.get("anyOf", ()), *part.get("allOf", ())):
+        yield from units_of(one, tables, path)
+    for name, entry in part.get("properties", {}).items():
+        yield from units_of(entry, tables, f"{path}.{name}" if path else name)
+    if isinstance(part.get("additionalProperties"), dict):
+        yield from units_of(part["additionalProperties"], tables, f"{path}.*")
+
+
+def keys_of(part: Mapping[str, Any], tables: Mapping[str, Any] | None = None, path: str = "") -> Iterator[str]:
+    """Dotted keys below ``part``, of all shapes that it may have; names in mappings are the user's own."""
+    tables = part.get("$defs", {}) if tables is None else tables
+    if "$ref" in part:
+        yield from keys_of(tables[part["$ref"].rpartition("/")[2]], tables, path)
     for one in (*part.get("oneOf", ()), *part.get("anyOf", ())):
-        yield from _keys(one, tables, path)
+        yield from keys_of(one, tables, path)
     for name, entry in part.get("properties", {}).items():
         where = f"{path}.{name}" if path else name
         yield where
-        yield from _keys(entry, tables, where)
+        yield from keys_of(entry, tables, where)

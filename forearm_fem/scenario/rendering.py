@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from .base import Frequency, Part, UserCode, Within
+from .base import Frequency, Part, UserCode, Within, given, idle, only_in
 
 Method = Literal["inverse filter", "funneling", "combination"] | UserCode
 
 
-class WaveletOptions(Part):
-    """Ricker wavelet, or samples from a file."""
+_OF_INVERSION = ("zeros", "regularisation", "regularisation_value")
+
+
+class RickerWavelet(Part):
+    """Ricker wavelet by its peak."""
 
     peak: Frequency = Field(250.0, description="frequency of the spectral peak [Hz]")
-    file: str | None = Field(None, description="CSV, WAV or NPY samples at the sweep's rate, relative to the scenario")
+
+
+class SampledWavelet(Part):
+    """Wavelet from a file of samples."""
+
+    file: str = Field(description="CSV, WAV or NPY samples at the sweep's rate, relative to the scenario")
+    idle_keys: ClassVar = only_in(RickerWavelet, "rendering.wavelet.file is given; leave out either")
+
+
+def _wavelet(data: Any) -> str:
+    return "as samples" if given(data, "file") else "as Ricker wavelet"
+
+
+Wavelet = Annotated[
+    Annotated[RickerWavelet, Tag("as Ricker wavelet")] | Annotated[SampledWavelet, Tag("as samples")],
+    Discriminator(_wavelet),
+]
 
 
 class RenderingOptions(Part):
@@ -45,7 +64,12 @@ class RenderingOptions(Part):
         description="what S is taken over: [start, end] in s about the wavelet's centre; wavelet: from 50 ms before it "
         "to 50 ms after it; record: the whole record, as in the thesis, with which S grows",
     )
-    wavelet: WaveletOptions = WaveletOptions()
+    clearance: Annotated[float, Within(1e-4, 0.1, "m", zero=True)] = Field(
+        9e-3,
+        description="points nearer to a cone's rim count in no mean and verdict [m]: they move with the motor, so that "
+        "S there is high and no focus; in the thesis' device the nearest point is 9.5 mm away",
+    )
+    wavelet: Wavelet = RickerWavelet()
     amplitude: Annotated[float, Within(1e-6, 1e6, "V or 1e-6 m")] = Field(
         1.0, description="funneling: drive amplitude A in eq. 6 [V]; inverse filter: target peak [1e-6 m]"
     )
@@ -63,6 +87,13 @@ class RenderingOptions(Part):
             raise ValueError(f"point {both[0]} is both a target and a zero point; take it out of either")
         if self.regularisation == "auto" and self.regularisation_value != 1e-12:
             raise ValueError("regularisation_value needs a regularisation by name, not 'auto'")
+        return self
+
+    @model_validator(mode="after")
+    def _inversion(self) -> Self:
+        keys = [key for key in _OF_INVERSION if getattr(self, key) != RenderingOptions.model_fields[key].default]
+        if keys and set(self.methods) == {"funneling"}:
+            raise idle(keys, "no method of rendering.methods inverts G; leave it out, or add 'inverse filter'")
         return self
 
     @model_validator(mode="after")

@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from .base import Part, kinds_of
 from .model import Scenario
 
 _WIDE = 100  # characters up to which a meaning stands beside its key
@@ -31,15 +32,16 @@ def scenario_template(name: str, limb: Mapping[str, Any] | None = None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _table(part: BaseModel, path: str, left_out: tuple[str, ...] = ()) -> Iterator[str]:
-    """Lines of a part's own keys, then of the tables below it."""
+def _table(part: Part, path: str, left_out: tuple[str, ...] = (), kinds: tuple[type[Part], ...] = ()) -> Iterator[str]:
+    """Lines of a part's own keys, then of those that its other ``kinds`` have instead, then of the tables below it."""
     deeper = []
     for key, field in type(part).model_fields.items():
         value = getattr(part, key)
         if key in left_out:
             continue
-        if isinstance(value, BaseModel):
-            deeper.append((f"{path}.{key}".lstrip("."), value))
+        if isinstance(value, Part):
+            limb = key == "limb"  # whose shapes have a page of their own
+            deeper.append((f"{path}.{key}".lstrip("."), value, () if limb else kinds_of(field.annotation)))
             continue
         meaning = field.description or ""
         line = f"# {key} =" if value is None or value == {} else f"# {key} = {_toml(value)}"
@@ -47,8 +49,12 @@ def _table(part: BaseModel, path: str, left_out: tuple[str, ...] = ()) -> Iterat
             yield f"{line}  # {meaning}"
         else:
             yield from (f"## {meaning}", line)
-    for name, below in deeper:
-        yield from ("", f"[{name}]", *_table(below, name))
+    others = {key: field for kind in kinds for key, field in kind.model_fields.items()}
+    for key, field in others.items():
+        if key not in type(part).model_fields and not kinds_of(field.annotation):
+            yield from (f"## another kind: {field.description}", f"# {key} =")
+    for name, below, other in deeper:
+        yield from ("", f"[{name}]", *_table(below, name, kinds=other))
 
 
 def _toml(value: Any) -> str:

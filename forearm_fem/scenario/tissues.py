@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from .base import Length, Part, UserCode, Within
+from .base import Length, Part, UserCode, Within, idle
 
 Modulus = Annotated[float, Within(0.1, 1e13, "Pa")]
 Viscosity = Annotated[float, Within(1e-9, 1e6, "Pa s", zero=True)]
@@ -52,6 +52,13 @@ class Patch(Part):
         0.0, description="in-plane shear stiffness mu*h = E h/3 [N/m]; E h of tape is of the order of 1e5 N/m"
     )
     viscosity: SheetViscosity = Field(0.0, description="in-plane eta*h [N s/m]")
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        sizes = {"length", "width"} & self.model_fields_set
+        if sizes and not {"mass", "stiffness", "viscosity"} & self.model_fields_set:
+            raise idle(sizes, "tissues.patch has neither mass nor stiffness; give it one, or leave the patch out")
+        return self
 
     @property
     def is_on(self) -> bool:

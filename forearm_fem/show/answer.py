@@ -102,7 +102,7 @@ def answer_of(results: Results, data: Strengths) -> list[str]:
 def not_counted(results: Results, data: Strengths) -> str:
     """Which points are in no mean and no verdict, and why; empty where all are."""
     names = [t for t, counts in zip(data.targets, data.counted, strict=True) if not counts]
-    return not_counted_words(names, data.outputs, results.touching)
+    return not_counted_words(names, data.outputs, results.touching, results.scenario.rendering.clearance)
 
 
 def _named(points: Sequence[str]) -> str:

@@ -29,6 +29,7 @@ from ..rendering import Record, Wavelet, from_samples_file, ricker
 from ..rendering.clearance import counted_points
 from ..results import RunRecord, read_run
 from ..scenario import Scenario, parse_scenario
+from ..scenario.rendering import SampledWavelet
 from ..store.text import read_json
 from ..transfer import Compliance, TransferMatrix
 from ..typing import BoolArray
@@ -124,7 +125,7 @@ class Results:
     def counted(self, targets: Sequence[str]) -> BoolArray:
         """Whether S towards each of ``targets`` counts: not under or beside a motor."""
         points = {p.name: p for p in self.transfer.outputs}
-        return counted_points([points[t] for t in targets], self.touching)
+        return counted_points([points[t] for t in targets], self.touching, self.scenario.rendering.clearance)
 
     @cached_property
     def compliance(self) -> Compliance:
@@ -209,7 +210,7 @@ class Results:
         """The scenario's wavelet on that record."""
         options, record = self.scenario.rendering.wavelet, self.record
         duration = record.n / record.sample_rate
-        if options.file is not None:
+        if isinstance(options, SampledWavelet):
             kept = self.folder / f"wavelet{Path(options.file).suffix}"  # as the run found it in the scenario's folder
             return from_samples_file(kept if kept.is_file() else options.file, record.sample_rate, duration)
         return ricker(options.peak, 1.0, record.sample_rate, duration)

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
 from ..device import driving_point_impedance, respond
+from ..rendering.limits import limits_of
 from ..typing import ComplexArray, FloatArray
 from .data import Results
 from .style import ACTUATORS, GREY, decimal, letter, method_colour, panels, styled
@@ -98,9 +99,9 @@ class DriveLevels:
 
 def drive_levels(results: Results, target: str | None = None) -> DriveLevels:
     """Drives of a run; ``target`` (default: 5, or the first) is the one shown over time."""
-    drives, device = results.drives, results.scenario.device
+    drives = results.drives
+    limits = limits_of(results.scenario.device) if drives.unit == "V" else None
     chosen = target or ("5" if "5" in drives.targets else drives.targets[0])
-    volts = drives.unit == "V"
     mean_square = np.mean(drives.values**2, axis=3).max(axis=2)
     signals = drives.values[:, drives.targets.index(chosen)]
     keep = busy(signals.reshape(-1, signals.shape[-1]), drives.time)
@@ -113,9 +114,9 @@ def drive_levels(results: Results, target: str | None = None) -> DriveLevels:
         time=drives.time[keep],
         signals=signals[:, :, keep],
         peak=np.abs(drives.values).max(axis=(2, 3)),
-        power=mean_square / device.coil.resistance if volts else np.full(mean_square.shape, np.nan),
-        max_peak=device.max_voltage if volts else float("nan"),
-        max_power=device.max_power if volts else float("nan"),
+        power=np.full(mean_square.shape, np.nan) if limits is None else mean_square / limits.resistance,
+        max_peak=float("nan") if limits is None else limits.voltage,
+        max_power=float("nan") if limits is None else limits.power,
     )
 
 

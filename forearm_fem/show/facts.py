@@ -10,10 +10,10 @@ import numpy as np
 
 from ..metrics import condition_number, condition_summary, thesis_table
 from ..metrics.strength import GROUPS, strength_text
-from ..pipeline.unread import changed_keys
 from ..rendering.lattice import is_thesis_grid
-from ..rendering.limits import Limits, beyond_limits
+from ..rendering.limits import beyond_limits, limits_of
 from ..scenario import Scenario
+from ..scenario.device import GridPlaces, Places
 from ..transfer import entry_band_errors, size_words
 from ..typing import FloatArray
 from .data import Results
@@ -25,7 +25,7 @@ def scene_block(results: Results) -> Block:
     """What was asked, in a reader's words."""
     s = results.scenario
     changed = ", ".join(s.tissues.override)
-    own = [key for key in changed_keys(s) if key not in ("name", "description")]
+    own = [key for key in s.changed_keys() if key not in ("name", "description")]
     of_limb = "scenario" in results.transfer.provenance
     solved = [
         ["limb", limb_words(s)],
@@ -63,7 +63,7 @@ def _mm(length: float) -> str:
 def _device(s: Scenario) -> str:
     d = s.device
     absent = f"; out of contact: {', '.join(d.out_of_contact)}" if d.out_of_contact else ""
-    if d.contacts is not None:
+    if isinstance(d, Places):
         arranged = f"at own places{_nearest(d.contacts)}"
     else:
         counts = d.columns if isinstance(d.columns, tuple) else (d.columns,) * d.rows
@@ -82,7 +82,7 @@ def _counted(count: int, what: str) -> str:
 
 def _grid(s: Scenario, count: int) -> str:
     g = s.grid
-    if g.points is not None:
+    if isinstance(g, GridPlaces):
         return f"{_counted(count, 'point')} at own places{_nearest(g.points)}"
     across = g.pitch_y or g.pitch
     return f"{g.rows} x {g.columns} points, pitch {_mm(g.pitch)}{'' if across == g.pitch else f' x {_mm(across)}'}"
@@ -155,13 +155,13 @@ def condition_words(condition: FloatArray) -> str:
 
 def renderer_block(results: Results) -> Block:
     """Per method: largest drive, power and displacement over the targets."""
-    drives, moved, device = results.drives, results.displacements, results.scenario.device
+    drives, moved, limits = results.drives, results.displacements, limits_of(results.scenario.device)
     rows = []
     for m, method in enumerate(drives.methods):
         peak = np.abs(drives.values[m]).max(axis=(1, 2))
         own = [np.nanmax(np.abs(moved.values[m, t, moved.channels.index(n)])) for t, n in enumerate(moved.targets)]
         mean_square = float(np.mean(drives.values[m] ** 2, axis=2).max())
-        power = f"{1e3 * mean_square / device.coil.resistance:.2g} mW" if drives.unit == "V" else "–"
+        power = f"{1e3 * mean_square / limits.resistance:.2g} mW" if limits is not None else "–"
         rows.append([method, _span(peak, drives.unit), power, _span(1e6 * np.array(own), "µm")])  # fmt: skip
     header = ["method", "largest drive", "largest mean power", "target's own peak"]
     return Block(header, rows, "Ranges are over the targets. Everything is linear: scaled drives scale all alike.")
@@ -169,14 +169,14 @@ def renderer_block(results: Results) -> Block:
 
 def limit_words(results: Results) -> str:
     """How near the drives come to what the actuators bear, in one sentence."""
-    drives, device = results.drives, results.scenario.device
-    if drives.unit != "V":
+    drives, limits = results.drives, limits_of(results.scenario.device)
+    if drives.unit != "V" or limits is None:
         return "The drives are no voltages, so limits were not checked."
-    peak = float(np.abs(drives.values).max()) / device.max_voltage
-    power = float(np.mean(drives.values**2, axis=3).max()) / device.coil.resistance / device.max_power
+    peak = float(np.abs(drives.values).max()) / limits.voltage
+    power = float(np.mean(drives.values**2, axis=3).max()) / limits.resistance / limits.power
     share = max(peak, np.sqrt(power))  # of the amplitude that reaches a limit
-    told = (f"largest drive {100 * peak:.2g} % of {device.max_voltage:g} V, mean power {100 * power:.2g} % of "
-            f"{device.max_power:g} W")  # fmt: skip
+    told = (f"largest drive {100 * peak:.2g} % of {limits.voltage:g} V, mean power {100 * power:.2g} % of "
+            f"{limits.power:g} W")  # fmt: skip
     if share > 1:
         return f"Beyond a limit ({told}): rendering.amplitude times {1 / share:.2g} is within."
     return f"Within all limits ({told}): the amplitude may grow {1 / share:.2g} times." if share > 0 else "All still."
@@ -189,10 +189,9 @@ def _span(values: FloatArray, unit: str) -> str:
 
 def exceeded(results: Results) -> list[str]:
     """A sentence per method that passes a limit of the scenario, with the remedy."""
-    drives, device = results.drives, results.scenario.device
-    if drives.unit != "V":
+    drives, limits = results.drives, limits_of(results.scenario.device)
+    if drives.unit != "V" or limits is None:
         return []
-    limits = Limits(device.max_voltage, device.max_power, device.coil.resistance)
     peak = np.abs(drives.values).max(axis=3)
     power = np.mean(drives.values**2, axis=3) / limits.resistance
     return list(beyond_limits(drives.methods, drives.targets, drives.channels, peak, power, limits))

@@ -169,7 +169,10 @@ def _collect(record: Any, prefix: str, arrays: dict[str, _Variable], plain: dict
         if value is None:
             continue
         if isinstance(value, tuple) and value and isinstance(value[0], Port):
-            arrays |= _port_variables(*of["dims"], value)
+            (dim,) = of["dims"]
+            if dim in arrays and _ports_of({n: v for n, (_, v, _) in arrays.items()}, dim) != value:
+                raise ValueError(f"two rows of ports are called {dim}")
+            arrays |= _port_variables(dim, value)
         elif dataclasses.is_dataclass(value):
             plain[f"{prefix}{field.name}#"] = 1
             _collect(value, f"{name}_" if name else "", arrays, plain)
@@ -188,7 +191,7 @@ def _collect(record: Any, prefix: str, arrays: dict[str, _Variable], plain: dict
                 own, array = own[:2], array[(slice(None), *np.triu_indices(array.shape[-1]))]
             if of["single"]:
                 array = array.astype(np.complex64 if array.dtype.kind == "c" else np.float32)
-            arrays[name] = (own, array, said)
+            arrays[name or field.name] = (own, array, said)
         else:
             plain[f"{prefix}{field.name}"] = value
 
@@ -253,8 +256,9 @@ def _built(cls: type[R], prefix: str, arrays: Mapping[str, Any], plain: Mapping[
         elif of.get("dims") == _EACH:
             found[field.name] = {each: arrays[f"{name}_{each}"] for each in plain[key]}
         elif of.get("dims"):
-            if name in arrays or type(None) not in _choices(hints[field.name]):
-                found[field.name] = _array(arrays[name], of, hints[field.name])
+            called = name or field.name
+            if called in arrays or type(None) not in _choices(hints[field.name]):
+                found[field.name] = _array(arrays[called], of, hints[field.name])
             else:
                 found[field.name] = None
         elif key in plain:

@@ -18,7 +18,7 @@ from .record import from_parts, to_parts
 
 R = TypeVar("R")
 WORK = "work.sqlite"  # a results folder's shelf
-_PLAIN, _LARGEST = "", 2**26  # the name that plain values stand under; bytes in a row
+_PLAIN, _LARGEST = ".plain", 2**26  # the name that plain values stand under; bytes in a row
 _TABLE = "create table if not exists part (key text, name text, kind text, data blob, sum integer)"
 _INDEX = "create index if not exists by_key on part (key)"
 _log = logging.getLogger("forearm_fem.store")
@@ -34,13 +34,11 @@ class Shelf:
     def __init__(self, file: str | Path, what: str = "what is finished") -> None:
         self.file, self._what, self._told = Path(file), what, False
 
-    def __contains__(self, key: str) -> bool:
-        return self.get(key) is not None
-
     def known(self) -> tuple[str, ...]:
         """Keys of all parts, in the order in which they came; some may be damaged."""
+        asked = "select key from part where name = ? order by rowid"
         with self._reading() as base:
-            rows = base.execute("select key from part where name = '' order by rowid").fetchall() if base else []
+            rows = base.execute(asked, (_PLAIN,)).fetchall() if base else []
         return tuple(key for (key,) in rows)
 
     def get(self, key: str) -> dict[str, Any] | None:
@@ -60,22 +58,25 @@ class Shelf:
             return None
         return {**plain["values"], **{name: _array(kind, data) for name, (kind, data) in parts.items()}}
 
-    def put(self, key: str, parts: Mapping[str, Any]) -> None:
-        """Keep arrays, and values that JSON has, by name in place of what was there under ``key``."""
+    def put(self, key: str, parts: Mapping[str, Any]) -> bool:
+        """Keep arrays, and values that JSON has, by name in place of what was under ``key``; whether that was done."""
         arrays = {n: v for n, v in parts.items() if isinstance(v, np.ndarray)}
         values = {n: v for n, v in parts.items() if n not in arrays}
         text = json.dumps({"values": values, "arrays": list(arrays)}, default=_number).encode()
-        with self._writing() as base:
+
+        def write(base: sqlite3.Connection) -> None:
+            """In one transaction."""
             base.execute("delete from part where key = ?", (key,))
             for name, kind, data in ((_PLAIN, "", text), *_rows(arrays)):
                 total = zlib.crc32(data, zlib.crc32(f"{name}{kind}".encode()))
                 base.execute("insert into part values (?, ?, ?, ?, ?)", (key, name, kind, data, total))
 
+        return self._written(write)
+
     def drop(self, *keys: str) -> None:
         """Remove the parts of ``keys``."""
-        if self.file.exists():
-            with self._writing() as base:
-                base.executemany("delete from part where key = ?", [(key,) for key in keys])
+        if keys and self.file.exists():
+            self._written(lambda base: base.executemany("delete from part where key = ?", [(key,) for key in keys]))
 
     def remove(self) -> None:
         """Remove the file."""
@@ -90,9 +91,9 @@ class Shelf:
             return None if parts is None else from_parts(cls, parts)
         return None
 
-    def keep(self, key: str, record: Any) -> None:
-        """Keep a record under ``key``."""
-        self.put(key, to_parts(record))
+    def keep(self, key: str, record: Any) -> bool:
+        """Keep a record under ``key``; whether that was done."""
+        return self.put(key, to_parts(record))
 
     def once(self, key: str, cls: type[R], make: Callable[[], R]) -> R:
         """The record under ``key``, else made and kept."""
@@ -118,15 +119,16 @@ class Shelf:
             self._tell(problem)
             self.remove()
 
-    @contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
+    def _written(self, write: Callable[[sqlite3.Connection], Any]) -> bool:
         """A transaction; a damaged file is made anew before it, what fails in it is told."""
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             with closing(self._opened()) as base, base:
-                yield base
+                write(base)
+            return True
         except (sqlite3.Error, OSError) as problem:
             self._tell(problem)
+            return False
 
     def _opened(self) -> sqlite3.Connection:
         for again in (True, False):
@@ -154,17 +156,18 @@ class Shelf:
 def _rows(arrays: Mapping[str, Any]) -> Iterator[tuple[str, str, memoryview]]:
     """Name, kind and bytes of arrays, in pieces that SQLite takes."""
     for name, array in arrays.items():
-        flat = np.ascontiguousarray(array)
-        data = memoryview(flat.reshape(-1).view(np.uint8)) if flat.size else memoryview(b"")
-        kind = json.dumps([flat.dtype.str, array.shape])
+        order = "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"  # sums hang on it
+        flat = array.reshape(-1, order=order)
+        data = memoryview(flat.view(np.uint8)) if flat.size else memoryview(b"")
+        kind = json.dumps([array.dtype.str, array.shape, order])
         for start in range(0, max(1, len(data)), _LARGEST):
             yield name, kind, data[start : start + _LARGEST]
 
 
 def _array(kind: str, data: list[bytes]) -> Any:
-    dtype, shape = json.loads(kind)
+    dtype, shape, order = json.loads(kind)
     whole = bytearray(data[0]) if len(data) == 1 else bytearray().join(data)
-    return np.frombuffer(whole, dtype=np.dtype(dtype)).reshape(shape)
+    return np.frombuffer(whole, dtype=np.dtype(dtype)).reshape(shape, order=order)
 
 
 def _number(value: Any) -> Any:

@@ -94,7 +94,7 @@ def device_player(
     options = prepared.scenario.measurement.daq
     rate = prepared.wavelet.record.sample_rate
     if daq == "virtual":  # has channels of its own
-        options = options.model_copy(update={"outputs": tuple(f"virtual/ao{i}" for i in range(len(transfer.inputs)))})
+        options = options.changed({"outputs": tuple(f"virtual/ao{i}" for i in range(len(transfer.inputs)))})
         daq = VirtualDaq(transfer, rate, prepared.wavelet.record.n / rate, VirtualOptions())
         daq.aim(transfer.outputs[0].name)
     elif isinstance(daq, str):

@@ -74,8 +74,8 @@ def stimuli_for(
             "the gain of this G is arbitrary, as was declared, so that no drive follows from micrometres; set "
             "stimuli.level.rule = 'drive peak'"
         )
-    wanted = scenario.rendering.model_copy(update={"methods": options.methods})
-    chosen = {r.name: r for r in renderers(scenario.model_copy(update={"rendering": wanted}), wavelet)}
+    wanted = scenario.rendering.changed({"methods": options.methods})
+    chosen = {r.name: r for r in renderers(scenario.changed({"rendering": wanted}), wavelet)}
     holes = bridged(transfer)
     if holes.left or holes.absent:
         warnings.warn(holes.sentence, AccuracyWarning, stacklevel=2)

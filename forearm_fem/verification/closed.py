@@ -12,7 +12,7 @@ from ..fem.assembly.model import build_model
 from ..fem.reduction.sweep import direct_sweep
 from ..layered import kelvin_voigt_shear_wave
 from ..ports import Port
-from ..scenario.supports import Supports
+from ..scenario.supports import FreeUnderside
 from ..scenario.tissues import Membrane
 from .blocks import block_mesh, shell_mesh
 from .scenes import (
@@ -44,7 +44,7 @@ def shear_bar_errors(element: str, counts: Sequence[int]) -> list[float]:
     sides = {"end": ("x0",), "tip": ("x1",), "symmetry x": ("z0", "z1")}
     for n in counts:
         mesh = block_mesh((5 * n, n, n), (BAR, width, width), facets=sides)
-        model = build_model(mesh, (), {"block": tissue}, Supports(ends="fixed"), Membrane(), element=element)
+        model = build_model(mesh, (), {"block": tissue}, FreeUnderside(ends="fixed"), Membrane(), element=element)
         right = np.zeros((model.operator.n, 1))
         load = facet_load(model.space, mesh.facets["tip"], np.array([0.0, 0.0, 1.0]))
         right[: model.operator.n_displacements, 0] = model.constraints.transform.T @ load
@@ -91,7 +91,7 @@ def sphere_errors(
     for n in splits:
         radii = RADIUS * np.geomspace(1.0, 12.0, 2 * n + 1)
         port = Port("A1", "contact", (0.0, 0.0, 0.0), radius=RADIUS, contact="bonded")
-        mesh, held = shell_mesh(radii, n, curved=curved), Supports(ends="fixed")
+        mesh, held = shell_mesh(radii, n, curved=curved), FreeUnderside(ends="fixed")
         model = build_model(mesh, (port,), {"block": tissue}, held, Membrane(), element=element)
         value = direct_sweep(model, np.array([frequency]), DIRECT).values[0, 0, 0]
         errors.append(float(abs(1 / (1j * omega * value) / exact - 1)))
@@ -103,7 +103,7 @@ def free_block_error(frequency: float) -> float:
     side, tissue = 0.02, flesh()
     mesh = block_mesh((2, 2, 2), (side,) * 3, facets={"contact A1": ("z1",)}, bend=0.05)
     port = Port("A1", "contact", (side / 2, side / 2, side), radius=side / 2)
-    model = build_model(mesh, (port,), {"block": tissue}, Supports(ends="free"), Membrane())
+    model = build_model(mesh, (port,), {"block": tissue}, FreeUnderside(ends="free"), Membrane())
     value = direct_sweep(model, np.array([frequency]), DIRECT).values[0, 0, 0]
     return float(abs(-((2 * math.pi * frequency) ** 2) * tissue.density * side**3 * value - 1))
 

@@ -19,15 +19,15 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..layered import Base, Disc, Layer, layered_compliance
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
-from ..scenario.supports import Supports
-from ..scenario.sweep import SolverOptions
+from ..scenario.supports import FreeUnderside
+from ..scenario.sweep import DirectSolve
 from ..scenario.tissues import Membrane
 from ..tissue import KelvinVoigt, Tissue, resolve_tissues
 from ..typing import ComplexArray, FloatArray
 from .blocks import block_mesh
 
 RADIUS = 3.5e-3
-DIRECT = SolverOptions(sweep="direct")
+DIRECT = DirectSolve()
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def held_block(
         Port("A1", "contact", (0.012, 0.008, 0.008), radius=0.004, contact=contact),  # type: ignore[arg-type]
         *(Port(str(i), "point", (x, y, 0.008)) for i, (x, y) in enumerate(_POINTS)),
     )
-    supports = Supports(ends=ends)
+    supports = FreeUnderside(ends=ends)
     return build_model(mesh, ports, {"block": tissue or flesh()}, supports, Membrane(), element=element)
 
 

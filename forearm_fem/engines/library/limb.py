@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from ...layered.response import chebyshev_between, chebyshev_nodes
+from ...store.record import dims
 from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
 
 _DEGREE = 12  # of the Chebyshev rule that carries what far poles add up to
@@ -24,16 +23,9 @@ class Limb:
     ``left`` (n, k), ``right`` (k, n), ``poles`` (k,) [1/s], with each pole its conjugate.
     """
 
-    poles: ComplexArray
-    left: ComplexArray
-    right: ComplexArray
-
-    @classmethod
-    def read(cls, data: Mapping[Any, Any], name: str) -> Limb | None:
-        """The limb ``name`` of a file's arrays, None where it holds none."""
-        if f"{name}_poles" not in data:
-            return None
-        return cls(*(np.asarray(data[f"{name}_{field.name}"]) for field in fields(cls)))
+    poles: ComplexArray = field(metadata=dims("mode", units="1/s"))
+    left: ComplexArray = field(metadata=dims("load mode"))
+    right: ComplexArray = field(metadata=dims("mode load"))
 
     def between(self, frequency: FloatArray, weights: FloatArray, wanted: BoolArray | None = None) -> ComplexArray:
         """Compliance (n_frequency, p, p) of p combinations ``weights`` (n, p) of bells; of those ``wanted`` (p, p), or

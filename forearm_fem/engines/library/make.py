@@ -13,7 +13,8 @@ from ...errors import ForearmError, ScenarioError
 from ...layered.integrals import Medium
 from ...progress import Progress, within
 from ...scenario import Scenario, parse_scenario
-from ...tissue import KelvinVoigt, limb_tissue_keys, resolve_tissues
+from ...scenario.limb import tissue_keys
+from ...tissue import KelvinVoigt, resolve_tissues
 from ...typing import ComplexArray, FloatArray
 from ..layered import flat_layers, flat_surface
 from ..tables import kept_tables, tables_reach
@@ -21,9 +22,8 @@ from .arm import WIDTH, ArmLibrary, library_band, library_skin
 from .bands import Bands
 from .between import Lattice
 from .flat_bells import between_flat_bells, flat_compliance, pair_distances
-from .kept import Side
 from .loads import Bells
-from .side import BIN, LoadedSkin, solved_side
+from .side import BIN, LoadedSkin, Side, solved_side
 from .skin import FlatSkin
 
 COARSER = 2.0  # size ratio of the second mesh
@@ -39,7 +39,7 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
     """
     began = time.monotonic()
     tissues = resolve_tissues(scenario)
-    for key, name in limb_tissue_keys(scenario.limb).items():
+    for key, name in tissue_keys(scenario.limb).items():
         if not isinstance(tissues[name].modulus, KelvinVoigt):
             raise ScenarioError(
                 f"{key}: a library starts from one real rate and needs Kelvin-Voigt tissue, but {name} is not; set "

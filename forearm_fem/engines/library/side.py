@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -24,11 +25,12 @@ from ...geometry.cache import cached_mesh
 from ...progress import Progress, tell, within
 from ...scenario import Scenario
 from ...scenario.frequencies import frequencies
+from ...store.record import dims
+from ...store.shelf import Shelf
 from ...store.text import digest_of
 from ...typing import FloatArray, IntArray
 from ...user_cache import default_cache_dir
 from ..fem import fem_model
-from .kept import Kept, Progressed, Side
 from .limb import Limb
 from .loads import Bells, bell_functionals
 from .skin import FlatSkin
@@ -71,6 +73,66 @@ class LoadedSkin:
         return out
 
 
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One mesh's part: the limb through the bells, with free ends where it has absorbing ones, ``reduction`` (3, n),
+    frequencies [Hz] and the reduced model's errors there along the normal and along the skin, ``missed`` (n, 3, n_bin)
+    [m/N], what they are by distance, and facts."""
+
+    kind: ClassVar[str] = "part of a library"
+    version: ClassVar[int] = 1
+
+    limb: Limb
+    freed: Limb | None
+    reduction: FloatArray = field(metadata=dims("frequency_and_errors checked"))
+    missed: FloatArray = field(metadata=dims("checked direction bin"))
+    facts: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Progressed:
+    """The space of the first ``done`` loads: ``reduced`` with its ``functionals`` (r, n_bell), made by ``solves``."""
+
+    reduced: ReducedModel
+    functionals: FloatArray
+    done: int
+    solves: int
+    seconds: float
+
+
+class _Space:
+    """The space of the loads that were solved, on a shelf: its blocks of columns, and what they span."""
+
+    def __init__(self, file: Path) -> None:
+        self._shelf = Shelf(file, "what was solved for the library")
+        self.remove = self._shelf.remove
+
+    def progressed(self, start: Progressed) -> Progressed:
+        """As far as it got: ``start``, the empty space, where nothing was kept."""
+        if (data := self._shelf.get("space")) is None:
+            return start
+        kept = [self._shelf.get(f"columns-{k}") for k in range(data["blocks"])]
+        blocks = tuple(part["columns"] for part in kept if part is not None)
+        size = len(data["functionals"])
+        if sum(block.shape[1] for block in blocks) != size:
+            return start
+        reduced = replace(
+            start.reduced, matrices=data["matrices"], functionals=np.zeros((size, 0)), basis=Basis(blocks),
+            low=np.zeros((size, 0)), coupling=data["coupling"],
+        )  # fmt: skip
+        return Progressed(reduced, data["functionals"], data["done"], data["solves"], data["seconds"])
+
+    def keep(self, state: Progressed) -> None:
+        """Keep how far it got; the space's last block is new."""
+        blocks, reduced = state.reduced.basis.blocks, state.reduced
+        if self._shelf.put(f"columns-{len(blocks) - 1}", {"columns": blocks[-1]}):
+            self._shelf.put("space", {
+                "matrices": reduced.matrices, "coupling": reduced.coupling, "functionals": state.functionals,
+                "blocks": len(blocks), "done": state.done, "solves": state.solves, "seconds": state.seconds,
+            })  # fmt: skip
+
+
+
 def solved_side(
     meshed: Scenario, loaded: LoadedSkin, base: Path, scale: float = 1.0, progress: Progress | None = None
 ) -> Side:
@@ -81,8 +143,9 @@ def solved_side(
     began = time.monotonic()
     mesh = cached_mesh(meshed, base=base, scale=scale, progress=within(progress, "mesh"))
     frequency = frequencies(meshed.sweep)
-    kept = Kept(default_cache_dir() / "library-parts" / _key(meshed, mesh.digest, loaded, scale))
-    if (found := kept.side()) is not None:
+    home, key = default_cache_dir() / "library-parts", _key(meshed, mesh.digest, loaded, scale)
+    shelf, kept = Shelf(home / f"{key}.sqlite", "a part of the library"), _Space(home / f"{key}-space.sqlite")
+    if (found := shelf.record("side", Side)) is not None:
         return found
     tell(progress, "assembly", 0, 1)
     model = fem_model(meshed, mesh)
@@ -93,7 +156,8 @@ def solved_side(
         state = _spanned(meshed, model, seen, loaded, frequency, kept, progress)
     side = _finished(meshed, model, seen, state, loaded, frequency, whole=scale == 1.0, progress=progress)
     side = replace(side, facts={**side.facts, "seconds_model": seconds})
-    kept.finish(side)
+    if shelf.keep("side", side):
+        kept.remove()
     return side
 
 
@@ -111,7 +175,7 @@ def _spanned(
     seen: csr_array,
     loaded: LoadedSkin,
     frequency: FloatArray,
-    kept: Kept,
+    kept: _Space,
     progress: Progress | None,
 ) -> Progressed:
     """The limb in the space of all loads, each an output, too; batch by batch, from where it was left."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...scenario.supports import Supports
+from ...scenario.supports import FoamUnderside, Supports
 from ...scenario.tissues import Membrane, Patch
 from ...tissue import Tissue
 from .coefficients import Coefficient, Impedance, Polynomial, is_polynomial
@@ -22,7 +22,6 @@ def term_coefficient(
     Raises KeyError for a name that no term has.
     """
     whole: dict[str, Coefficient] = {
-        "foam": Polynomial(supports.foam_stiffness, supports.foam_damping),
         "skin mass": Polynomial(inertia=membrane.mass),
         "skin tension": Polynomial(membrane.tension),
         "skin membrane": Polynomial(membrane.stiffness, membrane.viscosity),
@@ -31,6 +30,8 @@ def term_coefficient(
         "incompressibility": _ONE,
         "compression": _ONE,
     }
+    if isinstance(supports, FoamUnderside):
+        whole["foam"] = Polynomial(supports.foam_stiffness, supports.foam_damping)
     if name in whole:
         return whole[name]
     kind, _, of = name.partition(" ")

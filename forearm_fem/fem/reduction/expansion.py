@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import SolverError
 from ...progress import Progress, tell
-from ...scenario.sweep import SolverOptions
+from ...scenario.sweep import ReducedSolve
 from ...typing import ComplexArray, FloatArray
 from ..assembly.coefficients import is_polynomial
 from ..assembly.model import ForearmModel
@@ -98,7 +98,7 @@ class Made:
 class Expander:
     """Makes expansions, or takes them from the store; factorises only when it must."""
 
-    def __init__(self, model: ForearmModel, options: SolverOptions, store: Snapshots | None, residual: float) -> None:
+    def __init__(self, model: ForearmModel, options: ReducedSolve, store: Snapshots | None, residual: float) -> None:
         self.model, self._options, self._store, self._residual = model, options, store, residual
         self.orders = np.full(len(model.ports), min(options.point_derivatives, options.derivatives))
         self.orders[watched(model)[1]] = options.derivatives  # more of the watched forces' solutions than the others'
@@ -215,7 +215,7 @@ class Expander:
         """
         _log.warning("resonances of this band are sharp: their derivatives are made in double precision")
         self.release()
-        self._solver, self._options = None, self._options.model_copy(update={"precision": "double"})
+        self._solver, self._options = None, self._options.changed({"precision": "double"})
         space = RateSpace(self._ready(float(frequency[-1])), self.model.functionals, expansion_rate(frequency))
         reduced, change = empty_model(self.model), np.inf
         while change > wanted and reduced.size < _MOST:
@@ -264,7 +264,7 @@ class Expander:
         return self._solver
 
 
-def starts_from_rate(model: ForearmModel, options: SolverOptions) -> bool:
+def starts_from_rate(model: ForearmModel, options: ReducedSolve) -> bool:
     """Whether the reduced model starts from a rate; SolverError where that is asked for and moduli do not allow it."""
     able = all(is_polynomial(t.coefficient) for t in model.operator.terms)
     if options.start == "rate" and not able:
@@ -284,7 +284,7 @@ def expansion_rate(frequency: FloatArray) -> float:
     return float(2 * np.pi * np.sqrt(low * frequency[-1]))
 
 
-def expansion_frequencies(frequency: FloatArray, options: SolverOptions) -> tuple[float, ...]:
+def expansion_frequencies(frequency: FloatArray, options: ReducedSolve) -> tuple[float, ...]:
     """Middles of equal parts of the band in f^-0.2, from 30 Hz on where the band goes well beyond.
 
     Below, an expansion from above holds; far above, resonances are damped and one expansion reaches far

@@ -79,7 +79,7 @@ class Chunk:
     """New ``columns`` (n, m) of the space, orthonormal in their displacements, each with its own pressure.
 
     ``pairs`` are the new ones in all columns so far, ``last`` is how many of them the last of all ``derivatives`` gave,
-    ``residual`` what was left of the forces.
+    ``residual`` what was left of the forces, ``correction`` what refinement changed, by which more is refined or not.
     """
 
     columns: Columns
@@ -87,6 +87,7 @@ class Chunk:
     last: int
     derivatives: int
     residual: float
+    correction: float
 
 
 class RateSpace:
@@ -102,12 +103,12 @@ class RateSpace:
         self._weights = rate_weights([t.coefficient for t in operator.terms], rate)
         self._nothing = _NOTHING if compressible(operator) else _NOTHING_FREE
         self._basis, self._pairs = Basis(tuple(c.columns for c in chunks)), Pairs(np.zeros((0, 0)), np.zeros((0, 0)))
-        self._last, self.derivatives, self.residual = 0, 0, 0.0
+        self._last, self.derivatives, self.residual, self._correction = 0, 0, 0.0, np.inf
         for chunk in chunks:
             self._pairs = self._pairs.and_then(chunk.pairs)
             self._last, self.derivatives, self.residual = chunk.last, chunk.derivatives, chunk.residual
+            self._correction = chunk.correction
         self._start: FloatArray | None = None
-        self._correction = np.inf
 
     def more(self, count: int) -> Chunk:
         """The next ``count`` derivatives; fewer columns, or none, once what the forces can reach is exhausted."""
@@ -121,7 +122,7 @@ class RateSpace:
             end += new.shape[1]
             self._basis = known.with_block(columns[:, :end])
         pairs = self._pairs.last(self._pairs.count - old.count)
-        return Chunk(columns[:, :end], pairs, self._last, self.derivatives, self.residual)
+        return Chunk(columns[:, :end], pairs, self._last, self.derivatives, self.residual, self._correction)
 
     def solved(self, right: FloatArray) -> FloatArray:
         """P^-1 ``right`` (n, k), unrefined, with P the stiffness at the rate."""

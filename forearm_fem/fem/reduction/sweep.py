@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import SolverError
 from ...progress import Progress, tell
-from ...scenario.sweep import SolverOptions
+from ...scenario.sweep import ReducedSolve, SolverOptions
 from ...typing import ComplexArray, FloatArray
 from ..assembly.model import ForearmModel
 from ..linear.direct import ENOUGH, make_solver
@@ -97,7 +97,7 @@ def direct_sweep(
 def reduced_sweep(
     model: ForearmModel,
     frequency: FloatArray,
-    options: SolverOptions,
+    options: ReducedSolve,
     *,
     tolerance: float | None = 1e-4,
     progress: Progress | None = None,
@@ -155,7 +155,7 @@ def _certified(
     work: Expander,
     begun: Made,
     frequency: FloatArray,
-    options: SolverOptions,
+    options: ReducedSolve,
     tolerance: float,
     progress: Progress | None,
 ) -> Made:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from ...errors import GeometryError
 from ...ports import Port
 from ...scenario import Scenario
+from ...scenario.device import Rows
 from ...scenario.limb import CylinderLimb, ForearmLimb, LayerThickness, Limb, SlabLimb
 from ...typing import FloatArray
 
@@ -39,7 +40,7 @@ def layout_of(scenario: Scenario) -> Layout:
     for (a, pa), (b, pb) in combinations(zip(layout.names, layout.contacts, strict=True), 2):
         apart = float(np.linalg.norm(pa - pb))
         if apart < 2.1 * layout.radius:
-            apart_by = "increase device.spacing" if device.contacts is None else "move one in device.contacts"
+            apart_by = "increase device.spacing" if isinstance(device, Rows) else "move one in device.contacts"
             raise GeometryError(
                 f"contacts {a} and {b} are {apart * 1e3:.3g} mm apart, but discs of radius {layout.radius * 1e3:.3g} "
                 f"mm need {2.1 * layout.radius * 1e3:.3g} mm; {apart_by} or reduce device.cone.radius"

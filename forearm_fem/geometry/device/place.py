@@ -9,6 +9,7 @@ import numpy as np
 from ...errors import GeometryError
 from ...ports import Port
 from ...scenario import Scenario
+from ...scenario.device import GridRows, Rows
 from ...scenario.limb import CylinderLimb, ForearmLimb, Limb, SlabLimb
 from ...typing import FloatArray
 from ..limb.slab import check_slab
@@ -97,8 +98,9 @@ def _inwards(scenario: Scenario, kind: str) -> str:
     """Which keys move a port of a ``kind`` towards the middle."""
     if kind == "contact":
         rows = "reduce device.spacing or device.spacing_y"
-        return rows if scenario.device.contacts is None else "move its place in device.contacts"
-    return "reduce grid.pitch or grid.pitch_y" if scenario.grid.points is None else "move its place in grid.points"
+        return rows if isinstance(scenario.device, Rows) else "move its place in device.contacts"
+    even = isinstance(scenario.grid, GridRows)
+    return "reduce grid.pitch or grid.pitch_y" if even else "move its place in grid.points"
 
 
 def _larger(limb: Limb) -> str:

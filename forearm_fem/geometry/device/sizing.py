@@ -74,8 +74,7 @@ def element_sizes(scenario: Scenario, *, scale: float = 1.0) -> Sizes:
     """
     options, radius = scenario.mesh, scenario.device.cone.radius
     rule = GRADED if scenario.element == "P2/P3" else SECOND
-    frequencies = scenario.sweep.frequencies
-    f_max = frequencies[-1] if frequencies else scenario.sweep.f_max
+    f_max = scenario.sweep.span[1]
     grid = float(np.clip(rule.per_wavelength * DEFAULT_SHEAR_SPEED / f_max * scenario.accuracy**0.25, 0.4e-3, 6e-3))
     grid = scale * (options.size_grid or grid)
     contact = min(_CONTACT * grid, scale * rule.widest * radius)

@@ -23,7 +23,9 @@ from ...layered.response import scattered_orders
 from ...ports import Port
 from ...progress import Progress
 from ...scenario import Scenario, parse_scenario
-from ...tissue import Zener, limb_tissue_keys, resolve_tissues
+from ...scenario.device import VoltageDevice
+from ...scenario.limb import tissue_keys
+from ...tissue import Zener, resolve_tissues
 from ...transfer import Compliance, TransferMatrix
 from ...typing import FloatArray
 from .parameters import Parameter
@@ -204,17 +206,20 @@ def _around(key: str, start: float, low: float, high: float, unit: str = "") -> 
 
 def _known(scenario: Scenario) -> dict[str, Parameter]:
     tissues = resolve_tissues(scenario)
-    coil, cone = scenario.device.coil, scenario.device.cone
     found = {
         "scale": Parameter("scale", 1.0, 0.2, 5.0, log=True, stage=0),
         "delay": Parameter("delay", 0.0, -2e-3, 2e-3, stage=0, unit="s"),
-        "coil.moving_mass": _around("device.coil.moving_mass", coil.moving_mass, 0.1e-3, 1e-3, "kg"),
-        "coil.force_factor": _around("device.coil.force_factor", coil.force_factor, 0.8, 7.0, "T m"),
-        "coil.resonance": _around("device.coil.resonance", coil.resonance, 300.0, 1000.0, "Hz"),
-        "coil.quality": _around("device.coil.quality", coil.quality, 1.0, 10.0),
     }
-    if cone.mass > 0:
-        found["cone.mass"] = _around("device.cone.mass", cone.mass, 0.1e-3, 1.5e-3, "kg")
+    if isinstance(device := scenario.device, VoltageDevice):
+        coil, cone = device.coil, device.cone
+        found |= {
+            "coil.moving_mass": _around("device.coil.moving_mass", coil.moving_mass, 0.1e-3, 1e-3, "kg"),
+            "coil.force_factor": _around("device.coil.force_factor", coil.force_factor, 0.8, 7.0, "T m"),
+            "coil.resonance": _around("device.coil.resonance", coil.resonance, 300.0, 1000.0, "Hz"),
+            "coil.quality": _around("device.coil.quality", coil.quality, 1.0, 10.0),
+        }
+        if cone.mass > 0:
+            found["cone.mass"] = _around("device.cone.mass", cone.mass, 0.1e-3, 1.5e-3, "kg")
     layers = layers_of(scenario.limb)
     alike = Counter(part.tissue for part in layers)
     for layer, part in enumerate(layers):
@@ -223,7 +228,7 @@ def _known(scenario: Scenario) -> dict[str, Parameter]:
         found[f"{name}.thickness"] = Parameter(
             key, part.thickness, part.thickness / 3, part.thickness * 3, log=True, unit="m"
         )
-    own = {*limb_tissue_keys(scenario.limb).values(), *(("bone",) if getattr(scenario.limb, "bones", ()) else ())}
+    own = {*tissue_keys(scenario.limb).values(), *(("bone",) if getattr(scenario.limb, "bones", ()) else ())}
     for name, tissue in tissues.items():
         for short, unit in (("mu", "Pa"), ("eta", "Pa s")):
             value = getattr(tissue.modulus, short, None)

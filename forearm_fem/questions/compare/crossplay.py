@@ -13,6 +13,7 @@ import numpy as np
 from ...errors import AccuracyWarning, ForearmError
 from ...rendering import Wavelet, bridged, thesis_renderers
 from ...rendering.job import RenderJob, wavelet, wavelet_for
+from ...scenario.rendering import SampledWavelet
 from ...transfer import TransferMatrix
 from ...typing import FloatArray
 from .common import CommonGround
@@ -105,7 +106,7 @@ def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> tuple[Re
         whose, apart = f"the renderers of scenario '{scenario.name}'", ""
         on_bins = np.allclose(place, np.rint(place), rtol=0, atol=1e-3)
         if not on_bins:
-            if other is not None or options.wavelet.file is not None or len(ground.frequency) < 2:
+            if other is not None or isinstance(options.wavelet, SampledWavelet) or len(ground.frequency) < 2:
                 continue
             shape = wavelet_for(ground.frequency, options.wavelet.peak)
             apart = "; its bins are not the common frequencies, so that its run printed another S"
@@ -118,12 +119,12 @@ def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> tuple[Re
 
 def _kept_wavelet(scenario: Scenario, folders: Sequence[Path]) -> Wavelet:
     """The scenario's wavelet; of a file the copy that a run keeps in its folder, else the file itself."""
-    if (file := scenario.rendering.wavelet.file) is None:
+    if not isinstance(given := scenario.rendering.wavelet, SampledWavelet):
         return wavelet(scenario.rendering, scenario.sweep, Path("."))
+    file = given.file
     places = [p for folder in folders for p in (folder / f"wavelet{Path(file).suffix}", folder / file)]
     found = next((p for p in places if p.is_file()), Path(file))
-    own = scenario.rendering.wavelet.model_copy(update={"file": str(found.resolve())})
-    return wavelet(scenario.rendering.model_copy(update={"wavelet": own}), scenario.sweep, Path("."))
+    return wavelet(scenario.rendering.changed({"wavelet.file": str(found.resolve())}), scenario.sweep, Path("."))
 
 
 def sides(ground: CommonGround) -> tuple[TransferMatrix, TransferMatrix]:

@@ -304,7 +304,7 @@ def _check_reach(scenario: Scenario, data: TransferMatrix) -> None:
             f"the measured G has the outputs {', '.join(strange)[:80]}, the scene's grid the points 1 to {len(points)};"
             " name each output after its point, or lay the grid out as it was measured"
         )
-    low, high = scenario.sweep.f_min, scenario.sweep.f_max
+    low, high = scenario.sweep.span
     if beyond := [f for f in data.frequency.tolist() if not low / BEYOND <= f <= high * BEYOND]:
         raise DataError(
             f"the measured G has {beyond[0]:g} Hz, the scene sweeps {low:g} to {high:g} Hz; widen sweep.f_min and "

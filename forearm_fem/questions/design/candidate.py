@@ -19,6 +19,8 @@ from ...metrics.strength import WITHOUT_BOUND
 from ...rendering import Rendering
 from ...rendering.job import RenderJob, check_servable
 from ...scenario import Scenario
+from ...scenario.device import Housing, VoltageDevice
+from ...scenario.sweep import FrequencyList
 from ...transfer import TransferMatrix, finite, total_error
 from ...typing import FloatArray
 from .arm import ArmModel
@@ -102,7 +104,8 @@ def evaluate(design: Design, values: Values, arm: ArmModel) -> Candidate:
     count, limits = len(first.device.centres), asked.constraints
     voltage, power = (float(np.max([getattr(f, what) for f in found])) for what in ("voltage", "power"))
     total = float(np.mean([f.total_power for f in found]))
-    mass = first.device.housing.mass
+    housing = first.device.housing if isinstance(first.device, VoltageDevice) else None
+    mass = housing.mass if isinstance(housing, Housing) else math.nan
     are = {"max_voltage": voltage, "max_power": power, "max_mass": mass, "max_actuators": count}
     for name, value in are.items():
         most = getattr(limits, name)
@@ -207,6 +210,6 @@ def _geometry(scenario: Scenario, limits: Constraints, targets: tuple[str, ...])
 def _shorter(scenario: Scenario, duration: float) -> Scenario:
     """The scenario on a shorter record; unchanged where S is taken over the whole record, or frequencies are listed."""
     window = scenario.rendering.window
-    if scenario.sweep.frequencies is not None or window == "record" or scenario.sweep.duration <= duration:
+    if isinstance(scenario.sweep, FrequencyList) or window == "record" or scenario.sweep.duration <= duration:
         return scenario
-    return scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update={"duration": duration})})
+    return scenario.changed({"sweep.duration": duration})

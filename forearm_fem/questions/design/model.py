@@ -40,12 +40,14 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ...errors import ScenarioError, first_problem
-from ...pipeline.unread import unread_because
 from ...rendering.clearance import CLEARANCE
-from ...scenario import Scenario, apply_overrides, load_scenario, parse_scenario, scenario_beside
+from ...scenario import Scenario, load_scenario, parse_scenario, scenario_beside
 from ...scenario.actuators import ACTUATORS
 from ...scenario.base import Name, Part, Within
-from ...scenario.load import DOTTED, dotted, put
+from ...scenario.changes import dotted
+from ...scenario.device import HeldHousing
+from ...scenario.load import DOTTED
+from ...scenario.model import for_elements_only
 from ...scenario.rendering import Method
 from ...scenario.toml import read_toml
 from ...typing import BoolArray, FloatArray
@@ -226,10 +228,7 @@ class Design:
         given = {**self.asked.set, **values}
         found = list[Scenario]()
         for data in self.data:
-            out = apply_overrides(data, [])
-            for key, value in {**dotted(given), **aims}.items():
-                put(out, key, value, key)
-            found.append(parse_scenario(out))
+            found.append(parse_scenario(data, changes={**dotted(given), **aims}))
         if _HOUSING in given:
             return tuple(found)
         return tuple(_weighed(s, own, self.asked.constraints) for s, own in zip(found, self._own, strict=True))
@@ -237,25 +236,27 @@ class Design:
     @cached_property
     def _own(self) -> tuple[Scenario, ...]:
         """The scenarios as their files have them."""
-        return tuple(parse_scenario(apply_overrides(data, [])) for data in self.data)
+        return tuple(parse_scenario(data) for data in self.data)
 
 
 def _weighed(scenario: Scenario, own: Scenario, limits: Constraints) -> Scenario:
     """``scenario`` with the mass of its housing, by that of its file's ``own`` device."""
+    shell, its = (getattr(s.device, "housing", HeldHousing()) for s in (scenario, own))
+    if isinstance(shell, HeldHousing) or isinstance(its, HeldHousing):
+        return scenario
     (count, each), (was, other) = (
         (len(s.device.centres), limits.actuator_mass or ACTUATORS[s.device.actuator].mass or _THESIS)
         for s in (scenario, own)
     )
     if limits.shell_mass is None and (count, each) == (was, other):
         return scenario
-    shell = own.device.housing.mass - was * other if limits.shell_mass is None else limits.shell_mass
-    if shell < -1e-9:
+    bare = its.mass - was * other if limits.shell_mass is None else limits.shell_mass
+    if bare < -1e-9:
         raise ScenarioError(
-            f"device.housing.mass: {own.device.housing.mass:g} kg is less than its {was} actuators of {other:g} kg; "
+            f"device.housing.mass: {its.mass:g} kg is less than its {was} actuators of {other:g} kg; "
             "correct it, or give constraints.actuator_mass or constraints.shell_mass"
         )
-    housing = scenario.device.housing.model_copy(update={"mass": round(shell + count * each, 9)})
-    return scenario.model_copy(update={"device": scenario.device.model_copy(update={"housing": housing})})
+    return scenario.changed({_HOUSING: round(bare + count * each, 9)})
 
 
 def load_design(path: str | Path) -> Design:
@@ -314,8 +315,10 @@ def _check(file: Path, design: Design) -> None:
         _check_alike(file, scenarios)
         seen += scenarios
     for variable in design.asked.variables:
-        if why := _idle(variable.key, seen):
-            raise ScenarioError(f"{file}: {variable.key}: no candidate changes with it ({why}); vary another key")
+        if for_elements_only(variable.key) or variable.key in ("name", "description", "engine"):
+            raise ScenarioError(
+                f"{file}: {variable.key}: no candidate changes with it, for no mesh is made for them; vary another key"
+            )
     points = {str(k + 1) for k in range(len(scenarios[0].grid.places))}
     targets = design.asked.objective.targets
     if targets != "all" and (unknown := sorted(set(targets) - points)):
@@ -335,11 +338,3 @@ def _check_alike(file: Path, scenarios: Sequence[Scenario]) -> None:
                 f"{file}: {differ[0]} is not alike in the scenarios, and one device with one grid is designed for all "
                 "of them; give the key in set, or make their files agree"
             )
-
-
-def _idle(key: str, scenarios: Sequence[Scenario]) -> str | None:
-    """Why candidates, which no mesh is made for, do not read ``key`` in any of ``scenarios``."""
-    if key in ("name", "description", "engine"):
-        return "the twin or a library answers for all of them"
-    whys = [unread_because(scenario.model_copy(update={"engine": "layered"}), key) for scenario in scenarios]
-    return whys[0] if all(whys) else None

@@ -186,10 +186,8 @@ def _confirmed(design: Design, best: Candidate, out: Path, progress: Progress | 
     scores, folders = [], []
     objective = design.asked.objective
     for k, (scenario, base) in enumerate(zip(design.scenarios(best.values), design.bases, strict=True)):
-        aims: dict[str, Any] = {"targets": objective.targets}
-        rendering = scenario.rendering.model_copy(update=aims)
         folder = out / ("confirmed" if len(design.data) == 1 else f"confirmed-{k + 1}")
-        run_all(Run.start(scenario.model_copy(update={"rendering": rendering}), folder, base,
+        run_all(Run.start(scenario.changed({"rendering.targets": objective.targets}), folder, base,
                           within(progress, "confirmation")))  # fmt: skip
         strength = read_run(folder / "run.json").signal_strength
         assert strength is not None

@@ -86,13 +86,13 @@ def _content(
         if declaration is not None:
             raise DataError(f"{place}: a library says all of itself, so that --declare has no effect; leave it out")
         arm = load_library(place)
-        asked = scenario or arm.scenario.model_copy(update={"name": place.name.removesuffix(LIBRARY)})
+        asked = scenario or arm.scenario.changed({"name": place.name.removesuffix(LIBRARY)})
         return library_content(arm, asked, f"library {place.name}", progress, base)
     asked = scenario or Scenario()
     transfer = read_measured(place, declaration, ports=planform_ports(asked))
     if scenario is None and isinstance(sweep := transfer.provenance.get("sweep"), Mapping):  # of a calibration
         asked = parse_scenario({"sweep": {k: sweep[k] for k in ("duration", "sample_rate", "f_min", "f_max")}})
-    named = asked.model_copy(update={"name": _NO_NAME.sub("-", name).strip(".-")[:100] or "measured"})
+    named = asked.changed({"name": _NO_NAME.sub("-", name).strip(".-")[:100] or "measured"})
     return measured_content(transfer, named, f"measured G of {Path(what).name}", base)
 
 

@@ -31,11 +31,11 @@ from ...rendering import (
     place,
     place_on_bins,
 )
-from ...rendering.clearance import CLEARANCE
 from ...rendering.interval import at_least_band
 from ...rendering.job import least_error, wavelet
 from ...scenario import Scenario, parse_scenario
 from ...scenario.frequencies import frequencies
+from ...scenario.rendering import SampledWavelet
 from ...store.record import load
 from ...transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ...typing import FloatArray
@@ -178,10 +178,10 @@ def _common(
         "errors": [_estimate(e, placed.bins.frequency) for e in errors],
         "deviates": transfer.deviation is not None,
         "accuracy": accuracy_verdict(scenario, transfer.errors),
-        "clearance": CLEARANCE,
+        "clearance": scenario.rendering.clearance,
         "device": {**scenario.device.model_dump(mode="json"), "centres": scenario.device.centres},
         "rendering": scenario.rendering.model_dump(mode="json"),
-        "samples": None if scenario.rendering.wavelet.file is None else packed(shape.samples, "f8"),
+        "samples": packed(shape.samples, "f8") if isinstance(scenario.rendering.wavelet, SampledWavelet) else None,
         "scenario": short_scenario(scenario),
         "field": _packed_field(field),
         "colours": {"methods": dict(METHODS), "tissues": dict(TISSUES)},
@@ -263,10 +263,10 @@ def _same_ports(a: tuple[Port, ...], b: tuple[Port, ...]) -> bool:
 
 def _shape(results: Results, scenario: Scenario) -> Wavelet:
     """The scenario's wavelet, its samples from the copy that the run left in the folder."""
-    file = scenario.rendering.wavelet.file
-    if file is None:
+    given = scenario.rendering.wavelet
+    if not isinstance(given, SampledWavelet):
         return wavelet(scenario.rendering, scenario.sweep, results.folder)
-    kept = results.folder / f"wavelet{Path(file).suffix}"
+    kept = results.folder / f"wavelet{Path(given.file).suffix}"
     if not kept.is_file():
         raise DataError(f"{kept}: missing; `forearm-fem render SCENARIO --out {results.folder}` makes it")
     return from_samples_file(kept, scenario.sweep.sample_rate, scenario.sweep.duration)

@@ -202,11 +202,10 @@ def patch_field(arm: LibraryOfArm, places: Places) -> Field:
 
 def _with(scenario: Scenario, contacts: FloatArray, points: FloatArray) -> Scenario:
     """The scenario with other places in the limb's own frame, whole actuators all of them."""
-    device = scenario.device.model_copy(update={
-        "contacts": _pairs(contacts), "rotation": 0.0, "out_of_contact": (), "gains": {}, "contact_springs": {},
+    return scenario.changed({
+        "device.contacts": _pairs(contacts), "device.rotation": 0.0, "device.out_of_contact": (), "device.gains": {},
+        "device.contact_springs": {}, "grid.points": _pairs(points),
     })  # fmt: skip
-    grid = scenario.grid.model_copy(update={"points": _pairs(points)})
-    return scenario.model_copy(update={"device": device, "grid": grid})
 
 
 def _pairs(places: FloatArray) -> tuple[tuple[float, float], ...]:
