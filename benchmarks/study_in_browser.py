@@ -1,17 +1,16 @@
-"""A whole study through the real pages: simulated participants click and type in headless Chromium; then analysed.
+"""The thesis' two studies through the real pages: simulated participants click and type in headless Chromium.
 
-``python benchmarks/study_in_browser.py STUDY.toml RESULTS --participants 20 [--at-once 6] [--kill 20]``. RESULTS is a
-folder of the finite elements (its G plays, its field is felt) or a file of G. Stimuli play through the virtual device;
-every session is a process of its own (`forearm-fem study run`), killed at random moments ``--kill`` times in all and
-started again. Writes results/study.csv: answers, kills, problems (lost, doubled or out of order: none is allowed) and
-seconds from the last answer to the report. A run that was stopped goes on where it was. Needs the extras study and
-test, and Chromium.
+``python benchmarks/study_in_browser.py STUDY.toml --participants 20 [--at-once 2] [--kill 20]``. The study's G plays
+through the virtual device; every session is a process of its own (`forearm-fem study run`), killed (SIGKILL) at random
+moments ``--kill`` times in all and started again. In every session the page is reloaded once; every third participant
+has a second window open that answers too late; every fourth uses a telephone's width. Then the analysis, and the R
+scripts beside it where Rscript is installed: largest differences from our tables. Writes results/study.csv and
+study.md. A run that was stopped goes on where it was. Needs the extras study and test, and Chromium.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import random
 import re
 import shutil
@@ -21,164 +20,181 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-import numpy as np
+import pandas as pd
+
+from simulated_people import Person
+
+WORSE = {"funneling": 3e-3}  # m of scatter more, so that there is something to find
 
 
 def main() -> None:
-    """Run all sessions, then the analysis."""
+    """Run all sessions, then the analysis, then R."""
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("study", type=Path)
-    options.add_argument("transfer", type=Path)
     options.add_argument("--participants", type=int, default=20)
     options.add_argument("--at-once", type=int, default=2)
     options.add_argument("--kill", type=int, default=20)
     options.add_argument("--only", type=int, help="answers per session and participant, to try the script")
     chosen = options.parse_args()
-    per_person = [
-        chosen.kill // chosen.participants + (k < chosen.kill % chosen.participants) for k in range(chosen.participants)
-    ]
-    felt = what_is_felt(chosen.study, chosen.transfer)
-    file = chosen.transfer / "transfer.nc" if chosen.transfer.is_dir() else chosen.transfer
+    n = chosen.participants
+    per_person = [chosen.kill // n + (k < chosen.kill % n) for k in range(n)]
     from forearm_fem.study.run import Prepared
 
     began = time.perf_counter()
+    store = Prepared.of(chosen.study).store(begin=True)
+    for k in range(n):  # in this order, whoever comes first: the place in the study is the order of enrolment
+        store.enrol(f"{k + 1:02d}", consent="2026-11-24", age=20 + k, sex="FM"[k % 2])
     with ProcessPoolExecutor(chosen.at_once) as pool:
-        jobs = [
-            pool.submit(person, chosen.study, file, felt, k, per_person[k], chosen.only)
-            for k in range(chosen.participants)
-        ]
+        jobs = [pool.submit(person, chosen.study, k, per_person[k], chosen.only) for k in range(n)]
         done = [job.result() for job in jobs]
-    problems = [line for found, _, _ in done for line in found]
-    answers, kills = sum(count for _, count, _ in done), sum(killed for _, _, killed in done)
+    problems = [line for found, *_ in done for line in found]
     answered = time.perf_counter()
     subprocess.run([sys.executable, "-m", "forearm_fem", "study", "analyse", str(chosen.study)], check=True)
-    report = time.perf_counter() - answered
-    row = {"participants": chosen.participants, "answers": answers, "kills": kills, "problems": len(problems),
-           "at_once": chosen.at_once, "seconds": round(answered - began),
-           "seconds_to_report": round(report, 1)}  # fmt: skip
-    write_page(row, chosen.study.parent / Prepared.of(chosen.study).folder.name)
+    row = {
+        "participants": n, "answers": sum(d[1] for d in done), "killed": sum(d[2] for d in done),
+        "reloads": sum(d[3] for d in done), "late_answers_of_second_windows": sum(d[4] for d in done),
+        "problems": len(problems), "seconds": round(answered - began),
+        "seconds_to_report": round(time.perf_counter() - answered, 1),
+    }  # fmt: skip
+    write_page(row, store.folder / "analysis")
     print(row)
     print("\n".join(problems) or "no answer lost, doubled or out of order")
     sys.exit(bool(problems))
 
 
-def write_page(row, folder: Path) -> None:  # type: ignore[no-untyped-def]
-    """results/study.csv, study.md, and the figures that the analysis in ``folder`` made."""
+def write_page(row: dict[str, float], analysis: Path) -> None:
+    """results/study.csv, study.md, and the figures that the analysis made."""
     out = Path(__file__).parent / "results"
     (out / "study.csv").write_text(",".join(row) + "\n" + ",".join(map(str, row.values())) + "\n")
     pictures = {"identification-ellipses": "Figure 8", "confidence-points": "Figure 9"}
     for name in pictures:
-        shutil.copy(folder / "analysis" / f"{name}.png", out / f"study-{name}.png")
+        shutil.copy(analysis / f"{name}.png", out / f"study-{name}.png")
     tests = []
-    for name in ("identification-error", "confidence-points"):
-        with (folder / "analysis" / f"{name}-anova.csv").open() as stream:
+    for file in sorted(analysis.glob("*-anova.csv")):
+        if not file.name.endswith("-r-anova.csv"):
             tests += [
-                f"| {name.replace('-', ', ')} | {e['name']} | {float(e['f']):.2f} | {float(e['gg']):.2f} | "
-                f"{float(e['p_gg']):.2g} |"
-                for e in csv.DictReader(stream)
+                f"| {file.name.removesuffix('-anova.csv').replace('-', ', ')} | {e.effect} | {e.F:.2f} | {e.df:.2f}, "
+                f"{e.df_error:.1f} | {e.p:.2g} |"
+                for e in pd.read_csv(file).itertuples()
             ]
     lines = [
         "# A whole study through the pages\n",
         "Simulated participants answer by keys and clicks in headless Chromium, every stimulus through the virtual "
-        "device, while sessions are killed again and again. **Simulated answers, not people's.** "
-        "[study.csv](study.csv)\n",
-        "| participants | at once | answers | times killed | sessions with answers lost, doubled or out of order | "
-        "last answer to report |\n|---|---|---|---|---|---|",
-        f"| {row['participants']} | {row['at_once']} | {row['answers']} | {row['kills']} | {row['problems']} | "
-        f"{row['seconds_to_report']} s |\n",
+        "device, while sessions are killed, reloaded and opened twice. **Simulated answers, not people's.**\n",
+        "| " + " | ".join(k.replace("_", " ") for k in row) + " |\n|" + "---|" * len(row),
+        "| " + " | ".join(map(str, row.values())) + " |\n",
         *(f"![{title}](study-{name}.png)\n" for name, title in pictures.items()),
-        "| task, measure | effect | F | epsilon | p (Greenhouse-Geisser) |\n|---|---|---|---|---|",
+        "| task, measure | effect | F | degrees of freedom | p |\n|---|---|---|---|---|",
         *tests,
+        *in_r(analysis),
     ]
     (out / "study.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def what_is_felt(study: Path, transfer: Path):  # type: ignore[no-untyped-def]
-    """The energies of all stimuli, the same for everyone here."""
-    from forearm_fem.commands.common import transfer_file
-    from forearm_fem.io.recognise import read_measured
-    from forearm_fem.study.field import field_for, grid_field
-    from forearm_fem.study.percept import Felt
-    from forearm_fem.study.run import Prepared
+def in_r(analysis: Path) -> list[str]:
+    """The scripts run by R: largest relative difference of each column from ours, over all measures."""
+    if shutil.which("Rscript") is None:
+        return ["\nR is not installed here, so that its scripts were not run."]
+    worst: dict[str, float] = {}
+    same = {"F": "F", "num.Df": "df", "den.Df": "df_error", "Pr..F.": "p", "pes": "partial_eta2", "ges":
+            "generalised_eta2", "estimate": "difference", "low": "low", "high": "high", "t.ratio": "t",
+            "p.corrected": "p"}  # fmt: skip
+    for file in sorted(analysis.glob("*.R")):
+        subprocess.run(["Rscript", file.name], cwd=analysis, check=True, capture_output=True)
+        for kind in ("anova", "pairs"):
+            theirs = pd.read_csv(analysis / f"{file.stem}-r-{kind}.csv")
+            ours = pd.read_csv(analysis / f"{file.stem}-{kind}.csv")
+            theirs.columns = [re.sub(r"[^A-Za-z0-9_]", ".", c) for c in theirs.columns]
+            for name, column in same.items():
+                if name in theirs and column in ours:
+                    apart = (theirs[name] - ours[column]).abs() / ours[column].abs().clip(lower=1e-12)
+                    key = f"{kind}, {column}"
+                    worst[key] = max(worst.get(key, 0.0), float(apart.max()))
+    rows = [f"| {name} | {value:.1e} |" for name, value in worst.items()]
+    return ["\n## The same in R\n", "afex and emmeans, by the scripts that stand beside the report.\n",
+            "| table, column | largest relative difference |\n|---|---|", *rows]  # fmt: skip
 
-    prepared, matrix = Prepared.of(study), read_measured(transfer_file(transfer))
-    record = prepared.wavelet.record
-    field = field_for(transfer) or grid_field(matrix)
-    return Felt.of(field, prepared.stimuli(matrix), record.sample_rate, record.n / record.sample_rate)
 
-
-def person(study: Path, transfer: Path, felt, number: int, kills: int, only: int | None):  # type: ignore[no-untyped-def]
-    """All tasks of one simulated participant; what is wrong with what lies on disk afterwards, and answers there."""
+def person(study: Path, number: int, kills: int, only: int | None) -> tuple[list[str], int, int, int, int]:
+    """All tasks of one participant: problems, answers on disk, kills, reloads, late answers that were refused."""
     from playwright.sync_api import sync_playwright
 
-    from forearm_fem.study.order import trials
-    from forearm_fem.study.percept import Percept, SimulatedParticipant
+    from forearm_fem.study.order import tasks_of, trials
     from forearm_fem.study.run import Prepared
-    from forearm_fem.study.stimuli import transfer_of
 
-    prepared, name, rng = Prepared.of(study), f"{number + 1:02d}", np.random.default_rng([7, number])
-    place = study.parent / prepared.study.transfer.replace("{participant}", name)
-    place.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copy(transfer, place)
-    matrix = transfer_of(prepared.study, prepared.base, name)
-    mind = SimulatedParticipant(Percept().varied(rng), felt, matrix.outputs, rng)
-    problems, count, killed = [], 0, 0
+    prepared, name = Prepared.of(study), f"{number + 1:02d}"
+    store = prepared.store()
+    mind = Person(prepared.grid(), number, WORSE)
+    problems, count, killed, reloads, refused = list[str](), 0, 0, 0, 0
     with sync_playwright() as driver:
         browser = driver.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
         )
-        for task in prepared.study.tasks:
-            order = trials(prepared.study, task, name)[:only]
+        for task in tasks_of(prepared.study, store.place(name)):
+            order = trials(prepared.study, task, store.place(name))[:only]
             moments = set(random.Random(number).sample(range(1, len(order)), min(kills, len(order) - 1)))
-            earlier = prepared.store().answers(name, task.name)
+            kills = 0  # in the first task
             planned = len(moments)
-            said: list[tuple[str, ...]] = [tuple(r["response"].split()) for r in earlier]
+            said = [tuple(r["response"].split()) for r in store.answers(name, task.name)]
             while len(said) < len(order):
-                said += _sitting(browser, study, name, task, order, said, moments, mind)
-            rows = prepared.store().answers(name, task.name)
+                given, again, late = sitting(browser, study, name, task, order, said, moments, mind, number)
+                said, reloads, refused = said + given, reloads + again, refused + late
+            rows = store.answers(name, task.name)
             count, killed = count + len(rows), killed + planned - len(moments)
             kept = [(r["trial"], r["method"], r["target"], r["response"]) for r in rows]
             expected = [(str(t.number), t.method, t.target, " ".join(a)) for t, a in zip(order, said, strict=False)]
             if kept != expected:
                 problems.append(f"participant {name}, {task.name}: {len(kept)} answers on disk, {len(expected)} given")
         browser.close()
-    return problems, count, killed
+    return problems, count, killed, reloads, refused
 
 
-def _sitting(browser, study, name, task, order, said, moments, mind):  # type: ignore[no-untyped-def]
-    """One process and one page, until the task is done or the process is killed; the answers given in it."""
+def sitting(browser, study, name, task, order, said, moments, mind, number):  # type: ignore[no-untyped-def]
+    """One process and its pages, until the task is done or the process is killed; what was answered in it."""
     command = [sys.executable, "-u", "-m", "forearm_fem", "study", "run", str(study), "--participant", name,
-               "--task", task.name, "--consent", "2026-11-24"]  # fmt: skip
+               "--task", task.name]  # fmt: skip
     serving = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     address = next(m[1] for line in serving.stdout if (m := re.match(r"participant:\s+(\S+)", line)))
-    page, given = browser.new_page(viewport={"width": 900, "height": 700}), []
+    size = {"width": 360, "height": 640} if number % 4 == 3 else {"width": 900, "height": 700}
+    page, given, reloads, late = browser.new_page(viewport=size), list[tuple[str, ...]](), 0, 0
     page.set_default_timeout(180_000)  # a machine may be busy; a key that is lost would still never count
     page.goto(address)
+    other = None
     try:
         while len(said) + len(given) < len(order):
-            trial = order[len(said) + len(given)]
-            page.locator(
-                "body[data-waiting='answer'], body[data-waiting='start'], body[data-waiting='break']"
-            ).wait_for()
+            count = len(said) + len(given)
+            trial = order[count]
+            ready = "body[data-waiting='answer'], body[data-waiting='start'], body[data-waiting='break']"
+            page.locator(ready).wait_for()
             if page.locator("body[data-waiting='answer']").count() == 0:
                 page.locator("#go").click()
                 page.locator("body[data-waiting='answer']").wait_for()
-            answer = (mind.one_point if task.answer == "one point" else lambda *a: mind.several_points(*a))(
-                trial.method, trial.target
-            )
-            answer = (answer,) if isinstance(answer, str) else answer
-            ordered = sorted(answer, key=lambda _: random.random())
-            for k, point in enumerate(ordered):
-                page.keyboard.press(point) if (len(given) + k) % 2 else page.locator(
-                    f"#arm g[data-name='{point}']"
-                ).click()
+            answer = mind.answer(trial.method, trial.target, several=task.answer == "several points")
+            if len(given) == 3:  # in the middle of a trial: the same one waits after it
+                page.reload()
+                page.locator("body[data-waiting='answer']").wait_for()
+                reloads += 1
+            for k, point in enumerate(answer):
+                if (len(given) + k) % 2:
+                    page.keyboard.press(point)
+                else:
+                    page.locator(f"#arm g[data-name='{point}']").click()
             if task.answer != "one point":
                 page.locator("#go").click()
-            count = len(said) + len(given) + 1
-            page.locator(f"body[data-answered='{count}']").wait_for()
-            given.append(tuple(ordered))
-            if count in moments:
-                moments.discard(count)
+            page.locator(f"body[data-answered='{count + 1}']").wait_for()
+            given.append(answer)
+            if len(given) == 5 and number % 3 == 0:  # a second window answers the trial that is over
+                other = other or browser.new_page()
+                other.goto(address)
+                where = address.replace("/p/", "/api/") + "/answer"
+                reply = other.evaluate(
+                    "async ([url, n]) => (await fetch(url, {method: 'POST', headers: {'Content-Type': "
+                    "'application/json'}, body: JSON.stringify({points: ['1'], answered: n})})).status", [where, count],
+                )  # fmt: skip
+                late += reply == 409
+                other.close()
+            if count + 1 in moments:
+                moments.discard(count + 1)
                 time.sleep(random.random() * 0.8)  # anywhere between the answer and the next stimulus
                 serving.kill()
                 break
@@ -186,7 +202,7 @@ def _sitting(browser, study, name, task, order, said, moments, mind):  # type: i
         page.close()
         serving.kill()
         serving.wait()
-    return given
+    return given, reloads, late
 
 
 if __name__ == "__main__":

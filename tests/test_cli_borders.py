@@ -35,7 +35,8 @@ LINES = {  # every command that reads a G, with a file that says nothing of itse
     "workbench": ("lab.csv", "--scenario", "small.toml"),
     "validate": ("small.toml", "--measured", "lab.csv"),
     "study run": ("s.toml", "--participant", "01", "--task", "identification"),
-    "study rehearse": ("s.toml", "--transfer", "lab.csv"),
+    "study new": ("t", "--scenario", "small.toml", "--transfer", "lab.csv"),
+    "study stimuli": ("s.toml", "--participant", "01"),
 }
 
 
@@ -74,7 +75,7 @@ def paths() -> list[tuple[str, Any]]:
 def test_every_command_that_takes_a_g_is_among_those_tried() -> None:
     """A G in a file is known by the word in the path's help; that of a participant is named by the study."""
     takes = {name for name, p in paths() if re.search(r"\bG\b", p.help) and p.name != "scenario"}
-    assert takes | {"study run"} == set(LINES)
+    assert takes | {"study run", "study stimuli"} == set(LINES)
 
 
 @pytest.mark.parametrize("command", LINES)
@@ -141,7 +142,8 @@ def test_a_missing_file_is_said_before_the_command_begins(
     for p in next(c for name, c in every_command() if name == command).params:
         if p.required or p is given or p.name == given.name:
             named = [p.opts[0]] if p.param_type_name == "option" else []
-            there = {"scenario": "small.toml", "file": "small.toml", "pilot": "."}.get(p.name, "lab.csv")
+            fitting = {"scenario": "small.toml", "file": "small.toml", "pilot": ".", "participant": "01"}
+            there = fitting.get(p.name, "lab.csv")
             words += [*named, "missing.toml" if p.name == given.name else there]
     before = leftovers(lab)
     answer = cli(*words, cwd=lab)
@@ -176,7 +178,7 @@ def test_a_language_that_is_not_there_is_said_before_anybody_is_enrolled(lab: Pa
         'name = "pilot"\nscenario = "small.toml"\ntransfer = "out"\nlanguage = "xx"\n[stimuli]\ntargets = ["5", "6"]\n'
     )
     (lab / "pilot.toml").write_text(text)
-    words = ("--participant", "01", "--task", "identification", "--consent", "2026-11-24", "--terminal")
+    words = ("--participant", "01", "--task", "identification", "--consent", "2026-11-24")
     answer = cli("study", "run", "pilot.toml", *words, cwd=lab)
     assert answer.sentence == "language: 'xx' is neither en, de, nl nor a readable TOML file of texts"
     assert not (lab / "pilot").exists()
@@ -307,7 +309,7 @@ OF_ANOTHER = {  # each kind of folder, and the line that would work in it
     "run": ("run", "small.toml", "--out"),
     "design": ("design", "d.toml", "--out"),
     "campaign": ("campaign", "c.toml", "--out"),
-    "study": ("study", "rehearse", "s.toml", *("--transfer", "lab.csv"), *declared(SAID, ""), "--data"),
+    "study": ("study", "stimuli", "s.toml", *("--participant", "01"), *declared(SAID, ""), "--data"),
     "calibration": ("calibrate", "small.toml", "--through", "lab.csv", *declared(SAID, ""), "--out"),
 }
 

@@ -9,7 +9,6 @@ import time
 import urllib.request
 
 import pytest
-from test_study_records import strength
 from test_study_session import GRID, opened, silent, small
 
 from forearm_fem.errors import DataError, ScenarioError
@@ -246,7 +245,7 @@ def test_a_digit_that_begins_other_names_is_no_answer(browser, tmp_path):
     """Of twelve points, 1 would be the answer of who types 12; 5 begins no other name."""
     twelve = (*GRID, *(Port(str(n), "point", (0.02, 0.01 * (n - 11), 0.0)) for n in (10, 11, 12)))
     store = StudyStore.open(tmp_path, plan := small())
-    store.enrol("01", consent="2026-11-24", added="2026-11-24")
+    store.enrol("01", consent="2026-11-24")
     session = Session(store, "01", plan.tasks[0], twelve, silent)
     with served(session, twelve) as (theirs, _):
         page, problems = _page(browser, theirs)
@@ -266,7 +265,7 @@ def test_a_digit_that_begins_other_names_is_no_answer(browser, tmp_path):
 def test_a_key_while_the_stimulus_plays_does_nothing(browser, tmp_path):
     over = threading.Event()
 
-    def player(method, target, level):
+    def player(method, target):
         over.wait(30)
         return Presented(0.2, 1.0)
 
@@ -303,23 +302,6 @@ def test_two_open_browsers_answer_each_trial_once(browser, session):
     rows = session._store.answers("01", "places")
     assert [r["trial"] for r in rows] == [str(k + 1) for k in range(len(rows))]
     assert rows[0]["response"] in ("5", "1")
-
-
-def test_which_felt_stronger_in_a_browser(browser, tmp_path):
-    pytest.importorskip("questplus")
-    session = opened(tmp_path, strength(trials=5))
-    with served(session) as (theirs, _):
-        page, problems = _page(browser, theirs)
-        page.keyboard.press("Space")
-        page.get_by_text("Which felt stronger").wait_for()
-        page.keyboard.press("2")
-        page.locator("body[data-answered='1']").wait_for()
-        page.get_by_text("Which felt stronger").wait_for()
-        page.locator("#go").click()
-        page.locator("body[data-answered='2']").wait_for()
-        assert problems == []
-        page.close()
-    assert [r["response"] for r in session._store.answers("01", "strength")] == ["second", "first"]
 
 
 def test_the_experimenter_pauses_and_the_participant_waits(browser, session):

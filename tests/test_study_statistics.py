@@ -1,4 +1,4 @@
-"""The analysis of variance and what follows it, against R's afex, car and lme4 (tests/data/study/make_anova.R)."""
+"""Analysis of variance and what follows, against R (tests/data/study/make_anova.R), and by whole studies drawn."""
 
 from __future__ import annotations
 
@@ -10,9 +10,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from forearm_fem.errors import DataError
-from forearm_fem.study.anova import repeated_measures
-from forearm_fem.study.comparisons import corrected_p, friedman, mixed_model, pairwise, residual_normality
+pd = pytest.importorskip("pandas")
+
+from forearm_fem.errors import DataError  # noqa: E402
+from forearm_fem.study.analysis import analyse  # noqa: E402
+from forearm_fem.study.anova import repeated_measures  # noqa: E402
+from forearm_fem.study.comparisons import corrected_p, friedman, means, pairwise  # noqa: E402
+from forearm_fem.study.plan import Analysis  # noqa: E402
+from forearm_fem.study.power import Size, needed, power_curve, size_of_least, size_of_pilot, size_of_scatter  # noqa: E402
 
 DATA = Path(__file__).parent / "data" / "study"
 SIX_DIGITS = 1e-6  # what the reference file is written to, and more than the two programs' rounding
@@ -35,15 +40,13 @@ def cells(name, leave_out=()):
 
 @pytest.mark.parametrize(("name", "leave_out"), [("balanced", ()), ("rough", ()), ("few", ()), ("missing", (3, 7))])
 def test_nine_by_three_agrees_with_r(name, leave_out):
-    """F, corrections, Mauchly and effect sizes of all three effects; `rough` is far from spherical (epsilon 0.39)."""
+    """F, corrections and effect sizes of all three effects; `rough` is far from spherical (epsilon 0.39)."""
     expected = reference()[name]
     for effect in repeated_measures(cells(name, leave_out), ("location", "method")):
         theirs = expected[effect.name.replace(" x ", "_")]
-        mauchly_p = theirs.pop("mauchly_p")
+        theirs = {k: v for k, v in theirs.items() if not k.startswith("mauchly")}
         for key, value in theirs.items():
             assert getattr(effect, key) == pytest.approx(value, rel=SIX_DIGITS, abs=0), (effect.name, key)
-        # R's car has the number of cells for that of contrasts in one term of third order (Anderson 2003, 10.7.4)
-        assert effect.mauchly_p == pytest.approx(mauchly_p, abs=1e-3)
 
 
 @pytest.mark.parametrize("name", ["balanced", "rough", "few"])
@@ -55,59 +58,6 @@ def test_pairs_of_methods_agree_with_r(name):
         assert [p.p for p in found] == pytest.approx(expected[f"pair_{how}"], rel=SIX_DIGITS)
     ranks = friedman(means)
     assert [ranks.statistic, ranks.p] == pytest.approx(expected["friedman"], rel=SIX_DIGITS)
-
-
-def test_mixed_model_agrees_with_lme4():
-    """All trials, two cells missing; REML optima of two programs agree to 1e-4 of a standard error or so."""
-    pd = pytest.importorskip("pandas")
-    pytest.importorskip("statsmodels")
-    expected = reference()["missing"]
-    fit = mixed_model(pd.read_csv(DATA / "missing.csv"), "error", ("location", "method"), "subject")
-    terms = {name: value for name, value, *_ in fit.terms}
-    assert fit.converged
-    assert terms["C(method)[T.b]"] == pytest.approx(expected["mixed_method_b"], rel=1e-4)
-    assert fit.residual_sd == pytest.approx(expected["mixed_sigma"], rel=1e-4)
-    assert fit.subject_sd == pytest.approx(expected["mixed_subject_sd"], rel=1e-3)
-
-
-def test_the_mixed_model_where_nothing_varies_between_subjects_is_plain_least_squares():
-    """Half of 40 studies without differences between people end there; statsmodels told an intercept of 0 for 20 and no
-    error, or failed."""
-    pd = pytest.importorskip("pandas")
-    ols = pytest.importorskip("statsmodels.formula.api").ols
-    rows = [(s, t, m) for s in "abc" for t in "1234" for m in "xy" for _ in range(2)]
-    table, alike = pd.DataFrame(rows, columns=["subject", "location", "method"]), 0
-    for seed in range(40):
-        table["error"] = 20 + np.random.default_rng(seed).normal(size=len(table))
-        fit = mixed_model(table, "error", ("location", "method"), "subject")
-        plain = ols("error ~ C(location) * C(method)", table).fit()
-        terms = {name: (estimate, error) for name, estimate, error, *_ in fit.terms}
-        assert fit.converged
-        # every subject has every cell as often: estimates do not depend on the variances
-        assert {n: e for n, (e, _) in terms.items()} == pytest.approx(dict(plain.params), abs=1e-9)
-        if fit.subject_sd == 0:
-            alike += 1
-            assert {n: e for n, (_, e) in terms.items()} == pytest.approx(dict(plain.bse), rel=1e-9)
-    assert 10 < alike < 35
-
-
-def test_a_mixed_model_is_that_of_statsmodels_where_subjects_differ():
-    pd = pytest.importorskip("pandas")
-    mixedlm = pytest.importorskip("statsmodels.formula.api").mixedlm
-    rng = np.random.default_rng(8)
-    rows = [(s, t, m, k) for k, s in enumerate("abcdef") for t in "123" for m in "xy" for _ in range(3)]
-    table = pd.DataFrame(rows, columns=["subject", "location", "method", "number"])
-    table["error"] = 20 + rng.normal(size=len(table)) + 3 * rng.normal(size=6)[table["number"]]
-    table = table.drop(index=[0, 7, 8, 9, 40])
-    fit = mixed_model(table, "error", ("location", "method"), "subject")
-    theirs = mixedlm("error ~ C(location) * C(method)", table, groups=table["subject"]).fit(reml=True)
-    for name, estimate, error, *_ in fit.terms:
-        assert estimate == pytest.approx(theirs.fe_params[name], rel=1e-4)
-        assert error == pytest.approx(theirs.bse_fe[name], rel=1e-3)
-    assert fit.subject_sd**2 == pytest.approx(float(theirs.cov_re.iloc[0, 0]), rel=1e-3)
-    gone = table[~((table["location"] == "2") & (table["method"] == "x"))]
-    with pytest.raises(DataError, match="some of its cells have no answer at all"):
-        mixed_model(gone, "error", ("location", "method"), "subject")
 
 
 def test_a_factor_of_two_levels_is_a_paired_t_test():
@@ -146,7 +96,7 @@ def test_what_does_not_vary_has_no_f():
     """Participants who differ from each other alone: sums of squares of 1e-32 over 1e-32 are no F of 3."""
     own = np.broadcast_to(np.array([0.1, 0.7, 1.3])[:, None, None], (3, 3, 3))
     for effect in repeated_measures(own, ("location", "method")):
-        assert np.isnan([effect.f, effect.p, effect.p_gg, effect.p_hf, effect.mauchly_p, effect.partial_eta2]).all()
+        assert np.isnan([effect.f, effect.p, effect.p_gg, effect.p_hf, effect.partial_eta2]).all()
         assert effect.generalised_eta2 == 0
     everyone = np.broadcast_to(np.array([0.1, 0.7, 1.3])[None, :, None], (3, 3, 3))
     location, method, _ = repeated_measures(everyone, ("location", "method"))
@@ -201,7 +151,161 @@ def test_corrected_test_keeps_its_level_where_the_plain_one_does_not():
     assert plain > 80
 
 
-def test_normality_sees_skewed_residuals():
-    rng = np.random.default_rng(3)
-    assert residual_normality(rng.normal(size=(20, 9, 3))).p > 1e-3
-    assert residual_normality(rng.exponential(size=(20, 9, 3)) ** 2).p < 1e-6
+# -- whole studies: what the page prints of each, by the plan's default ------------------------------------------------
+
+PEOPLE, REPETITIONS, EFFECTS = 20, 3, ("location", "method", "location x method")
+BETWEEN, BY_TARGET, BY_METHOD, CELL, TRIAL = 2e-3, 2e-3, 2e-3, 3e-3, 10e-3  # [m] like the thesis' answers
+
+
+def null_cells(rng, count=PEOPLE, difference=0.0):
+    """Cells (count, 9, 3) of people who differ in what a target and a method is to them; method c is worse by that."""
+    own = BETWEEN * rng.standard_normal((count, 1, 1)) + BY_TARGET * rng.standard_normal((count, 9, 1))
+    own = own + BY_METHOD * rng.standard_normal((count, 1, 3)) + CELL * rng.standard_normal((count, 9, 3))
+    return own + TRIAL / np.sqrt(REPETITIONS) * rng.standard_normal((count, 9, 3)) + np.array([0, 0, difference])
+
+
+def alarms(values, plan):
+    """Which tests of the page are significant, by name; a table of comparisons is one family."""
+    people, targets, methods = (tuple(str(k) for k in range(n)) for n in values.shape)
+    rows = [(p, t, m, v) for p, part in zip(people, values, strict=True) for t, own in zip(targets, part, strict=True)
+            for m, v in zip(methods, own, strict=True)]  # fmt: skip
+    table = pd.DataFrame(rows, columns=["participant", "target", "method", "error"])
+    found = analyse(table, "error", plan)
+    seen = {e.name: e.corrected(plan.sphericity)[2] for e in found.effects}
+    seen |= {"pairs": min(p.p for p in found.methods), "pairs at targets": min(p.p for p in found.at_targets)}
+    by = {"methods": [], "targets": []}
+    for label, _, p in found.simple:
+        by[label.split()[0]].append(p)
+    seen |= {f"simple {k}": min(v) for k, v in by.items()} | {"friedman": found.friedman.p}
+    return {k: p < plan.alpha for k, p in seen.items()}
+
+
+@pytest.mark.parametrize("sphericity", ["Greenhouse-Geisser", "Huynh-Feldt"])
+@pytest.mark.parametrize("count", [40, pytest.param(300, marks=pytest.mark.slow)])
+def test_no_test_of_the_page_raises_false_alarms(count, sphericity):
+    """Studies of 20 without an effect, with scatter of person x method and person x target: at most 7 % of 300 at 5 %
+    (1.6 standard deviations above); of 40, 15 % (2.9). The random-intercept model raised 52 to 67 %."""
+    rng, plan = np.random.default_rng(3), Analysis(sphericity=sphericity)
+    found = [alarms(null_cells(rng), plan) for _ in range(count)]
+    shares = {name: np.mean([f[name] for f in found]) for name in found[0]}
+    print(shares)
+    assert max(shares.values()) <= (0.07 if count == 300 else 0.15)
+
+
+@pytest.mark.parametrize("count", [60, pytest.param(1000, marks=pytest.mark.slow)])
+def test_intervals_hold_the_truth(count):
+    """Of 95 % intervals of studies of 20 people, method c 2 mm worse: each kind holds its truth in 90 % or more, and
+    those of a family all at once in 95 % less chance."""
+    rng, hits = np.random.default_rng(4), {"mean": [], "pair": [], "family": [], "at targets": []}
+    truth = np.array([0.0, 0.0, 2e-3])
+    names = ("a", "b", "c")
+    for _ in range(count):
+        values = null_cells(rng, difference=2e-3)
+        per_method = values.mean(axis=1)
+        hits["mean"] += [m.low <= t <= m.high for m, t in zip(means(per_method, names), truth, strict=True)]
+        wanted = [0.0, -2e-3, -2e-3]
+        pairs = pairwise(per_method, names)
+        held = [p.low <= t <= p.high for p, t in zip(pairs, wanted, strict=True)]
+        everywhere = pairwise(values, names, where=[str(k) for k in range(9)])
+        there = [p.low <= t <= p.high for p, t in zip(everywhere, 9 * wanted, strict=True)]
+        hits["pair"] += held
+        hits["family"].append(all(held))
+        hits["at targets"].append(all(there))
+    shares = {k: np.mean(v) for k, v in hits.items()}
+    print(shares)
+    assert min(shares.values()) >= 0.90
+
+
+@pytest.mark.parametrize("sought", ["location", "method", "location x method"])
+def test_power_agrees_with_whole_studies_drawn(sought):
+    """Studies of 12 and 20 through the analysis itself: within 5 % of what is told from the sizes that drew them (400
+    studies know a share to 2.5 %); a method or a target 3 mm worse, or one cell by 10 mm."""
+    rng, plan = np.random.default_rng(5), Analysis()
+    shift = np.zeros((9, 3))
+    rest = CELL**2 + TRIAL**2 / REPETITIONS
+    error = {"location": rest + 3 * BY_TARGET**2, "method": rest + 9 * BY_METHOD**2, "location x method": rest}[sought]
+    if sought == "method":
+        shift[:, 2] = 3e-3
+    elif sought == "location":
+        shift[4] = 5e-3
+    else:
+        shift[4, 2] = 10e-3
+    effect = shift - shift.mean(axis=0) if sought == "location" else shift - shift.mean(axis=1, keepdims=True)
+    effect = effect - effect.mean(axis=0) if sought == "location x method" else effect
+    d = {"location": 8, "method": 2, "location x method": 16}[sought]
+    size = Size(d, 1.0, float(np.sum(effect**2)) / error, 0.0, 0.0)
+    for count in (12, 20):
+        drawn = [
+            {e.name: e for e in repeated_measures(null_cells(rng, count) + shift, ("location", "method"))}[sought]
+            for _ in range(400)
+        ]
+        share = np.mean([e.corrected(plan.sphericity)[2] < 0.05 for e in drawn])
+        (told,) = power_curve(size, (count,), studies=2000)
+        assert 0.1 < share < 0.99
+        assert told.share == pytest.approx(share, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("sought", "count"),
+    [
+        ("method", 40),
+        *(pytest.param(s, 300, marks=pytest.mark.slow) for s in ("location", "method", "location x method")),
+    ],
+)
+def test_a_pilots_interval_of_power_holds_the_truth(sought, count):
+    """Pilots of 12: the interval for 20 participants holds the true power in 90 % or more of 300 (of 40: 85 %, chance
+    being 3.4 %); it held it in 7 %. The least difference over a pilot's scatter alike."""
+    rng = np.random.default_rng(6)
+    shift = np.zeros((9, 3))
+    shift[4] += 4e-3
+    shift[:, 2] += 2e-3
+    shift[2, 1] += 6e-3
+    rest = CELL**2 + TRIAL**2 / REPETITIONS
+    error = {"location": rest + 3 * BY_TARGET**2, "method": rest + 9 * BY_METHOD**2, "location x method": rest}[sought]
+    rows, columns = shift.mean(axis=1, keepdims=True), shift.mean(axis=0, keepdims=True)
+    part = {"location": rows - shift.mean() + 0 * shift, "method": columns - shift.mean() + 0 * shift,
+            "location x method": shift - rows - columns + shift.mean()}[sought]  # fmt: skip
+    d = {"location": 8, "method": 2, "location x method": 16}[sought]
+    least = 3e-3
+    amount = {"method": 9 * least**2 / 2, "location": 3 * least**2 / 2, "location x method": least**2 / 4}[sought]
+    truths = [float(np.sum(part**2)) / error, amount / error]
+    (true, least_true) = (power_curve(Size(d, 1.0, t, t, t), (20,), studies=2000)[0].share for t in truths)
+    held, least_held = [], []
+    for _ in range(count):
+        pilot = null_cells(rng, 12) + shift
+        for size, truth, hits in (
+            (size_of_pilot(pilot, sought), true, held), (size_of_least(pilot, sought, least), least_true, least_held),
+        ):  # fmt: skip
+            (told,) = power_curve(size, (20,), studies=1000)
+            hits.append(told.low - 0.02 <= truth <= told.high + 0.02)  # two standard deviations of 1000 draws
+    print(np.mean(held), np.mean(least_held))
+    assert min(np.mean(held), np.mean(least_held)) >= (0.90 if count == 300 else 0.85)
+
+
+def test_a_least_difference_needs_no_pilot():
+    """A pair by the noncentral t of textbooks: 34 people find d_z = 0.5 in 81 % at 5 %, two-sided (Cohen 1988)."""
+    size = size_of_scatter(1e-3, 2e-3, 2, "pair")
+    (told,) = power_curve(size, (34,), studies=20_000)
+    t = stats.nct(33, 0.5 * np.sqrt(34))
+    exact = t.sf(stats.t.isf(0.025, 33)) + t.cdf(-stats.t.isf(0.025, 33))
+    assert told.share == pytest.approx(exact, abs=0.008)  # three standard deviations of 20,000 draws
+    assert needed(power_curve(size, (10, 20, 30, 34, 40))) == 34
+    with pytest.raises(DataError, match="tells nothing of location"):
+        size_of_scatter(1e-3, 2e-3, 3, "location")
+    with pytest.raises(DataError, match="chosen for being large"):
+        size_of_pilot(null_cells(np.random.default_rng(0)), "pair")
+    with pytest.raises(DataError, match="three participants who answered every cell, got 2"):
+        size_of_pilot(null_cells(np.random.default_rng(0), 2), "method")
+
+
+def test_pairs_and_ranks_agree_with_pingouin():
+    """Where pingouin is right to 1e-6 of R it says the same as we do; its corrections of interactions are not."""
+    pingouin = pytest.importorskip("pingouin")
+    values = cells("rough").mean(axis=1)
+    for pair in pairwise(values, ("a", "b", "c")):
+        x, y = (values[:, "abc".index(k)] for k in (pair.first, pair.second))
+        theirs = pingouin.ttest(x, y, paired=True, confidence=1 - 0.05 / 3).iloc[0]
+        low, high = theirs.filter(like="CI").iloc[0]
+        assert (pair.t, pair.df) == (pytest.approx(theirs["T"], rel=1e-9), theirs["dof"])
+        assert min(3 * theirs.filter(like="p").iloc[0], 1) == pytest.approx(pair.p, rel=1e-9)
+        assert (pair.low, pair.high) == (pytest.approx(low, abs=0.006), pytest.approx(high, abs=0.006))  # two digits

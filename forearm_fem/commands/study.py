@@ -1,16 +1,15 @@
-"""study new, run, status, analyse, rehearse, power, withdraw: the half of the thesis that is about people."""
+"""study new, run, stimuli, status, analyse, power, withdraw: the half of the thesis that is about people."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from ..errors import DataError, ScenarioError
-from .common import Declared, Display, declaration, holds_g, measured_g, noted, print_notes, there
+from .common import Declared, declaration, holds_g, measured_g, noted, print_notes, there
 
 app = typer.Typer(no_args_is_help=True, help="Studies with people, from the stimulus to the statistics.")
 
@@ -18,6 +17,14 @@ StudyFile = Annotated[
     Path, typer.Argument(help="study file; `forearm-fem study new` writes one",
                          callback=there("no such study file; `forearm-fem study new NAME` writes one")),
 ]  # fmt: skip
+def _pseudonym(name: str) -> str:
+    if not (name.isascii() and name.isalnum() and len(name) <= 32):
+        raise ScenarioError(f"--participant '{name[:40]}': expected letters and digits only, e.g. 01")
+    return name
+
+
+Participant = Annotated[str, typer.Option(help="pseudonym: letters and digits, e.g. 01", callback=_pseudonym)]
+_COUNTS = (4, 6, 8, 10, 14, 20, 28, 40, 60)  # participants for whom power is told
 _DATA = "folder of the answers; default beside the file"
 Data = Annotated[Path | None, typer.Option("--data", help=_DATA)]
 Answers = Annotated[
@@ -30,18 +37,24 @@ scenario = {scenario}                                # device, wavelet, limits
 transfer = "calibration/{{participant}}/transfer.nc"     # each participant's calibrated G
 participants = 20
 language = "en"                                         # en, de, nl, or a TOML file of texts
+# consent = "consent.txt"                               # a text to be agreed to on the page; else --consent DATE
 
 [stimuli]
 methods = ["inverse filter", "funneling", "combination"]
 targets = ["1", "2", "3", "4", "5", "6", "7", "8", "9"]
-
-[stimuli.level]                                         # as rendered, target peak [um] or drive peak [V]
-rule = "as rendered"
+levels = "equal at target"                              # or "as rendered", a table of dB, or a CSV of a matching task
+# peak = 1.0                                            # of equal levels: of the wavelet at the target [um]
 
 [order]
 seed = 0
 methods = "mixed"                                       # or "one after the other"
+tasks = "fixed"                                         # or "balanced"
 no_target_twice = true
+
+[analysis]                                              # fixed once the first participant is enrolled
+correction = "holm"                                     # or "bonferroni"
+sphericity = "Greenhouse-Geisser"                       # or "Huynh-Feldt"
+alpha = 0.05
 
 [[tasks]]                                               # study 1 of de Vlam 2022: 3 methods x 9 targets x 3 = 81 trials
 name = "identification"
@@ -66,6 +79,10 @@ def new(
         str, typer.Option(help="of the device: a file seen from the study file, or the name of a shipped one")
     ] = "thesis",
     folder: Annotated[Path, typer.Option(help="where the file goes")] = Path(),
+    transfer: Annotated[
+        Path | None, typer.Option(help="a G, to say how strong methods will be by it", callback=holds_g)
+    ] = None,
+    declare: Declared = None,
 ) -> None:
     """Write a commented study file: the thesis' two studies, to be changed."""
     from ..scenario import load_scenario, scenario_beside
@@ -76,17 +93,35 @@ def new(
     file = folder / f"{name}.toml"
     if file.exists():
         raise ScenarioError(f"{file} exists already; take another name or remove it")
-    load_scenario(scenario_beside(folder, scenario))
+    asked = load_scenario(scenario_beside(folder, scenario))
+    g = measured_g(transfer, asked, declare, "--transfer")
     write_text(file, _TEMPLATE.format(name=name, scenario=json.dumps(scenario, ensure_ascii=False)))
     typer.echo(str(file))
+    if g is None:
+        typer.echo("levels: equal at target; --transfer G says by how much methods differ as rendered")
+        return
+    from ..study.levels import told
+    from ..study.run import Prepared
+    from ..study.stimuli import stimuli_for
+
+    made = Prepared.of(file)
+    with noted():
+        for levels in ("as rendered", "equal at target"):
+            how = made.study.stimuli.model_copy(update={"levels": levels})
+            found = {k: s.moved for k, s in stimuli_for(g, made.scenario, how, made.wavelet).items()}
+            typer.echo(f"{levels}: {told(found)}")
 
 
 @app.command()
 def run(
     file: StudyFile,
-    participant: Annotated[str, typer.Option(help="pseudonym: letters and digits, e.g. 01")],
-    task: Annotated[str, typer.Option(help="of the study, e.g. identification")],
-    consent: Annotated[str, typer.Option(help="date on which consent was signed; needed once per participant")] = "",
+    participant: Participant,
+    task: Annotated[str | None, typer.Option(help="of the study; default: the participant's next one")] = None,
+    consent: Annotated[
+        str, typer.Option(help="date on which consent was signed on paper; needed once, unless the study has a text")
+    ] = "",
+    age: Annotated[float | None, typer.Option(min=0, max=150, help="in years, for participants.tsv")] = None,
+    sex: Annotated[Literal["F", "M", "O", ""], typer.Option(help="F, M or O, for participants.tsv")] = "",
     daq: Annotated[Literal["virtual", "ni", "sound"], typer.Option(help="virtual, ni or sound")] = "virtual",
     card: Annotated[str | None, typer.Option("--card", help="sound: name or number of the card")] = None,
     cable: Annotated[
@@ -96,7 +131,6 @@ def run(
     ] = None,
     declare: Declared = None,
     data: Data = None,
-    terminal: Annotated[bool, typer.Option("--terminal", help="ask in this terminal instead of on a page")] = False,
     host: Annotated[
         str, typer.Option(help="address to serve the page on; other machines can reach 0.0.0.0")
     ] = "127.0.0.1",
@@ -104,37 +138,68 @@ def run(
 ) -> None:  # fmt: skip
     """Run a participant's session; the same command goes on where it stopped."""
     from ..measurement.loopback import read_loopback
-    from ..study.run import Prepared, require_study_extra, session_for
+    from ..study.levels import AUDIBLE, apart, told
+    from ..study.run import Prepared, require_study_extra, sitting
+    from ..study.server import serve, texts
 
     require_study_extra()
-    if not participant.isalnum() or len(participant) > 32:
-        raise ScenarioError(f"--participant '{participant[:40]}': expected letters and digits only, e.g. 01")
     prepared = Prepared.of(file, data)
     kept = None if cable is None else read_loopback(cable)
-    session, grid = session_for(
-        prepared, participant, task, consent=consent, daq=daq, card=card, cable=kept, declaration=declaration(declare)
-    )
-    if session.back_end.latency_basis == "unknown":
-        print_notes(
-            ["the device's latency was not measured and is kept as unknown; `forearm-fem loopback` measures it"]
-        )
-    if terminal:
-        from ..study.terminal import run_in_terminal
-
-        run_in_terminal(session, grid, typer.echo)
-        return
-    from ..study.server import serve, texts
+    held = sitting(
+        prepared, participant, task, consent=consent, age=age, sex=sex, daq=daq, card=card, cable=kept,
+        declaration=declaration(declare),
+    )  # fmt: skip
 
     def announce(theirs: str, ours: str) -> None:
         """Tell the addresses of the two pages."""
         typer.echo(f"participant:  {theirs}\nexperimenter: {ours}\nCtrl-C stops; the same command goes on.")
 
-    words = texts(prepared.study.language, prepared.base)
-    if host not in ("127.0.0.1", "localhost"):
-        print_notes(["the page can be reached from other machines; its address is the only key"])
-    serve(session, grid, words, beep=prepared.study.beep, host=host, port=port, announce=announce)
-    view = session.view()
+    with held as (session, made):
+        if session.back_end.latency_basis == "unknown":
+            print_notes(
+                ["the device's latency was not measured and is kept as unknown; `forearm-fem loopback` measures it"]
+            )
+        motions = {k: s.moved for k, s in made.stimuli.items()}
+        (print_notes if max(apart(motions).values()) > AUDIBLE else _echoed)([told(motions)])
+        if host not in ("127.0.0.1", "localhost"):
+            print_notes([f"--host {host}: whoever reaches this machine's port and knows an address below can take part "
+                         "or lead; nothing is encrypted. Give each address only to whom it is for"])  # fmt: skip
+        typer.echo(f"task: {session.task.name}")
+        serve(
+            session, made.transfer.outputs, texts(prepared.study.language, prepared.base), beep=prepared.study.beep,
+            levels=told(motions), host=host, port=port, announce=announce,
+        )  # fmt: skip
+        view = session.view()
     typer.echo(f"{view['answered']} of {view['total']} answered; data: {prepared.folder}")
+
+
+def _echoed(lines: list[str]) -> None:
+    typer.echo("\n".join(lines))
+
+
+@app.command()
+def stimuli(
+    file: StudyFile,
+    participant: Participant,
+    rate: Annotated[float, typer.Option(min=1000, max=768_000, help="of the sound card in Hz")] = 48_000.0,
+    full_scale: Annotated[
+        float | None, typer.Option(min=1e-3, max=1e3, help="peak of the output at digital 1 in V; default: "
+                                   "measurement.daq.output_range"),
+    ] = None,
+    declare: Declared = None,
+    data: Data = None,
+) -> None:  # fmt: skip
+    """Write a participant's stimuli as WAV and the trials as CSV, for PsychoPy, jsPsych or another player."""
+    from ..study.export import export
+    from ..study.levels import told
+    from ..study.run import Prepared
+
+    prepared = Prepared.of(file, data)
+    with noted():
+        made = prepared.made(participant, declaration(declare))
+        volts = full_scale or prepared.scenario.measurement.daq.output_range
+        folder = export(prepared, participant, made, rate=rate, full_scale=volts)
+    typer.echo(f"{told({k: s.moved for k, s in made.stimuli.items()})}\ndigital 1 is {volts:g} V\n{folder}")
 
 
 @app.command()
@@ -154,148 +219,114 @@ def status(file: StudyFile, data: Answers = None) -> None:
 @app.command()
 def analyse(
     file: StudyFile,
-    data: Annotated[
-        Path | None, typer.Option("--data", help=f"{_DATA}; of --table: where its page goes, default NAME-TABLE"),
-    ] = None,
-    correction: Annotated[
-        Literal["bonferroni", "holm"], typer.Option(help="of comparisons: bonferroni or holm")
-    ] = "bonferroni",
-    thesis: Annotated[bool, typer.Option("--thesis", help="check the thesis' own degrees of freedom too")] = False,
-    table: Annotated[
-        Path | None,
-        typer.Option(help="somebody else's answers: a CSV or TSV with the columns of an events file",
-                     callback=there("no such file")),
-    ] = None,
-    columns: Annotated[
-        list[str] | None, typer.Option("--column", help="of --table, e.g. method=condition; ours=theirs, repeatable")
+    data: Answers = None,
+    answers: Annotated[
+        list[Path] | None,
+        typer.Option("--answers", help="of PsychoPy (CSV) or jsPsych (JSON, CSV) to exported trials: a file or folder, "
+                     "repeatable; in place of our own sessions'"),
     ] = None,
 ) -> None:  # fmt: skip
-    """Errors, ellipses, confusion, confidence and statistics as one page with CSVs."""
+    """Errors, ellipses, confusion, confidence and statistics by the study's plan: a page, CSVs and R scripts."""
+    from ..study.answers import read_answers
     from ..study.report import write_analysis
     from ..study.run import Prepared, answers_of, require_study_extra
-    from ..study.tables import foreign_table
 
     require_study_extra()
-    if table is None:
-        there("no such folder of answers", folder=True)(data)
-        if columns:
-            raise DataError("--column: has no effect without --table; name the table, or leave it out")
     prepared = Prepared.of(file, data)
-    if table is not None and data is None:
-        prepared = replace(prepared, folder=prepared.base / f"{prepared.study.name}-{table.stem}")
-    grid = prepared.grid()
-    devices: list[dict[str, str]] | None = None
-    if table is not None:
-        if prepared.store().people():
-            raise DataError(
-                f"{prepared.folder}: holds answers of its own, whose analysis a table's would replace; leave --data "
-                "out, or name another folder"
-            )
-        answers = {prepared.study.tasks[0].name: foreign_table(table, columns or (), grid)}
-    else:
-        store, answers = prepared.store(), {}
-        devices = store.devices()
-        for task in prepared.study.tasks:
-            try:
-                answers[task.name] = answers_of(store, task.name)
-            except DataError as problem:
-                print_notes([str(problem)])
-        if not answers:
-            raise DataError(f"{prepared.folder}: there are no answers to analyse")
+    grid, store = prepared.grid(), prepared.store()
+    for each in answers or ():
+        there("no such file or folder of answers")(each)
+    found = read_answers(answers, store, grid) if answers else {}
+    for task in prepared.study.tasks if not answers else ():
+        try:
+            found[task.name] = answers_of(store, task.name)
+        except DataError as problem:
+            print_notes([str(problem)])
+    if not found:
+        raise DataError(f"{prepared.folder}: there are no answers to analyse")
     with noted():
         page = write_analysis(
-            prepared.study, answers, grid, prepared.folder, correction=correction, compare_with_thesis=thesis,
-            devices=devices,
-        )  # fmt: skip
+            prepared.study, found, grid, prepared.folder, devices=None if answers else store.devices()
+        )
     typer.echo(str(page))
-
-
-@app.command()
-def rehearse(
-    file: StudyFile,
-    transfer: Annotated[
-        Path,
-        typer.Option(help="G that all simulated participants share; of a results folder they feel the whole skin",
-                     callback=holds_g),
-    ],
-    declare: Declared = None,
-    participants: Annotated[int, typer.Option(min=1, max=1000, help="simulated ones")] = 20,
-    seed: Annotated[int, typer.Option(min=0, help="of their noise and lapses")] = 0,
-    data: Annotated[Path | None, typer.Option("--data", help="default NAME-rehearsal beside the file")] = None,
-) -> None:  # fmt: skip
-    """Let simulated participants do the study: to try the analysis, never as a prediction of people."""
-    from ..study.field import field_for
-    from ..study.percept import Percept
-    from ..study.run import Prepared, require_study_extra
-    from ..study.run import rehearse as run_rehearsal
-
-    require_study_extra()
-    prepared = Prepared.of(file)
-    folder = data or file.parent / f"{prepared.study.name}-rehearsal"
-    field = field_for(transfer)
-    if field is None:
-        print_notes(["only the grid points' motion is known; skin between and under actuators is not felt"])
-    with Display() as display, noted():
-        g = measured_g(transfer, prepared.scenario, declare)
-        assert g is not None  # it was named
-        run_rehearsal(Prepared.of(file, folder), g, participants, Percept(), field=field, seed=seed, progress=display)
-    typer.echo(f"{folder}: `forearm-fem study analyse {file} --data {folder}` analyses it")
 
 
 @app.command()
 def power(
     file: StudyFile,
     pilot: Annotated[
-        Path, typer.Option(help="folder of answers to take effects and scatter from (or a rehearsal)",
-                           callback=there("no such folder; `forearm-fem study rehearse` makes one", folder=True)),
-    ],
-    task: Annotated[str, typer.Option(help="of the study")] = "identification",
+        Path | None, typer.Option(help="folder of answers to take effect and scatter from",
+                                  callback=there("no such folder of answers", folder=True)),
+    ] = None,
+    task: Annotated[str | None, typer.Option(help="of the study; default: its first")] = None,
+    measure: Annotated[
+        Literal["error", "precision", "points", "response_area"] | None,
+        typer.Option(help="default: the task's own: points where several are chosen, the area where one is drawn"),
+    ] = None,
     effect: Annotated[
-        Literal["location", "method", "location x method", "pairs"],
-        typer.Option("--effect", help="to be found: location, method, 'location x method' or pairs"),
+        Literal["location", "method", "location x method", "pair"],
+        typer.Option("--effect", help="to be found: location, method, 'location x method' or a pair of methods"),
     ] = "method",
-    studies: Annotated[
-        int, typer.Option(min=100, max=100_000, help="drawn for each number of participants")
-    ] = 1000,
+    least: Annotated[
+        float | None,
+        typer.Option(help="the least difference that matters, in the measure's unit (m for error and precision)"),
+    ] = None,
+    scatter: Annotated[
+        float | None, typer.Option(help="without a pilot: standard deviation over participants of a difference")
+    ] = None,
 ) -> None:  # fmt: skip
-    """How many participants find an effect, by studies drawn from a pilot's cell means and scatter."""
+    """How many participants find the effect of a pilot, or the least that matters, and how sure that is."""
     from ..show.style import SHEET
     from ..store.folder import atomic_path
-    from ..study.analysis import cell_means, with_errors
+    from ..study import power as planned
+    from ..study.analysis import cells, with_errors
     from ..study.figures import plot_power
-    from ..study.power import needed, power_curve, supposed_from, untold
     from ..study.run import Prepared, answers_of, require_study_extra
 
     require_study_extra()
     prepared = Prepared.of(file, pilot)
-    main = with_errors(answers_of(prepared.store(), task), prepared.grid())
-    values, *_ = cell_means(main, "error")
-    repetitions = prepared.study.task(task).repetitions
-    within = float(main.groupby(["participant", "target", "method"])["error"].std(ddof=1).pow(2).mean() ** 0.5)
-    if not within > 0:
-        raise DataError(f"{pilot}: repetitions are needed to tell a trial's scatter; the task has {repetitions}")
-    with Display() as display:
-        supposed = supposed_from(values, repetitions, within)
-        curve = power_curve(
-            supposed, (4, 6, 8, 10, 14, 20, 28, 40), repetitions, test=effect, studies=studies, progress=display
-        )
+    study = prepared.study
+    asked = study.task(task) if task else study.tasks[0]
+    what, methods = measure or asked.measures[0], len(study.stimuli.methods)
+    if (pilot is None) == (scatter is None) or (scatter is not None and least is None):
+        raise DataError("expected --pilot FOLDER, with or without --least; or --least and --scatter without a pilot")
+    for name, value in (("--least", least), ("--scatter", scatter)):
+        if value is not None and not 0 < value < float("inf"):
+            raise DataError(f"{name}: expected a positive number, got {value:g}")
+    if what not in asked.measures:
+        raise DataError(f"--measure {what}: task {asked.name} gives {', '.join(asked.measures)}")
+    if pilot is None:
+        assert least is not None
+        assert scatter is not None
+        size, source = planned.size_of_scatter(least, scatter, methods, effect), "stated"
+    else:
+        values, *_ = cells(with_errors(answers_of(prepared.store(), asked.name), prepared.grid()), what)
+        if least is None:
+            size, source = planned.size_of_pilot(values, effect), "the pilot's effect"
+        else:
+            size, source = planned.size_of_least(values, effect, least), f"{least:g} over the pilot's scatter"
+    family = methods * (methods - 1) // 2 if effect == "pair" else 1
+    curve = planned.power_curve(size, _COUNTS, alpha=study.analysis.alpha, family=family)
+    typer.echo(f"{asked.name}, {what}, {effect}: {source}")
     for p in curve:
-        typer.echo(f"{p.participants:3d} participants: {100 * p.share:.0f} % ({100 * p.low:.0f}-{100 * p.high:.0f} %)")
-    if doubt := untold(values, effect):
-        print_notes([doubt])
-    enough = needed(curve)
+        between = f" ({p.low:.0%} to {p.high:.0%})" if size.low < size.high else ""
+        typer.echo(f"{p.participants:3d} participants: {p.share:.0%}{between}".replace("%", " %"))
+    if size.low == 0:
+        print_notes(["the pilot does not tell this effect from none; state the least that matters with --least"])
+    enough = planned.needed(curve)
     typer.echo("80 % is not reached" if enough is None else f"80 % from {enough} participants on")
-    from matplotlib import style
+    if pilot is not None:
+        from matplotlib import style
 
-    with atomic_path(pilot / "power.png") as target, style.context(SHEET):
-        plot_power(curve).savefig(target, dpi=130)
-    typer.echo(str(pilot / "power.png"))
+        with atomic_path(pilot / "power.png") as target, style.context(SHEET):
+            plot_power(curve).savefig(target, dpi=130)
+        typer.echo(str(pilot / "power.png"))
 
 
 @app.command()
 def withdraw(
     file: StudyFile,
-    participant: Annotated[str, typer.Option(help="pseudonym")],
+    participant: Participant,
     data: Answers = None,
     yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
 ) -> None:

@@ -1,7 +1,7 @@
 """What answers say: errors (eq. 10 of de Vlam 2022), accuracy and precision, confusion, confidence, tests.
 
 Subjects are participants. Repetitions are averaged within a participant and cell before an analysis of variance: taken
-as further subjects they would triple the degrees of freedom (see :mod:`.thesis`).
+as further subjects they would triple the degrees of freedom (docs/decisions/0032-subjects-are-participants.md).
 """
 
 from __future__ import annotations
@@ -17,27 +17,18 @@ from ..errors import DataError
 from ..ports import Port
 from ..typing import FloatArray
 from .anova import Effect, repeated_measures
-from .comparisons import (
-    Correction,
-    Friedman,
-    MixedModel,
-    Normality,
-    Pair,
-    corrected_p,
-    friedman,
-    mixed_model,
-    pairwise,
-    residual_normality,
-)
+from .comparisons import Friedman, Mean, Pair, corrected_p, friedman, means, pairwise
+from .plan import Analysis
 
 FACTORS = ("location", "method")
 
 
 @dataclass(frozen=True)
 class Ellipse:
-    """Answers to one target by one method: ``mean`` (2,) [m] and ``covariance`` (2, 2) [m2] over ``count`` trials.
+    """Answers to one target by one method, of one ``participant`` or of all (""), over ``count`` trials.
 
-    The mean tells accuracy, the covariance precision; figure 8 draws it at one standard deviation.
+    ``mean`` (2,) [m] tells accuracy and ``covariance`` (2, 2) [m2] precision; figure 8 draws it at one standard
+    deviation. ``within`` (2, 2) [m2] is the covariance about each participant's own mean, pooled.
     """
 
     target: str
@@ -45,27 +36,28 @@ class Ellipse:
     mean: FloatArray
     covariance: FloatArray
     count: int
+    participant: str = ""
+    within: FloatArray | None = None
 
 
 @dataclass(frozen=True)
 class Tests:
-    """Two-way analysis of one measure, and what belongs to it.
+    """Analysis of one measure by the plan of the study.
 
-    ``simple_methods`` are one-way analyses over methods at each target and ``simple_locations`` over targets for each
-    method, their ``p_gg`` corrected by the number of such tests (Table II). ``left_out`` are participants without all
-    cells: these are in the mixed model only. ``notes`` say which assumptions fail.
+    ``simple`` are one-way analyses over methods at each target, and over targets for each method: (label, effect,
+    corrected p), each of the two a family. ``methods`` are pairs of methods over all targets, ``at_targets`` at each.
+    ``left_out`` are participants without all cells. ``notes`` say what is not known.
     """
 
     measure: str
     participants: tuple[str, ...]
     left_out: tuple[str, ...]
     effects: tuple[Effect, ...]
+    means: tuple[Mean, ...]
     methods: tuple[Pair, ...]
-    simple_methods: tuple[tuple[str, Effect, float], ...]
-    simple_locations: tuple[tuple[str, Effect, float], ...]
-    normality: Normality
+    at_targets: tuple[Pair, ...]
+    simple: tuple[tuple[str, Effect, float], ...]
     friedman: Friedman | None
-    mixed: MixedModel | None
     notes: tuple[str, ...]
 
 
@@ -110,17 +102,29 @@ def outline(text: str) -> FloatArray:
     return points
 
 
-def ellipses(table: pd.DataFrame) -> tuple[Ellipse, ...]:
+def ellipses(table: pd.DataFrame, *, by_participant: bool = False) -> tuple[Ellipse, ...]:
     """Mean and covariance of the answers to each target by each method; the covariance is NaN for one trial, and both
     without any."""
     found = []
-    for (target, method), rows in table.groupby(["target", "method"], sort=True):
+    keys = ["target", "method", *(["participant"] if by_participant else [])]
+    for key, rows in table.groupby(keys, sort=True):
+        rows = rows[np.isfinite(rows[["response_x", "response_y"]].to_numpy(float)).all(axis=1)]
         xy = rows[["response_x", "response_y"]].to_numpy(float)
-        xy = xy[np.isfinite(xy).all(axis=1)]
         spread = np.cov(xy.T) if len(xy) > 1 else np.full((2, 2), np.nan)
         middle = xy.mean(axis=0) if len(xy) else np.full(2, np.nan)
-        found.append(Ellipse(str(target), str(method), middle, spread, len(xy)))
+        found.append(Ellipse(str(key[0]), str(key[1]), middle, spread, len(xy), str(key[2]) if by_participant else "",
+                             None if by_participant else _within(rows)))  # fmt: skip
     return tuple(found)
+
+
+def _within(rows: pd.DataFrame) -> FloatArray:
+    """Covariance about participants' own means, NaN where nobody answered twice."""
+    if "participant" not in rows:
+        return np.full((2, 2), np.nan)
+    axes = ["response_x", "response_y"]
+    xy = (rows[axes] - rows.groupby("participant")[axes].transform("mean")).to_numpy(float)
+    df = len(rows) - rows["participant"].nunique()
+    return np.asarray(xy.T @ xy / df) if df > 0 else np.full((2, 2), np.nan)
 
 
 def confusion(table: pd.DataFrame, names: Sequence[str], method: str) -> FloatArray:
@@ -139,83 +143,71 @@ def in_order(table: pd.DataFrame, column: str) -> list[str]:
     return sorted(table[column].unique(), key=_natural)
 
 
-def cell_means(table: pd.DataFrame, measure: str) -> tuple[FloatArray, list[str], list[str], list[str]]:
-    """Means (n_participant, n_target, n_method) of a measure over repetitions, NaN where a cell has none; and names."""
-    means = table.groupby(["participant", "target", "method"])[measure].mean()
-    levels = [in_order(table, k) for k in ("participant", "target", "method")]
-    index = pd.MultiIndex.from_product(levels, names=["participant", "target", "method"])
-    values = means.reindex(index).to_numpy(float).reshape([len(level) for level in levels])
+def cells(table: pd.DataFrame, measure: str) -> tuple[FloatArray, list[str], list[str], list[str]]:
+    """A measure (n_participant, n_target, n_method) of repetitions together, NaN where a cell has too few; and names.
+
+    Means, but for "precision": the root mean square of answers' distances from their own mean [m], of two or more.
+    """
+    keys = ["participant", "target", "method"]
+    if measure == "precision":
+        spread = table.groupby(keys)[["response_x", "response_y"]].var(ddof=1)
+        found = np.sqrt(spread.sum(axis=1, skipna=False))
+    else:
+        found = table.groupby(keys)[measure].mean()
+    levels = [in_order(table, k) for k in keys]
+    index = pd.MultiIndex.from_product(levels, names=keys)
+    values = found.reindex(index).to_numpy(float).reshape([len(level) for level in levels])
     return values, *levels
 
 
-def analyse(table: pd.DataFrame, measure: str, *, correction: Correction = "bonferroni", mixed: bool = True) -> Tests:
-    """Location x method analysis of ``measure``, complete participants only, with comparisons and checks.
+def analyse(table: pd.DataFrame, measure: str, plan: Analysis | None = None) -> Tests:
+    """Location x method analysis of ``measure``, complete participants only, with comparisons.
 
     A factor of one level leaves the simple effects of the other. Raises DataError where fewer than two participants are
     complete.
     """
-    values, people, targets, methods = cell_means(table, measure)
-    complete = [bool(np.isfinite(cells).all()) for cells in values]
+    plan = plan or Analysis()
+    values, people, targets, methods = cells(table, measure)
+    complete = [bool(np.isfinite(own).all()) for own in values]
     left_out = tuple(p for p, whole in zip(people, complete, strict=True) if not whole)
     if sum(complete) < 2:
         raise DataError(f"{measure}: {sum(complete)} participant(s) answered every cell; two are needed")
     whole = values[complete]
     effects = repeated_measures(whole, FACTORS) if min(whole.shape[1:]) > 1 else ()
-    per_method = whole.mean(axis=1)
-    many = len(methods) > 2
-    normality = residual_normality(whole)
-    each = table[["participant", "target", "method", measure]].rename(columns={"target": "location"})
-    varied = [factor for factor in FACTORS if each[factor].nunique() > 1]
-    fitted, notes = None, _notes(effects, normality, left_out)
-    try:
-        if mixed and varied:
-            fitted = mixed_model(each.dropna().reset_index(drop=True), measure, varied, "participant")
-    except DataError as problem:  # the rest holds all the same
-        notes = (*notes, f"{problem}.")
+    per_method, two = whole.mean(axis=1), len(methods) > 1
     return Tests(
-        measure,
-        tuple(p for p, ok in zip(people, complete, strict=True) if ok),
-        left_out,
-        effects,
-        pairwise(per_method, methods, correction) if len(methods) > 1 else (),
-        _simple(whole, targets, correction),
-        _simple(whole.swapaxes(1, 2), methods, correction),
-        normality,
-        friedman(per_method) if many else None,
-        fitted,
-        notes,
-    )
+        measure, tuple(p for p, ok in zip(people, complete, strict=True) if ok), left_out, effects,
+        means(per_method, methods),
+        pairwise(per_method, methods, plan.correction, alpha=plan.alpha) if two else (),
+        pairwise(whole, methods, plan.correction, where=targets, alpha=plan.alpha) if two and len(targets) > 1 else (),
+        _simple(whole, [f"methods at target {t}" for t in targets], plan)
+        + _simple(whole.swapaxes(1, 2), [f"targets by {m}" for m in methods], plan),
+        friedman(per_method) if len(methods) > 2 else None,
+        _notes(effects, left_out),
+    )  # fmt: skip
 
 
-def _simple(values: FloatArray, names: Sequence[str], correction: Correction) -> tuple[tuple[str, Effect, float], ...]:
+def _simple(values: FloatArray, names: Sequence[str], plan: Analysis) -> tuple[tuple[str, Effect, float], ...]:
     """One-way analyses of ``values`` (n, k, levels) at each of k ``names``; equal answers throughout are left out."""
     found = []
     for k, name in enumerate(names):
         part = values[:, k]
         if part.shape[1] > 1 and np.ptp(part) > 0:
             found.append((name, repeated_measures(part, ("level",))[0]))
-    p = corrected_p(np.array([effect.p_gg for _, effect in found]), correction) if found else np.zeros(0)
-    return tuple((name, effect, float(q)) for (name, effect), q in zip(found, p, strict=True))
+    p = np.array([effect.corrected(plan.sphericity)[2] for _, effect in found])
+    return tuple(
+        (name, effect, float(q)) for (name, effect), q in zip(found, corrected_p(p, plan.correction), strict=True)
+    )
 
 
-def _notes(effects: Sequence[Effect], normality: Normality, left_out: Sequence[str]) -> tuple[str, ...]:
+def _notes(effects: Sequence[Effect], left_out: Sequence[str]) -> tuple[str, ...]:
     notes = []
     if left_out:
-        notes.append(
-            f"{len(left_out)} participant(s) lack cells and are in the mixed model only: {', '.join(left_out)}."
-        )
-    if rough := [e.name for e in effects if e.mauchly_p < 0.05]:
-        notes.append(f"Sphericity does not hold for {', '.join(rough)}; read the corrected probabilities.")
-    if untested := [e.name for e in effects if not np.isfinite(e.mauchly_p) and e.df > 1]:
-        notes.append(
-            f"Sphericity cannot be tested for {', '.join(untested)}: there are too few participants, or nothing varies."
-        )
+        notes.append(f"{len(left_out)} participant(s) lack cells and are left out: {', '.join(left_out)}.")
     if any(np.isnan(e.hf) for e in effects):
         notes.append("Two participants leave Huynh and Feldt's epsilon unknown, Greenhouse and Geisser's at its least.")
     if still := [e.name for e in effects if np.isnan(e.f)]:
         notes.append(f"Neither {', '.join(still)} nor its error vary: there is no F.")
-    if normality.p < 0.05:
-        notes.append("Residuals are not normal (Shapiro and Wilk); compare with the rank test.")
     return tuple(notes)
 
 

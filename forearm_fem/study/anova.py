@@ -27,7 +27,6 @@ class Effect:
 
     ``df`` and ``df_error`` are uncorrected; ``p`` is the uncorrected probability, ``p_gg`` and ``p_hf`` those with both
     degrees of freedom multiplied with ``gg`` (Greenhouse and Geisser) and ``hf`` (Huynh and Feldt, at most 1).
-    ``mauchly_w`` and ``mauchly_p`` test sphericity: NaN where there are too few subjects or one contrast only.
     ``partial_eta2`` and ``generalised_eta2`` (Olejnik and Algina 2003, all factors manipulated) are effect sizes.
 
     Two subjects tell nothing of sphericity: of several contrasts ``gg`` is then its least value whatever they answer,
@@ -44,10 +43,13 @@ class Effect:
     p_gg: float
     hf: float
     p_hf: float
-    mauchly_w: float
-    mauchly_p: float
     partial_eta2: float
     generalised_eta2: float
+
+    def corrected(self, sphericity: str) -> tuple[float, float, float]:
+        """Degrees of freedom of effect and error, and the probability, by "Greenhouse-Geisser" or "Huynh-Feldt"."""
+        epsilon, p = (self.gg, self.p_gg) if sphericity == "Greenhouse-Geisser" else (min(self.hf, 1.0), self.p_hf)
+        return epsilon * self.df, epsilon * self.df_error, p
 
 
 def repeated_measures(values: FloatArray, factors: Sequence[str]) -> tuple[Effect, ...]:
@@ -63,7 +65,7 @@ def repeated_measures(values: FloatArray, factors: Sequence[str]) -> tuple[Effec
             f"got values of shape {cells.shape}"
         )
     if missing := int(np.count_nonzero(~np.isfinite(cells))):
-        raise DataError(f"{missing} of {cells.size} cells are missing; leave their subjects out or use a mixed model")
+        raise DataError(f"{missing} of {cells.size} cells are missing; leave their subjects out")
     if np.ptp(cells) == 0:
         raise DataError("all values are equal, so there is nothing to analyse")
     flat = cells.reshape(len(cells), -1)
@@ -110,14 +112,13 @@ def _effect(name: str, part: _Parts, errors: float) -> Effect:
     df, df_error = float(d), float(d * (n - 1))
     f = _ratio(part.effect / df, part.error / df_error)
     gg, hf = _epsilons(part)
-    w, p_w = _mauchly(part)
 
     def p(epsilon: float) -> float:
         """Probability of F with degrees of freedom times ``epsilon``."""
         return float(stats.f.sf(f, epsilon * df, epsilon * df_error))
 
     return Effect(
-        name, df, df_error, f, p(1.0), gg, p(gg), hf, p(min(hf, 1.0)), w, p_w,
+        name, df, df_error, f, p(1.0), gg, p(gg), hf, p(min(hf, 1.0)),
         _ratio(part.effect, part.effect + part.error), _ratio(part.effect, part.effect + errors),
     )  # fmt: skip
 
@@ -142,22 +143,3 @@ def _epsilons(part: _Parts) -> tuple[float, float]:
         return gg, float("nan")
     room = n - 1 - d * gg
     return gg, (n * d * gg - 2) / (d * room) if room > 0 else 1.0
-
-
-def _mauchly(part: _Parts) -> tuple[float, float]:
-    """W = det(S) / (tr(S) / d)^d and its probability by Box's chi-square with its second-order term.
-
-    Anderson 2003, section 10.7.4; R's car differs in the fourth digit, see the test.
-    """
-    d, df = len(part.covariance), part.subjects - 1
-    if d < 2 or df < d or part.error == 0:
-        return float("nan"), float("nan")
-    sign, logarithm = np.linalg.slogdet(part.covariance)
-    w = float(np.exp(logarithm - d * np.log(np.trace(part.covariance) / d))) if sign > 0 else 0.0
-    if w <= 0:
-        return 0.0, 0.0
-    rho = 1 - (2 * d**2 + d + 2) / (6 * d * df)
-    w2 = (d + 2) * (d - 1) * (d - 2) * (2 * d**3 + 6 * d**2 + 3 * d + 2) / (288 * (d * df * rho) ** 2)
-    z, freedom = -df * rho * np.log(w), d * (d + 1) / 2 - 1
-    first, second = stats.chi2.sf(z, freedom), stats.chi2.sf(z, freedom + 4)
-    return w, float(np.clip(first + w2 * (second - first), 0, 1))

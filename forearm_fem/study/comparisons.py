@@ -1,64 +1,71 @@
-"""Comparisons after an analysis of variance, its assumptions, and what serves where they fail or cells are missing."""
+"""Comparisons after an analysis of variance: paired tests with intervals, their correction, and a rank test."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import stats
 
-from ..errors import DataError, optional
+from ..errors import DataError
 from ..typing import FloatArray
 from .anova import ROUNDING
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 Correction = Literal["bonferroni", "holm"]
-_RATIOS = (-25.0, 20.0)  # logarithms of variances between subjects over within that are looked at
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Paired t test of two levels over subjects: ``difference`` first minus second, ``p`` corrected for all pairs.
+    """Paired t test of two levels over subjects: ``difference`` first minus second, ``where`` else "".
 
-    ``d_z`` is the mean difference over its standard deviation (Cohen). Where nobody's answers differ, ``t``, ``p`` and
-    ``d_z`` are NaN.
+    ``low`` and ``high`` hold all differences of the family at once in 1 - alpha of studies or more (Bonferroni); ``p``
+    is corrected for the family. ``d_z`` is the mean difference over its standard deviation (Cohen). Where nobody's
+    answers differ, ``t``, ``p`` and ``d_z`` are NaN.
     """
 
+    where: str
     first: str
     second: str
     difference: float
+    low: float
+    high: float
     t: float
     df: int
     p: float
     d_z: float
 
 
-def pairwise(values: FloatArray, levels: Sequence[str], correction: Correction = "bonferroni") -> tuple[Pair, ...]:
-    """All pairs of the columns of ``values`` (n_subject, n_level), one mean per subject and level.
+def pairwise(
+    values: FloatArray, levels: Sequence[str], correction: Correction = "bonferroni", *, where: Sequence[str] = ("",),
+    alpha: float = 0.05,
+) -> tuple[Pair, ...]:  # fmt: skip
+    """All pairs of the columns of ``values`` (n_subject, n_level), or at each ``where`` (n_subject, n_where, n_level).
 
-    Raises DataError for missing values or fewer than two subjects or levels.
+    One mean per subject and cell; one family of all tests. Raises DataError for missing values or fewer than two
+    subjects or levels.
     """
     cells = np.asarray(values, dtype=float)
-    if cells.ndim != 2 or min(cells.shape) < 2 or not np.all(np.isfinite(cells)):
+    cells = cells[:, None] if cells.ndim == 2 else cells
+    if cells.ndim != 3 or min(len(cells), cells.shape[2]) < 2 or not np.all(np.isfinite(cells)):
         raise DataError(f"paired tests need a value of two subjects and levels or more each, got {cells.shape}")
-    pairs = list(combinations(range(cells.shape[1]), 2))
-    cells = _without_rounding(cells)
-    apart = _without_rounding(np.array([cells[:, i] - cells[:, j] for i, j in pairs]), np.abs(cells).max())
-    spread = np.where(np.ptp(apart, axis=1) > 0, apart.std(axis=1, ddof=1), 0.0)
+    cells, n = _without_rounding(cells), len(cells)
+    keys = [(w, i, j) for w in range(cells.shape[1]) for i, j in combinations(range(cells.shape[2]), 2)]
+    apart = np.array([cells[:, w, i] - cells[:, w, j] for w, i, j in keys])
+    apart = _without_rounding(apart, float(np.abs(cells).max()))
+    mean, spread = apart.mean(axis=1), np.where(np.ptp(apart, axis=1) > 0, apart.std(axis=1, ddof=1), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        d_z = apart.mean(axis=1) / spread
-    t = d_z * np.sqrt(len(cells))
-    p = corrected_p(2 * stats.t.sf(np.abs(t), len(cells) - 1), correction)
+        d_z = mean / spread
+    t = d_z * np.sqrt(n)
+    p = corrected_p(2 * stats.t.sf(np.abs(t), n - 1), correction)
+    reach = stats.t.isf(alpha / 2 / len(keys), n - 1) * spread / np.sqrt(n)
     return tuple(
-        Pair(levels[i], levels[j], float(a.mean()), float(t[k]), len(cells) - 1, float(p[k]), float(d_z[k]))
-        for k, ((i, j), a) in enumerate(zip(pairs, apart, strict=True))
-    )
+        Pair(where[w], levels[i], levels[j], float(mean[k]), float(mean[k] - reach[k]), float(mean[k] + reach[k]),
+             float(t[k]), n - 1, float(p[k]), float(d_z[k]))
+        for k, (w, i, j) in enumerate(keys)
+    )  # fmt: skip
 
 
 def _without_rounding(values: FloatArray, size: float | None = None) -> FloatArray:
@@ -103,82 +110,19 @@ def friedman(values: FloatArray) -> Friedman:
 
 
 @dataclass(frozen=True)
-class Normality:
-    """Shapiro and Wilk's test of the residuals of the cell means, subject and cell effects removed; NaN without any."""
+class Mean:
+    """Mean over subjects of one level and its 95 % interval (t)."""
 
-    w: float
-    p: float
-
-
-def residual_normality(values: FloatArray) -> Normality:
-    """Are residuals of ``values`` (n_subject, ...cells) about subjects and cells normal?"""
-    flat = values.reshape(len(values), -1)
-    residual = flat - flat.mean(axis=1, keepdims=True) - flat.mean(axis=0) + flat.mean()
-    if residual.size < 3 or np.ptp(residual) <= ROUNDING * np.abs(flat).max():
-        return Normality(float("nan"), float("nan"))
-    found = stats.shapiro(residual.ravel()[:5000])  # its probability is tabulated for no more
-    return Normality(float(found.statistic), float(found.pvalue))
+    level: str
+    mean: float
+    low: float
+    high: float
 
 
-@dataclass(frozen=True)
-class MixedModel:
-    """Linear mixed model value ~ factors with a random intercept per subject, fitted by REML to every trial.
-
-    ``terms`` hold (name, estimate, standard error, z, p) for treatment contrasts against the first levels;
-    ``subject_sd`` and ``residual_sd`` are standard deviations. ``converged`` False: do not quote it.
-    """
-
-    terms: tuple[tuple[str, float, float, float, float], ...]
-    subject_sd: float
-    residual_sd: float
-    converged: bool
-
-
-def mixed_model(table: pd.DataFrame, value: str, factors: Sequence[str], subject: str) -> MixedModel:
-    """Fit all main effects and interactions of ``factors``; missing trials need no special care.
-
-    MissingExtra without statsmodels (extra "study"), which makes the contrasts; DataError where the model cannot be
-    fitted. Its own fit of a random intercept ends in a wrong intercept, or in none, where nothing varies between
-    subjects: the one ratio of variances is found here.
-    """
-    formula = optional("statsmodels.formula.api", "study", "the mixed-effects model", package="statsmodels")
-    model = formula.ols(f"{value} ~ " + " * ".join(f"C({f})" for f in factors), table)
-    design, values = np.asarray(model.exog, dtype=float), np.asarray(model.endog, dtype=float)
-    whose = table[subject].to_numpy()
-    parts = [(design[whose == s], values[whose == s]) for s in dict.fromkeys(whose)]
-    if len(values) <= design.shape[1] or np.linalg.matrix_rank(design) < design.shape[1]:
-        raise DataError(f"the mixed model of {value} cannot be fitted: some of its cells have no answer at all")
-    best = optimize.minimize_scalar(
-        lambda u: _restricted(parts, math.exp(u))[0], bounds=_RATIOS, method="bounded", options={"xatol": 1e-7}
+def means(values: FloatArray, levels: Sequence[str]) -> tuple[Mean, ...]:
+    """Mean of each column of ``values`` (n_subject, n_level)."""
+    reach = stats.t.isf(0.025, len(values) - 1) * values.std(axis=0, ddof=1) / np.sqrt(len(values))
+    return tuple(
+        Mean(name, float(m), float(m - r), float(m + r))
+        for name, m, r in zip(levels, values.mean(axis=0), reach, strict=True)
     )
-    ratio = 0.0 if _restricted(parts, 0.0)[0] <= best.fun else math.exp(best.x)
-    _, within, estimate, inverse = _restricted(parts, ratio)
-    with np.errstate(divide="ignore", invalid="ignore"):  # without any scatter there is no error
-        error = np.sqrt(within * np.diag(inverse))
-        z = estimate / error
-    columns = estimate, error, z, 2 * stats.norm.sf(np.abs(z))
-    terms = tuple((n, *(float(c[k]) for c in columns)) for k, n in enumerate(model.exog_names))
-    ended = best.x < _RATIOS[1] - 1e-3
-    return MixedModel(terms, math.sqrt(ratio * within), math.sqrt(within), bool(best.success and ended))
-
-
-def _restricted(
-    parts: Sequence[tuple[FloatArray, FloatArray]], ratio: float
-) -> tuple[float, float, FloatArray, FloatArray]:
-    """Minus twice the restricted logarithmic likelihood of a random intercept, but for a constant, where its variance
-    is ``ratio`` times that of trials; the latter, the estimates (k,) and the inverse (k, k) of the normal equations.
-
-    ``parts`` are design (n, k) and values (n,) of each subject (Laird and Ware 1982).
-    """
-    count, k = sum(len(y) for _, y in parts), parts[0][0].shape[1]
-    normal, right, square, spread = np.zeros((k, k)), np.zeros(k), 0.0, 0.0
-    for design, values in parts:
-        share, total, whole = ratio / (1 + ratio * len(values)), design.sum(axis=0), float(values.sum())
-        normal += design.T @ design - share * np.outer(total, total)
-        right += design.T @ values - share * total * whole
-        square += float(values @ values) - share * whole**2
-        spread += math.log1p(ratio * len(values))
-    estimate = np.linalg.solve(normal, right)
-    rest = max(square - float(right @ estimate), np.finfo(float).tiny)
-    likelihood = (count - k) * math.log(rest) + spread + float(np.linalg.slogdet(normal)[1])
-    return likelihood, rest / (count - k), np.asarray(estimate), np.asarray(np.linalg.inv(normal))

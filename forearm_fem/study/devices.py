@@ -33,9 +33,6 @@ class BackEnd:
         return asdict(self)
 
 
-SIMULATED = BackEnd("none (simulated participants)", float("nan"), 0.0, "known", 1.0, float("nan"), "known")
-
-
 def back_end(daq: Daq, options: DaqOptions, sample_rate: float, cable: Loopback | None) -> BackEnd:
     """What is known of ``daq``: all of a virtual one; of others what a ``cable`` showed or the scenario declares."""
     scale = options.output_range

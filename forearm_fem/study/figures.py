@@ -23,6 +23,8 @@ _MM = 1e3
 def plot_ellipses(found: Sequence[Ellipse], grid: Sequence[Port]) -> Figure:
     """One panel per target: mean answers of all methods with one-standard-deviation ellipses, the target a star.
 
+    Filled are ellipses over all answers, dotted ones about participants' own means.
+
     Points lie as the page shows them: across the limb to the right, along it downwards.
     """
     targets = list(dict.fromkeys(e.target for e in found))
@@ -44,6 +46,11 @@ def plot_ellipses(found: Sequence[Ellipse], grid: Sequence[Port]) -> Figure:
             at = _MM * e.mean[::-1]
             ax.add_patch(Patch(tuple(at), width, height, angle=angle, facecolor=colour, alpha=0.18, edgecolor=colour))
             ax.plot(*at, "o", color=colour, ms=4)
+            if e.within is not None and np.isfinite(e.within).all():
+                values, vectors = np.linalg.eigh(e.within[::-1, ::-1])
+                width, height = 2 * _MM * np.sqrt(np.maximum(values[::-1], 0))
+                angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+                ax.add_patch(Patch(tuple(at), width, height, angle=angle, fill=False, edgecolor=colour, ls=":"))
         ax.plot(*places[target], "*", color="#B3261E", ms=9, zorder=5)
         ax.set_aspect("equal")
         letter(ax, target)
@@ -149,13 +156,12 @@ def plot_confusion(shares: dict[str, FloatArray], names: Sequence[str]) -> Figur
 
 @styled
 def plot_power(curve: Sequence[Power]) -> Figure:
-    """Power against the number of participants, with 95 % intervals of the simulation."""
+    """Power against the number of participants, with the 95 % interval of what the pilot tells."""
     figure = Figure(figsize=(3.5, 2.6), layout="constrained")
     ax = figure.subplots()
     n = [p.participants for p in curve]
-    share = np.array([p.share for p in curve])
-    span = np.abs(np.array([[p.low, p.high] for p in curve]).T - share)
-    ax.errorbar(n, share, span, fmt="o-", ms=3, capsize=2)
+    ax.fill_between(n, [p.low for p in curve], [p.high for p in curve], alpha=0.2)
+    ax.plot(n, [p.share for p in curve], "o-", ms=3)
     ax.axhline(0.8, color=FAINT, lw=0.8)
-    ax.set(xlabel="participants", ylabel="share of studies with p < 0.05", ylim=(0, 1.02))
+    ax.set(xlabel="participants", ylabel="share of studies that find it", ylim=(0, 1.02))
     return figure

@@ -1,7 +1,8 @@
-"""A study file: tasks, stimuli, order and participants, checked before anyone sits down."""
+"""A study file: tasks, stimuli, order, analysis and participants, checked before anyone sits down."""
 
 from __future__ import annotations
 
+import hashlib
 import re
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -12,10 +13,20 @@ from ..errors import ScenarioError, first_problem
 from ..scenario.base import NonNegative, Part, Positive, is_folder_name
 from ..scenario.toml import read_toml
 
-Answer = Literal["one point", "several points", "drawing", "yes or no", "first or second"]
+Answer = Literal["one point", "several points", "drawing"]
 Method = Literal["inverse filter", "funneling", "combination"]
 _METHODS: tuple[Method, ...] = ("inverse filter", "funneling", "combination")
 _LABEL = r"^[A-Za-z0-9][A-Za-z0-9-]{0,31}$"
+MEASURES = {
+    "error": "distance of the answer from the target (eq. 10) [m]",
+    "precision": "scatter of a participant's answers about their own mean, rms [m]",
+    "points": "points chosen",
+    "response_area": "area drawn [m²]",
+}
+_OF_ANSWER: dict[Answer, tuple[str, ...]] = {
+    "one point": ("error", "precision"), "several points": ("points", "error", "precision"),
+    "drawing": ("response_area", "error", "precision"),
+}  # fmt: skip
 
 
 def _label(name: str) -> str:
@@ -25,58 +36,6 @@ def _label(name: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_label), Field(json_schema_extra={"pattern": _LABEL})]
-
-
-class Level(Part):
-    """How strong stimuli are."""
-
-    rule: Literal["as rendered", "target peak", "drive peak"] = Field(
-        default="as rendered",
-        description="as the scenario's renderers make them, or scaled so that the target's or the strongest drive's "
-        "peak is `value`",
-    )
-    value: Positive | None = Field(default=None, description="peak at the target [um] or of a drive [V]")
-
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        if (self.rule == "as rendered") != (self.value is None):
-            raise ValueError("rule 'as rendered' takes no value; 'target peak' [um] and 'drive peak' [V] need one")
-        return self
-
-
-class Adaptive(Part):
-    """Levels chosen from the answers: of the least that is felt, or of the one that feels as strong as a reference."""
-
-    rule: Literal["QUEST+", "staircase"] = Field(
-        default="QUEST+", description="QUEST+: the level that tells most; staircase: up after no, down after `down` yes"
-    )
-    reference: Method | None = Field(
-        default=None,
-        description="for answer = 'first or second': each trial plays this method too, at the same target and 0 dB, "
-        "and asks which felt stronger",
-    )
-    low: float = Field(default=-40.0, description="lowest level [dB re the stimulus' own level]")
-    high: float = Field(default=0.0, description="highest level [dB]")
-    step: Positive = Field(default=2.0, description="between levels [dB]")
-    down: Annotated[int, Field(ge=1, le=4)] = Field(
-        default=2,
-        description="staircase: yes in a row before the level falls; 1, 2, 3 settle at 50, 71, 79 % (Levitt 1971)",
-    )
-    slope: Positive = Field(default=3.5, description="Weibull slope assumed")
-    spread: Positive = Field(
-        default=3.0, description="standard deviation assumed of which feels stronger [dB], for 'first or second'"
-    )
-    lapse: Annotated[float, Field(ge=0, lt=0.5)] = Field(default=0.02, description="share of answers without regard")
-    guess: Annotated[float, Field(ge=0, lt=1)] = Field(default=0.05, description="share of yes without a stimulus")
-    trials: Annotated[int, Field(ge=5, le=500)] = Field(default=40, description="per method and target")
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        if self.high - self.low < 2 * self.step:
-            raise ValueError(
-                f"low {self.low:g} to high {self.high:g} dB holds fewer than three levels {self.step:g} dB apart"
-            )
-        return self
 
 
 class Task(Part):
@@ -95,9 +54,6 @@ class Task(Part):
     answer_seconds: Positive | None = Field(
         default=None, description="an answer later than this is recorded and marked late [s]; none: no limit"
     )
-    adaptive: Adaptive | None = Field(
-        default=None, description="for answers 'yes or no' (detection) and 'first or second' (strength): levels"
-    )
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -106,28 +62,31 @@ class Task(Part):
                 f"blocks {self.blocks} does not divide repetitions {self.repetitions}, so blocks would differ; "
                 "take blocks = 1 or a divisor"
             )
-        levels = self.answer in ("yes or no", "first or second")
-        if levels != (self.adaptive is not None):
-            raise ValueError(
-                "answers 'yes or no' and 'first or second' and a table `adaptive` go together; give both or neither"
-            )
-        if self.adaptive is not None and (self.answer == "first or second") != (self.adaptive.reference is not None):
-            raise ValueError("answer 'first or second' and adaptive.reference go together; give both or neither")
         return self
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """Measures of its answers, the task's own first; one repetition has no scatter."""
+        return tuple(m for m in _OF_ANSWER[self.answer] if m != "precision" or self.repetitions > 1)
 
 
 class Order(Part):
-    """How trials are shuffled."""
+    """How trials and tasks are ordered; balanced over participants by their place in the study."""
 
-    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="with the participant and task: the same order")
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="with place and task: the same order")
     methods: Literal["mixed", "one after the other"] = Field(
-        default="mixed", description="within a block; one after the other: their order balanced over participants"
+        default="mixed",
+        description="within a block; one after the other: each order of methods equally often over participants, and "
+        "another one in each block and task",
+    )
+    tasks: Literal["fixed", "balanced"] = Field(
+        default="fixed", description="fixed: as listed for everybody; balanced: over participants"
     )
     no_target_twice: bool = Field(default=True, description="in a row")
 
 
 class Stimuli(Part):
-    """What is rendered."""
+    """What is rendered, and how strong."""
 
     methods: tuple[Method, ...] = Field(
         default=_METHODS, min_length=1, description="renderers compared; the participant never learns which"
@@ -135,18 +94,54 @@ class Stimuli(Part):
     targets: tuple[str, ...] = Field(
         default=tuple(str(k) for k in range(1, 10)), min_length=1, description="names of grid points"
     )
-    level: Level = Level()
+    levels: Literal["equal at target", "as rendered"] | dict[Method, dict[str, float]] | str = Field(
+        default="equal at target",
+        description="'equal at target': the same receptor-weighted level at every target; 'as rendered'; a table "
+        "{method = {target = dB}} or a CSV (method, target, level_db[, participant]) of what is added to equal",
+    )
+    peak: Positive | None = Field(
+        default=None, description="of equal levels: that of the wavelet with this peak [um]; none: rendering.amplitude"
+    )
+    drive: Positive | None = Field(
+        default=None, description="of equal levels, instead of `peak`: the strongest drive of all stimuli [V]"
+    )
     repeats: Annotated[int, Field(ge=1, le=100)] = Field(default=1, description="wavelets per stimulus")
-    pause: NonNegative = Field(default=0.3, description="between wavelets, and between two that are compared [s]")
+    pause: NonNegative = Field(default=0.3, description="between wavelets [s]")
     lead: Positive = Field(default=0.05, description="of each signal kept before the wavelet's centre [s]")
     tail: Positive = Field(default=0.15, description="and after [s]")
 
     @model_validator(mode="after")
-    def _distinct(self) -> Self:
+    def _possible(self) -> Self:
         for what, given in (("methods", self.methods), ("targets", self.targets)):
             if len(set(given)) != len(given):
                 raise ValueError(f"{what} names one twice: {', '.join(given)}")
+        if self.levels == "as rendered" and (self.peak or self.drive):
+            raise ValueError("levels = 'as rendered' takes neither peak nor drive; take equal levels or leave them out")
+        if self.peak and self.drive:
+            raise ValueError("peak and drive both say how strong equal levels are; give one")
+        if isinstance(self.levels, dict):
+            for method in self.methods:
+                if lacking := [t for t in self.targets if t not in self.levels.get(method, {})]:
+                    raise ValueError(f"levels: no dB for {method} at target {lacking[0]}; name every method and target")
         return self
+
+
+class Analysis(Part):
+    """How answers are tested; chosen here, before there are any, and kept with them."""
+
+    correction: Literal["holm", "bonferroni"] = Field(default="holm", description="within each table of comparisons")
+    sphericity: Literal["Greenhouse-Geisser", "Huynh-Feldt"] = Field(
+        default="Greenhouse-Geisser", description="correction of degrees of freedom"
+    )
+    alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(default=0.05, description="level of significance")
+    measures: tuple[Literal["error", "precision", "points", "response_area"], ...] = Field(
+        default=(), description="tested in each task that has them; empty: all that the answers give"
+    )
+
+    @property
+    def digest(self) -> str:
+        """First 12 digits of its SHA-256."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:12]
 
 
 class Study(Part):
@@ -163,8 +158,12 @@ class Study(Part):
     order: Order = Order()
     tasks: tuple[Task, ...] = Field(
         default=(Task(name="identification"), Task(name="confidence", answer="several points")), min_length=1,
-        description="in the order in which they are run",
+        description="run in this order, or balanced",
     )  # fmt: skip
+    analysis: Analysis = Analysis()
+    consent: str | None = Field(
+        default=None, description="text file shown before the first sitting, to be agreed to; none: signed on paper"
+    )
     beep: bool = Field(default=True, description="a short tone on the page just before each stimulus")
     language: str = Field(default="en", description="of the participant's page: en, de, nl, or a TOML file of texts")
 
@@ -175,13 +174,11 @@ class Study(Part):
             raise ValueError(f"tasks has one name twice: {', '.join(names)}")
         for task in self.tasks:
             many = len(self.stimuli.methods) * (task.repetitions + task.training) > 1
-            if task.adaptive is None and many and self.order.no_target_twice and len(self.stimuli.targets) == 1:
+            if many and self.order.no_target_twice and len(self.stimuli.targets) == 1:
                 raise ValueError(
                     f"order.no_target_twice cannot be met in task {task.name} with one target; add targets or set it "
                     "to false"
                 )
-            if task.adaptive and task.adaptive.reference not in (None, *self.stimuli.methods):
-                raise ValueError(f"adaptive.reference '{task.adaptive.reference}' is not among stimuli.methods")
         return self
 
     def task(self, name: str) -> Task:
@@ -190,6 +187,10 @@ class Study(Part):
             if task.name == name:
                 return task
         raise ScenarioError(f"task '{name}' is not in the study; it has {', '.join(t.name for t in self.tasks)}")
+
+    def measures(self, task: Task) -> tuple[str, ...]:
+        """Measures that the plan tests of a task."""
+        return tuple(m for m in task.measures if not self.analysis.measures or m in self.analysis.measures)
 
 
 def load_study(path: str | Path) -> Study:

@@ -1,79 +1,151 @@
-"""How many participants and repetitions a study needs: whole studies drawn at random, through its own analysis."""
+"""How many participants an effect needs, and how far a pilot tells that.
+
+An effect is a set of d contrasts of participants' cell means. Its size is phi^2 = |mean contrast|^2 / (trace of their
+covariance / d): F has then the noncentrality n phi^2. A pilot's F tells an interval of phi^2 (its distribution
+inverted), and so of the power; a least effect that would matter needs the scatter alone.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, special, stats
 
 from ..errors import DataError
-from ..progress import Progress, tell
 from ..typing import FloatArray
-from .anova import repeated_measures
-from .comparisons import pairwise
+from .anova import Effect, repeated_measures
 
-_ALPHA = 0.05
+Sought = Literal["location", "method", "location x method", "pair"]
 
 
 @dataclass(frozen=True)
-class Supposed:
-    """What is supposed of the answers' errors [m], from a pilot study, a published one or simulated participants.
+class Size:
+    """Size of an effect of ``d`` contrasts with sphericity ``epsilon``: phi^2 with the ends of its 95 % interval."""
 
-    ``means`` (n_target, n_method) of the population, ``between`` the standard deviation of participants' own offsets,
-    ``cell`` that of their cells and ``within`` that of single trials. ``location`` and ``method`` are those of what a
-    target and a method are to one participant more than to others, alike in all its cells: the scatter against which
-    these two are tested.
-    """
-
-    means: FloatArray
-    between: float
-    cell: float
-    within: float
-    location: float = 0.0
-    method: float = 0.0
+    d: int
+    epsilon: float
+    phi2: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
 class Power:
-    """Share of ``studies`` drawn in which an effect was significant at 5 %, with its 95 % interval (Wilson)."""
+    """Share of studies of so many participants that find the effect, and the ends of its 95 % interval."""
 
     participants: int
-    repetitions: int
     share: float
     low: float
     high: float
 
 
-def power_curve(
-    supposed: Supposed,
-    participants: Sequence[int],
-    repetitions: int,
-    *,
-    test: str = "method",
-    studies: int = 1000,
-    progress: Progress | None = None,
-) -> tuple[Power, ...]:
-    """Power of ``test`` for each number of participants.
+def size_of_pilot(values: FloatArray, sought: Sought) -> Size:
+    """The effect that a pilot's cells (n_participant, n_target, n_method) suggest, by the median of what fits its F.
 
-    ``test`` is "location", "method" or "location x method" (Greenhouse-Geisser), or "pairs": any two methods differ by
-    a Bonferroni-corrected paired test. With equal ``means`` the share is the rate of false alarms.
+    Participants without all cells are left out; DataError for fewer than three with all, and for "pair".
+    """
+    if sought == "pair":
+        raise DataError("the pair that differs most in a pilot was chosen for being large; state the least difference "
+                        "that matters with --least, or ask for method")  # fmt: skip
+    effect = _effect(_complete(values), sought)
+    epsilon = min(effect.hf, 1.0) if np.isfinite(effect.hf) else effect.gg
+    d, error = epsilon * effect.df, epsilon * effect.df_error
+    n = round(effect.df_error / effect.df) + 1
+    phi2 = [_noncentrality(effect.f, d, error, share) / (n * epsilon) for share in (0.5, 0.975, 0.025)]
+    return Size(round(effect.df), epsilon, phi2[0], phi2[1], phi2[2])
+
+
+def size_of_least(values: FloatArray, sought: Sought, least: float) -> Size:
+    """A least effect ``least`` [unit of the measure] over a pilot's scatter, with the interval of that (chi-square).
+
+    ``least`` is the difference between two methods (or targets), the others half way between; of the interaction, how
+    much larger a difference of methods is at one target than at another.
+    """
+    whole = _complete(values)
+    effect, (_, a, b) = _effect(whole, "method" if sought == "pair" else sought), whole.shape
+    epsilon = min(effect.hf, 1.0) if np.isfinite(effect.hf) else effect.gg
+    df = effect.df_error * epsilon
+    square = _error_square(whole, sought)  # of a normalised contrast of cells
+    amount = {"method": a * least**2 / 2, "pair": a * least**2 / 2, "location": b * least**2 / 2,
+              "location x method": least**2 / 4}[sought]  # fmt: skip
+    phi2 = amount / square
+    low, high = (phi2 * stats.chi2.ppf(share, df) / df for share in (0.025, 0.975))
+    d, epsilon = (1, 1.0) if sought == "pair" else (round(effect.df), epsilon)
+    return Size(d, epsilon, float(phi2), float(low), float(high))
+
+
+def size_of_scatter(least: float, scatter: float, methods: int, sought: Sought) -> Size:
+    """A least difference of two methods over ``scatter``, the standard deviation of participants' own differences."""
+    if sought not in ("method", "pair"):
+        raise DataError(f"--scatter is of participants' differences between two methods and tells nothing of {sought}; "
+                        "give a --pilot, or ask for method or pair")  # fmt: skip
+    phi2 = (least / scatter) ** 2
+    return Size(1 if sought == "pair" else methods - 1, 1.0, phi2, phi2, phi2)
+
+
+def power_curve(
+    size: Size, participants: Sequence[int], *, alpha: float = 0.05, family: int = 1, studies: int = 4000
+) -> tuple[Power, ...]:
+    """Power of the Greenhouse-Geisser test for each number of participants; a pair's at alpha / ``family``.
+
+    Contrasts of ``studies`` studies are drawn with eigenvalues of that epsilon, the effect in a random direction; the
+    three sizes are tried on the same draws.
     """
     found = []
-    for done, count in enumerate(participants):
-        (rng, apart), hits = (np.random.default_rng([k, count]) for k in range(2)), 0
-        for _ in range(studies):  # the cell means (n_participant, n_target, n_method) of each
-            own = supposed.between * rng.standard_normal((count, 1, 1))
-            own = own + supposed.location * apart.standard_normal((count, supposed.means.shape[0], 1))
-            own = own + supposed.method * apart.standard_normal((count, 1, supposed.means.shape[1]))
-            scatter = np.hypot(supposed.cell, supposed.within / np.sqrt(repetitions))
-            noise = scatter * rng.standard_normal((count, *supposed.means.shape))
-            hits += _significant(np.asarray(supposed.means + own + noise), test)
-        low, high = stats.binomtest(hits, studies).proportion_ci(method="wilson")
-        found.append(Power(count, repetitions, hits / studies, float(low), float(high)))
-        tell(progress, "power", done + 1, len(participants))
+    for count in participants:
+        shares = [_share(size, phi2, count, alpha / family, studies) for phi2 in (size.phi2, size.low, size.high)]
+        found.append(Power(count, *shares))
     return tuple(found)
+
+
+def _share(size: Size, phi2: float, count: int, alpha: float, studies: int) -> float:
+    rng, d = np.random.default_rng([size.d, count]), size.d
+    spread = _eigenvalues(d, size.epsilon)
+    way = rng.standard_normal((studies, d))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    mean = way * np.sqrt(phi2) + rng.standard_normal((studies, d)) * np.sqrt(spread / count)
+    apart = rng.standard_normal((studies, count, d)) * np.sqrt(spread)
+    apart -= apart.mean(axis=1, keepdims=True)
+    square = np.einsum("snd,sne->sde", apart, apart) / (count - 1)
+    trace = np.trace(square, axis1=1, axis2=2)
+    epsilon = trace**2 / (d * np.sum(square**2, axis=(1, 2)))
+    f = count * np.sum(mean**2, axis=1) / trace
+    return float(np.mean(stats.f.sf(f, epsilon * d, epsilon * d * (count - 1)) < alpha))
+
+
+def _eigenvalues(d: int, epsilon: float) -> FloatArray:
+    """Geometric eigenvalues (d,) of mean 1 whose sphericity tr^2 / (d tr of squares) is ``epsilon``."""
+    if d == 1 or epsilon > 1 - 1e-6:
+        return np.ones(d)
+
+    def lacks(log_ratio: float) -> float:
+        """Sphericity less the one wanted."""
+        values = np.exp(log_ratio * np.arange(d))
+        return float(np.sum(values) ** 2 / (d * np.sum(values**2))) - epsilon
+
+    found = np.exp(optimize.brentq(lacks, -50.0, 0.0) * np.arange(d)) if epsilon > 1 / d + 1e-6 else np.eye(d)[0]
+    return np.asarray(found * d / found.sum())
+
+
+def _noncentrality(f: float, df: float, error: float, share: float) -> float:
+    """The noncentrality by which F is below ``f`` in that ``share`` of studies; 0 where none is so small."""
+    if not np.isfinite(f):
+        raise DataError("this pilot's effect has no scatter to compare it with; more participants are needed")
+    if stats.f.cdf(f, df, error) <= share:
+        return 0.0
+
+    def beyond(nc: float) -> float:
+        """Share of studies below ``f``, less the one wanted; of noncentralities too large for the series none are."""
+        found = float(special.ncfdtr(df, error, nc, f))
+        return (found if np.isfinite(found) else 0.0) - share
+
+    high = 1.0 + df * f
+    while beyond(high) > 0:
+        high *= 2
+    return float(optimize.brentq(beyond, 0.0, high, xtol=1e-8))
 
 
 def needed(curve: Sequence[Power], power: float = 0.8) -> int | None:
@@ -86,69 +158,27 @@ def needed(curve: Sequence[Power], power: float = 0.8) -> int | None:
     return enough
 
 
-def supposed_from(values: FloatArray, repetitions: int, within: float) -> Supposed:
-    """What a pilot's cell means ``values`` (n_participant, n_target, n_method) and trial scatter ``within`` suggest.
-
-    Participants differ in what a target is to them, in what a method is, and in what is left of their cells: a variance
-    each, from the mean squares against which the three effects are tested. The last holds within^2 / repetitions of
-    trial noise, which is taken off. So is what chance has made of the effects in so few participants: each is drawn in
-    by sqrt(1 - 1 / F), F its own mean square over its error's, to nothing where F is below 1. What is left is one
-    pilot's guess all the same. Participants without all cells are left out; DataError for fewer than two with all.
-    """
-    values = _complete(values)
-    n, a, b = values.shape
-    own = values.mean(axis=(1, 2), keepdims=True)
-    apart = values - own - values.mean(axis=0) + values.mean()
-    by_target, by_method = apart.mean(axis=2, keepdims=True), apart.mean(axis=1, keepdims=True)
-    rest = apart - by_target - by_method
-    squares = (b * by_target**2, a - 1), (a * by_method**2, b - 1), (rest**2, (a - 1) * (b - 1))
-    location, method, left = (float(np.sum(square)) / ((n - 1) * max(df, 1)) for square, df in squares)
-    spread = own.var(ddof=1) - max(location - left, 0) / (a * b) - max(method - left, 0) / (a * b) - left / (a * b)
-    return Supposed(
-        _without_chance(values.mean(axis=0), location / n, method / n, left / n),
-        float(np.sqrt(max(spread, 0.0))),
-        float(np.sqrt(max(left - within**2 / repetitions, 0.0))),
-        within,
-        float(np.sqrt(max(location - left, 0.0) / b)),
-        float(np.sqrt(max(method - left, 0.0) / a)),
-    )
-
-
-def untold(values: FloatArray, test: str) -> str:
-    """A sentence where a pilot's cell means do not tell the effect of ``test`` from chance, else empty."""
-    whole = _complete(values)
-    if _significant(whole, test):
-        return ""
-    return (
-        f"the pilot's {len(whole)} participants do not tell this effect from chance: how large it is, and so how many "
-        "it takes, is a guess; the wider the pilot the better, or suppose the least effect that would matter"
-    )
-
-
 def _complete(values: FloatArray) -> FloatArray:
-    """Participants with all cells, two or more."""
+    """Participants with all cells, three or more."""
     whole = values[np.isfinite(values).all(axis=(1, 2))]
-    if len(whole) < 2:
-        raise DataError(f"a pilot needs two participants who answered every cell, got {len(whole)}")
+    if len(whole) < 3:
+        raise DataError(f"a pilot needs three participants who answered every cell, got {len(whole)}")
     return np.asarray(whole)
 
 
-def _without_chance(means: FloatArray, location: float, method: float, both: float) -> FloatArray:
-    """``means`` (n_target, n_method) with each effect drawn in by what an error of that mean square makes of none."""
-    grand = means.mean()
-    targets, methods = (means.mean(axis=k, keepdims=True) - grand for k in (1, 0))
-    a, b = (n - 1 for n in means.shape)
-    parts = ((targets, a, location), (methods, b, method), (means - grand - targets - methods, a * b, both))
-    out = np.full(means.shape, grand)
-    for part, df, variance in parts:
-        square = float(np.sum(np.broadcast_to(part, means.shape) ** 2))
-        out += part * np.sqrt(max(1 - df * variance / square, 0.0) if square > 0 else 0.0)
-    return out
+def _effect(whole: FloatArray, sought: Sought) -> Effect:
+    return {e.name: e for e in repeated_measures(whole, ("location", "method"))}[sought]
 
 
-def _significant(values: FloatArray, test: str) -> bool:
-    if test == "pairs":
-        names = [str(k) for k in range(values.shape[2])]
-        return any(pair.p < _ALPHA for pair in pairwise(values.mean(axis=1), names))
-    effects = {e.name: e for e in repeated_measures(values, ("location", "method"))}
-    return effects[test].p_gg < _ALPHA
+def _error_square(whole: FloatArray, sought: Sought) -> float:
+    """Mean square of the scatter of participants' normalised contrasts of cells."""
+    a, b = whole.shape[1:]
+    own = whole - whole.mean(axis=0)
+    own = own - own.mean(axis=(1, 2), keepdims=True)
+    by_target, by_method = own.mean(axis=2, keepdims=True), own.mean(axis=1, keepdims=True)
+    square, df = (own - by_target - by_method) ** 2, (a - 1) * (b - 1)
+    if sought == "location":
+        square, df = b * by_target**2, a - 1
+    elif sought in ("method", "pair"):
+        square, df = a * by_method**2, b - 1
+    return float(np.sum(square)) / ((len(whole) - 1) * df)

@@ -1,15 +1,17 @@
-"""From a study file to a session that plays, and to a rehearsal with simulated participants."""
+"""From a study file to a session that plays, and to the answers that are analysed."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ..errors import DataError, MissingExtra
+from ..errors import DataError, MissingExtra, ScenarioError
 from ..geometry.device.layout import planform_ports
 from ..io.declaration import Declaration
 from ..measurement.daq import Daq
@@ -17,20 +19,18 @@ from ..measurement.loopback import Loopback, check_belongs
 from ..measurement.run import DaqKind, hardware, wired
 from ..measurement.virtual import VirtualDaq, VirtualOptions
 from ..ports import Port
-from ..progress import Progress, tell
 from ..rendering.job import wavelet
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario, load_scenario, scenario_beside
 from ..transfer import TransferMatrix
-from .devices import SIMULATED, BackEnd, back_end
-from .field import SkinField, grid_field
-from .order import Trial, trials
-from .percept import Felt, Percept, SimulatedParticipant
+from .devices import BackEnd, back_end
+from .levels import Key, offsets
+from .order import tasks_of, trials
 from .plan import Study, Task, load_study
 from .server import texts
-from .session import Given, Player, Presented, Session
-from .stimuli import DevicePlayer, Stimulus, stimuli_for, transfer_of
-from .store import SIMULATION, StudyStore
+from .session import Session
+from .stimuli import DevicePlayer, Stimulus, provenance, refuse_changed, stimuli_for, transfer_of
+from .store import StudyStore
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,37 +61,89 @@ class Prepared:
         """The scenario's grid points, seen from above."""
         return planform_ports(self.scenario)[0]
 
-    def stimuli(self, transfer: TransferMatrix) -> dict[tuple[str, str], Stimulus]:
-        """Stimuli on a participant's G."""
-        return stimuli_for(transfer, self.scenario, self.study.stimuli, self.wavelet)
+    def consent(self) -> str:
+        """The text to be agreed to; empty where consent is signed on paper."""
+        if self.study.consent is None:
+            return ""
+        try:
+            return (self.base / self.study.consent).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as problem:
+            raise ScenarioError(f"consent: {self.base / self.study.consent} cannot be read as text "
+                                f"({type(problem).__name__})") from None  # fmt: skip
+
+    def made(self, participant: str, declaration: Declaration | None = None) -> Made:
+        """Everything that a participant may be presented, from that participant's G; refused where it changed."""
+        transfer = transfer_of(self.study, self.base, participant, planform_ports(self.scenario), declaration)
+        added, how = offsets(self.study.stimuli, self.base, participant), self.study.stimuli
+        stimuli = stimuli_for(transfer, self.scenario, how, self.wavelet, added)
+        rule = "as rendered" if how.levels == "as rendered" else "equal"
+        levels = {"rule": rule, "peak": how.peak, "drive": how.drive} | {"/".join(k): v for k, v in added.items()}
+        sources, store = provenance(transfer, self.scenario, levels), self.store()
+        for task in self.study.tasks:
+            refuse_changed(f"sub-{participant}", store.answers(participant, task.name), sources, stimuli)
+        return Made(transfer, stimuli, sources)
 
 
-def session_for(
-    prepared: Prepared, participant: str, task: str, *, consent: str = "", daq: DaqKind | Daq = "virtual",
-    card: str | None = None, cable: Loopback | None = None, declaration: Declaration | None = None,
-) -> tuple[Session, tuple[Port, ...]]:  # fmt: skip
-    """A session of an enrolled (or now enrolled) participant, with the grid; the task's earlier answers are kept.
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A participant's G, the stimuli made from it, and ``sources``: hashes of what they are made from."""
 
-    ``cable`` is the loopback measured of the device, kept with the answers; ``declaration`` what the participant's G
-    does not say of itself. Raises ScenarioError, DataError or HardwareError in one sentence for whatever prevents it.
+    transfer: TransferMatrix
+    stimuli: dict[Key, Stimulus]
+    sources: dict[str, str]
+
+    def facts(self) -> dict[Key, dict[str, Any]]:
+        """Columns of each trial about its stimulus."""
+        return {k: s.facts for k, s in self.stimuli.items()}
+
+
+@contextmanager
+def sitting(
+    prepared: Prepared, participant: str, task: str | None = None, *, consent: str = "", age: float | None = None,
+    sex: str = "", daq: DaqKind | Daq = "virtual", card: str | None = None, cable: Loopback | None = None,
+    declaration: Declaration | None = None,
+) -> Iterator[tuple[Session, Made]]:  # fmt: skip
+    """A session of an enrolled (or now enrolled) participant, which nobody else can open meanwhile.
+
+    ``task`` is the participant's next one where none is named. ``cable`` is the loopback measured of the device, kept
+    with the answers; ``declaration`` what the participant's G does not say of itself. Raises ScenarioError, DataError
+    or HardwareError in one sentence for whatever prevents it.
     """
-    asked = prepared.study.task(task)
-    transfer = transfer_of(prepared.study, prepared.base, participant, planform_ports(prepared.scenario), declaration)
-    stimuli = prepared.stimuli(transfer)
-    player, plays = device_player(prepared, transfer, stimuli, daq, card=card, cable=cable)
+    asked = next_task(prepared.store(), participant) if task is None else prepared.study.task(task)
+    refuse_early(prepared.store(), participant, asked)
+    made, text = prepared.made(participant, declaration), prepared.consent()
+    player, plays = device_player(prepared, made, daq, card=card, cable=cable)
     texts(prepared.study.language, prepared.base)  # refused now: who is enrolled binds the study file
     store = prepared.store(begin=True)
-    store.refuse_others(simulated=False)
-    store.enrol(participant, consent=consent, added=datetime.now(UTC).date().isoformat())
-    return Session(store, participant, asked, transfer.outputs, player, back_end=plays), transfer.outputs
+    with store.sitting(participant):
+        store.enrol(participant, consent=consent, age=age, sex=sex, invited=bool(text))
+        yield Session(
+            store, participant, asked, made.transfer.outputs, player, back_end=plays, sources=made.sources,
+            facts=made.facts(), consent=text,
+        ), made  # fmt: skip
+
+
+def next_task(store: StudyStore, participant: str) -> Task:
+    """The first task in a participant's order with trials left; the last one where none is."""
+    order = tasks_of(store.study, place := store.place(participant))
+    left = (t for t in order if len(store.answers(participant, t.name)) < len(trials(store.study, t, place)))
+    return next(left, order[-1])
+
+
+def refuse_early(store: StudyStore, participant: str, task: Task) -> None:
+    """DataError where the order of tasks is balanced and another one comes first for this participant."""
+    due = next_task(store, participant)
+    if store.study.order.tasks == "balanced" and due != task and not store.answers(participant, task.name):
+        raise DataError(
+            f"sub-{participant}: {due.name} comes before {task.name} by the balanced order of tasks; leave --task out"
+        )
 
 
 def device_player(
-    prepared: Prepared, transfer: TransferMatrix, stimuli: dict[tuple[str, str], Stimulus], daq: DaqKind | Daq,
-    *, card: str | None = None, cable: Loopback | None = None,
-) -> tuple[DevicePlayer, BackEnd]:  # fmt: skip
+    prepared: Prepared, made: Made, daq: DaqKind | Daq, *, card: str | None = None, cable: Loopback | None = None
+) -> tuple[DevicePlayer, BackEnd]:
     """A player through the virtual device, NI hardware, a sound card, or a device of one's own; what is known of it."""
-    options = prepared.scenario.measurement.daq
+    options, transfer = prepared.scenario.measurement.daq, made.transfer
     rate = prepared.wavelet.record.sample_rate
     if daq == "virtual":  # has channels of its own
         options = options.changed({"outputs": tuple(f"virtual/ao{i}" for i in range(len(transfer.inputs)))})
@@ -102,14 +154,13 @@ def device_player(
         daq = hardware(daq, options, card)
     if cable is not None:
         check_belongs(cable, daq, rate)
-    loudest = max((t.adaptive.high for t in prepared.study.tasks if t.adaptive), default=0.0)
-    player = DevicePlayer(daq, stimuli, rate, options, prepared.study.stimuli, loudest=max(loudest, 0.0))
+    player = DevicePlayer(daq, made.stimuli, rate, options, prepared.study.stimuli)
     return player, back_end(daq, options, rate, cable)
 
 
 def answers_of(store: StudyStore, task: str) -> pd.DataFrame:
     """All answers to a task, with ``participant``, withdrawn ones left out; DataError if there is none."""
-    active = [p["participant_id"] for p in store.people() if p["status"] == "active"]
+    active = [p["participant_id"] for p in store.people() if p["status"] != "withdrawn"]
     rows = [
         {"participant": name.removeprefix("sub-"), **row}
         for name in active
@@ -121,8 +172,8 @@ def answers_of(store: StudyStore, task: str) -> pd.DataFrame:
 
 
 _NUMBERS = (
-    "onset", "duration", "trial", "block", "repetition", "level", "response_x", "response_y", "response_area",
-    "response_time", "late", "presentations", "peak_voltage", "session",
+    "onset", "duration", "trial", "block", "repetition", "response_x", "response_y", "response_area",
+    "response_time", "late", "presentations", "peak_voltage", "session", "gain", "peak_um", "rms_um", "weighted_db",
 )  # fmt: skip
 
 
@@ -137,85 +188,20 @@ def typed(table: pd.DataFrame) -> pd.DataFrame:
     return result
 
 
-def rehearse(
-    prepared: Prepared,
-    transfer: TransferMatrix,
-    participants: int,
-    percept: Percept,
-    *,
-    field: SkinField | None = None,
-    seed: int = 0,
-    through_device: bool = False,
-    progress: Progress | None = None,
-) -> StudyStore:
-    """Let simulated participants do every task of the study; their answers look like anybody's, marked in ``note``.
-
-    All share one G here; ``field`` is the skin's motion that belongs to it, the grid points' alone where there is none.
-    ``through_device`` plays every stimulus through the virtual device too (slower).
-    """
-    store, stimuli = prepared.store(begin=True), prepared.stimuli(transfer)
-    store.refuse_others(simulated=True)
-    how = prepared.study.stimuli
-    silence = Presented(how.repeats * (how.lead + how.tail) + (how.repeats - 1) * how.pause, float("nan"))
-
-    def silent(method: str, target: str, level: float) -> Presented:
-        """Without a device nothing sounds and no time passes."""
-        return silence
-
-    player: Player
-    player, plays = silent, SIMULATED
-    if through_device:
-        player, plays = device_player(prepared, transfer, stimuli, "virtual")
-    record = prepared.wavelet.record
-    felt = Felt.of(field or grid_field(transfer), stimuli, record.sample_rate, record.n / record.sample_rate)
-    today = datetime.now(UTC).date().isoformat()
-    for k in range(participants):
-        name, rng = f"{k + 1:02d}", np.random.default_rng([seed, k])
-        store.enrol(name, consent=today, added=today, note=SIMULATION)
-        person = SimulatedParticipant(percept.varied(rng), felt, transfer.outputs, rng)
-        for task in prepared.study.tasks:
-            session = Session(store, name, task, transfer.outputs, player, None, back_end=plays)
-            while (waiting := session.view()["waiting"]) != "done":
-                if waiting != "stimulus":
-                    session.start()
-                    continue
-                session.present()
-                trial = session.current
-                assert trial is not None
-                session.answer(answer_of(person, session.task, trial, session.level))
-        tell(progress, "simulated participants", k + 1, participants)
-    return store
-
-
-def answer_of(person: SimulatedParticipant, task: Task, trial: Trial, level: float) -> Given:
-    """What a simulated participant gives to a trial played at ``level`` [dB]."""
-    kind, method, target = task.answer, trial.method, trial.target
-    if task.adaptive is not None and task.adaptive.reference is not None:
-        stronger = person.stronger(method, target, level, task.adaptive.reference)
-        return Given(interval="first" if stronger == (trial.comparison == "first") else "second")
-    if kind == "yes or no":
-        return Given(yes=person.detects(method, target, level))
-    if kind == "one point":
-        return Given(points=(person.one_point(method, target),))
-    if kind == "several points":
-        return Given(points=person.several_points(method, target))
-    return Given(strokes=person.outline(method, target))
-
-
 def statuses(store: StudyStore) -> list[tuple[str, str, int, int]]:
-    """(participant, task, answered, planned) of all who have not withdrawn."""
-    names = [p["participant_id"].removeprefix("sub-") for p in store.people() if p["status"] == "active"]
+    """(participant, task, answered, planned) of all who have not withdrawn, tasks in each one's order."""
     return [
-        (name, task.name, len(store.answers(name, task.name)), len(trials(store.study, task, name)))
-        for name in names
-        for task in store.study.tasks
-    ]
+        (name, task.name, len(store.answers(name, task.name)), len(trials(store.study, task, place)))
+        for place, person in enumerate(store.people(), start=1) if person["status"] != "withdrawn"
+        for name in [person["participant_id"].removeprefix("sub-")]
+        for task in tasks_of(store.study, place)
+    ]  # fmt: skip
 
 
 def require_study_extra() -> None:
     """MissingExtra where the packages of the extra "study" are not installed."""
     from importlib.util import find_spec
 
-    for package in ("pandas", "statsmodels", "questplus", "starlette", "uvicorn"):
+    for package in ("pandas", "starlette", "uvicorn"):
         if find_spec(package) is None:
             raise MissingExtra(package, "study", "a study with people")

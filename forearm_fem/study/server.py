@@ -1,4 +1,4 @@
-"""The participant's and the experimenter's page, served on this machine only.
+"""The participant's and the experimenter's page, served on this machine, or to others where that is asked for.
 
 Each page has its own secret in its address: whoever knows the participant's cannot see methods or steer the session.
 Requests from other origins or under other host names are refused, and no file outside this package's pages is answered.
@@ -64,8 +64,12 @@ def application(
     *,
     beep: bool,
     hosts: tuple[str, ...],
+    levels: str = "",
 ) -> Any:
-    """The web application of one session, for an ASGI server; MissingExtra without starlette."""
+    """The web application of one session, for an ASGI server; MissingExtra without starlette.
+
+    ``levels`` is what the experimenter is told of how strong methods are.
+    """
     try:
         from starlette.applications import Starlette
         from starlette.middleware import Middleware
@@ -79,15 +83,17 @@ def application(
     scene = {
         "words": dict(words),
         "beep": beep,
+        "consent": session.consent_text,
         "grid": [{"name": p.name, "x": p.position[0], "y": p.position[1]} for p in grid],
     }
     reads: Mapping[str, tuple[frozenset[str], Callable[[str], str | dict[str, Any]]]] = {
         "/p/{key}": (subject, lambda _: _page("participant")),
         "/e/{key}": (leader, lambda _: _page("experimenter")),
         "/api/{key}/setup": (both, lambda _: scene),
-        "/api/{key}/state": (both, lambda key: _state(session, led=key == keys.experimenter)),
+        "/api/{key}/state": (both, lambda key: _state(session, levels, led=key == keys.experimenter)),
     }
     acts: Mapping[str, tuple[frozenset[str], Act]] = {
+        "consent": (subject, lambda _: session.consent()),
         "start": (both, lambda _: session.start()),
         "present": (subject, lambda _: session.present()),
         "answer": (subject, lambda body: session.answer(given(body))),
@@ -107,14 +113,14 @@ def _page(name: str) -> str:
     return resources.files(__package__).joinpath(f"pages/{name}.html").read_text(encoding="utf-8")
 
 
-def _state(session: Session, *, led: bool) -> dict[str, Any]:
+def _state(session: Session, levels: str, *, led: bool) -> dict[str, Any]:
     """How the session stands, for the experimenter who leads it, or for the participant."""
     view = session.view()
     if not led:
         return view | {"problem": bool(view["problem"])}  # its words may name the method
     trial = session.current
     shown = None if trial is None else {"method": trial.method, "target": trial.target}
-    return view | {"participant": session.participant, "task": session.task.name, "trial": shown}
+    return view | {"participant": session.participant, "task": session.task.name, "trial": shown, "levels": levels}
 
 
 def _shown(who: frozenset[str], content: Callable[[str], str | dict[str, Any]]) -> Endpoint:
@@ -174,15 +180,11 @@ _HEADERS = {
 
 
 def given(body: Mapping[str, Any]) -> Given:
-    """An answer from JSON: ``points`` (names), ``yes`` (true or false), ``interval`` ("first" or "second") or
-    ``outline`` ([[x, y], ...] in metres), and ``answered``, how many trials were over when the page asked."""
+    """An answer from JSON: ``points`` (names) or ``outline`` ([[x, y], ...] in metres), and ``answered``, how many
+    trials were over when the page asked."""
     import numpy as np
 
     seen = None if body.get("answered") is None else int(body["answered"])
-    if "yes" in body:
-        return Given(yes=bool(body["yes"]), answered=seen)
-    if "interval" in body:
-        return Given(interval=str(body["interval"]), answered=seen)
     if "outline" in body:
         return Given(strokes=np.asarray(body["outline"], dtype=float), answered=seen)
     points = body["points"]
@@ -191,14 +193,32 @@ def given(body: Mapping[str, Any]) -> Given:
     return Given(points=tuple(str(p) for p in points), answered=seen)
 
 
+def addresses(host: str) -> tuple[str, ...]:
+    """Names under which pages bound to ``host`` are reached, first one that other machines can use if any can."""
+    import socket
+
+    if host not in ("0.0.0.0", ""):
+        return (host,)
+    own = [str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # asks the routing table; sends nothing
+        try:
+            probe.connect(("192.0.2.1", 9))
+            own.insert(0, str(probe.getsockname()[0]))
+        except OSError:
+            pass
+    others = [a for a in own if not a.startswith("127.")]
+    return tuple(dict.fromkeys((*others, socket.gethostname().lower(), *own)))
+
+
 def serve(
     session: Session, grid: tuple[Port, ...], words: Mapping[str, str], *, beep: bool, host: str = "127.0.0.1",
-    port: int = 0, announce: Callable[[str, str], None], stop: Callable[[], bool] | None = None,
+    port: int = 0, levels: str = "", announce: Callable[[str, str], None], stop: Callable[[], bool] | None = None,
 ) -> None:  # fmt: skip
     """Serve both pages until the session is over and ``stop()`` is true, or Ctrl-C; ``announce`` gets their addresses.
 
-    ``host`` other than this machine's own address must be asked for; port 0 takes a free one. HardwareError-like
-    failures of the device appear on the experimenter's page. Raises DataError where the port is taken.
+    ``host`` other than the loopback address opens the pages to machines that reach it (0.0.0.0: on every network);
+    announced are then addresses that others can use. Port 0 takes a free one. Failures of the device appear on the
+    experimenter's page. Raises DataError where host or port cannot be used.
     """
     import asyncio
     import socket
@@ -212,13 +232,15 @@ def serve(
     except OSError as problem:
         listening.close()
         raise DataError(
-            f"--port {port}: cannot be used ({problem.strerror}); take another, or 0 for a free one"
+            f"--host {host} --port {port}: cannot be used ({problem.strerror}); take other ones, port 0 for a free one"
         ) from None
     number = listening.getsockname()[1]
-    hosts = tuple(f"{name}:{number}" for name in dict.fromkeys((host, "127.0.0.1", "localhost")))
-    app = application(session, grid, words, keys, beep=beep, hosts=hosts)
+    names = addresses(host)
+    hosts = tuple(f"{name}:{number}" for name in dict.fromkeys((*names, "127.0.0.1", "localhost")))
+    app = application(session, grid, words, keys, beep=beep, hosts=hosts, levels=levels)
     server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off", access_log=False))
-    announce(f"http://{host}:{number}/p/{keys.participant}", f"http://{host}:{number}/e/{keys.experimenter}")
+    at = f"http://{names[0]}:{number}"
+    announce(f"{at}/p/{keys.participant}", f"{at}/e/{keys.experimenter}")
 
     async def run() -> None:
         """Serve until a stop is asked for."""

@@ -1,14 +1,15 @@
 """One participant at one task: what is presented next, what an answer does, and how a session goes on after a stop.
 
-Nothing is kept in memory that is not on disk: the next trial is the first one without an answer. Pages and the terminal
-only show :meth:`Session.view` and call ``start``, ``present``, ``answer``, ``pause`` and ``repeat``.
+Nothing is kept in memory that is not on disk: the next trial is the first one without an answer. Pages only show
+:meth:`Session.view` and call ``consent``, ``start``, ``present``, ``answer``, ``pause`` and ``repeat``.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from threading import RLock
 from typing import Any, Literal, Protocol
 
@@ -17,14 +18,13 @@ import numpy as np
 from ..errors import DataError, ForearmError
 from ..ports import Port
 from ..typing import FloatArray
-from .adaptive import Track
 from .devices import BackEnd
 from .order import Trial, trials
 from .plan import Task
 from .store import StudyStore
 
 _MOST_DRAWN = 200  # points of a line that are kept, evenly chosen
-Waiting = Literal["start", "stimulus", "playing", "answer", "break", "pause", "done"]
+Waiting = Literal["consent", "start", "stimulus", "playing", "answer", "break", "pause", "done"]
 
 
 @dataclass(frozen=True)
@@ -38,22 +38,19 @@ class Presented:
 class Player(Protocol):
     """Plays a stimulus and returns when it is over; HardwareError where the device fails."""
 
-    def __call__(self, method: str, target: str, level: float) -> Presented:
-        """Play ``method`` towards ``target`` at ``level`` [dB re its own]."""
+    def __call__(self, method: str, target: str) -> Presented:
+        """Play ``method`` towards ``target``."""
         ...
 
 
 @dataclass(frozen=True)
 class Given:
-    """An answer: names of grid points, yes or no, the ``interval`` that felt stronger ("first", "second"), or
-    ``strokes`` (n, 2) [m] drawn as one closed outline.
+    """An answer: names of grid points, or ``strokes`` (n, 2) [m] drawn as one closed outline.
 
     ``answered`` is how many trials were answered when the page asked; None where the asker cannot be out of date.
     """
 
     points: tuple[str, ...] = ()
-    yes: bool | None = None
-    interval: str | None = None
     strokes: FloatArray | None = None
     answered: int | None = None
 
@@ -61,7 +58,8 @@ class Given:
 class Session:
     """A participant's session; safe to call from several threads.
 
-    Without a clock (None) nobody waits: breaks are over at once, and how long an answer took is unknown.
+    ``sources`` and ``facts``, the latter by method and target, are columns of each trial: what its stimulus was made
+    from, and how strong it is. To a text of ``consent`` the participant agrees before the first trial.
     """
 
     def __init__(
@@ -71,14 +69,18 @@ class Session:
         task: Task,
         grid: Sequence[Port],
         player: Player,
-        clock: Callable[[], float] | None = time.monotonic,
+        clock: Callable[[], float] = time.monotonic,
         *,
         back_end: BackEnd | None = None,
+        sources: Mapping[str, str] | None = None,
+        facts: Mapping[tuple[str, str], Mapping[str, Any]] | None = None,
+        consent: str = "",
     ) -> None:
         self._store, self.participant, self.task, self._player = store, participant, task, player
-        self._clock, self._timed = clock or _Hours(), clock is not None
+        self._clock = clock
         self._places = {p.name: np.array(p.position[:2]) for p in grid}
-        self._trials = trials(store.study, task, participant)
+        self._trials, self.consent_text = trials(store.study, task, store.place(participant)), consent
+        self._sources, self._facts = sources or {}, facts or {}
         if missing := [t for t in store.study.stimuli.targets if t not in self._places]:
             raise DataError(f"stimuli.targets: '{missing[0]}' is no output of G; it has {', '.join(self._places)}")
         self._lock = RLock()
@@ -91,23 +93,18 @@ class Session:
                 )
         self._answered = len(done)
         self._number = 1 + max((int(r["session"]) for r in done), default=0)
-        self._track = Track.of(task, done)
-        self._waiting: Waiting = "done" if self._answered == len(self._trials) else "start"
+        first: Waiting = "consent" if consent and not store.consented(participant) else "start"
+        self._waiting: Waiting = "done" if self._answered == len(self._trials) else first
         played = max((float(r["onset"]) + float(r["duration"]) for r in done), default=0.0)
         self._begun, self._presented, self._last = self._clock() - played, 0, Presented(0.0, 0.0)
         self.back_end, self._told = back_end or BackEnd("unknown", float("nan")), False
-        self._onset = self._over = self._break_until = self._level = 0.0
+        self._onset = self._over = self._break_until = 0.0
         self.problem = ""
 
     @property
     def current(self) -> Trial | None:
         """The trial that waits for its stimulus or its answer; None when all are answered."""
         return self._trials[self._answered] if self._answered < len(self._trials) else None
-
-    @property
-    def level(self) -> float:
-        """Level of the stimulus presented last [dB]."""
-        return self._level
 
     def view(self) -> dict[str, Any]:
         """What both pages may know: no method, no target, no level."""
@@ -125,6 +122,13 @@ class Session:
                 "break_left": left if self._waiting == "break" else 0.0,
                 "problem": self.problem,
             }
+
+    def consent(self) -> None:
+        """The participant agrees to the text shown: kept with today's date and the text's hash."""
+        with self._lock:
+            if self._waiting == "consent":
+                self._store.consent(self.participant, _today(), self.consent_text)
+                self._waiting = "start"
 
     def start(self) -> None:
         """Begin, go on after a pause, or end a break; a break cannot be ended before its time."""
@@ -155,32 +159,18 @@ class Session:
             trial = self.current
             if self._waiting != "stimulus" or trial is None:
                 raise DataError("no stimulus is due now; press start, or answer the last one first")
-            level = self._track.next(trial) if self._track else trial.level
             self._waiting, self._onset = "playing", self._clock()
         try:
-            last = self._play(trial, level)
+            last = self._player(trial.method, trial.target)
         except ForearmError as problem:
             with self._lock:
                 self._waiting, self.problem = "pause", str(problem)
             raise
         with self._lock:
-            self._level, self._last, self._presented, self.problem = level, last, self._presented + 1, ""
+            self._last, self._presented, self.problem = last, self._presented + 1, ""
             self._over = self._clock()
             if self._waiting == "playing":
                 self._waiting = "answer"
-
-    def _play(self, trial: Trial, level: float) -> Presented:
-        """The stimulus, or in two intervals, `stimuli.pause` apart, the stimulus and the reference at its own level."""
-        own = (trial.method, level)
-        if self.task.adaptive is None or self.task.adaptive.reference is None:
-            return self._player(trial.method, trial.target, level)
-        pair = (own, (self.task.adaptive.reference, 0.0))
-        (first, at), (second, then) = pair if trial.comparison == "first" else pair[::-1]
-        before, pause = self._player(first, trial.target, at), self._store.study.stimuli.pause
-        if self._timed:
-            time.sleep(pause)
-        after = self._player(second, trial.target, then)
-        return Presented(before.seconds + pause + after.seconds, max(before.peak_voltage, after.peak_voltage))
 
     def answer(self, given: Given) -> None:
         """Record an answer to what was presented, on the disk when this returns; DataError for what was not asked."""
@@ -190,24 +180,21 @@ class Session:
                 raise DataError("no answer is due now: the stimulus has not been played, or was answered already")
             if given.answered not in (None, self._answered):
                 raise DataError(f"that answer was to trial {given.answered + 1}, which is over; look at the page again")
-            seconds = self._clock() - self._over if self._timed else float("nan")
+            seconds = self._clock() - self._over
             limit = self.task.answer_seconds
             row = {
                 "onset": self._onset - self._begun, "duration": self._last.seconds, "trial": trial.number,
                 "phase": trial.phase, "block": trial.block, "method": trial.method, "target": trial.target,
-                "repetition": trial.repetition, "level": self._level,
-                "comparison": trial.comparison, **self._response(given),
+                "repetition": trial.repetition, **self._response(given),
                 "response_time": seconds, "late": int(limit is not None and seconds > limit),
                 "presentations": self._presented, "peak_voltage": self._last.peak_voltage, "session": self._number,
+                "date": _today(), **self._sources, **self._facts.get((trial.method, trial.target), {}),
             }  # fmt: skip
             if not self._told:
                 who = {"participant_id": f"sub-{self.participant}", "task": self.task.name, "session": self._number}
                 self._store.add_device(who | self.back_end.row)
                 self._told = True
             self._store.add(self.participant, self.task.name, row)
-            if self._track:
-                yes = given.interval == trial.comparison if trial.comparison else bool(given.yes)
-                self._track.update(trial, self._level, yes)
             self._answered, self._presented = self._answered + 1, 0
             following = self.current
             if following is None:
@@ -219,14 +206,6 @@ class Session:
 
     def _response(self, given: Given) -> dict[str, Any]:
         kind = self.task.answer
-        if kind == "yes or no":
-            if given.yes is None:
-                raise DataError("answer yes or no")
-            return {"response": "yes" if given.yes else "no"}
-        if kind == "first or second":
-            if given.interval not in ("first", "second"):
-                raise DataError("answer first or second")
-            return {"response": given.interval}
         if kind == "drawing":
             centre, area = _outline(given.strokes)
             points = np.asarray(given.strokes, dtype=float)
@@ -243,15 +222,8 @@ class Session:
         return {"response": " ".join(names), "response_x": float(x), "response_y": float(y)}
 
 
-class _Hours:
-    """Time that passes by an hour at each look, so that breaks are over at once."""
-
-    def __init__(self) -> None:
-        self._now = 0.0
-
-    def __call__(self) -> float:
-        self._now += 3600.0
-        return self._now
+def _today() -> str:
+    return datetime.now(UTC).date().isoformat()
 
 
 def _outline(strokes: FloatArray | None) -> tuple[FloatArray, float]:

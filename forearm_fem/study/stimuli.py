@@ -2,40 +2,93 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ..errors import AccuracyWarning, HardwareError, ScenarioError
+from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
 from ..io.declaration import Declaration, Ports, arbitrary_gain
 from ..io.recognise import read_measured
-from ..measurement.daq import Daq
+from ..measurement.daq import Daq, faded
 from ..measurement.play import play
 from ..rendering.bridging import bridged
-from ..rendering.drives import displacements as reached
-from ..rendering.drives import drives, scale_to
+from ..rendering.drives import drives
 from ..rendering.job import renderers
-from ..rendering.spectrum import place
+from ..rendering.spectrum import Placed, Record, place, respond, to_spectrum
 from ..rendering.wavelet import Wavelet
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions
 from ..transfer import TransferMatrix
-from ..typing import FloatArray
+from ..typing import BoolArray, FloatArray
+from .levels import Key, Motion, motion
 from .plan import Stimuli, Study
 from .session import Presented
 
-_MICROMETRE = 1e-6
+_STEP = 1e-4  # [V] to which drives are compared: a tenth of a step of 16 bits over 10 V, far above rounding
 
 
 @dataclass(frozen=True, eq=False)
 class Stimulus:
-    """``signals`` (n_actuator, n) [V] for one wavelet and ``moved`` (n_point, n) [m], the skin's answer by G."""
+    """``signals`` (n_actuator, n) [V] of one wavelet, the ``moved`` target, and ``gain`` [dB re as rendered]."""
 
     signals: FloatArray
-    moved: FloatArray
+    moved: Motion
+    gain: float = 0.0
+
+    @property
+    def digest(self) -> str:
+        """First 12 digits of a SHA-256 of the drives, to 0.1 mV."""
+        return _digest(np.rint(self.signals / _STEP).astype("<i4").tobytes())
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Columns of each of its trials."""
+        return {
+            "gain": self.gain, "peak_um": 1e6 * self.moved.peak, "rms_um": 1e6 * self.moved.rms,
+            "weighted_db": self.moved.weighted, "drives": self.digest,
+        }  # fmt: skip
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+def provenance(transfer: TransferMatrix, scenario: Scenario, levels: Any) -> dict[str, str]:
+    """Columns of each trial that say what its stimuli were made from: 12 digits of a SHA-256 each.
+
+    ``levels`` are what the study adds to equal levels, and how strong these are.
+    """
+    known = np.isfinite(transfer.values) & (True if transfer.valid is None else transfer.valid)
+    values = np.where(known, transfer.values, 0).astype("<c16")
+    return {
+        "transfer": _digest(transfer.frequency.astype("<f8").tobytes() + values.tobytes()),
+        "scenario": _digest(scenario.model_dump_json().encode()),
+        "levels": _digest(json.dumps(levels, sort_keys=True).encode()),
+    }
+
+
+def refuse_changed(
+    who: str, rows: Sequence[Mapping[str, str]], sources: Mapping[str, str], stimuli: Mapping[Key, Stimulus]
+) -> None:
+    """DataError naming what a participant's stimuli are made from now that earlier answers (``rows``) were not."""
+    names = {"transfer": "G", "scenario": "the scenario", "levels": "the levels"}
+    for row in rows:
+        drawn = stimuli.get((row["method"], row["target"]))
+        changed = [names[k] for k, v in sources.items() if row[k] != v]
+        if not changed and drawn is not None and drawn.digest != row["drives"]:
+            changed = [f"the drives of {row['method']} towards {row['target']}, with the same G, scenario and levels "
+                       "(another version of this program)"]  # fmt: skip
+        if changed:
+            raise DataError(
+                f"{who}: {' and '.join(changed)} changed since {row['date']}, when trial {row['trial']} was answered; "
+                "put it back, or go on under another pseudonym"
+            )
 
 
 def transfer_of(
@@ -60,60 +113,130 @@ def stimuli_for(
     scenario: Scenario,
     options: Stimuli,
     wavelet: Wavelet,
-) -> dict[tuple[str, str], Stimulus]:
-    """A stimulus for each method and target of ``options``.
+    added: Mapping[Key, float] | None = None,
+) -> dict[Key, Stimulus]:
+    """A stimulus for each method and target of ``options``, ``added`` [dB] to equal levels.
 
-    Signals keep ``options.lead`` seconds before the wavelet's centre and ``options.tail`` after. Holes of G are bridged
-    as in a run, and warned of (AccuracyWarning) where they are not safe to. Raises ScenarioError for a G that is not in
-    m/V or of arbitrary gain without a peak of the drives, and as the renderers do.
+    Signals keep ``options.lead`` seconds before the wavelet's centre and ``options.tail`` after, faded as they are
+    played; motion is what G makes of exactly these. Holes of G are bridged as in a run (AccuracyWarning where that is
+    not safe). Raises ScenarioError for a G that is not in m/V, for levels out of an actuator's reach, for a G of
+    arbitrary gain without ``drive``, and as the renderers do.
     """
     if transfer.unit != "m/V":
         raise ScenarioError(f"stimuli need a G in m/V, got {transfer.unit}; set device.drive = 'voltage'")
-    if arbitrary_gain(transfer.provenance) and options.level.rule != "drive peak":
+    if arbitrary_gain(transfer.provenance) and options.drive is None:
         raise ScenarioError(
             "the gain of this G is arbitrary, as was declared, so that no drive follows from micrometres; set "
-            "stimuli.level.rule = 'drive peak'"
+            "stimuli.drive"
         )
     wanted = scenario.rendering.changed({"methods": options.methods})
     chosen = {r.name: r for r in renderers(scenario.changed({"rendering": wanted}), wavelet)}
     holes = bridged(transfer)
     if holes.left or holes.absent:
         warnings.warn(holes.sentence, AccuracyWarning, stacklevel=2)
-    placed = place(holes.transfer, wavelet.record)
-    time = wavelet.record.time
+    placed, time = place(holes.transfer, wavelet.record), wavelet.record.time
     kept = (time >= -options.lead) & (time <= options.tail)
-    result: dict[tuple[str, str], Stimulus] = {}
+    fade = scenario.measurement.daq.fade
+    made: dict[Key, Stimulus] = {}
     for method in options.methods:
         for target in options.targets:
-            sent, peak = drives(chosen[method], placed, target, wavelet), options.level.value
-            if options.level.rule == "drive peak" and peak is not None:
-                sent = scale_to(sent, drive_peak=peak)
-            elif options.level.rule == "target peak" and peak is not None:
-                sent = scale_to(sent, placed, target_peak=peak * _MICROMETRE)
-            result[method, target] = Stimulus(sent.signals[:, kept], reached(placed, sent).values[:, kept])
-    return result
+            sent = drives(chosen[method], placed, target, wavelet).signals[:, kept]
+            made[method, target] = Stimulus(sent, _moved(placed, sent, kept, target, fade))
+    if options.levels == "as rendered":
+        return made
+    peak = (options.peak or scenario.rendering.amplitude) * 1e-6 / float(np.abs(wavelet.samples).max())
+    shape = np.where(kept, wavelet.samples * peak, 0.0)
+    level = motion(shape, wavelet.record.sample_rate, _seconds(kept, wavelet.record)).weighted
+    return _levelled(made, level, added or dict.fromkeys(made, 0.0), options, scenario)
+
+
+def _moved(placed: Placed, signals: FloatArray, kept: BoolArray, target: str, fade: float) -> Motion:
+    """What G makes of the faded ``signals`` at the target."""
+    record = placed.record
+    whole = np.zeros((len(signals), record.n))
+    whole[:, kept] = faded(signals, round(fade * record.sample_rate))
+    spectrum = to_spectrum(whole, record)[:, placed.bins.index].T
+    return motion(respond(placed, spectrum)[placed.row(target)], record.sample_rate, _seconds(kept, record))
+
+
+def _seconds(kept: BoolArray, record: Record) -> float:
+    return float(np.count_nonzero(kept)) / record.sample_rate
+
+
+def _levelled(
+    made: Mapping[Key, Stimulus], level: float, added: Mapping[Key, float], options: Stimuli, scenario: Scenario
+) -> dict[Key, Stimulus]:
+    """All stimuli at ``level`` plus what is ``added``; or so that the strongest drive is ``options.drive``."""
+    gains = {k: level + added[k] - s.moved.weighted for k, s in made.items()}
+    if deaf := [k for k, g in gains.items() if not np.isfinite(g)]:
+        raise ScenarioError(f"{deaf[0][0]} does not move target {deaf[0][1]} by this G, so no level is reached there")
+    found = {k: amplified(s, gains[k]) for k, s in made.items()}
+    strongest = max(float(np.abs(s.signals).max()) for s in found.values())
+    if options.drive is not None:
+        change = 20 * np.log10(options.drive / strongest)
+        found, level = {k: amplified(s, change) for k, s in found.items()}, level + change
+    over = {k: beyond(s, scenario) for k, s in found.items()}
+    worst = max(over, key=lambda k: over[k][0])
+    excess, said = over[worst]
+    if excess > 1:
+        down = np.floor(200 * np.log10(1 / excess)) / 10  # [dB], to a tenth below
+        key, now = ("drive", options.drive) if options.drive else ("peak", options.peak or scenario.rendering.amplitude)
+        raise ScenarioError(
+            f"{worst[0]} towards {worst[1]} needs {said} for {level + added[worst]:.1f} dB re 1 um at the target; all "
+            f"methods reach {level + down:.1f} dB at all targets: set stimuli.{key} = "
+            f"{_below(float(now or 0.0) * 10 ** (down / 20)):g}"
+        )
+    return found
+
+
+def _below(value: float) -> float:
+    """``value`` cut to three digits."""
+    step = 10 ** (np.floor(np.log10(value)) - 2)
+    return float(f"{np.floor(value / step) * step:.3g}")
+
+
+def amplified(stimulus: Stimulus, gain: float) -> Stimulus:
+    """The same, ``gain`` [dB] stronger."""
+    factor, m = 10 ** (gain / 20), stimulus.moved
+    moved = Motion(m.peak * factor, m.rms * factor, m.weighted + gain)
+    return replace(stimulus, signals=stimulus.signals * factor, moved=moved, gain=stimulus.gain + gain)
+
+
+def beyond(stimulus: Stimulus, scenario: Scenario) -> tuple[float, str]:
+    """Amplitude over the largest that the limits allow, and what is needed against which limit.
+
+    Limits are a drive's peak (the smaller of the actuator's and the hardware's) and the power in a coil, V^2 / R over
+    the stimulus.
+    """
+    device, daq = scenario.device, scenario.measurement.daq
+    most = min(getattr(device, "max_voltage", np.inf), daq.max_voltage)
+    peak = float(np.abs(stimulus.signals).max())
+    found = peak / most, f"{peak:.3g} V, the limit is {most:g} V,"
+    coil, bears = getattr(device, "coil", None), getattr(device, "max_power", None)
+    if coil is not None and bears:
+        power = float(np.mean(stimulus.signals**2, axis=1).max()) / coil.resistance
+        found = max(found, (float(np.sqrt(power / bears)), f"{power:.3g} W, the limit is {bears:g} W,"))
+    return found
 
 
 class DevicePlayer:
     """Plays stimuli through a device within its limits; the session calls it."""
 
     def __init__(
-        self, daq: Daq, stimuli: Mapping[tuple[str, str], Stimulus], rate: float, options: DaqOptions, how: Stimuli,
-        *, loudest: float = 0.0,
-    ) -> None:  # fmt: skip
+        self, daq: Daq, stimuli: Mapping[Key, Stimulus], rate: float, options: DaqOptions, how: Stimuli
+    ) -> None:
         self._daq, self._stimuli, self._rate, self._options, self._how = daq, stimuli, rate, options, how
-        # at the highest level that a task may ask for, before a session and not in the middle of it
-        peaks = {key: 10 ** (loudest / 20) * float(np.abs(s.signals).max()) for key, s in stimuli.items()}
+        peaks = {key: float(np.abs(s.signals).max()) for key, s in stimuli.items()}  # now, not in a session's middle
         method, target = max(peaks, key=peaks.__getitem__)
         if peaks[method, target] > options.max_voltage:
             raise HardwareError(
                 f"{method} towards {target} needs {peaks[method, target]:.3g} V, the limit is "
-                f"{options.max_voltage:g} V; lower stimuli.level, adaptive.high or rendering.amplitude"
+                f"{options.max_voltage:g} V; lower rendering.amplitude, or set stimuli.levels = 'equal at target'"
             )
 
-    def __call__(self, method: str, target: str, level: float) -> Presented:
-        """Play ``how.repeats`` wavelets at ``level`` [dB]; HardwareError where the device fails."""
-        signals = 10 ** (level / 20) * self._stimuli[method, target].signals
+    def __call__(self, method: str, target: str) -> Presented:
+        """Play ``how.repeats`` wavelets; HardwareError where the device fails."""
+        signals = self._stimuli[method, target].signals
         done = play(self._daq, signals, self._rate, self._options, repeats=self._how.repeats, pause=self._how.pause)
         if done.stopped:
             raise HardwareError("the stimulus was cut short; press start to present it again")

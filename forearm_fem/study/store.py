@@ -1,7 +1,7 @@
-"""What a study leaves on disk: tables in the manner of BIDS, one line per answer, safe before the next stimulus plays.
+"""What a study leaves on disk: tables as BIDS lays them out, one line per answer, safe before the next stimulus plays.
 
-``participants.tsv`` (pseudonyms, consent, status), per participant ``beh/sub-ID_task-NAME_events.tsv`` with a data
-dictionary beside it, and ``devices.tsv``: what played at each sitting, and what is known of its latency and level.
+``participants.tsv`` (pseudonyms, age, sex, consent, status), per participant ``beh/sub-ID_task-NAME_events.tsv`` with a
+data dictionary beside it, and ``devices.tsv``: what played at each sitting, and what is known of its latency and level.
 Lines are appended and flushed to the disk; a line cut short by a power failure is taken off when the file is opened
 again, so its trial is presented anew and nothing stands there twice.
 """
@@ -9,16 +9,20 @@ again, so its trial is presented anew and nothing stands there twice.
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import os
 import shutil
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import socket
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import date
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from .. import __version__
 from ..errors import DataError
@@ -34,9 +38,7 @@ EVENTS: Mapping[str, str] = {
     "method": "renderer",
     "target": "grid point aimed at",
     "repetition": "of this method at this target, from 1",
-    "level": "level of the stimulus re its own [dB]",
-    "comparison": "interval, first or second, of method and level; the other held the reference; n/a for one interval",
-    "response": "grid points answered, separated by spaces; yes or no; first or second; n/a for a drawing",
+    "response": "grid points answered, separated by spaces; n/a for a drawing",
     "response_x": "centre of the answer along the limb [m]; mean of the points, centroid of a drawing",
     "response_y": "centre of the answer across the limb [m]",
     "response_area": "area drawn [m2]; n/a for points",
@@ -46,13 +48,25 @@ EVENTS: Mapping[str, str] = {
     "presentations": "times the stimulus was played before the answer counted (1 unless repeated or resumed)",
     "peak_voltage": "largest drive at an actuator [V]",
     "session": "number of the sitting in which it was answered, from 1",
+    "date": "of the answer (UTC)",
+    "gain": "of the stimulus re as its renderer made it [dB]",
+    "peak_um": "largest displacement of the target by G [um]",
+    "rms_um": "rms displacement of the target over the stimulus by G [um]",
+    "weighted_db": "rms displacement of the target weighted by two receptor channels, re 1 um [dB]",
+    "transfer": "12 digits of the SHA-256 of G",
+    "scenario": "12 digits of the SHA-256 of the scenario",
+    "levels": "12 digits of the SHA-256 of the levels asked for",
+    "drives": "12 digits of the SHA-256 of the stimulus' drives, to 0.1 mV",
 }
+SOURCES = ("transfer", "scenario", "levels")
 _PEOPLE: Mapping[str, str] = {
-    "participant_id": "pseudonym",
-    "consent": "date on which consent was signed",
-    "status": "active or withdrawn",
+    "participant_id": "pseudonym; the number of the line is the place in the study, which balances the order",
+    "age": "at enrolment [year]",
+    "sex": "F, M, O (other) or n/a",
+    "consent": "date on which consent was given; n/a: invited, stimuli were made",
+    "consent_text": "12 digits of the SHA-256 of the text agreed to on the page; n/a: on paper",
+    "status": "invited, active or withdrawn",
     "added": "date of enrolment",
-    "note": "simulated for simulated participants",
 }
 DEVICES: Mapping[str, str] = {
     "participant_id": "pseudonym",
@@ -66,11 +80,13 @@ DEVICES: Mapping[str, str] = {
     "full_scale": "of the outputs [V]",
     "level_basis": "known, declared (the scenario's full scale) or declared and checked by a cable",
 }
-SIMULATION = "simulated"  # the note of one who is
-ANALYSIS = "analysis"  # the folder of what is made of the answers
-_LATER = ("comparison", "response_outline")  # columns that 0.14.0 did not write
+ANALYSIS, STIMULI = "analysis", "stimuli"  # folders of what is made of the answers, and for other programs
+_PEOPLE_LOCK = ".participants.lock"
 _NUMBERS = ("onset", "duration", "response_time")  # BIDS itself says that they are numbers
-_IGNORED = ("study.json", "folder.json", "SHA256SUMS", "devices.tsv", "devices.json", f"{ANALYSIS}/", "*.png")
+_IGNORED = (
+    "study.json", "folder.json", "SHA256SUMS", "stimuli/", ".*.lock", "devices.tsv", "devices.json", f"{ANALYSIS}/",
+    "*.png",
+)  # fmt: skip
 _README = """Study "{name}", run with forearm_fem {version}.
 
 participants.tsv holds pseudonyms, sub-*/beh the answers of each task with their dictionaries, devices.tsv what played
@@ -117,34 +133,72 @@ class StudyStore:
         return store
 
     def people(self) -> list[dict[str, str]]:
-        """Rows of ``participants.tsv``."""
-        return read_table(self.folder / "participants.tsv", tuple(_PEOPLE))
+        """Rows of ``participants.tsv``, with the columns that a laboratory added."""
+        return read_table(self.folder / "participants.tsv", tuple(_PEOPLE), more=True)
 
-    def enrol(self, participant: str, *, consent: str, added: str, note: str = "") -> None:
-        """Add a participant once; DataError without a date of consent, or where the pseudonym was withdrawn."""
-        known = {p["participant_id"]: p for p in self.people()}
+    def place(self, participant: str) -> int:
+        """Place of a participant in the study, from 1: its line's number, of who is not enrolled the next one."""
+        names = [p["participant_id"] for p in self.people()]
         name = f"sub-{participant}"
-        if name in known:
-            if known[name]["status"] == "withdrawn":
-                raise DataError(f"{name} was withdrawn; take another pseudonym")
-            return
-        if not consent:
-            raise DataError(f"{name}: no consent is recorded; give its date, e.g. --consent 2026-11-24")
-        try:
-            date.fromisoformat(consent)
-        except ValueError:
-            raise DataError(
-                f"{name}: --consent expects the date of signing, e.g. 2026-11-24, got '{consent}'"
-            ) from None
-        row = {"participant_id": name, "consent": consent, "status": "active", "added": added, "note": note}
-        _append(self.folder / "participants.tsv", tuple(_PEOPLE), row)
+        return 1 + (names.index(name) if name in names else len(names))
 
-    def refuse_others(self, *, simulated: bool) -> None:
-        """DataError where others than ``simulated`` participants, or than people, take part: they share no tables."""
-        if any((p["note"] == SIMULATION) != simulated for p in self.people() if p["status"] == "active"):
-            there, here = ("people", "simulated ones") if simulated else ("simulated participants", "people")
-            raise DataError(f"{self.folder}: holds answers of {there}, to which those of {here} are not added; name "
-                            "another folder with --data")  # fmt: skip
+    def enrol(self, participant: str, *, consent: str = "", age: float | None = None, sex: str = "",
+              invited: bool = False) -> None:  # fmt: skip
+        """Add a participant once, or what was not known of one; DataError for one who was withdrawn.
+
+        Without the date of ``consent`` (of signing) that is an error too, unless ``invited``: somebody is, whose
+        stimuli are made, or who will agree on the page.
+        """
+        name = f"sub-{participant}"
+        row = next((p for p in self.people() if p["participant_id"] == name), None)
+        if row is not None and row["status"] == "withdrawn":
+            raise DataError(f"{name} was withdrawn; take another pseudonym")
+        if not consent and not invited and (row is None or row["consent"] == "n/a"):
+            raise DataError(f"{name}: no consent is recorded; give its date, e.g. --consent 2026-11-24")
+        if consent:
+            _checked_date(name, consent)
+        known = {"age": age, "sex": sex, "consent": consent, "status": "active" if consent else ""}
+        told = {k: _cell(v) for k, v in known.items() if v not in ("", None)}
+        if row is None:
+            told = {"participant_id": name, "status": "invited", "added": date.today().isoformat(), **told}
+            with FileLock(self.folder / _PEOPLE_LOCK):
+                _append(self.folder / "participants.tsv", self._columns(), told)
+        elif changed := {k: v for k, v in told.items() if row[k] in ("n/a", "invited")}:
+            self._change(name, changed)
+
+    def consented(self, participant: str) -> bool:
+        """Whether a participant's consent is recorded."""
+        return any(p["participant_id"] == f"sub-{participant}" and p["consent"] != "n/a" for p in self.people())
+
+    def consent(self, participant: str, day: str, text: str) -> None:
+        """Keep that a participant agreed to ``text``."""
+        digest = hashlib.sha256(text.encode()).hexdigest()[:12]
+        self._change(f"sub-{participant}", {"consent": day, "status": "active", "consent_text": digest})
+
+    def _columns(self) -> tuple[str, ...]:
+        return tuple(self.people()[0]) if self.people() else tuple(_PEOPLE)
+
+    def _change(self, name: str, changed: Mapping[str, str]) -> None:
+        with FileLock(self.folder / _PEOPLE_LOCK):  # another participant's process may add a line meanwhile
+            rows = [{**r, **changed} if r["participant_id"] == name else r for r in self.people()]
+            write_text(self.folder / "participants.tsv", _table(self._columns(), rows))
+
+    @contextmanager
+    def sitting(self, participant: str) -> Iterator[None]:
+        """One process at a time for a participant; DataError saying who holds it."""
+        lock = FileLock(self.folder / f".sub-{participant}.lock")
+        holder = self.folder / f".sub-{participant}.holder.lock"
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            who = holder.read_text(encoding="utf-8") if holder.exists() else "another process"
+            raise DataError(f"sub-{participant}: {who} holds this participant's session; end it, or wait") from None
+        try:
+            holder.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {_now()},", encoding="utf-8")
+            yield
+        finally:
+            holder.unlink(missing_ok=True)
+            lock.release()
 
     def withdraw(self, participant: str) -> None:
         """Delete a participant's answers and mark the pseudonym; nothing of what was answered is kept, nor what an
@@ -155,35 +209,30 @@ class StudyStore:
         if (self.folder / name).exists():
             shutil.rmtree(self.folder / name)
         for made in (self.folder / ANALYSIS).glob("*"):
-            if made.suffix in (".csv", ".png", ".html"):
+            if made.suffix in (".csv", ".png", ".html", ".R"):
                 made.unlink()
         if kept := [r for r in self.devices() if r["participant_id"] != name]:
             write_text(self.folder / "devices.tsv", _table(tuple(DEVICES), kept))
         else:
             (self.folder / "devices.tsv").unlink(missing_ok=True)
-        changed = [{**r, "status": "withdrawn", "note": ""} if r["participant_id"] == name else r for r in rows]
-        write_text(self.folder / "participants.tsv", _table(tuple(_PEOPLE), changed))
+        shutil.rmtree(self.folder / STIMULI / name, ignore_errors=True)
+        stays = {"participant_id", "status", "added", "consent"}
+        self._change(name, {**{k: "n/a" for k in self._columns() if k not in stays}, "status": "withdrawn"})
 
     def events_file(self, participant: str, task: str) -> Path:
-        """Where the answers of a participant to a task lie; those of 0.14.0 lie one folder higher and stay there."""
-        name = f"sub-{participant}_task-{task}_events.tsv"
-        older = self.folder / f"sub-{participant}" / name
-        return older if older.exists() else older.parent / "beh" / name
+        """Where the answers of a participant to a task lie."""
+        return self.folder / f"sub-{participant}" / "beh" / f"sub-{participant}_task-{task}_events.tsv"
 
     def answers(self, participant: str, task: str) -> list[dict[str, str]]:
         """Answered trials in the order in which they came."""
-        return read_table(self.events_file(participant, task), tuple(EVENTS), optional=_LATER)
+        return read_table(self.events_file(participant, task), tuple(EVENTS))
 
     def add(self, participant: str, task: str, row: Mapping[str, Any]) -> None:
         """Append one answer; on the disk when this returns. DataError where it cannot be written."""
         file = self.events_file(participant, task)
-        columns = tuple(EVENTS)
-        if file.exists():  # one begun by an earlier version keeps its columns
-            with file.open(encoding="utf-8") as stream:
-                columns = tuple(stream.readline().rstrip("\n").split("\t"))
-        else:
+        if not file.exists():
             write_text(file.with_suffix(".json"), _dictionary(EVENTS, {"TaskName": task}))
-        _append(file, columns, {k: v for k, v in row.items() if k in columns or k not in EVENTS})
+        _append(file, tuple(EVENTS), row)
 
     def add_device(self, row: Mapping[str, Any]) -> None:
         """Record what plays at a sitting, before its first answer."""
@@ -192,7 +241,7 @@ class StudyStore:
         _append(self.folder / "devices.tsv", tuple(DEVICES), row)
 
     def devices(self) -> list[dict[str, str]]:
-        """Rows of ``devices.tsv``; none for studies of 0.14.0."""
+        """Rows of ``devices.tsv``."""
         return read_table(self.folder / "devices.tsv", tuple(DEVICES))
 
 
@@ -206,10 +255,10 @@ def _dictionary(columns: Mapping[str, str], facts: Mapping[str, str] | None = No
     return json.dumps(told, indent=2, ensure_ascii=False)
 
 
-def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = ()) -> list[dict[str, str]]:
+def read_table(file: Path, columns: Sequence[str], *, more: bool = False) -> list[dict[str, str]]:
     """Rows of a table of our own, a last line that was cut short taken off the file; none where there is no file.
 
-    ``optional`` columns, which an earlier version did not write, are n/a where they are missing.
+    With ``more``, columns beside our own are kept, and of ours only the first must be there.
     """
     if not file.exists():
         return []
@@ -221,9 +270,21 @@ def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = 
     reader = csv.DictReader(io.StringIO(text), delimiter="\t", quoting=csv.QUOTE_NONE)
     rows = [(reader.line_num, row) for row in reader]  # blank lines are skipped, and counted
     for number, row in rows:
-        if set(row) | set(optional) != set(columns) or any(v is None for v in row.values()):
+        fits = columns[0] in row if more else set(row) == set(columns)
+        if not fits or None in row or any(v is None for v in row.values()):
             raise DataError(f"{file}, line {number}: its columns are not those of the header; mend it")
-    return [{c: row.get(c, "n/a") for c in columns} for _, row in rows]
+    return [{**{c: row.get(c, "n/a") for c in columns}, **row} for _, row in rows]
+
+
+def _checked_date(name: str, day: str) -> None:
+    try:
+        date.fromisoformat(day)
+    except ValueError:
+        raise DataError(f"{name}: --consent expects the date of signing, e.g. 2026-11-24, got '{day}'") from None
+
+
+def _now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def _take_off_torn_line(file: Path) -> None:
