@@ -80,7 +80,8 @@ def test_real_hardware_needs_a_declared_sensor(lab: Path) -> None:
 def test_compare_takes_folders_and_files(lab: Path) -> None:
     answer = cli("compare", "results/small", "results/small/calibration/transfer.nc", "--out", "c", cwd=lab)
     assert answer.code == 0, answer.err
-    assert "calibration against small" in answer.out.replace("small against calibration", "calibration against small")
+    assert answer.out.startswith("calibration differs from small by ")
+    assert answer.out.splitlines()[-1] == "open c/comparison.html"
     assert {f.suffix for f in (lab / "c").iterdir()} >= {".json", ".md", ".png"}
 
 

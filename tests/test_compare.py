@@ -19,8 +19,17 @@ from forearm_fem.questions.compare.agreement import agreement, fdac_matrix
 from forearm_fem.questions.compare.common import common_ground
 from forearm_fem.questions.compare.compare import compare, comparison_record
 from forearm_fem.questions.compare.crossplay import cross_play, wavelet_for
-from forearm_fem.questions.compare.report import as_csv, as_json, as_markdown, picture, plot_overlay
+from forearm_fem.questions.compare.report import (
+    as_csv,
+    as_json,
+    as_markdown,
+    compared_targets,
+    picture,
+    plot_overlay,
+    strength_words,
+)
 from forearm_fem.questions.compare.run import run_compare
+from forearm_fem.questions.compare.where import where, where_words
 from forearm_fem.transfer import TransferMatrix
 
 A = wave_matrix()
@@ -260,6 +269,7 @@ def test_run_compare_writes_table_csv_json_and_figure(tmp_path):
     result = run_compare(tmp_path / "a.nc", tmp_path / "b.csv", folder=tmp_path / "out")
     assert sorted(f.name for f in result.files) == [
         "comparison.csv",
+        "comparison.html",
         "comparison.json",
         "comparison.md",
         "comparison.png",
@@ -297,3 +307,50 @@ def test_the_picture_shows_micrometres_as_all_figures_do():
     panel = plot_overlay(common_ground(A, A), 0, 0)
     assert panel.get_ylabel() == "|G| [µm/V]"
     np.testing.assert_allclose(panel.lines[0].get_ydata(), 1e6 * np.abs(A.values[:, 0, 0]))
+
+
+def test_the_place_and_the_band_of_a_difference_are_found():
+    """Point 3 from the second actuator, in the upper half of the band alone."""
+    values = A.values.copy()
+    values[len(values) // 2 :, 2, 1] *= 1.5
+    ground = common_ground(A, replace(A, values=values))
+    found = where(ground)
+    band, output, source = found.worst()
+    assert (band, ground.outputs[output].name, ground.inputs[source].name) == (3, "3", "A2")
+    assert found.share.sum() == pytest.approx(1)
+    assert found.share[:, 2, 1].sum() == pytest.approx(1)
+    assert np.nanmax(np.delete(found.error.reshape(len(found.bands), -1), 2 * 4 + 1, axis=1)) == 0
+    assert where_words(found, ground).startswith("They differ most at point 3 from A2 at ")
+    assert where_words(where(common_ground(A, A)), ground) == "They do not differ"
+
+
+@pytest.mark.parametrize(
+    ("gain", "said"),
+    [
+        (0.8 * np.ones((9, 4)), "one gain explains most: B times 1.25"),
+        (np.array([1, 1, 0.5, 1]) * np.ones((9, 1)), "a gain of each actuator explains most: B's A1 times 1, A2"),
+        (np.array([[1], [1.6], *[[1]] * 7]) * np.ones(4), "a gain of each point explains most"),
+    ],
+)
+def test_a_gain_that_explains_the_difference_is_the_likeliest_cause(gain, said):
+    assert where(common_ground(A, replace(A, values=A.values * gain))).cause.startswith(said)
+
+
+def test_one_bad_actuator_is_the_likeliest_cause():
+    """Its own delay is no gain, and no delay of the whole."""
+    turn = np.exp(-1j * A.omega * 2e-3)[:, None] * np.array([1, 0, 0, 0]) + np.array([0, 1, 1, 1])
+    cause = where(common_ground(A, replace(A, values=A.values * turn[:, None]))).cause
+    assert cause.startswith("actuator A1 alone holds 100%")
+
+
+def test_s_is_of_the_same_points_for_both_and_says_which_are_left_out():
+    """2.94 became 4.05 as one G lacked points, and the page said nothing."""
+    valid = np.ones(A.values.shape, dtype=bool)
+    valid[:, 2] = False
+    c = compare(A, replace(A, valid=valid))
+    kept, said = compared_targets(c)
+    assert "3" not in c.crossed.targets
+    assert len(c.crossed.targets) == 8
+    assert "point 3" in said
+    assert "over the same 8 points for both" in strength_words(c)
+    np.testing.assert_allclose(c.crossed.a_on_a[:, kept], c.crossed.b_on_b[:, kept])

@@ -158,7 +158,7 @@ def test_data_are_not_changed_and_the_note_comes_first():
     c = compare(limb("thesis"), b, render=False)
     assert c.agreement.band == pytest.approx(999)
     assert np.array_equal(c.ground.b, b.values)
-    assert as_markdown(c).splitlines()[2].startswith("**Note:** B agrees with A when it is multiplied by 1e-3")
+    assert as_markdown(c).splitlines()[4].startswith("Likeliest cause: B agrees with A when it is multiplied by 1e-3")
     assert comparison_record(c)["notes"] == list(c.notes)
     assert compare(limb("thesis"), limb("thesis"), render=False).notes == ()
 
@@ -233,7 +233,7 @@ def test_missing_data_are_named_and_nothing_shared_is_an_error():
     assert "B knows nothing of 3 <- A2" in compare(A, replace(A, valid=valid), render=False).notes[0]
     with pytest.raises(DataError, match=r"A knows 100 % and B knows 0 %"):
         compare(A, replace(A, values=np.nan * A.values), render=False)
-    assert run_compare(A, replace(A, valid=valid), render=False).text.count("**Note:**") == 1
+    assert run_compare(A, replace(A, valid=valid), render=False).text.count("B knows nothing of 3 <- A2") == 1
 
 
 FIT_F = np.linspace(40.0, 450.0, 8)

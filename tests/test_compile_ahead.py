@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -208,12 +209,12 @@ def test_without_a_home_kernels_lie_in_a_private_folder_or_nowhere(tmp_path, mon
     (tmp_path / "file").touch()  # root writes everywhere but below a file
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("FOREARM_FEM_CACHE", str(tmp_path / "file" / "cache"))
-    monkeypatch.setattr(jit.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
     folder = jit.kernels_folder.__wrapped__
     there = folder()
     assert there.parent == tmp_path / "temporary"
     assert there.stat().st_mode & 0o077 == 0
-    monkeypatch.setattr(jit.tempfile, "gettempdir", lambda: str(tmp_path / "file" / "temporary"))
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path / "file" / "temporary"))
     assert folder() is None
     monkeypatch.setattr(jit, "kernels_folder", lambda: None)
     compiled = jit.kernel(lambda x: x + 1)

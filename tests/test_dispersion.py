@@ -118,6 +118,7 @@ def test_slabs_are_of_third_order_where_a_point_is_beside_a_disc_of_pressure(rad
     assert parse_scenario({**slab, "mesh": {"size_grid": 3e-3}}).element == "P2"
 
 
+@pytest.mark.slow  # a slab of 60,000 unknowns; which notes and which order such points get is tested above
 def test_points_beside_a_disc_of_pressure_state_half_their_error_at_least():
     """6 mm from a disc on skin and fat, against the twin: of second order .28 to .5 of a G off by .12 were stated."""
     frequency = [220.0, 320.0, 460.0]

@@ -136,7 +136,9 @@ def test_grid_points_are_vertices(limb):
         {"limb": {"shape": "cylinder", "diameter": 0.03, "length": 0.08},
          "device": {"spacing": 0.018}, "grid": {"pitch": 0.005}},
         pytest.param({"limb": {"shape": "cylinder", "layers": [], "length": 0.1}}, marks=pytest.mark.slow),
-        {"limb": {"shape": "forearm", "length": 0.09}, "supports": {"bone": "elastic"}},
+        pytest.param(
+            {"limb": {"shape": "forearm", "length": 0.09}, "supports": {"bone": "elastic"}}, marks=pytest.mark.slow
+        ),  # a shorter one in test_geometry_limb
         {"limb": {"shape": "cylinder", "length": 0.08, "diameter": 0.06,
                   "bones": [{"name": "near", "y": 0.0, "depth": 0.0122, "diameter": 0.014}]}},
     ],

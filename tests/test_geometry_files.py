@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import subprocess
 import sys
+import tempfile
 import warnings
 from dataclasses import replace
 
@@ -145,6 +147,10 @@ def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     if sys.platform.startswith("linux"):
         assert default_cache_dir() == tmp_path / "forearm_fem"
+        (tmp_path / "file").touch()
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))  # root, too, cannot write below a file
+        monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+        assert default_cache_dir() == tmp_path / f"forearm_fem-{os.getuid()}"
 
 
 # ---- surfaces and meshes of the user ----

@@ -7,7 +7,9 @@ import re
 import subprocess
 import tomllib
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 
 import pytest
 from cli_runner import cli as run
@@ -94,6 +96,15 @@ def test_new_writes_once_and_never_over_a_file(tmp_path, monkeypatch, capsys):
     assert load_scenario(tmp_path / "mine.toml").name == "kept"
     assert run("new", "../outside").code == 2
     assert not (tmp_path.parent / "outside.toml").exists()
+
+
+def test_every_name_that_is_promised_is_there():
+    """``__all__`` of the package and of its rooms."""
+    rooms = [forearm_fem, *(import_module(f"forearm_fem.{r.name}") for r in iter_modules(forearm_fem.__path__))]
+    promised = {room.__name__: room.__all__ for room in rooms if hasattr(room, "__all__")}
+    assert {"forearm_fem", "forearm_fem.scenario", "forearm_fem.rendering", "forearm_fem.transfer"} <= set(promised)
+    missing = [f"{room}.{n}" for room, names in promised.items() for n in names if not hasattr(import_module(room), n)]
+    assert missing == []
 
 
 def test_version_is_the_same_everywhere():

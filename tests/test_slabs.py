@@ -16,6 +16,7 @@ def test_a_coarse_slab_meets_the_layered_model():
     assert points < 0.03
 
 
+@pytest.mark.slow
 def test_three_levels_converge_and_state_their_error():
     """Order 2 at least: below 3, as sizes grow away from the ports and the coarsest mesh has 3 elements a wave."""
     truth, scales = exact(LEVELS), (COARSER, 1.4, 1.0)

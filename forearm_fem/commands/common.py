@@ -65,6 +65,15 @@ def holds_g(what: Path | None) -> Path | None:
     return what
 
 
+def all_hold_g(what: list[Path]) -> list[Path]:
+    """A callback that refuses what :func:`transfer_file` refuses of each, and fewer than two."""
+    for each in what:
+        transfer_file(each)
+    if len(what) < 2:
+        raise DataError(f"expected two or more G or runs to compare, got {len(what)}; name another one")
+    return what
+
+
 def declared(option: str = "--declare", file: str = "a file") -> Any:
     """The option of a command that reads a G, the same in all."""
     return typer.Option(option, help=f"what {file} does not say of itself, e.g. unit='mm/V' or sign='+iwt'")

@@ -17,6 +17,7 @@ from .common import (
     OutFolder,
     Overrides,
     ScenarioFile,
+    all_hold_g,
     console,
     declaration,
     declared,
@@ -233,31 +234,55 @@ def loopback(
 
 
 def compare(
-    a: Annotated[
-        Path, typer.Argument(help="G to hold against: a file of any known kind, or a results folder", callback=holds_g)
+    what: Annotated[
+        list[Path],
+        typer.Argument(help="two G (files of any known kind or results folders), or two and more runs of devices",
+                       callback=all_hold_g),
     ],
-    b: Annotated[Path, typer.Argument(help="G that is judged", callback=holds_g)],
     out: Annotated[Path | None, typer.Option("--out", help="default results/compare-A-B")] = None,
-    declare_a: Annotated[list[str] | None, declared("--declare-a", "A")] = None,
-    declare_b: Annotated[list[str] | None, declared("--declare-b", "B")] = None,
+    declare_a: Annotated[list[str] | None, declared("--declare-a", "the first")] = None,
+    declare_b: Annotated[list[str] | None, declared("--declare-b", "the second")] = None,
     scenario: Annotated[
         Path | None, typer.Option(help="that was measured: points and actuators of files that name no places")
     ] = None,
     render: Annotated[bool, typer.Option(help="play the drives designed on one through the other")] = True,
-) -> None:
-    """How far apart two G are: per entry, overall, in S, in dispersion; table, figures, JSON."""
-    scene, said = scene_of(scenario), (declaration(declare_a), declaration(declare_b))
-    from ..questions.compare.run import run_compare
-    from ..store.folder import locked
+) -> None:  # fmt: skip
+    """Which device is better and where, or where two G of one device differ and why."""
+    with noted(), Display() as display:
+        display("libraries", 0, 1)  # seconds of a slow or busy machine
+        scene, said = scene_of(scenario), (declaration(declare_a), declaration(declare_b))
+        from ..show.devices import are_devices
+        from ..store.folder import locked
 
-    folder = out or Path("results") / f"compare-{a.stem}-{b.stem}"
-    with locked(folder), noted():
-        result = run_compare(
-            transfer_file(a), transfer_file(b), folder=folder, declaration_a=said[0], declaration_b=said[1],
-            scenario=scene, render=render,
-        )  # fmt: skip
-    typer.echo(result.text)
-    typer.echo(f"comparison: {folder}")
+        folder = out or Path("results") / f"compare-{'-'.join(p.resolve().stem for p in what)}"
+        with locked(folder):
+            if are_devices(what):
+                lines = _compared_devices(what, folder, display)
+            elif len(what) == 2:
+                from ..questions.compare.report import console_lines
+                from ..questions.compare.run import run_compare
+
+                result = run_compare(
+                    transfer_file(what[0]), transfer_file(what[1]), folder=folder, declaration_a=said[0],
+                    declaration_b=said[1], scenario=scene, render=render, progress=display,
+                )  # fmt: skip
+                lines = console_lines(result.comparison, folder)
+            else:
+                raise DataError(
+                    f"compare: expected two G, or runs with S; some of the {len(what)} given are no finished run: "
+                    "`forearm-fem render FILE` makes one of a G"
+                )
+    typer.echo("\n".join(lines))
+
+
+def _compared_devices(what: list[Path], folder: Path, display: Display) -> list[str]:
+    from ..show.devices import compare_devices, devices_console, devices_page
+    from ..store.folder import set_kind
+
+    found = compare_devices(what, display)
+    set_kind(folder, "comparison of devices", {"of": [str(p) for p in what]}, ("comparison.md", "comparison.html"))
+    page, _ = devices_page(found).save(folder, "comparison")
+    return devices_console(found, page)
 
 
 def fit(

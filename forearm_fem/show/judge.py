@@ -104,10 +104,16 @@ def plot_strength_maps(data: Strengths, *, ax: Axes | None = None) -> FigureBase
 
 
 @styled
-def plot_strength_map(data: Strengths, method: str, notes: Sequence[str], *, ax: Axes | None = None) -> Axes:
-    """S of one ``method`` seen from above with a note below each target; ``notes`` (n_target,), e.g. ``±0.12``."""
+def plot_strength_map(
+    data: Strengths, method: str, notes: Sequence[str], *, alike: Sequence[Strengths] = (), ax: Axes | None = None
+) -> Axes:
+    """S of one ``method`` seen from above with a note below each target; ``notes`` (n_target,), e.g. ``±0.12``.
+
+    Its colours are good for ``alike``, whose maps lie beside it, too.
+    """
     axes = single(ax, (3.0, 3.0 * _aspect(data)))
-    _map(axes, data, data.methods.index(method), _norm(data), notes)
+    norm = max((_norm(each) for each in (data, *alike)), key=lambda n: float(n.vmax or 0))
+    _map(axes, data, data.methods.index(method), norm, notes)
     return axes
 
 

@@ -11,7 +11,6 @@ import hashlib
 import os
 import pickle
 import sys
-import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
@@ -23,7 +22,7 @@ from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from ...user_cache import default_cache_dir
+from ...user_cache import default_cache_dir, is_writable, private_temporary
 
 F = TypeVar("F", bound=Callable[..., Any])
 _FEM = Path(__file__).parents[1]
@@ -96,22 +95,9 @@ def kernels_folder() -> Path | None:
     None where none of them can be written: then each process compiles for itself.
     """
     digest, own = _digest(), os.environ.get("NUMBA_CACHE_DIR")
-    user = os.getuid() if hasattr(os, "getuid") else "user"  # Windows has a temporary folder for each user
     home = (Path(own) if own else default_cache_dir() / "kernels") / digest
-    temporary = Path(tempfile.gettempdir()) / f"forearm_fem-{user}-{digest}"
-    return next((folder for folder in (home, temporary) if _is_writable(folder)), None)
-
-
-def _is_writable(folder: Path) -> bool:
-    """Whether it is there or can be made, is nobody else's (what lies in it is run), and takes a file."""
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
-            return False
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError:
-        return False
-    return True
+    temporary = private_temporary(f"-{digest}")
+    return next((folder for folder in (home, temporary) if is_writable(folder)), None)
 
 
 def _digest() -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,17 +10,19 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import AccuracyWarning
 from ...io.declaration import arbitrary_gain
 from ...metrics import WaveFit, condition_number, condition_summary, fit_waves
 from ...metrics.waves import beside, phase_told
 from ...ports import distances
+from ...progress import Progress, tell
 from ...store.text import plain
 from ...transfer import TransferMatrix
 from ...typing import ComplexArray, FloatArray
 from .agreement import Agreement, agreement
 from .common import CommonGround, common_ground
 from .crossplay import CrossPlay, try_cross_play
-from .readings import explained
+from .where import Where, where
 
 _TOGETHER = 0.5e-3  # m: points as far from the source as this count as one distance
 
@@ -31,7 +34,7 @@ class Comparison:
     ``waves_a`` and ``waves_b`` hold one fit per input by the thesis' estimator over the points sorted by
     distance, None where there are fewer than three distances. ``crossed`` is None with the reason in
     ``not_crossed``. ``notes`` come before all figures: ports that do not lie where their names say, entries that are
-    missing, scales that are arbitrary, and the reading of B (:mod:`.readings`) that would make the two agree.
+    missing, scales that are arbitrary, and what S leaves out. ``where`` says where they differ and the likeliest cause.
     """
 
     names: tuple[str, str]
@@ -42,6 +45,7 @@ class Comparison:
     condition_a: FloatArray
     condition_b: FloatArray
     crossed: CrossPlay | None
+    where: Where
     not_crossed: str = ""
     notes: tuple[str, ...] = ()
 
@@ -53,13 +57,22 @@ def compare(
     names: tuple[str, str] = ("A", "B"),
     render: bool = True,
     folders: Sequence[Path] = (),
+    progress: Progress | None = None,
 ) -> Comparison:
     """Everything about how far ``b`` is from ``a``; ``render`` False leaves the cross-play out (the slow part).
 
     A wavelet's file that a scenario in their provenance names is looked for in ``folders``, then in the current one.
     """
+    tell(progress, "common ground", 0, 1)
     ground = common_ground(a, b)
-    crossed, why = try_cross_play(ground, folders) if render else (None, "not asked for")
+    tell(progress, "where they differ", 0, 1)
+    found = where(ground)
+    tell(progress, "drives of one played on the other", 0, 1)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", AccuracyWarning)
+        crossed, why = try_cross_play(ground, folders) if render else (None, "not asked for")
+    left_out = tuple(dict.fromkeys(str(w.message) for w in caught))
+    tell(progress, "agreement", 0, 1)
     of_scale = [
         f"the gain of {side} is arbitrary, as was declared: FRAC, phases, delays, condition numbers and S hold, "
         "e_band, e, dB and the misfit mean nothing"
@@ -75,8 +88,9 @@ def compare(
         _condition(ground, ground.a),
         _condition(ground, ground.b),
         crossed,
+        found,
         why,
-        tuple(note for note in (*of_scale, *ground.notes, explained(ground)) if note),
+        tuple(note for note in (*of_scale, *ground.notes, *left_out) if note),
     )
 
 
@@ -118,6 +132,11 @@ def comparison_record(c: Comparison) -> dict[str, Any]:
         "B": c.names[1],
         "unit": g.unit,
         "notes": list(c.notes),
+        "cause": c.where.cause,
+        "where": [
+            {"from_Hz": low, "to_Hz": high, "e": [[plain(v) for v in row] for row in error]}
+            for (low, high), error in zip(c.where.bands, c.where.error, strict=True)
+        ],
         "frequencies": {
             "common": len(g.frequency),
             "first_Hz": float(g.frequency[0]),

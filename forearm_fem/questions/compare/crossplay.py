@@ -57,8 +57,10 @@ def cross_play(
     bins are the common ones, its wavelet is set into a record whose bins they are, and S is not what its run printed;
     ``how`` says so. Without a scenario they are the thesis' three, its wavelet and all targets.
     Holes of either are bridged as in a run; bins that either still lacks are driven on neither, so that only the values
-    differ. Raises ForearmError where a renderer cannot work on this geometry or the frequencies lie too far apart.
+    differ. Points of which one knows nothing from some actuator are left out of both. Raises ForearmError where a
+    renderer cannot work on this geometry or the frequencies lie too far apart.
     """
+    ground = of_known_outputs(ground)
     a, b = (bridged(g).transfer for g in sides(ground))
     every = tuple(p.name for p in ground.outputs)
     found = rendering_of(ground, folders) or (
@@ -69,6 +71,19 @@ def cross_play(
     (a_on_a, a_on_b), (b_on_a, b_on_b) = (job.strengths(g, a, b)[0] for g in (a, b))
     how = f"{whose} with the wavelet {job.wavelet.name}{apart}"
     return CrossPlay(job.names, job.targets, a_on_a, b_on_b, a_on_b, b_on_a, how)
+
+
+def of_known_outputs(ground: CommonGround) -> CommonGround:
+    """The ground of the outputs that both know from every input, the others left out; whole where too few are left."""
+    known = ground.valid.any(axis=0).all(axis=1)
+    if known.all() or np.count_nonzero(known) < 2:
+        return ground
+    a, b, valid = (m[:, known] for m in (ground.a, ground.b, ground.valid))
+    deviations = [None if d is None else d[:, known] for d in (ground.deviation_a, ground.deviation_b)]
+    outputs = tuple(p for p, k in zip(ground.outputs, known, strict=True) if k)
+    return replace(
+        ground, a=a, b=b, valid=valid, deviation_a=deviations[0], deviation_b=deviations[1], outputs=outputs
+    )
 
 
 def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> tuple[RenderJob, str, str] | None:

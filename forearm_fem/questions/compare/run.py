@@ -19,7 +19,7 @@ from ...io.declaration import Declaration, Ports, arbitrary_gain, declared_by
 from ...io.recognise import read_measured
 from ...ports import Port
 from ...prediction.arm import as_wrong
-from ...progress import Progress, within
+from ...progress import Progress, tell, within
 from ...scenario import Scenario
 from ...store.folder import check_kind, set_kind, write_text
 from ...store.results import write_transfer
@@ -68,6 +68,7 @@ def run_compare(
     declaration_b: Declaration | None = None,
     scenario: Scenario | None = None,
     render: bool = True,
+    progress: Progress | None = None,
 ) -> CompareResult:
     """Compare B against A, each a file of any kind known or a TransferMatrix; write into ``folder`` if
     given. ``scenario`` is what was measured: its points and actuators are those of files that name no places.
@@ -79,10 +80,12 @@ def run_compare(
     if folder is not None:
         check_kind(folder, "comparison", asked, FILES)
     ports = None if scenario is None else planform_ports(scenario)
+    tell(progress, "reading", 0, 1)
     first, second = _load(a, declaration_a, ports, "--declare-a"), _load(b, declaration_b, ports, "--declare-b")
     names = (_name(a, "A"), _name(b, "B"))
     folders = [Path(g).resolve().parent for g in (a, b) if not isinstance(g, TransferMatrix)]
-    result = compare(first, second, names=names, render=render, folders=folders)
+    result = compare(first, second, names=names, render=render, folders=folders, progress=progress)
+    tell(progress, "report", 0, 1)
     files = save_report(result, folder, asked) if folder is not None else ()
     return CompareResult(result, as_markdown(result), files)
 

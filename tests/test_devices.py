@@ -1,0 +1,94 @@
+"""Devices side by side: one row each, over the same points, and a verdict that leaves out points beside motors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_figures_scene import folder  # noqa: F401
+
+from forearm_fem.errors import DataError
+from forearm_fem.show.data import Results
+from forearm_fem.show.devices import (
+    Device,
+    Devices,
+    answer_lines,
+    are_devices,
+    compare_devices,
+    devices_block,
+    devices_page,
+)
+from forearm_fem.show.judge import Strengths
+
+
+def with_s(device: Device, name: str, values: list[list[float]], counted: list[bool]) -> Device:
+    """The device with S as given and points that do not count."""
+    value = np.array(values)
+    data: Strengths = replace(
+        device.data, values=value, low=value - 0.01, high=value + 0.01, counted=np.array(counted)
+    )
+    from forearm_fem.show.answer import method_answers
+
+    return replace(device, name=name, data=data, answers=method_answers(data))
+
+
+@pytest.fixture(scope="module")
+def one(folder: Path) -> Device:  # noqa: F811
+    return compare_devices([folder, folder]).devices[0]
+
+
+@pytest.fixture(scope="module")
+def two(one: Device) -> Devices:
+    wide = with_s(one, "wide", [[2.0] * 9, [1.5] * 9, [0.5] * 9], [True] * 9)
+    near = with_s(one, "near", [[9.0, *[3.0] * 8]] * 3, [False, *[True] * 8])
+    return Devices((near, wide), np.array([False, *[True] * 8]))
+
+
+def test_means_are_over_the_points_that_count_in_all(two: Devices) -> None:
+    """9 at a point beside a motor is in no mean."""
+    assert [two.mean(d) for d in two.devices] == pytest.approx([3.0, 2.0])
+    assert [d.name for d in two.ranked] == ["wide", "near"]  # 9 points in focus before 8
+    said = " ".join(answer_lines(two))
+    assert "wide at 9 of 9 points that count (inverse filter); near at 8 of 8" in said
+    assert "8 points that count in all (2, 3, 4, 5, 6, 7, 8, 9): 2.00 wide, 3.00 near" in said
+
+
+def test_intervals_that_overlap_are_called_a_draw(one: Device) -> None:
+    pair = [with_s(one, n, [[s] * 9] * 3, [True] * 9) for n, s in (("a", 2.0), ("b", 2.015))]
+    found = Devices(tuple(pair), np.ones(9, dtype=bool))
+    assert any("overlap" in line for line in answer_lines(found))
+    apart = Devices((pair[0], with_s(one, "c", [[2.5] * 9] * 3, [True] * 9)), np.ones(9, dtype=bool))
+    assert not any("overlap" in line for line in answer_lines(apart))
+
+
+def test_a_row_says_drive_clearance_and_error(folder: Path) -> None:  # noqa: F811
+    """Volts for 1 um at the target: the largest drive over the largest motion of the target, as all is linear."""
+    found = compare_devices([folder, folder])
+    results, device = Results.open(folder), found.devices[0]
+    m, t = 1, 4
+    drive = np.abs(results.drives.values[m, t]).max()
+    moved = np.abs(results.displacements.values[m, t, t]).max()
+    assert device.drive[m, t] == pytest.approx(1e-6 * drive / moved)
+    corner = np.hypot(9.2e-3, 9.2e-3) - 3.5e-3  # the point at 13.3 mm, the motor at 22.5
+    assert device.gap == pytest.approx(corner, rel=1e-2)
+    row = devices_block(found).rows[0]
+    assert row[-2] == "9.5 mm"
+    assert len(devices_block(found).rows) == 2
+
+
+def test_runs_are_told_from_two_g_of_one_device(folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    assert not are_devices([folder, folder])
+    assert are_devices([folder, folder, folder])
+    assert not are_devices([folder, tmp_path])
+    with pytest.raises(DataError, match="at least two"):
+        compare_devices([folder])
+
+
+def test_the_page_shows_a_map_of_differences(two: Devices) -> None:
+    page = devices_page(two)
+    assert "S of near (dotted) over S of wide" in page.html()
+    assert page.html().count("data:image/png") == 3  # a map each, and the difference
+    other = devices_page(Devices(two.devices, None))  # other grids: nothing to subtract
+    assert other.html().count("data:image/png") == 2
