@@ -19,8 +19,9 @@ scene = {
     "name": "subject", "engine": "layered", "sweep": {"f_min": 20.0, "f_max": 400.0, "duration": 0.5},
     "device": {"cone": {"contact": "pressure"}}, "measurement": {"repeats": 4},
 }  # fmt: skip
-believed = simulate(parse_scenario(scene)).transfer
-arm = parse_scenario({**scene, "tissues": {"override": {"muscle": {"mu": 7000.0}}}})
+subject = parse_scenario(scene)
+believed = simulate(subject).transfer
+arm = subject.changed({"tissues.override.muscle.mu": 7000.0})
 truth = simulate(arm).transfer
 
 # %%
@@ -59,7 +60,7 @@ print("\n".join(comparison.text.splitlines()[:16]))
 # apart are named.
 from forearm_fem.questions.compare.run import run_fit
 
-fitted = run_fit(parse_scenario(scene), measured, ["muscle.mu"], frequencies=12)
+fitted = run_fit(subject, measured, ["muscle.mu"], frequencies=12)
 print(fitted.text)
 
 # %%
