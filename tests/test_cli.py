@@ -97,6 +97,15 @@ def test_doctor_says_where_the_cache_is_and_how_much_lies_there(
     assert f"{tmp_path / 'file' / 'cache'}: nothing can be kept there ({tmp_path / 'file'} is no" in cli("doctor").out
 
 
+def test_the_dry_run_refuses_what_the_run_refuses(tmp_path: Path) -> None:
+    wide = ("thesis", "--set", "engine=layered", "--set", "device.columns=3", "--set", "device.spacing=30mm")
+    answers = [cli("run", *wide, *more, cwd=tmp_path) for more in (("--dry-run",), ())]
+    assert [a.code for a in answers] == [2, 2]
+    assert answers[0].sentence == answers[1].sentence
+    assert "61 degrees from facing up" in answers[0].sentence
+    assert list(tmp_path.glob("results/*/transfer.nc")) == []  # said before anything is solved
+
+
 def test_dry_run_solves_and_writes_nothing(scene: Path) -> None:
     answer = cli("run", "small.toml", "--dry-run", cwd=scene)
     assert answer.code == 0

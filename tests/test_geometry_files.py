@@ -40,6 +40,9 @@ USER = {
 }
 
 
+OF_A_MESH = {**USER, "mesh": {"size_contact": 3e-3, "min_quality": 0.005}}  # its own elements: no other sizes
+
+
 @pytest.fixture(scope="module")
 def slab():
     return build_mesh(parse_scenario(SLAB))
@@ -210,7 +213,7 @@ def test_a_users_mesh_is_taken_and_contacts_pressed_in(nested, tmp_path):
     plain = replace(mesh, facets={k: v for k, v in mesh.facets.items() if not k.startswith("contact")})
     write_mesh(plain, tmp_path / "limb.msh")
     limb = {"shape": "mesh", "file": "limb.msh", "regions": {"skin": "fat", "muscle": "muscle"}}
-    scenario = parse_scenario({**USER, "device": {"contacts": [[0.0, 0.0]]}, "limb": limb})
+    scenario = parse_scenario({**OF_A_MESH, "device": {"contacts": [[0.0, 0.0]]}, "limb": limb})
     taken = build_mesh(scenario, base=tmp_path)
     assert taken.region_names == ("fat", "muscle")
     assert taken.volumes.sum() == pytest.approx(mesh.volumes.sum(), rel=1e-3)
@@ -267,7 +270,7 @@ def test_unusable_mesh_files_are_refused(tmp_path, cells, data, regions, message
     _file_mesh(tmp_path, cells, **data)
     limb = {"shape": "mesh", "file": "limb.vtu", "regions": regions}
     with pytest.raises(MeshError, match=message):
-        build_mesh(parse_scenario({**USER, "limb": limb}), base=tmp_path)
+        build_mesh(parse_scenario({**OF_A_MESH, "limb": limb}), base=tmp_path)
 
 
 def test_a_missing_pytetwild_is_not_blamed_on_the_sizes(monkeypatch, tmp_path):
@@ -280,7 +283,7 @@ def test_a_missing_pytetwild_is_not_blamed_on_the_sizes(monkeypatch, tmp_path):
 def test_missing_mesh_file_is_named(tmp_path):
     limb = {"shape": "mesh", "file": "absent.msh", "regions": {"1": "skin"}}
     with pytest.raises(MeshError, match=r"absent\.msh: no such mesh file"):
-        build_mesh(parse_scenario({**USER, "limb": limb}), base=tmp_path)
+        build_mesh(parse_scenario({**OF_A_MESH, "limb": limb}), base=tmp_path)
 
 
 def test_failures_of_ftetwild_are_named(monkeypatch):

@@ -17,7 +17,8 @@ from forearm_fem import render, simulate
 from forearm_fem.scenario import parse_scenario
 
 scene = {"name": "sleeve", "engine": "layered", "sweep": {"duration": 0.5}, "device": {"cone": {"contact": "pressure"}}}
-simulation = simulate(parse_scenario(scene))
+sleeve = parse_scenario(scene)
+simulation = simulate(sleeve)
 g = simulation.transfer
 print(f"{len(g.frequency)} frequencies, {len(g.outputs)} points, {len(g.inputs)} actuators, in {g.unit}")
 
@@ -47,7 +48,7 @@ import matplotlib.pyplot as plt
 spacings = [0.040, 0.045, 0.050, 0.055]
 strengths = []
 for spacing in spacings:
-    changed = parse_scenario({**scene, "device": {**scene["device"], "spacing": spacing}})
+    changed = sleeve.changed({"device.spacing": spacing})
     strengths.append(render(simulate(changed)).strengths.mean(axis=1))
 
 figure, axes = plt.subplots(figsize=(3.5, 2.6), layout="constrained")

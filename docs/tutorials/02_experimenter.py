@@ -19,8 +19,9 @@ scene = {
     "name": "subject", "engine": "layered", "sweep": {"f_min": 20.0, "f_max": 400.0, "duration": 0.5},
     "device": {"cone": {"contact": "pressure"}}, "measurement": {"repeats": 4},
 }  # fmt: skip
-believed = simulate(parse_scenario(scene)).transfer
-arm = parse_scenario({**scene, "tissues": {"override": {"muscle": {"mu": 7000.0}}}})
+subject = parse_scenario(scene)
+believed = simulate(subject).transfer
+arm = subject.changed({"tissues.override.muscle.mu": 7000.0})
 truth = simulate(arm).transfer
 
 # %%
@@ -49,7 +50,7 @@ print(f"measured against the truth: e_band {error:.4f}")
 # in standard deviations, and S of drives designed on one and played on the other. On the command line::
 #
 #     forearm-fem compare results/subject/calibration results/subject
-from forearm_fem.compare.run import run_compare
+from forearm_fem.questions.compare.run import run_compare
 
 comparison = run_compare(measured, believed, render=False)
 print("\n".join(comparison.text.splitlines()[:16]))
@@ -57,9 +58,9 @@ print("\n".join(comparison.text.splitlines()[:16]))
 # %%
 # **Fit** what differs. The data say which modulus it was, and with what interval; parameters that they cannot tell
 # apart are named.
-from forearm_fem.compare.run import run_fit
+from forearm_fem.questions.compare.run import run_fit
 
-fitted = run_fit(parse_scenario(scene), measured, ["muscle.mu"], frequencies=12)
+fitted = run_fit(subject, measured, ["muscle.mu"], frequencies=12)
 print(fitted.text)
 
 # %%

@@ -84,7 +84,7 @@ ScenarioFile = Annotated[
 ]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a key, e.g. device.spacing=0.040")]
 OutFolder = Annotated[
-    Path | None, typer.Option("--out", help="results folder; default results/NAME, after --set results/NAME-XXXXXX")
+    Path | None, typer.Option("--out", help="results folder; default results/NAME, after --set results/NAME-KEY-VALUE")
 ]
 LibraryFile = Annotated[
     Path | None,

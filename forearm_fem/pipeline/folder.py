@@ -22,6 +22,7 @@ from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
 from ..geometry.build import limb_volume
 from ..geometry.cache import cached_mesh
+from ..geometry.device.place import check_places
 from ..geometry.mesh.files import write_mesh
 from ..geometry.mesh.quality import mesh_quality
 from ..geometry.mesh.tissue_mesh import TissueMesh
@@ -179,7 +180,8 @@ def _reported(run: Run) -> None:
 
 
 def check_rendering(scenario: Scenario, base: Path) -> None:
-    """What cannot be rendered, a missing wavelet's file among it, is said before minutes of solving."""
+    """What cannot be placed or rendered, a missing wavelet's file among it, is said before minutes of solving."""
+    check_places(scenario)
     check_servable(scenario)
     refuse_if_signals_too_large(scenario)
     wavelet(scenario.rendering, scenario.sweep, base)

@@ -24,6 +24,7 @@ def scenario_template(name: str, limb: Mapping[str, Any] | None = None) -> str:
     head = [
         f"# {name}: a scenario of forearm_fem. Every key is optional: what stands behind # is its default.",
         "# SI units. `forearm-fem schema` prints the same for editors; the manual explains each key.",
+        "schema_version = 2",
         f"name = {json.dumps(name)}",
     ]
     lines = [*head, *_table(Scenario(), "", ("schema_version", "name"))]

@@ -11,9 +11,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import FigureBase
 
-from ..compare.common import CommonGround, common_ground
 from ..metrics import condition_number, singular_values
 from ..ports import distances
+from ..questions.compare.common import CommonGround, common_ground
 from ..rendering import AutoZeros, Placed
 from ..rendering.drives import Aim
 from ..rendering.spectrum import BinValues, Record
@@ -186,7 +186,7 @@ def versus(results: Results) -> Versus:
 
 
 def versus_of(a: TransferMatrix, b: TransferMatrix, names: tuple[str, str] = ("A", "B")) -> Versus:
-    """Any two transfer matrices; raises as :func:`forearm_fem.compare.common.common_ground`."""
+    """Any two transfer matrices; raises as :func:`forearm_fem.questions.compare.common.common_ground`."""
     return Versus(names, common_ground(a, b))
 
 

@@ -71,6 +71,13 @@ def ports_on(scenario: Scenario, skin: Skin) -> tuple[Port, ...]:
     return (*contacts, *points)
 
 
+def check_places(scenario: Scenario) -> None:
+    """Raise GeometryError for ports that do not fit the limb, where no mesh is needed to know: before any is made."""
+    flat = isinstance(scenario.limb, SlabLimb) and scenario.engine == "layered"  # endless
+    if not flat and (skin := parametric_skin(scenario)) is not None:
+        ports_on(scenario, skin)
+
+
 Triple = tuple[float, float, float]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -34,8 +35,11 @@ from ...rendering import (
 from ...rendering.interval import at_least_band
 from ...rendering.job import least_error, wavelet
 from ...scenario import Scenario, parse_scenario
+from ...scenario.actuators import beneath
+from ...scenario.changes import put
+from ...scenario.device import Device, VoltageRows
 from ...scenario.frequencies import frequencies
-from ...scenario.rendering import SampledWavelet
+from ...scenario.rendering import RickerWavelet, SampledWavelet
 from ...store.record import load
 from ...transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ...typing import FloatArray
@@ -179,13 +183,19 @@ def _common(
         "deviates": transfer.deviation is not None,
         "accuracy": accuracy_verdict(scenario, transfer.errors),
         "clearance": scenario.rendering.clearance,
-        "device": {**scenario.device.model_dump(mode="json"), "centres": scenario.device.centres},
-        "rendering": scenario.rendering.model_dump(mode="json"),
+        "device": {**_with_all_parts(scenario.device), "centres": scenario.device.centres},
+        "rendering": beneath({"wavelet": RickerWavelet().model_dump()}, scenario.rendering.model_dump(mode="json")),
         "samples": packed(shape.samples, "f8") if isinstance(scenario.rendering.wavelet, SampledWavelet) else None,
         "scenario": short_scenario(scenario),
         "field": _packed_field(field),
         "colours": {"methods": dict(METHODS), "tissues": dict(TISSUES)},
     }
+
+
+def _with_all_parts(device: Device) -> dict[str, Any]:
+    """Keys of a device, under them the coils and the free housing that it may lack: the page's controls show them."""
+    parts = VoltageRows().model_dump(mode="json", include={"coil", "housing", "cone", "max_voltage", "max_power"})
+    return beneath(parts, device.model_dump(mode="json"))
 
 
 def _arms(prediction: Mapping[str, Any] | None) -> dict[str, Any] | None:
@@ -275,9 +285,9 @@ def _shape(results: Results, scenario: Scenario) -> Wavelet:
 def short_scenario(scenario: Scenario) -> dict[str, Any]:
     """The scenario without its defaults where it says the same, for a file that a reader may check."""
     whole: dict[str, Any] = scenario.model_dump(mode="json")
-    short = {k: v for k, v in scenario.model_dump(mode="json", exclude_defaults=True).items() if k != "schema_version"}
-    short["name"] = scenario.name
-    short["limb"] = {**short.get("limb", {}), "shape": scenario.limb.shape}  # tells which kind of limb it is
+    short: dict[str, Any] = {"name": scenario.name, "limb": {"shape": scenario.limb.shape}}
+    for key in scenario.changed_keys():
+        put(short, key, functools.reduce(lambda part, name: part[name], key.split("."), whole), key)
     try:
         same = parse_scenario(_without_none(short)).model_dump(mode="json") == whole
     except ScenarioError:

@@ -206,13 +206,15 @@ export function scenarioToml(app) {
   const put = (/** @type {string} */ path, /** @type {any} */ value) => { const keys = path.split("."), last = /** @type {string} */ (keys.pop()); let at = table; for (const k of keys) at = at[k] ??= {}; at[last] = value; };
   for (const key of /** @type {const} */ (["resistance", "inductance", "force_factor", "moving_mass", "resonance", "quality"])) if (device.coil[key] !== then.device.coil[key]) put(`device.coil.${key}`, device.coil[key]);
   if (device.cone.mass !== then.device.cone.mass) put("device.cone.mass", device.cone.mass);
-  if (device.housing.fixed !== then.device.housing.fixed) put("device.housing.fixed", device.housing.fixed);
+  if (device.housing.fixed !== then.device.housing.fixed) put("device.housing", device.housing.fixed ? { fixed: true } : {});
+  const without = (/** @type {string} */ part, /** @type {string[]} */ keys) => { for (const key of keys) if (table[part]) delete table[part][key]; };
   const named = (/** @type {(k: number) => number | null} */ value) => Object.fromEntries(experiment.inputs.map((p, k) => [p.name, value(k)]).filter(([, v]) => v !== null));
   put("device.out_of_contact", experiment.inputs.filter((_, k) => !device.touching[k]).map((p) => p.name));
   put("device.gains", named((k) => (device.gain[k] === 1 ? null : device.gain[k])));
   put("device.contact_springs", named((k) => (Number.isFinite(device.spring[k]) && device.touching[k] ? device.spring[k] : null)));
   if (experiment.places && settings.contacts) {
     const [c, s] = [Math.cos(content.device.rotation ?? 0), Math.sin(content.device.rotation ?? 0)];
+    without("device", ["rows", "columns", "spacing", "spacing_y", "stagger"]);
     put("device.contacts", settings.contacts.map(([x, y]) => [c * x + s * y, -s * x + c * y].map((v) => Number(v.toFixed(6)))));
     notes.push("run it with --library and the library that this page was made of, or without for a solve");
   }
@@ -223,9 +225,9 @@ export function scenarioToml(app) {
   if (settings.rule) put("rendering.regularisation_value", settings.rule.value);
   else if (table.rendering) delete table.rendering.regularisation_value;
   if (settings.wavelet.kind === "ricker") { put("rendering.wavelet.peak", settings.wavelet.peak); delete table.rendering.wavelet.file; }
-  else if (hasOwnFile(settings.wavelet)) { put("rendering.wavelet.file", `${nameOf(app)}-stimulus.csv`); notes.push("its stimulus lies beside it, kept at the same time"); }
+  else if (hasOwnFile(settings.wavelet)) { put("rendering.wavelet", { file: `${nameOf(app)}-stimulus.csv` }); notes.push("its stimulus lies beside it, kept at the same time"); }
   const target = experiment.outputs[settings.target].name;
-  if (settings.place) { put("grid.points", placesOf(app)); notes.push("the free place is the last point: it is solved anew, so S there agrees within the errors stated"); }
+  if (settings.place) { put("grid", { points: placesOf(app) }); notes.push("the free place is the last point: it is solved anew, so S there agrees within the errors stated"); }
   const last = String(experiment.points.length + 1), zeros = experiment.zerosOf("inverse filter", settings.target).map((i) => (i < experiment.points.length ? experiment.outputs[i].name : last));
   put("rendering.targets", settings.zeros === "run" && !settings.place ? content.rendering.targets : [settings.place ? last : target]);
   if (settings.zeros !== "run" || settings.place) put("rendering.zeros", zeros);
