@@ -22,6 +22,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from ..errors import ScenarioError
+from ..usercode import is_code
 from .changes import remade
 from .problem import first_problem_of
 
@@ -81,6 +82,15 @@ def _folder_name(name: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_folder_name), Field(json_schema_extra={"pattern": _FOLDER})]
+
+
+def _code(text: str) -> str:
+    if is_code(text):
+        return text
+    raise ValueError("expected one of the known names, or module:Name for a class of your own file")
+
+
+UserCode = Annotated[str, AfterValidator(_code)]
 
 
 def idle(keys: Iterable[str], why: str) -> PydanticCustomError:
