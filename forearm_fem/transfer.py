@@ -240,12 +240,6 @@ class TransferMatrix:
         """Size and phase of each entry, within its stated error."""
         return notebook.plot_of_g(self)
 
-    def save(self, path: str | Path) -> None:
-        """Write G in the format of the path's ending: ``.nc`` holds everything."""
-        from .files.read import write_measured
-
-        write_measured(path, self)
-
     @property
     def omega(self) -> FloatArray:
         """Angular frequency [rad/s]."""
