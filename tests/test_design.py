@@ -28,7 +28,7 @@ from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.ports import distances
 from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.store.shelf import WORK, Shelf
 from forearm_fem.transfer import Compliance, ErrorEstimate
 

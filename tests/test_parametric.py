@@ -38,7 +38,7 @@ from forearm_fem.prediction.arm import LayeredArm, ReducedArm, _nearness, arm_mo
 from forearm_fem.prediction.draws import draw_inputs, scenario_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.store.record import load, save
 from forearm_fem.store.shelf import Shelf
 from forearm_fem.tissue import resolve_tissues

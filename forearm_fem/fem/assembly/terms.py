@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...scenario.supports import FoamUnderside, Supports
+from ...scenario.elements import FoamUnderside, Supports
 from ...scenario.tissues import Membrane, Patch
 from ...tissue import Tissue
 from .coefficients import Coefficient, Impedance, Polynomial, is_polynomial
