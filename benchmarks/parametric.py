@@ -25,8 +25,8 @@ from forearm_fem.device import close_loop
 from forearm_fem.engines.fem import fem_model, solve_fem
 from forearm_fem.engines.parametric import ParametricModel, parametric_model
 from forearm_fem.engines.second_mesh import second_mesh
+from forearm_fem.fem.reduction.parametric_greedy import Growth
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.fem.reduction.united import Growth
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.pipeline.simulation import render_transfer

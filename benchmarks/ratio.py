@@ -18,7 +18,7 @@ import numpy as np
 
 from forearm_fem.engines.fem import fem_model, reduction_tolerance
 from forearm_fem.fem.assembly.model import ForearmModel
-from forearm_fem.fem.kernels.heap import freed_memory_kept
+from forearm_fem.fem.kernels.compiled import freed_memory_kept
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.reduction.sweep import reduced_sweep
 from forearm_fem.geometry.cache import cached_mesh

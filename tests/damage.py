@@ -29,11 +29,11 @@ from forearm_fem.io.declaration import Declaration
 from forearm_fem.io.matlab_import import write_mat5, write_mat73
 from forearm_fem.io.reading import RecognitionWarning
 from forearm_fem.io.recognise import read_measured
-from forearm_fem.io.recording import Recording
 from forearm_fem.io.seal import MARK
 from forearm_fem.io.tdms import read_sweep_tdms, write_sweep_tdms, write_tdms
 from forearm_fem.io.uff import write_uff
 from forearm_fem.io.wav import read_wav_drives, write_wav_drives
+from forearm_fem.measurement.recording import Recording
 from forearm_fem.measurement.store import read_recording, write_recording
 from forearm_fem.store.record import load, save
 from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield

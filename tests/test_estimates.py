@@ -17,7 +17,7 @@ from forearm_fem.engines import second_mesh as module
 from forearm_fem.engines.second_mesh import second_mesh
 from forearm_fem.engines.solved import Solved, solve_key
 from forearm_fem.errors import GeometryError, MeshError, SolverError
-from forearm_fem.fem.assembly.terms import term_coefficient
+from forearm_fem.fem.assembly.coefficients import term_coefficient
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import cached_mesh, mesh_key
 from forearm_fem.geometry.device.sizing import element_sizes

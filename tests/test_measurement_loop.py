@@ -24,11 +24,11 @@ from forearm_fem.compare.compare import compare
 from forearm_fem.compare.run import _biased
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
-from forearm_fem.io.recording import Recording
 from forearm_fem.measurement.calibrate import calibrate, collected, record
 from forearm_fem.measurement.diagnostics import _lost, diagnose
 from forearm_fem.measurement.entry import bias_said, entry
 from forearm_fem.measurement.estimators import estimate, spectra
+from forearm_fem.measurement.recording import Recording
 from forearm_fem.measurement.run import (
     VirtualSetup,
     calibration_plan,

@@ -26,12 +26,10 @@ from forearm_fem.engines.skin_model import with_scenario
 from forearm_fem.errors import DataError, ReductionError, ScenarioError, SolverError
 from forearm_fem.fem.linear.direct import DirectSolver
 from forearm_fem.fem.reduction.basis import Basis, rough_extension
-from forearm_fem.fem.reduction.growing import Growing, TrialSolve
-from forearm_fem.fem.reduction.quick import Summed, quick_compliance
-from forearm_fem.fem.reduction.rational import chebyshev_frequencies, rational
-from forearm_fem.fem.reduction.spanned import _solved, spanned
+from forearm_fem.fem.reduction.parametric_greedy import Growing, Growth, TrialSolve
+from forearm_fem.fem.reduction.per_query_basis import Summed, _solved, quick_compliance, spanned
+from forearm_fem.fem.reduction.poles import chebyshev_frequencies, rational
 from forearm_fem.fem.reduction.sweep import direct_sweep
-from forearm_fem.fem.reduction.united import Growth
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.geometry.device.grid_places import GridPlaces
 from forearm_fem.prediction.arm import LayeredArm, ReducedArm, _nearness, arm_model, on_mesh_of

@@ -16,12 +16,12 @@ import numpy as np
 
 from ..arguments import checked
 from ..errors import DataError, optional
+from ..measurement.recording import Recording
 from ..store.folder import atomic_path, write_bytes
 from ..transfer import TransferMatrix
 from ..typing import ComplexArray, FloatArray
 from .declaration import RawMatrix, arbitrary_gain, port_from
 from .reading import reading
-from .recording import Recording
 from .seal import BLANK, check_seals, sealed
 
 _GROUP = "G"

@@ -14,7 +14,7 @@ from typing import Any
 from .. import __version__
 from ..device import close_loop
 from ..errors import AccuracyWarning, ForearmError, ScenarioError
-from ..fem.kernels.heap import freed_memory_kept
+from ..fem.kernels.compiled import freed_memory_kept
 from ..geometry.device.layout import planform_ports
 from ..pipeline.samples import check_samples
 from ..pipeline.simulation import simulate
