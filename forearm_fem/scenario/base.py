@@ -22,6 +22,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from ..errors import ScenarioError
+from ..usercode import is_code
 from .changes import first_problem_of, remade
 
 LONGEST_TEXT = 4000  # characters of one text in a scenario
@@ -80,6 +81,15 @@ def _folder_name(name: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_folder_name), Field(json_schema_extra={"pattern": _FOLDER})]
+
+
+def _code(text: str) -> str:
+    if is_code(text):
+        return text
+    raise ValueError("expected one of the known names, or module:Name for a class of your own file")
+
+
+UserCode = Annotated[str, AfterValidator(_code)]
 
 
 def idle(keys: Iterable[str], why: str) -> PydanticCustomError:

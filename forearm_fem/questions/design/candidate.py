@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from ..device import close_loop
-from ..errors import AccuracyWarning, ForearmError, ScenarioError
-from ..metrics.strength import WITHOUT_BOUND
-from ..rendering import Rendering
-from ..rendering.job import RenderJob, check_servable
-from ..scenario import Scenario
-from ..scenario.device import Housing, VoltageDevice
-from ..scenario.sweep import FrequencyList
-from ..transfer import TransferMatrix, finite, total_error
-from ..typing import FloatArray
+from ...device import close_loop
+from ...errors import AccuracyWarning, ForearmError, ScenarioError
+from ...metrics.strength import WITHOUT_BOUND
+from ...rendering import Rendering
+from ...rendering.job import RenderJob, check_servable
+from ...scenario import Scenario
+from ...scenario.device import Housing, VoltageDevice
+from ...scenario.sweep import FrequencyList
+from ...transfer import TransferMatrix, finite, total_error
+from ...typing import FloatArray
 from .arm import ArmModel
 from .model import Constraints, Design, DesignFile, Objective, Values
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 from scipy.stats import qmc
 
-from ..typing import BoolArray, FloatArray
+from ...typing import BoolArray, FloatArray
 from .candidate import Candidate
 from .model import Design, Values
 

@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 import psutil
 
-from .. import __version__
-from ..errors import ScenarioError
-from ..pipeline.folder import Run, run_all
-from ..progress import Progress, tell, within
-from ..rendering.job import wavelet
-from ..results import read_run
-from ..scenario.shipped import contents, named_files
-from ..store.folder import check_kind, set_kind
-from ..store.shelf import WORK, Shelf
-from ..store.text import digest_of
-from ..store.work import LIGHT, SHARE, cluster, done_once
-from ..store.work import Run as Spread
+from ... import __version__
+from ...errors import ScenarioError
+from ...pipeline.folder import Run, run_all
+from ...progress import Progress, tell, within
+from ...rendering.job import wavelet
+from ...results import read_run
+from ...scenario.shipped import contents, named_files
+from ...store.folder import check_kind, set_kind
+from ...store.shelf import WORK, Shelf
+from ...store.text import digest_of
+from ...store.work import LIGHT, SHARE, cluster, done_once
+from ...store.work import Run as Spread
 from .arm import ArmModel, TwinArm
 from .candidate import Candidate, evaluate, s_interval, score_of
 from .front import pareto_front

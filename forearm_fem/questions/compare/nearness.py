@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..typing import ComplexArray
+from ...typing import ComplexArray
 
 _BETTER, _NEAR = 3.0, 1.0  # a reading must lower s at least so many times, to no more than this,
 _SHAPE, _GAINED = 0.6, 0.5  # or raise the correlation by the second to above the first, sizes being within LARGE,

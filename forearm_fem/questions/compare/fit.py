@@ -16,10 +16,10 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats.qmc import LatinHypercube
 
-from ..errors import DataError
-from ..progress import Progress, tell
-from ..transfer import TransferMatrix
-from ..typing import BoolArray, ComplexArray, FloatArray
+from ...errors import DataError
+from ...progress import Progress, tell
+from ...transfer import TransferMatrix
+from ...typing import BoolArray, ComplexArray, FloatArray
 from .parameters import Direction, Parameter
 
 Values = Mapping[str, float]

@@ -2,8 +2,8 @@
 
 A *reading* multiplies B by a power of ten, a power of i omega and a phase e^{i omega tau}, conjugates it, or negates
 channels. Each combination of these is tried and the simplest that brings B to A is named.
-Exchanged channels are looked for as well (:mod:`~forearm_fem.compare.exchanges`). Not covered: gains that are no power
-of a thousand (said as a ratio), two different mistakes in different channels, and exchanged channels of another unit.
+Exchanged channels are looked for as well (:mod:`.exchanges`). Not covered: gains that are no power of a thousand (said
+as a ratio), two different mistakes in different channels, and exchanged channels of another unit.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import product
 
 import numpy as np
 
-from ..typing import ComplexArray, FloatArray
+from ...typing import ComplexArray, FloatArray
 from .common import CommonGround
 from .exchanges import exchanged
 from .nearness import AGREES, FLOOR, LARGE, PRICE, correlation, distance, explains

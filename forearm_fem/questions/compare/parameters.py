@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ..errors import ScenarioError
+from ...errors import ScenarioError
 
 _MEMBER = 0.3  # of a unit vector: parameters with this share belong to a combination
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..typing import ComplexArray, FloatArray
+from ...typing import ComplexArray, FloatArray
 from .common import CommonGround
 
 

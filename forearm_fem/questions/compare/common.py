@@ -10,10 +10,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
 
-from ..errors import DataError
-from ..ports import Port
-from ..transfer import TransferMatrix
-from ..typing import BoolArray, ComplexArray, FloatArray
+from ...errors import DataError
+from ...ports import Port
+from ...transfer import TransferMatrix
+from ...typing import BoolArray, ComplexArray, FloatArray
 from .places import matched
 
 _SAME = 1e-6  # relative: frequencies closer than this are the same
@@ -53,6 +53,11 @@ class CommonGround:
     def covered(self) -> float:
         """Share of (frequency, output, input) of the common frequencies at which both are valid."""
         return float(self.valid.mean())
+
+    @property
+    def whole_outputs(self) -> BoolArray:
+        """Outputs (n_out,) that both know from every input, at some frequency at least."""
+        return np.asarray(np.all(np.any(self.valid, axis=0), axis=1))
 
     @property
     def omega(self) -> FloatArray:

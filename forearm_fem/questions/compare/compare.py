@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import AccuracyWarning
-from ..io.declaration import arbitrary_gain
-from ..metrics import WaveFit, condition_number, condition_summary, fit_waves
-from ..metrics.waves import beside, phase_told
-from ..ports import distances
-from ..progress import Progress, tell
-from ..store.text import plain
-from ..transfer import TransferMatrix
-from ..typing import ComplexArray, FloatArray
+from ...errors import AccuracyWarning
+from ...io.declaration import arbitrary_gain
+from ...metrics import WaveFit, condition_number, condition_summary, fit_waves
+from ...metrics.waves import beside, phase_told
+from ...ports import distances
+from ...progress import Progress, tell
+from ...store.text import plain
+from ...transfer import TransferMatrix
+from ...typing import ComplexArray, FloatArray
 from .agreement import Agreement, agreement
 from .common import CommonGround, common_ground
 from .crossplay import CrossPlay, try_cross_play

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
-from ..campaign.run import rows_table
-from ..metrics.strength import strength_text
-from ..show.registry import save_drawn
-from ..store.folder import write_text
-from ..store.record import save_arrays
-from ..store.text import write_json
+from ... import __version__
+from ...campaign.run import rows_table
+from ...metrics.strength import strength_text
+from ...show.registry import save_drawn
+from ...store.folder import write_text
+from ...store.record import save_arrays
+from ...store.text import write_json
 from .candidate import Candidate
 from .figures import plot_devices, plot_front, plot_map
 from .run import DesignResult

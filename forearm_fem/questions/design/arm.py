@@ -7,14 +7,14 @@ from typing import Protocol
 
 import numpy as np
 
-from ..accuracy.estimates import quadrature_estimate
-from ..engines.layered import flat_disc, flat_ports
-from ..engines.tables import kept_tables, tables_reach
-from ..layered.tables import Tabulated
-from ..progress import Progress
-from ..scenario import Scenario
-from ..scenario.sweep import frequencies
-from ..transfer import Compliance
+from ...accuracy.estimates import quadrature_estimate
+from ...engines.layered import flat_disc, flat_ports
+from ...engines.tables import kept_tables, tables_reach
+from ...layered.tables import Tabulated
+from ...progress import Progress
+from ...scenario import Scenario
+from ...scenario.sweep import frequencies
+from ...transfer import Compliance
 
 
 class ArmModel(Protocol):

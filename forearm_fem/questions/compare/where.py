@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..typing import ComplexArray, FloatArray
+from ...typing import ComplexArray, FloatArray
 from .common import CommonGround
 from .readings import explained
 

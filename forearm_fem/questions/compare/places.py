@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import DataError
-from ..ports import Port
-from ..typing import FloatArray
+from ...errors import DataError
+from ...ports import Port
+from ...typing import FloatArray
 
 _NEAR = 0.25  # of the smallest distance between A's ports: closer ones are at the same place
 _CLOSE = 1e-3  # m: what no word is lost about

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import AccuracyWarning, ForearmError
-from ..rendering import Wavelet, bridged, thesis_renderers
-from ..rendering.job import RenderJob, wavelet, wavelet_for
-from ..scenario.rendering import SampledWavelet
-from ..transfer import TransferMatrix
-from ..typing import FloatArray
+from ...errors import AccuracyWarning, ForearmError
+from ...rendering import Wavelet, bridged, thesis_renderers
+from ...rendering.job import RenderJob, wavelet, wavelet_for
+from ...scenario.rendering import SampledWavelet
+from ...transfer import TransferMatrix
+from ...typing import FloatArray
 from .common import CommonGround
 
 if TYPE_CHECKING:
-    from ..scenario import Scenario
+    from ...scenario import Scenario
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,15 +75,15 @@ def cross_play(
 
 def of_known_outputs(ground: CommonGround) -> CommonGround:
     """The ground of the outputs that both know from every input, the others left out; whole where too few are left."""
-    known = ground.valid.any(axis=0).all(axis=1)
+    known = ground.whole_outputs
     if known.all() or np.count_nonzero(known) < 2:
         return ground
-    a, b, valid = (m[:, known] for m in (ground.a, ground.b, ground.valid))
     deviations = [None if d is None else d[:, known] for d in (ground.deviation_a, ground.deviation_b)]
-    outputs = tuple(p for p, k in zip(ground.outputs, known, strict=True) if k)
     return replace(
-        ground, a=a, b=b, valid=valid, deviation_a=deviations[0], deviation_b=deviations[1], outputs=outputs
-    )
+        ground, a=ground.a[:, known], b=ground.b[:, known], valid=ground.valid[:, known],
+        deviation_a=deviations[0], deviation_b=deviations[1],
+        outputs=tuple(p for p, k in zip(ground.outputs, known, strict=True) if k),
+    )  # fmt: skip
 
 
 def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> tuple[RenderJob, str, str] | None:
@@ -94,7 +94,7 @@ def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> tuple[Re
 
     One whose bins are the common ones comes first; of another the wavelet is set into a record that fits them, which
     can be done with a Ricker wavelet alone."""
-    from ..scenario import parse_scenario
+    from ...scenario import parse_scenario
 
     other: tuple[RenderJob, str, str] | None = None
     own_ports, _ = sides(ground)

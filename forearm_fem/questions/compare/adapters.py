@@ -11,23 +11,23 @@ from typing import Any
 import numpy as np
 from scipy.stats.qmc import LatinHypercube
 
-from ..accuracy.estimates import quadrature_estimate
-from ..device.loop import close_loop
-from ..engines.arm_meshes import ArmMeshes, arm_meshes
-from ..engines.layered import flat_disc, flat_layers, flat_surface
-from ..engines.parametric import ParametricModel, parametric_model
-from ..errors import ScenarioError
-from ..geometry.device.layout import layers_of
-from ..layered import Layer, layered_compliance
-from ..layered.response import scattered_orders
-from ..ports import Port
-from ..progress import Progress
-from ..scenario import Scenario, parse_scenario
-from ..scenario.device import VoltageDevice
-from ..scenario.limb import tissue_keys
-from ..tissue import Zener, resolve_tissues
-from ..transfer import Compliance, TransferMatrix
-from ..typing import FloatArray
+from ...accuracy.estimates import quadrature_estimate
+from ...device.loop import close_loop
+from ...engines.arm_meshes import ArmMeshes, arm_meshes
+from ...engines.layered import flat_disc, flat_layers, flat_surface
+from ...engines.parametric import ParametricModel, parametric_model
+from ...errors import ScenarioError
+from ...geometry.device.layout import layers_of
+from ...layered import Layer, layered_compliance
+from ...layered.response import scattered_orders
+from ...ports import Port
+from ...progress import Progress
+from ...scenario import Scenario, parse_scenario
+from ...scenario.device import VoltageDevice
+from ...scenario.limb import tissue_keys
+from ...tissue import Zener, resolve_tissues
+from ...transfer import Compliance, TransferMatrix
+from ...typing import FloatArray
 from .parameters import Parameter
 
 _POOL = 120  # arms within the ranges of a fit, from which its finite elements are reduced

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ..typing import ComplexArray, IntArray
+from ...typing import ComplexArray, IntArray
 from .common import CommonGround
 from .nearness import AGREES, FLOOR, PRICE, correlation, distance, explains
 

@@ -10,21 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from ..arguments import checked
-from ..device.loop import close_loop
-from ..engines.parametric import BEYOND, ParametricModel
-from ..errors import DataError, ForearmError
-from ..geometry.device.layout import planform_ports
-from ..io.declaration import Declaration, Ports, arbitrary_gain, declared_by
-from ..io.recognise import read_measured
-from ..ports import Port
-from ..prediction.arm import as_wrong
-from ..progress import Progress, tell, within
-from ..scenario import Scenario
-from ..store.folder import check_kind, set_kind, write_text
-from ..store.results import write_transfer
-from ..store.text import plain
-from ..transfer import UNITS, ErrorEstimate, TransferMatrix
+from ...arguments import checked
+from ...device.loop import close_loop
+from ...engines.parametric import BEYOND, ParametricModel
+from ...errors import DataError, ForearmError
+from ...geometry.device.layout import planform_ports
+from ...io.declaration import Declaration, Ports, arbitrary_gain, declared_by
+from ...io.recognise import read_measured
+from ...ports import Port
+from ...prediction.arm import as_wrong
+from ...progress import Progress, tell, within
+from ...scenario import Scenario
+from ...store.folder import check_kind, set_kind, write_text
+from ...store.results import write_transfer
+from ...store.text import plain
+from ...transfer import UNITS, ErrorEstimate, TransferMatrix
 from .adapters import (
     ComplianceOf,
     ScenarioModel,

@@ -9,7 +9,7 @@ from matplotlib.figure import FigureBase
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
-from ..show.style import ACTUATORS, FAINT, GREY, INK, panels, styled, widen
+from ...show.style import ACTUATORS, FAINT, GREY, INK, panels, styled, widen
 
 if TYPE_CHECKING:
     from .run import DesignResult

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..typing import ComplexArray, FloatArray
+from ...typing import ComplexArray, FloatArray
 from .fit import DELAY, SCALE, FitResult
 
 _STEP = 1e-3  # of the allowed range, for central differences
