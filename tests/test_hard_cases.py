@@ -18,7 +18,7 @@ from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.layered import Disc, Layer, layered_compliance
 from forearm_fem.ports import Port
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.supports import FreeUnderside
+from forearm_fem.scenario.elements import FreeUnderside
 from forearm_fem.scenario.sweep import DirectSolve, ReducedSolve
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import Hysteretic, KelvinVoigt, Tissue
