@@ -107,7 +107,8 @@ def in_r(analysis: Path) -> list[str]:
             theirs.columns = [re.sub(r"[^A-Za-z0-9_]", ".", c) for c in theirs.columns]
             for name, column in same.items():
                 if name in theirs and column in ours:
-                    apart = (theirs[name] - ours[column]).abs() / ours[column].abs().clip(lower=1e-12)
+                    least = 1e-3 * ours[column].abs().max()  # differences of zero are rounding
+                    apart = (theirs[name] - ours[column]).abs() / ours[column].abs().clip(lower=least)
                     key = f"{kind}, {column}"
                     worst[key] = max(worst.get(key, 0.0), float(apart.max()))
     rows = [f"| {name} | {value:.1e} |" for name, value in worst.items()]

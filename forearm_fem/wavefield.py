@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import io
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from .errors import DataError
-from .io.seal import BLANK, check_seals, sealed
 from .store.folder import write_bytes
 from .typing import ComplexArray, FloatArray
 
@@ -39,8 +37,7 @@ class Wavefield:
 
 
 def save_wavefield(field: Wavefield, path: Path) -> None:
-    """Write atomically in single precision (relative error 1e-7, far below the model's own), with a checksum as the
-    archive's comment."""
+    """Write atomically in single precision (relative error 1e-7, far below the model's own)."""
     memory = io.BytesIO()
     np.savez(
         memory,
@@ -48,17 +45,13 @@ def save_wavefield(field: Wavefield, path: Path) -> None:
         modes=field.modes.astype(np.float32),
         amplitudes=field.amplitudes.astype(np.complex64),
     )
-    with zipfile.ZipFile(memory, "a") as archive:
-        archive.comment = BLANK
-    write_bytes(path, sealed(memory.getvalue()))
+    write_bytes(path, memory.getvalue())
 
 
 def load_wavefield(path: Path) -> Wavefield:
     """Read what :func:`save_wavefield` wrote; raises DataError for a missing or damaged file."""
     try:
-        content = path.read_bytes()
-        check_seals(content)
-        with np.load(io.BytesIO(content)) as store:
+        with np.load(io.BytesIO(path.read_bytes())) as store:
             return Wavefield(
                 store["frequency"], store["modes"].astype(float), store["amplitudes"].astype(np.complex128)
             )

@@ -26,8 +26,8 @@ from forearm_fem.geometry.limb.prisms import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.boundary import with_boundaries
-from forearm_fem.io.recording import Recording
 from forearm_fem.io.seal import MARK
+from forearm_fem.measurement.recording import Recording
 from forearm_fem.measurement.store import read_recording, write_recording
 from forearm_fem.store.record import load, save
 from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield

@@ -11,7 +11,7 @@ import pyuff
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
-from forearm_fem.io.recording import Recording
+from forearm_fem.measurement.recording import Recording
 from forearm_fem.transfer import TransferMatrix
 
 AXES = ("frequency", "output", "input")

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from forearm_fem.io.recording import Recording
 from forearm_fem.measurement.entry import Entry, entry
+from forearm_fem.measurement.recording import Recording
 from forearm_fem.measurement.sweep import ExponentialSweep
 from forearm_fem.scenario.measurement import MeasurementOptions
 

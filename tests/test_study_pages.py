@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import socket
 import threading
 import time
+import urllib.error
 import urllib.request
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 
+import numpy as np
 import pytest
+from test_rendering import waves
 from test_study_session import GRID, opened, silent, small
 
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.ports import Port
-from forearm_fem.study.server import Secrets, application, serve, texts
+from forearm_fem.store.results import write_transfer
+from forearm_fem.study.answers import read_answers
+from forearm_fem.study.export import export
+from forearm_fem.study.run import Prepared
+from forearm_fem.study.server import Secrets, addresses, application, serve, texts
 from forearm_fem.study.session import Presented, Session
 from forearm_fem.study.store import StudyStore
 
@@ -302,6 +313,101 @@ def test_two_open_browsers_answer_each_trial_once(browser, session):
     rows = session._store.answers("01", "places")
     assert [r["trial"] for r in rows] == [str(k + 1) for k in range(len(rows))]
     assert rows[0]["response"] in ("5", "1")
+
+
+def test_consent_is_given_on_the_page_before_the_first_stimulus(browser, tmp_path):
+    """The text fills the page, the space bar does not agree to it, the button does."""
+    store = StudyStore.open(tmp_path, plan := small())
+    store.enrol("01", invited=True)
+    text = "You may stop at any time.\nNothing hurts."
+    session = Session(store, "01", plan.tasks[0], GRID, silent, consent=text)
+    with served(session) as (theirs, _):
+        page, problems = _page(browser, theirs)
+        page.get_by_text("You may stop at any time.").wait_for()
+        page.keyboard.press("Space")
+        assert not store.consented("01")
+        page.locator("#go").click()
+        page.locator("body[data-waiting='start']").wait_for()
+        assert store.consented("01")
+        page.keyboard.press("Space")
+        page.locator("#arm").wait_for(state="visible")
+        assert problems == []
+        page.close()
+
+
+def _status(address, **headers):
+    """Of a GET, or of a POST where an origin is named."""
+    asked = urllib.request.Request(address, b"" if "Origin" in headers else None, headers)
+    try:
+        with urllib.request.urlopen(asked, timeout=20) as reply:
+            return reply.status
+    except urllib.error.HTTPError as refused:
+        with refused:
+            return refused.code
+
+
+def test_other_machines_reach_the_page_where_asked_for_and_strangers_nothing(session):
+    """By this machine's own address; under another host name or without the secret there is nothing, even so."""
+    with served(session, host="0.0.0.0") as (theirs, _):
+        host, port = theirs.split("/")[2].split(":")
+        start = theirs.replace("/p/", "/api/") + "/start"
+        assert host == addresses("0.0.0.0")[0]
+        for at in {host, "127.0.0.1"}:
+            assert _status(theirs.replace(host, at)) == 200
+            assert _status(start.replace(host, at), Origin=f"http://{at}:{port}") == 200
+        assert _status(theirs, Host="evil.example") == 400
+        assert _status(theirs.rpartition("/")[0] + "/guess") == 404
+        assert _status(start, Origin="http://evil.example") == 403
+
+
+JSPSYCH = Path(__file__).parents[1] / "node_modules" / "jspsych"
+
+
+@pytest.mark.skipif(not JSPSYCH.exists(), reason="needs jsPsych beside the package: npm install --no-save jspsych@8")
+def test_the_jspsych_example_plays_an_exported_folder_and_its_answers_are_read(browser, tmp_path):
+    """The page as it is exported, served by python -m http.server: every trial of a task by keys and clicks, the file
+    that it downloads, and the same answers in our table."""
+    write_transfer(tmp_path / "g.nc", waves(np.arange(10.0, 500.1, 5.0)))
+    (tmp_path / "flat.toml").write_text("name = 'flat'\n[sweep]\nsample_rate = 5000.0\nduration = 0.2\n")
+    (tmp_path / "pilot.toml").write_text(
+        "name = 'pilot'\nscenario = 'flat.toml'\ntransfer = 'g.nc'\n[stimuli]\nlead = 0.05\ntail = 0.09\npeak = 0.1\n"
+        "methods = ['funneling', 'combination']\ntargets = ['1', '5']\n[[tasks]]\nname = 'places'\nrepetitions = 2\n"
+        "blocks = 2\ntraining = 0\nanswer = 'several points'\nbreak_seconds = 0\n[order]\nno_target_twice = false\n"
+    )
+    prepared = Prepared.of(tmp_path / "pilot.toml")
+    folder = export(prepared, "01", prepared.made("01"), rate=48000.0, full_scale=10.0)
+    shutil.copy(JSPSYCH / "dist" / "index.browser.min.js", folder / "jspsych.js")
+    shutil.copy(JSPSYCH / "css" / "jspsych.css", folder / "jspsych.css")
+    quiet = type("Quiet", (SimpleHTTPRequestHandler,), {"log_message": lambda *_: None})
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(quiet, directory=folder)) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        page, problems = browser.new_page(), []
+        page.on("pageerror", lambda e: problems.append(str(e)))
+        address = f"http://127.0.0.1:{server.server_port}/jspsych_study.html?task=places"
+        page.goto(address)
+        page.get_by_text("The output device has 2 channels, 4 are needed").wait_for()  # of a browser without a card
+        page.goto(f"{address}&channels=any")
+        page.locator("#go:enabled").click()
+        for k in range(8):
+            if k == 4:
+                page.get_by_text("A break.").wait_for()
+                page.locator("#go:enabled").click()
+            page.locator("svg").wait_for()
+            page.keyboard.press("5")
+            if k % 2:
+                page.locator("g[data-name='6']").click()
+            page.locator("#go").click()
+            page.locator("svg").wait_for(state="detached")
+        with page.expect_download() as download:
+            page.locator("#go:enabled").click()
+        download.value.save_as(tmp_path / "answers.json")
+        assert problems == []
+        page.close()
+        server.shutdown()
+    table = read_answers([tmp_path / "answers.json"], prepared.store(), prepared.grid())["places"]
+    assert table["response"].tolist() == 4 * ["5", "5 6"]
+    assert table["trial"].tolist() == list(range(1, 9))
+    assert table["response_time"].between(0, 60).all()
 
 
 def test_the_experimenter_pauses_and_the_participant_waits(browser, session):

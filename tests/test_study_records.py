@@ -106,6 +106,11 @@ def test_tables_are_as_bids_wants_them(answered):
     shutil.which("bids-validator-deno") is None, reason="no validator; `pip install bids-validator-deno` brings it"
 )
 def test_the_official_validator_finds_no_error(answered):
+    """With an analysis and exported stimuli in the folder, and a column of the laboratory's own."""
+    write_analysis(answered.study, {"places": answers_of(answered, "places")}, GRID, answered.folder)
+    (answered.folder / "stimuli" / "sub-01").mkdir(parents=True)
+    (answered.folder / "stimuli" / "sub-01" / "trials.csv").write_text("a,b\n1,2\n")
+    answered.enrol("03", invited=True)
     done = subprocess.run(
         ["bids-validator-deno", "--json", str(answered.folder)], capture_output=True, text=True, check=False
     )

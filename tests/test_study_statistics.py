@@ -153,6 +153,7 @@ def test_corrected_test_keeps_its_level_where_the_plain_one_does_not():
 
 # -- whole studies: what the page prints of each, by the plan's default ------------------------------------------------
 
+CORRECTIONS = ("Greenhouse-Geisser", "Huynh-Feldt")
 PEOPLE, REPETITIONS, EFFECTS = 20, 3, ("location", "method", "location x method")
 BETWEEN, BY_TARGET, BY_METHOD, CELL, TRIAL = 2e-3, 2e-3, 2e-3, 3e-3, 10e-3  # [m] like the thesis' answers
 
@@ -180,8 +181,10 @@ def alarms(values, plan):
     return {k: p < plan.alpha for k, p in seen.items()}
 
 
-@pytest.mark.parametrize("sphericity", ["Greenhouse-Geisser", "Huynh-Feldt"])
-@pytest.mark.parametrize("count", [40, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("count", "sphericity"),
+    [(40, "Greenhouse-Geisser"), *(pytest.param(300, s, marks=pytest.mark.slow) for s in CORRECTIONS)],
+)
 def test_no_test_of_the_page_raises_false_alarms(count, sphericity):
     """Studies of 20 without an effect, with scatter of person x method and person x target: at most 7 % of 300 at 5 %
     (1.6 standard deviations above); of 40, 15 % (2.9). The random-intercept model raised 52 to 67 %."""
@@ -216,7 +219,7 @@ def test_intervals_hold_the_truth(count):
     assert min(shares.values()) >= 0.90
 
 
-@pytest.mark.parametrize("sought", ["location", "method", "location x method"])
+@pytest.mark.parametrize("sought", ["method", *(pytest.param(s, marks=pytest.mark.slow) for s in EFFECTS[::2])])
 def test_power_agrees_with_whole_studies_drawn(sought):
     """Studies of 12 and 20 through the analysis itself: within 5 % of what is told from the sizes that drew them (400
     studies know a share to 2.5 %); a method or a target 3 mm worse, or one cell by 10 mm."""

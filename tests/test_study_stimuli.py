@@ -70,6 +70,7 @@ def test_the_level_of_a_tone_is_its_weighted_rms():
     both = sensitivity(np.array([250.0]))[:, 0]
     assert (found.peak, found.rms) == (pytest.approx(2e-6), pytest.approx(2e-6 / np.sqrt(2)))
     assert found.weighted == pytest.approx(20 * np.log10(np.sqrt(2) * np.linalg.norm(both)), abs=1e-9)
+    assert motion(tone, 2000.0, 0.5).weighted == pytest.approx(found.weighted + 3.0103, abs=1e-4)  # in half the time
     assert motion(tone / 2, 2000.0, 1.0).weighted == pytest.approx(found.weighted - 6.0206, abs=1e-4)
 
 
@@ -189,7 +190,20 @@ def _sit(lab, who="01", task="identification"):
         session.start()
         session.present()
         session.answer(Given(points=("5",)))
-        return session._store.answers(who, task)[-1]
+        return session._store.answers(who, session.task.name)[-1]
+
+
+def test_tasks_in_balanced_order_come_in_that_order_without_being_named(lab):
+    text = (lab / "pilot.toml").read_text() + "[order]\ntasks = 'balanced'\n"
+    (lab / "pilot.toml").write_text(text)
+    _sit(lab, "01", None)
+    store = Prepared.of(lab / "pilot.toml").store()
+    assert len(store.answers("01", "identification")) == 1
+    with pytest.raises(DataError, match="confidence comes before identification by the balanced order"):
+        _sit(lab, "02", "identification")
+    assert store.people()[-1]["participant_id"] == "sub-01"  # who was refused is not enrolled
+    _sit(lab, "02", None)
+    assert len(store.answers("02", "confidence")) == 1
 
 
 CHANGES = {

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..errors import DataError, optional
-from ..io.recording import Recording
+from ..measurement.recording import Recording
 from ..typing import FloatArray
 from .declaration import SWEEPS, Declaration, RawMatrix, declare
 from .reader import Reader

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.fft import rfft, rfftfreq
 from scipy.ndimage import median_filter
 
-from ..io.recording import Recording
 from ..typing import BoolArray, ComplexArray, FloatArray
+from .recording import Recording
 
 _OUT = 8.0  # times what bins are usually off the course of their neighbours
 _ALIKE = 0.5  # of a line's trace: what may be left of its five bins when the line is taken out

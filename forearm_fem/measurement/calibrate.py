@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError, HardwareError
-from ..io.recording import Recording
 from ..ports import Port
 from ..scenario.measurement import MeasurementOptions
 from ..store.text import digest_of
 from .daq import Daq, OpenDevice, Wiring
 from .diagnostics import Finding
 from .entry import Entry, Measured, assemble, entry
+from .recording import Recording
 from .store import Folder
 from .sweep import ExponentialSweep
 

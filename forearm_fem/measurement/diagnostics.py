@@ -10,9 +10,9 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 from scipy.stats import f as fisher
 
-from ..io.recording import Recording
 from ..typing import BoolArray, FloatArray
 from .alike import copied, delay_growth, lines, ramp, ramp_spectrum, response_over
+from .recording import Recording
 
 Severity = Literal["error", "warning"]
 _ROUNDING = 1e-28  # of an energy: below it is rounding, not noise

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.fft import rfftfreq
 
 from ..errors import DataError
-from ..io.recording import Recording
 from ..ports import Port
 from ..scenario.measurement import MeasurementOptions
 from ..transfer import ErrorEstimate, TransferMatrix
@@ -19,6 +18,7 @@ from ..units import to_displacement
 from .alike import off_alike
 from .diagnostics import Finding, diagnose
 from .estimators import estimate, spectra
+from .recording import Recording
 from .sweep import excited
 
 

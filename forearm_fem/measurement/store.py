@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ..errors import DataError
-from ..io.recording import Recording
 from ..store.folder import set_kind, write_text
 from ..store.record import dims, load, save
+from .recording import Recording
 
 _VERSION = 1
 

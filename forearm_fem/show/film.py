@@ -19,7 +19,7 @@ from ..progress import Progress, tell
 from ..store.folder import atomic_path
 from ..typing import FloatArray, IntArray
 from .data import Results
-from .motion import Motion, View, motion, nice, shown_values
+from .motion import Motion, View, default_times, motion, nice, shown_values
 from .scene import (
     MM,
     add_bones,
@@ -312,6 +312,12 @@ def animate(
 def _given(results: Results | str | Path, view: View | None, look: Look | None) -> tuple[Results, View, Look]:
     found = results if isinstance(results, Results) else Results.open(results)
     return found, view or default_view(found), look or Look()
+
+
+def frames_at(speed: float) -> float:
+    """Frames a second that play the film's instants, 0.5 ms apart, at ``speed`` of real time."""
+    times = default_times()
+    return speed / float(times[1] - times[0])
 
 
 def default_view(results: Results) -> View:

@@ -18,10 +18,10 @@ Method = Literal["inverse filter", "funneling", "combination"]
 _METHODS: tuple[Method, ...] = ("inverse filter", "funneling", "combination")
 _LABEL = r"^[A-Za-z0-9][A-Za-z0-9-]{0,31}$"
 MEASURES = {
-    "error": "distance of the answer from the target (eq. 10) [m]",
-    "precision": "scatter of a participant's answers about their own mean, rms [m]",
+    "error": "distance of the answer from the target (eq. 10)",
+    "precision": "scatter of a participant's answers about their own mean, rms",
     "points": "points chosen",
-    "response_area": "area drawn [m²]",
+    "response_area": "area drawn",
 }
 _OF_ANSWER: dict[Answer, tuple[str, ...]] = {
     "one point": ("error", "precision"), "several points": ("points", "error", "precision"),

@@ -27,6 +27,7 @@ _SELECTION = (
     "Trials with the target inside are selected for larger answers: whoever names k of nine points at random "
     "holds the target in k of nine trials. Compare methods over all trials."
 )
+_SHOWN = {"error": (1e3, " mm"), "precision": (1e3, " mm"), "points": (1.0, ""), "response_area": (1e4, " cm²")}
 _SOURCE = f"forearm_fem {__version__}"
 
 
@@ -174,7 +175,12 @@ def _places(table: pd.DataFrame, task: Task, study: Study, grid: Sequence[Port])
 def _verdict(name: str, measure: str, tests: Tests, plan: Analysis) -> str:
     """Which methods differ, over all targets."""
     found = [p for p in tests.methods if p.p < plan.alpha]
-    said = [f"{p.first} less {p.second}: {p.difference:.3g} ({p.low:.3g} to {p.high:.3g}, p {_p(p.p)})" for p in found]
+    unit, word = _SHOWN[measure]
+    said = [
+        f"{p.first} − {p.second} = {unit * p.difference:.3g}{word} ({unit * p.low:.3g} to {unit * p.high:.3g}{word}, "
+        f"p {_p(p.p)})"
+        for p in found
+    ]
     none = "no two methods differ" if tests.methods else "there is one method"
     return f"{name}, {measure}: {'; '.join(said) or none}, {len(tests.participants)} participants."
 
@@ -233,13 +239,15 @@ def _test_sections(name: str, words: str, tests: Tests, plan: Analysis) -> list[
     sections = [Section(f"{name}-anova-{tests.measure}", f"{name}: {words}, repeated measures", anova)]
     if not effects:
         sections[0].paragraphs.append("With one method or one target alone there is no two-way analysis.")
-    average = [[m.level, f"{m.mean:.4g}", f"{m.low:.4g} to {m.high:.4g}"] for m in tests.means]
+    unit, word = _SHOWN[tests.measure]
+    average = [[m.level, f"{unit * m.mean:.4g}{word}", f"{unit * m.low:.4g} to {unit * m.high:.4g}{word}"]
+               for m in tests.means]  # fmt: skip
     block = Block(["method", "mean", "95 % interval over participants"], average)
     sections.append(Section(f"{name}-means-{tests.measure}", f"{name}: {words}, means", block))
     for pairs, where in ((tests.methods, "pairs of methods"), (tests.at_targets, "pairs of methods at each target")):
         if pairs:
             anchor = f"{name}-{'at-targets' if pairs[0].where else 'pairs'}-{tests.measure}"
-            sections.append(Section(anchor, f"{name}: {words}, {where}", _pair_block(pairs, plan)))
+            sections.append(Section(anchor, f"{name}: {words}, {where}", _pair_block(pairs, plan, tests.measure)))
     if tests.simple:
         simple = [[label, _f(e, plan), _p(p)] for label, e, p in tests.simple]
         block = Block(["effect", f"F ({plan.sphericity})", f"p ({plan.correction})"], simple)
@@ -251,15 +259,16 @@ def _test_sections(name: str, words: str, tests: Tests, plan: Analysis) -> list[
     return sections
 
 
-def _pair_block(pairs: Sequence[Pair], plan: Analysis) -> Block:
+def _pair_block(pairs: Sequence[Pair], plan: Analysis, measure: str) -> Block:
+    unit, word = _SHOWN[measure]
     rows = [
-        [*([p.where] if p.where else []), f"{p.first} - {p.second}", f"{p.difference:.4g}",
-         f"{p.low:.4g} to {p.high:.4g}", f"t({p.df}) = {p.t:.2f}", _p(p.p), f"{p.d_z:.2f}"]
+        [*([p.where] if p.where else []), f"{p.first} − {p.second}", f"{unit * p.difference:.4g}{word}",
+         f"{unit * p.low:.4g} to {unit * p.high:.4g}{word}", f"t({p.df}) = {p.t:.2f}", _p(p.p), f"{p.d_z:.2f}"]
         for p in pairs
     ]  # fmt: skip
     head = ["pair", "difference", f"{100 * (1 - plan.alpha):g} % interval", "paired test", f"p ({plan.correction})",
             "d_z"]  # fmt: skip
-    note = f"Intervals hold all {len(pairs)} differences at once (Bonferroni)."
+    note = f"Intervals hold all {len(pairs)} differences at once (Bonferroni), and are wider than Holm's tests."
     return Block([*(["target"] if pairs[0].where else []), *head], rows, note)
 
 

@@ -84,7 +84,7 @@ ANALYSIS, STIMULI = "analysis", "stimuli"  # folders of what is made of the answ
 _PEOPLE_LOCK = ".participants.lock"
 _NUMBERS = ("onset", "duration", "response_time")  # BIDS itself says that they are numbers
 _IGNORED = (
-    "study.json", "folder.json", "SHA256SUMS", "stimuli/", ".*.lock", "devices.tsv", "devices.json", f"{ANALYSIS}/",
+    "study.json", "folder.json", "SHA256SUMS", "stimuli/", ".*.lock", "devices.tsv", "devices.json", ANALYSIS,
     "*.png",
 )  # fmt: skip
 _README = """Study "{name}", run with forearm_fem {version}.

@@ -16,20 +16,18 @@ import numpy as np
 import pyvista
 
 from ...contents import stand_in
-from ...errors import DataError, MeshError, MissingExtra
-from ...io.seal import BLANK, check_seals, sealed
+from ...errors import MeshError, MissingExtra
 from ...store.folder import atomic_path
 from ...typing import IntArray
 from .abaqus import read_inp
 from .formats import read_exodus, read_febio, read_nastran, read_unv, read_xdmf, text_mesh
 from .tissue_mesh import TissueMesh
 
-_XML, _GMSH = b"<!-- %s -->\n" % BLANK, b"$Comments\n%s\n$EndComments\n" % BLANK
 _REGION, _BOUNDARY = "region {} {}", "boundary {}"
 
 
 def write_mesh(mesh: TissueMesh, path: str | Path) -> None:
-    """Write ``mesh`` to ``path`` (.vtu or .msh) with checksums in comments, all at once or not at all.
+    """Write ``mesh`` to ``path`` (.vtu or .msh), all at once or not at all.
 
     In a .vtu, cell data "region" numbers the tissues, "region <i> <tissue>" and "boundary <name>" mark cells;
     in a .msh (gmsh 2.2, binary) tissues and boundaries ("boundary <name>") are physical groups.
@@ -38,12 +36,6 @@ def write_mesh(mesh: TissueMesh, path: str | Path) -> None:
     writer = _by_ending(file, {".vtu": _write_vtu, ".msh": _write_msh})
     with atomic_path(file) as beside:
         writer(mesh, str(beside))
-        content = beside.read_bytes()
-        if file.suffix == ".msh":  # a blank seal before and after what a reader of the format looks at
-            content = _GMSH + content + _GMSH
-        else:
-            content = content.replace(b"?>\n", b"?>\n" + _XML, 1) + b"\n" + _XML
-        beside.write_bytes(sealed(content))
 
 
 def read_mesh(path: str | Path) -> TissueMesh:
@@ -52,20 +44,11 @@ def read_mesh(path: str | Path) -> TissueMesh:
     reader = _by_ending(file, {".vtu": _from_vtu, ".msh": _from_msh})
     if not file.is_file():
         raise MeshError(f"{file}: no such mesh file; expected one written by write_mesh")
-    check_mesh_seals(file)
     try:
         mesh: TissueMesh = reader(read_quietly(file))
         return mesh
     except (KeyError, IndexError, ValueError) as problem:
         raise MeshError(f"{file}: not a mesh written by this program ({problem}); rebuild it") from None
-
-
-def check_mesh_seals(file: Path) -> None:
-    """Raise :class:`MeshError` where the file holds checksums of ours that its contents do not match."""
-    try:
-        check_seals(file.read_bytes())
-    except (DataError, OSError) as problem:
-        raise MeshError(f"{file}: {problem}") from None
 
 
 def read_quietly(file: Path) -> Any:

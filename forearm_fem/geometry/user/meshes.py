@@ -14,7 +14,7 @@ from ...scenario.limb import MeshLimb
 from ...typing import FloatArray, IntArray
 from ..device.layout import Layout
 from ..limb.prisms import oriented
-from ..mesh.files import check_mesh_seals, read_quietly
+from ..mesh.files import read_quietly
 from ..mesh.formats import volumes_of_gmsh
 from ..mesh.tissue_mesh import TissueMesh
 from .boundary import with_boundaries, without_bone
@@ -39,7 +39,6 @@ def user_mesh(limb: MeshLimb, base: Path, layout: Layout, least: float, *, keep_
     file = base / limb.file
     if not file.is_file():
         raise MeshError(f"{file}: no such mesh file; limb.file is relative to the scenario's folder")
-    check_mesh_seals(file)
     read = read_quietly(file)
     tetrahedra = _tetrahedra(file, read)
     points = np.asarray(read.points, dtype=float) * limb.unit
