@@ -137,13 +137,13 @@ def _labels(file: Path, read: Any, limb: MeshLimb, count: int) -> list[str]:
             return _from_sets(file, read, limb, chosen, count)
     parts = []
     for i in chosen:
-        found = np.asarray(read.cell_data[key][i])
-        if found.dtype.kind not in "iufb" or found.ndim > 2 or found.shape[1:] not in ((), (1,)):
+        stored = np.asarray(read.cell_data[key][i])
+        if stored.dtype.kind not in "iufb" or stored.ndim > 2 or stored.shape[1:] not in ((), (1,)):
             raise MeshError(
-                f"{file}: cell data '{key}' has the shape {found.shape} and type {found.dtype}, expected one number "
+                f"{file}: cell data '{key}' has the shape {stored.shape} and type {stored.dtype}, expected one number "
                 "for each tetrahedron"
             )
-        parts.append(found.reshape(len(found)))
+        parts.append(stored.reshape(len(stored)))
     numbers = np.concatenate(parts)
     if len(numbers) != count:
         raise MeshError(f"{file}: cell data '{key}' has {len(numbers)} entries for {count} tetrahedra; need one each")
@@ -168,16 +168,16 @@ def _recognised(file: Path, read: Any, limb: MeshLimb, chosen: list[int]) -> str
     usual = [k for k in _NUMBERED if k in here]
     for k in usual:  # groups that no volume is in leave the entities
         if any(np.any(v) for v in here[k]) or len(usual) == 1:
-            return k
+            return str(k)
     if usual:
-        return usual[0]
+        return str(usual[0])
     if any(n in limb.regions for n in read.cell_sets):
         return None
     whole = [k for k, parts in here.items() if not k.startswith(("gmsh:", "cell_")) and all(
         v.ndim == 1 and v.dtype.kind in "iub" for v in parts)]  # fmt: skip
     fitting = [k for k in whole if {str(int(n)) for v in here[k] for n in np.unique(v)} <= {*limb.regions}]
     if len(fitting) == 1 or (len(whole) == 1 and not fitting):
-        key = (fitting or whole)[0]
+        key = str((fitting or whole)[0])
         warnings.warn(
             f"{file}: regions are taken from the cell data '{key}'; limb.region_array = '{key}' says so",
             AccuracyWarning, stacklevel=5,
