@@ -272,6 +272,15 @@ def test_too_little_full_scale_is_a_sentence(lab):
         export(prepared, "01", prepared.made("01"), rate=1e3, full_scale=10.0)
 
 
+def test_drives_as_rendered_beyond_the_limits_are_not_handed_over(lab):
+    text = (lab / "pilot.toml").read_text().replace("peak = 0.1", "levels = 'as rendered'")
+    (lab / "pilot.toml").write_text(text)
+    (lab / "flat.toml").write_text((lab / "flat.toml").read_text() + "[rendering]\namplitude = 3.0\n")
+    prepared = Prepared.of(lab / "pilot.toml")
+    with pytest.raises(ScenarioError, match=r"V, the limit is 2\.5 V, lower rendering\.amplitude"):
+        export(prepared, "01", prepared.made("01"), rate=48e3, full_scale=100.0)
+
+
 @pytest.fixture
 def handed(lab):
     """Exported trials of participant 01, as rows, with the study's store and grid."""
