@@ -325,6 +325,8 @@ def test_answers_of_other_programs_become_our_own_table(handed, kind):
     places = {p.name: p.position for p in grid}
     assert table["response_x"].tolist() == [places[r["target"]][0] for r in rows]
     assert set(table["phase"]) == {"training", "main"}
+    assert table["weighted_db"].tolist() == pytest.approx([float(r["weighted_db"]) for r in rows])
+    assert table["drives"].tolist() == [r["drives"] for r in rows]
 
 
 def test_answers_that_do_not_fit_the_plan_are_refused(handed):
@@ -337,6 +339,9 @@ def test_answers_that_do_not_fit_the_plan_are_refused(handed):
     ):  # fmt: skip
         with pytest.raises(DataError, match=words):
             read_answers([_written(lab, [{**rows[0], **change}], "psychopy")], store, grid)
+    other = [{**r, "transfer": "0123456789ab"} if int(r["trial"]) > 50 else r for r in rows]
+    with pytest.raises(DataError, match="participant 01 answered stimuli made from two versions of transfer"):
+        read_answers([_written(lab, other, "psychopy")], store, grid)
     file = _written(lab, rows, "psychopy")
     with pytest.raises(DataError, match="trial 1 of identification by 01 is answered twice"):
         read_answers([file, lab / "twice.csv"], store, grid)
