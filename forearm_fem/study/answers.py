@@ -49,8 +49,8 @@ def read_answers(files: Sequence[Path], store: StudyStore, grid: Sequence[Port])
         if len(made) > len({who for who, _ in made}):
             twice = sorted(who for who, _ in made)
             who = next(a for a, b in pairwise(twice) if a == b)
-            raise DataError(f"participant {who} answered stimuli made from two versions of {name}; leave the answers to "
-                            "one of them out")  # fmt: skip
+            raise DataError(f"participant {who} answered stimuli made from two versions of {name}; leave one version's "
+                            "answers out")  # fmt: skip
     tables = {}
     for task in store.study.tasks:
         rows = [row for (_, name, _), row in found.items() if name == task.name]
