@@ -17,8 +17,8 @@ from test_compare import A
 from forearm_fem.accuracy.estimates import accuracy_verdict
 from forearm_fem.campaign.model import load_campaign
 from forearm_fem.errors import ForearmError, HardwareError, MeshError, ScenarioError
+from forearm_fem.files.recipe import load_recipe
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.io.recipe import load_recipe
 from forearm_fem.measurement.daq import Wiring
 from forearm_fem.measurement.figures import save_live
 from forearm_fem.measurement.play import LONGEST, play

@@ -20,13 +20,13 @@ from ..engines.resources import Ledger
 from ..engines.skin_model import save_skin_model
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
+from ..files.mat import write_thesis_mat
 from ..geometry.build import limb_volume
 from ..geometry.cache import cached_mesh
 from ..geometry.device.place import check_places
 from ..geometry.mesh.files import write_mesh
 from ..geometry.mesh.quality import mesh_quality
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..io.matlab import write_thesis_mat
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering

@@ -13,7 +13,7 @@ from ...engines.tables import kept_tables, tables_reach
 from ...layered.tables import Tabulated
 from ...progress import Progress
 from ...scenario import Scenario
-from ...scenario.frequencies import frequencies
+from ...scenario.sweep import frequencies
 from ...transfer import Compliance
 
 
