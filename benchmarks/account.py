@@ -61,7 +61,7 @@ def child(scenario: Path, out: Path, told: Path) -> None:
                 stream.write(json.dumps([time.time(), stage]) + "\n")
 
         progress("import", 0, 1)
-        from forearm_fem.fem.kernels.heap import freed_memory_kept
+        from forearm_fem.fem.kernels.compiled import freed_memory_kept
         from forearm_fem.pipeline.folder import Run, run_all
         from forearm_fem.scenario import load_scenario
 

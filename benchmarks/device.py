@@ -26,12 +26,12 @@ import psutil
 from bench.isolated import isolated, threads
 from forearm_fem.engines.fem import fem_model, reduction_tolerance
 from forearm_fem.errors import ForearmError
-from forearm_fem.fem.kernels.heap import freed_memory_kept
+from forearm_fem.fem.kernels.compiled import freed_memory_kept
 from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.fem.reduction.sweep import reduced_sweep
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.scenario import load_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 
 PRECISIONS = ["single", "double"]
 RESULTS = Path(__file__).parent / "results"

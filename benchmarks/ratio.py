@@ -18,12 +18,12 @@ import numpy as np
 
 from forearm_fem.engines.fem import fem_model, reduction_tolerance
 from forearm_fem.fem.assembly.model import ForearmModel
-from forearm_fem.fem.kernels.heap import freed_memory_kept
+from forearm_fem.fem.kernels.compiled import freed_memory_kept
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.reduction.sweep import reduced_sweep
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.scenario import Scenario, load_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from thesis import factorisation_seconds
 
 BINS = (25.0, 60.0, 150.0, 240.0, 420.0)

@@ -297,4 +297,3 @@ def prepare(case: Case, folder: Path) -> list[str]:
         (folder / "bad.toml").write_bytes(case.text)
     overrides = [part for item in case.overrides for part in ("--set", item)]
     return [case.command, "bad.toml", *overrides, "--out", "out"]
-

@@ -21,7 +21,7 @@ from forearm_fem.geometry.build import build_mesh
 from forearm_fem.scenario import parse_scenario
 
 # kernels of the assembly, needed before the process is ready; where none is kept they compile what they call
-LEFT_TO_THE_RUN = {"scatter", "triple_products", "sorting"}
+LEFT_TO_THE_RUN = {"scatter"}
 AFTER_THE_KERNELS = """
 import sys
 from numba.core.dispatcher import Dispatcher

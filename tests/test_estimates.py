@@ -17,7 +17,7 @@ from forearm_fem.engines import second_mesh as module
 from forearm_fem.engines.second_mesh import second_mesh
 from forearm_fem.engines.solved import Solved, solve_key
 from forearm_fem.errors import GeometryError, MeshError, SolverError
-from forearm_fem.fem.assembly.terms import term_coefficient
+from forearm_fem.fem.assembly.coefficients import term_coefficient
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.cache import cached_mesh, mesh_key
 from forearm_fem.geometry.device.sizing import element_sizes
@@ -26,7 +26,7 @@ from forearm_fem.pipeline.folder import Run, run_all
 from forearm_fem.pipeline.simulation import simulate, with_device
 from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.supports import FreeUnderside
+from forearm_fem.scenario.elements import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.transfer import Compliance, ErrorEstimate, relative_error, total_error
 from forearm_fem.verification.blocks import block_mesh

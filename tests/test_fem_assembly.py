@@ -16,10 +16,9 @@ from skfem.refdom import RefTet
 from forearm_fem.fem.assembly import boundary
 from forearm_fem.fem.assembly import tissues as assembly
 from forearm_fem.fem.assembly.tissues import reference_tensors, tissue_matrices
-from forearm_fem.fem.kernels.sparse import added, congruent, projected
+from forearm_fem.fem.kernels.matrices import added, congruent, projected
 from forearm_fem.fem.space.constraints import tangents
-from forearm_fem.fem.space.elements import CUBIC_EDGES, CUBIC_FACES, ElementTetP3, tabulate
-from forearm_fem.fem.space.numbering import mixed_space
+from forearm_fem.fem.space.numbering import CUBIC_EDGES, CUBIC_FACES, ElementTetP3, mixed_space, tabulate
 from forearm_fem.verification.blocks import block_mesh
 
 SAME = 1e-13  # both sum the same numbers in double precision, in another order

@@ -12,7 +12,7 @@ from forearm_fem.errors import SolverError
 from forearm_fem.fem.assembly.coefficients import Polynomial
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.reduction.basis import Basis
-from forearm_fem.fem.reduction.bounds import ResidualBound, sharp_modes
+from forearm_fem.fem.reduction.certificate import ResidualBound, sharp_modes
 from forearm_fem.fem.reduction.expansion import expansion_rate
 from forearm_fem.fem.reduction.poles import pole_residue
 from forearm_fem.fem.reduction.reduced_model import ReducedModel, condensed, empty_model, with_last_columns

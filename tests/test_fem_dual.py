@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from forearm_fem.fem.linear.direct import make_solver, watched
-from forearm_fem.fem.reduction.bounds import ResidualBound
-from forearm_fem.fem.reduction.certificate import DOUBTFUL, error_at
-from forearm_fem.fem.reduction.dual import DualEstimate, dual_estimate
+from forearm_fem.fem.reduction.certificate import DOUBTFUL, DualEstimate, ResidualBound, dual_estimate, error_at
 from forearm_fem.fem.reduction.expansion import Expander, expansion_rate
 from forearm_fem.fem.reduction.rate_space import RateSpace
 from forearm_fem.fem.reduction.reduced_model import empty_model, with_last_columns

@@ -14,13 +14,11 @@ from forearm_fem.fem.assembly.coefficients import rate_weights
 from forearm_fem.fem.assembly.operator import WeightedSum
 from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.direct import make_solver
-from forearm_fem.fem.linear.factor import CautiousFactor, make_factor, refined_solve
+from forearm_fem.fem.linear.factor import CautiousFactor, make_factor, nested_dissection, refined_solve
 from forearm_fem.fem.linear.multifrontal import blas, panels
-from forearm_fem.fem.linear.multifrontal.elimination import passing_store
-from forearm_fem.fem.linear.multifrontal.factor import MultifrontalFactor, scales
-from forearm_fem.fem.linear.multifrontal.parts import divided
-from forearm_fem.fem.linear.multifrontal.supernodes import symbolic_factor
-from forearm_fem.fem.linear.ordering import nested_dissection
+from forearm_fem.fem.linear.multifrontal.factor import MultifrontalFactor, passing_store, scales
+from forearm_fem.fem.linear.multifrontal.fronts import divided
+from forearm_fem.fem.linear.multifrontal.symbolic import symbolic_factor
 from forearm_fem.fem.linear.pardiso import PardisoFactor, mkl_library
 from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.verification.scenes import flesh, held_block

@@ -10,8 +10,7 @@ from forearm_fem.fem.assembly.coefficients import rate_weights
 from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.linear.direct import ENOUGH, DirectSolver, make_solver, watched
 from forearm_fem.fem.reduction.expansion import ROUNDED, expansion_rate
-from forearm_fem.fem.reduction.many_loads import LoadSpace
-from forearm_fem.fem.reduction.rate_space import Chunk, RateSpace
+from forearm_fem.fem.reduction.rate_space import Chunk, LoadSpace, RateSpace
 from forearm_fem.fem.reduction.reduced_model import empty_model, with_last_columns
 from forearm_fem.fem.reduction.sweep import direct_sweep, reduced_sweep
 from forearm_fem.scenario.sweep import ReducedSolve

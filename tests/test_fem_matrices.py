@@ -14,7 +14,7 @@ from forearm_fem.fem.assembly import tissues as assembly
 from forearm_fem.fem.assembly.coefficients import Polynomial
 from forearm_fem.fem.assembly.operator import affine_operator
 from forearm_fem.fem.kernels import matrices as kept
-from forearm_fem.fem.kernels import sparse
+from forearm_fem.fem.kernels import matrices as sparse
 from forearm_fem.fem.kernels.matrices import SymmetricMatrices
 from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.reduction import basis as bases
@@ -22,7 +22,7 @@ from forearm_fem.fem.reduction.sweep import reduced_sweep
 from forearm_fem.scenario.sweep import ReducedSolve
 from forearm_fem.verification.scenes import flesh, held_block
 
-COMPILED = kept.compiled("kernels.sparse_times_few") is not None
+COMPILED = kept.compiled("kernels.products") is not None
 needs_numba = pytest.mark.skipif(not COMPILED, reason="numba is not installed")
 
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.sparse import csc_array, csr_array
 
 from forearm_fem.fem.kernels.compiled import compiled
-from forearm_fem.fem.linear import ordering
-from forearm_fem.fem.linear.ordering import alike, nested_dissection
+from forearm_fem.fem.linear import factor as ordering
+from forearm_fem.fem.linear.factor import alike, nested_dissection
 from forearm_fem.fem.linear.pardiso import PardisoFactor
 from forearm_fem.verification.scenes import flesh, held_block
 
@@ -41,7 +41,7 @@ def test_unknowns_of_one_node_are_those_with_the_same_neighbours(upper):
     assert node.max() + 1 < 0.7 * len(node)
 
 
-@pytest.mark.skipif(compiled("kernels.triple_products") is None, reason="numba is not installed, and scipy drops zeros")
+@pytest.mark.skipif(compiled("kernels.scatter") is None, reason="numba is not installed, and scipy drops zeros")
 def test_zeros_do_not_part_the_unknowns_of_a_node(model, upper):
     """On a regular block many entries are exactly zero; without them METIS would have twice as many nodes to order."""
     columns = csc_array(model.constraints.transform)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array, eye_array
 from slabs import Slab
 
-from forearm_fem.fem.assembly.loads import edge_middles
+from forearm_fem.fem.assembly.boundary import edge_middles
 from forearm_fem.fem.assembly.tissues import constrained_matrices, reference_tensors, tissue_matrices
-from forearm_fem.fem.space.elements import tabulate
+from forearm_fem.fem.space.numbering import tabulate
 from forearm_fem.fem.space.orders import Orders, graded_orders, uniform_orders
 from forearm_fem.geometry.device.contacts import facet_area
 from forearm_fem.geometry.device.neighbourhood import DEPTH, REACH, tetrahedron_orders, tissue_depths, usual_edge

@@ -11,8 +11,8 @@ from threadpoolctl import threadpool_limits
 from forearm_fem.errors import SolverError
 from forearm_fem.fem.assembly.coefficients import Polynomial
 from forearm_fem.fem.assembly.operator import affine_operator
-from forearm_fem.fem.kernels.symmetric import SymmetricMatrix
-from forearm_fem.fem.kernels.threads import thread_count
+from forearm_fem.fem.kernels.compiled import thread_count
+from forearm_fem.fem.kernels.matrices import SymmetricMatrix
 from forearm_fem.fem.linear import factor as factors
 from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.linear.factor import SuperLUFactor, make_factor, refined_solve

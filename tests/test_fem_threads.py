@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg  # noqa: F401  (it brings a BLAS, as NumPy does)
 from threadpoolctl import ThreadpoolController, threadpool_info, threadpool_limits
 
-from forearm_fem.fem.kernels import threads
+from forearm_fem.fem.kernels import compiled as threads
 
 
 def blas_threads() -> list[int]:

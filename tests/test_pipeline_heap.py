@@ -9,7 +9,7 @@ import numpy as np
 import psutil
 import pytest
 
-from forearm_fem.fem.kernels.heap import freed_memory_kept, give_back
+from forearm_fem.fem.kernels.compiled import freed_memory_kept, give_back
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library than glibc")

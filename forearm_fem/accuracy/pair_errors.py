@@ -13,8 +13,8 @@ from ..typing import FloatArray
 def raised_to_row_column_mean(change: FloatArray) -> FloatArray:
     """``change`` (n, n_out, n_in), each entry raised to (row rms x column rms / total rms).
 
-    A reduced model errs by the product of what the states of two ports lack (:mod:`..fem.reduction.bounds`), so a pair
-    that changes less than that does so by chance. Nothing is raised beyond the largest of all.
+    A reduced model errs by the product of what the states of two ports lack (:mod:`..fem.reduction.certificate`),
+    so a pair that changes less than that does so by chance. Nothing is raised beyond the largest of all.
     """
     square = change**2
     rows, columns, all_of_it = (square.mean(axis=axes, keepdims=True) for axes in (2, 1, (1, 2)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..fem.assembly.coefficients import Polynomial
 from ..fem.assembly.model import ForearmModel, build_model
-from ..fem.kernels.heap import give_back
+from ..fem.kernels.compiled import give_back
 from ..fem.linear import pardiso
 from ..fem.reduction.compile_ahead import finish_compiling
 from ..fem.reduction.expansion import Snapshots, starts_from_rate
@@ -19,7 +19,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario
-from ..scenario.supports import Supports
+from ..scenario.elements import Supports
 from ..scenario.sweep import ReducedSolve
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, refuse_non_finite

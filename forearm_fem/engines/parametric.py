@@ -15,22 +15,20 @@ from .. import __version__
 from ..accuracy.pair_errors import PairErrors, raised_to_row_column_mean
 from ..errors import ReductionError, ScenarioError
 from ..fem.assembly.model import readings
-from ..fem.kernels.heap import freed_memory_kept
+from ..fem.kernels.compiled import freed_memory_kept
 from ..fem.reduction.basis import Basis
-from ..fem.reduction.growing import TrialSolve
-from ..fem.reduction.quick import Summed
-from ..fem.reduction.rational import chebyshev_frequencies, rational
+from ..fem.reduction.parametric_greedy import Growth, Piece, TrialSolve, piece_at, united_model
+from ..fem.reduction.per_query_basis import FIRST, Summed, spanned
+from ..fem.reduction.poles import chebyshev_frequencies, rational
 from ..fem.reduction.reduced_model import ReducedModel
-from ..fem.reduction.spanned import FIRST, spanned
-from ..fem.reduction.united import Growth, Piece, piece_at, united_model
 from ..geometry.cache import cached_mesh
 from ..geometry.device.grid_places import GridPlaces, grid_places
 from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
-from ..scenario.frequencies import frequencies
 from ..scenario.limb import tissue_keys
+from ..scenario.sweep import frequencies
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of

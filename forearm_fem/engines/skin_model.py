@@ -13,15 +13,14 @@ import numpy as np
 from ..arguments import checked
 from ..device import close_loop
 from ..errors import AccuracyWarning, DataError, ReductionError, ScenarioError
-from ..fem.assembly.coefficients import Coefficient
-from ..fem.assembly.terms import term_coefficient
+from ..fem.assembly.coefficients import Coefficient, term_coefficient
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.poles import PoleResidue, pole_residue
 from ..fem.reduction.reduced_model import ReducedModel
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
-from ..scenario.frequencies import frequencies
 from ..scenario.load import read_overrides
+from ..scenario.sweep import frequencies
 from ..store.record import dims, load, save
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix

@@ -14,8 +14,8 @@ from scipy.sparse import csr_array, eye_array, kron, vstack
 
 from .. import __version__
 from ..errors import ForearmError
-from ..fem.assembly.loads import edge_middles
-from ..fem.kernels.heap import freed_memory_kept
+from ..fem.assembly.boundary import edge_middles
+from ..fem.kernels.compiled import freed_memory_kept
 from ..fem.reduction.basis import Basis
 from ..fem.reduction.expansion import Expansion
 from ..fem.reduction.rate_space import Chunk, Pairs

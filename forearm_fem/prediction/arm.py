@@ -16,7 +16,7 @@ from ..engines.arm_meshes import ArmMeshes, arm_meshes
 from ..engines.layered import flat_disc, flat_layers, flat_ports, flat_surface
 from ..engines.parametric import ParametricModel, parametric_model, reciprocal
 from ..errors import ForearmError
-from ..fem.reduction.rational import chebyshev_frequencies
+from ..fem.reduction.poles import chebyshev_frequencies
 from ..layered import layered_compliance
 from ..metrics import smooth_noise
 from ..progress import Progress, within

@@ -14,7 +14,7 @@ from typing import Any
 from .. import __version__
 from ..device import close_loop
 from ..errors import AccuracyWarning, ForearmError, ScenarioError
-from ..fem.kernels.heap import freed_memory_kept
+from ..fem.kernels.compiled import freed_memory_kept
 from ..geometry.device.layout import planform_ports
 from ..pipeline.samples import check_samples
 from ..pipeline.simulation import simulate
@@ -24,8 +24,8 @@ from ..rendering.interval import StrengthAccount
 from ..rendering.job import RenderJob, check_servable, wavelet
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
-from ..scenario.contents import contents, named_files
-from ..scenario.frequencies import frequencies
+from ..scenario.shipped import contents, named_files
+from ..scenario.sweep import frequencies
 from ..store.folder import check_kind, set_kind
 from ..store.record import save
 from ..store.shelf import WORK, Shelf

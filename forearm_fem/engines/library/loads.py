@@ -12,8 +12,7 @@ from skfem.refdom import RefTri
 
 from ...errors import MeshError
 from ...fem.assembly.model import ForearmModel
-from ...fem.space.elements import tabulate
-from ...fem.space.numbering import MixedSpace, facet_points
+from ...fem.space.numbering import MixedSpace, facet_points, tabulate
 from ...geometry.mesh.curved import bent_places
 from ...typing import FloatArray, IntArray
 from .skin import FlatSkin

@@ -14,17 +14,17 @@ from scipy.sparse import csr_array
 from ...errors import SolverError
 from ...fem.assembly.coefficients import Polynomial, is_polynomial
 from ...fem.assembly.model import ForearmModel
-from ...fem.kernels.heap import freed_memory_kept
+from ...fem.kernels.compiled import freed_memory_kept
 from ...fem.linear.direct import make_solver
 from ...fem.reduction.basis import Basis
 from ...fem.reduction.expansion import expansion_rate
-from ...fem.reduction.many_loads import LoadSpace
 from ...fem.reduction.poles import pole_residue
+from ...fem.reduction.rate_space import LoadSpace
 from ...fem.reduction.reduced_model import ReducedModel, empty_model, with_columns
 from ...geometry.cache import cached_mesh
 from ...progress import Progress, tell, within
 from ...scenario import Scenario
-from ...scenario.frequencies import frequencies
+from ...scenario.sweep import frequencies
 from ...store.record import dims
 from ...store.shelf import Shelf
 from ...store.text import digest_of

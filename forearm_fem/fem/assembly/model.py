@@ -15,19 +15,27 @@ from scipy.sparse import block_array, csc_array, csr_array, vstack
 from ...errors import GeometryError
 from ...geometry.mesh.tissue_mesh import TissueMesh
 from ...ports import Port
-from ...scenario.supports import Supports
+from ...scenario.elements import Supports
 from ...scenario.tissues import Membrane, Patch
 from ...tissue import Tissue
 from ...typing import FloatArray, IntArray
-from ..kernels.sparse import added, congruent
+from ..kernels.matrices import added, congruent
 from ..space.constraints import LinearConstraints, RigidDisc, constraints
 from ..space.numbering import MixedSpace
 from ..space.orders import Orders, element_orders
-from .boundary import covered_area, facet_gradients, facet_mass, facet_membrane, resting_nodes, rests, under_rectangle
-from .coefficients import Coefficient, is_polynomial
-from .loads import force_share, port_functional
+from .boundary import (
+    covered_area,
+    facet_gradients,
+    facet_mass,
+    facet_membrane,
+    force_share,
+    port_functional,
+    resting_nodes,
+    rests,
+    under_rectangle,
+)
+from .coefficients import Coefficient, is_polynomial, term_coefficient
 from .operator import AffineOperator, affine_operator
-from .terms import term_coefficient
 from .tissues import TissueMatrices, constrained_matrices
 
 _NO_PATCH = Patch()

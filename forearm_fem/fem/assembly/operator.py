@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array, triu
 
 from ...typing import ComplexArray, FloatArray, IntArray
-from ..kernels.compiled import compiled
-from ..kernels.matrices import SymmetricMatrices
-from ..kernels.sparse import stacked
-from ..kernels.symmetric import SymmetricMatrix
-from ..kernels.threads import in_threads
+from ..kernels.compiled import compiled, in_threads
+from ..kernels.matrices import SymmetricMatrices, SymmetricMatrix, stacked
 from .coefficients import Coefficient
 
 
@@ -70,7 +67,7 @@ class AffineOperator:
     def combine(self, weights: Sequence[complex]) -> NDArray[Any]:
         """Upper-triangle values of a weighted sum of the terms, real where all weights are."""
         factors = np.array(weights)
-        data, patterns = np.zeros(len(self.indices), dtype=factors.dtype), compiled("kernels.triple_products")
+        data, patterns = np.zeros(len(self.indices), dtype=factors.dtype), compiled("kernels.scatter")
         for term, weight in zip(self.terms, factors, strict=True):
             if patterns is None:
                 data[term.positions] += weight * term.values
@@ -123,7 +120,7 @@ def affine_operator(
     """Put real symmetric matrices (full, equal shape) on one upper-triangle pattern, the diagonal included."""
     uppers = in_threads(_sorted_upper, [matrix for _, matrix, _ in matrices])
     eye = csr_array(eye_array(uppers[0].shape[0], format="csr"))
-    if (patterns := compiled("kernels.triple_products")) is None:
+    if (patterns := compiled("kernels.scatter")) is None:
         pattern = eye
         for upper in uppers:
             ones = csr_array((np.ones(upper.nnz), upper.indices, upper.indptr), shape=upper.shape)
@@ -143,7 +140,7 @@ def affine_operator(
 
 
 def _sorted_upper(matrix: csr_array) -> csr_array:
-    if (patterns := compiled("kernels.triple_products")) is not None:
+    if (patterns := compiled("kernels.scatter")) is not None:
         start, columns, values = patterns.sorted_upper(matrix.indptr, matrix.indices, matrix.data)
         return csr_array((values, columns, start), shape=matrix.shape)
     upper = csr_array(triu(matrix, format="csr"))

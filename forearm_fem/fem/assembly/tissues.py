@@ -18,9 +18,8 @@ from skfem.refdom import RefTet
 
 from ...typing import BoolArray, FloatArray, IntArray
 from ..kernels.compiled import compiled
-from ..kernels.sparse import added, congruent, projected
-from ..space.elements import tabulate
-from ..space.numbering import MixedSpace
+from ..kernels.matrices import added, congruent, projected
+from ..space.numbering import MixedSpace, tabulate
 from ..space.orders import Orders
 
 _MORE = 2  # degrees of the rule for bent tetrahedra beyond what is exact where edges are straight

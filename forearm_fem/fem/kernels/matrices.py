@@ -1,19 +1,97 @@
-"""Real symmetric matrices of one size that are multiplied with the same columns, all in one pass over the rows."""
+"""Sparse symmetric matrices of one pattern: upper triangles, sums, products with few vectors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
 
 from ...typing import ComplexArray, FloatArray, IntArray
-from .compiled import compiled
-from .threads import in_threads, thread_count
+from .compiled import compiled, in_threads, thread_count
+
+# Symmetric sparse matrices kept as half of themselves, and their product with columns on all cores.
+
+
+@dataclass(frozen=True)
+class SymmetricMatrix:
+    """A = H + H^T (not Hermitian), where ``half`` is the upper triangle with half of the diagonal."""
+
+    half: csr_array
+
+    @classmethod
+    def from_upper(cls, upper: csr_array) -> SymmetricMatrix:
+        """The symmetric matrix with this upper triangle, diagonal included."""
+        row = np.repeat(np.arange(upper.shape[0]), np.diff(upper.indptr))
+        data = np.where(upper.indices == row, upper.data / 2, upper.data)
+        return cls(csr_array((data, upper.indices, upper.indptr), shape=upper.shape))
+
+    @cached_property
+    def _transposed(self) -> csc_array:
+        return csc_array(self.half.T)
+
+    def product(self, x: NDArray[Any]) -> NDArray[Any]:
+        """A x for columns ``x`` (n, k), the two halves in a thread each, as scipy's sums run without Python's lock."""
+        with ThreadPoolExecutor(1) as pool:
+            below = pool.submit(self._transposed.__matmul__, x)
+            total = self.half @ x
+            total += below.result()
+        return np.asarray(total)
+
+
+# Sums and congruences of sparse matrices, columns ascending and zeros kept, in compiled code or by scipy.
+# Zeros matter: nodes whose three unknowns do not have the same neighbours make the ordering slower, and scipy drops
+# what is zero in a sum.
+
+
+def added(matrices: Sequence[csr_array]) -> csr_array:
+    """Sum of matrices (n, m) with ascending columns; without compiled code zeros are dropped."""
+    patterns: Any = compiled("kernels.scatter")
+    if patterns is None:
+        return csr_array(sum(matrices))
+    indptr, indices, places = patterns.merged(*stacked(matrices))
+    values = np.bincount(places, np.concatenate([m.data for m in matrices]), len(indices))
+    return csr_array((values, indices, indptr), shape=matrices[0].shape)
+
+
+def stacked(matrices: Sequence[csr_array]) -> tuple[IntArray, IntArray]:
+    """Row starts (n_matrix, n_row + 1) of all matrices in their columns, one matrix after the other."""
+    ends = np.cumsum([0, *(m.nnz for m in matrices)])
+    starts = np.array([m.indptr + end for m, end in zip(matrices, ends[:-1], strict=True)], dtype=np.int64)
+    return starts, np.concatenate([m.indices for m in matrices])
+
+
+def _rows(kind: Callable[..., Any], matrix: csr_array) -> Any:
+    """Row starts, columns and values of one type each, so that kernels are compiled once."""
+    return kind(matrix.indptr.astype(np.int64, copy=False), matrix.indices.astype(np.int32, copy=False), matrix.data)
+
+
+def congruent(matrix: csr_array, transform: csr_array) -> csr_array:
+    """T' A T (m, m) of a symmetric matrix (n, n) and ``transform`` (n, m)."""
+    return _transposed_product(csr_array(transform.T), matrix, transform)
+
+
+def projected(left: csr_array, matrix: csr_array, right: csr_array) -> csr_array:
+    """L' A R of any matrix."""
+    return _transposed_product(csr_array(right.T), csr_array(matrix.T), left)
+
+
+def _transposed_product(a: csr_array, b: csr_array, c: csr_array) -> csr_array:
+    patterns: Any = compiled("kernels.scatter")
+    if patterns is None:
+        return csr_array((a @ b @ c).T)
+    shape = (c.shape[1], a.shape[0])
+    parts = [_rows(patterns.Sparse, m) for m in (a, b, c)]
+    found = patterns.transposed_product(*parts, shape[0])
+    return csr_array((found.data, found.indices, found.indptr), shape=shape)
+
+
+# Real symmetric matrices of one size that are multiplied with the same columns, all in one pass over the rows.
 
 _LANES = 8  # doubles that a row needs at least
 _PIECES = 4  # for each thread, of as much work
@@ -70,7 +148,7 @@ class SymmetricMatrices:
         Raises ValueError for another n, beyond which compiled code would read.
         """
         self._check(x)
-        kernels, k = compiled("kernels.sparse_times_few"), x.shape[1]
+        kernels, k = compiled("kernels.products"), x.shape[1]
         if kernels is None:
             return lambda t, rows: np.asarray(self.one(t)[rows] @ x)
         wide = _wide(x)
@@ -89,7 +167,7 @@ class SymmetricMatrices:
         Raises ValueError for other shapes, beyond which compiled code would read.
         """
         self._check(columns[0], *(x for x in columns if x.shape != columns[0].shape))
-        kernels, k = compiled("kernels.sparse_times_few"), columns[0].shape[1]
+        kernels, k = compiled("kernels.products"), columns[0].shape[1]
         if kernels is None:
             used = [(t, j) for j, t in np.argwhere(weights)]
             return np.asarray(sum((weights[j, t] * (self.one(t) @ columns[j]) for t, j in used), np.zeros((self.n, k))))
@@ -109,7 +187,7 @@ class SymmetricMatrices:
         Raises ValueError for other shapes, beyond which compiled code would read and write.
         """
         self._check(x, *(total for total in totals if total.shape != x.shape))
-        kernels, k = compiled("kernels.sparse_times_few"), x.shape[1]
+        kernels, k = compiled("kernels.products"), x.shape[1]
         if kernels is None or not all(total.flags.c_contiguous for total in totals):
             return self._added_by_scipy(totals, weights, x)
         pairs = _wide(np.ascontiguousarray(x).view(float))
@@ -168,7 +246,7 @@ def _rows_of(upper: csr_array) -> IntArray:
 
 def _whole(upper: csr_array) -> tuple[IntArray, IntArray, FloatArray]:
     """Row starts, columns and values of the symmetric matrix with this upper triangle."""
-    if (kernels := compiled("kernels.sparse_times_few")) is not None:
+    if (kernels := compiled("kernels.products")) is not None:
         start, columns, values = kernels.mirrored(upper.indptr, upper.indices, upper.data)
         return start, columns, values
     diagonal = csr_array((upper.diagonal(), (np.arange(len(upper.indptr) - 1),) * 2), shape=upper.shape)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ...typing import ComplexArray, FloatArray, IntArray
-from ..kernels.compiled import compiled
-from ..kernels.threads import in_threads, thread_count
+from ..kernels.compiled import compiled, in_threads, thread_count
 
 Columns = NDArray[np.floating[Any]]  # in single or double precision
 _PIECE = 512  # rows at a time: what is worked out with them stays in the cache
@@ -116,13 +115,13 @@ class Basis:
 
 def _padded(width: int) -> int:
     """Columns (of sums) that compiled code takes for so many, all zero beyond."""
-    kernels = compiled("kernels.skinny_products")
+    kernels = compiled("kernels.products")
     return width if kernels is None or width > _FEW else -(-width // kernels.PAIR) * kernels.PAIR
 
 
 def _add_inner(block: Columns, found: Sequence[tuple[int, FloatArray]], totals: FloatArray) -> None:
     """Add block^T y to ``totals[t]`` for each (t, y) that was ``found``."""
-    kernels = compiled("kernels.skinny_products") if totals.shape[2] <= _FEW else None
+    kernels = compiled("kernels.products") if totals.shape[2] <= _FEW else None
     whole = block if kernels is not None else block.astype(float, copy=False)
     for t, y in found:
         if kernels is not None:
@@ -133,7 +132,7 @@ def _add_inner(block: Columns, found: Sequence[tuple[int, FloatArray]], totals: 
 
 def _add_combination(block: Columns, factors: FloatArray, total: FloatArray) -> None:
     """Add block factors to ``total`` (m, k); ``factors`` may have more columns, which are zero."""
-    kernels = compiled("kernels.skinny_products") if factors.shape[1] <= _FEW else None
+    kernels = compiled("kernels.products") if factors.shape[1] <= _FEW else None
     if kernels is not None:
         kernels.add_combination(block, factors, total)
     else:

@@ -15,11 +15,20 @@ from ...scenario.sweep import ReducedSolve
 from ...typing import ComplexArray, FloatArray
 from ..assembly.coefficients import is_polynomial
 from ..assembly.model import ForearmModel
-from ..kernels.heap import give_back
+from ..kernels.compiled import give_back
 from ..linear.direct import DirectSolver, make_solver, watched
-from .bounds import ResidualBound, sharp_modes
-from .certificate import DOUBTFUL, Certificate, Doubt, certified, doubt, largest_change, most_doubtful_bin
-from .dual import dual_estimate
+from .certificate import (
+    DOUBTFUL,
+    Certificate,
+    Doubt,
+    ResidualBound,
+    certified,
+    doubt,
+    dual_estimate,
+    largest_change,
+    most_doubtful_bin,
+    sharp_modes,
+)
 from .poles import pole_residue
 from .rate_space import Chunk, RateSpace
 from .reduced_model import ReducedModel, compressible, empty_model, extend, with_last_columns

@@ -15,8 +15,7 @@ from ...geometry.device.neighbourhood import tetrahedron_orders
 from ...geometry.mesh.tissue_mesh import TissueMesh
 from ...ports import Port
 from ...typing import BoolArray, FloatArray, IntArray
-from .elements import CUBIC_EDGES, CUBIC_FACES, element_pair
-from .numbering import MixedSpace, mixed_space
+from .numbering import CUBIC_EDGES, CUBIC_FACES, MixedSpace, element_pair, mixed_space
 
 _ENDS, _CORNERS = np.array(CUBIC_EDGES), np.array(CUBIC_FACES)
 _SIDES = np.array([[CUBIC_EDGES.index(e) for e in ((a, b), (b, c), (a, c))] for a, b, c in CUBIC_FACES])

@@ -1,10 +1,10 @@
-"""The multifrontal factorisation behind the interface of direct solvers."""
+"""Multifrontal LDL^T of a complex or real symmetric matrix in single precision: numeric factorisation and solves."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +12,180 @@ from scipy.sparse import csr_array
 
 from ....errors import SolverError
 from ....typing import ComplexArray, FloatArray, IntArray
-from ...kernels.heap import give_back
+from ...kernels.compiled import give_back, in_threads, thread_count
 from ...kernels.jit import kernel
-from ...kernels.threads import in_threads, thread_count
 from .blas import BLOCK, arguments
-from .elimination import eliminate_part, passing_store, pivot_products
-from .fronts import FrontStore, Scratch, block_entries, factorise_part, scratch_entries
-from .parts import ThreadPart, divided
-from .substitution import LANES, Local, backward, forward, put_back, take_in
-from .supernodes import Symbolic, symbolic_factor
+from .fronts import (
+    FrontStore,
+    Parts,
+    Scratch,
+    ThreadPart,
+    block_entries,
+    divided,
+    factorise_front,
+    factorise_part,
+    scratch_entries,
+)
+from .panels import subtract_panel, subtract_panel_transposed
+from .symbolic import Entries, Fronts, Symbolic, symbolic_factor
+
+# Forward and backward substitution with the factors of :mod:`.fronts`, for many right-hand sides at once.
+# Right-hand sides are (n, count) by rows, with zeros up to a multiple of eight: a supernode's own are next to each
+# other.
+
+LANES = 8  # numbers in a vector
+
+
+class Local(NamedTuple):
+    """Right-hand sides (rows, count) below one supernode, and those of one block of pivots."""
+
+    below: NDArray[Any]
+    block: NDArray[Any]
+
+
+@kernel
+def take_in(right: NDArray[Any], order: IntArray, scale: FloatArray, x: NDArray[Any], begin: int, end: int) -> None:
+    """Rows of ``right`` (n, count) in the order of elimination, scaled, to rows ``begin`` to ``end`` of ``x``, whose
+    further columns become zero."""
+    count = right.shape[1]
+    for i in range(begin, end):
+        for c in range(count):
+            x[i, c] = right[order[i], c] * scale[i]
+        x[i, count:] = 0
+
+
+@kernel
+def put_back(x: NDArray[Any], order: IntArray, scale: FloatArray, right: NDArray[Any], begin: int, end: int) -> None:
+    """Rows ``begin`` to ``end`` of ``x`` back in the usual order to ``right`` (n, count), scaled."""
+    for i in range(begin, end):
+        for c in range(right.shape[1]):
+            right[order[i], c] = x[i, c] * scale[i]
+
+
+@kernel
+def forward(
+    part: ThreadPart, fronts: Fronts, store: FrontStore, owner: NDArray[np.int32], x: NDArray[Any],
+    others: NDArray[Any], local: Local, some: tuple[int, int],
+) -> None:  # fmt: skip
+    """L x = b for a part's columns; what it gives to unknowns of other parts is added to ``others`` (n, count).
+
+    Right-hand sides from ``some[0]`` up to ``some[1]``, multiples of eight.
+    """
+    for s in part.supernodes:
+        forward_front(s, part.number, fronts, store, owner, x, others, local, some)
+
+
+@kernel
+def forward_front(
+    s: int, number: int, fronts: Fronts, store: FrontStore, owner: NDArray[np.int32], x: NDArray[Any],
+    others: NDArray[Any], local: Local, some: tuple[int, int],
+) -> None:  # fmt: skip
+    """The same for the columns of supernode ``s`` of part ``number``."""
+    bytes_ = x.itemsize
+    row, skipped, width = bytes_ * x.shape[1], bytes_ * some[0], bytes_ * (some[1] - some[0])
+    below = local.below.ctypes.data + skipped
+    k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
+    size, panel = k + m, store.panels.ctypes.data + bytes_ * store.start[s]
+    own = x.ctypes.data + row * fronts.first[s] + skipped
+    local.below[:m, some[0] : some[1]] = 0
+    for j in range(0, k, BLOCK):
+        e, column = min(j + BLOCK, k), panel + bytes_ * j * size
+        left = column + bytes_ * e
+        subtract_panel(bytes_, k - e, e - j, left, bytes_ * size, own + row * j, own + row * e, row, width)
+        subtract_panel(bytes_, m, e - j, column + bytes_ * k, bytes_ * size, own + row * j, below, row, width)
+    for i in range(m):
+        to = fronts.rows[fronts.below[s] + i]
+        target = x if owner[to] == number else others
+        for c in range(some[0], some[1]):
+            target[to, c] += local.below[i, c]
+
+
+@kernel
+def backward(
+    part: ThreadPart, fronts: Fronts, store: FrontStore, x: NDArray[Any], local: Local, some: tuple[int, int]
+) -> None:
+    """D L^T x = b for a part's columns, those above them known; see :func:`forward`."""
+    bytes_ = x.itemsize
+    row, skipped, width = bytes_ * x.shape[1], bytes_ * some[0], bytes_ * (some[1] - some[0])
+    below, block = local.below.ctypes.data + skipped, local.block.ctypes.data + skipped
+    for s in part.supernodes[::-1]:
+        k, m = fronts.first[s + 1] - fronts.first[s], fronts.below[s + 1] - fronts.below[s]
+        first, size, panel = fronts.first[s], k + m, store.panels.ctypes.data + bytes_ * store.start[s]
+        own = x.ctypes.data + row * first + skipped
+        for i in range(m):
+            above = fronts.rows[fronts.below[s] + i]
+            for c in range(some[0], some[1]):  # written out: slices of arrays take numba seconds more to compile
+                local.below[i, c] = x[above, c]
+        inverse = store.inverses.ctypes.data + bytes_ * store.block[s + 1]
+        for j in range((k - 1) // BLOCK * BLOCK, -1, -BLOCK):
+            e, column = min(j + BLOCK, k), panel + bytes_ * j * size
+            pivots, target = e - j, own + row * j
+            inverse -= bytes_ * pivots * pivots
+            for i in range(pivots):
+                for c in range(some[0], some[1]):
+                    local.block[i, c] = -x[first + j + i, c]
+                    x[first + j + i, c] = 0
+            left = column + bytes_ * e
+            subtract_panel(bytes_, pivots, pivots, inverse, bytes_ * pivots, block, target, row, width)
+            subtract_panel_transposed(bytes_, k - e, pivots, left, bytes_ * size, own + row * e, target, row, width)
+            subtract_panel_transposed(bytes_, m, pivots, column + bytes_ * k, bytes_ * size, below, target, row, width)
+
+
+# Right-hand sides carried along while fronts are eliminated, whose factors are then given up.
+# A = L D L^T is symmetric, so B^T A^-1 B = Y^T D^-1 Y with L Y = B: compliances at the loads need no substitution
+# backwards, and each front's part of L is needed only until B has passed it. Fronts of a part take turns in one panel.
+
+
+def passing_store(symbolic: Symbolic, parts: Parts, number: type[np.complex64] | type[np.float32]) -> FrontStore:
+    """Room for the largest panel of each part, where all its fronts begin, and for the inverted blocks of all."""
+    panels, start, end = symbolic.panel_entries, np.zeros(len(symbolic.parent), np.int64), 0
+    for part in (*parts.subtrees, parts.top):
+        start[part.supernodes] = end
+        end += int(panels[part.supernodes].max(initial=0))
+    blocks = block_entries(symbolic.columns)
+    places = np.concatenate([[0], np.cumsum(blocks)])
+    return FrontStore(np.empty(end, number), start, np.empty(blocks.sum(), number), places)
+
+
+@kernel
+def eliminate_part(
+    part: ThreadPart, fronts: Fronts, entries: Entries, data: Any, scale: FloatArray, store: FrontStore,
+    remainder: IntArray, stack: NDArray[Any], scratch: Scratch, owner: NDArray[np.int32], x: NDArray[Any],
+    others: NDArray[Any], local: Local,
+) -> int:  # fmt: skip
+    """Eliminate a part's fronts (:func:`.fronts.factorise_part`) and L Y = B for ``x`` (:func:`.substitution.forward`).
+
+    Returns how many blocks were singular.
+    """
+    singular, free = 0, part.begin
+    for s in part.supernodes:
+        bad, free = factorise_front(s, part.begin, free, fronts, entries, data, scale, store, remainder, stack, scratch)
+        forward_front(s, part.number, fronts, store, owner, x, others, local, (0, x.shape[1]))
+        singular += bad
+    return singular
+
+
+@kernel
+def pivot_products(fronts: Fronts, store: FrontStore, x: NDArray[Any], block: NDArray[Any]) -> ComplexArray:
+    """Y^T D^-1 Y (k, k) of ``x`` (n, k), which is Y, summed in double precision; ``block`` is room for 64 rows."""
+    bytes_, count = x.itemsize, x.shape[1]
+    row, total = bytes_ * count, np.zeros((count, count), np.complex128)
+    for s in range(len(fronts.first) - 1):
+        inverse = store.inverses.ctypes.data + bytes_ * store.block[s]
+        for j in range(fronts.first[s], fronts.first[s + 1], BLOCK):
+            width = min(BLOCK, fronts.first[s + 1] - j)
+            block[:width] = 0
+            own = x.ctypes.data + row * j
+            subtract_panel(bytes_, width, width, inverse, bytes_ * width, own, block.ctypes.data, row, row)
+            for a in range(width):
+                for c in range(count):
+                    for d in range(count):
+                        total[c, d] -= x[j + a, c] * block[a, d]
+            inverse += bytes_ * width * width
+    return total
+
+
+# The multifrontal factorisation behind the interface of direct solvers.
 
 _MANY_ROWS = 20_000  # below, starting threads costs what they save
 PRESSURES = 0.3  # entries that couple pressures are scaled to this at most; 0.1 and 1 leave more of point forces

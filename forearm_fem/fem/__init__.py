@@ -1,0 +1,1 @@
+"""Finite elements: space, assembly, linear solvers, reduction."""
