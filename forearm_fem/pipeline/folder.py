@@ -67,7 +67,6 @@ from ..wavefield import Wavefield, save_wavefield
 from .notes import scene_notes
 from .samples import check_samples
 from .simulation import AnswersForArm, Simulation, simulate, versions
-from .wave_report import write_wave_report
 
 __all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]
 
@@ -146,6 +145,8 @@ def run_all(run: Run) -> None:
         if run.scenario.rendering.methods:
             _reported(run)
         else:
+            from ..show.wave_report import write_wave_report  # as heavy
+
             write_wave_report(run.scenario, transfer, run.out, notes=run.notes)
     _write_run(run)
 
