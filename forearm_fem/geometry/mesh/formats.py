@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ _UNV_118 = (0, 2, 4, 9, 1, 3, 5, 6, 7, 8)  # corners, then middles, among the no
 
 
 def assembled(
-    file: Path, nodes: dict[int, Sequence[float]], cells: dict[int, tuple[str, tuple[int, ...], int]],
+    file: Path, nodes: Mapping[int, Sequence[float]], cells: dict[int, tuple[str, tuple[int, ...], int]],
     names: dict[int, tuple[str, ...]] | None = None,
 ) -> meshio.Mesh:  # fmt: skip
     """A mesh of numbered ``nodes`` and ``cells`` (kind, nodes, number of the region); MeshError for nodes that lack."""
