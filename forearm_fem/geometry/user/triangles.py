@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import struct
 import warnings
@@ -146,6 +147,8 @@ def _vtk(file: Path) -> Triangles:
 
 
 def _trimesh(file: Path) -> Triangles:
+    log = logging.getLogger("trimesh.util")
+    before, log.disabled = log.disabled, True  # a picture of the skin's colour that is missing is no harm
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -153,11 +156,13 @@ def _trimesh(file: Path) -> Triangles:
     except Exception as problem:
         said = " ".join(str(problem).split())[:100]
         raise GeometryError(f"{file}: cannot be read as STL, OBJ, PLY or VTP ({said})") from None
+    finally:
+        log.disabled = before
     if not isinstance(body, trimesh.Trimesh):
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
     told = _told_by_ply(file)
     faces = np.asarray(body.faces, dtype=np.int64)
-    if told is not None and (told[0] != len(body.vertices) or told[1] > len(faces)):
+    if told is not None and told[1] and (told[0] > len(body.vertices) or told[1] > len(faces)):  # seams double some
         raise GeometryError(
             f"{file}: says it holds {told[0]} vertices and {told[1]} faces, and {len(body.vertices)} and {len(faces)} "
             "could be read; it is cut short"
