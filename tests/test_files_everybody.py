@@ -532,3 +532,44 @@ def test_frequencies_printed_in_six_digits_are_on_their_bins():
     out, on = filled_in(printed / df, values, np.ones(values.shape, bool), bins, df, Interpolation())
     assert on.all()
     assert np.array_equal(out, values)
+
+
+# ---------------------------------------------------------------- extras
+def exodus(file: Path) -> None:
+    """Two blocks as Cubit writes them, with names."""
+    netcdf = pytest.importorskip("netCDF4")
+    with netcdf.Dataset(file, "w", format="NETCDF3_64BIT_OFFSET") as out:
+        for name, size in (("num_nodes", len(CORNERS)), ("num_el_blk", 2), ("len_name", 33), ("four", 4)):
+            out.createDimension(name, size)
+        for k, axis in enumerate("xyz"):
+            out.createVariable(f"coord{axis}", "f8", ("num_nodes",))[:] = CORNERS[:, k]
+        out.createVariable("eb_prop1", "i4", ("num_el_blk",))[:] = [10, 20]
+        names = out.createVariable("eb_names", "S1", ("num_el_blk", "len_name"))
+        for k, name in enumerate(("lower", "upper")):
+            names[k] = netcdf.stringtochar(np.array(name, dtype="S33"))
+            cells = TETRA[k + 1 == NUMBERS]
+            out.createDimension(f"n{k}", len(cells))
+            block = out.createVariable(f"connect{k + 1}", "i4", (f"n{k}", "four"))
+            block.elem_type = "TETRA4"
+            block[:] = cells + 1
+
+
+@pytest.mark.parametrize("regions", [{"lower": "muscle", "upper": "fat"}, {"10": "muscle", "20": "fat"}])
+def test_blocks_of_exodus_go_by_their_names_and_numbers(tmp_path, regions):
+    exodus(tmp_path / "limb.e")
+    found = mesh_quality(taken(tmp_path / "limb.e", regions=regions)).volumes
+    assert found == pytest.approx({"muscle": 64e-6, "fat": 64e-6}, rel=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore")  # of sofar, on its own conventions
+def test_sofa_is_read_through_sofar(tmp_path):
+    """Impulse responses of two measurements (drives) at two receivers (points)."""
+    sofar = pytest.importorskip("sofar")
+    sofa = sofar.Sofa("GeneralFIR")
+    h = np.random.default_rng(1).standard_normal((2, 2, 64))
+    sofa.Data_IR, sofa.Data_SamplingRate = h, 1000.0
+    sofa.ReceiverPosition, sofa.Data_Delay = np.zeros((2, 3)), np.zeros((1, 2))
+    sofar.write_sofa(str(tmp_path / "g.sofa"), sofa)
+    g = read(tmp_path / "g.sofa", Declaration(unit="m/V"))
+    assert np.allclose(g.values, np.fft.rfft(h, axis=2)[:, :, 1:].transpose(2, 1, 0), rtol=1e-12)
+    assert g.frequency[0] == 1000 / 64

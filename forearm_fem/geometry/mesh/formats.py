@@ -289,7 +289,7 @@ def read_febio(file: Path) -> meshio.Mesh:
                 raise MeshError(f"{file}: has elements of the type {kind}, but only tet4 and tet10 can be used")
             if form is not None:
                 cells[int(element.get("id", "0"))] = (form, corners, number)
-    return assembled(file, nodes, cells, names)  # type: ignore[arg-type]
+    return assembled(file, nodes, cells, names)
 
 
 # ---------------------------------------------------------------- XDMF
