@@ -262,11 +262,11 @@ def sweeps(folder: Path, kind: str) -> Path:
                 zip(drive.tolist(), response.tolist(), strict=True))]  # fmt: skip
             file.write_text("\n".join(["time;drive;laser", *lines]) + "\n")
         else:
-            lvm = ["LabVIEW Measurement\t", "Separator\tTab", "Decimal_Separator\t.", "X_Columns\tOne",
+            lvm = ["LabVIEW Measurement\t", "Separator\tTab", "Decimal_Separator\t,", "X_Columns\tNo",
                    "***End_of_Header***\t", "Channels\t2", f"Samples\t{len(drive)}\t{len(drive)}",
                    "Y_Unit_Label\tVolts\tVolts", "X0\t0\t0", f"Delta_X\t{step}\t{step}", "***End_of_Header***\t\t",
                    "X_Value\tdrive\tlaser\tComment"]  # fmt: skip
-            lvm += [f"{k * step}\t{a!r}\t{b!r}" for k, (a, b) in enumerate(
+            lvm += [f"\t{a!r}\t{b!r}\t{'moved' * (k == 3)}".replace(".", ",") for k, (a, b) in enumerate(
                 zip(drive.tolist(), response.tolist(), strict=True))]  # fmt: skip
             file.write_text("\n".join(lvm) + "\n")
     return folder
