@@ -40,7 +40,10 @@ class Brought:
 
     def scenario(self) -> dict[str, Any]:
         """The scenario as data."""
-        return {**self.rest, "limb": self.limb}
+        sizes = self.rest.get("mesh", {})
+        if self.limb["shape"] == "mesh":  # which keeps its own elements
+            sizes = {key: size for key, size in sizes.items() if key not in ("size_grid", "size_far")}
+        return {**self.rest, "mesh": sizes, "limb": self.limb}
 
 
 def cells(
