@@ -110,7 +110,8 @@ def simulate(
     engine = engine or engine_of(scenario, base=Path(base), mesh=mesh, progress=progress)
     refuse_unheld(engine, scenario)
     if isinstance(engine, SolvingEngine):
-        found = with_device(scenario, engine.solved(scenario, frequency))
+        solved = engine.solved(scenario, frequency)
+        found = with_device(scenario, solved.mesh, solved)
     else:
         compliance = engine.compliance(scenario, frequency)
         notes = flat_notes(compliance) if isinstance(engine, LayeredEngine) else (f"engine: {engine.name}",)
@@ -142,9 +143,8 @@ def versions() -> dict[str, str]:
     return found
 
 
-def with_device(scenario: Scenario, solved: Solved) -> Simulation:
+def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> Simulation:
     """G and its errors from compliances: the device enters here, at no further FE solve."""
-    mesh = solved.mesh
     transfer = finite(close_loop(solved.compliance, scenario.device))
     coarse = finite(close_loop(solved.coarse, scenario.device)) if solved.coarse else None
     errors = [*solved.unknown, *([discretisation_of(transfer, coarse, scenario, mesh)] if coarse else [])]
