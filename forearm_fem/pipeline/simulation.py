@@ -160,8 +160,10 @@ def with_device(scenario: Scenario, mesh: TissueMesh | None, solved: Solved) -> 
     transfer = replace(transfer, errors=(*errors, *transfer.errors))
     unknown = tuple(f"the error by {e.source} is unknown: {e.method}" for e in solved.unknown)
     near = near_disc_notes(scenario) if mesh is not None else ()
-    notes = (*unknown, *model_notes(solved.facts), *near)
-    return Simulation(scenario, mesh, solved.compliance, transfer, coarse, solved, notes)
+    notes = (*solved.notes, *unknown, *model_notes(solved.facts), *near)
+    return Simulation(
+        scenario, mesh, solved.compliance, transfer, coarse, solved, notes, resolution=solved.resolution
+    )
 
 
 def render(simulation: Simulation, *, progress: Progress | None = None) -> Rendering:
