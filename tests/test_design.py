@@ -28,7 +28,7 @@ from forearm_fem.questions.design.run import question
 from forearm_fem.questions.design.search import planned, search
 from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.store.shelf import WORK, Shelf
 from forearm_fem.transfer import Compliance, ErrorEstimate
 

@@ -36,7 +36,7 @@ from forearm_fem.questions.compare.adapters import (
 from forearm_fem.questions.compare.fit import fit
 from forearm_fem.questions.compare.run import run_fit
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.store.record import load, save
 from forearm_fem.store.shelf import Shelf
 from forearm_fem.tissue import resolve_tissues

@@ -24,7 +24,7 @@ from ..rendering import Rendering
 from ..rendering.interval import StrengthAccount
 from ..rendering.job import RenderJob, render_transfer
 from ..scenario import Scenario
-from ..scenario.frequencies import frequencies
+from ..scenario.sweep import frequencies
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix, finite
 from .notes import model_notes, near_disc_notes

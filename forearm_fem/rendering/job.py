@@ -18,9 +18,8 @@ from ..metrics.strength import plain_strength
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
-from ..scenario.frequencies import frequencies
 from ..scenario.rendering import RenderingOptions, SampledWavelet
-from ..scenario.sweep import Sweep
+from ..scenario.sweep import Sweep, frequencies
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
 from ..usercode import is_code, named

@@ -23,8 +23,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from ..errors import ScenarioError
 from ..usercode import is_code
-from .changes import remade
-from .problem import first_problem_of
+from .changes import first_problem_of, remade
 
 LONGEST_TEXT = 4000  # characters of one text in a scenario
 
@@ -158,6 +157,10 @@ class Part(BaseModel):
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """:meth:`changed` under pydantic's name, so that no copy escapes the checks."""
+        return self.changed(update or {})
+
+    def copy(self, *, update: Mapping[str, Any] | None = None, **_: Any) -> Self:
+        """:meth:`changed` under pydantic's older name."""
         return self.changed(update or {})
 
     # Tables within tables are validated by pydantic without calling this, so that it knows the whole key.

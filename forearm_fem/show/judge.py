@@ -217,8 +217,20 @@ def table_one_markdown(data: Strengths) -> str:
 
 
 def table_one_extra(data: Strengths) -> dict[str, str]:
-    """The Markdown beside the figure."""
-    return {"table.md": table_one_markdown(data)}
+    """The table as Markdown and as LaTeX (``booktabs``) beside the figure."""
+    return {"table.md": table_one_markdown(data), "table.tex": table_one_latex(data)}
+
+
+def table_one_latex(data: Strengths) -> str:
+    """Table I as a LaTeX ``tabular`` with the rules of ``booktabs``."""
+    rows, shown = table_one_rows(data), ""
+    lines = [r"\begin{tabular}{llccc}", r"\toprule", " & ".join(TABLE_ONE) + r" \\", r"\midrule"]
+    for place, method, *numbers in rows:
+        named = place if place != shown else ""
+        shown = place
+        cells = (named, method, *(n.replace("±", r"$\pm$").replace("–", "--").replace("%", r"\%") for n in numbers))
+        lines.append(" & ".join(cells) + r" \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def table_one_csv(data: Strengths) -> Table:
@@ -275,7 +287,8 @@ def _points(ax: Axes, data: Strengths) -> None:
                         label=f"{method}, thesis P2", **look)  # fmt: skip
     ax.axhline(1, color=GREY, lw=0.8, ls="--")
     if data.window:
-        ax.set_title(f"S over {data.window if data.window != 'record' else 'the whole record'}", fontsize=7)
+        over = data.window.replace("-", "\N{MINUS SIGN}") if data.window != "record" else "the whole record"
+        ax.set_title(f"S over {over}", fontsize=7)
     ax.set_xticks(place, ours.groups)
     ax.set(ylabel="signal strength S [-]", yscale="log")
     low, high = ax.get_ylim()

@@ -55,6 +55,11 @@ class CommonGround:
         return float(self.valid.mean())
 
     @property
+    def whole_outputs(self) -> BoolArray:
+        """Outputs (n_out,) that both know from every input, at some frequency at least."""
+        return np.asarray(np.all(np.any(self.valid, axis=0), axis=1))
+
+    @property
     def omega(self) -> FloatArray:
         """Angular frequency [rad/s]."""
         return np.asarray(2 * np.pi * self.frequency)

@@ -75,15 +75,15 @@ def cross_play(
 
 def of_known_outputs(ground: CommonGround) -> CommonGround:
     """The ground of the outputs that both know from every input, the others left out; whole where too few are left."""
-    known = ground.valid.any(axis=0).all(axis=1)
+    known = ground.whole_outputs
     if known.all() or np.count_nonzero(known) < 2:
         return ground
-    a, b, valid = (m[:, known] for m in (ground.a, ground.b, ground.valid))
     deviations = [None if d is None else d[:, known] for d in (ground.deviation_a, ground.deviation_b)]
-    outputs = tuple(p for p, k in zip(ground.outputs, known, strict=True) if k)
     return replace(
-        ground, a=a, b=b, valid=valid, deviation_a=deviations[0], deviation_b=deviations[1], outputs=outputs
-    )
+        ground, a=ground.a[:, known], b=ground.b[:, known], valid=ground.valid[:, known],
+        deviation_a=deviations[0], deviation_b=deviations[1],
+        outputs=tuple(p for p, k in zip(ground.outputs, known, strict=True) if k),
+    )  # fmt: skip
 
 
 def rendering_of(ground: CommonGround, folders: Sequence[Path] = ()) -> tuple[RenderJob, str, str] | None:

@@ -112,11 +112,10 @@ def compared_targets(c: Comparison) -> tuple[BoolArray, str]:
     """Which targets (n_target,) both S are of, and a sentence on those left out."""
     assert c.crossed is not None
     x = c.crossed
-    known = np.asarray(np.isfinite([x.a_on_a, x.b_on_b, x.a_on_b, x.b_on_a]).all(axis=(0, 1)))
+    known: BoolArray = np.min(np.isfinite(np.vstack([x.a_on_a, x.b_on_b, x.a_on_b, x.b_on_a])), axis=0)
     by_name = {p.name: p for p in c.ground.outputs}
     counted = counted_points([by_name[t] for t in x.targets], c.ground.inputs)
-    whole = c.ground.valid.any(axis=0).all(axis=1)
-    unknown = [p.name for p, k in zip(c.ground.outputs, whole, strict=True) if not k]
+    unknown = [p.name for p, k in zip(c.ground.outputs, c.ground.whole_outputs, strict=True) if not k]
     unknown += [t for t, k in zip(x.targets, known, strict=True) if not k and t not in unknown]
     beside = [t for t, k, n in zip(x.targets, known, counted, strict=True) if k and not n]
     which = f"point{'' if len(unknown) == 1 else 's'} {', '.join(unknown)}"

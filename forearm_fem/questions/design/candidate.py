@@ -20,8 +20,7 @@ from ...rendering import Rendering
 from ...rendering.job import RenderJob, check_servable
 from ...scenario import Scenario
 from ...scenario.device import Housing, VoltageDevice
-from ...scenario.frequencies import frequencies
-from ...scenario.sweep import FrequencyList
+from ...scenario.sweep import FrequencyList, frequencies
 from ...transfer import TransferMatrix, finite, total_error
 from ...typing import FloatArray
 from .arm import ArmModel

@@ -22,7 +22,7 @@ from ...pipeline.folder import Run, run_all
 from ...progress import Progress, tell, within
 from ...rendering.job import wavelet
 from ...results import read_run
-from ...scenario.contents import contents, named_files
+from ...scenario.shipped import contents, named_files
 from ...store.folder import check_kind, set_kind
 from ...store.shelf import WORK, Shelf
 from ...store.text import digest_of

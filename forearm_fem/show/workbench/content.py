@@ -14,8 +14,8 @@ from ... import __version__
 from ...accuracy.estimates import accuracy_verdict
 from ...engines.skin_model import ReducedFile
 from ...errors import DataError, GeometryError, ScenarioError
+from ...files.declaration import arbitrary_gain
 from ...geometry.device.layout import layout_of
-from ...io.declaration import arbitrary_gain
 from ...pipeline.simulation import simulate
 from ...ports import Port
 from ...prediction.outcome import DrawsFile
@@ -38,8 +38,8 @@ from ...scenario import Scenario, parse_scenario
 from ...scenario.actuators import beneath
 from ...scenario.changes import put
 from ...scenario.device import Device, VoltageRows
-from ...scenario.frequencies import frequencies
 from ...scenario.rendering import RickerWavelet, SampledWavelet
+from ...scenario.sweep import frequencies
 from ...store.record import load
 from ...transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ...typing import FloatArray
