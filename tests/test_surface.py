@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from cli_runner import SMALL as SHORT
 from cli_runner import cli
-from forearm_fem.questions.questions.design.arm import TwinArm
 
 from forearm_fem import Law, Simulation, load_scenario, read, render, simulate
 from forearm_fem.engines.engine import Engine
@@ -16,6 +15,7 @@ from forearm_fem.engines.layered import LayeredEngine
 from forearm_fem.engines.solved import FemEngine
 from forearm_fem.errors import DataError, ScenarioError
 from forearm_fem.prediction.arm import LayeredArm
+from forearm_fem.questions.design.arm import TwinArm
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.scenario.shipped import contents, law_files, named_files
 from forearm_fem.tissue import SpringPot, Zener, resolve_tissues
