@@ -39,10 +39,10 @@ class Brought:
     rest: dict[str, Any] = field(default_factory=lambda: REST)
 
     def scenario(self) -> dict[str, Any]:
-        """The scenario as data."""
-        sizes = self.rest.get("mesh", {})
-        if self.limb["shape"] == "mesh":  # which keeps its own elements
-            sizes = {key: size for key, size in sizes.items() if key not in ("size_grid", "size_far")}
+        """The scenario as data; a mesh brings its own sizes."""
+        sizes = dict(self.rest.get("mesh", {}))
+        if self.limb["shape"] == "mesh":
+            sizes = {k: v for k, v in sizes.items() if k not in ("size_grid", "size_far")}
         return {**self.rest, "mesh": sizes, "limb": self.limb}
 
 
