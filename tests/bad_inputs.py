@@ -80,7 +80,7 @@ class Case:
     says: tuple[str, ...]
     overrides: tuple[str, ...] = ()
     files: Callable[[Path], None] | None = None
-    command: str = "solve"
+    stage: str = "solve"
     left: tuple[str, ...] = ()  # finished stages that stay
 
 
@@ -166,10 +166,10 @@ CASES: tuple[Case, ...] = (
         FOREARM,
         ("thick together",),
         ("limb.layers=[{tissue='fat', thickness=0.05}]",),
-        command="mesh",
+        stage="mesh",
     ),
     Case("contact off the slab", SLAB, ("contact A1", "does not lie"), ("device.spacing=0.08",)),
-    Case("contact off the forearm", FOREARM, ("contact A1",), ("device.spacing=0.2",), command="mesh"),
+    Case("contact off the forearm", FOREARM, ("contact A1",), ("device.spacing=0.2",), stage="mesh"),
     Case("contacts overlapping", SLAB, ("contacts A1 and A2", "apart"), ("device.spacing=0.006",)),
     Case("grid point off the slab", SLAB, ("grid point 1",), ("grid.pitch=0.05",)),
     Case("symmetry through contacts beside the plane", SLAB, ("limb.symmetry",), ("limb.symmetry=['x']",)),
@@ -178,7 +178,7 @@ CASES: tuple[Case, ...] = (
         FOREARM,
         ("bone 'radius'",),
         ("limb.bones=[{name='radius', y=0.034, depth=0.023, diameter=0.014}]",),
-        command="mesh",
+        stage="mesh",
     ),
     Case(
         "bones through each other",
@@ -188,7 +188,7 @@ CASES: tuple[Case, ...] = (
             "limb.bones=[{name='radius', y=0.0, depth=0.03, diameter=0.014},"
             " {name='ulna', y=0.004, depth=0.03, diameter=0.014}]",
         ),
-        command="mesh",
+        stage="mesh",
     ),
     Case(
         "memory limit too small",
@@ -296,4 +296,4 @@ def prepare(case: Case, folder: Path) -> list[str]:
     elif case.text is not None:
         (folder / "bad.toml").write_bytes(case.text)
     overrides = [part for item in case.overrides for part in ("--set", item)]
-    return [case.command, "bad.toml", *overrides, "--out", "out"]
+    return ["run", "--until", case.stage, "bad.toml", *overrides, "--out", "out"]

@@ -178,7 +178,7 @@ def transfer_file(what: Path) -> Path:
         what = what / "transfer.nc"
         if not what.is_file():
             raise DataError(
-                f"{what.parent}: no transfer.nc in this folder; `forearm-fem solve` makes one, or name a file"
+                f"{what.parent}: no transfer.nc in this folder; `forearm-fem run` makes one, or name a file"
             )
     if not what.exists():
         raise DataError(f"{what}: no such file or results folder")
