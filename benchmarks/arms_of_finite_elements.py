@@ -33,7 +33,7 @@ from forearm_fem.prediction.run import expanded
 from forearm_fem.rendering import strengths
 from forearm_fem.rendering.interval import interval
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.transfer import Compliance, TransferMatrix, band_error, total_error
 from forearm_fem.typing import FloatArray
 

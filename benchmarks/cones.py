@@ -29,7 +29,7 @@ from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.pipeline.simulation import with_device
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.transfer import Compliance, TransferMatrix, band_error, relative_error, total_error
 
 STACKS: Mapping[str, tuple[tuple[str, float], ...]] = {

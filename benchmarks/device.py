@@ -31,7 +31,7 @@ from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.fem.reduction.sweep import reduced_sweep
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.scenario import load_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 
 PRECISIONS = ["single", "double"]
 RESULTS = Path(__file__).parent / "results"

@@ -31,7 +31,7 @@ from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.assembly.operator import WeightedSum
 from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.fem.reduction.expansion import expansion_rate
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.typing import FloatArray
 from forearm_fem.verification.scenes import slab_model
 

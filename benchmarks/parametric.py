@@ -34,7 +34,7 @@ from forearm_fem.prediction.draws import draw_inputs, scenario_of
 from forearm_fem.prediction.priors import load_priors
 from forearm_fem.prediction.run import expanded
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.transfer import band_error, relative_error
 from forearm_fem.typing import ComplexArray, FloatArray
 

@@ -23,7 +23,7 @@ from forearm_fem.fem.linear.direct import make_solver
 from forearm_fem.fem.reduction.sweep import reduced_sweep
 from forearm_fem.geometry.cache import cached_mesh
 from forearm_fem.scenario import Scenario, load_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from thesis import factorisation_seconds
 
 BINS = (25.0, 60.0, 150.0, 240.0, 420.0)

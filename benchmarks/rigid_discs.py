@@ -15,7 +15,7 @@ import numpy as np
 from forearm_fem.engines.layered import flat_disc, flat_layers, flat_ports, solve_layered
 from forearm_fem.layered import Disc, Layer, bonded_disc, layered_compliance, rigid_disc
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.typing import ComplexArray
 
 RADIUS, MU = 3.5e-3, 7860.0

@@ -26,7 +26,7 @@ from forearm_fem import load_scenario, render, simulate
 file, out, *overrides = sys.argv[1:]
 scenario = load_scenario(file, overrides=overrides)
 found = simulate(scenario, base=Path(file).parent)
-strengths = render(found, base=Path(file).parent).strengths if scenario.rendering.methods else np.zeros(0)
+strengths = render(found).strengths if scenario.rendering.methods else np.zeros(0)
 np.savez(out, g=found.transfer.values, s=strengths, stated=[e.band for e in found.transfer.errors])
 """
 

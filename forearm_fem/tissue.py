@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from importlib.resources import files
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
@@ -22,6 +22,7 @@ from scipy.special import binom
 from .errors import ScenarioError
 from .scenario.limb import tissue_keys
 from .typing import ComplexArray, FloatArray
+from .usercode import named
 
 if TYPE_CHECKING:
     from .scenario import Scenario
@@ -38,6 +39,26 @@ class Modulus(Protocol):
     def taylor(self, omega0: float, n: int) -> ComplexArray:
         """Coefficients c (n + 1,) of mu*(omega0 + d) = sum_k c_k d^k [Pa s^k]."""
         ...
+
+
+class Law:
+    """Base of a law of one's own: a frozen dataclass whose fields are its parameters, with ``at``.
+
+    ``at`` must take complex omega, and be smooth about every positive one. ``problem`` may say, as "key: sentence", why
+    its parameters cannot be.
+    """
+
+    problem = ""
+
+    def at(self, omega: ArrayLike) -> ComplexArray:
+        """mu*(omega) [Pa], of omega's shape; omega [rad/s]."""
+        raise NotImplementedError
+
+    def taylor(self, omega0: float, n: int) -> ComplexArray:
+        """Coefficients (n + 1,) about ``omega0`` [rad/s] by Cauchy's integral on a circle of 0.3 omega0."""
+        radius, count = 0.3 * (abs(omega0) or 1.0), 8 * (n + 2)
+        circle = np.exp(2j * np.pi * np.arange(count) / count)
+        return np.asarray(np.fft.fft(self.at(omega0 + radius * circle))[: n + 1] / count / radius ** np.arange(n + 1))
 
 
 @dataclass(frozen=True)
@@ -67,6 +88,11 @@ class SpringPot:
     exponent: float
     eta: float = 1.0
 
+    @property
+    def problem(self) -> str:
+        """Why the parameters cannot be; empty where they can."""
+        return "eta: a springpot without viscosity has no stiffness either; set eta > 0 Pa s" if self.eta == 0 else ""
+
     def at(self, omega: ArrayLike) -> ComplexArray:
         """mu*(omega) [Pa], of omega's shape; omega [rad/s]."""
         return np.asarray(
@@ -91,6 +117,12 @@ class Zener:
     mu: float
     mu_infinity: float
     eta: float
+
+    @property
+    def problem(self) -> str:
+        """Why the parameters cannot be; empty where they can."""
+        can = self.mu_infinity > self.mu
+        return "" if can else f"mu_infinity: must exceed mu = {self.mu:g} Pa, is {self.mu_infinity:g}"
 
     @property
     def relaxation_time(self) -> float:
@@ -220,54 +252,56 @@ def resolve_tissues(scenario: Scenario) -> Mapping[str, Tissue]:
     return result
 
 
-# model -> parameters it must have; a springpot's eta may be left out (1 Pa s)
-_NEEDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "kelvin-voigt": ("mu", "eta"),
-        "springpot": ("mu", "exponent"),
-        "zener": ("mu", "mu_infinity", "eta"),
-        "hysteretic": ("mu", "loss"),
-    }
+LAWS: Mapping[str, type[Modulus]] = MappingProxyType(
+    {"kelvin-voigt": KelvinVoigt, "springpot": SpringPot, "zener": Zener, "hysteretic": Hysteretic}
 )
+
+
+def law(model: str) -> type[Modulus]:
+    """The class of the law ``model``: one of :data:`LAWS`, or the user's own by ``module:Name``.
+
+    ScenarioError where it is no dataclass with an ``at``.
+    """
+    if model in LAWS:
+        return LAWS[model]
+    found = named(model, "tissues.override: model")
+    if not is_dataclass(found) or not hasattr(found, "at") or not hasattr(found, "taylor"):
+        raise ScenarioError(f"tissues.override: {model} is no law; write a frozen dataclass that inherits from Law")
+    return found  # type: ignore[return-value]
+
+
+def _parameters(model: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names that a law must be given, and names that it may be given."""
+    every = fields(law(model))  # type: ignore[arg-type]
+    return tuple(f.name for f in every if f.default is MISSING), tuple(f.name for f in every)
 
 
 def _tissue(name: str, model: str, values: Mapping[str, float]) -> Tissue:
     """The tissue that these numbers (SI) describe; they must be complete for the model."""
-    v = values
-    modulus: Modulus
-    match model:
-        case "kelvin-voigt":
-            modulus = KelvinVoigt(v["mu"], v["eta"])
-        case "springpot":
-            modulus = SpringPot(v["mu"], v["exponent"], v.get("eta", 1.0))
-        case "zener":
-            modulus = Zener(v["mu"], v["mu_infinity"], v["eta"])
-        case _:
-            modulus = Hysteretic(v["mu"], v["loss"])
-    return Tissue(name, v["density"], modulus, v["bulk"])
+    modulus = law(model)(**{key: values[key] for key in _parameters(model)[1] if key in values})
+    return Tissue(name, values["density"], modulus, values["bulk"])
 
 
 def _overridden(name: str, record: TissueRecord | None, override: TissueOverride) -> Tissue:
     """Preset with single values replaced; a change of model keeps only density and bulk modulus."""
     path = f"tissues.override.{name}"
-    stated = override.model_dump(exclude={"model"}, exclude_none=True)
+    stated = {**override.model_dump(exclude={"model", "parameters"}, exclude_none=True), **override.parameters}
     given = {key: math.inf if value == "incompressible" else float(value) for key, value in stated.items()}
     model = override.model or (record.model if record else "kelvin-voigt")
     kept = dict(record.values) if record else {}
     if record and model != record.model:
         kept = {key: kept[key] for key in ("density", "bulk")}
-    used = {"density", "bulk", *_NEEDS[model], *(("eta",) if model == "springpot" else ())}
+    needed, taken = _parameters(model)
     for key in given:
-        if key not in used:
+        if key not in {"density", "bulk", *taken}:
             raise ScenarioError(f"{path}.{key}: has no effect with the {model} model; remove it or set {path}.model")
     v = {**kept, **given}
-    if missing := [key for key in ("density", "bulk", *_NEEDS[model]) if key not in v]:
+    if missing := [key for key in ("density", "bulk", *needed) if key not in v]:
         raise ScenarioError(f"{path}: a {model} tissue stated anew also needs {', '.join(missing)}")
-    if model == "springpot" and v.get("eta") == 0:
-        raise ScenarioError(f"{path}.eta: a springpot without viscosity has no stiffness either; set eta > 0 Pa s")
-    if model == "zener" and v["mu_infinity"] <= v["mu"]:
-        raise ScenarioError(f"{path}.mu_infinity: must exceed mu = {v['mu']:g} Pa, is {v['mu_infinity']:g}")
-    return _tissue(name, model, v)
+    found = _tissue(name, model, v)
+    if problem := getattr(found.modulus, "problem", ""):
+        raise ScenarioError(f"{path}.{problem}")
+    return found
 
 
 def _density(value: float, low: float, high: float, spread: float) -> Sourced:

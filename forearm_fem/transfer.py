@@ -7,16 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
+from . import notebook
 from .arguments import checked
 from .errors import DataError, SolverError
 from .ports import Port
 from .store.record import dims
 from .typing import BoolArray, ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import FigureBase
 
 __all__ = [
     "Compliance",
@@ -104,7 +110,7 @@ def size_words(size: float, form: str = ".1e") -> str:
     return f"{size:{form}}" if np.isfinite(size) else "unknown"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Compliance:
     """Displacements of all ports per unit force on each, without the actuators.
 
@@ -126,6 +132,13 @@ class Compliance:
     errors: tuple[ErrorEstimate, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"<Compliance {len(self.frequency)} frequencies, {len(self.ports)} ports; m/N>"
+
+    def to_xarray(self) -> xr.DataArray:
+        """Values (frequency, output, input) [m/N] with the ports' names."""
+        return notebook.xarray_of_g(self)
+
     def indices(self, kind: str) -> list[int]:
         """Positions in ``ports`` of the ports of a kind ("contact" or "point")."""
         return [i for i, p in enumerate(self.ports) if p.kind == kind]
@@ -135,7 +148,7 @@ class Compliance:
         return self.values[:, self.indices(outputs)][:, :, self.indices(inputs)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TransferMatrix:
     """Displacement of each output per unit drive of each input: simulated or measured, nothing downstream knows.
 
@@ -206,6 +219,32 @@ class TransferMatrix:
                     f"the error by {e.source} is of pairs {e.per_pair.shape}, G's are {wanted}; take the same pairs of "
                     "its per_pair, or None"
                 )
+
+    def __repr__(self) -> str:
+        return notebook.line_of_g(self)
+
+    def _repr_html_(self) -> str:
+        return notebook.html_of_g(self)
+
+    def sel(self, output: str, input: str) -> ComplexArray:
+        """G (n_frequency,) of one point by one actuator, e.g. ``g.sel("5", "A1")``; DataError for other names."""
+        o = notebook.place([p.name for p in self.outputs], output, "point")
+        i = notebook.place([p.name for p in self.inputs], input, "actuator")
+        return np.asarray(self.values[:, o, i])
+
+    def to_xarray(self) -> xr.DataArray:
+        """Values (frequency, output, input) with the ports' names and the unit."""
+        return notebook.xarray_of_g(self)
+
+    def plot(self) -> FigureBase:
+        """Size and phase of each entry, within its stated error."""
+        return notebook.plot_of_g(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write G in the format of the path's ending: ``.nc`` holds everything."""
+        from .io.recognise import write_measured
+
+        write_measured(path, self)
 
     @property
     def omega(self) -> FloatArray:

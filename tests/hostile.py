@@ -34,8 +34,8 @@ from forearm_fem.pipeline.folder import Run, unknown_strengths
 from forearm_fem.pipeline.simulation import render_transfer, simulate
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.scenario.base import Within
-from forearm_fem.scenario.frequencies import frequencies
 from forearm_fem.scenario.limb import Bone, LayerThickness
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.scenario.tissues import TissueOverride
 
 PATIENCE = 60  # s: a busy machine's worst scene that is not hostile takes ten

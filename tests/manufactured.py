@@ -18,7 +18,7 @@ from forearm_fem.fem.assembly.boundary import facet_normals
 from forearm_fem.fem.assembly.model import build_model
 from forearm_fem.fem.linear.factor import make_factor, refined_solve
 from forearm_fem.fem.space.numbering import MixedSpace, facet_points, tabulate
-from forearm_fem.scenario.supports import FreeUnderside
+from forearm_fem.scenario.elements import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import KelvinVoigt, Tissue
 from forearm_fem.typing import ComplexArray, FloatArray, IntArray

@@ -59,7 +59,7 @@ class Slab:
         return quarter_slab(
             self.radii, side=self.side, depth=self.depth, preset=self.preset, mesh=sizes,
             layers=(("epidermis", 8e-5), *layers) if self.epidermis == "layer" else layers,
-            frequencies=(self.frequency,), override={"epidermis": EPIDERMIS},
+            frequencies=(self.frequency,), override={"epidermis": EPIDERMIS} if self.epidermis == "layer" else None,
             membrane=MEMBRANE if self.epidermis == "membrane" else None,
         )  # fmt: skip
 

@@ -16,11 +16,6 @@ from test_compare import A
 
 from forearm_fem.accuracy.estimates import accuracy_verdict
 from forearm_fem.campaign.model import load_campaign
-from forearm_fem.compare.common import common_ground
-from forearm_fem.compare.compare import compare
-from forearm_fem.compare.readings import explained
-from forearm_fem.compare.report import picture
-from forearm_fem.design import load_design
 from forearm_fem.errors import ForearmError, HardwareError, MeshError, ScenarioError
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.io.recipe import load_recipe
@@ -34,6 +29,11 @@ from forearm_fem.pipeline.wave_report import _twin, thesis_fit
 from forearm_fem.ports import Port, distances
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction.run import Question, predict
+from forearm_fem.questions.compare.common import common_ground
+from forearm_fem.questions.compare.compare import compare
+from forearm_fem.questions.compare.readings import explained
+from forearm_fem.questions.compare.report import picture
+from forearm_fem.questions.design import load_design
 from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario, apply_overrides, load_scenario, parse_scenario
 from forearm_fem.scenario.device import device_of

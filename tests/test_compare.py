@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 from test_measurement_scene import RATE, SENSOR, SWEEP, device_for, part, plan_for, wave_matrix
 
-from forearm_fem.compare.agreement import agreement, fdac_matrix
-from forearm_fem.compare.common import common_ground
-from forearm_fem.compare.compare import compare, comparison_record
-from forearm_fem.compare.crossplay import cross_play, wavelet_for
-from forearm_fem.compare.report import (
+from forearm_fem.errors import DataError
+from forearm_fem.io.recognise import write_measured
+from forearm_fem.measurement.calibrate import calibrate
+from forearm_fem.measurement.virtual import noise_for
+from forearm_fem.metrics import condition_number
+from forearm_fem.ports import Port, distances
+from forearm_fem.questions.compare.agreement import agreement, fdac_matrix
+from forearm_fem.questions.compare.common import common_ground
+from forearm_fem.questions.compare.compare import compare, comparison_record
+from forearm_fem.questions.compare.crossplay import cross_play, wavelet_for
+from forearm_fem.questions.compare.report import (
     as_csv,
     as_json,
     as_markdown,
@@ -22,14 +28,8 @@ from forearm_fem.compare.report import (
     plot_overlay,
     strength_words,
 )
-from forearm_fem.compare.run import run_compare
-from forearm_fem.compare.where import where, where_words
-from forearm_fem.errors import DataError
-from forearm_fem.io.recognise import write_measured
-from forearm_fem.measurement.calibrate import calibrate
-from forearm_fem.measurement.virtual import noise_for
-from forearm_fem.metrics import condition_number
-from forearm_fem.ports import Port, distances
+from forearm_fem.questions.compare.run import run_compare
+from forearm_fem.questions.compare.where import where, where_words
 from forearm_fem.transfer import TransferMatrix
 
 A = wave_matrix()

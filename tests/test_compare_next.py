@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forearm_fem.compare.fit import fit, with_model_error
-from forearm_fem.compare.next_best import candidates_of, next_best
-from forearm_fem.compare.parameters import Parameter
 from forearm_fem.ports import Port
+from forearm_fem.questions.compare.fit import fit, with_model_error
+from forearm_fem.questions.compare.next_best import candidates_of, next_best
+from forearm_fem.questions.compare.parameters import Parameter
 from forearm_fem.transfer import TransferMatrix
 
 F = np.linspace(20.0, 320.0, 30)

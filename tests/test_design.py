@@ -13,12 +13,6 @@ import numpy as np
 import pytest
 from cli_runner import cli
 
-from forearm_fem.design import Candidate, TwinArm, evaluate, load_design, pareto_front, run_design
-from forearm_fem.design import candidate as candidates
-from forearm_fem.design.candidate import score_of
-from forearm_fem.design.model import Objective
-from forearm_fem.design.run import question
-from forearm_fem.design.search import planned, search
 from forearm_fem.engines.layered import flat_ports
 from forearm_fem.errors import DataError, GeometryError, ScenarioError
 from forearm_fem.layered import Disc, Layer, layered_compliance
@@ -26,9 +20,15 @@ from forearm_fem.layered import tables as tabulated
 from forearm_fem.layered.tables import tabulate
 from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.ports import distances
+from forearm_fem.questions.design import Candidate, TwinArm, evaluate, load_design, pareto_front, run_design
+from forearm_fem.questions.design import candidate as candidates
+from forearm_fem.questions.design.candidate import score_of
+from forearm_fem.questions.design.model import Objective
+from forearm_fem.questions.design.run import question
+from forearm_fem.questions.design.search import planned, search
 from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.store.shelf import WORK, Shelf
 from forearm_fem.transfer import Compliance, ErrorEstimate
 

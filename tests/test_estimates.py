@@ -26,7 +26,7 @@ from forearm_fem.pipeline.folder import Run, run_all
 from forearm_fem.pipeline.simulation import simulate, with_device
 from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.supports import FreeUnderside
+from forearm_fem.scenario.elements import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.transfer import Compliance, ErrorEstimate, relative_error, total_error
 from forearm_fem.verification.blocks import block_mesh

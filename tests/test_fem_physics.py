@@ -16,7 +16,7 @@ from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.device import sizing
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.ports import Port
-from forearm_fem.scenario.supports import FixedUnderside, FoamUnderside, FreeUnderside
+from forearm_fem.scenario.elements import FixedUnderside, FoamUnderside, FreeUnderside
 from forearm_fem.scenario.tissues import Membrane
 from forearm_fem.tissue import Hysteretic, SpringPot, Tissue, Zener
 from forearm_fem.verification.blocks import block_mesh

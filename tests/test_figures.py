@@ -20,7 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from test_figures_scene import folder  # noqa: F401
 
-from forearm_fem.errors import DataError
+from forearm_fem.errors import DataError, NotApplicable
 from forearm_fem.io import write_transfer
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
@@ -63,7 +63,7 @@ def made(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noq
     """Every figure once, except for all but one of the targets."""
     out = tmp_path_factory.mktemp("figures")
     names = [n for n in kinds(Results.open(folder)) if not n.startswith("target") and n != "measured"]
-    make_figures(folder, out, only=[*names, "target-5"])
+    make_figures(folder, out, only=[*names, "figure-6"])
     return out
 
 
@@ -75,7 +75,7 @@ def rows(path: Path) -> tuple[str, list[dict[str, str]]]:
 def test_every_figure_has_a_picture_and_its_numbers(made: Path) -> None:
     pictures = {p.stem for p in made.glob("*.png")}
     assert pictures == {p.stem for p in made.glob("*.csv")} & pictures
-    assert {"figure-2", "figure-4", "figure-5", "figure-a2", "table-1", "target-5", "mesh", "transfer"} <= pictures
+    assert {"figure-2", "figure-4", "figure-a2", "table-1", "figure-6", "mesh", "transfer"} <= pictures
     assert all(p.read_bytes()[:4] == b"\x89PNG" for p in made.glob("*.png"))
     assert not [p for p in made.iterdir() if p.name.startswith(".")]
 
@@ -131,7 +131,7 @@ def test_numbers_of_table_one_do_not_run_into_each_other(run: Results, people: b
 
 
 def test_the_target_figure_holds_the_nine_displacements(made: Path, run: Results) -> None:
-    _, lines = rows(made / "target-5.csv")
+    _, lines = rows(made / "figure-6.csv")
     own = [(float(x["time_s"]), float(x["u_5_m"])) for x in lines if x["method"] == "inverse filter"]
     whole = run.displacements.values[0, 4, 4]
     at = np.searchsorted(run.displacements.time, [t for t, _ in own])
@@ -217,7 +217,7 @@ def test_a_scene_that_renders_nothing_has_the_figures_of_its_matrix(folder: Path
     (tmp_path / "scenario.json").write_text(json.dumps(silent))
     names = {k.name for k in _chosen(Results.open(tmp_path), None)}
     assert {"transfer", "figure-a2", "impedance"} <= names
-    assert not names & {"drives", "strength", "figure-4", "target-5"}
+    assert not names & {"drives", "strength", "figure-4", "figure-6"}
     with pytest.raises(DataError, match="its scene renders nothing"):
         make_figures(tmp_path, tmp_path, only=["drives"])
     (tmp_path / "transfer.nc").unlink()
@@ -294,7 +294,7 @@ def test_a_half_finished_folder_names_the_missing_stage(folder: Path, tmp_path: 
         if file.name != missing:
             os.symlink(file, part / file.name)
     with pytest.raises(DataError, match=f"{missing}.*`forearm-fem {stage} SCENARIO --out {part}`"):
-        make_figures(part, only=["figure-5"])
+        make_figures(part, only=["figure-4"])
 
 
 def test_a_run_without_mesh_or_field_leaves_their_figures_out(folder: Path, tmp_path: Path) -> None:  # noqa: F811
@@ -345,24 +345,27 @@ def test_vector_formats_and_any_back_end(folder: Path, tmp_path: Path) -> None: 
     assert "discretisation" in (tmp_path / "errors.svg").read_text(encoding="utf-8")
 
 
-def test_widths_and_curves_that_cannot_be_are_refused_before_anything_is_drawn(run: Results, tmp_path: Path) -> None:
+def test_widths_that_cannot_be_are_refused_and_nothing_is_drawn(run: Results, tmp_path: Path) -> None:
     with pytest.raises(DataError, match="88 or 181 mm wide"):
         make_figures(run, tmp_path / "out", only=["errors"], width=90)
-    (tmp_path / "c.csv").write_text("f,a\n1,0.5\n")
-    with pytest.raises(DataError, match="'transfer' is not among the figures made"):
-        make_figures(run, tmp_path / "out", only=["errors"], over={"transfer": tmp_path / "c.csv"})
     assert not (tmp_path / "out").exists()
+    with pytest.raises(NotApplicable, match="transfer: its panels need 181 mm"):
+        make_figures(run, tmp_path / "out", only=["transfer"], width=88)
+    assert not list((tmp_path / "out").glob("transfer*"))
 
 
-def test_a_journal_s_width_and_a_curve_are_in_the_picture(run: Results, tmp_path: Path) -> None:
-    (tmp_path / "c.csv").write_text("f,published\n100,60\n")
+def test_a_journal_s_width_is_that_of_the_picture(run: Results, tmp_path: Path) -> None:
     for name, wide in (("figure-a2", 88), ("transfer", 181)):
-        make_figures(run, tmp_path, only=[name], formats=["svg"], width=88, over={name: tmp_path / "c.csv"}
-                     if name == "figure-a2" else None)  # fmt: skip
+        make_figures(run, tmp_path, only=[name], formats=["svg"], width=wide, footer=False)
         text = (tmp_path / f"{name}.svg").read_text(encoding="utf-8")
         points = float(text.split('width="')[1].split("pt")[0])
         assert points / 72 * 25.4 == pytest.approx(wide, abs=0.1)
-    assert "published" in (tmp_path / "figure-a2.svg").read_text(encoding="utf-8")
+        assert "forearm_fem" not in text.partition("</metadata>")[2]  # no footer
+
+
+def test_waves_that_the_thesis_shows_bear_its_numbers(run: Results, tmp_path: Path) -> None:
+    assert {"figure-6", "figure-7", "target-1"} <= set(kinds(run))
+    assert [k.name for k in _chosen(run, ["target-5"])] == ["figure-6"]
 
 
 def test_a_figure_is_laid_out_once_and_as_saving_would():

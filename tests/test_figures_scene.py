@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scenes import once
 
-from forearm_fem.compare.adapters import layers_from
 from forearm_fem.device import close_loop, contact_state
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports
@@ -26,6 +25,7 @@ from forearm_fem.io import (
 )
 from forearm_fem.layered import Disc, layered_compliance
 from forearm_fem.ports import positions
+from forearm_fem.questions.compare.adapters import layers_from
 from forearm_fem.rendering import render_all, ricker
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results

@@ -302,9 +302,9 @@ def test_points_beside_rims_state_their_truncation_error_within_a_factor(contact
     cones = [Disc(x, y, radius, contact) for x in (-half, half) for y in (-half, half)]
     points = [Disc(half + radius + 1.5e-3, half), Disc(0.0, 0.0)]
     layers = [
-        Layer(1.5e-3, 1100.0, lambda w: 13e3 + 10j * w),
-        Layer(4e-3, 950.0, lambda w: 1.5e3 + 3j * w),
-        Layer(math.inf, 1060.0, lambda w: 8e3 + 8j * w),
+        Layer(1.5e-3, 1100.0, lambda w: np.asarray(13e3 + 10j * w, dtype=complex)),
+        Layer(4e-3, 950.0, lambda w: np.asarray(1.5e3 + 3j * w, dtype=complex)),
+        Layer(math.inf, 1060.0, lambda w: np.asarray(8e3 + 8j * w, dtype=complex)),
     ]
     omega = 2 * np.pi * np.array([60.0, 250.0, 500.0])
     found = layered_compliance(layers, omega, cones, [*points, *cones])

@@ -19,9 +19,6 @@ from test_measurement_scene import (
     wave_matrix,
 )
 
-from forearm_fem.compare.adapters import ScenarioModel, layered_compliance_of
-from forearm_fem.compare.compare import compare
-from forearm_fem.compare.run import _biased
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.geometry.device.layout import planform_ports
 from forearm_fem.measurement.calibrate import calibrate, collected, record
@@ -38,6 +35,9 @@ from forearm_fem.measurement.run import (
 from forearm_fem.measurement.sweep import ExponentialSweep, excited
 from forearm_fem.measurement.virtual import Faults, VirtualSensor, noise_for
 from forearm_fem.metrics import signal_strength
+from forearm_fem.questions.compare.adapters import ScenarioModel, layered_compliance_of
+from forearm_fem.questions.compare.compare import compare
+from forearm_fem.questions.compare.run import _biased
 from forearm_fem.rendering import InverseFilter, displacements, drives, ricker
 from forearm_fem.scenario import parse_scenario
 from forearm_fem.transfer import band_error

@@ -100,7 +100,7 @@ def test_an_entry_that_was_bad_is_taken_again_once(tmp_path):
     faulty = device_for(SCENE, noise=1e-3, faults=Faults(dead_inputs=(1,)))
     measured = calibrate(plan_for(SCENE), faulty, tmp_path, after=seen.append)
     assert len(seen) == 6
-    assert faulty._session == 3 + 3 * 2  # three good entries once, three dead ones twice
+    assert sum(1 + n for n in faulty._times.values()) == 3 + 3 * 2  # three good entries once, three dead ones twice
     assert measured.transfer.valid[:, :, 0].mean() > 0.8  # the rest lies below the floor
     assert not measured.transfer.valid[:, :, 1].any()
 

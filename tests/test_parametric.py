@@ -8,15 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forearm_fem.compare.adapters import (
-    ScenarioModel,
-    common_parameters,
-    fem_compliance_of,
-    fem_meshes_for,
-    fem_model_for,
-)
-from forearm_fem.compare.fit import fit
-from forearm_fem.compare.run import run_fit
 from forearm_fem.device import close_loop
 from forearm_fem.engines import parametric
 from forearm_fem.engines.fem import fem_model
@@ -35,8 +26,17 @@ from forearm_fem.geometry.device.grid_places import GridPlaces
 from forearm_fem.prediction.arm import LayeredArm, ReducedArm, _nearness, arm_model, on_mesh_of
 from forearm_fem.prediction.draws import draw_inputs, scenario_of
 from forearm_fem.prediction.priors import load_priors
+from forearm_fem.questions.compare.adapters import (
+    ScenarioModel,
+    common_parameters,
+    fem_compliance_of,
+    fem_meshes_for,
+    fem_model_for,
+)
+from forearm_fem.questions.compare.fit import fit
+from forearm_fem.questions.compare.run import run_fit
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.store.record import load, save
 from forearm_fem.store.shelf import Shelf
 from forearm_fem.tissue import resolve_tissues
@@ -335,11 +335,11 @@ def test_intervals_of_a_fit_hold_what_the_elements_err_by(on_coarse_mesh, scene_
     arm, names = on_coarse_mesh, ("skin.mu", "fat.mu")
     fine = replace(close_loop(scene_on_fine_mesh, TWO_MESHES.device), errors=())
     data = replace(fine, deviation=np.full(fine.values.shape, 1e-3 * float(np.abs(fine.values).max())))
-    monkeypatch.setattr("forearm_fem.compare.run.fem_model_for", lambda *_, **__: arm.model)
-    monkeypatch.setattr("forearm_fem.compare.run.fem_meshes_for", lambda *_, **__: arm.meshes)
+    monkeypatch.setattr("forearm_fem.questions.compare.run.fem_model_for", lambda *_, **__: arm.model)
+    monkeypatch.setattr("forearm_fem.questions.compare.run.fem_meshes_for", lambda *_, **__: arm.meshes)
     with_it = run_fit(TWO_MESHES, data, names, fem=True)
     unsaid = parse_scenario({**SCENE, "mesh": COARSE})
-    monkeypatch.setattr("forearm_fem.compare.run.fem_meshes_for", fem_meshes_for)
+    monkeypatch.setattr("forearm_fem.questions.compare.run.fem_meshes_for", fem_meshes_for)
     without = run_fit(unsaid, data, names, fem=True)
     true = {p.name: p.start for p in common_parameters(TWO_MESHES, names)}
     held, missed = (
@@ -360,8 +360,8 @@ def test_intervals_hold_what_the_elements_err_by_where_two_meshes_agree_by_chanc
     """What one change of mesh moves a value by may be nothing by chance; the fine mesh's values lay two such away."""
     fine = replace(close_loop(scene_on_fine_mesh, TWO_MESHES.device), errors=())
     data = replace(fine, deviation=np.full(fine.values.shape, 1e-3 * float(np.abs(fine.values).max())))
-    monkeypatch.setattr("forearm_fem.compare.run.fem_model_for", lambda *_, **__: on_coarse_mesh.model)
-    monkeypatch.setattr("forearm_fem.compare.run.fem_meshes_for", lambda *_, **__: on_coarse_mesh.meshes)
+    monkeypatch.setattr("forearm_fem.questions.compare.run.fem_model_for", lambda *_, **__: on_coarse_mesh.model)
+    monkeypatch.setattr("forearm_fem.questions.compare.run.fem_meshes_for", lambda *_, **__: on_coarse_mesh.meshes)
     found = run_fit(TWO_MESHES, data, names, fem=True).fit
     for p in common_parameters(TWO_MESHES, names):
         low, high = found.interval[p.name]
@@ -706,7 +706,8 @@ def test_intervals_of_a_fit_hold_what_the_reduction_errs_by(model, monkeypatch):
     clean = replace(close_loop(model.compliance(scene, PROBES), scene.device), errors=())
     data = replace(clean, deviation=np.full(clean.values.shape, 2e-4 * float(np.abs(clean.values).max())))
     chosen = common_parameters(scene, names)
-    monkeypatch.setattr("forearm_fem.compare.run.fem_model_for", lambda *_, **__: replace(model, checks=CHECKS))
+    made = lambda *_, **__: replace(model, checks=CHECKS)  # noqa: E731
+    monkeypatch.setattr("forearm_fem.questions.compare.run.fem_model_for", made)
     whole = run_fit(scene, data, names, fem=True)
     noise, coarse = (
         fit(ScenarioModel(scene, fem_compliance_of(m, PROBES)), data, chosen) for m in (model, model.coarser)
@@ -736,7 +737,8 @@ def test_intervals_of_a_fit_hold_what_the_reduction_errs_by(model, monkeypatch):
 def test_a_fit_that_cannot_be_is_told_before_its_elements_are_reduced(model, names, change, said, monkeypatch):
     arm = parse_scenario(SCENE)
     data = replace(close_loop(model.compliance(arm, PROBES), arm.device), errors=())
-    monkeypatch.setattr("forearm_fem.compare.adapters.parametric_model", lambda *_, **__: pytest.fail("reduced"))
+    unasked = "forearm_fem.questions.compare.adapters.parametric_model"
+    monkeypatch.setattr(unasked, lambda *_, **__: pytest.fail("reduced"))
     with pytest.raises((DataError, ScenarioError), match=said):
         run_fit(parse_scenario({**SCENE, **change}), data, names, fem=True)
 

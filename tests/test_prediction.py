@@ -28,7 +28,7 @@ from forearm_fem.prediction.run import FILE, Prediction, Question, check_questio
 from forearm_fem.prediction.summary import shorter_waves, summary
 from forearm_fem.rendering import drives, strengths
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.show.data import Results
 from forearm_fem.show.facts import strength_block
 from forearm_fem.show.prediction import _numerics, _scope, lead_of, strength_words

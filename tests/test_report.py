@@ -186,7 +186,7 @@ def test_another_grids_waves_are_not_called_the_thesis_figures(folder: Path) -> 
     *rest, last = ours.transfer.outputs
     other = Results.open(folder)
     vars(other)["transfer"] = replace(ours.transfer, outputs=(*rest, replace(last, position=(0.03, 0.03, 0.0))))
-    titles = [kinds(run)["target-5"].title for run in (ours, other)]
+    titles = [kinds(run)[name].title for run, name in ((ours, "figure-6"), (other, "target-5"))]
     assert titles == ["Waves towards target 5 (thesis' figure 6)", "Waves towards target 5"]
 
 

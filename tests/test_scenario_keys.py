@@ -28,7 +28,7 @@ from forearm_fem.pipeline.notes import scene_notes
 from forearm_fem.pipeline.simulation import render_transfer, simulate
 from forearm_fem.scenario import Scenario, load_scenario, parse_scenario
 from forearm_fem.scenario.base import Within
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 
 pytestmark = pytest.mark.usefixtures("same_integrals_once")
 SWEEP = {"f_min": 100.0, "f_max": 140.0, "duration": 0.1, "sample_rate": 2000.0}
@@ -248,6 +248,7 @@ def test_no_copy_escapes_the_checks() -> None:
         lambda: scenario.device.cone.changed({"radius": -1}),
         lambda: scenario.model_copy(update={"accuracy": -1}),
         lambda: scenario.device.cone.model_copy(update={"radius": -1}),
+        lambda: scenario.device.cone.copy(update={"radius": -1}),
     ):
         with pytest.raises(ScenarioError, match="expected"):
             change()

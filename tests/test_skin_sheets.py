@@ -13,7 +13,7 @@ from forearm_fem.fem.assembly.model import build_model
 from forearm_fem.fem.reduction.sweep import direct_sweep
 from forearm_fem.geometry.build import build_mesh
 from forearm_fem.scenario import parse_scenario
-from forearm_fem.scenario.supports import FreeUnderside
+from forearm_fem.scenario.elements import FreeUnderside
 from forearm_fem.scenario.tissues import Membrane, Patch
 from forearm_fem.verification.scenes import (
     DIRECT,

@@ -198,6 +198,30 @@ def test_a_place_that_is_a_file_costs_the_reuse_and_is_told_once(
     assert caplog.text.count("a test could not be kept") == 1
 
 
+FULL = """
+import resource, signal, sys
+import numpy as np
+from forearm_fem.store.shelf import Shelf
+from forearm_fem.store.work import done_once
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # writes fail then, as on a full disk
+shelf = Shelf(sys.argv[1], "a test")
+shelf.put("before", {"n": 1})
+resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+found = dict(done_once(shelf, {"k": 2, "m": 3}, lambda n: {"x": np.full(9000, n)}))
+assert all((found[k]["x"] == n).all() for k, n in (("k", 2), ("m", 3)))
+"""
+
+
+@posix
+def test_a_full_disk_costs_the_reuse_and_nothing_that_was_there(tmp_path: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path / "s.sqlite")], capture_output=True, text=True, check=False
+    )
+    assert (run.returncode, run.stderr.count("a test could not be kept")) == (0, 1), run.stderr
+    shelf = Shelf(tmp_path / "s.sqlite")
+    assert (shelf.get("before"), shelf.get("k")) == ({"n": 1}, None)
+
+
 def test_work_goes_on_where_it_was_interrupted_and_failures_are_tried_again(tmp_path: Path) -> None:
     shelf, jobs, made = Shelf(tmp_path / "s.sqlite"), {f"k{n}": n for n in range(20)}, list[int]()
 

@@ -11,9 +11,6 @@ import pytest
 from test_rendering import BAND, actuators, grid, waves
 
 from forearm_fem.accuracy.discretisation import over_pairs
-from forearm_fem.compare.common import common_ground
-from forearm_fem.compare.crossplay import cross_play
-from forearm_fem.compare.run import run_compare
 from forearm_fem.errors import AccuracyWarning, DataError, ScenarioError
 from forearm_fem.measurement.entry import noise_estimate
 from forearm_fem.metrics.strength import strength_text, without_bound
@@ -22,6 +19,9 @@ from forearm_fem.pipeline.samples import check_samples, sample_notes
 from forearm_fem.pipeline.simulation import account_of, render_transfer
 from forearm_fem.ports import Port
 from forearm_fem.prediction.run import Question, check_question
+from forearm_fem.questions.compare.common import common_ground
+from forearm_fem.questions.compare.crossplay import cross_play
+from forearm_fem.questions.compare.run import run_compare
 from forearm_fem.rendering import (
     Combination,
     Funneling,

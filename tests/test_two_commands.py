@@ -170,11 +170,11 @@ def test_nothing_of_another_scenario_stays_beside_a_run(tmp_path: Path) -> None:
     )
     assert cli("run", "flat.toml", "--out", "one", cwd=tmp_path).code == 0
     figures = tmp_path / "one/figures"
-    assert cli("figures", "one", "--only", "transfer,target-5", cwd=tmp_path).code == 0
+    assert cli("figures", "one", "--only", "transfer,figure-6", cwd=tmp_path).code == 0
     (figures / "mine.png").touch()
     (figures / "target-7.csv").touch()
-    assert {"transfer.png", "target-5.png"} <= {p.name for p in figures.iterdir()}
+    assert {"transfer.png", "figure-6.png"} <= {p.name for p in figures.iterdir()}
     again = cli("run", "--until", "solve", "flat.toml", "--set", "device.spacing=0.05", "--out", "one", cwd=tmp_path)
     assert {p.name for p in figures.iterdir()} == {"mine.png"}
     assert not list((tmp_path / "one").glob("*.sha256"))
-    assert "figures/target-5.png" in again.out + again.err
+    assert "figures/figure-6.png" in again.out + again.err

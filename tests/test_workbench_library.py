@@ -21,7 +21,7 @@ from forearm_fem.geometry.device.layout import layout_of
 from forearm_fem.ports import Port
 from forearm_fem.results import SolutionRecord
 from forearm_fem.scenario import Scenario, parse_scenario
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.show.workbench import places as module
 from forearm_fem.show.workbench import write_workbench
 from forearm_fem.show.workbench.bundle import page_of

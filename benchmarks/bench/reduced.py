@@ -12,7 +12,7 @@ from forearm_fem.fem.assembly.model import ForearmModel
 from forearm_fem.fem.linear.direct import DirectSolver, make_solver
 from forearm_fem.fem.reduction.sweep import SweepResult, reduced_sweep
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.scenario.frequencies import frequencies
+from forearm_fem.scenario.sweep import frequencies
 from forearm_fem.transfer import relative_error
 from forearm_fem.typing import ComplexArray, FloatArray
 

@@ -15,7 +15,7 @@ PUBLIC = {
     "forearm_fem.rendering": "Renderers",
     "forearm_fem.metrics": "Numbers that judge a rendering or a matrix",
     "forearm_fem.measurement.run": "Calibration and playing",
-    "forearm_fem.compare.run": "Comparing and fitting",
+    "forearm_fem.questions.compare.run": "Comparing and fitting",
     "forearm_fem.show": "Figures",
     "forearm_fem.show.motion": "Waves in space: which",
     "forearm_fem.show.film": "Waves in space: stills and films",

@@ -50,7 +50,7 @@ print(f"measured against the truth: e_band {error:.4f}")
 # in standard deviations, and S of drives designed on one and played on the other. On the command line::
 #
 #     forearm-fem compare results/subject/calibration results/subject
-from forearm_fem.compare.run import run_compare
+from forearm_fem.questions.compare.run import run_compare
 
 comparison = run_compare(measured, believed, render=False)
 print("\n".join(comparison.text.splitlines()[:16]))
@@ -58,7 +58,7 @@ print("\n".join(comparison.text.splitlines()[:16]))
 # %%
 # **Fit** what differs. The data say which modulus it was, and with what interval; parameters that they cannot tell
 # apart are named.
-from forearm_fem.compare.run import run_fit
+from forearm_fem.questions.compare.run import run_fit
 
 fitted = run_fit(subject, measured, ["muscle.mu"], frequencies=12)
 print(fitted.text)

@@ -13,7 +13,7 @@ from ..accuracy.estimates import short_verdict
 from ..errors import ForearmError
 from ..results import read_run
 from ..scenario import Scenario
-from ..scenario.contents import contents, named_files
+from ..scenario.shipped import contents, named_files
 from ..store.folder import locked
 from ..store.work import LOST
 

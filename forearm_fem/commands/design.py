@@ -26,8 +26,8 @@ def design(
     workers: Annotated[int | None, typer.Option(min=1, help="processes on this machine; default 1")] = None,
 ) -> None:  # fmt: skip
     """Search for the device with the largest S within limits; interrupted, it goes on where it was."""
-    from ..design import load_design, run_design
-    from ..design.report import outcome_words
+    from ..questions.design import load_design, run_design
+    from ..questions.design.report import outcome_words
     from ..store.folder import locked
 
     asked = load_design(file)

@@ -259,8 +259,8 @@ def compare(
             if are_devices(what):
                 lines = _compared_devices(what, folder, display)
             elif len(what) == 2:
-                from ..compare.report import console_lines
-                from ..compare.run import run_compare
+                from ..questions.compare.report import console_lines
+                from ..questions.compare.run import run_compare
 
                 result = run_compare(
                     transfer_file(what[0]), transfer_file(what[1]), folder=folder, declaration_a=said[0],
@@ -302,7 +302,7 @@ def fit(
     folder = out or out_folder(None, asked, overrides) / "fit"
     with noted(), Display() as display:
         display("libraries", 0, 1)  # seconds of a slow or busy machine
-        from ..compare.run import run_fit
+        from ..questions.compare.run import run_fit
         from ..store.folder import locked
 
         display("libraries", 1, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -17,28 +18,37 @@ Results = Annotated[
 ]  # fmt: skip
 
 
+def film_name(film: Path | None) -> Path | None:
+    """A callback that refuses a film of another kind, or a folder, before the work."""
+    if film is not None and film.suffix.lower() not in (".gif", ".mp4"):
+        raise DataError(f"--film {film}: films end in .gif or .mp4")
+    refuse_folder(film)
+    return film
+
+
 def figures(
     results: Results,
     only: Annotated[list[str] | None, typer.Option(help="figure names; again for more, or separated by commas")] = None,
     formats: Annotated[str, typer.Option("--format", help="any of png,pdf,svg")] = "png",
     out: Annotated[Path | None, typer.Option("--out", help="default: figures inside the results folder")] = None,
     width: Annotated[
-        int | None, typer.Option(help="of a journal, in mm: 88, one column (figures of many panels take 181), or 181")
+        int | None, typer.Option(help="of a journal, in mm: 88, one column (what it cannot hold is refused), or 181")
     ] = None,
-    over: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="NAME=FILE.csv: x and published curves laid over figure NAME; LABEL@2: second panel"
-        ),
+    footer: Annotated[bool, typer.Option(help="the line on scene and version at the foot")] = True,
+    film: Annotated[
+        Path | None, typer.Option("--film", help="a film of the skin instead: .gif or .mp4", callback=film_name)
     ] = None,
+    method: Annotated[str | None, typer.Option(help="of the film; default inverse filter")] = None,
+    target: Annotated[str | None, typer.Option(help="of the film; default 5, or the first")] = None,
+    view: Annotated[str, typer.Option(help="of the film: oblique, top, side or wrist")] = "oblique",
+    speed: Annotated[
+        float, typer.Option(help="of the film, as a share of real time: 0.006 shows 1 ms in 0.17 s", min=1e-5)
+    ] = 0.006,
 ) -> None:
-    """Make the figures of a run, each with its numbers as CSV."""
-    pairs = [pair.partition("=")[::2] for pair in over or ()]
-    laid = dict(pairs)
-    if len(laid) < len(pairs):
-        raise DataError("--over: names a figure twice; put all curves for it into one table, a column each")
-    if "" in laid.values():
-        raise DataError("--over: expected NAME=FILE.csv, a figure and a table of curves")
+    """Make the figures of a run, each with its numbers as CSV; or a film."""
+    if film is not None:
+        _filmed(results, film, method, target, view, speed)
+        return
     names, kinds = [n for item in only for n in _split(item)] if only else None, _split(formats)
     for option, given, read in (("--only", only, names), ("--format", formats, kinds)):
         if given and not read:
@@ -49,10 +59,23 @@ def figures(
     with locked(out or results), Display() as display, noted():
         written = make_figures(
             results, out, only=names, formats=kinds,
-            progress=display, width=width, over=laid,
+            progress=display, width=width, footer=footer,
         )  # fmt: skip
     for file in written:
         typer.echo(str(file))
+
+
+def _filmed(results: Path, film: Path, method: str | None, target: str | None, view: str, speed: float) -> None:
+    """A film of the skin: of a method and target, from a camera, at a share of real time."""
+    from ..show.data import Results as Folder
+    from ..show.film import Look, animate, default_view, frames_at
+
+    found = Folder.open(results)
+    first = default_view(found)
+    asked = replace(first, method=method or first.method, target=target or first.target)
+    with Display() as display, noted():
+        animate(found, film, view=asked, look=Look(camera=view), frames_per_second=frames_at(speed), progress=display)
+    typer.echo(str(film))
 
 
 def show(

@@ -53,7 +53,7 @@ def run(
     if dry_run:
         from ..pipeline.folder import check_rendering
         from ..pipeline.notes import scene_notes
-        from ..scenario.frequencies import frequencies
+        from ..scenario.sweep import frequencies
 
         check_rendering(asked, scenario.parent)
         if (kept := library_file(library)) is not None:
@@ -173,7 +173,7 @@ def _expected(asked: Scenario, base: Path, display: Display | None = None) -> Fo
 
 
 def _print_forecast(asked: Scenario, expected: Forecast | None) -> None:
-    from ..scenario.frequencies import frequencies
+    from ..scenario.sweep import frequencies
 
     band = frequencies(asked.sweep)
     if expected is None:

@@ -19,7 +19,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario
-from ..scenario.supports import Supports
+from ..scenario.elements import Supports
 from ..scenario.sweep import ReducedSolve
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, ErrorEstimate, refuse_non_finite

@@ -22,9 +22,8 @@ from ..geometry.user.facing import turned_over
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
-from ..scenario.frequencies import frequencies
 from ..scenario.limb import MeshLimb, SurfacesLimb
-from ..scenario.sweep import ReducedSolve
+from ..scenario.sweep import ReducedSolve, frequencies
 from ..tissue import resolve_tissues
 from .fem import reduction_tolerance
 

@@ -27,8 +27,8 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..ports import Port
 from ..progress import Progress, tell
 from ..scenario import Scenario, parse_scenario
-from ..scenario.frequencies import frequencies
 from ..scenario.limb import tissue_keys
+from ..scenario.sweep import frequencies
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of

@@ -19,8 +19,8 @@ from ..fem.reduction.poles import PoleResidue, pole_residue
 from ..fem.reduction.reduced_model import ReducedModel
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
-from ..scenario.frequencies import frequencies
 from ..scenario.load import read_overrides
+from ..scenario.sweep import frequencies
 from ..store.record import dims, load, save
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix

@@ -12,7 +12,7 @@ from .. import __version__
 from ..layered.tables import Tabulated, from_arrays, tabulate
 from ..progress import Progress
 from ..scenario import Scenario
-from ..scenario.frequencies import frequencies
+from ..scenario.sweep import frequencies
 from ..store.shelf import Shelf
 from ..tissue import resolve_tissues
 from ..user_cache import default_cache_dir

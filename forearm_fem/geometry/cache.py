@@ -11,9 +11,9 @@ from typing import Any
 from ..errors import DataError, MeshError
 from ..progress import Progress
 from ..scenario import Scenario
-from ..scenario.contents import contents, limb_files
+from ..scenario.elements import MeshOptions
 from ..scenario.limb import MeshLimb, SurfacesLimb
-from ..scenario.mesh import MeshOptions
+from ..scenario.shipped import contents, limb_files
 from ..store.folder import write_text
 from ..store.text import digest_of
 from ..user_cache import default_cache_dir

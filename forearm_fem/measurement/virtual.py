@@ -82,7 +82,9 @@ class VirtualDaq:
         self._record = Record.of(sample_rate, duration)
         self._outputs = tuple(p.name for p in transfer.outputs)
         self._kernel = _kernels(transfer, self._record, options)
-        self._range, self._point, self._session = 10.0, 0, 0
+        self._range, self._point = 10.0, 0
+        self._driven: int | None = None
+        self._times: dict[tuple[int, int], int] = {}
         self._tail = self._cable = np.zeros(0)
         self._history = np.zeros((1, 0))
         self._rng = np.random.default_rng(options.seed)
@@ -125,8 +127,8 @@ class VirtualDaq:
                 f"{len(wiring.outputs)} at {wiring.sample_rate:g} Hz"
             )
         self._wiring, self._range = wiring, wiring.input_range
-        self._rng = np.random.default_rng([self._options.seed, self._point, self._session])
-        self._session += 1
+        self._rng = np.random.default_rng([self._options.seed, self._point, 0])
+        self._driven = None
         self._tick = 0
         self._late = np.zeros((len(wiring.inputs), 0))
         self._tail = np.zeros(self._record.n - 1)
@@ -145,6 +147,7 @@ class VirtualDaq:
         cable = np.concatenate([self._cable, block[np.argmax(np.abs(block).max(axis=1))]])
         self._cable = cable[m:]
         rows = [self._sensor(block), cable[:m]][: len(self._wiring.inputs)]
+        self._note_driven(block)
         noisy = np.stack(rows) + self._options.noise * self._rng.standard_normal((len(rows), m))
         clipped = np.clip(noisy, -self._range, self._range)
         volts = clipped if self._options.bits == 0 else np.round(clipped / self.resolution) * self.resolution
@@ -154,6 +157,18 @@ class VirtualDaq:
         self._tick += m
         self._history = queue[:, m:]
         return queue[:, :m]
+
+    def _note_driven(self, block: FloatArray) -> None:
+        """Noise of a pair's own from the first sound on: the same whatever was measured before, by this process or by
+        one that was interrupted, and another each time."""
+        if self._driven is not None or not block.any():
+            return
+        self._driven = int(np.argmax(np.abs(block).max(axis=1)))
+        pair = self._point, self._driven
+        times = self._times[pair] = self._times.get(pair, -1) + 1
+        pairs = self._kernel.shape[:2]
+        turn = (times * pairs[0] + self._point) * pairs[1] + self._driven
+        self._rng = np.random.default_rng([self._options.seed, self._point, turn])
 
     def close(self) -> None:
         """Nothing to silence."""

@@ -9,9 +9,8 @@ from ..engines.layered import solve_layered
 from ..errors import DataError, ForearmError, ScenarioError
 from ..rendering import Record, bridged, place
 from ..scenario import Scenario
-from ..scenario.frequencies import frequencies
 from ..scenario.limb import MeshLimb, SurfacesLimb
-from ..scenario.sweep import FrequencyList
+from ..scenario.sweep import FrequencyList, frequencies
 from ..transfer import finite
 
 _ON_BIN = 1e-3  # of a bin: as for G's own samples

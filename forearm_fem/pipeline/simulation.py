@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import platform
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from .. import __version__
 from ..accuracy.discretisation import discretisation_of
@@ -25,13 +26,19 @@ from ..rendering import Rendering
 from ..rendering.interval import StrengthAccount
 from ..rendering.job import RenderJob, render_transfer
 from ..scenario import Scenario
-from ..scenario.frequencies import frequencies
+from ..scenario.sweep import frequencies
 from ..tissue import resolve_tissues
 from ..transfer import Compliance, TransferMatrix, finite
 from .notes import model_notes, near_disc_notes
 
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import FigureBase
 
-@dataclass(frozen=True, eq=False)
+    from ..typing import ComplexArray
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation:
     """A simulated calibration.
 
@@ -49,6 +56,38 @@ class Simulation:
     notes: tuple[str, ...] = field(default=())
     base: Path = Path(".")
     resolution: tuple[Resolution, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Simulation of '{self.scenario.name}': {self.transfer!r}>"
+
+    def _repr_html_(self) -> str:
+        return self.transfer._repr_html_()
+
+    @cached_property
+    def rendering(self) -> Rendering:
+        """Drives, displacements and S of the scenario's methods and targets."""
+        return render(self)
+
+    @property
+    def strength(self) -> StrengthAccount:
+        """S with its interval."""
+        return self.rendering.strength
+
+    def sel(self, output: str, input: str) -> ComplexArray:
+        """G (n_frequency,) of one point by one actuator, e.g. ``sel("5", "A1")``."""
+        return self.transfer.sel(output, input)
+
+    def to_xarray(self) -> xr.DataArray:
+        """G (frequency, output, input)."""
+        return self.transfer.to_xarray()
+
+    def plot(self) -> FigureBase:
+        """Size and phase of each entry of G, within its stated error."""
+        return self.transfer.plot()
+
+    def save(self, path: str | Path) -> None:
+        """Write G: see :meth:`.TransferMatrix.save`."""
+        self.transfer.save(path)
 
 
 class AnswersForArm(Protocol):

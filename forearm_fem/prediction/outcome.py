@@ -17,7 +17,7 @@ from ..ports import Port
 from ..rendering.interval import interval
 from ..rendering.job import RenderJob
 from ..scenario import Scenario
-from ..scenario.frequencies import frequencies
+from ..scenario.sweep import frequencies
 from ..store.record import dims
 from ..tissue import resolve_tissues
 from ..transfer import TransferMatrix, finite, total_error

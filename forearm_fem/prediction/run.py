@@ -24,8 +24,8 @@ from ..rendering.interval import StrengthAccount
 from ..rendering.job import RenderJob, check_servable, wavelet
 from ..rendering.lattice import is_thesis_grid
 from ..scenario import Scenario
-from ..scenario.contents import contents, named_files
-from ..scenario.frequencies import frequencies
+from ..scenario.shipped import contents, named_files
+from ..scenario.sweep import frequencies
 from ..store.folder import check_kind, set_kind
 from ..store.record import save
 from ..store.shelf import WORK, Shelf

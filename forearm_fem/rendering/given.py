@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -36,27 +35,27 @@ def scenario_for(
     notes = list[str]()
     if asked is not None:
         _refuse_other_counts(asked, g)
-        plain = asked.model_dump(mode="json")
+        scenario = asked
     elif (named := named_by(g)) is not None:
-        plain = named.model_dump(mode="json")
+        scenario = named
     else:
-        plain = _thesis_with_places_of(g)
+        scenario = _thesis_with_places_of(g)
         notes.append(UNASKED)
-    scenario = parse_scenario(plain, changes=read_overrides(overrides), origin="scenario of G")
+    scenario = scenario.changed(read_overrides(overrides)) if overrides else scenario
     shape = scenario.rendering.wavelet
     if isinstance(shape, SampledWavelet) or _lies_on(g, scenario):
         return scenario, tuple(notes)
     own = wavelet_for(g.frequency, shape.peak).record
     if is_on_bins(g.frequency, 1 / own.df):
         sweep = {
-            "f_min": float(g.frequency[0]), "f_max": float(min(g.frequency[-1], _HIGHEST)),
-            "duration": 1 / own.df, "sample_rate": own.sample_rate,
+            "sweep.f_min": float(g.frequency[0]), "sweep.f_max": float(min(g.frequency[-1], _HIGHEST)),
+            "sweep.duration": 1 / own.df, "sweep.sample_rate": own.sample_rate,
         }  # fmt: skip
         notes.append(
             f"the record is {1 / own.df:.4g} s at {own.sample_rate:.6g} Hz, whose bins are this G's frequencies: it is "
             f"not known closely enough for the scenario's ({scenario.sweep.duration:g} s)"
         )
-        scenario = parse_scenario({**scenario.model_dump(mode="json"), "sweep": sweep}, origin="scenario of G")
+        scenario = scenario.changed(sweep)
     return scenario, tuple(notes)
 
 
@@ -88,15 +87,13 @@ def _refuse_other_counts(asked: Scenario, g: TransferMatrix) -> None:
         )
 
 
-def _thesis_with_places_of(g: TransferMatrix) -> dict[str, Any]:
+def _thesis_with_places_of(g: TransferMatrix) -> Scenario:
     """The thesis' scenario, its device and grid where G's ports are."""
-    plain = load_scenario(DEFAULT).model_dump(mode="json")
-    device, centre = dict(plain["device"]), np.mean([p.position[:2] for p in g.inputs], axis=0)
-    device |= {"contacts": _places(g.inputs, centre), "drive": next(k for k, u in UNITS.items() if u == g.unit)}
-    return {
-        **plain, "name": "measured", "description": "", "device": device,
-        "grid": {"points": _places(g.outputs, centre)},
-    }  # fmt: skip
+    centre = np.mean([p.position[:2] for p in g.inputs], axis=0)
+    return load_scenario(DEFAULT).changed({
+        "name": "measured", "description": "", "device.drive": next(k for k, u in UNITS.items() if u == g.unit),
+        "device.contacts": _places(g.inputs, centre), "grid.points": _places(g.outputs, centre),
+    })  # fmt: skip
 
 
 def _places(ports: Sequence[Port], centre: np.ndarray) -> list[list[float]]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import notebook
 from ..errors import DataError
 from ..metrics import perturbed
 from ..metrics.strength import plain_strength, without_bound
@@ -22,6 +24,10 @@ from .spectrum import place
 from .wavelet import Wavelet, Window
 from .zeros import FixedZeros, SearchedZeros
 
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import FigureBase
+
 _DRAWS, _SEED = 12, 0
 _MARGIN = 2.0  # the ends that are missing may count for more than their neighbours
 _CORRELATION = 50.0  # Hz: errors of meshes and ends are smooth over about that much
@@ -34,6 +40,18 @@ _LEAST_SPAN = 4.0  # of the window: the record that draws are made on
 
 
 @dataclass(frozen=True, eq=False)
+class StrengthEntry:
+    """One S with its interval [-]; NaN where unknown."""
+
+    value: float
+    low: float
+    high: float
+
+    def __repr__(self) -> str:
+        return f"<S {self.value:.3g} ({self.low:.3g} to {self.high:.3g})>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class StrengthAccount:
     """Arrays (n_method, n_target) [-]: S ``value``, its interval ``low`` to ``high`` (NaN where unknown), S over the
     whole ``record``, the change of S with tapered band ``edges``, what ``holes`` of G and missing ends of its band may
@@ -54,6 +72,38 @@ class StrengthAccount:
     holes: FloatArray
     zeros: Mapping[str, Mapping[str, tuple[str, ...]]]
     unknown: str = ""
+
+    def __repr__(self) -> str:
+        return notebook.line_of_s(self)
+
+    def _repr_html_(self) -> str:
+        return notebook.html_of_s(self)
+
+    def sel(self, method: str, target: str) -> StrengthEntry:
+        """S of a method at a target, e.g. ``s.sel("funneling", "5")``; DataError for other names."""
+        m = notebook.place(self.methods, method, "method")
+        t = notebook.place(self.targets, target, "target")
+        return StrengthEntry(*(float(part[m, t]) for part in (self.value, self.low, self.high)))
+
+    def __getitem__(self, key: tuple[str, str]) -> StrengthEntry:
+        return self.sel(*key)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Value, low, high, record, edges and holes by method and target."""
+        return notebook.xarray_of_s(self)
+
+    def plot(self) -> FigureBase:
+        """S by target with its interval."""
+        return notebook.plot_of_s(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write ``signal_strength.csv``, as a run does."""
+        from ..store.results import strength_rows, write_signal_strength_csv
+
+        rows = strength_rows(
+            self.methods, self.targets, self.value, (self.low, self.high), self.record, self.window, grouped=False
+        )
+        write_signal_strength_csv(path, rows)
 
     def as_json(self) -> dict[str, Any]:
         """By method and target, in plain numbers; None where unknown."""

@@ -18,11 +18,11 @@ from ..metrics.strength import plain_strength
 from ..ports import Port
 from ..progress import Progress
 from ..scenario import Scenario
-from ..scenario.frequencies import frequencies
 from ..scenario.rendering import RenderingOptions, SampledWavelet
-from ..scenario.sweep import Sweep
+from ..scenario.sweep import Sweep, frequencies
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
+from ..usercode import is_code, named
 from .combination import Combination
 from .drives import Renderer, displacements, drives
 from .funneling import Funneling, funneling_weights
@@ -179,7 +179,19 @@ def renderers(
         "funneling": Funneling(amplitude=options.amplitude),
         "combination": Combination(zeros=zeros, regularisation=rule, amplitude=options.amplitude, least_error=least),
     }
-    return [known[m] for m in options.methods if m not in left_out]
+    return [known[m] if m in known else user_renderer(m, scenario) for m in options.methods if m not in left_out]
+
+
+def user_renderer(code: str, scenario: Scenario) -> Renderer:
+    """The renderer of the user's own class ``code``: ``Class.of(scenario)`` where it has that, else ``Class()``.
+
+    ScenarioError where it has no ``name`` or no ``aim(placed, target, wavelet)``.
+    """
+    made = named(code, "rendering.methods")
+    renderer = made.of(scenario) if hasattr(made, "of") else made()
+    if lacking := [what for what in ("name", "aim") if not hasattr(renderer, what)]:
+        raise ScenarioError(f"rendering.methods: {code} has no {lacking[0]}; a renderer has a name and an aim")
+    return renderer  # type: ignore[no-any-return]
 
 
 def least_error(scenario: Scenario) -> float:
@@ -200,7 +212,7 @@ def unsuited(
     """Methods that cannot serve these ports, each with a sentence that names cause and remedy."""
     by_name = {p.name: p for p in outputs}
     found: dict[str, str] = {}
-    for method in options.methods:
+    for method in (m for m in options.methods if not is_code(m)):
         try:
             if method != "inverse filter":
                 for target in (by_name[t] for t in targets if t in by_name):

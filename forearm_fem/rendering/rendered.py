@@ -5,9 +5,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .. import notebook
 from ..arguments import checked
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..metrics.strength import StrengthTable, plain_strength, signal_strength_table, without_bound
@@ -25,6 +29,12 @@ from .sharing import prepared
 from .spectrum import place
 from .wavelet import Wavelet, Window, ricker, window_of
 
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import FigureBase
+
+    from .interval import StrengthAccount
+
 _MUCH_LOST = 0.1
 
 
@@ -38,7 +48,7 @@ class Rendered:
     report: DriveReport
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rendering(Mapping[tuple[str, str], Rendered]):
     """Results by (method, target), e.g. ``rendering["funneling", "5"]``.
 
@@ -51,6 +61,43 @@ class Rendering(Mapping[tuple[str, str], Rendered]):
     window: tuple[float, float] | None
     bridged: Bridged
     limits: Limits
+    renderers: tuple[Renderer, ...] = ()
+    wavelet: Wavelet | None = None
+
+    def __repr__(self) -> str:
+        return f"<Rendering of {', '.join(self.methods)} at {len(self.targets)} targets>"
+
+    def _repr_html_(self) -> str:
+        return self.strength._repr_html_()
+
+    @cached_property
+    def strength(self) -> StrengthAccount:
+        """S with its interval; DataError for drives that were played on another G than they were designed on."""
+        from .interval import strength_account
+
+        if self.wavelet is None:
+            raise DataError("drives were played on another G than their own, so there is no interval of S")
+        g = self.bridged.transfer
+        measured = any(e.source == "measurement" for e in g.errors) or g.deviation is not None
+        return strength_account(self, self.renderers, self.wavelet, measured)
+
+    def sel(self, method: str, target: str) -> Rendered:
+        """Drives and displacements of a method at a target; DataError for other names."""
+        m = notebook.place(self.methods, method, "method")
+        t = notebook.place(self.targets, target, "target")
+        return self.results[self.methods[m], self.targets[t]]
+
+    def to_xarray(self) -> xr.Dataset:
+        """Drives and displacements by method, target, channel and time."""
+        return notebook.xarray_of_rendering(self)
+
+    def plot(self) -> FigureBase:
+        """S by target with its interval."""
+        return self.strength.plot()
+
+    def save(self, path: str | Path) -> None:
+        """Write drives and displacements as netCDF."""
+        self.to_xarray().to_netcdf(path, engine="h5netcdf")
 
     def __getitem__(self, key: tuple[str, str]) -> Rendered:
         if key not in self.results:
@@ -150,7 +197,8 @@ def render_all(
         )
     if results and holes.absent:
         warnings.warn(holes.said_of_absent, AccuracyWarning, stacklevel=2)
-    found = Rendering(names, targets, results, seconds, holes, limits or Limits())
+    own = (tuple(methods), wavelet) if play_on is None else ((), None)
+    found = Rendering(names, targets, results, seconds, holes, limits or Limits(), *own)
     if results and (endless := without_bound(names, targets, found.strengths)):
         warnings.warn(endless, AccuracyWarning, stacklevel=2)
     return found

@@ -1,10 +1,9 @@
 """Scenario files: what the user asks for."""
 
-from .body import BODIES, Tape
-from .load import apply_overrides, load_scenario, parse_scenario, scenario_schema
+from .limb import BODIES, Tape
+from .load import apply_overrides, load_scenario, parse_scenario, scenario_schema, scenario_template
 from .model import Scenario
 from .shipped import scenario_beside, scenario_file, shipped_scenarios
-from .template import scenario_template
 
 __all__ = [
     "BODIES",

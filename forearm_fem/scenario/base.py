@@ -22,8 +22,8 @@ from pydantic import (
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from ..errors import ScenarioError
-from .changes import remade
-from .problem import first_problem_of
+from ..usercode import is_code
+from .changes import first_problem_of, remade
 
 LONGEST_TEXT = 4000  # characters of one text in a scenario
 
@@ -81,6 +81,15 @@ def _folder_name(name: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_folder_name), Field(json_schema_extra={"pattern": _FOLDER})]
+
+
+def _code(text: str) -> str:
+    if is_code(text):
+        return text
+    raise ValueError("expected one of the known names, or module:Name for a class of your own file")
+
+
+UserCode = Annotated[str, AfterValidator(_code)]
 
 
 def idle(keys: Iterable[str], why: str) -> PydanticCustomError:
@@ -148,6 +157,10 @@ class Part(BaseModel):
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """:meth:`changed` under pydantic's name, so that no copy escapes the checks."""
+        return self.changed(update or {})
+
+    def copy(self, *, update: Mapping[str, Any] | None = None, **_: Any) -> Self:
+        """:meth:`changed` under pydantic's older name."""
         return self.changed(update or {})
 
     # Tables within tables are validated by pydantic without calling this, so that it knows the whole key.

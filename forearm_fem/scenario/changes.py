@@ -1,14 +1,17 @@
-"""Changing tables by dotted key, and making a checked part of what comes out."""
+"""Tables of a scenario: changed by dotted key, checked, and what is wrong with one in a sentence."""
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterator, Mapping
+from datetime import date, time
+from difflib import get_close_matches
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from ..errors import ScenarioError
-from .problem import first_problem_of, idle_keys_of
+from ..errors import ScenarioError, in_tomls_words
 
 DEEPEST = 12  # levels of tables and lists; a scenario's own keys need 5
 T = TypeVar("T")
@@ -113,3 +116,103 @@ def changed_keys(part: BaseModel, usual: BaseModel | None, path: str = "") -> It
             yield from changed_keys(value, other, f"{path}{name}.")
         elif value != other:
             yield f"{path}{name}"
+
+
+_ALIKE = 0.8  # of difflib's ratio: one or two letters of ten
+_KIND = re.compile(r"as |(literal|tuple|list|dict|function-[a-z]+|constrained-[a-z]+)\[")  # of a union's members
+
+
+def first_problem_of(problem: ValidationError, schema: dict[str, Any]) -> str:
+    """One sentence: key path, what was expected, what came; unknown keys first, as they cause others.
+
+    ``schema`` is the JSON Schema of what was validated, for the key that an unknown one was meant to be.
+    """
+    errors = sorted(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    first = next((e for e in errors if _key(e["loc"]).startswith(f"{_key(errors[0]['loc'])}.")), errors[0])
+    where = _key(first["loc"])
+    if first["type"] == "choice":
+        return f"{first['ctx']['key']}: {first['msg']}"
+    if first["type"] == "idle":
+        return f"{', '.join(_idle_keys(first))}: {first['msg']}"
+    same = [e for e in errors if _key(e["loc"]) == where]  # a key of several kinds fails once for each of them
+    more = f" (and {len(errors) - len(same)} more)" if len(errors) > len(same) else ""
+    if first["type"] == "extra_forbidden":
+        meant = key_meant(where, schema)
+        if meant == where:  # known, and yet not here: of another shape, as when --set changes the shape alone
+            return f"{where}: has no meaning where limb.shape is '{first['loc'][1]}'; leave it out{more}"
+        advice = f"did you mean {meant}?" if meant else "`forearm-fem schema` lists the known ones"
+        return f"{where}: unknown key; {advice}{more}"
+    came = first["input"]
+    as_toml = str(came) if isinstance(came, date | time) else repr(came)
+    shown = "" if isinstance(came, Mapping) else f", got {_shortened(as_toml)}"
+    if isinstance(came, str) and {e["type"] for e in same} <= {"tuple_type", "list_type"}:
+        # what was meant: a list of a single text, or one whose quotes a shell ate
+        listed = json.dumps([item.strip() for item in came.strip("[] ").split(",")])
+        shown += f"; write {_shortened(listed)}, in a shell between single quotes"
+    words = (in_tomls_words(e["msg"].removeprefix("Value error, ")) for e in same)
+    said = dict.fromkeys(w[0].lower() + w[1:] for w in words)
+    message = ", or ".join(m if k == 0 else m.removeprefix("input should be ") for k, m in enumerate(said))
+    return f"{where}{': ' if where else ''}{message}{shown}{more}"
+
+
+def idle_keys_of(problem: ValidationError) -> list[str]:
+    """Dotted keys that were refused for having no effect."""
+    return [key for error in problem.errors() if error["type"] == "idle" for key in _idle_keys(error)]
+
+
+def _idle_keys(error: Mapping[str, Any]) -> list[str]:
+    table = _key(error["loc"])
+    return [f"{table}.{key}" if table else key for key in error["ctx"]["keys"]]
+
+
+def _key(place: tuple[int | str, ...]) -> str:
+    """The dotted key at a validator's ``place``, without the limb's shape and what the validator calls its kinds."""
+    if place[:1] == ("limb",):
+        place = (*place[:1], *place[2:])
+    return ".".join(str(part) for part in place if not _KIND.match(str(part)))
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:40]} ... {text[-15:]}"
+
+
+def key_meant(key: str, schema: dict[str, Any]) -> str | None:
+    """The dotted key of the JSON ``schema`` that ``key`` was most likely to be; None where none is like it."""
+    known = dict.fromkeys(keys_of(schema))
+    table, _, name = key.rpartition(".")
+    namesakes = [k for k in known if k.rpartition(".")[2] == name]
+    if namesakes:
+        return (get_close_matches(key, namesakes, 1, 0.0) or namesakes)[0]
+    beside = {k.rpartition(".")[2]: k for k in known if k.rpartition(".")[0] == table}
+    alike = get_close_matches(name, beside, 1, _ALIKE)
+    return beside[alike[0]] if alike else None
+
+
+def units_of(
+    part: Mapping[str, Any], tables: Mapping[str, Any] | None = None, path: str = ""
+) -> Iterator[tuple[str, str]]:
+    """Dotted keys of numbers below a JSON schema and their units; "*" stands for names of the user's own."""
+    tables = part.get("$defs", {}) if tables is None else tables
+    if "unit" in part:
+        yield path, part["unit"]
+    if "$ref" in part:
+        yield from units_of(tables[part["$ref"].rpartition("/")[2]], tables, path)
+    for one in (*part.get("oneOf", ()), *part.get("anyOf", ()), *part.get("allOf", ())):
+        yield from units_of(one, tables, path)
+    for name, entry in part.get("properties", {}).items():
+        yield from units_of(entry, tables, f"{path}.{name}" if path else name)
+    if isinstance(part.get("additionalProperties"), dict):
+        yield from units_of(part["additionalProperties"], tables, f"{path}.*")
+
+
+def keys_of(part: Mapping[str, Any], tables: Mapping[str, Any] | None = None, path: str = "") -> Iterator[str]:
+    """Dotted keys below ``part``, of all shapes that it may have; names in mappings are the user's own."""
+    tables = part.get("$defs", {}) if tables is None else tables
+    if "$ref" in part:
+        yield from keys_of(tables[part["$ref"].rpartition("/")[2]], tables, path)
+    for one in (*part.get("oneOf", ()), *part.get("anyOf", ())):
+        yield from keys_of(one, tables, path)
+    for name, entry in part.get("properties", {}).items():
+        where = f"{path}.{name}" if path else name
+        yield where
+        yield from keys_of(entry, tables, where)

@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 from .base import Name, Part, Within, idle
 from .changes import as_given, changed_keys, put, remade
 from .device import Device, Grid, GridRows, VoltageRows
-from .library import LibraryPatch
+from .elements import AnySupports, Element, FreeUnderside, LibraryPatch, MeshOptions
 from .limb import (
     CylinderLimb,
     ForearmLimb,
@@ -29,9 +29,7 @@ from .limb import (
     limb_tissues,
 )
 from .measurement import MeasurementOptions
-from .mesh import Element, MeshOptions
 from .rendering import RenderingOptions
-from .supports import AnySupports, FreeUnderside
 from .sweep import Band, ReducedSolve, Solver, Sweep
 from .tissues import Tissues
 

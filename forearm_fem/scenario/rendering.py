@@ -6,9 +6,9 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from .base import Frequency, Part, Within, given, idle, only_in
+from .base import Frequency, Part, UserCode, Within, given, idle, only_in
 
-Method = Literal["inverse filter", "funneling", "combination"]
+Method = Literal["inverse filter", "funneling", "combination"] | UserCode
 
 
 _OF_INVERSION = ("zeros", "regularisation", "regularisation_value")
@@ -41,7 +41,10 @@ class RenderingOptions(Part):
     """Renderers to run."""
 
     targets: tuple[str, ...] | Literal["all"] = Field("all", description="names of grid points to aim at, or all")
-    methods: tuple[Method, ...] = Field(("inverse filter", "funneling", "combination"), description="renderers to run")
+    methods: tuple[Method, ...] = Field(
+        ("inverse filter", "funneling", "combination"),
+        description="renderers to run; your own as module:Name of a file beside the scenario",
+    )
     zeros: Literal["auto", "thesis", "search"] | tuple[str, ...] = Field(
         "auto",
         description="zero points; auto: the thesis' corners for up to four actuators on a rectangular grid, else all "

@@ -1,8 +1,14 @@
-"""Scenarios that come with the program: found by name, in an installed package and in a clone alike."""
+"""Files: scenarios that come with the program, and what a scenario names."""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable
 from pathlib import Path
+
+from .limb import Limb, MeshLimb, SurfacesLimb
+from .model import Scenario
+from .rendering import SampledWavelet
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -32,3 +38,22 @@ def scenario_beside(folder: Path, named: str) -> Path:
     if beside.is_file() or named not in shipped_scenarios():
         return beside
     return shipped_folder("scenarios") / f"{named}.toml"
+
+
+def named_files(scenario: Scenario) -> tuple[str, ...]:
+    """Files that ``scenario`` names, seen from its own folder: of the limb, and of the wavelet."""
+    wave = scenario.rendering.wavelet
+    return (*limb_files(scenario.limb), *((wave.file,) if isinstance(wave, SampledWavelet) else ()))
+
+
+def limb_files(limb: Limb) -> tuple[str, ...]:
+    """Files that a ``limb`` is made of; none for a parametric one."""
+    if isinstance(limb, MeshLimb):
+        return (limb.file,)
+    return tuple(limb.surfaces.values()) if isinstance(limb, SurfacesLimb) else ()
+
+
+def contents(files: Iterable[str], base: str | Path) -> list[str]:
+    """SHA-256 of each of the ``files`` seen from ``base``; "missing" for one that is not there."""
+    paths = [Path(base) / file for file in files]
+    return [hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "missing" for path in paths]

@@ -1,18 +1,21 @@
-"""Frequencies, solver and reduction options."""
+"""Frequencies: a band or a list on a record; and how each is solved."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
+from ..errors import ScenarioError
+from ..typing import FloatArray
 from .base import Frequency, Part, Within, choice, given, idle, only_in
 
 MOST_BINS, MOST_SAMPLES = 50_000, 2_000_000  # of one sweep, of one record
 Swept = Annotated[float, Within(1e-3, 5000.0, "Hz")]
 
 
-class Record(Part):
+class SweepRecord(Part):
     """The record that drives and displacements fill; its bins are 1 / duration apart."""
 
     duration: Annotated[float, Within(1e-3, 1e4, "s")] = Field(
@@ -36,7 +39,7 @@ class Record(Part):
         return self
 
 
-class Band(Record):
+class Band(SweepRecord):
     """All bins of a band; default: those of a 2 s record at 10 kHz that the thesis' 10-500 Hz sweep excites (981)."""
 
     f_min: Frequency = Field(10.0, description="[Hz]")
@@ -56,7 +59,7 @@ class Band(Record):
         return self
 
 
-class FrequencyList(Record):
+class FrequencyList(SweepRecord):
     """A list of frequencies; what is rendered on the bins between them is interpolated."""
 
     frequencies: Annotated[tuple[Swept, ...], Field(min_length=1, max_length=MOST_BINS)] = Field(
@@ -155,3 +158,17 @@ Solver = Annotated[
     Annotated[ReducedSolve, Tag("as reduced solve")] | Annotated[DirectSolve, Tag("as direct solve")],
     Discriminator(_solve),
 ]
+
+
+def frequencies(sweep: Sweep) -> FloatArray:
+    """Frequencies (n,) [Hz]: the scenario's own list, or the bins k / duration inside [f_min, f_max]."""
+    if isinstance(sweep, FrequencyList):
+        return np.array(sweep.frequencies, dtype=float)
+    first = int(np.ceil(sweep.f_min * sweep.duration - 1e-9))
+    last = int(np.floor(sweep.f_max * sweep.duration + 1e-9))
+    if last < first:
+        raise ScenarioError(
+            f"sweep: no bin of width {1 / sweep.duration:g} Hz lies between {sweep.f_min:g} and {sweep.f_max:g} Hz; "
+            "lengthen sweep.duration"
+        )
+    return np.arange(first, last + 1) / sweep.duration

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .base import Length, Part, Within, idle
+from .base import Length, Part, UserCode, Within, idle
 
 Modulus = Annotated[float, Within(0.1, 1e13, "Pa")]
 Viscosity = Annotated[float, Within(1e-9, 1e6, "Pa s", zero=True)]
@@ -22,9 +22,12 @@ class TissueOverride(Part):
     mu: Modulus | None = Field(None, description="storage (shear) modulus [Pa]")
     eta: Viscosity | None = Field(None, description="shear viscosity [Pa s]")
     bulk: Modulus | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
-    model: Literal["kelvin-voigt", "springpot", "zener"] | None = Field(
-        None, description="law of the shear modulus; kelvin-voigt where left out"
+    model: Literal["kelvin-voigt", "springpot", "zener"] | UserCode | None = Field(
+        None,
+        description="law of the shear modulus; kelvin-voigt where left out; your own as module:Name of a file beside "
+        "the scenario",
     )
+    parameters: dict[str, float] = Field(default_factory=dict, description="of a law of your own, by name, in SI")
     exponent: Annotated[float, Within(0.001, 0.999)] | None = Field(None, description="springpot exponent [-]")
     mu_infinity: Modulus | None = Field(None, description="Zener high-frequency modulus [Pa]")
 

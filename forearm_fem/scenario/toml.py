@@ -7,14 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ForearmError, ScenarioError
+from ..usercode import with_code_beside
 
 
 def read_toml(file: Path, missing: str, error: type[ForearmError] = ScenarioError) -> dict[str, Any]:
-    """The table in ``file``; ``error`` with the sentence ``missing`` where there is none, or why it cannot be read."""
+    """The table in ``file``, user code beside it named in full (:mod:`forearm_fem.usercode`).
+
+    ``error`` with the sentence ``missing`` where there is no file, or with why it cannot be read.
+    """
     if file.is_dir():
         raise error(f"{file}: is a folder, expected a TOML file")
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        table = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise error(f"{file}: {missing}") from None
     except (OSError, UnicodeDecodeError) as problem:
@@ -25,3 +29,5 @@ def read_toml(file: Path, missing: str, error: type[ForearmError] = ScenarioErro
         raise error(f"{file}: not valid TOML: {problem}") from None
     except ValueError:  # Python reads no more
         raise error(f"{file}: a number has more than 4300 digits") from None
+    beside: dict[str, Any] = with_code_beside(table, file.parent)
+    return beside

@@ -31,7 +31,7 @@ from .matrix import (
     versus,
     versus_of,
 )
-from .methods import method, plot_method, plot_workflow, workflow
+from .methods import method, plot_method
 from .registry import FigureKind, applies, kinds, make_figures
 from .targets import plot_target, plot_traces, target_waves
 from .waves import dispersion, plot_dispersion, plot_travel, travel
@@ -62,12 +62,10 @@ __all__ = [
     "plot_transfer",
     "plot_travel",
     "plot_versus",
-    "plot_workflow",
     "strengths",
     "table_one_markdown",
     "target_waves",
     "travel",
     "versus",
     "versus_of",
-    "workflow",
 ]

@@ -16,10 +16,10 @@ from ..device.housing import carries_points
 from ..errors import DataError, optional
 from ..ports import Port
 from ..progress import Progress, tell
-from ..store.folder import atomic_path, write_bytes, write_text
+from ..store.folder import atomic_path
 from ..typing import FloatArray, IntArray
 from .data import Results
-from .motion import Motion, View, motion, nice, shown_values
+from .motion import Motion, View, default_times, motion, nice, shown_values
 from .scene import (
     MM,
     add_bones,
@@ -32,7 +32,7 @@ from .scene import (
 )
 from .style import SIGNED, SIZE
 
-__all__ = ["Look", "animate", "render_still", "write_pvd"]
+__all__ = ["Look", "animate", "render_still"]
 
 CAMERAS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {"oblique": (-0.75, -1.0, 0.95), "top": (0.0, -0.001, 1.0), "side": (0.0, -1.0, 0.25), "wrist": (-1.0, -0.12, 0.3)}
@@ -314,52 +314,15 @@ def _given(results: Results | str | Path, view: View | None, look: Look | None) 
     return found, view or default_view(found), look or Look()
 
 
+def frames_at(speed: float) -> float:
+    """Frames a second that play the film's instants, 0.5 ms apart, at ``speed`` of real time."""
+    times = default_times()
+    return speed / float(times[1] - times[0])
+
+
 def default_view(results: Results) -> View:
     """The inverse filter at target 5, or the first there is of each."""
     drives = results.drives
     first = View()
     method = first.method if first.method in drives.methods else drives.methods[0]
     return View(method, first.target if first.target in drives.targets else drives.targets[0])
-
-
-def write_pvd(
-    results: Results | str | Path,
-    path: str | Path,
-    *,
-    view: View | None = None,
-    steps: FloatArray | None = None,
-    progress: Progress | None = None,
-) -> Path:
-    """A series for ParaView: ``path`` (.pvd) and beside it a folder of its name with one .vtu per step.
-
-    Point data "displacement" (n, 3) [m], cell data "region"; coordinates are in metres, time in seconds (at a
-    frequency: phase in degrees). Warp by vector in ParaView to see it move.
-    """
-    target = Path(path)
-    if target.suffix != ".pvd":
-        raise DataError(f"{target}: a series for ParaView is a .pvd file, not '{target.suffix}'")
-    found, view, _ = _given(results, view, None)
-    moved = motion(found, view, steps)
-    grid = volume_grid(found.mesh)
-    grid.points = found.mesh.points.copy()
-    lines = []
-    for k, at in enumerate(moved.steps):
-        grid.point_data["displacement"] = moved.displacement(found.wavefield.modes[: len(found.mesh.points)], k)
-        name = f"{target.stem}/{k:04d}.vtu"
-        write_bytes(target.parent / name, _vtu(grid))
-        time = at if moved.phasor is None else np.degrees(at)
-        lines.append(f'    <DataSet timestep="{time:.9g}" file="{name}"/>')
-        tell(progress, "frames", k + 1, len(moved.steps))
-    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
-    write_text(target, head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n")
-    return target
-
-
-def _vtu(grid: Any) -> bytes:
-    """The contents of a .vtu file: VTK crashes the process where it writes to a full disk itself."""
-    writer = import_module("vtkmodules.vtkIOXML").vtkXMLUnstructuredGridWriter()
-    writer.SetInputData(grid)
-    writer.SetDataModeToBinary()
-    writer.WriteToOutputStringOn()
-    writer.Write()
-    return str(writer.GetOutputString()).encode()

@@ -217,8 +217,20 @@ def table_one_markdown(data: Strengths) -> str:
 
 
 def table_one_extra(data: Strengths) -> dict[str, str]:
-    """The Markdown beside the figure."""
-    return {"table.md": table_one_markdown(data)}
+    """The table as Markdown and as LaTeX (``booktabs``) beside the figure."""
+    return {"table.md": table_one_markdown(data), "table.tex": table_one_latex(data)}
+
+
+def table_one_latex(data: Strengths) -> str:
+    """Table I as a LaTeX ``tabular`` with the rules of ``booktabs``."""
+    rows, shown = table_one_rows(data), ""
+    lines = [r"\begin{tabular}{llccc}", r"\toprule", " & ".join(TABLE_ONE) + r" \\", r"\midrule"]
+    for place, method, *numbers in rows:
+        named = place if place != shown else ""
+        shown = place
+        cells = (named, method, *(n.replace("±", r"$\pm$").replace("–", "--").replace("%", r"\%") for n in numbers))
+        lines.append(" & ".join(cells) + r" \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def table_one_csv(data: Strengths) -> Table:

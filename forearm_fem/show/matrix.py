@@ -6,22 +6,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import FigureBase
 
-from ..compare.common import CommonGround, common_ground
 from ..metrics import condition_number, singular_values
 from ..ports import distances
+from ..questions.compare.common import CommonGround, common_ground
 from ..rendering import AutoZeros, Placed
 from ..rendering.drives import Aim
 from ..rendering.spectrum import BinValues, Record
 from ..transfer import TransferMatrix, entry_errors
 from ..typing import ComplexArray, FloatArray
 from .data import Results
-from .style import FAINT, GREY, MICRO, decimal, letter, micro, panels, styled
+from .style import FAINT, GREY, MICRO, NEARNESS, decimal, letter, micro, panels, styled
 from .tables import Table
 
 
@@ -66,7 +65,7 @@ def plot_transfer(data: TransferMatrix, *, ax: Axes | None = None) -> FigureBase
     for i, source in enumerate(data.inputs):
         foot = MICRO * np.nanmin(np.abs(values[:, :, i]), initial=np.inf)
         for o in np.argsort(-gap[:, i]):  # far points first, so that near ones lie on top
-            entry, colour = values[:, o, i], colormaps["viridis_r"](scale(gap[o, i]))
+            entry, colour = values[:, o, i], NEARNESS(scale(gap[o, i]))
             size, error = MICRO * np.abs(entry), MICRO * off[:, o, i]
             known = ~(error >= size)  # where nothing is stated, nothing is doubted
             low, high = np.maximum(size - error, foot), size + error
@@ -78,7 +77,7 @@ def plot_transfer(data: TransferMatrix, *, ax: Axes | None = None) -> FigureBase
         grid[1, i].set_xlabel("frequency [Hz]")
     grid[0, 0].set(ylabel=f"|G| [{micro(data.unit)}]", yscale="log")
     grid[1, 0].set_ylabel("phase [cycles]")
-    bar = figure.colorbar(ScalarMappable(scale, "viridis_r"), ax=list(grid.ravel()), fraction=0.03, pad=0.01)
+    bar = figure.colorbar(ScalarMappable(scale, NEARNESS), ax=list(grid.ravel()), fraction=0.03, pad=0.01)
     bar.set_label("distance to the actuator [mm]")
     return figure
 
@@ -187,7 +186,7 @@ def versus(results: Results) -> Versus:
 
 
 def versus_of(a: TransferMatrix, b: TransferMatrix, names: tuple[str, str] = ("A", "B")) -> Versus:
-    """Any two transfer matrices; raises as :func:`forearm_fem.compare.common.common_ground`."""
+    """Any two transfer matrices; raises as :func:`forearm_fem.questions.compare.common.common_ground`."""
     return Versus(names, common_ground(a, b))
 
 

@@ -1,14 +1,12 @@
-"""Figures 4 and 5: how one entry of G is measured, and how each renderer gets its drives."""
+"""Figure 4: how one entry of G is measured, and how the inverse filter gets its drives."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
-from matplotlib.patches import ConnectionPatch
 
 from ..errors import NotApplicable
 from ..measurement.sweep import ExponentialSweep
@@ -16,10 +14,10 @@ from ..ports import Port, positions
 from ..rendering import Record, place, respond, to_spectrum
 from ..typing import ComplexArray, FloatArray
 from .data import Results
-from .device import LINES, busy
+from .device import busy
 from .matrix import shown, unwrapped, zero_points
-from .style import ACTUATORS, FAINT, GREY, INK, METHODS, MICRO, panels, styled, widen
-from .tables import Table, stacked_rows
+from .style import ACTUATORS, GREY, INK, MICRO, panels, styled, widen
+from .tables import Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,126 +192,3 @@ def _filter(figure: FigureBase, data: Method) -> None:
     axes[last].set_xlabel("time [ms]")
     axes[last].tick_params(labelbottom=True)
     middle.suptitle("drives, $S = H^{+} U$", fontsize=8)
-
-
-@dataclass(frozen=True, eq=False)
-class Workflow:
-    """Figure 5, one target: per method what is asked for, the drives, and what target and others do.
-
-    ``asked`` (n_t,) in ``asked_unit`` per method; ``drives`` (n_in, n_t); ``moved`` (n_out, n_t) [m].
-    """
-
-    target: str
-    row: int
-    methods: tuple[str, ...]
-    time: FloatArray
-    asked: tuple[FloatArray, ...]
-    asked_unit: tuple[str, ...]
-    drives: tuple[FloatArray, ...]
-    moved: tuple[FloatArray, ...]
-    names: tuple[str, ...]
-    drive_unit: str
-
-
-def workflow(results: Results, target: str | None = None) -> Workflow:
-    """The methods of the thesis that were rendered at ``target`` (default 5, or the first)."""
-    sent, moved = results.drives, results.displacements
-    chosen = target or ("5" if "5" in sent.targets else sent.targets[0])
-    methods = tuple(m for m in METHODS if m in sent.methods)
-    if not methods:
-        raise NotApplicable(f"{results.folder}: none of the thesis' methods was rendered; figure 5 shows them")
-    t = sent.targets.index(chosen)
-    row = moved.channels.index(chosen)
-    drives = [sent.values[sent.methods.index(m), t] for m in methods]
-    reached = [moved.values[moved.methods.index(m), t] for m in methods]
-    keep = np.abs(sent.time) < 0.03
-    asked = {m: _asked(results, m, t, row) for m in methods}
-    return Workflow(
-        target=chosen,
-        row=row,
-        methods=methods,
-        time=sent.time[keep],
-        asked=tuple(asked[m][0][keep] for m in methods),
-        asked_unit=tuple(asked[m][1] for m in methods),
-        drives=tuple(d[:, keep] for d in drives),
-        moved=tuple(u[:, keep] for u in reached),
-        names=sent.channels,
-        drive_unit=sent.unit,
-    )
-
-
-def _asked(results: Results, name: str, t: int, row: int) -> tuple[FloatArray, str]:
-    """What a method starts from: a displacement of the target, or the signal sent to all."""
-    moved, amplitude = results.displacements, results.scenario.rendering.amplitude
-    if name == "inverse filter":
-        return 1e-6 * amplitude * results.wavelet.samples, "m"
-    if name == "funneling" or "funneling" not in moved.methods:
-        return amplitude * results.wavelet.samples, results.drives.unit
-    return moved.values[moved.methods.index("funneling"), t, row], "m"
-
-
-def workflow_table(data: Workflow) -> Table:
-    """Asked, drives and the target's displacement over time, method by method."""
-    parts = {}
-    for k, m in enumerate(data.methods):
-        drives = {f"drive_{n}_{data.drive_unit}": d for n, d in zip(data.names, data.drives[k], strict=True)}
-        asked = {"time_s": data.time, "asked": data.asked[k], "asked_unit": [data.asked_unit[k]] * len(data.time)}
-        parts[m] = {**asked, **drives, f"u_{data.target}_m": data.moved[k][data.row]}
-    return stacked_rows("method", parts)
-
-
-_START = {
-    "inverse filter": "wavelet at target; 0 at zeros",
-    "funneling": "the wavelet itself",
-    "combination": "funneling's motion of target; 0 at zeros",
-}
-_STEP = {
-    "inverse filter": r"$S = H^{+} U$",
-    "funneling": r"$s_q = A_q\,s$,  $A_q$ by distance",
-    "combination": r"$S = H^{+} U$",
-}
-
-
-@styled
-def plot_workflow(data: Workflow, *, ax: Axes | None = None) -> FigureBase:
-    """How each renderer gets its drives, and the motion that follows: one column per method, top to bottom."""
-    figure = panels(ax, (7.4, 5.4))
-    grid = figure.subplots(3, len(data.methods), squeeze=False, gridspec_kw={"hspace": 0.32})
-    ms = 1e3 * data.time
-    for k, name in enumerate(data.methods):
-        metres = data.asked_unit[k] == "m"
-        grid[0, k].plot(ms, (MICRO if metres else 1) * data.asked[k], color=METHODS[name])
-        grid[0, k].set_ylabel("[µm]" if metres else f"[{data.asked_unit[k]}]")
-        for q, (actuator, drive) in enumerate(zip(data.names, data.drives[k], strict=True)):
-            grid[1, k].plot(ms, drive, color=ACTUATORS[q % 6], ls=LINES[q % 4], label=actuator)
-        grid[1, k].set_ylabel(f"[{data.drive_unit}]")
-        for row, trace in enumerate(data.moved[k]):
-            if row != data.row:
-                grid[2, k].plot(ms, MICRO * trace, color=FAINT, lw=0.7)
-        grid[2, k].plot([], [], color=FAINT, lw=0.7, label="the others")
-        grid[2, k].plot(ms, MICRO * data.moved[k][data.row], color=INK, label=f"target {data.target}")
-        grid[2, k].set_ylabel("[µm]")
-        for panel in grid[:, k]:
-            panel.set_xlim(ms[0], ms[-1])
-        grid[0, k].set_title(f"{name}\n", color=METHODS[name], fontweight="bold", fontsize=9)
-        start = grid[0, k].text(0.5, 1.05, _START[name], transform=grid[0, k].transAxes, ha="center", fontsize=6.5)
-        start.set_in_layout(False)
-        _arrow(figure, grid[0, k], grid[1, k], _STEP[name])
-        _arrow(figure, grid[1, k], grid[2, k], r"$U = G\,S$")
-        grid[2, k].set_xlabel("time [ms]")
-    for panel, text in zip(grid[:, 0], ("start", "drives", "displacement"), strict=True):
-        panel.set_ylabel(f"{text} {panel.get_ylabel()}")
-    named = [panel.get_legend_handles_labels() for panel in grid[1:, 0]]
-    figure.legend(*(named[0][k] + named[1][k] for k in (0, 1)), loc="outside lower right", ncols=8)
-    return figure
-
-
-def _arrow(figure: FigureBase, upper: Axes, lower: Axes, text: str) -> None:
-    """An arrow from one panel down to the next, and what happens on the way."""
-    look: dict[str, Any] = {"arrowstyle": "-|>", "color": GREY, "lw": 1.2, "shrinkA": 12, "shrinkB": 2}
-    figure.add_artist(
-        ConnectionPatch((0.5, 0), (0.5, 1), "axes fraction", "axes fraction", axesA=upper, axesB=lower, **look)
-    )
-    lower.annotate(
-        text, (0.54, 1.1), xycoords="axes fraction", fontsize=7.5, color=INK, ha="left", va="center"
-    ).set_in_layout(False)

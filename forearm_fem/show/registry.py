@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,8 +19,7 @@ from ..rendering.lattice import is_thesis_grid
 from ..store.folder import atomic_path, write_text
 from . import device, judge, matrix, mesh, methods, targets, waves
 from .data import Results
-from .overlay import WIDTHS, Curve, fit_width, lay_over, read_curves
-from .style import SHEET, Drawn, arrange, figure_of, sign
+from .style import SHEET, WIDTHS, Drawn, arrange, clear_legends, figure_of, fit_width, sign
 from .tables import Table
 
 FORMATS = ("png", "pdf", "svg")
@@ -50,8 +50,6 @@ _FIXED = (
                waves.travel_extra, ("transfer.nc", "drives.nc")),
     FigureKind("figure-4", "From sweep to transfer function to drives", methods.method, methods.plot_method,
                methods.method_table, methods.method_extra, _SIGNALS),
-    FigureKind("figure-5", "How each renderer gets its drives", methods.workflow, methods.plot_workflow,
-               methods.workflow_table, needs=_SIGNALS),
     FigureKind("table-1", "Signal strength beside the thesis' Table I", judge.strengths, judge.plot_table_one,
                judge.table_one_csv, judge.table_one_extra, ("transfer.nc", "signal_strength.csv")),
     FigureKind("figure-a2", "Attenuation and dispersion", waves.dispersion, waves.plot_dispersion,
@@ -78,17 +76,26 @@ _FIXED = (
 
 
 def kinds(results: Results | None = None) -> Mapping[str, FigureKind]:
-    """Every figure by name: those of the thesis first; ``target-N`` for each target of ``results``."""
+    """Every figure by name: those of the thesis first; ``target-N`` for each target of ``results``, of which the thesis
+    shows 5 and 6 as figures 6 and 7."""
     names: Iterable[str] = results.displacements.targets if results and results.has("displacements.nc") else ("5", "6")
     by_target = []
     for t in names:
         thesis = thesis_figure(t, results)
         title = f"Waves towards target {t}{f' ({thesis})' if thesis else ''}"
         by_target.append(
-            FigureKind(f"target-{t}", title, partial(targets.target_waves, target=t), targets.plot_target,
+            FigureKind(_name_of(t, bool(thesis)), title, partial(targets.target_waves, target=t), targets.plot_target,
                        targets.target_table, targets.target_extra, _SIGNALS)
         )  # fmt: skip
     return {k.name: k for k in (*_FIXED, *by_target)}
+
+
+_THESIS = {"5": "figure-6", "6": "figure-7"}  # targets whose waves the thesis shows
+
+
+def _name_of(target: str, in_thesis: bool) -> str:
+    """The figure of waves towards ``target``, by the thesis' number where it shows them."""
+    return _THESIS[target] if in_thesis else f"target-{target}"
 
 
 def thesis_figure(target: str, results: Results | None) -> str:
@@ -123,14 +130,15 @@ def make_figures(
     progress: Progress | None = None,
     *,
     width: int | None = None,
-    over: Mapping[str, str | Path] | None = None,
+    footer: bool = True,
 ) -> list[Path]:
     """Make the figures of a results folder with their numbers as CSV, and return all files written.
 
     ``out_dir`` defaults to ``figures`` inside the folder; ``only`` are names from :func:`kinds`; ``formats`` any of
-    png, pdf and svg; ``width`` one of :data:`.overlay.WIDTHS` [mm]; ``over`` tables of curves (:func:`.read_curves`) to
-    lay over figures by name. Files appear whole or not at all. Figures that do not apply to the run are left out unless
-    named. Raises DataError for an unfinished folder, an unknown name or format, and a folder that cannot be written.
+    png, pdf and svg; ``width`` one of :data:`.style.WIDTHS` [mm], which figures of many panels refuse; ``footer`` False
+    leaves out the line on scene and version. Files appear whole or not at all. Figures that do not apply to the run are
+    left out unless named. Raises DataError for an unfinished folder, an unknown name or format, and a folder that
+    cannot be written.
     """
     results = results_dir if isinstance(results_dir, Results) else Results.open(results_dir)
     chosen = _chosen(results, only)
@@ -138,9 +146,6 @@ def make_figures(
         raise DataError(f"'{bad[0]}' is no format for figures; choose among {', '.join(FORMATS)}")
     if width is not None and width not in WIDTHS:
         raise DataError(f"figures are {' or '.join(map(str, WIDTHS))} mm wide for a journal, not {width}")
-    curves = {name: read_curves(path) for name, path in (over or {}).items()}
-    if stray := sorted(set(curves) - {k.name for k in chosen}):
-        raise DataError(f"'{stray[0]}' is not among the figures made, so nothing can be laid over it")
     folder = Path(out_dir) if out_dir is not None else results.folder / "figures"
     try:  # fails before the work rather than after it
         write_text(folder / ".writable", "")
@@ -151,16 +156,21 @@ def make_figures(
     for done, kind in enumerate(chosen):
         tell(progress, "figures", done, len(chosen))
         try:
-            written += make_figure(kind, results, folder, formats, width, curves.get(kind.name, ()))
-        except NotApplicable:
+            written += make_figure(kind, results, folder, formats, width, footer=footer)
+        except NotApplicable as problem:
             if only is not None:
                 raise
+            if width is not None:
+                warnings.warn(f"left out: {problem}", stacklevel=2)
     tell(progress, "figures", len(chosen), len(chosen))
     return written
 
 
 def _chosen(results: Results, only: Sequence[str] | None) -> list[FigureKind]:
     known = kinds(results)
+    names = results.displacements.targets if only and results.has("displacements.nc") else ()
+    alias = {f"target-{t}": _THESIS[t] for t in names if t in _THESIS and _THESIS[t] in known}
+    only = [alias.get(n, n) for n in only] if only is not None else None
     if unknown := [n for n in only or () if n not in known]:
         raise DataError(f"no figure is called '{unknown[0]}'; known are {', '.join(known)}")
     chosen = [known[n] for n in only or known]
@@ -185,17 +195,20 @@ def make_figure(
     folder: Path,
     formats: Sequence[str],
     width: int | None = None,
-    curves: tuple[Curve, ...] = (),
+    *,
+    footer: bool = True,
 ) -> list[Path]:
-    """One figure in every format, ``width`` [mm] wide and with ``curves`` over it, its CSV, and what else belongs
+    """One figure in every format, ``width`` [mm] wide, its CSV, and what else belongs
     beside it."""
     data = kind.compute(results)
     stem = folder / kind.name
     drawn = kind.draw(data)
     if width is not None:
-        fit_width(figure_of(drawn), width)
-    lay_over(figure_of(drawn), curves)
-    written = save_drawn(drawn, stem, formats, results.stamp)
+        try:
+            fit_width(figure_of(drawn), width)
+        except NotApplicable as problem:
+            raise NotApplicable(f"{kind.name}: {problem}") from None
+    written = save_drawn(drawn, stem, formats, results.stamp if footer else "")
     texts = {"csv": kind.table(data).as_csv(results.stamp), **kind.extra(data)}
     for ending, text in texts.items():
         path = stem.with_name(f"{stem.name}{'.' if ending == 'csv' else '-'}{ending}")
@@ -209,6 +222,8 @@ def save_drawn(drawn: Drawn, stem: Path, formats: Sequence[str], source: str = "
     figure = figure_of(drawn)
     if source:
         sign(figure, source)
+    with style.context(SHEET):
+        clear_legends(figure)
     arrange(figure)
     written = []
     for ending in formats:

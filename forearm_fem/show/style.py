@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
-from matplotlib import style
+from matplotlib import colormaps, style
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure, FigureBase, SubFigure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ..errors import DataError
+from ..errors import DataError, NotApplicable
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -26,6 +27,7 @@ ACTUATORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 METHODS = {"inverse filter": "#0072B2", "funneling": "#D55E00", "combination": "#009E73"}
 TISSUES = {"skin": "#E8B4A0", "fat": "#F2DE9B", "muscle": "#A84B4B", "bone": "#DAD7CB"}
 SIGNED, SIZE = "RdBu_r", "cividis"
+NEARNESS = LinearSegmentedColormap.from_list("nearness", colormaps["viridis_r"](np.linspace(0.18, 1, 256)))  # no yellow
 _NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False}  # what no engine means
 MICRO = 1e6  # what displacements are drawn times: in micrometres, their unit by :func:`micro`
 
@@ -102,6 +104,60 @@ def widen(ax: Axes, least: float = 0.35) -> None:
     ax.set(xlim=(left - aside[0], right + aside[0]), ylim=(low - aside[1], high + aside[1]))
 
 
+WIDTHS = (88, 181)  # mm: one column of a journal, and its page
+_ONE_COLUMN = 5.0  # inch: figures that are drawn wider have panels that one column cannot hold
+
+
+def fits(figure: Figure, width: int) -> bool:
+    """Whether ``figure``, as it is drawn, has panels that ``width`` [mm] can hold."""
+    return width >= WIDTHS[-1] or figure.get_figwidth() <= _ONE_COLUMN
+
+
+def fit_width(figure: Figure, width: int) -> None:
+    """Make ``figure`` ``width`` [mm] wide, letters as large as before; heights follow, less where it is widened.
+
+    Call it before anything is arranged. NotApplicable where one column cannot hold its panels.
+    """
+    wide, high = figure.get_size_inches()
+    if not fits(figure, width):
+        raise NotApplicable(f"its panels need {WIDTHS[-1]} mm; {width} mm would make them unreadable")
+    factor = width / 25.4 / wide
+    figure.set_size_inches(width / 25.4, high * min(factor, np.sqrt(factor)))
+
+
+def clear_legends(figure: Figure) -> None:
+    """Give each legend room above the curves: axes grow upwards until no point of a curve lies behind it."""
+    boxed = [ax for ax in figure.findobj(Axes) if ax.get_legend() is not None]
+    for _ in range(8 if boxed else 0):
+        figure.draw_without_rendering()
+        hidden = [ax for ax in boxed if _behind(ax)]
+        if not hidden:
+            return
+        for ax in hidden:
+            low, high = ax.get_ylim()
+            if ax.get_yscale() == "log" and low > 0:
+                ax.set_ylim(low, high * (high / low) ** 0.12)
+            elif ax.get_yscale() == "linear":
+                ax.set_ylim(low, high + 0.12 * (high - low))
+
+
+def _behind(ax: Axes) -> bool:
+    """Whether a curve of ``ax`` passes behind its legend, which lies in its upper part."""
+    legend = ax.get_legend()
+    assert legend is not None
+    box, frame = legend.get_window_extent(), ax.get_window_extent()
+    if (box.y0 + box.y1) / 2 < (frame.y0 + frame.y1) / 2 or box.y0 > frame.y1:
+        return False
+    for line in ax.lines:
+        at = line.get_transform().transform(line.get_xydata())
+        if len(at) > 1:  # between points, too
+            at = np.concatenate([at + s * (np.roll(at, -1, axis=0) - at) for s in (0.0, 0.5)])[: 2 * len(at) - 1]
+        inside = (at[:, 0] > box.x0) & (at[:, 0] < box.x1) & (at[:, 1] > box.y0) & (at[:, 1] < frame.y1)
+        if inside.any():
+            return True
+    return False
+
+
 def letter(ax: Axes, text: str) -> None:
     """A panel's bold letter outside its upper left corner."""
     ax.set_title(text, loc="left", fontweight="bold")
@@ -113,5 +169,5 @@ def decimal(axis: Axis) -> None:
     decades = float(np.log10(high / low)) if low > 0 else 0.0
     subs = (1.0, 2.0, 5.0) if decades < 2.2 else (1.0,)
     axis.set_major_locator(LogLocator(10, subs))
-    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}".replace("-", "\N{MINUS SIGN}")))
     axis.set_minor_formatter(NullFormatter())

@@ -188,16 +188,22 @@ def plot_target(data: TargetWaves, *, ax: Axes | None = None) -> FigureBase:
     rows = 2 if data.patch is not None else 1
     figure = panels(ax, (10.2, 0.3 + len(data.shown) * (1.08 * rows + 0.4)))
     bands = figure.subfigures(len(data.shown), 1, squeeze=False)[:, 0]
+    first = _most(data.shown[0])
     for band, shown in zip(bands, data.shown, strict=True):
-        _band(band, data, shown, rows)
+        factor = _most(shown) / first if first > 0 else 1.0
+        _band(band, data, shown, rows, "" if abs(factor - 1) < 0.005 else f"\nscale × {factor:.2g}")
     _same_time([a for a in figure_of(figure).axes if a.get_xlabel() == _TIME])
     return figure
 
 
-def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int) -> None:
+def _most(shown: Shown) -> float:
+    return float(np.nanmax(np.abs(shown.between), initial=0.0))
+
+
+def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int, factor: str) -> None:
     maps, right = figure.subfigures(1, 2, width_ratios=(2.6, 1), squeeze=False)[0]
     grid = maps.subplots(rows, _INSTANTS, squeeze=False)
-    most = MICRO * float(np.nanmax(np.abs(shown.between), initial=0.0))
+    most = MICRO * _most(shown)
     scale = Normalize(-most or -1.0, most or 1.0)
     places, coils = 1e3 * positions(data.outputs), 1e3 * positions(data.inputs)
     middle = places[:, :2].mean(axis=0)
@@ -227,7 +233,7 @@ def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int) -> Non
         panel.set_ylabel(text)
     bar = maps.colorbar(ScalarMappable(scale, SIGNED), ax=list(grid.ravel()), fraction=0.02, pad=0.01, extend="both",
                         shrink=0.9)  # fmt: skip
-    bar.set_label("u [µm]", fontsize=7)  # the arrows say that the skin between may move more
+    bar.set_label(f"u [µm]{factor}", fontsize=7)  # the arrows say that the skin between may move more
     _traces(right.subplots(), data, shown)
 
 

@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from scipy.special import hankel2
 
-from ..compare.adapters import layers_from
 from ..engines.layered import flat_surface
 from ..errors import NotApplicable, ScenarioError
 from ..layered import surface_kernel
 from ..metrics import WaveFit, fit_waves
 from ..metrics.waves import beside
 from ..ports import Port, distances, positions
+from ..questions.compare.adapters import layers_from
 from ..rendering import Drives, InverseFilter, Wavelet, displacements, drives, place
 from ..rendering.drives import Aim
 from ..rendering.funneling import known_bins

@@ -149,11 +149,11 @@ class Shelf:
 
     def _tell(self, problem: Exception) -> None:
         if not self._told:
-            _log.warning("%s could not be kept or read in %s: %s", self._what, self.file, problem)
+            _log.warning("%s could not be kept or found in %s (%s); it is made again", self._what, self.file, problem)
         self._told = True
 
 
-def _rows(arrays: Mapping[str, Any]) -> Iterator[tuple[str, str, memoryview]]:
+def _rows(arrays: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
     """Name, kind and bytes of arrays, in pieces that SQLite takes."""
     for name, array in arrays.items():
         order = "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"  # sums hang on it

@@ -19,7 +19,7 @@ from ..geometry.mesh.tissue_mesh import TissueMesh
 from ..layered import Base, Disc, Layer, layered_compliance
 from ..ports import Port
 from ..scenario import Scenario, parse_scenario
-from ..scenario.supports import FreeUnderside
+from ..scenario.elements import FreeUnderside
 from ..scenario.sweep import DirectSolve
 from ..scenario.tissues import Membrane
 from ..tissue import KelvinVoigt, Tissue, resolve_tissues

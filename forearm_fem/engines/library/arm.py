@@ -21,8 +21,8 @@ from ...layered.tables import Tabulated
 from ...ports import Port, positions
 from ...results import SolutionRecord
 from ...scenario import Scenario
-from ...scenario.frequencies import frequencies
 from ...scenario.limb import CylinderLimb, ForearmLimb, SlabLimb
+from ...scenario.sweep import frequencies
 from ...transfer import Compliance, ErrorEstimate
 from ...typing import BoolArray, ComplexArray, FloatArray, IntArray
 from ..layered import flat_layers

@@ -24,7 +24,7 @@ from ...fem.reduction.reduced_model import ReducedModel, empty_model, with_colum
 from ...geometry.cache import cached_mesh
 from ...progress import Progress, tell, within
 from ...scenario import Scenario
-from ...scenario.frequencies import frequencies
+from ...scenario.sweep import frequencies
 from ...store.record import dims
 from ...store.shelf import Shelf
 from ...store.text import digest_of

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...scenario.supports import FoamUnderside, Supports
+from ...scenario.elements import FoamUnderside, Supports
 from ...scenario.tissues import Membrane, Patch
 from ...tissue import Tissue
 from ...typing import ComplexArray, FloatArray

@@ -34,11 +34,11 @@ _SPACE = "space"
 class PartStore(Protocol):
     """Where finished parts are kept by name, so that an interrupted call loses at most the one under way."""
 
-    def get(self, name: str) -> Mapping[str, Any] | None:
+    def get(self, name: str, /) -> Mapping[str, Any] | None:
         """The arrays of a part, or None where it is missing or damaged."""
         ...
 
-    def put(self, name: str, parts: Mapping[str, Any]) -> None:
+    def put(self, name: str, parts: Mapping[str, Any], /) -> object:
         """Keep the arrays of a part."""
         ...
 

@@ -38,8 +38,8 @@ from ...scenario import Scenario, parse_scenario
 from ...scenario.actuators import beneath
 from ...scenario.changes import put
 from ...scenario.device import Device, VoltageRows
-from ...scenario.frequencies import frequencies
 from ...scenario.rendering import RickerWavelet, SampledWavelet
+from ...scenario.sweep import frequencies
 from ...store.record import load
 from ...transfer import ErrorEstimate, TransferMatrix, error_of_pairs, relative_error_at
 from ...typing import FloatArray

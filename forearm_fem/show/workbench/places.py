@@ -14,7 +14,7 @@ from ...pipeline.simulation import AnswersForArm
 from ...ports import Port, positions
 from ...progress import Progress, tell
 from ...scenario import Scenario
-from ...scenario.frequencies import frequencies
+from ...scenario.sweep import frequencies
 from ...transfer import Compliance, ErrorEstimate, finite
 from ...typing import ComplexArray, FloatArray
 from .field import Field, Surface

@@ -1,0 +1,132 @@
+"""Manners of results in a notebook: a line, a table, labelled arrays, a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .errors import DataError
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import FigureBase
+
+    from .rendering.interval import StrengthAccount
+    from .rendering.rendered import Rendering
+    from .transfer import Compliance, TransferMatrix
+
+
+def html(title: str, rows: Sequence[Sequence[object]], header: Sequence[str] = ()) -> str:
+    """A small table below a ``title``."""
+    head = "".join(f"<th>{escape(str(cell))}</th>" for cell in header)
+    body = "".join("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<b>{escape(title)}</b><table>{f'<tr>{head}</tr>' if head else ''}{body}</table>"
+
+
+def place(names: Sequence[str], name: str, what: str) -> int:
+    """Position of ``name`` among ``names``; DataError that lists them where it is none."""
+    if str(name) not in names:
+        raise DataError(f"no {what} is called {name!r}; there are {', '.join(names)}")
+    return list(names).index(str(name))
+
+
+def line_of_g(g: TransferMatrix) -> str:
+    """E.g. ``<TransferMatrix 981 frequencies, 10 to 500 Hz; 9 points, 4 actuators; m/V>``."""
+    n, o, i = g.values.shape
+    return (
+        f"<TransferMatrix {n} frequencies, {g.frequency[0]:g} to {g.frequency[-1]:g} Hz; {o} points, {i} actuators; "
+        f"{g.unit}>"
+    )
+
+
+def html_of_g(g: TransferMatrix) -> str:
+    """Size of G and its errors."""
+    errors = [(e.source, f"{e.band:.2g}", f"{e.worst:.2g}") for e in g.errors]
+    return html(line_of_g(g)[1:-1], errors, ("source of error", "e_band", "worst e(f)") if errors else ())
+
+
+def xarray_of_g(g: TransferMatrix | Compliance) -> xr.DataArray:
+    """G (frequency, output, input), or a compliance between its ports, with names and units."""
+    import xarray as xr
+
+    outputs, inputs = (getattr(g, side, getattr(g, "ports", ())) for side in ("outputs", "inputs"))
+    coordinates = {
+        "frequency": ("frequency", g.frequency, {"units": "Hz"}),
+        "output": [p.name for p in outputs], "input": [p.name for p in inputs],
+    }  # fmt: skip
+    unit = getattr(g, "unit", "m/N")
+    return xr.DataArray(g.values, coordinates, ("frequency", "output", "input"), "G", {"units": unit})
+
+
+def plot_of_g(g: TransferMatrix) -> FigureBase:
+    """Size and phase of each entry, within its stated error."""
+    from .show.matrix import plot_transfer
+
+    return plot_transfer(g)
+
+
+def line_of_s(s: StrengthAccount) -> str:
+    """E.g. ``<Strength of 3 methods at 9 targets; inverse filter 4.33, funneling 2.43 in the mean>``."""
+    means = ", ".join(f"{m} {np.nanmean(row):.3g}" for m, row in zip(s.methods, s.value, strict=True))
+    return f"<Strength at {len(s.targets)} targets; in the mean {means}>"
+
+
+def html_of_s(s: StrengthAccount) -> str:
+    """S of every target and method with its interval."""
+    rows = [
+        (t, *(f"{s.value[m, k]:.3g} ({s.low[m, k]:.3g} to {s.high[m, k]:.3g})" for m in range(len(s.methods))))
+        for k, t in enumerate(s.targets)
+    ]
+    return html(s.unknown or "S, and its interval by the errors stated for G", rows, ("target", *s.methods))
+
+
+def xarray_of_s(s: StrengthAccount) -> xr.Dataset:
+    """S with its interval and companions by renderer and target; "method" is what xarray's own ``sel`` calls its way of
+    filling gaps."""
+    import xarray as xr
+
+    columns = ("value", "low", "high", "record", "edges", "holes")
+    arrays = {c: (("renderer", "target"), getattr(s, c)) for c in columns}
+    return xr.Dataset(arrays, {"renderer": list(s.methods), "target": list(s.targets)})
+
+
+def plot_of_s(s: StrengthAccount) -> FigureBase:
+    """S by target with its interval; above the line S > 1 motion is focused."""
+    from matplotlib.figure import Figure
+
+    from .show.style import method_colour
+
+    figure = Figure(figsize=(5.0, 3.0), layout="constrained")
+    axes, at = figure.add_subplot(), np.arange(len(s.targets))
+    for m, method in enumerate(s.methods):
+        aside = at + 0.15 * (m - (len(s.methods) - 1) / 2)
+        off = np.abs(np.stack([s.value[m] - s.low[m], s.high[m] - s.value[m]]))
+        colour = method_colour(method, s.methods)
+        axes.errorbar(aside, s.value[m], yerr=np.nan_to_num(off), fmt="o", color=colour, label=method)
+    axes.axhline(1.0, color="0.6", linewidth=0.8)
+    axes.set_xticks(at, s.targets)
+    axes.set_xlabel("target")
+    axes.set_ylabel("signal strength S")
+    axes.legend()
+    return figure
+
+
+def xarray_of_rendering(r: Rendering) -> xr.Dataset:
+    """Drives (renderer, target, actuator, time) and displacements (renderer, target, point, time) [m]."""
+    import xarray as xr
+
+    first = next(iter(r.values()))
+    drives, moved = (
+        np.array([[getattr(getattr(r[m, t], part), what) for t in r.targets] for m in r.methods])
+        for part, what in (("drives", "signals"), ("displacements", "values"))
+    )
+    sides = ("renderer", "target")
+    return xr.Dataset(
+        {"drives": ((*sides, "actuator", "time"), drives, {"units": first.drives.unit}),
+         "displacements": ((*sides, "point", "time"), moved, {"units": "m"})},
+        {"renderer": list(r.methods), "target": list(r.targets), "time": first.drives.time,
+         "actuator": [p.name for p in first.drives.inputs], "point": list(first.displacements.names)},
+    )  # fmt: skip

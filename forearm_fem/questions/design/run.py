@@ -1,0 +1,212 @@
+"""A design from its file to its winner: evaluated, kept, confirmed, written."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from ... import __version__
+from ...errors import ScenarioError
+from ...pipeline.folder import Run, run_all
+from ...progress import Progress, tell, within
+from ...rendering.job import wavelet
+from ...results import read_run
+from ...scenario.shipped import contents, named_files
+from ...store.folder import check_kind, set_kind
+from ...store.shelf import WORK, Shelf
+from ...store.text import digest_of
+from ...store.work import LIGHT, SHARE, cluster, done_once
+from ...store.work import Run as Spread
+from .arm import ArmModel, TwinArm
+from .candidate import Candidate, evaluate, s_interval, score_of
+from .front import pareto_front
+from .model import Design, Values
+from .search import planned, search
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """The winner solved in full: S (mean, least or share) there and on the model; ``folders`` hold the runs."""
+
+    score: float
+    model: float
+    folders: tuple[Path, ...]
+
+    @property
+    def difference(self) -> float:
+        """Confirmed over modelled score, less one [-]."""
+        return self.score / self.model - 1
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """All candidates, the Pareto ``front``, the ``best`` with its ``interval`` of the score by the model's own errors
+    and its ``confirmation`` (None where not asked), the ``reference``: the scenario's own device, and the keys of
+    ``idle`` variables, at whose other values the best has the same numbers."""
+
+    design: Design
+    folder: Path
+    candidates: tuple[Candidate, ...]
+    front: tuple[Candidate, ...]
+    best: Candidate
+    interval: tuple[float, float]
+    reference: Candidate
+    confirmation: Confirmation | None
+    idle: tuple[str, ...] = ()
+
+
+def run_design(
+    design: Design,
+    folder: str | Path,
+    *,
+    arm: ArmModel | None = None,
+    confirm: bool = True,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> DesignResult:
+    """Search, confirm and write. Every candidate is on disk before the next is asked for; run again, it goes on.
+
+    ``arm`` is what candidates are evaluated on (None: the layered twin from tables); with ``workers`` above 1 or a
+    ``scheduler`` generations are spread over Dask. Raises ScenarioError where no candidate is feasible.
+    """
+    for scenario, base in zip(design.scenarios({}), design.bases, strict=True):
+        wavelet(scenario.rendering, scenario.sweep, base)  # a missing file is said before the search
+    check_kind(folder, "design")
+    out = Path(folder).resolve()
+    model = arm or TwinArm(progress=progress)
+    set_kind(out, "design")
+    shelf, asked, total = Shelf(out / WORK, "candidates"), question(design, model.mark), planned(design)
+    mine = [key for key in shelf.known() if key.startswith(asked)]
+    known = {key: Candidate.from_json(parts) for key in mine if (parts := shelf.get(key)) is not None}
+    with _evaluating(design, model, scheduler, workers, own=arm is None) as run:
+
+        def ask(wanted: Sequence[Values]) -> list[Candidate]:
+            """Candidates of ``wanted`` values; those not known yet are evaluated and kept."""
+            keys = [f"{asked} {json.dumps(v, sort_keys=True)}" for v in wanted]
+            jobs = {key: v for key, v in zip(keys, wanted, strict=True) if key not in known}
+            for key, parts in done_once(shelf, jobs, lambda v: evaluate(design, v, model).as_json(), run=run):
+                known[key] = Candidate.from_json(parts)
+                tell(progress, "candidates", min(len(known), total), total)
+            return [known[key] for key in keys]
+
+        search(design, ask)
+    every = tuple(known.values())
+    best = _best(every)
+    reference = evaluate(design, {}, model)
+    interval, idle = s_interval(design, best, model), _idle(design, best, every, model)
+    confirmation = _confirmed(design, best, out, progress) if confirm else None
+    front = pareto_front(every)
+    found = DesignResult(design, out, every, front, best, interval, reference, confirmation, idle)
+    from .report import write_design_report
+
+    write_design_report(found)
+    return found
+
+
+@contextmanager
+def _evaluating(
+    design: Design, arm: ArmModel, scheduler: str | None, workers: int | None, *, own: bool
+) -> Iterator[Spread | None]:
+    """How candidates are spread over Dask, None for this process: on the ``arm``, sent to each process once, or with
+    ``own`` on the twin that each process makes of tables in its cache."""
+    if scheduler is None and (workers or 1) == 1:
+        yield None
+        return
+
+    def count() -> int:
+        """Processes that the cores and the free memory allow."""
+        each = LIGHT if own else LIGHT + psutil.Process().memory_info().rss  # an arm as here, and answers on it
+        return max(1, min(workers or os.cpu_count() or 1, int(SHARE * psutil.virtual_memory().available // each)))
+
+    with cluster(scheduler, 1 if scheduler else count(), "a design on several processes") as client:
+        distributed: Any = import_module("distributed")
+        sent = None if own else client.scatter(arm, broadcast=True, hash=False)
+
+        def many(jobs: Mapping[str, Values], _: Any) -> Iterator[tuple[str, dict[str, Any]]]:
+            """Candidates of the values of ``jobs`` as they are done."""
+            rest = dict(jobs)
+            if own and rest:  # makes the tables
+                first = next(iter(rest))
+                yield first, evaluate(design, rest.pop(first), arm).as_json()
+            futures = {client.submit(_evaluated, design, v, sent, pure=False): key for key, v in rest.items()}
+            yield from ((futures[f], f.result()) for f in distributed.as_completed(list(futures)))
+
+        yield many
+
+
+def _evaluated(design: Design, values: Values, arm: ArmModel | None) -> dict[str, Any]:
+    """In a worker: on the ``arm`` that was sent, or the twin of this process."""
+    return evaluate(design, values, arm or _own_twin()).as_json()
+
+
+@cache
+def _own_twin() -> TwinArm:
+    """The twin of this process, so that its tables are read once."""
+    return TwinArm()
+
+
+def _best(candidates: Sequence[Candidate]) -> Candidate:
+    feasible = [c for c in candidates if c.feasible]
+    if feasible:
+        return max(feasible, key=lambda c: (c.score, -c.actuators))
+    problems = [c.problem or f"{', '.join(c.violations)} not held" for c in candidates]
+    common = max(set(problems), key=problems.count) if problems else "none was evaluated"
+    if len(set(problems)) == 1 and all(c.problem for c in candidates):  # what all have is not of the variables
+        raise ScenarioError(f"none of {len(candidates)} candidates can be evaluated: {common}")
+    raise ScenarioError(f"none of {len(candidates)} candidates is feasible, mostly: {common}; widen variables")
+
+
+def _idle(design: Design, best: Candidate, known: Sequence[Candidate], arm: ArmModel) -> tuple[str, ...]:
+    """Keys of variables that change nothing of ``best``: not among the ``known`` candidates that differ from it by that
+    key alone, nor at the ends and in the middle of its choices."""
+    found = list[str]()
+    for variable in design.asked.variables:
+        key, levels = variable.key, variable.levels or (variable.low, variable.high)
+        beside = [c for c in known if {**c.values, key: best.values[key]} == best.values]
+        tried = ({**best.values, key: value} for value in (levels[0], levels[-1], levels[len(levels) // 2]))
+        if all(c.outcome == best.outcome for c in chain(beside, (evaluate(design, v, arm) for v in tried))):
+            found.append(key)
+    return tuple(found)
+
+
+def _confirmed(design: Design, best: Candidate, out: Path, progress: Progress | None) -> Confirmation:
+    """The winner by the scenarios' own engine, whole record, with figures and report."""
+    scores, folders = [], []
+    objective = design.asked.objective
+    for k, (scenario, base) in enumerate(zip(design.scenarios(best.values), design.bases, strict=True)):
+        folder = out / ("confirmed" if len(design.data) == 1 else f"confirmed-{k + 1}")
+        run_all(Run.start(scenario.changed({"rendering.targets": objective.targets}), folder, base,
+                          within(progress, "confirmation")))  # fmt: skip
+        strength = read_run(folder / "run.json").signal_strength
+        assert strength is not None
+        s = np.array([entry.value for entry in strength.methods[objective.method].values()], dtype=float)
+        scores.append(score_of(s, objective))
+        folders.append(folder)
+    over = np.min(scores) if objective.over == "least" else np.mean(scores)
+    return Confirmation(float(over), best.score, tuple(folders))
+
+
+def question(design: Design, mark: str = "") -> str:
+    """Digest of what a candidate's numbers depend on: not the search's seed or length. ``mark`` is the arm model's."""
+    asked = design.asked.model_dump(mode="json", include={"set", "objective", "constraints"})
+    parts = [__version__, mark, asked, design.asked.search.duration, [dict(d) for d in design.data], _contents(design)]
+    return digest_of(parts)[:32]
+
+
+def _contents(design: Design) -> list[list[str]]:
+    """What stands in the files that the scenarios, and choices of the search, name."""
+    chosen = [str(c) for v in design.asked.variables if v.key.endswith(".file") for c in v.values or ()]
+    arms = zip(design.scenarios({}), design.bases, strict=True)
+    return [contents((*named_files(scenario), *chosen), base) for scenario, base in arms]

@@ -1,0 +1,152 @@
+"""The program from Python and with the user's own file: surface, renderer, tissue law."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import SMALL as SHORT
+from cli_runner import cli
+
+from forearm_fem import Law, Simulation, load_scenario, read, render, simulate
+from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.tissue import SpringPot, Zener, resolve_tissues
+
+SMALL = SHORT.replace("f_max = 300.0", "f_max = 700.0")  # all of the wavelet
+RENDERER = '''
+from dataclasses import dataclass
+
+import numpy as np
+
+from forearm_fem import Aim
+
+
+@dataclass(frozen=True)
+class Loudest:
+    """Every actuator plays the wavelet as it is."""
+
+    volts: float = 1.0
+    name: str = "all alike"
+
+    def aim(self, placed, target, wavelet):
+        return Aim(self.volts * np.repeat(wavelet[:, None], len(placed.inputs), axis=1), np.ones(len(wavelet), bool))
+'''
+LAW = '''
+from dataclasses import dataclass
+
+import numpy as np
+
+from forearm_fem import Law
+
+
+@dataclass(frozen=True)
+class Stiffening(Law):
+    """mu* = mu + i omega eta, written by hand."""
+
+    mu: float
+    loss: float = 3.0
+
+    def at(self, omega):
+        return self.mu + 1j * np.asarray(omega) * self.loss
+'''
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scenario, and the user's two files beside it."""
+    folder = tmp_path_factory.mktemp("user")
+    (folder / "mine.py").write_text(RENDERER)
+    (folder / "law.py").write_text(LAW)
+    (folder / "small.toml").write_text(SMALL)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def simulation(home: Path) -> Simulation:
+    return simulate(load_scenario(home / "small.toml"))
+
+
+def test_every_public_name_is_there():
+    """Also after the rooms are loaded, whose names may be the same."""
+    import forearm_fem.questions.compare.run
+    import forearm_fem.questions.design.run
+
+    for name in forearm_fem.__all__:
+        assert getattr(forearm_fem, name) is not None
+    for verb in ("calibrate", "compare", "design", "fit", "predict", "read", "render", "simulate"):
+        assert callable(getattr(forearm_fem, verb))
+    assert len(forearm_fem.__all__) <= 26
+
+
+def test_results_have_a_notebook_s_manners(simulation: Simulation, tmp_path: Path):
+    g, s = simulation.transfer, simulation.strength
+    for what in (simulation, g, s, simulation.rendering, simulation.compliance):
+        assert "\n" not in repr(what)
+        assert len(repr(what)) < 200
+    assert "<table>" in g._repr_html_()
+    assert "<table>" in s._repr_html_()
+    assert np.array_equal(simulation.sel("5", "A1"), g.values[:, 4, 0])
+    assert np.array_equal(g.to_xarray().sel(output="5", input="A1").values, g.values[:, 4, 0])
+    entry = s.sel("funneling", "5")
+    assert entry.low < entry.value < entry.high
+    assert float(s.to_xarray()["low"].sel(renderer="funneling", target="5")) == entry.low
+    assert simulation.rendering.to_xarray()["drives"].dims == ("renderer", "target", "actuator", "time")
+    assert s.plot().axes
+    assert g.plot().axes
+    g.save(tmp_path / "g.nc")
+    assert np.array_equal(read(tmp_path / "g.nc").values, g.values)
+    with pytest.raises(DataError, match="A1, A2"):
+        g.sel("5", "A9")
+
+
+def test_s_of_a_g_read_from_a_file_is_s_of_the_simulation(simulation: Simulation, tmp_path: Path):
+    """The file names its scenario, so the same methods play, and the intervals are the same to the last digit."""
+    simulation.save(tmp_path / "g.nc")
+    again = render(read(tmp_path / "g.nc")).strength
+    assert np.array_equal(again.value, simulation.strength.value)
+    assert np.array_equal(again.high, simulation.strength.high)
+
+
+def test_a_renderer_of_one_s_own_runs_from_a_scenario(home: Path, tmp_path: Path):
+    text = SMALL.replace("[rendering]", '[rendering]\nmethods = ["mine:Loudest", "funneling"]')
+    (home / "loud.toml").write_text(text)
+    found = simulate(load_scenario(home / "loud.toml")).strength
+    assert found.methods == ("all alike", "funneling")
+    assert np.isfinite(found.value).all()
+    assert (found.high > found.low).all()
+    answer = cli("run", home / "loud.toml", "--out", tmp_path / "out", cwd=tmp_path)  # from another folder
+    assert answer.code == 0, answer.err
+    assert "all alike" in (tmp_path / "out" / "report.md").read_text()
+
+
+def test_a_tissue_law_of_one_s_own_gives_the_g_of_the_same_law(home: Path, simulation: Simulation):
+    """Kelvin-Voigt written by hand is Kelvin-Voigt: layers ask for mu* alone, so that G is equal to rounding."""
+    own = '\n[tissues.override.skin]\nmodel = "law:Stiffening"\nmu = 13e3\nparameters = { loss = 3.0 }\n'
+    (home / "lawful.toml").write_text(SMALL + own)
+    scenario = load_scenario(home / "lawful.toml")
+    assert isinstance(resolve_tissues(scenario)["skin"].modulus, Law)
+    np.testing.assert_allclose(simulate(scenario).transfer.values, simulation.transfer.values, rtol=1e-9)
+
+
+@pytest.mark.parametrize("law", [Zener(13e3, 40e3, 8.0), SpringPot(5e3, 0.4)])
+@pytest.mark.parametrize("omega", [100.0, 2000.0])
+def test_series_that_a_law_need_not_give(law: Zener | SpringPot, omega: float):
+    """Cauchy's integral against the closed series, term by term within the reach of half the circle."""
+
+    class Bare(Law):
+        def at(self, omega):
+            s = 1j * np.asarray(omega)
+            if isinstance(law, Zener):
+                return law.mu + s * law.eta / (1 + s * law.relaxation_time)
+            return law.mu ** (1 - law.exponent) * (law.eta * s) ** law.exponent
+
+    reach = (0.15 * omega) ** np.arange(10)
+    np.testing.assert_allclose(Bare().taylor(omega, 9) * reach, law.taylor(omega, 9) * reach, atol=1e-9 * law.mu)
+
+
+@pytest.mark.parametrize(("code", "said"), [("none:Loudest", "no module"), ("mine:Softest", "has no Softest")])
+def test_code_that_is_not_there_is_said(home: Path, code: str, said: str):
+    (home / "wrong.toml").write_text(SMALL.replace("[rendering]", f'[rendering]\nmethods = ["{code}"]'))
+    with pytest.raises(ScenarioError, match=said):
+        simulate(load_scenario(home / "wrong.toml")).strength  # noqa: B018
