@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from forearm_fem.io.recipe import ImportRecipe, import_by_recipe
+from forearm_fem.files.recipe import ImportRecipe, import_by_recipe
 from forearm_fem.measurement.figures import plot_entries
 from forearm_fem.metrics import condition_number
 from forearm_fem.questions.compare.crossplay import wavelet_for

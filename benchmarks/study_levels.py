@@ -16,7 +16,7 @@ import numpy as np
 from scipy.io import wavfile
 
 from forearm_fem.commands.common import transfer_file
-from forearm_fem.io.recognise import read_measured
+from forearm_fem.files.read import read
 from forearm_fem.show.data import Results
 from forearm_fem.study.export import at_rate, export
 from forearm_fem.study.levels import apart
@@ -31,7 +31,7 @@ def main() -> None:
     options.add_argument("transfer", type=Path)
     options.add_argument("--like", type=Path)
     chosen = options.parse_args()
-    prepared, g = Prepared.of(chosen.study), read_measured(transfer_file(chosen.transfer))
+    prepared, g = Prepared.of(chosen.study), read(transfer_file(chosen.transfer))
     made = {}
     for levels in ("as rendered", "equal at target"):
         how = prepared.study.stimuli.model_copy(update={"levels": levels})

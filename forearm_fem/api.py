@@ -26,12 +26,10 @@ def read(path: str | Path, *, scenario: Scenario | None = None, **declared: Any)
     ``scenario`` is the one measured: its points and actuators are those of files that name none. What a file does not
     say of itself is ``declared``: ``read("lab.csv", scenario=s, unit="um/V", sign="+iwt")``. DataError asks for it.
     """
-    from .geometry.device.layout import planform_ports
-    from .io.declaration import Declaration
-    from .io.recognise import read_measured
+    from .files import Declaration
+    from .files import read as read_file
 
-    said = Declaration(**declared) if declared else None
-    return read_measured(path, said, ports=None if scenario is None else planform_ports(scenario))
+    return read_file(path, Declaration(**declared) if declared else None, scenario=scenario)
 
 
 def render(

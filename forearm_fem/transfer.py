@@ -240,16 +240,16 @@ class TransferMatrix:
         """Size and phase of each entry, within its stated error."""
         return notebook.plot_of_g(self)
 
-    def save(self, path: str | Path) -> None:
-        """Write G in the format of the path's ending: ``.nc`` holds everything."""
-        from .io.recognise import write_measured
-
-        write_measured(path, self)
-
     @property
     def omega(self) -> FloatArray:
         """Angular frequency [rad/s]."""
         return 2 * np.pi * self.frequency
+
+    def save(self, path: str | Path) -> None:
+        """Write G in the format of the path's ending: .nc (everything), .csv or .mat."""
+        from .files.read import save  # every format, which few need
+
+        save(path, self)
 
 
 @checked

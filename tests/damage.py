@@ -15,24 +15,18 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bad_files import CORNERS, TETRA
-from test_measurement_scene import INPUTS, OUTPUTS, RATE, wave_matrix
+from test_measurement_scene import INPUTS, RATE, wave_matrix
 
-from forearm_fem import io
+from forearm_fem import files, io
 from forearm_fem.engines.skin_model import ReducedFile
 from forearm_fem.errors import ForearmError
+from forearm_fem.files.reading import RecognitionWarning
+from forearm_fem.files.wav import read_wav_drives, write_wav_drives
 from forearm_fem.geometry.limb.prisms import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.boundary import with_boundaries
-from forearm_fem.io.csvfiles import write_csv
-from forearm_fem.io.declaration import Declaration
-from forearm_fem.io.matlab_import import write_mat5, write_mat73
-from forearm_fem.io.reading import RecognitionWarning
-from forearm_fem.io.recognise import read_measured
 from forearm_fem.io.seal import MARK
-from forearm_fem.io.tdms import read_sweep_tdms, write_sweep_tdms, write_tdms
-from forearm_fem.io.uff import write_uff
-from forearm_fem.io.wav import read_wav_drives, write_wav_drives
 from forearm_fem.measurement.recording import Recording
 from forearm_fem.measurement.store import read_recording, write_recording
 from forearm_fem.store.record import load, save
@@ -42,10 +36,6 @@ RNG = np.random.default_rng(0)
 G = dataclasses.replace(
     wave_matrix(np.arange(10.0, 40.5, 2.0)), deviation=1e-8 * (1 + RNG.random((16, 9, 4))), provenance={"seed": 3}
 )
-DECLARED = Declaration(
-    unit="m/V", spectrum="one-sided", sign="+iwt", variable="G", frequency_variable="frequency_Hz",
-    valid_variable="valid", axes=("output", "input", "frequency"),
-)  # fmt: skip
 DRIVES = RNG.standard_normal((4, 100))
 SIGNALS = io.Signals(RNG.standard_normal((1, 2, 4, 50)), ("a",), ("1", "5"), tuple("wxyz"), np.arange(50) * 1e-4, "V")
 REDUCED = ReducedFile(
@@ -66,10 +56,6 @@ def _block() -> TissueMesh:
 MESH = _block()
 
 
-def _sweep(file: Path) -> Recording:
-    return read_sweep_tdms(file, drive="sweep/drive", response="sweep/response", output="1", input="A1", period=200)
-
-
 @dataclasses.dataclass(frozen=True)
 class Format:
     """A kind of file: its name, how it is written, and how it is read."""
@@ -79,27 +65,22 @@ class Format:
     read: Callable[[Path], Any]
 
 
-def _mat(file: Path) -> Any:
-    return read_measured(file, DECLARED, ports=(OUTPUTS, INPUTS))
-
-
 FORMATS = (
     Format("transfer.nc", lambda p: io.write_transfer(p, G), io.read_transfer),
     Format("drives.nc", lambda p: io.write_drives(p, SIGNALS), io.read_drives),
     Format("reduced.nc", lambda p: save(p, REDUCED), lambda p: load(p, ReducedFile)),
-    Format("mat5.mat", lambda p: write_mat5(p, G), _mat),
-    Format("thesis.mat", lambda p: io.write_thesis_mat(p, G, 200.0, 1.0), io.read_thesis_mat),
-    Format("mat73.mat", lambda p: write_mat73(p, G), _mat),
-    Format("drives.wav", lambda p: write_wav_drives(p, DRIVES, 1e4), read_wav_drives),
-    Format("G.csv", lambda p: write_csv(p, G), read_measured),
-    Format("G.tdms", lambda p: write_tdms(p, G), read_measured),
-    Format("sweep.tdms", lambda p: write_sweep_tdms(p, RECORDING), _sweep),
-    Format("G.uff", lambda p: write_uff(p, G), read_measured),
     Format("wavefield.npz", lambda p: save_wavefield(FIELD, p), load_wavefield),
     Format("recording.nc", lambda p: write_recording(p, RECORDING, "setup"), read_recording),
     Format("mesh.vtu", lambda p: write_mesh(MESH, p), read_mesh),
     Format("mesh.msh", lambda p: write_mesh(MESH, p), read_mesh),
 )
+
+PLAIN = (
+    Format("thesis.mat", lambda p: files.write_thesis_mat(p, G, 200.0, 1.0), files.read_thesis_mat),
+    Format("own.mat", lambda p: files.save(p, G), files.read),
+    Format("drives.wav", lambda p: write_wav_drives(p, DRIVES, 1e4), read_wav_drives),
+    Format("G.csv", lambda p: files.save(p, G), files.read),
+)  # formats of other programs, without checksums
 
 
 def flipped_bit(content: bytearray, rng: np.random.Generator) -> bytearray:

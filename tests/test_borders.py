@@ -17,15 +17,14 @@ from test_compare import A
 from forearm_fem.accuracy.estimates import accuracy_verdict
 from forearm_fem.campaign.model import load_campaign
 from forearm_fem.errors import ForearmError, HardwareError, MeshError, ScenarioError
+from forearm_fem.files.recipe import load_recipe
 from forearm_fem.geometry.build import build_mesh
-from forearm_fem.io.recipe import load_recipe
 from forearm_fem.measurement.daq import Wiring
 from forearm_fem.measurement.figures import save_live
 from forearm_fem.measurement.play import LONGEST, play
 from forearm_fem.measurement.run import VirtualSetup
 from forearm_fem.measurement.virtual import VirtualDaq, VirtualOptions
 from forearm_fem.pipeline.simulation import render, simulate
-from forearm_fem.pipeline.wave_report import _twin, thesis_fit
 from forearm_fem.ports import Port, distances
 from forearm_fem.prediction import run as runs
 from forearm_fem.prediction.run import Question, predict
@@ -38,6 +37,7 @@ from forearm_fem.rendering import ricker
 from forearm_fem.scenario import Scenario, apply_overrides, load_scenario, parse_scenario
 from forearm_fem.scenario.device import device_of
 from forearm_fem.scenario.measurement import DaqOptions
+from forearm_fem.show.wave_report import _twin, thesis_fit
 from forearm_fem.study.plan import load_study
 from forearm_fem.transfer import TransferMatrix
 
@@ -227,7 +227,7 @@ def test_the_twin_beside_a_report_has_the_same_gains() -> None:
              "device": {"contacts": [[0.0, 0.0]], "drive": "force", "gains": {"A1": 0.5}},
              "grid": {"points": [[0.015, 0.0], [0.02, 0.0]]}, "rendering": {"methods": []}}  # fmt: skip
     scenario = parse_scenario(scene)
-    assert " 0.0000 " in _twin(scenario, simulate(scenario).transfer)[-1]
+    assert "0.0000" in _twin(scenario, simulate(scenario).transfer).rows[-1]
 
 
 def test_an_error_that_nobody_asked_for_is_unknown_not_zero() -> None:

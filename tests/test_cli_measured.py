@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cli_runner import SMALL, cli
 
-from forearm_fem.io.recognise import write_measured
+from forearm_fem.files import save
 from forearm_fem.store.results import read_transfer
 from forearm_fem.transfer import band_error
 
@@ -103,7 +103,7 @@ def test_two_engines_of_one_scenario_compare(lab: Path) -> None:
 
 
 def test_compare_asks_for_what_a_file_does_not_say(lab: Path, tmp_path: Path) -> None:
-    write_measured(tmp_path / "g.csv", read_transfer(lab / "results/small/transfer.nc"))
+    save(tmp_path / "g.csv", read_transfer(lab / "results/small/transfer.nc"))
     answer = cli("compare", "results/small", tmp_path / "g.csv", "--declare-b", "colour='red'", cwd=lab)
     assert answer.code == 2
     assert "--declare colour" in answer.sentence

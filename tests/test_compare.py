@@ -10,7 +10,7 @@ import pytest
 from test_measurement_scene import RATE, SENSOR, SWEEP, device_for, part, plan_for, wave_matrix
 
 from forearm_fem.errors import DataError
-from forearm_fem.io.recognise import write_measured
+from forearm_fem.files import save
 from forearm_fem.measurement.calibrate import calibrate
 from forearm_fem.measurement.virtual import noise_for
 from forearm_fem.metrics import condition_number
@@ -264,8 +264,8 @@ def test_wavelet_sits_on_the_common_bins():
 
 
 def test_run_compare_writes_table_csv_json_and_figure(tmp_path):
-    write_measured(tmp_path / "a.nc", A)
-    write_measured(tmp_path / "b.csv", changed(A, 1.05))
+    save(tmp_path / "a.nc", A)
+    save(tmp_path / "b.csv", changed(A, 1.05))
     result = run_compare(tmp_path / "a.nc", tmp_path / "b.csv", folder=tmp_path / "out")
     assert sorted(f.name for f in result.files) == [
         "comparison.csv",

@@ -10,28 +10,28 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import pyuff
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from lab_files import mat5, mat73, sweep_tdms
+from lab_files import uff as uff_of
 from scipy.io import loadmat, savemat, wavfile
 from test_measurement_scene import INPUTS, OUTPUTS, RATE, SWEEP, device_for, part, plan_for, wave_matrix
 
+from forearm_fem import files
 from forearm_fem.errors import DataError, ForearmError
-from forearm_fem.io.declaration import Declaration
-from forearm_fem.io.matlab_import import write_mat5, write_mat73
-from forearm_fem.io.reading import RecognitionWarning
-from forearm_fem.io.recipe import ImportRecipe, import_by_recipe, load_recipe
-from forearm_fem.io.recognise import read_measured, write_measured
-from forearm_fem.io.tdms import read_sweep_tdms, write_sweep_tdms
-from forearm_fem.io.uff import read_uff, write_uff
-from forearm_fem.io.units import parse_unit
-from forearm_fem.io.wav import read_wav_drives, write_wav_drives
+from forearm_fem.files import read_sweep
+from forearm_fem.files.declaration import Declaration
+from forearm_fem.files.reading import RecognitionWarning
+from forearm_fem.files.recipe import ImportRecipe, import_by_recipe, load_recipe
+from forearm_fem.files.tables import TableReader
+from forearm_fem.files.wav import read_wav_drives, write_wav_drives
 from forearm_fem.measurement.calibrate import record
 from forearm_fem.rendering import from_samples_file, ricker
 from forearm_fem.transfer import TransferMatrix
+from forearm_fem.units import parse_unit
 
 PORTS = (OUTPUTS, INPUTS)
 FOREIGN = Declaration(
@@ -65,11 +65,11 @@ def outcome(call):
 
 
 @pytest.mark.parametrize("masked", [True, False])
-@pytest.mark.parametrize("suffix", ["nc", "tdms", "csv", "uff"])
+@pytest.mark.parametrize("suffix", ["nc", "csv", "mat"])
 def test_our_files_come_back_exactly_and_need_no_declaration(tmp_path, suffix, masked):
     g = measured(masked)
-    write_measured(tmp_path / f"G.{suffix}", g)
-    back = read_measured(tmp_path / f"G.{suffix}")
+    files.save(tmp_path / f"G.{suffix}", g)
+    back = files.read(tmp_path / f"G.{suffix}")
     np.testing.assert_array_equal(back.frequency, g.frequency)
     known = np.ones(g.values.shape, dtype=bool) if g.valid is None else g.valid
     np.testing.assert_array_equal(back.values[known], g.values[known])
@@ -79,7 +79,7 @@ def test_our_files_come_back_exactly_and_need_no_declaration(tmp_path, suffix, m
     assert sorted(p.name for p in tmp_path.iterdir()) == [f"G.{suffix}"]  # nothing left beside it
 
 
-@pytest.mark.parametrize("write", [write_mat5, write_mat73])
+@pytest.mark.parametrize("write", [mat5, mat73])
 @pytest.mark.parametrize(
     "axes",
     [("output", "input", "frequency"), ("frequency", "output", "input"), ("input", "frequency", "output")],
@@ -87,43 +87,33 @@ def test_our_files_come_back_exactly_and_need_no_declaration(tmp_path, suffix, m
 def test_matlab_in_any_order_of_axes(tmp_path, write, axes):
     g = measured()
     write(tmp_path / "G.mat", g, axes)
-    declared = read_measured(tmp_path / "G.mat", FOREIGN.model_copy(update={"axes": axes}), ports=PORTS)
+    declared = files.read(tmp_path / "G.mat", FOREIGN.model_copy(update={"axes": axes}), ports=PORTS)
     np.testing.assert_array_equal(declared.values, g.values)
     np.testing.assert_array_equal(declared.valid, g.valid)
     with pytest.warns(RecognitionWarning, match="axes of shape") as caught:
-        recognised = read_measured(tmp_path / "G.mat", FOREIGN.model_copy(update={"axes": None}), ports=PORTS)
+        recognised = files.read(tmp_path / "G.mat", FOREIGN.model_copy(update={"axes": None}), ports=PORTS)
     np.testing.assert_array_equal(recognised.values, g.values)
     assert caught[0].message.chosen == ", ".join(axes)
 
 
 def test_matlab_mask_is_read_where_it_is_declared(tmp_path):
     g = replace(measured(), values=measured(masked=False).values)  # masked entries keep a finite value
-    write_mat73(tmp_path / "G.mat", g)
-    blind = read_measured(tmp_path / "G.mat", FOREIGN, ports=PORTS)
+    mat73(tmp_path / "G.mat", g)
+    blind = files.read(tmp_path / "G.mat", FOREIGN, ports=PORTS)
     assert blind.valid is None
-    told = read_measured(tmp_path / "G.mat", FOREIGN.model_copy(update={"valid_variable": "valid"}), ports=PORTS)
+    told = files.read(tmp_path / "G.mat", FOREIGN.model_copy(update={"valid_variable": "valid"}), ports=PORTS)
     np.testing.assert_array_equal(told.valid, g.valid)
     with pytest.raises(DataError, match="has no mask"):
-        read_measured(tmp_path / "G.mat", FOREIGN.model_copy(update={"valid_variable": "ok"}), ports=PORTS)
+        files.read(tmp_path / "G.mat", FOREIGN.model_copy(update={"valid_variable": "ok"}), ports=PORTS)
 
 
 def test_matlab_names_are_recognised_with_a_warning_each(tmp_path):
     values = np.ones((9, 4, 5)) * np.array([1, 2, 3, 4, 5]) + 0.5j
     savemat(tmp_path / "G.mat", {"H": values, "freq": np.arange(5.0) + 10})
     with pytest.warns(RecognitionWarning) as caught:
-        g = read_measured(tmp_path / "G.mat", Declaration(unit="mm/V", spectrum="one-sided", sign="+iwt"), ports=PORTS)
+        g = files.read(tmp_path / "G.mat", Declaration(unit="mm/V", spectrum="one-sided", sign="+iwt"), ports=PORTS)
     assert {w.message.what for w in caught} == {"G", "frequency", "axes of shape (9, 4, 5)"}
     assert g.values[2, 0, 0] == pytest.approx(3e-3 + 0.5e-3j, rel=1e-15)
-
-
-def test_matlab73_reads_as_matlab_wrote_it(tmp_path):
-    """A 7.3 file stores arrays reversed, complex numbers as (real, imag)."""
-    write_mat73(tmp_path / "G.mat", measured())
-    with h5py.File(tmp_path / "G.mat") as file:
-        assert file["G"].shape == measured().values.transpose(1, 2, 0).shape[::-1]
-        assert file["G"].dtype.names == ("real", "imag")
-        assert file["G"].attrs["MATLAB_class"] == b"double"
-    assert (tmp_path / "G.mat").read_bytes().startswith(b"MATLAB 7.3 MAT-file")
 
 
 def test_two_sided_array_of_the_thesis_shape(tmp_path):
@@ -143,12 +133,12 @@ def test_two_sided_array_of_the_thesis_shape(tmp_path):
         }
     )
     with pytest.raises(DataError, match="conjugate mirror"):  # times 2 pi i it is no real system's response
-        read_measured(tmp_path / "G.mat", said, ports=PORTS)
+        files.read(tmp_path / "G.mat", said, ports=PORTS)
     savemat(tmp_path / "G.mat", {"G": both * 1e3})
-    back = read_measured(tmp_path / "G.mat", said, ports=PORTS)
+    back = files.read(tmp_path / "G.mat", said, ports=PORTS)
     assert back.frequency.tolist() == g.frequency.tolist()
     np.testing.assert_allclose(back.values, g.values, rtol=1e-15)
-    wider = read_measured(tmp_path / "G.mat", said.model_copy(update={"band": None}), ports=PORTS)
+    wider = files.read(tmp_path / "G.mat", said.model_copy(update={"band": None}), ports=PORTS)
     assert wider.valid.any(axis=(1, 2)).sum() == 981  # the silent bins are marked, not believed
 
 
@@ -159,7 +149,7 @@ def test_units_and_signs_end_as_displacement(tmp_path, unit, power, sign):
     stored = g.values * (2j * np.pi * g.frequency[:, None, None]) ** power / parse_unit(unit).factor
     stored = stored if sign == "+iwt" else stored.conj()
     savemat(tmp_path / "G.mat", {"G": stored.transpose(1, 2, 0), "frequency_Hz": g.frequency})
-    back = read_measured(tmp_path / "G.mat", FOREIGN.model_copy(update={"unit": unit, "sign": sign}), ports=PORTS)
+    back = files.read(tmp_path / "G.mat", FOREIGN.model_copy(update={"unit": unit, "sign": sign}), ports=PORTS)
     np.testing.assert_allclose(back.values, g.values, rtol=1e-13)
     assert back.unit == "m/V"
 
@@ -218,34 +208,19 @@ def test_foreign_uff_in_ascii_with_gaps_and_velocity(tmp_path):
         pyuff.UFF(str(tmp_path / "G.uff")).write_sets(block, mode="add")
     ports = (OUTPUTS[:2], INPUTS[:1])
     with pytest.raises(DataError, match="--declare \"sign="):
-        read_measured(tmp_path / "G.uff", ports=ports)
-    g = read_measured(tmp_path / "G.uff", Declaration(sign="+iwt"), ports=ports)
+        files.read(tmp_path / "G.uff", ports=ports)
+    g = files.read(tmp_path / "G.uff", Declaration(sign="+iwt"), ports=ports)
     assert g.valid[:, :, 0].sum(axis=0).tolist() == [10, 8]
     np.testing.assert_allclose(
         g.values[:, 0, 0], 1e-3 * f * (1 + 1j) / (2j * np.pi * f), rtol=1e-11
     )  # 12 digits of ASCII
 
 
-def test_uff_is_what_pyuff_reads_and_says_its_true_length(tmp_path):
-    g = part(measured(masked=False), 1, 1)
-    write_uff(tmp_path / "G.uff", g)
-    first = pyuff.UFF(str(tmp_path / "G.uff")).read_sets(1)
-    np.testing.assert_array_equal(first["data"], g.values[:, 0, 0])
-    assert first["n_bytes"] == 24 * len(g.frequency)
-
-
-def test_uff_refuses_nan_that_is_not_masked(tmp_path):
-    g = measured()
-    with pytest.raises(DataError, match="mark them"):
-        write_uff(tmp_path / "G.uff", replace(g, valid=None))
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_raw_sweeps_through_tdms(tmp_path):
     scene = part(wave_matrix(), 1, 1)
     taken = record(plan_for(scene), device_for(scene, noise=1e-4), (0, 0))
-    write_sweep_tdms(tmp_path / "s.tdms", taken)
-    back = read_sweep_tdms(
+    sweep_tdms(tmp_path / "s.tdms", taken)
+    back = read_sweep(
         tmp_path / "s.tdms",
         drive="sweep/drive",
         response="sweep/response",
@@ -327,7 +302,11 @@ def test_a_mangled_file_is_one_sentence_or_still_right(tmp_path, suffix, at, jun
     """Bytes overwritten anywhere: a ForearmError, or a G; never another exception, never a crash."""
     file = tmp_path / f"G.{suffix}"
     g = part(wave_matrix(np.arange(10.0, 30.0)), 2, 2)
-    file.write_text("name = 'x'\n") if suffix == "toml" else write_measured(file, g)
+    made = {
+        "toml": lambda: file.write_text("name = 'x'\n"), "uff": lambda: uff_of(file, g), "mat": lambda: mat5(file, g),
+        "tdms": lambda: sweep_tdms(file, record(plan_for(part(g, 1, 1)), device_for(part(g, 1, 1)), (0, 0))),
+    }  # fmt: skip
+    made.get(suffix, lambda: files.save(file, g))()
     content = bytearray(file.read_bytes())
     start = int(at * len(content))
     content[start : start + len(junk)] = junk
@@ -335,7 +314,7 @@ def test_a_mangled_file_is_one_sentence_or_still_right(tmp_path, suffix, at, jun
     declaration = FOREIGN if suffix == "mat" else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecognitionWarning)
-        back = outcome(lambda: read_measured(file, declaration, ports=(g.outputs, g.inputs)))
+        back = outcome(lambda: files.read(file, declaration, ports=(g.outputs, g.inputs)))
     assert back
     assert isinstance(back, str) or back.values.shape[1:] == (2, 2)
 
@@ -343,19 +322,14 @@ def test_a_mangled_file_is_one_sentence_or_still_right(tmp_path, suffix, at, jun
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     values=st.lists(st.complex_numbers(max_magnitude=1e300, allow_subnormal=True), min_size=3, max_size=3),
-    suffix=st.sampled_from(["csv", "uff", "tdms"]),
+    suffix=st.sampled_from(["csv", "mat"]),
 )
 def test_any_number_survives_any_format(tmp_path, values, suffix):
     g = TransferMatrix(np.array([10.0, 11.1, 1e3]), np.array(values).reshape(3, 1, 1), OUTPUTS[:1], INPUTS[:1])
     g = replace(g, valid=np.ones((3, 1, 1), dtype=bool))
     file = tmp_path / f"G.{suffix}"
-    write_measured(file, g)
-    stored = read_uff(file).values if suffix == "uff" else None
-    if stored is None:
-        from forearm_fem.io.csvfiles import read_csv
-        from forearm_fem.io.tdms import read_tdms
-
-        stored = {"csv": read_csv, "tdms": read_tdms}[suffix](file).values
+    files.save(file, g)
+    stored = TableReader().raw(file, Declaration()).values if suffix == "csv" else files.read(file).values
     np.testing.assert_array_equal(stored.ravel(), np.array(values))
 
 
@@ -397,19 +371,19 @@ def test_recipe_for_raw_impulse_responses(tmp_path):
     np.testing.assert_allclose(g.values[:, 0, 1], by_hand, rtol=1e-6)  # single precision on disk
     assert g.unit == "m/N"
     assert g.provenance["gain"] == "arbitrary"
-    again = read_measured(tmp_path / "set.toml")
+    again = files.read(tmp_path / "set.toml")
     np.testing.assert_array_equal(again.values, g.values)
 
 
 def test_thesis_file_of_ours_needs_no_declaration(tmp_path):
-    from forearm_fem.io.matlab import write_thesis_mat
+    from forearm_fem.files.mat import write_thesis_mat
 
     g = wave_matrix(np.arange(10.0, 60.0, 0.5))
     write_thesis_mat(tmp_path / "G.mat", g)
     assert loadmat(tmp_path / "G.mat")["G"].shape == (9, 4, 20000)
-    np.testing.assert_array_equal(read_measured(tmp_path / "G.mat").values, g.values)
+    np.testing.assert_array_equal(files.read(tmp_path / "G.mat").values, g.values)
     with pytest.raises(DataError, match="describes itself"):
-        read_measured(tmp_path / "G.mat", Declaration(quantity="velocity"))
+        files.read(tmp_path / "G.mat", Declaration(quantity="velocity"))
 
 
 @pytest.mark.skipif(not SKINSOURCE.is_dir(), reason="no files of SkinSource in ../shared/data/skinsource")

@@ -15,7 +15,7 @@ import pytest
 import xarray as xr
 from scipy.io import loadmat
 
-from forearm_fem import io
+from forearm_fem import files, io
 from forearm_fem.errors import DataError
 from forearm_fem.ports import Port
 from forearm_fem.transfer import Compliance, ErrorEstimate, TransferMatrix
@@ -179,7 +179,7 @@ def test_stack_orders_results_and_names_gaps() -> None:
 def test_matlab_export_is_the_thesis_array(tmp_path: Path) -> None:
     file = tmp_path / "G.mat"
     g = replace(transfer(), valid=None)
-    io.write_thesis_mat(file, g)
+    files.write_thesis_mat(file, g)
     content = loadmat(file)
     full = content["G"]
     assert full.shape == (9, 4, 20000)
@@ -199,16 +199,16 @@ def test_matlab_export_is_the_thesis_array(tmp_path: Path) -> None:
 
 def test_matlab_round_trip(tmp_path: Path) -> None:
     g = transfer()
-    io.write_thesis_mat(tmp_path / "G.mat", g)
+    files.write_thesis_mat(tmp_path / "G.mat", g)
     kept = replace(g, values=np.where(g.valid, g.values, 0), contacts=None, deviation=None, errors=())
-    same(io.read_thesis_mat(tmp_path / "G.mat"), kept)
+    same(files.read_thesis_mat(tmp_path / "G.mat"), kept)
 
 
 def test_matlab_keeps_the_last_bin_of_odd_records(tmp_path: Path) -> None:
     """Of 9 bins 1 to 4 are positive, and the band may reach to the last of them."""
     g = replace(transfer(np.arange(1.0, 5.0)), valid=None)
-    io.write_thesis_mat(tmp_path / "G.mat", g, 9.0, 1.0)
-    back = io.read_thesis_mat(tmp_path / "G.mat")
+    files.write_thesis_mat(tmp_path / "G.mat", g, 9.0, 1.0)
+    back = files.read_thesis_mat(tmp_path / "G.mat")
     np.testing.assert_array_equal(back.frequency, g.frequency)
     np.testing.assert_array_equal(back.values, g.values)
 
@@ -223,7 +223,7 @@ def test_matlab_keeps_the_last_bin_of_odd_records(tmp_path: Path) -> None:
 )
 def test_matlab_refuses_frequencies_off_its_bins(tmp_path: Path, frequency: float, message: str) -> None:
     with pytest.raises(DataError, match=message):
-        io.write_thesis_mat(tmp_path / "G.mat", transfer(np.array([5.0, frequency])))
+        files.write_thesis_mat(tmp_path / "G.mat", transfer(np.array([5.0, frequency])))
     assert not list(tmp_path.iterdir())
 
 
@@ -261,7 +261,7 @@ READERS = {
         io.read_transfer,
     ),
     "drives.nc": (lambda p: io.write_drives(p, signals()), io.read_drives),
-    "G.mat": (lambda p: io.write_thesis_mat(p, transfer(BINS[:40])), io.read_thesis_mat),
+    "G.mat": (lambda p: files.write_thesis_mat(p, transfer(BINS[:40])), files.read_thesis_mat),
 }
 
 

@@ -29,7 +29,7 @@ from test_measurement_scene import (
 )
 
 from forearm_fem.errors import AccuracyWarning, DataError, HardwareError, ScenarioError
-from forearm_fem.io.wav import write_wav_drives
+from forearm_fem.files.wav import write_wav_drives
 from forearm_fem.measurement.calibrate import calibrate, collected
 from forearm_fem.measurement.play import play
 from forearm_fem.measurement.run import VirtualSetup, calibration_plan, run_calibration, run_play

@@ -12,7 +12,7 @@ import pytest
 from cli_runner import SMALL, cli
 
 from forearm_fem.errors import DataError
-from forearm_fem.io import write_measured
+from forearm_fem.files import save
 from forearm_fem.pipeline.folder import Run, run_all
 from forearm_fem.rendering.given import UNASKED, scenario_for
 from forearm_fem.rendering.job import RenderJob, is_on_bins
@@ -53,7 +53,7 @@ def test_the_g_of_a_run_gives_the_s_of_the_run(run: Run, tmp_path: Path) -> None
 
 def test_a_file_gives_the_same_s_by_the_scenario_measured(run: Run, tmp_path: Path) -> None:
     """CSV keeps every digit that a float has. A G that states no error has no interval."""
-    write_measured(tmp_path / "lab.csv", bare(run))
+    save(tmp_path / "lab.csv", bare(run))
     scenario = str(run.out.parent / "small.toml")
     answer = cli("render", str(tmp_path / "lab.csv"), "--scenario", scenario, "--out", str(tmp_path / "out"))
     assert answer.code == 0, answer.err

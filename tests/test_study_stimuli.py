@@ -272,6 +272,15 @@ def test_too_little_full_scale_is_a_sentence(lab):
         export(prepared, "01", prepared.made("01"), rate=1e3, full_scale=10.0)
 
 
+def test_drives_as_rendered_beyond_the_limits_are_not_handed_over(lab):
+    text = (lab / "pilot.toml").read_text().replace("peak = 0.1", "levels = 'as rendered'")
+    (lab / "pilot.toml").write_text(text)
+    (lab / "flat.toml").write_text((lab / "flat.toml").read_text() + "[rendering]\namplitude = 3.0\n")
+    prepared = Prepared.of(lab / "pilot.toml")
+    with pytest.raises(ScenarioError, match=r"V, the limit is 2\.5 V, lower rendering\.amplitude"):
+        export(prepared, "01", prepared.made("01"), rate=48e3, full_scale=100.0)
+
+
 @pytest.fixture
 def handed(lab):
     """Exported trials of participant 01, as rows, with the study's store and grid."""
@@ -316,6 +325,8 @@ def test_answers_of_other_programs_become_our_own_table(handed, kind):
     places = {p.name: p.position for p in grid}
     assert table["response_x"].tolist() == [places[r["target"]][0] for r in rows]
     assert set(table["phase"]) == {"training", "main"}
+    assert table["weighted_db"].tolist() == pytest.approx([float(r["weighted_db"]) for r in rows])
+    assert table["drives"].tolist() == [r["drives"] for r in rows]
 
 
 def test_answers_that_do_not_fit_the_plan_are_refused(handed):
@@ -328,6 +339,9 @@ def test_answers_that_do_not_fit_the_plan_are_refused(handed):
     ):  # fmt: skip
         with pytest.raises(DataError, match=words):
             read_answers([_written(lab, [{**rows[0], **change}], "psychopy")], store, grid)
+    other = [{**r, "transfer": "0123456789ab"} if int(r["trial"]) > 50 else r for r in rows]
+    with pytest.raises(DataError, match="participant 01 answered stimuli made from two versions of transfer"):
+        read_answers([_written(lab, other, "psychopy")], store, grid)
     file = _written(lab, rows, "psychopy")
     with pytest.raises(DataError, match="trial 1 of identification by 01 is answered twice"):
         read_answers([file, lab / "twice.csv"], store, grid)

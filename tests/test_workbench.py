@@ -21,8 +21,8 @@ from test_skin_model import solved  # noqa: F401
 from forearm_fem.device import close_loop
 from forearm_fem.engines.skin_model import load_skin_model
 from forearm_fem.errors import DataError, GeometryError
+from forearm_fem.files.tables import write_csv
 from forearm_fem.io import read_compliance, read_transfer, write_transfer
-from forearm_fem.io.csvfiles import write_csv
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.prediction.outcome import DrawsFile, Outcome

@@ -20,8 +20,8 @@ from test_skin_model import solved  # noqa: F401
 from test_workbench import LAYERED, content, drawn, flat  # noqa: F401
 
 from forearm_fem.engines.skin_model import load_skin_model
-from forearm_fem.io.csvfiles import write_csv
-from forearm_fem.io.recognise import read_measured
+from forearm_fem.files.read import read
+from forearm_fem.files.tables import write_csv
 from forearm_fem.pipeline.simulation import render, simulate
 from forearm_fem.scenario import load_scenario, parse_scenario
 from forearm_fem.show import Results
@@ -264,7 +264,7 @@ def test_what_it_keeps_can_be_read(tab: Any, flat: Results, tmp_path: Path) -> N
     assert {"inverse_filter_u_5_m", "funneling_drive_A4_V"} <= set(rows[0])
     g = tmp_path / "g.csv"
     g.write_bytes(kept(tab, "gcsv").read_bytes())
-    back = read_measured(g)
+    back = read(g)
     np.testing.assert_allclose(back.values, flat.transfer.values, rtol=1e-12, atol=1e-18)
     assert back.outputs == flat.transfer.outputs
     assert json.loads(kept(tab, "gjson").read_text())["unit"] == "m/V"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,11 +14,12 @@ from typing import Any
 
 import psutil
 
+from .. import __version__
 from ..errors import ForearmError
 from ..progress import Progress, tell
+from ..show.page import Block, Page, Section
 from ..store.folder import check_kind, set_kind, write_text
 from ..store.shelf import WORK, Shelf
-from ..store.text import markdown_table
 from ..store.work import LIGHT, LOST, SHARE, done_once, spread
 from .member import MemberJob, finish_member
 from .model import Campaign, Member
@@ -51,7 +53,7 @@ def run_campaign(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> CampaignResult:
-    """Run what is not finished yet, each member into ``folder/NAME``, and write ``summary.csv`` and ``summary.md``.
+    """Run what is not finished yet, each member into ``folder/NAME``, and write ``summary.csv``, ``.html`` and ``.md``.
 
     A failed member is reported and does not stop the others; running again does only what is missing. ``scheduler`` is
     the address of a Dask scheduler whose workers see ``folder`` and the scenario's folder under the same path;
@@ -77,8 +79,8 @@ def run_campaign(
     for key, found in done_once(shelf, keys, finish_member, run=many, tell=counted):
         done[keys[key].name] = found
         if key not in whole:
-            _write(out, _collected(campaign, done, reused))
-    return _write(out, _collected(campaign, done, reused))
+            _write(out, campaign.name, _collected(campaign, done, reused))
+    return _write(out, campaign.name, _collected(campaign, done, reused))
 
 
 def _job(campaign: Campaign, member: Member, out: Path) -> MemberJob:
@@ -112,7 +114,7 @@ def _collected(campaign: Campaign, done: Mapping[str, Mapping[str, Any]], reused
     return found
 
 
-def _write(out: Path, members: Sequence[MemberResult]) -> CampaignResult:
+def _write(out: Path, name: str, members: Sequence[MemberResult]) -> CampaignResult:
     rows = [{"member": m.name, **m.values, **m.numbers, "problem": m.problem} for m in members]
     columns = [*dict.fromkeys(key for row in rows for key in row if key != "problem"), "problem"]
     stream = io.StringIO()
@@ -120,13 +122,21 @@ def _write(out: Path, members: Sequence[MemberResult]) -> CampaignResult:
     writer.writeheader()
     writer.writerows(rows)
     write_text(out / "summary.csv", stream.getvalue())
-    table = rows_table(columns, rows)
-    write_text(out / "summary.md", table)
-    return CampaignResult(out, tuple(members), table)
+    page = campaign_page(name, columns, rows)
+    page.save(out, "summary")
+    return CampaignResult(out, tuple(members), page.sections[0].block.markdown() if page.sections[0].block else "")
 
 
-def rows_table(columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as a markdown table, numbers to four digits."""
-    values = ([row.get(c) for c in columns] for row in rows)
-    told = ([f"{v:.4g}" if isinstance(v, float) else "" if v is None else str(v) for v in row] for row in values)
-    return markdown_table(columns, told)
+def campaign_page(name: str, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Page:
+    """The page of a campaign: the best member by each S, then one row a member."""
+    best = []
+    for column in (c for c in columns if c.startswith("S ")):
+        known = [r for r in rows if isinstance(r.get(column), float) and math.isfinite(r[column])]
+        if known:
+            top = max(known, key=lambda r: r[column])
+            best.append(f"Largest mean {column}: {top[column]:.3g}, {top['member']}.")
+    lost = sum(bool(r["problem"]) for r in rows)
+    finished = f"{len(rows) - lost} of {len(rows)} members finished."
+    note = "S is the mean over the points that count; points under or beside a motor are in none."
+    sections = [Section("members", "Members", Block.of(columns, rows, note if best else ""))]
+    return Page(f"Campaign {name}", [*best, finished], sections, f"forearm_fem {__version__}")

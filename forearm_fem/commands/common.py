@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import shlex
 import signal
 import tomllib
@@ -21,7 +22,7 @@ from .display import console as console
 
 if TYPE_CHECKING:
     from ..engines.library import ArmLibrary
-    from ..io.declaration import Declaration
+    from ..files.declaration import Declaration
     from ..pipeline.folder import Run
     from ..transfer import TransferMatrix
 
@@ -173,14 +174,14 @@ def noted() -> Iterator[None]:
 
 
 def transfer_file(what: Path) -> Path:
-    """A file as it is; of a results folder its ``transfer.nc``."""
+    """A file as it is; of a results folder its ``transfer.nc``; a folder or a pattern of files of a lab."""
     if what.is_dir():
-        what = what / "transfer.nc"
-        if not what.is_file():
-            raise DataError(
-                f"{what.parent}: no transfer.nc in this folder; `forearm-fem run` makes one, or name a file"
-            )
-    if not what.exists():
+        if (what / "transfer.nc").is_file():
+            return what / "transfer.nc"
+        from ..files.read import several
+
+        several(what)  # refuses a folder of nothing known
+    elif not what.exists() and not glob.glob(str(what)):
         raise DataError(f"{what}: no such file or results folder")
     return what
 
@@ -207,11 +208,10 @@ def measured_g(
         if declare:
             raise DataError(f"--declare: has no effect without {option}; name the file, or leave it out")
         return None
-    from ..geometry.device.layout import planform_ports
-    from ..io.recognise import read_measured
+    from ..files.read import read
 
     with noted():  # what was recognised, and what a file does not look like
-        return read_measured(transfer_file(what), declaration(declare), ports=planform_ports(asked))
+        return read(transfer_file(what), declaration(declare), scenario=asked)
 
 
 def scene_of(scenario: Path | None) -> Scenario | None:
@@ -225,7 +225,7 @@ def declaration(items: Sequence[str] | None) -> Declaration | None:
         return None
     from pydantic import ValidationError
 
-    from ..io.declaration import Declaration
+    from ..files.declaration import Declaration
 
     try:
         return Declaration.model_validate(apply_overrides({}, items, "--declare"))

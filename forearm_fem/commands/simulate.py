@@ -127,15 +127,14 @@ def _render_given(
     what: Path, scenario: Path | None, overrides: Overrides, out: Path | None, declare: list[str] | None
 ) -> None:
     """Drives, displacements, S, figures and report of a G that is there."""
-    from ..geometry.device.layout import planform_ports
-    from ..io.recognise import read_measured
+    from ..files.read import read
     from ..pipeline.folder import Run, run_given
     from ..rendering.given import scenario_for
     from ..store.folder import locked
 
     file, asked = transfer_file(what), scene_of(scenario)
     with noted():  # what was recognised, and what a file does not look like
-        g = read_measured(file, declaration(declare), ports=None if asked is None else planform_ports(asked))
+        g = read(file, declaration(declare), scenario=asked)
     scene, notes = scenario_for(g, asked, overrides or ())
     folder = out or Path("results") / f"render-{what.stem}"
     base = file.parent if scenario is None else scenario_file(scenario).parent

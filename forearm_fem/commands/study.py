@@ -336,5 +336,6 @@ def withdraw(
     store = Prepared.of(file, data).store()
     if not yes and not typer.confirm(f"delete all answers of {participant}?"):
         raise typer.Abort()
-    store.withdraw(participant)
+    with store.sitting(participant):
+        store.withdraw(participant)
     typer.echo(f"sub-{participant}: answers deleted, and any analysis that held them; `study analyse` makes it anew")

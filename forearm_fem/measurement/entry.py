@@ -10,11 +10,11 @@ import numpy as np
 from scipy.fft import rfftfreq
 
 from ..errors import DataError
-from ..io.units import to_displacement
 from ..ports import Port
 from ..scenario.measurement import MeasurementOptions
 from ..transfer import ErrorEstimate, TransferMatrix
 from ..typing import BoolArray, ComplexArray, FloatArray
+from ..units import to_displacement
 from .alike import off_alike
 from .diagnostics import Finding, diagnose
 from .estimators import estimate, spectra

@@ -13,8 +13,8 @@ import numpy as np
 
 from ..arguments import checked
 from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
+from ..files.wav import read_wav_drives
 from ..geometry.device.layout import planform_ports
-from ..io.wav import read_wav_drives
 from ..progress import Progress, tell
 from ..scenario import Scenario
 from ..scenario.measurement import DaqOptions

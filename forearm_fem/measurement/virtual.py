@@ -13,11 +13,11 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from ..errors import DataError, HardwareError
-from ..io.units import to_displacement
 from ..rendering.spectrum import Record, place
 from ..scenario.measurement import Quantity
 from ..transfer import TransferMatrix
 from ..typing import FloatArray
+from ..units import to_displacement
 from .daq import Wiring
 
 

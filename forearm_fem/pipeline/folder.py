@@ -20,13 +20,13 @@ from ..engines.resources import Ledger
 from ..engines.skin_model import save_skin_model
 from ..errors import AccuracyWarning, DataError, ScenarioError
 from ..fem.reduction.compile_ahead import start_compiling
+from ..files.mat import write_thesis_mat
 from ..geometry.build import limb_volume
 from ..geometry.cache import cached_mesh
 from ..geometry.device.place import check_places
 from ..geometry.mesh.files import write_mesh
 from ..geometry.mesh.quality import mesh_quality
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..io.matlab import write_thesis_mat
 from ..ports import positions
 from ..progress import Progress, tell, within
 from ..rendering import Rendering
@@ -67,7 +67,6 @@ from ..wavefield import Wavefield, save_wavefield
 from .notes import scene_notes
 from .samples import check_samples
 from .simulation import AnswersForArm, Simulation, simulate, versions
-from .wave_report import write_wave_report
 
 __all__ = ["Run", "check_rendering", "run_all", "run_given", "run_mesh", "run_render", "run_solve"]
 
@@ -146,6 +145,8 @@ def run_all(run: Run) -> None:
         if run.scenario.rendering.methods:
             _reported(run)
         else:
+            from ..show.wave_report import write_wave_report  # as heavy
+
             write_wave_report(run.scenario, transfer, run.out, notes=run.notes)
     _write_run(run)
 

@@ -287,7 +287,8 @@ def _points(ax: Axes, data: Strengths) -> None:
                         label=f"{method}, thesis P2", **look)  # fmt: skip
     ax.axhline(1, color=GREY, lw=0.8, ls="--")
     if data.window:
-        ax.set_title(f"S over {data.window if data.window != 'record' else 'the whole record'}", fontsize=7)
+        over = data.window.replace("-", "\N{MINUS SIGN}") if data.window != "record" else "the whole record"
+        ax.set_title(f"S over {over}", fontsize=7)
     ax.set_xticks(place, ours.groups)
     ax.set(ylabel="signal strength S [-]", yscale="log")
     low, high = ax.get_ylim()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment
 from matplotlib import style
@@ -29,6 +30,11 @@ class Block:
     header: list[str]
     rows: list[list[str]]
     note: str = ""
+
+    @classmethod
+    def of(cls, columns: Sequence[str], rows: Sequence[Mapping[str, Any]], note: str = "") -> Block:
+        """The ``columns`` of ``rows`` by name: numbers to four digits, what a row lacks left empty."""
+        return cls(list(columns), [[_cell(row.get(c)) for c in columns] for row in rows], note)
 
     def markdown(self) -> str:
         """The table and its note."""
@@ -105,6 +111,10 @@ class Page:
         write_text(plain, self.markdown())
         write_text(page, self.html())
         return page, plain
+
+
+def _cell(value: Any) -> str:
+    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _body(section: Section) -> list[str]:

@@ -209,7 +209,8 @@ def _band(figure: FigureBase, data: TargetWaves, shown: Shown, rows: int, factor
     middle = places[:, :2].mean(axis=0)
     reach = 1.3 * np.abs(np.concatenate([places, coils])[:, :2] - middle).max()
     for k, t in enumerate(shown.instants):
-        grid[0, k].set_title("0 ms" if abs(t) < 5e-5 else f"{1e3 * t:+.1f} ms")
+        when = "0 ms" if abs(t) < 5e-5 else f"{1e3 * t:+.1f} ms"
+        grid[0, k].set_title(when.replace("-", "\N{MINUS SIGN}"))
         grid[0, k].pcolormesh(1e3 * data.x, 1e3 * data.y, MICRO * shown.between[k], cmap=SIGNED, norm=scale,
                               shading="gouraud", rasterized=True)  # fmt: skip
         if shown.field is not None and data.patch is not None:

@@ -46,6 +46,12 @@ def atomic_path(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
             beside.unlink()
 
 
+def refuse_no_file(file: Path) -> None:
+    """DataError where ``file`` is a folder, or is not there."""
+    if not file.is_file():
+        raise DataError(f"{file}: {'is a folder, expected a file' if file.is_dir() else 'no such file'}")
+
+
 def write_bytes(path: str | Path, content: bytes, *, durable: bool = True) -> None:
     """``content``, whole or not at all.
 

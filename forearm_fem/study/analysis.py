@@ -1,7 +1,7 @@
 """What answers say: errors (eq. 10 of de Vlam 2022), accuracy and precision, confusion, confidence, tests.
 
 Subjects are participants. Repetitions are averaged within a participant and cell before an analysis of variance: taken
-as further subjects they would triple the degrees of freedom (docs/decisions/0032-subjects-are-participants.md).
+as further subjects they would triple the degrees of freedom, as in the thesis, where F(6, 360) fits 60 rows and not 20.
 """
 
 from __future__ import annotations

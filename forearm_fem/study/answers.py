@@ -10,6 +10,7 @@ import csv
 import json
 import re
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,10 @@ from ..errors import DataError
 from ..ports import Port
 from .order import trials
 from .run import typed
-from .store import EVENTS, StudyStore
+from .store import EVENTS, SOURCES, StudyStore
 
 _RESPONSES = ("response", "key_resp.keys", "mouse.clicked_name")  # ours, and what PsychoPy's Builder calls them
+_FACTS = ("gain", "peak_um", "rms_um", "weighted_db", "drives", *SOURCES)
 _NEEDED = ("participant", "task", "trial", "method", "target")
 
 
@@ -42,6 +44,13 @@ def read_answers(files: Sequence[Path], store: StudyStore, grid: Sequence[Port])
                     "one out"
                 )
             found[key] = _answer(f"{file}, answer {number}", row, store, grid)
+    for name in SOURCES:
+        made = {(row["participant"], row[name]) for row in found.values()}
+        if len(made) > len({who for who, _ in made}):
+            twice = sorted(who for who, _ in made)
+            who = next(a for a, b in pairwise(twice) if a == b)
+            raise DataError(f"participant {who} answered stimuli made from two versions of {name}; leave one version's "
+                            "answers out")  # fmt: skip
     tables = {}
     for task in store.study.tasks:
         rows = [row for (_, name, _), row in found.items() if name == task.name]
@@ -70,6 +79,7 @@ def _rows(file: Path) -> list[dict[str, str]]:
         given = next((row[k] for k in _RESPONSES if row.get(k) not in (None, "", "None", "null")), None)
         if given is not None:
             clean = {k: str(row[k]).removesuffix(".0") for k in _NEEDED}
+            clean |= {k: str(row.get(k) or "n/a") for k in _FACTS}
             answered.append({**clean, "response": _words(given), "response_time": _seconds(row)})
     if not answered:
         raise DataError(
@@ -116,5 +126,5 @@ def _answer(where: str, row: Mapping[str, str], store: StudyStore, grid: Sequenc
         "participant": row["participant"], "trial": planned.number, "phase": planned.phase, "block": planned.block,
         "method": planned.method, "target": planned.target, "repetition": planned.repetition,
         "response": " ".join(chosen), "response_x": x, "response_y": y, "response_time": row["response_time"],
-        "late": 0, "session": 1, "presentations": 1,
+        "late": 0, "session": 1, "presentations": 1, **{k: row[k] for k in _FACTS},
     }  # fmt: skip

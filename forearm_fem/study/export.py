@@ -24,6 +24,7 @@ from ..store.folder import atomic_path, write_text
 from ..typing import FloatArray
 from .order import tasks_of, trials
 from .run import Made, Prepared
+from .stimuli import beyond
 from .store import SOURCES, STIMULI
 
 COLUMNS = (
@@ -43,6 +44,10 @@ def export(prepared: Prepared, participant: str, made: Made, *, rate: float, ful
     record, stimuli = prepared.wavelet.record, prepared.study.stimuli
     if rate < 2.5 * (top := float(made.transfer.frequency[-1])):
         raise ScenarioError(f"--rate {rate:g}: expected at least {2.5 * top:g} Hz for a band up to {top:g} Hz")
+    for (method, target), stimulus in made.stimuli.items():  # as rendered; equal levels are within reach
+        excess, said = beyond(stimulus, prepared.scenario)
+        if excess > 1:
+            raise ScenarioError(f"{method} towards {target} needs {said} lower rendering.amplitude or equalise levels")
     peaks = {k: float(np.abs(s.signals).max()) / options.amplifier_gain for k, s in made.stimuli.items()}
     loudest = max(peaks, key=peaks.__getitem__)
     if peaks[loudest] > full_scale:

@@ -172,7 +172,7 @@ def _effect(whole: FloatArray, sought: Sought) -> Effect:
 
 def _error_square(whole: FloatArray, sought: Sought) -> float:
     """Mean square of the scatter of participants' normalised contrasts of cells."""
-    a, b = whole.shape[1:]
+    a, b = (int(n) for n in whole.shape[1:])
     own = whole - whole.mean(axis=0)
     own = own - own.mean(axis=(1, 2), keepdims=True)
     by_target, by_method = own.mean(axis=2, keepdims=True), own.mean(axis=1, keepdims=True)

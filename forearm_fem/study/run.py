@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from ..errors import DataError, MissingExtra, ScenarioError
+from ..files.declaration import Declaration
 from ..geometry.device.layout import planform_ports
-from ..io.declaration import Declaration
 from ..measurement.daq import Daq
 from ..measurement.loopback import Loopback, check_belongs
 from ..measurement.run import DaqKind, hardware, wired

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import AccuracyWarning, DataError, HardwareError, ScenarioError
-from ..io.declaration import Declaration, Ports, arbitrary_gain
-from ..io.recognise import read_measured
+from ..files.declaration import Declaration, Ports, arbitrary_gain
+from ..files.read import read
 from ..measurement.daq import Daq, faded
 from ..measurement.play import play
 from ..rendering.bridging import bridged
@@ -105,7 +105,7 @@ def transfer_of(
             f"{file}: no G for participant {participant}; `forearm-fem calibrate SCENARIO --out {file.parent}` "
             "measures it, or name a simulated one in the study's `transfer`"
         )
-    return read_measured(file, declaration, ports=ports)
+    return read(file, declaration, ports=ports)
 
 
 def stimuli_for(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import AccuracyWarning
-from ...io.declaration import arbitrary_gain
+from ...files.declaration import arbitrary_gain
 from ...metrics import WaveFit, condition_number, condition_summary, fit_waves
 from ...metrics.waves import beside, phase_told
 from ...ports import distances

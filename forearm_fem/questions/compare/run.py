@@ -14,9 +14,9 @@ from ...arguments import checked
 from ...device.loop import close_loop
 from ...engines.parametric import BEYOND, ParametricModel
 from ...errors import DataError, ForearmError
+from ...files.declaration import Declaration, arbitrary_gain, declared_by
+from ...files.read import read
 from ...geometry.device.layout import planform_ports
-from ...io.declaration import Declaration, Ports, arbitrary_gain, declared_by
-from ...io.recognise import read_measured
 from ...ports import Port
 from ...prediction.arm import as_wrong
 from ...progress import Progress, tell, within
@@ -91,10 +91,11 @@ def run_compare(
 
 
 def _load(
-    what: str | Path | TransferMatrix, declaration: Declaration | None, ports: Ports | None, option: str = "--declare"
-) -> TransferMatrix:
+    what: str | Path | TransferMatrix, declaration: Declaration | None, scenario: Scenario | None,
+    option: str = "--declare",
+) -> TransferMatrix:  # fmt: skip
     with declared_by(option):
-        return what if isinstance(what, TransferMatrix) else read_measured(what, declaration, ports=ports)
+        return what if isinstance(what, TransferMatrix) else read(what, declaration, scenario=scenario)
 
 
 def _said(what: str | Path | TransferMatrix, declaration: Declaration | None) -> list[Any]:
@@ -156,7 +157,7 @@ def run_fit(
     }  # fmt: skip
     if folder is not None:
         check_kind(folder, "fit", asked, FIT_FILES)
-    data = thinned(_load(measured, declaration, planform_ports(scenario)), frequencies)
+    data = thinned(_load(measured, declaration, scenario), frequencies)
     _check_data(scenario, data, parameters)
     chosen = common_parameters(scenario, parameters)
     inputs, outputs = all_inputs(scenario, data), data.outputs

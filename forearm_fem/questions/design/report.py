@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ... import __version__
-from ...campaign.run import rows_table
 from ...metrics.strength import strength_text
+from ...show.page import Block, Page, Picture, Section, embedded
 from ...show.registry import save_drawn
 from ...store.folder import write_text
 from ...store.record import save_arrays
@@ -35,18 +35,18 @@ _NUMBERS = ("score", "actuators", "voltage", "power", "total_power", "mass", "er
 
 
 def write_design_report(result: DesignResult) -> None:
-    """``candidates.csv`` and ``.nc``, ``front.csv``, ``best.json``, the pictures, and ``report.md``."""
+    """``candidates.csv`` and ``.nc``, ``front.csv``, ``best.json``, the pictures, ``report.html`` and ``report.md``."""
     out = result.folder
     write_text(out / "candidates.csv", table(result.candidates))
     write_text(out / "front.csv", table(result.front))
     write_json(out / "best.json", {"values": result.best.values, "candidate": result.best.as_json()})
     _netcdf(result)
-    stamp = f"design {result.design.asked.name} · forearm_fem {__version__}"
-    drawn = {"front": plot_front(result), "device": plot_devices(result), "map": plot_map(result)}
-    for name, figure in drawn.items():
+    pictures = []
+    for name, figure in (("device", plot_devices(result)), ("front", plot_front(result)), ("map", plot_map(result))):
         if figure is not None:
-            save_drawn(figure, out / name, ("png",), stamp)
-    write_text(out / "report.md", page(result, [name for name, figure in drawn.items() if figure is not None]))
+            save_drawn(figure, out / name, ("png",), _stamp(result))
+            pictures.append(embedded(figure, _PICTURES[name]))
+    design_page(result, pictures).save(out)
 
 
 def table(candidates: Sequence[Candidate]) -> str:
@@ -127,13 +127,12 @@ def values_words(values: Mapping[str, Any]) -> str:
     return ", ".join(words)
 
 
-def page(result: DesignResult, pictures: Sequence[str]) -> str:
-    """The page: outcome, Pareto front, pictures, and what was not feasible."""
+def design_page(result: DesignResult, pictures: Sequence[Picture] = ()) -> Page:
+    """The page of a design: outcome, picture, Pareto front, and what was not feasible."""
     front = [
-        {_TITLES.get(k, k): f"{v:.3g}" if isinstance(v, float) else v for k, v in row(c).items()
-         if k not in ("not held", "problem", "device.contacts")}
+        {_TITLES.get(k, k): v for k, v in row(c).items() if k not in ("not held", "problem", "device.contacts")}
         for c in result.front
-    ]  # fmt: skip
+    ]
     columns = list(dict.fromkeys(key for r in front for key in r))
     count, bad = len(result.candidates), [c for c in result.candidates if not c.feasible]
     reasons: dict[str, int] = {}
@@ -141,13 +140,18 @@ def page(result: DesignResult, pictures: Sequence[str]) -> str:
         reason = "cannot be" if c.problem else ", ".join(c.violations) or "S unknown"
         reasons[reason] = reasons.get(reason, 0) + 1
     told = "; ".join(f"{n} {reason}" for reason, n in sorted(reasons.items(), key=lambda kv: -kv[1]))
-    return "\n".join([
-        f"# Design {result.design.asked.name}", "", *outcome_words(result), "",
-        "## Pareto front", "",
-        "No other candidate has more S with as few actuators and as little power (all actuators together). Voltage and "
-        "power are of the actuator that needs most, for a motion of the target of "
-        f"{1e6 * result.design.asked.constraints.target_peak:g} um.", "",
-        rows_table(columns, front),
-        *(f"![{_PICTURES[name]}]({name}.png)\n" for name in pictures),
-        f"{count} candidates; {len(bad)} not feasible{': ' + told if told else ''}. All are in candidates.csv.", "",
-    ])  # fmt: skip
+    peak = 1e6 * result.design.asked.constraints.target_peak
+    note = ("No other candidate has more S with as few actuators and as little power (all actuators together). Voltage "
+            f"and power are of the actuator that needs most, for a motion of the target of {peak:g} µm.")  # fmt: skip
+    sections = [
+        Section("pictures", "The winner, and what it was chosen from", pictures=list(pictures)),
+        Section("front", "Pareto front", Block.of(columns, front, note)),
+        Section("candidates", "Candidates",
+                paragraphs=[f"{count} candidates; {len(bad)} not feasible{': ' + told if told else ''}. All are in "
+                            "candidates.csv."]),
+    ]  # fmt: skip
+    return Page(f"Design {result.design.asked.name}", outcome_words(result), sections, _stamp(result))
+
+
+def _stamp(result: DesignResult) -> str:
+    return f"design {result.design.asked.name} · forearm_fem {__version__}"

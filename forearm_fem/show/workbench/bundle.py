@@ -13,9 +13,8 @@ from typing import Any
 from ...arguments import checked
 from ...engines.library import is_library, load_library
 from ...errors import DataError
-from ...geometry.device.layout import planform_ports
-from ...io.declaration import Declaration
-from ...io.recognise import read_measured
+from ...files.declaration import Declaration
+from ...files.read import read
 from ...progress import Progress
 from ...scenario import Scenario, parse_scenario
 from ...store.folder import write_text
@@ -89,7 +88,7 @@ def _content(
         asked = scenario or arm.scenario.changed({"name": place.name.removesuffix(LIBRARY)})
         return library_content(arm, asked, f"library {place.name}", progress, base)
     asked = scenario or Scenario()
-    transfer = read_measured(place, declaration, ports=planform_ports(asked))
+    transfer = read(place, declaration, scenario=asked)
     if scenario is None and isinstance(sweep := transfer.provenance.get("sweep"), Mapping):  # of a calibration
         asked = parse_scenario({"sweep": {k: sweep[k] for k in ("duration", "sample_rate", "f_min", "f_max")}})
     named = asked.changed({"name": _NO_NAME.sub("-", name).strip(".-")[:100] or "measured"})

@@ -14,8 +14,8 @@ from ... import __version__
 from ...accuracy.estimates import accuracy_verdict
 from ...engines.skin_model import ReducedFile
 from ...errors import DataError, GeometryError, ScenarioError
+from ...files.declaration import arbitrary_gain
 from ...geometry.device.layout import layout_of
-from ...io.declaration import arbitrary_gain
 from ...pipeline.simulation import simulate
 from ...ports import Port
 from ...prediction.outcome import DrawsFile

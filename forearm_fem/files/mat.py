@@ -1,4 +1,4 @@
-"""The thesis' G [9, 4, 20000] as a MATLAB file: two-sided, Hermitian-mirrored, zero outside the band."""
+"""G as a MATLAB file: the thesis' [9, 4, 20000], two-sided and zero outside the band, or its own frequencies alone."""
 
 from __future__ import annotations
 
@@ -17,11 +17,9 @@ from ..ports import Port, positions
 from ..store.folder import write_bytes
 from ..store.record import TIME_CONVENTION, labels, plain_json
 from ..transfer import TransferMatrix
-from ..typing import ComplexArray, IntArray
+from ..typing import BoolArray, ComplexArray, IntArray
 from .reading import reading
-from .seal import BLANK, sealed
 
-_TEXT, _HEADER = 116, 128  # bytes of a MATLAB file: of its header the text, and all
 _NOTE = (
     "G(output, input, bin): bin k has frequency_Hz(k). Bins above sample_rate_Hz/2 are the negative "
     "frequencies frequency_Hz - sample_rate_Hz and hold the conjugates, so ifft(G, [], 3) is real: the "
@@ -29,16 +27,47 @@ _NOTE = (
 )
 
 
+_ONE_SIDED = (
+    "G(output, input, k) at frequency_Hz(k), positive frequencies alone; deviation is a standard deviation, and where "
+    "valid is 0 an entry may not be used."
+)
+
+
 @checked
 def write_thesis_mat(
-    path: str | Path, transfer: TransferMatrix, sample_rate: float = 1e4, duration: float = 2.0
+    path: str | Path, transfer: TransferMatrix, sample_rate: float | None = 1e4, duration: float = 2.0
 ) -> None:
     """Write G (n_out, n_in, sample_rate * duration) with its axes and units; [9, 4, 20000] by default.
 
-    ``sample_rate`` [Hz], ``duration`` [s]. Entries of ``transfer`` marked invalid are written as 0 and named in
-    ``valid`` (n_out, n_in, excited positive bin). Error estimates and deviations are left out; transfer.nc has them.
-    Raises DataError where a frequency lies on no bin of 1 / duration, or is not within 0 to sample_rate / 2.
+    ``sample_rate`` [Hz], ``duration`` [s]; without a rate G (n_out, n_in, n_frequency) at its own frequencies, exact.
+    Entries of ``transfer`` marked invalid are written as 0 in the first and named in ``valid`` (n_out, n_in, excited
+    positive bin). Error estimates are left out; netCDF has them. Raises DataError where a frequency lies on no bin of
+    1 / duration, or is not within 0 to sample_rate / 2.
     """
+    valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
+    content = {
+        "units": transfer.unit,
+        "time_convention": TIME_CONVENTION,
+        "valid": np.moveaxis(valid, 0, 2),
+        "provenance": plain_json(transfer.provenance),
+        **_axes("grid", transfer.outputs),
+        **_axes("actuator", transfer.inputs),
+    }
+    if sample_rate is None:
+        deviation = transfer.deviation
+        body = {
+            "G": np.moveaxis(transfer.values, 0, 2), "frequency_Hz": transfer.frequency, "note": _ONE_SIDED,
+            "masked": transfer.valid is not None,
+            **({} if deviation is None else {"deviation": np.moveaxis(deviation, 0, 2)}),
+        }  # fmt: skip
+    else:
+        body = _on_bins(transfer, valid, sample_rate, duration)
+    stream = io.BytesIO()
+    savemat(stream, {**body, **content}, do_compression=True)
+    write_bytes(path, stream.getvalue())
+
+
+def _on_bins(transfer: TransferMatrix, valid: BoolArray, sample_rate: float, duration: float) -> dict[str, Any]:
     n = round(sample_rate * duration)
     exact = transfer.frequency * duration
     bins = np.round(exact).astype(int)
@@ -50,30 +79,24 @@ def write_thesis_mat(
     if bins.min() < 1 or 2 * bins.max() >= n:
         nyquist = n / duration / 2
         raise DataError(f"MATLAB export: frequencies must lie between 0 and {nyquist:g} Hz, both excluded")
-    valid = np.ones(transfer.values.shape, dtype=bool) if transfer.valid is None else transfer.valid
-    content = {
+    return {
         "G": two_sided(np.where(valid, transfer.values, 0), bins, n),
         "frequency_Hz": np.arange(n) / duration,
         "excited": np.isin(np.arange(n), np.concatenate([bins, n - bins])),
-        "valid": np.moveaxis(valid, 0, 2),
-        "units": transfer.unit,
-        "time_convention": TIME_CONVENTION,
         "sample_rate_Hz": sample_rate,
         "duration_s": duration,
         "note": _NOTE,
-        "provenance": plain_json(transfer.provenance),
-        **_axes("grid", transfer.outputs),
-        **_axes("actuator", transfer.inputs),
     }
-    write_bytes(path, mat5(content, compressed=True))
 
 
 @checked
 def read_thesis_mat(path: str | Path) -> TransferMatrix:
-    """The positive, excited bins of a file by :func:`write_thesis_mat`; DataError if missing or damaged."""
+    """G of a file by :func:`write_thesis_mat`: its positive, excited bins; DataError if missing or damaged."""
     file = Path(path)
     with reading(file, "damaged, or not a G written by forearm_fem ({why})"):
         content = loadmat(file, appendmat=False, chars_as_strings=True)
+        if "excited" not in content:
+            return _of_own_frequencies(content)
         n = content["G"].shape[2]
         half = np.flatnonzero(content["excited"].ravel()[: (n + 1) // 2])  # of odd n the last positive bin: (n - 1) / 2
         valid = np.moveaxis(content["valid"].astype(bool), 2, 0)
@@ -88,17 +111,22 @@ def read_thesis_mat(path: str | Path) -> TransferMatrix:
         )
 
 
-def mat5(variables: dict[str, Any], *, compressed: bool = False) -> bytes:
-    """A MATLAB 5 file, sealed in its header's text and in the variable ``sha256`` at its end."""
-    body, end = io.BytesIO(), io.BytesIO()
-    savemat(body, variables, do_compression=compressed)
-    savemat(end, {"sha256": BLANK.decode()})
-    return sealed(stamped(body.getvalue(), b"MATLAB 5.0 MAT-file, ") + end.getvalue()[_HEADER:])
+def _of_own_frequencies(content: dict[str, Any]) -> TransferMatrix:
+    def turned(name: str) -> Any:
+        """The array of a name in the order (frequency, output, input); a last axis of length 1 is not stored."""
+        array = content[name]
+        return np.ascontiguousarray(np.moveaxis(array if array.ndim == 3 else array[:, :, None], 2, 0))
 
-
-def stamped(content: bytes, kind: bytes) -> bytes:
-    """A MATLAB file with ``kind`` and a blank seal as the 116 bytes of text that its header has room for."""
-    return (kind + BLANK).ljust(_TEXT) + content[_TEXT:]
+    return TransferMatrix(
+        frequency=content["frequency_Hz"].ravel(),
+        values=turned("G").astype(complex),
+        outputs=_ports(content, "grid", "point"),
+        inputs=_ports(content, "actuator", "contact"),
+        unit=str(content["units"][0]),
+        valid=turned("valid").astype(bool) if content["masked"].item() else None,
+        deviation=turned("deviation").astype(float) if "deviation" in content else None,
+        provenance=json.loads(str(content["provenance"][0])),
+    )
 
 
 def two_sided(values: ComplexArray, bins: IntArray, n: int) -> ComplexArray:

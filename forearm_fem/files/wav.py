@@ -6,15 +6,17 @@ import io
 import struct
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.io import wavfile
 
 from ..errors import DataError
-from ..store.folder import atomic_path
+from ..store.folder import write_bytes
 from ..typing import FloatArray
 from .reading import reading
-from .seal import BLANK, sealed
+
+_OPEN = 0xFFFFFFFF  # the length of what was written to a pipe
 
 
 def write_wav_drives(path: str | Path, signals: FloatArray, sample_rate: float) -> None:
@@ -35,20 +37,7 @@ def write_wav_drives(path: str | Path, signals: FloatArray, sample_rate: float) 
         )
     memory = io.BytesIO()
     wavfile.write(memory, int(sample_rate), np.ascontiguousarray(signals.T, dtype="<f8"))
-    with atomic_path(path) as beside:
-        beside.write_bytes(sealed(_commented(memory.getvalue())))
-        if not np.array_equal(read_wav_drives(beside)[0], signals):
-            raise DataError(f"{path}: reading back gave something else than was written; nothing was saved")
-
-
-def _commented(content: bytes) -> bytes:
-    """A WAV file with a blank seal as a comment (chunk LIST INFO ICMT, which players show or skip) before and after
-    its samples."""
-    comment = b"INFOICMT" + struct.pack("<I", len(BLANK) + 1) + BLANK + b"\0"
-    chunk = b"LIST" + struct.pack("<I", len(comment)) + comment
-    at = content.index(b"data")
-    whole = content[:at] + chunk + content[at:] + b"\0" * (len(content) % 2) + chunk
-    return whole[:4] + struct.pack("<I", len(whole) - 8) + whole[8:]
+    write_bytes(path, memory.getvalue())
 
 
 def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tuple[FloatArray, float]:
@@ -57,10 +46,7 @@ def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tup
     Floating-point ones are volts. DataError for a ``full_scale`` of these, or that is no voltage.
     """
     file = Path(path)
-    with reading(file, "damaged, cut short or not a WAV file; export it again"), warnings.catch_warnings():
-        warnings.simplefilter("error")  # scipy only warns of files that are cut short
-        warnings.filterwarnings("ignore", message="Chunk .*not understood")  # peaks, cues, dates: nothing of the signal
-        rate, samples = wavfile.read(file)
+    rate, samples = wav_samples(file)
     columns = samples.reshape(len(samples), -1).T
     whole = not np.issubdtype(columns.dtype, np.floating)
     if full_scale is not None and not (whole and 0 < full_scale < np.inf):
@@ -78,3 +64,33 @@ def read_wav_drives(path: str | Path, *, full_scale: float | None = None) -> tup
     if not np.all(np.isfinite(columns)):
         raise DataError(f"{file}: holds samples that are not finite; it must not be played")
     return np.ascontiguousarray(columns, dtype=float), float(rate)
+
+
+def wav_samples(file: Path) -> tuple[int, Any]:
+    """Sample rate [Hz] and samples (n,) or (n, channels) as they are stored; DataError for what is no whole WAV file.
+
+    Programs that write into a pipe cannot go back to say how long the file is: theirs says nothing or the most there
+    can be, and all that follows is samples.
+    """
+    with reading(file, "damaged, cut short or not a WAV file; export it again"), warnings.catch_warnings():
+        warnings.simplefilter("error")  # scipy only warns of files that are cut short
+        warnings.filterwarnings("ignore", message="Chunk .*not understood")  # peaks, cues, dates: nothing of the signal
+        rate, samples = wavfile.read(io.BytesIO(_of_true_length(file.read_bytes())))
+    return int(rate), samples
+
+
+def _of_true_length(content: bytes) -> bytes:
+    """``content`` with the lengths that a pipe left open put right."""
+    if content[:4] != b"RIFF" or content[8:12] != b"WAVE":
+        return content
+    at = 12
+    while at + 8 <= len(content):
+        name, (size,) = content[at : at + 4], struct.unpack("<I", content[at + 4 : at + 8])
+        rest = len(content) - at - 8
+        if name == b"data":
+            if size not in (0, _OPEN, _OPEN - 1) and size < 0x7FFFF000:
+                return content
+            said, whole = struct.pack("<I", rest), struct.pack("<I", len(content) - 8)
+            return content[:4] + whole + content[8 : at + 4] + said + content[at + 8 :]
+        at += 8 + size + size % 2
+    return content

@@ -9,9 +9,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..errors import DataError
-from ..scenario.measurement import Quantity
-from ..typing import ComplexArray, FloatArray
+from .errors import DataError
+from .scenario.measurement import Quantity
+from .typing import ComplexArray, FloatArray
 
 _PREFIX: Mapping[str, float] = MappingProxyType(
     {"": 1.0, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3}

@@ -1,0 +1,205 @@
+"""What a file of somebody else says of itself, what its owner declares, and what neither says: nothing is guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from pydantic import Field
+
+from ..errors import DataError
+from ..ports import Port
+from ..scenario.base import Part, Positive
+from ..scenario.measurement import Quantity
+from ..typing import BoolArray, ComplexArray, FloatArray
+
+Axis = Literal["frequency", "output", "input"]
+Spectrum = Literal["one-sided", "two-sided"]
+Sign = Literal["+iwt", "-iwt"]
+Ports = tuple[tuple[Port, ...], tuple[Port, ...]]
+FOI: tuple[Axis, ...] = ("frequency", "output", "input")
+
+
+class PortDeclaration(Part):
+    """A port of a measured G: its name and place [m]."""
+
+    name: str
+    position: tuple[float, float, float]
+    radius: float = 0.0
+
+
+class Declaration(Part):
+    """What the user knows about a file. Left out: the file must say it itself, or a DataError asks."""
+
+    quantity: Quantity | None = Field(
+        default=None, description="what the numerator is; not needed where the unit says it"
+    )
+    unit: str | None = Field(default=None, description="motion over drive as stored, e.g. mm/V, (mm/s)/V, m/s^2/N")
+    arbitrary_gain: bool = Field(
+        default=False, description="the scale is unknown: shapes and S are meaningful, microns are not"
+    )
+    spectrum: Spectrum | None = Field(
+        default=None, description="two-sided: FFT order, negative frequencies in the upper half"
+    )
+    sign: Sign | None = Field(default=None, description="time dependence; numpy's and MATLAB's fft give +iwt")
+    axes: tuple[Axis, ...] | None = Field(default=None, description="order of the array's axes")
+    variable: str | None = Field(
+        default=None, description="name of the array in a file of several, e.g. G, FRF.H or group/H"
+    )
+    imaginary_variable: str | None = Field(
+        default=None, description="name of the array of imaginary parts, where they have one of their own"
+    )
+    frequency_variable: str | None = Field(default=None, description="name of the vector of frequencies [Hz]")
+    frequency_file: str | None = Field(
+        default=None, description="file of the frequencies [Hz], .npy or text, beside the array's"
+    )
+    valid_variable: str | None = Field(default=None, description="name of a mask of G's shape")
+    sample_rate: Positive | None = Field(
+        default=None, description="[Hz]; bin k lies at k sample_rate / bins (two-sided); of sweeps that do not say it"
+    )
+    band: tuple[Positive, Positive] | None = Field(default=None, description="keep these frequencies only [Hz]")
+    outputs: tuple[PortDeclaration, ...] | None = Field(
+        default=None, description="points with places, where no scenario has them"
+    )
+    inputs: tuple[PortDeclaration, ...] | None = Field(
+        default=None, description="actuators with places, where no scenario has them"
+    )
+    points: dict[str, str] | None = Field(
+        default=None, description="the file's node or name -> the scenario's point; others are left out"
+    )
+    actuators: dict[str, str] | None = Field(
+        default=None, description="the file's node or name -> the scenario's actuator; others are left out"
+    )
+    direction: Literal[1, 2, 3] | None = Field(
+        default=None, description="of the responses of a triaxial sensor: 1 = x, 2 = y, 3 = z"
+    )
+    estimator: Literal["H1", "H2", "Hv"] | None = Field(
+        default=None, description="which of several estimates of one function is meant"
+    )
+    roving: Literal["hammer", "sensor"] | None = Field(
+        default=None, description="hammer: drives rove over the points; G is taken by reciprocity (force drive only)"
+    )
+    pattern: str | None = Field(
+        default=None, description="of the names of files that are joined, e.g. 'P{output}_{input}'"
+    )
+    drive: str | None = Field(default=None, description="channel of the drive [V], where the files are raw sweeps")
+    response: str | None = Field(default=None, description="channel of the response [V] of raw sweeps")
+    drive_is_measured: bool = Field(default=False, description="the drive's channel is a loopback, noise and all")
+    full_scale: Positive | None = Field(default=None, description="volts at full scale of whole numbers in WAV files")
+    skip: float = Field(default=0.0, ge=0, description="seconds of raw sweeps before the first whole period")
+
+
+EVERY = frozenset({
+    "quantity", "unit", "arbitrary_gain", "spectrum", "sign", "band", "outputs", "inputs", "points", "actuators",
+    "roving",
+})  # fmt: skip
+"""What may be declared of a file of any kind."""
+SWEEPS = frozenset({"drive", "response", "drive_is_measured", "full_scale", "skip"})
+"""What may be declared of raw sweeps alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawMatrix:
+    """A file's content before it is understood; whatever the file says about itself, None where it is silent.
+
+    ``values`` in the order of ``axes``; ``frequency`` (n,) [Hz] as stored. ``deviation`` is in the file's unit.
+    ``names`` (outputs, inputs) are what a file without ports calls its entries, which then come in the order
+    (frequency, output, input); ``numbered`` where they are numbers of nodes.
+    """
+
+    name: str
+    values: ComplexArray
+    frequency: FloatArray | None = None
+    axes: tuple[Axis, ...] | None = None
+    unit: str | None = None
+    quantity: Quantity | None = None
+    spectrum: Spectrum | None = None
+    sign: Sign | None = None
+    outputs: tuple[Port, ...] | None = None
+    inputs: tuple[Port, ...] | None = None
+    valid: BoolArray | None = None
+    deviation: FloatArray | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+    names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
+    numbered: bool = False
+
+
+@dataclass(frozen=True)
+class Need:
+    """One thing that a file must say or be told: how to declare it, what ``else`` is common, whether it is open."""
+
+    key: str
+    option: str
+    otherwise: str
+    is_open: Callable[[RawMatrix, Declaration, Ports | None], bool]
+
+
+def _silent(key: str) -> Callable[[RawMatrix, Declaration, Ports | None], bool]:
+    return lambda raw, said, ports: getattr(raw, key) is None and getattr(said, key) is None
+
+
+def _axes_open(raw: RawMatrix, said: Declaration, ports: Ports | None) -> bool:
+    return ports is not None and (raw.axes or said.axes or axes_by_length(raw, *map(len, ports))) is None
+
+
+def _frequency_open(raw: RawMatrix, said: Declaration, ports: Ports | None) -> bool:
+    return raw.frequency is None and said.sample_rate is None
+
+
+def declare(key: str, value: str) -> str:
+    """The option that declares ``key``, as it is typed."""
+    return f'--declare "{key}={value}"'
+
+
+NEEDS = (
+    Need("unit", declare("unit", "'mm/V'"), "", _silent("unit")),
+    Need("sign", declare("sign", "'+iwt'"), "'-iwt'", _silent("sign")),
+    Need("spectrum", declare("spectrum", "'one-sided'"), "'two-sided'", _silent("spectrum")),
+    Need("axes", declare("axes", "['output', 'input', 'frequency']"), "", _axes_open),
+    Need("sample_rate", declare("sample_rate", "10000"), "frequency_variable", _frequency_open),
+    Need("ports", "--scenario FILE", "", lambda raw, said, ports: ports is None),
+)
+
+
+def unsaid(raw: RawMatrix, said: Declaration, ports: Ports | None) -> str:
+    """All that neither ``raw`` nor ``said`` says, and what would say it, in one sentence; "" where nothing is open."""
+    return asked([need for need in NEEDS if need.is_open(raw, said, ports)])
+
+
+def asked(needs: list[Need], first: str = "") -> str:
+    """One sentence that asks for all of ``needs``, and for an option ``first``; "" for nothing."""
+    others = ", ".join(need.otherwise for need in needs if need.otherwise)
+    where = "where true" + (f" (else {others})" if others else "")
+    options = [*([first] if first else []), *(need.option for need in needs)]
+    return f"does not say all of itself; add {' '.join(options)} {where}" if options else ""
+
+
+def axes_by_length(raw: RawMatrix, n_out: int, n_in: int) -> tuple[Axis, ...] | None:
+    """Axes told from their lengths; None where these leave a choice."""
+    shape = raw.values.shape
+    n_frequency = max(shape, default=0) if raw.frequency is None else len(raw.frequency)
+    wanted: dict[Axis, int] = {"frequency": n_frequency, "output": n_out, "input": n_in}
+    found: list[Axis] = [a for length in shape for a in wanted if wanted[a] == length]
+    return tuple(found) if len(shape) == len(found) == len(set(found)) == 3 else None
+
+
+@contextmanager
+def declared_by(option: str) -> Iterator[None]:
+    """Errors of the block name ``option`` in the place of ``--declare``."""
+    try:
+        yield
+    except DataError as problem:
+        raise DataError(str(problem).replace("--declare ", f"{option} ")) from None
+
+
+def arbitrary_gain(provenance: Mapping[str, Any]) -> dict[str, str]:
+    """What of ``provenance`` says that a G's scale is unknown: ``{"gain": "arbitrary"}``, or nothing."""
+    return {"gain": "arbitrary"} if provenance.get("gain") == "arbitrary" else {}
+
+
+def port_from(fields: Mapping[str, Any]) -> Port:
+    """A port from its fields as JSON holds them (lists for tuples)."""
+    plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()}
+    return Port(**plain)
