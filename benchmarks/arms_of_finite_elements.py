@@ -79,7 +79,7 @@ def main() -> None:
             draw = drawn(scene, SEED, k, KINDS[kind])
             truth = solved(scene, draw, kind, asked.kept / f"{kind}-{k}.npz")
             if truth is not None:
-                rows.append({"kind": kind, "arm": str(k), "law": str(draw.tissues.override["skin"].model),
+                rows.append({"kind": kind, "arm": str(k), "law": str(draw.tissues.override["skin"].law),
                              **compared(arm, setup, draw, truth)})  # fmt: skip
                 print(rows[-1], flush=True)
     with (asked.out / "arms.csv").open("w", newline="", encoding="utf-8") as file:

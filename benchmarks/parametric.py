@@ -130,7 +130,7 @@ def compared(model: ParametricModel, draw: Scenario, kept: Path | None) -> dict[
     truth = truth_of(draw, answer.frequency[some], kept)[block]
     found = answer.values[some][block]
     row = {
-        "law": draw.tissues.override["skin"].model or "",
+        "law": draw.tissues.override["skin"].law or "",
         "tension": f"{draw.tissues.membrane.tension:.0f}",
         "true_band": f"{band_error(found, truth):.2e}",
         "stated_band": f"{answer.errors[0].band:.2e}",

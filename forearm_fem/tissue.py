@@ -264,7 +264,7 @@ def law(model: str) -> type[Modulus]:
     """
     if model in LAWS:
         return LAWS[model]
-    found = named(model, "tissues.override: model")
+    found = named(model, "tissues.override: law")
     if not is_dataclass(found) or not hasattr(found, "at") or not hasattr(found, "taylor"):
         raise ScenarioError(f"tissues.override: {model} is no law; write a frozen dataclass that inherits from Law")
     return found  # type: ignore[return-value]
@@ -285,16 +285,16 @@ def _tissue(name: str, model: str, values: Mapping[str, float]) -> Tissue:
 def _overridden(name: str, record: TissueRecord | None, override: TissueOverride) -> Tissue:
     """Preset with single values replaced; a change of model keeps only density and bulk modulus."""
     path = f"tissues.override.{name}"
-    stated = {**override.model_dump(exclude={"model", "parameters"}, exclude_none=True), **override.parameters}
+    stated = {**override.model_dump(exclude={"law", "parameters"}, exclude_none=True), **override.parameters}
     given = {key: math.inf if value == "incompressible" else float(value) for key, value in stated.items()}
-    model = override.model or (record.model if record else "kelvin-voigt")
+    model = override.law or (record.model if record else "kelvin-voigt")
     kept = dict(record.values) if record else {}
     if record and model != record.model:
         kept = {key: kept[key] for key in ("density", "bulk")}
     needed, taken = _parameters(model)
     for key in given:
         if key not in {"density", "bulk", *taken}:
-            raise ScenarioError(f"{path}.{key}: has no effect with the {model} model; remove it or set {path}.model")
+            raise ScenarioError(f"{path}.{key}: has no effect with the {model} law; remove it or set {path}.law")
     v = {**kept, **given}
     if missing := [key for key in ("density", "bulk", *needed) if key not in v]:
         raise ScenarioError(f"{path}: a {model} tissue stated anew also needs {', '.join(missing)}")

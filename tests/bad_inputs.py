@@ -225,7 +225,7 @@ CASES: tuple[Case, ...] = (
         "springpot without viscosity",
         LAYERED,
         ("fat.eta", "no stiffness"),
-        ("tissues.override.fat={model='springpot', mu=1e3, exponent=0.3, eta=0.0}",),
+        ("tissues.override.fat={law='springpot', mu=1e3, exponent=0.3, eta=0.0}",),
     ),
     Case(
         "signals that fill the memory",

@@ -140,7 +140,7 @@ def test_draws_lie_about_the_scenarios_own_value() -> None:
     "tissues",
     [
         {"preset": "zener"}, {"preset": "springpot"},
-        {"override": {"fat": {"model": "springpot", "mu": 4e3, "exponent": 0.2}}},
+        {"override": {"fat": {"law": "springpot", "mu": 4e3, "exponent": 0.2}}},
     ],
 )  # fmt: skip
 def test_laws_whose_parameters_go_together_are_not_drawn_one_by_one(tissues: dict[str, Any]) -> None:

@@ -60,7 +60,7 @@ def test_ends_of_every_law_absorb(modulus):
 
 def test_absorbing_ends_of_a_springpot_slab_are_nearer_to_the_endless_one():
     """At 60 Hz to the twin: .006 with ends that absorb, .022 with free ones (the mesh leaves .006)."""
-    law = {"muscle": {"model": "springpot", "mu": 3000.0, "eta": 1.0, "exponent": 0.3}}
+    law = {"muscle": {"law": "springpot", "mu": 3000.0, "eta": 1.0, "exponent": 0.3}}
     error = {}
     for ends in ("absorb", "free"):
         scene = quarter_slab(

@@ -39,7 +39,7 @@ REFUSED = {
     "contact over the end": ({"limb": CYLINDER, "device": {"contacts": [[0.0599, 0]]}}, "contact A1"),
     "beyond 5 kHz": ({"sweep": {"frequencies": [20000.0]}}, "5000"),
     "springpot without viscosity": (
-        {"tissues": {"override": {"muscle": {"model": "springpot", "mu": 2e3, "exponent": 0.3, "eta": 0}}}},
+        {"tissues": {"override": {"muscle": {"law": "springpot", "mu": 2e3, "exponent": 0.3, "eta": 0}}}},
         "tissues.override.muscle.eta",
     ),
 }

@@ -640,7 +640,7 @@ def test_what_a_library_cannot_answer_is_one_sentence(library, change, error, sa
              "library": {"length": 0.05, "width": 0.05, "step": 1e-3}},
             r"library: \d+ loads, 1 mm apart, need more than .* enlarge library.step",
         ),
-        ({"tissues": {"override": {"fat": {"model": "springpot", "mu": 3e3, "exponent": 0.2}}}}, "needs Kelvin-Voigt"),
+        ({"tissues": {"override": {"fat": {"law": "springpot", "mu": 3e3, "exponent": 0.2}}}}, "needs Kelvin-Voigt"),
     ],
 )
 def test_arms_that_no_library_is_made_for_are_refused(change, said):

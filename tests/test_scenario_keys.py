@@ -69,7 +69,8 @@ VALUES: Mapping[str, Any] = {
     "supports.underside": "foam",
     "sweep.frequencies": [100.0, 110.0],
     "tissues.membrane.tension": 30.0,
-    "tissues.override.skin.model": "springpot",
+    "tissues.override.skin.law": "springpot",
+    "tissues.override.skin.parameters": {"loss": 1.0},
     "tissues.override.skin.exponent": 0.3,
     "tissues.override.skin.mu_infinity": 1e5,
     "tissues.override.skin.bulk": 1e6,
@@ -300,6 +301,11 @@ def test_a_unit_of_another_kind_is_refused() -> None:
 def test_a_scenario_of_schema_1_is_told_what_to_change() -> None:
     with pytest.raises(ScenarioError, match=r"schema_version: 1 .*write 2"):
         parse_scenario({"schema_version": 1, "tissues": {"override": {"skin": {"mu": 1e4}}}})
+    old = {"tissues": {"override": {"skin": {"model": "springpot"}}}}
+    with pytest.raises(ScenarioError, match=r"tissues\.override\.skin\.model is called tissues\.override\.skin\.law"):
+        parse_scenario({"schema_version": 1, **old})
+    with pytest.raises(ScenarioError, match=r"skin\.model: unknown key; did you mean tissues\.override\.skin\.law"):
+        parse_scenario(old)
 
 
 def test_defaults_are_no_changes() -> None:

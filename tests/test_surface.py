@@ -11,6 +11,8 @@ from cli_runner import cli
 
 from forearm_fem import Law, Simulation, load_scenario, read, render, simulate
 from forearm_fem.errors import DataError, ScenarioError
+from forearm_fem.scenario import parse_scenario
+from forearm_fem.scenario.shipped import contents, law_files, named_files
 from forearm_fem.tissue import SpringPot, Zener, resolve_tissues
 
 SMALL = SHORT.replace("f_max = 300.0", "f_max = 700.0")  # all of the wavelet
@@ -122,11 +124,26 @@ def test_a_renderer_of_one_s_own_runs_from_a_scenario(home: Path, tmp_path: Path
 
 def test_a_tissue_law_of_one_s_own_gives_the_g_of_the_same_law(home: Path, simulation: Simulation):
     """Kelvin-Voigt written by hand is Kelvin-Voigt: layers ask for mu* alone, so that G is equal to rounding."""
-    own = '\n[tissues.override.skin]\nmodel = "law:Stiffening"\nmu = 13e3\nparameters = { loss = 3.0 }\n'
+    own = '\n[tissues.override.skin]\nlaw = "law:Stiffening"\nmu = 13e3\nparameters = { loss = 3.0 }\n'
     (home / "lawful.toml").write_text(SMALL + own)
     scenario = load_scenario(home / "lawful.toml")
     assert isinstance(resolve_tissues(scenario)["skin"].modulus, Law)
     np.testing.assert_allclose(simulate(scenario).transfer.values, simulation.transfer.values, rtol=1e-9)
+
+
+def test_a_law_that_was_edited_is_another_question(home: Path):
+    """What is kept of solves and predictions hangs on the code behind a name, not on the name alone."""
+    (home / "edited.py").write_text((home / "law.py").read_text())
+    scenario = parse_scenario(
+        {"tissues": {"override": {"skin": {"law": f"{home / 'edited.py'}:Stiffening", "mu": 13e3}}}}
+    )
+    before = contents(law_files(scenario), home), contents(named_files(scenario), home)
+    with (home / "edited.py").open("a") as file:
+        file.write("# softer\n")
+    after = contents(law_files(scenario), home), contents(named_files(scenario), home)
+    assert len(before[0]) == len(before[1]) == 1
+    assert before[0] != after[0]
+    assert before[1] != after[1]
 
 
 @pytest.mark.parametrize("law", [Zener(13e3, 40e3, 8.0), SpringPot(5e3, 0.4)])

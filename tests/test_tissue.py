@@ -138,10 +138,10 @@ def test_override_replaces_single_values() -> None:
 
 
 def test_change_of_model_restates_its_parameters() -> None:
-    muscle = resolve({"muscle": {"model": "springpot", "mu": 2680, "exponent": 0.253}})["muscle"]
+    muscle = resolve({"muscle": {"law": "springpot", "mu": 2680, "exponent": 0.253}})["muscle"]
     assert muscle == Tissue("muscle", 1060.0, SpringPot(2680.0, 0.253, 1.0), 2.2e9)
     with pytest.raises(ScenarioError, match=r"tissues\.override\.muscle.*mu"):
-        resolve({"muscle": {"model": "springpot", "exponent": 0.253}})
+        resolve({"muscle": {"law": "springpot", "exponent": 0.253}})
 
 
 def test_new_tissue_is_complete_and_may_be_a_layer() -> None:
@@ -156,7 +156,7 @@ def test_new_tissue_is_complete_and_may_be_a_layer() -> None:
         ({"tendon": {"mu": 75e3}}, r"tissues\.override\.tendon: .*density, bulk, eta"),
         ({"skin": {"exponent": 0.3}}, r"tissues\.override\.skin\.exponent: has no effect"),
         ({"bone": {"eta": 3.0}}, r"tissues\.override\.bone\.eta: has no effect"),
-        ({"fat": {"model": "zener", "mu": 5e3, "eta": 1, "mu_infinity": 4e3}}, r"fat\.mu_infinity: must"),
+        ({"fat": {"law": "zener", "mu": 5e3, "eta": 1, "mu_infinity": 4e3}}, r"fat\.mu_infinity: must"),
     ],
 )
 def test_bad_overrides_name_their_key(override: dict, message: str) -> None:

@@ -87,7 +87,7 @@ class Ranges:
             exponent = float(np.interp(place[2], [0, 1], self.exponents))
             size = (abs(modulus) * stiff / omega**exponent) ** (1 / (1 - exponent))  # |mu*| at 100 Hz
             found["springpot"] = {"mu": float(size), "exponent": exponent, "eta": 1.0}
-            data["tissues"]["override"][name] = {**kept, "model": law, **found[law]}
+            data["tissues"]["override"][name] = {**kept, "law": law, **found[law]}
         data["tissues"]["membrane"]["tension"] = float(np.interp(places[-1], [0, 1], self.tension))
         return parse_scenario(data)
 

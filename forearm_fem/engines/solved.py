@@ -26,6 +26,7 @@ from ..progress import Progress, tell, within
 from ..results import SolutionRecord
 from ..scenario import Scenario
 from ..scenario.limb import SlabLimb
+from ..scenario.shipped import contents, law_files
 from ..store.record import dims
 from ..store.shelf import Shelf
 from ..store.text import digest_of
@@ -105,6 +106,7 @@ def solve_key(scenario: Scenario, mesh: TissueMesh, frequency: FloatArray) -> st
         "bends": hashlib.sha256(mesh.bends.offsets.tobytes()).hexdigest(),
         "ports": [asdict(p) for p in place_ports(scenario, mesh)],
         "tissues": scenario.tissues.model_dump(mode="json"),
+        "laws": contents(law_files(scenario), "."),
         "supports": scenario.supports.model_dump(mode="json"),
         "solver": scenario.solver.model_dump(mode="json", exclude={"memory_limit", "discretisation_estimate"}),
         "element": scenario.element,

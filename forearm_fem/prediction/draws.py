@@ -164,7 +164,7 @@ def law_parameters(law: str, values: Mapping[str, float]) -> dict[str, dict[str,
     kelvin-voigt: mu [Pa], eta [Pa s]. zener: mu, stiffening mu_infinity/mu - 1, relaxation 1/(2 pi tau) [Hz].
     springpot: size |mu*| [Pa] at 150 Hz, and exponent; its eta is 1 Pa s.
     """
-    return {tissue: {"model": law, **_parameters(law, tissue, values)} for tissue in SOFT}
+    return {tissue: {"law": law, **_parameters(law, tissue, values)} for tissue in SOFT}
 
 
 def _parameters(law: str, tissue: str, values: Mapping[str, float]) -> dict[str, float]:

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
+from ..usercode import is_code
 from .limb import Limb, MeshLimb, SurfacesLimb
 from .model import Scenario
 from .rendering import SampledWavelet
@@ -41,9 +42,22 @@ def scenario_beside(folder: Path, named: str) -> Path:
 
 
 def named_files(scenario: Scenario) -> tuple[str, ...]:
-    """Files that ``scenario`` names, seen from its own folder: of the limb, and of the wavelet."""
+    """Files that ``scenario`` names, seen from its own folder: of the limb, of the wavelet, and of the user's code."""
     wave = scenario.rendering.wavelet
-    return (*limb_files(scenario.limb), *((wave.file,) if isinstance(wave, SampledWavelet) else ()))
+    sampled = (wave.file,) if isinstance(wave, SampledWavelet) else ()
+    return (*limb_files(scenario.limb), *sampled, *code_files(scenario.rendering.methods), *law_files(scenario))
+
+
+def law_files(scenario: Scenario) -> tuple[str, ...]:
+    """Files of the user's own tissue laws."""
+    return code_files(law for override in scenario.tissues.override.values() if (law := override.law) is not None)
+
+
+def code_files(names: Iterable[str]) -> tuple[str, ...]:
+    """Files of the user's code among ``names``: those named in full, and those in the current folder."""
+    places = (name.rpartition(":")[0] for name in names if is_code(name))
+    files = (Path(place if place.endswith(".py") else place.replace(".", "/") + ".py") for place in places)
+    return tuple(str(file.resolve()) for file in files if file.is_file())
 
 
 def limb_files(limb: Limb) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ class TissueOverride(Part):
     mu: Modulus | None = Field(None, description="storage (shear) modulus [Pa]")
     eta: Viscosity | None = Field(None, description="shear viscosity [Pa s]")
     bulk: Modulus | Literal["incompressible"] | None = Field(None, description="bulk modulus [Pa]")
-    model: Literal["kelvin-voigt", "springpot", "zener"] | UserCode | None = Field(
+    law: Literal["kelvin-voigt", "springpot", "zener"] | UserCode | None = Field(
         None,
         description="law of the shear modulus; kelvin-voigt where left out; your own as module:Name of a file beside "
         "the scenario",

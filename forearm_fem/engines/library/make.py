@@ -43,7 +43,7 @@ def make_library(scenario: Scenario, *, base: str | Path = ".", progress: Progre
         if not isinstance(tissues[name].modulus, KelvinVoigt):
             raise ScenarioError(
                 f"{key}: a library starts from one real rate and needs Kelvin-Voigt tissue, but {name} is not; set "
-                f"tissues.override.{name}.model = 'kelvin-voigt'"
+                f"tissues.override.{name}.law = 'kelvin-voigt'"
             )
     loaded = loaded_skin(scenario)
     _check_size(scenario, len(loaded.bells.centres))
