@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from forearm_fem.io import read_transfer
 from forearm_fem.pipeline.simulation import render_transfer
 from forearm_fem.scenario import parse_scenario
+from forearm_fem.store.results import read_transfer
 from forearm_fem.store.text import read_json
 from forearm_fem.transfer import (
     TransferMatrix,

@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from bad_files import CORNERS, TETRA
 from test_measurement_scene import INPUTS, RATE, wave_matrix
 
-from forearm_fem import files, io
+from forearm_fem import files
 from forearm_fem.engines.skin_model import ReducedFile
 from forearm_fem.errors import ForearmError
 from forearm_fem.files.reading import RecognitionWarning
@@ -26,9 +26,9 @@ from forearm_fem.geometry.limb.prisms import oriented
 from forearm_fem.geometry.mesh.files import read_mesh, write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
 from forearm_fem.geometry.user.boundary import with_boundaries
-from forearm_fem.io.seal import MARK
 from forearm_fem.measurement.recording import Recording
 from forearm_fem.measurement.store import read_recording, write_recording
+from forearm_fem.store import results as io
 from forearm_fem.store.record import load, save
 from forearm_fem.wavefield import Wavefield, load_wavefield, save_wavefield
 
@@ -139,11 +139,6 @@ def damaged(content: bytes, number: int, rng: np.random.Generator) -> bytes:
             return found
 
 
-def without_seals(content: bytes) -> bytes:
-    """The file as somebody else would have written it."""
-    return content.replace(MARK, b"somebody_else's")
-
-
 def outcome(form: Format, file: Path, whole: Any) -> tuple[str, str]:
     """One of :data:`OUTCOMES`, and what was said."""
     try:
@@ -175,16 +170,13 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def campaign(form: Format, folder: Path, count: int, *, sealed: bool = True, limit: int = 20) -> list[tuple[str, str]]:
+def campaign(form: Format, folder: Path, count: int, *, limit: int = 20) -> list[tuple[str, str]]:
     """Outcomes of ``count`` damaged files, each read in a process of its own that may take ``limit`` seconds."""
     import os
 
     file = folder / form.name
     form.write(file)
     whole, content = form.read(file), file.read_bytes()
-    content = content if sealed else without_seals(content)
-    for side in () if sealed else folder.glob("*.sha256"):
-        side.unlink()
     rng, found = np.random.default_rng(29), []
     for number in range(count):
         file.write_bytes(damaged(content, number, rng))

@@ -15,8 +15,8 @@ from test_measurement_scene import INPUTS, OUTPUTS, part, wave_matrix
 from forearm_fem import device, layered, metrics, rendering, transfer
 from forearm_fem.arguments import checked
 from forearm_fem.errors import DataError, ForearmError
-from forearm_fem.io import strength_rows
 from forearm_fem.scenario.device import device_of
+from forearm_fem.store.results import strength_rows
 from forearm_fem.transfer import Compliance, ErrorEstimate
 from forearm_fem.typing import BoolArray, ComplexArray, FloatArray, IntArray
 

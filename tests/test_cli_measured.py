@@ -191,8 +191,9 @@ def test_a_folder_keeps_one_result_whole_and_what_others_wrote(lab: Path, comman
     names = {f.name for f in out.iterdir()}
     assert "another question and are replaced" in cli(command, *other[command], "--out", out, cwd=lab).err
     assert {f.name for f in out.iterdir()} == names
-    account = next(out.glob("*.json"))
+    account = lab / f"theirs-{command}" / {"compare": "comparison.json", "fit": "fit.json"}[command]
+    account.parent.mkdir()
     account.write_text('{"colour": "red"}')
-    refused = cli(command, *first[command], "--out", out, cwd=lab)
+    refused = cli(command, *first[command], "--out", account.parent, cwd=lab)
     assert (refused.code, "name another folder with --out" in refused.sentence) == (2, True)
     assert account.read_text() == '{"colour": "red"}'

@@ -21,7 +21,6 @@ from matplotlib.figure import Figure, SubFigure
 from test_figures_scene import folder  # noqa: F401
 
 from forearm_fem.errors import DataError, NotApplicable
-from forearm_fem.io import write_transfer
 from forearm_fem.layered.closed_forms import rayleigh_wavenumber
 from forearm_fem.layered.kernel import Layer, surface_kernel
 from forearm_fem.ports import Port
@@ -48,6 +47,7 @@ from forearm_fem.show.registry import _chosen
 from forearm_fem.show.style import SHEET, arrange
 from forearm_fem.show.targets import moments
 from forearm_fem.show.waves import _row, kernel_root, line, travel
+from forearm_fem.store.results import write_transfer
 from forearm_fem.store.text import write_json
 from forearm_fem.tissue import KelvinVoigt, resolve_tissues
 from forearm_fem.transfer import ErrorEstimate, entry_errors

@@ -15,14 +15,6 @@ from forearm_fem.geometry.build import build_mesh
 from forearm_fem.geometry.device.place import place_ports
 from forearm_fem.geometry.mesh.files import write_mesh
 from forearm_fem.geometry.mesh.tissue_mesh import TissueMesh
-from forearm_fem.io import (
-    stack,
-    strength_rows,
-    write_displacements,
-    write_drives,
-    write_signal_strength_csv,
-    write_transfer,
-)
 from forearm_fem.layered import Disc, layered_compliance
 from forearm_fem.ports import positions
 from forearm_fem.questions.compare.adapters import layers_from
@@ -30,6 +22,14 @@ from forearm_fem.rendering import render_all, ricker
 from forearm_fem.scenario import Scenario, parse_scenario
 from forearm_fem.show import Results
 from forearm_fem.show.patch import volar_patch
+from forearm_fem.store.results import (
+    stack,
+    strength_rows,
+    write_displacements,
+    write_drives,
+    write_signal_strength_csv,
+    write_transfer,
+)
 from forearm_fem.transfer import Compliance, ErrorEstimate, TransferMatrix
 from forearm_fem.wavefield import Wavefield, save_wavefield
 

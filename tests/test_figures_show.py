@@ -178,6 +178,16 @@ def test_mp4_names_its_extra(run: Results, tmp_path: Path, monkeypatch: pytest.M
         animate(run, tmp_path / "film.mp4")
 
 
+def test_a_picture_and_a_film_of_one_view_are_drawn_alike(run: Results) -> None:
+    """The picture was magnified by its own instant, and looked like another motion."""
+    film = motion(run, View())
+    with plotter_for(SMALL) as plotter:
+        whole = staged(run, plotter, film, Look(size=SMALL))
+    with plotter_for(SMALL) as plotter:
+        still = staged(run, plotter, motion(run, View(), np.array([-5e-3])), Look(size=SMALL), film)
+    assert (still.factor, still.limit) == (whole.factor, whole.limit)
+
+
 @pytest.mark.parametrize(
     ("view", "words"),
     [

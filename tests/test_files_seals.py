@@ -1,4 +1,4 @@
-"""Checksums in files of every format, and disks that are full."""
+"""Damaged files, what other programs read of ours, and disks that are full."""
 
 from __future__ import annotations
 
@@ -13,13 +13,7 @@ import pytest
 from scipy.io import loadmat, wavfile
 
 sys.path.insert(0, str(Path(__file__).parent))
-from damage import DRIVES, FORMATS, KINDS, MESH, PLAIN, G, damaged, outcome, same, without_seals
-from forearm_fem.errors import DataError
-from forearm_fem.io.seal import BLANK, MARK, check_seals, sealed
-
-BY_NAME = {form.name: form for form in FORMATS}
-UNSEALED = ("transfer.nc", "drives.nc", "reduced.nc", "recording.nc", "wavefield.npz", "mesh.vtu", "mesh.msh")
-TEXT_SEALS = [n for n in BY_NAME if n not in UNSEALED]
+from damage import DRIVES, FORMATS, KINDS, MESH, PLAIN, G, damaged, outcome
 
 
 @pytest.mark.parametrize("form", [f for f in FORMATS if not f.name.startswith("mesh")], ids=lambda form: form.name)
@@ -33,45 +27,6 @@ def test_damage_is_refused_or_harmless(form, tmp_path):
         file.write_bytes(damaged(content, number, rng))
         what, said = outcome(form, file, whole)
         assert what in ("refused", "read unchanged"), (KINDS[number].__name__, what, said)
-
-
-@pytest.mark.parametrize("name", TEXT_SEALS)
-def test_numbers_of_a_file_are_protected_wherever_they_stand(name, tmp_path):
-    """One bit anywhere is noticed, the marks of the seals included; without seals the same file is read."""
-    form, file = BY_NAME[name], tmp_path / name
-    form.write(file)
-    whole, content = form.read(file), file.read_bytes()
-    for at in np.linspace(0, len(content) - 1, 25).astype(int):
-        changed = bytearray(content)
-        changed[at] ^= 1
-        file.write_bytes(bytes(changed))
-        what, said = outcome(form, file, whole)
-        assert what == "refused", (at, what, said)
-    assert MARK in content
-    file.write_bytes(without_seals(content))
-    assert same(form.read(file), whole)
-
-
-@pytest.mark.parametrize("name", TEXT_SEALS)
-def test_damage_to_one_mark_is_convicted_by_another(name, tmp_path):
-    form, file = BY_NAME[name], tmp_path / name
-    form.write(file)
-    whole, content = form.read(file), file.read_bytes()
-    assert content.count(MARK) == 2
-    for at in (content.index(MARK), content.rindex(MARK)):
-        file.write_bytes(content[:at] + b"x" + content[at + 1 :])
-        assert outcome(form, file, whole)[0] == "refused"
-
-
-def test_a_seal_covers_all_but_itself():
-    content = sealed(b"head " + BLANK + b" 3.14 " + BLANK)
-    assert check_seals(content)
-    assert content.count(MARK) == 2
-    assert not check_seals(b"nothing of ours")
-    one_wrong = content[:-1] + b"x"  # a digit of one of the two digests
-    for other in (content.replace(b"3.14", b"3.15"), content[:-1], content.replace(b"head", b"heat"), one_wrong):
-        with pytest.raises(DataError, match="do not match its checksum"):
-            check_seals(other)
 
 
 def test_other_programs_read_what_is_written(tmp_path):

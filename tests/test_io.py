@@ -15,9 +15,11 @@ import pytest
 import xarray as xr
 from scipy.io import loadmat
 
-from forearm_fem import files, io
+from forearm_fem import files
 from forearm_fem.errors import DataError
 from forearm_fem.ports import Port
+from forearm_fem.store import results as io
+from forearm_fem.store.folder import atomic_path, write_text
 from forearm_fem.transfer import Compliance, ErrorEstimate, TransferMatrix
 
 BINS = np.arange(20, 1001, dtype=float) * 0.5
@@ -310,7 +312,7 @@ def test_random_damage_never_escapes_as_another_error(tmp_path: Path) -> None:
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     file = tmp_path / "a.txt"
-    io.write_text(file, "old\n")
+    write_text(file, "old\n")
     with pytest.raises(RuntimeError, match="stop"):
         _write_half(file)
     assert file.read_text() == "old\n"
@@ -318,7 +320,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 def _write_half(file: Path) -> None:
-    with io.atomic_path(file) as beside:
+    with atomic_path(file) as beside:
         beside.write_text("half")
         raise RuntimeError("stop")
 
@@ -326,6 +328,6 @@ def _write_half(file: Path) -> None:
 def test_an_impossible_place_is_a_data_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="cannot be written"):
-        io.write_text(tmp_path / "file" / "a.txt", "x")
+        write_text(tmp_path / "file" / "a.txt", "x")
     with pytest.raises(DataError, match="cannot be written"):
         io.write_transfer(tmp_path / "file" / "a.nc", transfer(BINS[:2]))

@@ -22,7 +22,6 @@ from forearm_fem.device import close_loop
 from forearm_fem.engines.skin_model import load_skin_model
 from forearm_fem.errors import DataError, GeometryError
 from forearm_fem.files.tables import write_csv
-from forearm_fem.io import read_compliance, read_transfer, write_transfer
 from forearm_fem.pipeline.folder import Run, run_render
 from forearm_fem.pipeline.simulation import simulate
 from forearm_fem.prediction.outcome import DrawsFile, Outcome
@@ -36,6 +35,7 @@ from forearm_fem.show.workbench.bundle import script
 from forearm_fem.show.workbench.content import measured_content, short_scenario
 from forearm_fem.show.workbench.field import few_shapes, per_newton, solved_field
 from forearm_fem.store.record import save
+from forearm_fem.store.results import read_compliance, read_transfer, write_transfer
 from forearm_fem.store.text import write_json
 from forearm_fem.transfer import ErrorEstimate, TransferMatrix
 

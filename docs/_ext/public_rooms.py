@@ -20,7 +20,7 @@ PUBLIC = {
     "forearm_fem.show.motion": "Waves in space: which",
     "forearm_fem.show.film": "Waves in space: stills and films",
     "forearm_fem.show.workbench": "The workbench: a run as a page for the browser",
-    "forearm_fem.io": "Files",
+    "forearm_fem.store.results": "Files of a run",
     "forearm_fem.device": "The device's circuit and mechanics",
     "forearm_fem.layered": "The semi-analytic twin",
     "forearm_fem.engines.library": "An arm's library: any arrangement without a solve",

@@ -254,7 +254,8 @@ def compare(
         from ..show.devices import are_devices
         from ..store.folder import locked
 
-        folder = out or Path("results") / f"compare-{'-'.join(p.resolve().stem for p in what)}"
+        names = (p.resolve().name if p.is_dir() else p.stem for p in what)
+        folder = out or Path("results") / f"compare-{'-'.join(names)}"
         with locked(folder):
             if are_devices(what):
                 lines = _compared_devices(what, folder, display)

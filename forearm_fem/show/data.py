@@ -15,7 +15,13 @@ from ..geometry.limb.bending import with_bends
 from ..geometry.mesh.files import read_mesh
 from ..geometry.mesh.subdivision import with_finer_skin
 from ..geometry.mesh.tissue_mesh import TissueMesh
-from ..io import (
+from ..ports import Port
+from ..rendering import Record, Wavelet, from_samples_file, ricker
+from ..rendering.clearance import counted_points
+from ..results import RunRecord, read_run
+from ..scenario import Scenario, parse_scenario
+from ..scenario.rendering import SampledWavelet
+from ..store.results import (
     Signals,
     StrengthRow,
     read_compliance,
@@ -24,12 +30,6 @@ from ..io import (
     read_signal_strength_csv,
     read_transfer,
 )
-from ..ports import Port
-from ..rendering import Record, Wavelet, from_samples_file, ricker
-from ..rendering.clearance import counted_points
-from ..results import RunRecord, read_run
-from ..scenario import Scenario, parse_scenario
-from ..scenario.rendering import SampledWavelet
 from ..store.text import read_json
 from ..transfer import Compliance, TransferMatrix
 from ..typing import BoolArray
@@ -98,7 +98,7 @@ class Results:
     def remedy(self, name: str) -> str:
         """Half a sentence: the command that makes the file ``name``."""
         if name == "measured.nc":
-            return "keep a measured G there (forearm_fem.io.write_transfer) to compare with"
+            return "keep a measured G there (forearm_fem.store.results.write_transfer) to compare with"
         return f"`forearm-fem {STAGES.get(name, 'run')} SCENARIO --out {self.folder}` makes it"
 
     @cached_property

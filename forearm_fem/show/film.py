@@ -180,12 +180,16 @@ def drawn_words(factor: float) -> str:
     return f"motion drawn {max(factor, 1 / factor):,.6g} times {'larger' if factor > 1 else 'smaller'}"
 
 
-def staged(results: Results, plotter: Any, moved: Motion, look: Look) -> Stage:
-    """Body, device, grid, bones, scale bar, colours and camera in ``plotter``."""
+def staged(results: Results, plotter: Any, moved: Motion, look: Look, whole: Motion | None = None) -> Stage:
+    """Body, device, grid, bones, scale bar, colours and camera in ``plotter``.
+
+    Magnification and colours are of the ``whole`` motion that ``moved`` is a part of, so that a picture and a film of
+    one view are drawn alike.
+    """
     view = moved.view
     body = body_of(results, look.cut, view.target)
     without = ("without what the skin follows of the housing",) if carries_points(results.scenario.device) else ()
-    scales = amplification(moved, body, look), colour_limit(results, moved, look)
+    scales = amplification(whole or moved, body, look), colour_limit(results, whole or moved, look)
     stage = Stage(plotter, body, moved, *scales, without)
     stage.show(0)
     ports = (*results.transfer.inputs, *results.transfer.outputs)
@@ -251,11 +255,8 @@ def render_still(
     """
     found, view, look = _given(results, view, look)
     moved = motion(found, view, np.array([at]))
-    wide = motion(found, view)
-    limit = colour_limit(found, wide, look)
-    fixed = Look(look.camera, look.cut, look.amplification, limit, look.size)
     with plotter_for(look.size) as plotter:
-        staged(found, plotter, moved, fixed)
+        staged(found, plotter, moved, look, motion(found, view))
         picture = np.array(plotter.screenshot(None, return_img=True))
     if path is not None:
         with atomic_path(path) as beside:

@@ -13,9 +13,9 @@ from matplotlib.figure import FigureBase
 from scipy.interpolate import griddata
 
 from ..errors import DataError, NotApplicable
-from ..io import Signals
 from ..ports import Port, positions
 from ..rendering import to_spectrum
+from ..store.results import Signals
 from ..typing import ComplexArray, FloatArray
 from ..wavefield import Wavefield
 from .data import Results, record_of

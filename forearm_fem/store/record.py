@@ -106,6 +106,8 @@ def load(path: str | Path, cls: type[R]) -> R:
         raise DataError(f"{file}: {problem}") from None
     except Exception as problem:  # damaged HDF5 fails in ways that h5py does not list
         first = str(problem).strip().splitlines()[0] if str(problem).strip() else type(problem).__name__
+        if "filter returned failure" in first:
+            raise DataError(f"{file}: damaged: its contents do not match its checksum") from None
         article = "an" if kind[0] in "aeiou" else "a"
         raise DataError(f"{file}: damaged or not {article} {kind} file of forearm_fem ({first})") from problem
 

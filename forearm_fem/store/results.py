@@ -20,6 +20,23 @@ from ..typing import FloatArray
 from .folder import write_text
 from .record import dims, load, save
 
+__all__ = [
+    "Signals",
+    "StrengthRow",
+    "read_compliance",
+    "read_displacements",
+    "read_drives",
+    "read_signal_strength_csv",
+    "read_transfer",
+    "stack",
+    "strength_rows",
+    "write_compliance",
+    "write_displacements",
+    "write_drives",
+    "write_signal_strength_csv",
+    "write_transfer",
+]
+
 _HEADER = ("target", "group", "method", "S", "S_low", "S_high", "S_record", "window")
 
 
