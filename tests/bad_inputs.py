@@ -169,7 +169,9 @@ CASES: tuple[Case, ...] = (
         command=("run", "--until", "mesh"),
     ),
     Case("contact off the slab", SLAB, ("contact A1", "does not lie"), ("device.spacing=0.08",)),
-    Case("contact off the forearm", FOREARM, ("contact A1",), ("device.spacing=0.2",), command=("run", "--until", "mesh")),
+    Case(
+        "contact off the forearm", FOREARM, ("contact A1",), ("device.spacing=0.2",), command=("run", "--until", "mesh")
+    ),
     Case("contacts overlapping", SLAB, ("contacts A1 and A2", "apart"), ("device.spacing=0.006",)),
     Case("grid point off the slab", SLAB, ("grid point 1",), ("grid.pitch=0.05",)),
     Case("symmetry through contacts beside the plane", SLAB, ("limb.symmetry",), ("limb.symmetry=['x']",)),
