@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from typing import Annotated, Any, NoReturn
 
@@ -10,8 +11,21 @@ import typer
 from typer.core import TyperGroup
 
 from . import __version__
-from .commands import about, design, library, measured, new, pictures, predict, simulate, studies, study, workbench
-from .commands.common import console, print_error
+from .commands import (
+    about,
+    convert,
+    design,
+    library,
+    measured,
+    new,
+    pictures,
+    predict,
+    simulate,
+    studies,
+    study,
+    workbench,
+)
+from .commands.common import any_encoding, console, print_error
 from .errors import DataError, ForearmError
 from .interrupts import interrupts_heard
 
@@ -49,7 +63,7 @@ app = typer.Typer(
 
 _GROUPS = {  # twelve commands by question; the rest below them (docs/reference/commands.md says why)
     "Simulate": (simulate.run, simulate.render),
-    "Measure": (measured.calibrate,),
+    "Measure": (measured.calibrate, convert.convert),
     "Compare": (measured.compare, measured.fit),
     "Look": (pictures.figures, workbench.workbench),
     "Decide": (predict.predict, design.design),
@@ -71,6 +85,8 @@ app.add_typer(study.app, name="study", rich_help_panel="People")
 def main() -> None:
     """Entry point: a known failure is one sentence and exit code 2, an interruption exit code 130."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    any_encoding()
+    os.environ["MPLBACKEND"] = "agg"  # pictures are written here: a notebook's backend may not even be installed
     try:
         with interrupts_heard() as pressed:
             code = app(standalone_mode=False)
