@@ -145,7 +145,7 @@ def stage(
             job = Run.start(asked, folder, file.parent, display)
             job.asked = asked_words(file, overrides, library)
             if kept is not None:
-                job.library = kept
+                job.engine = kept
                 job.notes.append(f"{library}: answers in place of a solve; mesh and solver keys have no effect")
                 job.notes.append("library: the limb acts on each disc's net force; what it does to a disc held against "
                                  "tilt and slide is the flat twin's, and its error is stated as contact")
