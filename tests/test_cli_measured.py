@@ -188,7 +188,7 @@ def test_a_folder_keeps_one_result_whole_and_what_others_wrote(lab: Path, comman
     names = {f.name for f in out.iterdir()}
     assert "another question and are replaced" in cli(command, *other[command], "--out", out, cwd=lab).err
     assert {f.name for f in out.iterdir()} == names
-    account = next(out.glob("*.json"))
+    account = out / "folder.json"  # what the folder says it holds
     account.write_text('{"colour": "red"}')
     refused = cli(command, *first[command], "--out", out, cwd=lab)
     assert (refused.code, "name another folder with --out" in refused.sentence) == (2, True)
